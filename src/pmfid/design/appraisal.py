@@ -33,7 +33,7 @@ class Choice:
 
     `name` is "design", "design, least speed x 1.23" or the name of a standard input. `design` is the motion to run.
     `std` maps each unknown parameter to its expected standard deviation after one run, in the parameter's unit. `usual`
-    has the same deviations for the trapezoid; they are infinite if no trapezoid exists.
+    has the standard deviations for the trapezoid, which are infinite if no trapezoid exists.
     """
 
     name: str
@@ -58,7 +58,7 @@ def choose(design: Design, *, starts: int = 5, seed: int = 0) -> Choice:
 
 
 def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floats | None]) -> str:
-    """Return the name of the best input by the covariances (p, p) of the inputs, in the units of the parameters.
+    """Return the name of the best input. The covariances (p, p) by input are in units of the parameters.
 
     None stands for an input without an estimate. Only inputs count that surely estimate every unknown parameter better
     than the trapezoid. The first of these inputs whose value is surely no less than the largest value wins. If no input
@@ -88,7 +88,7 @@ def stds(problem: Problem, covariance: Floats | None) -> dict[str, float]:
 
 
 def _others(design: Design, starts: int, seed: int) -> Iterator[tuple[str, Floats]]:
-    """Yield the names and values (K,) of other inputs within the same limits."""
+    """Yield the names and values (K,) of other inputs within the limits."""
     problem = design.problem
     for factor in TUNING.appraisal_faster if problem.limits.min_speed > 0 else ():
         limits = replace(problem.limits, min_speed=factor * problem.limits.min_speed)
@@ -112,9 +112,9 @@ class Worth:
     value of the criterion, over the scenarios if the problem has an average. `surviving` is the part of the claimed
     information that remains with true stiction. `surviving` is the least value over nominal, slightly larger and
     slightly smaller parameters, or None without a simulation. `predicted_std` is the standard deviation of each unknown
-    parameter after one run. This deviation is infinite if run and prior do not determine the parameter. `std_encoder`
-    is the standard deviation that `pmfid design SPEC RECORD` will reach from the encoder's counts
-    (`encoder_covariance`). This prediction assumes an unknown start position. `std_encoder` is infinite for an
+    parameter after one run. A standard deviation is infinite if run and prior do not determine the parameter.
+    `std_encoder` is the standard deviation that `pmfid design SPEC RECORD` will reach from the encoder's counts
+    (`encoder_covariance`). The prediction assumes an unknown start position. `std_encoder` is infinite for an
     undetermined parameter, and if the noise does not come from an encoder. `covariance` (p, p) belongs to the estimate
     of unknown and nuisance parameters after one run, in their units. `covariance` decides on the choice of an input,
     and is None if a parameter is undetermined.
@@ -284,9 +284,9 @@ def accumulate_value(problem: Problem, criterion: Criterion, u: ArrayLike) -> tu
 
 
 def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Floats) -> float | None:
-    """Return the part of the run's information that survives stiction, by the same criterion.
+    """Return the part of the run's information that survives stiction, by the criterion of the design.
 
-    If the criterion gives the run alone no size, the trace decides.
+    If the criterion has no value for the run without a prior, the trace decides.
     """
     if problem.drive.friction != "symmetric":
         return None

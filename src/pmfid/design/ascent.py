@@ -163,7 +163,7 @@ def _subtract_least(values: Floats) -> Floats:
 
 
 def proportions(rule: Criterion, informations: Floats, rounds: int = TUNING.ascent_rounds) -> Floats:
-    """Return the weights (m,) of a mixture of informations (m, p, p) with the largest value of the criterion.
+    """Return the weights (m,) with which a mixture of informations (m, p, p) has the largest criterion.
 
     The weights sum to 1. The multiplicative steps are from Silvey, Titterington and Torsney (1978).
     """
@@ -189,7 +189,7 @@ def share(rule: Criterion, mean: Floats) -> Floats:
 def best_mixture(maps: Affine, rule: Criterion, oracle: Oracle, u: Floats) -> Floats:
     """Return the information (p, p) of the best mixture of inputs that the search finds from u (K,).
 
-    Each step adds the input with the largest share of the tangent (Fedorov 1972; Wynn 1970).
+    Each step of the mixture adds the input with the largest share of the tangent (Fedorov 1972, Wynn 1970).
     """
     rng, inputs = np.random.default_rng(0), [u]
     for _ in range(TUNING.ascent_motions):

@@ -26,8 +26,8 @@ __all__ = ["Box", "WeightFrame", "frame"]
 class WeightFrame:
     """A coordinate frame in which trace(weight F(u)) is |matrix u + offset|^2 + constant.
 
-    This form holds for all inputs u that meet the equations of the limits. `weight` (p, p) is positive semidefinite.
-    `matrix` (r, K) and `offset` (r,) have the largest coordinates first.
+    The quadratic form holds for all inputs u that meet the equations of the limits. `weight` (p, p) is positive
+    semidefinite. `matrix` (r, K) and `offset` (r,) have the largest coordinates first.
     """
 
     weight: Floats
@@ -38,14 +38,14 @@ class WeightFrame:
 
 @dataclass(eq=False)
 class Box:
-    """Ranges lower <= z <= upper (r,) of the coordinates of a frame, over a part of the inputs."""
+    """Ranges lower <= z <= upper (r,) of a frame's coordinates over a part of the inputs."""
 
     lower: Floats
     upper: Floats
 
     @property
     def slope(self) -> Floats:
-        """Slopes (r,) of the chords: z^2 <= slope z - lower upper inside the box."""
+        """Slopes (r,) of the chords, for which z^2 <= slope z - lower upper inside the box."""
         return self.lower + self.upper
 
     def chords(self, z: Floats) -> float:
@@ -106,7 +106,7 @@ def upper_bound(
 ) -> float | None:
     """Return an upper bound of the criterion's value over all inputs, or None for ME, which has no tangent.
 
-    If time suffices, the bound is at most 1 + gap times the value of the input u (K,). `u` must be feasible; a better u
+    If time suffices, the bound is at most 1 + gap times the value of the input u (K,). `u` must be feasible. A better u
     makes the search faster. `seconds` is processor time, so the proof on a busy machine is as good.
     """
     if not rule.concave:
@@ -175,7 +175,7 @@ class _BoundSearch:
         node.seen.append(vertex)
 
     def _close(self, node: _Node) -> None:
-        """Narrow the part until nothing in it exceeds the target, or until narrowing does not help."""
+        """Narrow the part until no input in the part exceeds the target, or until narrowing does not help."""
         try:
             if node.rows:
                 self._enter(node.rows)

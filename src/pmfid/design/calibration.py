@@ -29,7 +29,7 @@ LEAST = {"mass": 1e-3, "offset": -np.inf}
 
 @dataclass(frozen=True, eq=False)
 class DesignedRun:
-    """One experiment with a designed input.
+    """An experiment with a designed input.
 
     Only changes of y count. The zero of y is free, because the start phase on the encoder's lattice is unknown.
 
@@ -72,10 +72,10 @@ class RunsEstimate:
     `parameters` maps each name to its value, known parameters included. `information` (p, p) of unknown and nuisance
     parameters, in their units, includes the prior. The inverse of the information is the covariance of the parameters.
     `interval` maps each of these names to the lowest and highest value of an interval that holds 95 %. For normal
-    noise, `inflation` is the variance of the residual over the variance of the noise, times the number of samples that
-    correlate. An inflation above 1 divides the information of the runs. For counts the inflation is 1. `unexplained` is
-    the largest distance of the best motion from a count, in counts. A distance above 0 is an error of the model, and
-    all counts were widened by twice this distance.
+    noise, `inflation` is the ratio of residual to noise variance, times the number of correlated samples. An inflation
+    above 1 divides the information of the runs. For counts the inflation is 1. `unexplained` is the largest distance of
+    the best motion from a count, in counts. A distance above 0 is an error of the model, and all counts were widened by
+    twice this distance.
     """
 
     parameters: Mapping[str, float]

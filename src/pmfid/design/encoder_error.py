@@ -127,7 +127,7 @@ def least_range(distances: Distances, q: Floats, steps: Floats, lower: Floats, r
 
 @dataclass(frozen=True, eq=False)
 class Allowed:
-    """The density of the possible parameters q (p,): the room within the counts, times the prior.
+    """The density of the possible parameters q (p,), which is the room within the counts, times the prior.
 
     A count has the width 2 `half` [counts], and q is at least `lower` (p,). The prior is centred on 1, and `root` (p,
     p) is the root of its information.
@@ -204,10 +204,10 @@ def encoder_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     """Return the mean square error (p, p) of `calibrate` after one run of u (n,), for unknown and nuisance parameters.
 
     The parameters have their own units. The error is the mean over machines that differ from the nominal one by the
-    uncertainty of the prior, at most `encoder_error_wrong`. Each machine starts at another phase. The counts leave a
-    set of parameters open, as in `counted`, here with the sensitivities of the simulated motion. A motion that is the
-    best for the nominal values may come to rest on another machine, and bring a hundredth of the information. The
-    machines therefore include the corners of the uncertainty. The result is None if the noise does not come from an
+    uncertainty of the prior, at most `encoder_error_wrong`. Each simulated machine starts at another phase. The counts
+    leave a set of parameters open, as in `counted`, here with the sensitivities of the simulated motion. A motion that
+    is the best for the nominal values may come to rest on another machine, and bring a hundredth of the information.
+    The machines therefore include the corners of the uncertainty. The result is None if the noise does not come from an
     encoder, or if run and prior do not determine a parameter.
     """
     ready = _informations(problem, u) if is_counted(problem) else None
@@ -286,9 +286,9 @@ def _motion_in_counts(problem: Problem, u: ArrayLike, parameters: dict[str, floa
 def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     """Return the covariance (p, p) that `calibrate` will have after one run of u, or None if a parameter stays open.
 
-    For an encoder the covariance is `encoder_covariance`. Otherwise the noise is white, the start unknown, and the
-    covariance the mean over the same machines. With directional friction it comes from the nominal machine alone,
-    without stiction.
+    For an encoder the covariance is `encoder_covariance`. In other cases the noise is white, the start is unknown, and
+    the covariance is a mean over simulated machines. With directional friction the covariance comes from the nominal
+    machine without stiction.
     """
     if is_counted(problem):
         return encoder_covariance(problem, u)
@@ -355,8 +355,8 @@ class Open:
     """The set of parameters that fit the counts.
 
     The set has the mean (p,), the covariance (p, p) and an interval (p, 2) that holds 95 % of each parameter.
-    `unexplained` [counts] is 0 if all counts are explained. Otherwise it is the distance of the best motion from a
-    count, or of a typical motion of the set from its widened counts.
+    `unexplained` [counts] is 0 if all counts are explained. Above 0, `unexplained` is the distance of the best motion
+    from a count, or of a typical motion from widened counts.
     """
 
     mean: Floats

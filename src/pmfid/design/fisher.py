@@ -25,10 +25,10 @@ POSITION, VELOCITY = 0, 1
 class Regime:
     """The plant between two events, x' = A x + b u + g and y = c x, and its derivatives by p parameters.
 
-    `A` is (n, n); `b`, `g` and `c` are (n,). The derivatives by the parameters are `A_slope` (p, n, n), `b_slope` (p,
-    n) and `g_slope` (p, n); `c` depends on no parameter. The matrix `entry` (n, n) multiplies the sensitivities of the
-    state where the regime begins. The matrix `entry` is the identity except for a rest, in which friction removes every
-    deviation of the velocity.
+    `A` is (n, n), and `b`, `g` and `c` are (n,). The derivatives by the parameters are `A_slope` (p, n, n), `b_slope`
+    (p, n) and `g_slope` (p, n). `c` depends on no parameter. The matrix `entry` (n, n) multiplies the sensitivities of
+    the state where the regime begins. The matrix `entry` is the identity except for a rest, in which friction removes
+    every deviation of the velocity.
     """
 
     A: Floats
@@ -43,9 +43,9 @@ class Regime:
 
 @dataclass(frozen=True, eq=False)
 class StateStep:
-    """One step X+ = A X + b u + g of the state and its sensitivities, X = (x, dx/dp_1, ..., dx/dp_p).
+    """The step X+ = A X + b u + g of X = (x, dx/dp_1, ..., dx/dp_p), the state and its sensitivities.
 
-    `A` is (n(p+1), n(p+1)); `b` and `g` are (n(p+1),). The step is exact for an input that is held.
+    `A` is (n(p+1), n(p+1)), and `b` and `g` are (n(p+1),). The step is exact for an input that is held.
     """
 
     A: Floats
@@ -129,7 +129,7 @@ class Affine:
 def affine(problem: Problem, parameters: Mapping[str, float] | None = None) -> Affine:
     """Return the affine maps of a problem.
 
-    `parameters` maps names to the values of another case. That case has the scale of the nominal one.
+    `parameters` maps names to the values of another case. Each other case has the scale of the nominal case.
     """
     steps = _steps(problem, {**problem.nominal, **(parameters or {})}, problem.names, problem.samples_per_interval)
     n, p, K = 2, len(problem.names), problem.intervals
@@ -323,7 +323,7 @@ CRITERIA = {
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """A criterion for the first `size` parameters of F; the others are nuisance parameters.
+    """A criterion for the first `size` parameters of F. All further parameters are nuisance parameters.
 
     `combination` (size,) has the weights of the scaled parameters for the criterion "c".
     """

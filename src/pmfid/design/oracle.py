@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["EmptyError", "Oracle", "SolverError"]
 
-#: The primal simplex goes on from the last vertex when the objective changes.
+#: After a change of the objective, the primal simplex continues from the last vertex.
 OPTIONS: dict[str, bool | int | str] = {
     "output_flag": False,
     "threads": 1,
@@ -38,7 +38,7 @@ class EmptyError(SolverError):
 
 
 class Oracle:
-    """A maximiser of linear functions of the input over a polytope, and over the ball of an energy limit.
+    """A maximiser of linear functions of the input over a polytope and the ball of an energy limit.
 
     The answers after `start` depend only on the objectives since then. Two threads must not share one oracle.
     """
@@ -80,7 +80,7 @@ class Oracle:
         return retreat(self.inputs, self._least_energy(), u)
 
     def maximise_relaxed(self, objective: Floats) -> Floats:
-        """Return an input (K,) that maximises objective' u within the known tangents of the energy limit alone.
+        """Return an input (K,) that maximises objective' u, with the known tangents in place of the energy limit.
 
         The value at this input is an upper bound of the value from `maximise`.
         """

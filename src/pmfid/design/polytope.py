@@ -39,7 +39,7 @@ Rows = tuple[str, Floats, ArrayLike, ArrayLike, ArrayLike]
 
 @dataclass(frozen=True, eq=False)
 class InputSet:
-    """The inputs u (K,) that meet all limits: lower <= matrix u <= upper (r,) and |u| <= radius.
+    """The inputs u (K,) that meet all limits, which are lower <= matrix u <= upper (r,) and |u| <= radius.
 
     `names` (r,) has the limit of each row. `radius` comes from energy and rms, or is infinite. Nominal positions and
     velocities at the nodes are states u + offset, with `states` (2, K+1, K) and `offset` (2, K+1).
@@ -101,7 +101,7 @@ def _input_rows(problem: Problem) -> Iterator[Rows]:
 
 
 def _case_rows(problem: Problem, case: Mapping[str, float]) -> Iterator[Rows]:
-    """Yield the limits of the motion with the parameters of a scenario; an empty `case` is the nominal one."""
+    """Yield the limits of the motion with the parameters of a scenario. An empty `case` is the nominal one."""
     values = {**problem.nominal, **case}
     (x, v), (x0, v0) = node_states(problem, case)
     yield from _position_rows(problem, x, x0, nominal=not case)
@@ -151,7 +151,7 @@ def _hold_rows(problem: Problem, values: Mapping[str, float]) -> Rows:
 
 
 def _acceleration_rows(problem: Problem, values: Mapping[str, float], v: Floats, v0: Floats) -> Iterator[Rows]:
-    """Yield the limits of the acceleration as rows at both ends of every interval of motion."""
+    """Yield the acceleration limits as rows at both ends of every interval of motion."""
     regimes = {d: drive_regime(problem.drive, values, (), d) for d in set(problem.sense)}
     A, b, g = (
         np.array([part[VELOCITY] for part in parts])
@@ -182,7 +182,9 @@ MET = 1e-9
 
 
 def violation(inputs: InputSet, u: Floats) -> float:
-    """Return the amount by which u (K,) leaves the limits, relative to the size of each row; 0 if u meets all."""
+    """Return the amount by which u (K,) leaves the limits, relative to the size of each row. The amount is 0 if u meets
+    all limits.
+    """
     excess, size = inputs.excess(u)
     relative = excess / np.maximum(size, 1e-300)
     return max(0.0, float(relative.max(initial=0.0)), float(np.linalg.norm(u)) / inputs.radius - 1.0)

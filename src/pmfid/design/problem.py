@@ -143,7 +143,7 @@ def _check_prior(prior: ArrayLike, size: int) -> None:
 
 @dataclass(frozen=True)
 class Relaxation:
-    """One way out of infeasible limits: set the limit `name` from `value` to `needed`, both in `unit`."""
+    """A change that makes limits feasible. It sets the limit `name` from `value` to `needed`, both in `unit`."""
 
     name: str
     value: float
@@ -186,7 +186,7 @@ class InfeasibleError(PmfidError):
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of a machine; None means no limit, and a single number b stands for (-b, b).
+    """Limits of a machine. None means no limit, and a single number b stands for (-b, b).
 
     Parameters
     ----------
@@ -343,13 +343,16 @@ class Problem:
 
     @property
     def cases(self) -> tuple[Mapping[str, float], ...]:
-        """Parameters of each case of the criterion: the nominal parameters and, with an average, the parameters of each
-        scenario."""
+        """Parameters of each case of the criterion. The nominal case comes first. With an average, a case for each
+        scenario follows.
+        """
         return (self.nominal, *(({**self.nominal, **case} for case in self.scenarios) if self.average else ()))
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the parameters of the Fisher information: the unknown ones, then the nuisance parameters."""
+        """Names of the Fisher information's parameters, with the unknown parameters first, and the nuisance parameters
+        last.
+        """
         return (*self.unknown, *self.nuisance)
 
     @property
@@ -441,7 +444,7 @@ class Design(Presentable):
 
     @property
     def gap(self) -> float | None:
-        """Proved bound over the value, minus 1; None if no bound is proved."""
+        """Proved bound over the value, minus 1. The property is None if no bound is proved."""
         return None if self.bound is None else max(0.0, self.bound / self.value - 1.0)
 
     @property

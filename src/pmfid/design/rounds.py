@@ -1,4 +1,4 @@
-"""Design, run, estimate, and design again: the remedy for a poor first guess (paper, section II)."""
+"""Rounds of design, run and estimate, as the remedy for a poor first guess (paper, section II)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pmfid.errors import UsageError
 __all__ = ["Commissioning", "Experiment", "Round", "redesign", "sequential", "simulated_experiment"]
 
 
-#: An experiment makes the run of a design: on a machine, from a file, or by simulation.
+#: An experiment makes the run of a design on a machine, from a file, or by simulation.
 Experiment = Callable[[Design], DesignedRun]
 
 

@@ -1,8 +1,9 @@
 """A second opinion on the Fisher information, from a simulated drive with true stiction and difference quotients.
 
 The sensitivities of `fisher` belong to a linear equation with a known sign of the friction. If the axis comes to rest,
-these sensitivities go on, but the axis does not. The simulation here is not linear. Each parameter changes a little in
-both directions, and the motion is solved event by event. The difference of the positions is the sensitivity.
+the linear sensitivities continue, although the axis rests. The simulation here is not linear. For the derivatives, each
+parameter changes a little in both directions, and the motion is solved event by event. The difference of the positions
+is the sensitivity.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ __all__ = ["both_ways", "drive_of", "simulate", "simulated_information"]
 def simulate(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | None = None) -> Motion:
     """Simulate the motion from `problem.start` under the input u (n,) with stiction, at the position samples.
 
-    `parameters` has true values; missing values are nominal. The arrays of the motion hold n * samples_per_interval + 1
+    `parameters` has true values. Missing values are nominal. The arrays of the motion hold n * samples_per_interval + 1
     samples, the first at time 0. In the last sample, the entries of input, direction and moving belong to no interval.
     Raises UsageError for directional friction, which is not simulated, and for a wrong length of u.
     """

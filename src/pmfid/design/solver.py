@@ -26,7 +26,7 @@ __all__ = ["Setting", "evaluate", "setting"]
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """A problem with all that a search needs: the maps of its cases, the criterion and the rows of its limits."""
+    """A problem with the data of a search, which are the maps of the cases, the criterion and the limits' rows."""
 
     problem: Problem
     maps: tuple[Affine, ...]
@@ -34,12 +34,12 @@ class Setting:
     inputs: InputSet
 
     def value(self, u: Floats) -> float:
-        """Return the criterion of an input (K,): the nominal value, the geometric mean or the worst of the cases."""
+        """Return the criterion of an input (K,), as the nominal value, the geometric mean or the worst case."""
         values = [float(self.rule.log_value(maps.information(u))) for maps in self.maps]
         return float(np.exp(min(values) if self.problem.average == "worst" else np.mean(values)))
 
     def design(self, u: Floats) -> Design:
-        """Return a design: the input with its motion, information and value."""
+        """Return a design with the input, its motion, its information and its value."""
         x, v = motion(self.problem, u)
         broken = violations(self.inputs, u)
         warnings = [f"breaks {name} by {amount:.3g}" for name, amount in broken.items()]
@@ -116,7 +116,7 @@ def raise_infeasible(problem: Problem) -> NoReturn:
 def relaxations(problem: Problem) -> tuple[Relaxation, ...]:
     """Return the changes of one limit that make the problem feasible, smallest change first.
 
-    Each limit has its needed value.
+    Each returned limit has its needed value.
     """
     inputs = input_set(problem)
     found = _energy(problem, inputs)
@@ -142,7 +142,7 @@ def _together(problem: Problem) -> tuple[Relaxation, ...]:
 
 
 def minimum_time(problem: Problem, longest: float = 64.0) -> float | None:
-    """Return the shortest feasible horizon [s] with the same number of intervals, to 0.1 %.
+    """Return the shortest feasible horizon [s] to 0.1 %, for an unchanged number of intervals.
 
     The result is None if even `longest` times the horizon is not enough.
     """

@@ -20,7 +20,7 @@ from pmfid.types import Floats
 __all__ = ["RISES", "SIGNALS", "Leg", "input_wish", "legs", "velocity_wish"]
 
 #: Velocity profiles, each with the parts of a leg's time in which the velocity rises. The velocity falls in equal
-#: parts. The usual part comes first; None is the curve of least jerk.
+#: parts. The usual part comes first. None is the curve of least jerk.
 RISES: dict[str, tuple[float | None, ...]] = {
     "trapezoid": (1 / 3, 0.4, 0.25, 0.5, 0.15, 0.1),
     "s_curve": (None,),
@@ -67,7 +67,9 @@ def velocity_wish(problem: Problem, leg: Leg, rise: float | None, peak: float) -
 
 
 def input_wish(problem: Problem, name: str, low: float, high: float, rng: np.random.Generator) -> Floats:
-    """Return an input (n,) between `low` and `high`: pulses, prbs, multisine (phases of Schroeder 1970) or chirp."""
+    """Return an input (n,) between `low` and `high`, which is pulses, prbs, multisine (phases of Schroeder 1970) or
+    chirp.
+    """
     n = problem.intervals
     middle, size = (high + low) / 2, (high - low) / 2
     if name == "pulses":
@@ -114,8 +116,9 @@ def standard_inputs(problem: Problem, seed: int = 0, names: tuple[str, ...] = ()
     """Return the standard inputs within the limits of a problem.
 
     The standard inputs are trapezoid, S-curve, least energy, least time, pulses, PRBS, multisine and chirp. The input
-    "minimum_time" reaches the end of each leg as early as the limits allow. After the end it goes on at the least
-    speed. If the limits do not allow a profile, the nearest input in the sum of squares replaces the profile.
+    "minimum_time" reaches the end of each leg as early as the limits allow. After the end of a leg the path continues
+    at the least speed. If the limits do not allow a profile, the nearest input in the sum of squares replaces the
+    profile.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ class DesignTuning:
     #: Least speeds of further candidates, as multiples of the least speed in the limits. The first two leave whole
     #: counts per sample. The others keep a machine moving whose mass or friction is larger than the data sheet says.
     appraisal_faster: tuple[float, ...] = (1.23, 1.57, 2.5, 4.0, 6.0)
-    #: Part of the claimed information that must survive stiction; a smaller part gives a warning.
+    #: Part of the claimed information that must survive stiction. A smaller part gives a warning.
     appraisal_survives: float = 0.95
 
     # ascent
@@ -28,7 +28,7 @@ class DesignTuning:
     ascent_furthest: float = 8.0
     #: Relative gain of a full step below which the step is only a drift.
     ascent_drift: float = 0.05
-    #: Weight of the worst of several cases in the soft minimum; a larger value is nearer to the true minimum.
+    #: Weight of the worst of several cases in the soft minimum. A larger weight is nearer to the true minimum.
     ascent_sharpness: float = 100.0
     #: Largest excess of a motion over its share at which the weights count as converged.
     ascent_enough: float = 1e-6
@@ -86,7 +86,7 @@ class DesignTuning:
     encoder_error_furthest: float = 2.0
     #: Condition number of an information from which a parameter counts as open.
     encoder_error_worst: float = 1e12
-    #: Number of walkers for each machine, of steps until they have spread, and of steps that count.
+    #: Numbers of walkers for each machine, of steps for the spread of walkers, and of counted steps.
     encoder_error_walkers: int = 12
     encoder_error_spread: int = 80
     walker_steps: int = 120
@@ -97,11 +97,11 @@ class DesignTuning:
     #: hundred.
     least_room: float = 0.25
     count_walkers: int = 48
-    #: One in `encoder_error_checked` walkers is checked.
+    #: Of `encoder_error_checked` walkers, one is checked.
     encoder_error_checked: int = 4
     #: Largest error of the map [counts].
     encoder_error_lost: float = 0.05
-    #: Rounds of the walk, each on a map around the middle of the last round: steps to spread, steps that count.
+    #: Rounds of the walk, each on a map around the middle of the last round, with steps to spread and counted steps.
     encoder_error_rounds: tuple[tuple[int, int], tuple[int, int], tuple[int, int]] = ((100, 60), (60, 60), (60, 240))
     #: Quantiles of the interval that holds 95 %.
     encoder_error_within: tuple[float, float] = (0.025, 0.975)
@@ -127,7 +127,7 @@ class DesignTuning:
     rounds_tolerated: float = 0.5
 
     # simulated
-    #: Change of a parameter as a part of its nominal value: far above rounding, and too small to bend the motion.
+    #: Change of a parameter as a part of its nominal value, far above rounding and too small to bend the motion.
     simulated_step: float = 1e-4
 
     # solver
@@ -142,7 +142,7 @@ class DesignTuning:
     #: Number of pulse periods in the whole motion, and number of intervals that hold one value of the PRBS.
     standard_pulses: int = 4
     standard_clock: int = 3
-    #: Highest frequency of multisine and chirp, as a part of the rate of the intervals.
+    #: Highest frequency of multisine and chirp, as a fraction of the interval rate.
     standard_highest: float = 0.2
     #: Relative violation of a limit that rounding explains.
     standard_rounding: float = 1e-7

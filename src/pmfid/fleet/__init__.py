@@ -1,4 +1,6 @@
-"""Histories of many axes: estimates of each axis and period, changed axes, and axes that differ from the others."""
+"""Histories of many axes, with estimates for each axis and period, changed axes, and axes that differ from similar
+ones.
+"""
 
 from __future__ import annotations
 

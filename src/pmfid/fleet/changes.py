@@ -109,8 +109,7 @@ def _measure_step(series: Series, k: int, names: Sequence[str], tolerance: float
 
 
 def _date_step(series: Series, k: int) -> float:
-    """Return the earliest time [s] of the step at place k: in the segment, or in earlier segments without
-    information."""
+    """Return the earliest time [s] of the step at place k, which may be in segments without information."""
     start, before = float(series.start[k]), float(series.end[k - 1])
     return before if start - before > 0.5 * (float(series.end[k]) - start) else start
 
@@ -247,8 +246,8 @@ def _together(series: Series, place: int) -> tuple[Floats, Floats, Floats]:
 def _likelihoods(theta: Floats, std: Floats, shapes: Floats) -> tuple[Floats, ...]:
     """Return the largest log likelihoods (p,) of theta (n, p) with errors std (n, p), for a random walk.
 
-    The first result is for the walk alone, the others for the walk with a multiple of each shape (n, k). One Kalman
-    filter runs for all noises and walks together.
+    The first result is for the walk. The other results are for the walk with a multiple of each shape (n, k). One
+    Kalman filter runs for all noises and walks together.
     """
     n, p = theta.shape
     seen = np.concatenate([theta[:, None, :], np.broadcast_to(shapes[:, :, None], (n, shapes.shape[1], p))], axis=1)
@@ -273,7 +272,7 @@ def _likelihoods(theta: Floats, std: Floats, shapes: Floats) -> tuple[Floats, ..
 
 
 def sorts_of(place: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:
-    """Return the members of each kind of axes, from the places (m, p) of the axes.
+    """Return the members of each kind of axis, from the places (m, p) of the axes.
 
     A place is the logarithm of the parameters over the median of the type. `least` is the least number of axes in a
     kind. `tolerance` is the least spread within a kind. If no gap separates the axes, the result is one kind with all

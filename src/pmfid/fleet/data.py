@@ -111,7 +111,9 @@ class Work:
     length: float
 
     def shard(self, shard: RowShard, parts: Mapping[str, Part], aside: Aside | None = None) -> Segments:
-        """Return the segments of a shard, from the files with its rows, or from the place where rows were put aside."""
+        """Return the segments of a shard. The rows come from the shard's files, or from the folder of rows kept by
+        shard.
+        """
         return self._solve(*read_rows(shard, parts, self.columns, self.length, aside))
 
     def frame(self, frame: pl.DataFrame) -> Segments:
@@ -157,7 +159,7 @@ FULL = 3
 
 
 class Parts:
-    """Files or frames in memory, each of them a part; `SparkRows` has the same methods for rows that stay in Spark."""
+    """Files or frames in memory, each of them a part. `SparkRows` has the same methods for rows that stay in Spark."""
 
     def __init__(self, parts: Sequence[Part], columns: SourceColumns, engine: Engine) -> None:
         self._parts = {part.name: part for part in parts}
@@ -195,8 +197,8 @@ class Parts:
     ) -> Iterator[None]:
         """Open a context for all work on these shards of the survey.
 
-        The context sets aside the rows of files that mix axes. An engine of many machines shuffles such files itself.
-        The rows go into `folder`, by default the folder of temporary files.
+        Within the context, rows of files that mix axes are kept by shard. An engine of many machines shuffles such
+        files itself. The rows go into `folder`, by default the folder of temporary files.
         """
         names = find_mixed_parts(survey.rows, shards) if isinstance(self._engine, Local) else set()
         if not names:

@@ -1,4 +1,4 @@
-"""The history of a fleet: from a data set of any size to estimates of each axis and period, and to verdicts."""
+"""The history of a fleet, from a data set of any size to verdicts and estimates for each axis and period."""
 
 from __future__ import annotations
 
@@ -242,7 +242,7 @@ class History:
 
     @property
     def title(self) -> str:
-        """A sentence with the number of axes, of axes that need attention, and of axes without an estimate."""
+        """A sentence with the numbers of all axes, of axes that need attention, and of axes without an estimate."""
         many, named, unknown = self.axes.height, self.named.height, self.unknown.height
         dark = f", {unknown} {'has' if unknown == 1 else 'have'} no estimate" if unknown else ""
         return f"{named} of {many} axes need{'s' * (named == 1)} attention{dark}"
@@ -301,7 +301,7 @@ def estimate(
     from pandas, Polars (lazy, too), Arrow or Spark. The data have a row for each sample of each axis, in any order.
     `axis` is an AXIS.toml or its path. The AXIS.toml names the columns of time, input and counts, and describes the
     common properties of all axes. `by` is the column, or the key of the folders, with the names of the axes. `period`
-    is "day", "shift", "run" or a duration such as "10min". `type` is the column with the types of the axes; axes are
+    is "day", "shift", "run" or a duration such as "10min". `type` is the column with the types of the axes. Axes are
     compared within a type. `engine` is by default this machine, `Local()`, or the session of a Spark DataFrame. `out`
     is a folder that keeps finished work. A second call with the same folder processes only new or changed data.
     `segment` is the length of one estimate [s], the unit in which changes are found. The default is 60 s, or a length
@@ -309,8 +309,7 @@ def estimate(
     tolerance of [monitor].
 
     Unusable axes, times and files appear in the `problems` and in the findings of the periods. All other data are
-    processed. Raises UsageError if no data can be processed: for other columns, for methods that are not recursive, and
-    without a moving axis.
+    processed. Raises UsageError for missing columns, methods that are not recursive, and data without a moving axis.
     """
     own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
     columns, periods = SourceColumns.from_axis(own, by, type), Periods.from_name(period)

@@ -22,15 +22,15 @@ from pmfid.io.safety import readable
 from pmfid.io.tables import Table
 from pmfid.types import Flags, Floats
 
-#: Prefix of the folders that keep rows aside during a call.
+#: Prefix of the folders that keep rows by shard during a call.
 ASIDE = "aside-"
 
 
 def find_mixed_parts(rows: pl.DataFrame, shards: Sequence[RowShard]) -> set[str]:
-    """Return the names of the parts that are set aside. The rows come from the `Survey`.
+    """Return the names of the parts whose rows are kept by shard. The rows come from the `Survey`.
 
-    If the rows of an axis reach over a stretch of the file, the shard of the axis reads the whole stretch. No shard
-    reads more than the whole file.
+    The shard of an axis reads the whole stretch of a file that contains rows of the axis. No shard reads more than the
+    whole file.
     """
     readers = Counter(name for shard in shards for name in shard.parts)
     many = rows.group_by(PART).agg(pl.col(EXTENT).sum() / pl.col(ROWS).sum().alias("times"))
@@ -54,10 +54,10 @@ class _Laid:
 class Aside:
     """A store on the disk for rows of files that mix many axes row by row.
 
-    Each file is read once, and its rows are put aside by shard. Otherwise every shard would read every such file as a
-    whole. The rows are raw, and are removed after the last shard that needs them. `folder` contains the folder of the
-    rows; None takes the folder for temporary files. The caller must close this object. `length` is the duration of a
-    slice [s].
+    Each file is read once, and its rows are kept by shard. Without these folders every shard would read every file that
+    mixes axes as a whole. The rows are raw, and are removed after the last shard that needs them. `folder` contains the
+    folder of the rows. None takes the folder for temporary files. The caller must close this object. `length` is the
+    duration of a slice [s].
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class Aside:
         return name in self._waiting
 
     def prepare(self, shard: RowShard) -> None:
-        """Put aside the rows that the shard needs. Raises UsageError if the disk is full.
+        """Store the rows that the shard needs. Raises UsageError if the disk is full.
 
         For a part that cannot be read, the error is raised when its rows are requested.
         """
@@ -112,7 +112,7 @@ class Aside:
                         self._laid[name].path.unlink(missing_ok=True)
 
     def read(self, name: str, shard: RowShard) -> dict[str, NDArray[np.generic]]:
-        """Return the rows of a shard from one part that is put aside.
+        """Return the rows of a shard from one part whose rows are kept by shard.
 
         The rows have the number of the axis in the shard, and the columns of `source`. Raises UsageError if the part
         could not be read.
@@ -214,7 +214,7 @@ _Columns = Mapping[str, NDArray[np.generic]]
 
 @dataclass(frozen=True)
 class ShardRows:
-    """Rows in order: `axis` (n,) is the number in `axes`, `time` (n,) is in s, `others` (n,) has further columns by
+    """Rows in order. `axis` (n,) are numbers in `axes`, `time` (n,) is in s, and `others` has further columns (n,) by
     name.
     """
 
@@ -247,7 +247,7 @@ def read_rows(
     """Return the rows of a shard in order.
 
     Of equal rows one is kept, of contradictory rows none. `length` is the duration of a slice [s]. `aside` has the rows
-    of some parts that were set aside. Parts that cannot be read have problems in place of rows.
+    of parts that are kept by shard. Parts that cannot be read have problems in place of rows.
     """
     frames, problems = list[_Columns](), list[RowProblem]()
     if aside is not None:

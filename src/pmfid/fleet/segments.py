@@ -128,8 +128,9 @@ def _share_samples(
 
 
 def _cut(samples: int, quarter: int) -> list[slice]:
-    """Return whole segments and the remainder. Each has a whole number of quarters, so that many have the same
-    length."""
+    """Return whole segments and the remainder. Each stretch has a whole number of quarters, so that many stretches have
+    the same length.
+    """
     size = TUNING.segments_whole * quarter
     found = [slice(start, start + size) for start in range(0, samples - size + 1, size)]
     start = len(found) * size
@@ -201,8 +202,8 @@ def _moves(stretch: Stretch, method: IV, theta: Floats) -> Floats:
 def _forces(equation: Equation, theta: Floats, speed: Floats, u: Floats) -> tuple[Floats, Floats]:
     """Return forces (k, n) per unit of their coefficients, and coefficients (k,) that a machine may plausibly have.
 
-    One force is an input that does not act in proportion. If the model has no nonlinear friction, the other force is
-    friction that is not linear.
+    The first force is an input that does not act in proportion. If the model has no nonlinear friction, the other force
+    is friction that is not linear.
     """
     bent, usual = -equation.input_gain * u * np.abs(u) / rms(u), rms(speed[speed != 0])
     if any(isinstance(term.shape, Square) for term in equation.shaped):
@@ -227,7 +228,7 @@ def velocity(counts: Counts) -> Floats:
 def settled_std(tracks: Tracks) -> Floats:
     """Return the standard deviations (n, p) at the end of the segments.
 
-    These deviations are larger if the estimates still moved by more than chance explains. A biased start, or a change
+    The deviations are larger if the estimates still moved by more than chance explains. A biased start, or a change
     within the segment, is forgotten no faster than the samples.
     """
     std = tracks.theta_std[:, -1]
@@ -238,8 +239,8 @@ def settled_std(tracks: Tracks) -> Floats:
 def lasting_status(tracks: Tracks) -> NDArray[np.uint32]:
     """Return the status (n,) at the end of the segments.
 
-    The status includes UNMODELLED if a part of the second half had this bit. The verdict of the kernel alone concerns
-    only the last motion.
+    The status includes UNMODELLED if a part of the second half had this bit. The verdict of the kernel concerns only
+    the last motion.
     """
     off = (tracks.status[:, _first_after(tracks, 2) :] & Status.UNMODELLED) != 0
     wrong = np.mean(off, axis=1) >= TUNING.segments_off
@@ -335,7 +336,7 @@ def _stretch(piece: RecordPiece, record: Record, filled: Flags, first: int, shar
 
 
 def _estimate_batches(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> list[pl.DataFrame]:
-    """Return estimates of stretches, in batches of stretches with the same length."""
+    """Return estimates of stretches. Stretches of one length form a batch."""
     groups: dict[int, list[Stretch]] = defaultdict(list)
     for one in stretches:
         groups[one.u.size].append(one)

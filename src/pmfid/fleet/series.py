@@ -29,7 +29,7 @@ class Series:
     """The n segments of an axis with p parameters.
 
     `start`, `end` and `dt` (n,) are in s. `samples` is (n,). `lost` (n,) is the imputed part of the samples. `status`
-    is (n,); `theta` and `std` are (n, p).
+    is (n,), and `theta` and `std` are (n, p).
     """
 
     start: Floats
@@ -143,7 +143,7 @@ SEVERAL, SHARE = 3, {Status.UNMODELLED: 0.1, Status.DEAD_TIME: 0.25, Status.FEED
 class Periods:
     """The periods of a history.
 
-    `name` is the user's name of the periods. `length` and `start` are in s; the length is None for runs.
+    `name` is the user's name of the periods. `length` and `start` are in s. The length is None for runs.
     """
 
     name: str
@@ -152,7 +152,7 @@ class Periods:
 
     @classmethod
     def from_name(cls, name: str) -> Self:
-        """Return the periods by their name: "day", "shift" (of 8 hours, from 06:00), "run", or a duration.
+        """Return the periods by their name, which is "day", "shift" (8 hours from 06:00), "run", or a duration.
 
         Raises UsageError for any other name.
         """
@@ -224,7 +224,9 @@ def standing(series: Series) -> set[str]:
 
 
 def _uneven(used: Series) -> bool:
-    """Return whether segments of one direction contradict the others, as with a load, or only one direction exists."""
+    """Return whether only one direction exists, or segments of one direction contradict those of the other, as with a
+    load.
+    """
     for bit in (FORWARD, BACKWARD):
         own = (used.status & bit) != 0
         if np.all(own) and own.size:

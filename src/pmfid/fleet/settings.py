@@ -74,8 +74,8 @@ def record_at(table: Table, axis: Axis) -> Record:
 class Chosen:
     """A choice by records of the fleet.
 
-    The choice consists of the pole of the filters [rad/s] and the zeros of the pre-filters [1/s]. `dt` is the sample
-    period [s], and `resolution` the resolution of the records.
+    The choice consists of the filters' pole [rad/s] and the pre-filters' zeros [1/s]. `dt` is the sample period [s],
+    and `resolution` the resolution of the records.
     """
 
     cutoff: float
@@ -164,7 +164,7 @@ def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
 def _best(found: Sequence[tuple[tuple[int, float], Chosen]]) -> Chosen:
     """Return the quickest filters with an acceptable price, among the filters with the most segments.
 
-    Other axes may move more slowly, and bring less information to slow filters.
+    Axes outside the sample may move more slowly, and bring less information to slow filters.
     """
     most = max(usable for (usable, _), _ in found)
     known = [(stds, chosen) for (usable, stds), chosen in found if usable == most]

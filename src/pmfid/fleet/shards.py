@@ -1,4 +1,4 @@
-"""Many axes watched as a stream: a shard of the engine, its tables, the folder of results, and states.
+"""Many axes watched as a stream, with a shard of the engine, its tables, the folder of results, and states.
 
 The package `pmfid.fleet.spark` keeps the state of each shard.
 """
@@ -42,7 +42,7 @@ SOURCE = "stream"
 
 
 def shard_of(axis: str, shards: int) -> int:
-    """Return the shard of an axis: CRC-32 of its name in UTF-8, modulo the number of shards."""
+    """Return the shard of an axis, which is the CRC-32 of the name in UTF-8, modulo the number of shards."""
     return zlib.crc32(axis.encode("utf-8", "replace")) % shards
 
 
@@ -229,7 +229,7 @@ def _notice(notice: Notice) -> pl.DataFrame:
 
 @dataclass(frozen=True)
 class States:
-    """States of axes of one configuration, from checkpoints of its shards or of a service."""
+    """States of axes with one configuration, from checkpoints of shards or of a service."""
 
     snapshots: tuple[Snapshot, ...]
     digest: str
@@ -345,7 +345,7 @@ class StreamSettings:
     """Settings that must not change between two starts.
 
     `config` is the digest of the configuration. `window` and `every` are in s. `layout` is the version of the stored
-    states; it is 2 since shards have keys and are packed.
+    states, which is 2 since shards have keys and are packed.
     """
 
     config: str

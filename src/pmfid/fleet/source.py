@@ -1,4 +1,4 @@
-"""Sources of the rows of a history: files, lakes and times."""
+"""Files and lakes with the rows of a history, and the times of the rows."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ def is_delta(folder: Path) -> bool:
 
 
 def check_no_table(folders: Sequence[Path]) -> None:
-    """Raise UsageError if one of the folders of plain files is a table of a lake.
+    """Raise UsageError if a folder of plain files is a table of a lake.
 
-    Otherwise outdated files of the table would be read as data.
+    Reading such a folder would take outdated files of the table as data.
     """
     logs = [one for one in folders if one.name == DELTA]
     logs += [one for one in folders if one.name == ICEBERG and any(one.glob(METADATA))]
@@ -177,7 +177,7 @@ _NOTHING = "__HIVE_DEFAULT_PARTITION__"
 
 @dataclass(frozen=True)
 class SourceColumns:
-    """Names of the columns in the data: axis, time, input, output, and optionally mask and type.
+    """Names of the data's columns for axis, time, input and output, and optionally for mask and type.
 
     `factor` is the number of seconds per unit of a numeric time.
     """
@@ -226,8 +226,8 @@ class Part:
 
     `name` identifies the part in messages. `stamp` changes with the content, and is empty for a frame. `constants` has
     the values that the names of the folders give to all rows. `stamp_now` returns the present stamp, and is None for a
-    part that cannot change. `sliced` is true if some rows can be read without the others. `first` and `many` are the
-    number of the first row and the number of rows; None means all rows.
+    part that cannot change. `sliced` is true if rows can be read without reading the whole file. `first` and `many` are
+    the number of the first row and the number of rows. None means all rows.
     """
 
     name: str
@@ -245,7 +245,7 @@ class Part:
         return self.stamp_now is not None and self.stamp_now() != self.stamp
 
     def windows(self) -> Iterator[Part]:
-        """Yield the same rows in order, `source_window` at a time if the format can be read in pieces.
+        """Yield the rows in order, `source_window` at a time if the format can be read in pieces.
 
         Raises UsageError for a damaged file.
         """
@@ -260,7 +260,7 @@ class Part:
             yield replace(self, first=self.first + start, many=min(TUNING.source_window, many - start))
 
     def rows(self, columns: SourceColumns) -> pl.LazyFrame:
-        """Return the rows of a part with the columns of this module: axis and type as text, all others as float64.
+        """Return the rows of a part. Axis and type are text, and all other columns are float64.
 
         Times are in s. Raises UsageError for a column that is missing, or cannot be read as numbers.
         """
@@ -310,7 +310,7 @@ def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr 
 
 
 def _name(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
-    """Return names as text; an empty text is no name.
+    """Return names as text, with an empty text for no name.
 
     The number 7.0 becomes 7, because tables with missing values write integers in this form.
     """
@@ -328,7 +328,7 @@ def is_spark(source: object) -> bool:
 
 
 def parts_of(source: object, out: Path | None = None) -> list[Part]:
-    """Return the parts of a file, of a folder tree, or of a frame of pandas, Polars or Arrow, lazy or not.
+    """Return the parts of a file, a folder tree, or a frame (pandas, Polars or Arrow, lazy or not).
 
     `out` is a folder of results, which may lie in the source and is then left out. Raises UsageError for any other
     source, and for a folder without a readable file.

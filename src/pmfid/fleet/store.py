@@ -71,8 +71,9 @@ class Store:
         return self.folder / f"{key}.parquet"
 
     def keep(self, keys: Iterable[str]) -> None:
-        """Remove all other values: of missing parts, of other configurations, and incomplete values of a killed
-        call."""
+        """Remove all other values, which are values of missing parts, values of other configurations, and incomplete
+        values.
+        """
         kept = set(keys)
         for path in self.folder.iterdir():
             if path.name.partition(".")[0] not in {*kept, LOCK} or path.suffix == ".part":

@@ -13,14 +13,14 @@ class FleetTuning:
     #: Multiple of a file's rows above which the file counts as mixed. Shards that read such a file one by one would
     #: read more rows than this multiple.
     aside_times: int = 3
-    #: Largest number of rows in memory while a file is set aside.
+    #: Largest number of rows in memory while a file's rows are stored by shard.
     aside_batch: int = 2**20
 
     # changes
     #: Relative error that segments of one axis share after a step, because the model differs slightly from the machine.
     changes_floor: float = 2e-3
-    #: A step begins in the first segment with at least these parts of the change: `changes_part` of its size, and
-    #: `changes_sure` standard deviations.
+    #: A step begins in the first segment whose change has `changes_part` of the whole size and `changes_sure` standard
+    #: deviations.
     changes_part: float = 0.05
     changes_sure: float = 5.0
     #: Largest number of such segments before the place that explains most.
@@ -64,17 +64,17 @@ class FleetTuning:
     segments_whole: int = 4
     segments_rest: int = 2
     segments_least: int = 1
-    #: Length of a rest, in settling times of the filters, above which the rest is shortened to two settling times.
+    #: Length of a rest [settling times of the filters] above which two settling times replace it.
     segments_long: int = 4
     #: Least duration of a few moves with the ends of the rests on both sides, in settling times. Of a shorter motion
-    #: the filters see only begin and end. Repetitions of such a motion have the same error.
+    #: the filters see only begin and end. Repetitions of one motion have the same error.
     segments_between: int = 3
     #: Part of its size by which a parameter may move. With a controller that feeds the encoder's error back, absent
     #: forces seem to move a parameter by up to 2 %.
     segments_tolerance: float = 0.02
     #: Least number of counts over which a velocity is computed, at the usual speed.
     segments_counts: float = 4.0
-    #: Largest number of samples for a second look. These samples suffice, and a second look takes longer than the
+    #: Largest number of samples for a second look. A few samples suffice, and a second look takes longer than the
     #: estimate.
     segments_most: int = 2**15
     #: Number of estimates of a segment that are kept.
@@ -107,8 +107,8 @@ class FleetTuning:
     series_pause: float = 60.0
     #: Part of the second looks that may find a deviation, because a change lies in one of the segments.
     series_looks: float = 0.25
-    #: Largest allowed difference between the estimates of one direction and of the others, in standard deviations, and
-    #: as a part of their size.
+    #: Largest allowed difference between estimates from opposite directions, in standard deviations and as a part of
+    #: their size.
     series_agrees: float = 4.0
     same_way: float = 0.02
     #: Relative difference within which sample periods count as equal.
@@ -180,7 +180,7 @@ class FleetTuning:
     # verdicts
     #: Number of axes that each test may name by chance in a fleet without faults.
     by_chance: float = 0.3
-    #: Standard deviations of a step above which its period reports the step, whatever the other axes do.
+    #: Standard deviations of a step above which its period reports the step without regard to other axes.
     verdicts_clear: float = 6.0
     #: Least number of axes of one type whose spread reveals an unusual axis.
     least_axes: int = 8

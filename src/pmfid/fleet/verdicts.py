@@ -24,7 +24,7 @@ CHANGED, DRIFTS, DIFFERS, WANDERS, UNKNOWN = "changed", "drifts", "differs", "wa
 
 @dataclass(frozen=True)
 class Follow:
-    """The findings on one axis alone.
+    """The findings on one axis without regard to other axes.
 
     `theta` and `std` (p,) are the estimate at the end, since the last step. `segments` is the number of usable
     segments. `wander` is the evidence of step and trend beyond wandering, or None if neither is clear. `dt` is the
@@ -48,7 +48,7 @@ class Follow:
 
     @property
     def stepped(self) -> bool:
-        """Whether the axis has a certain step, whatever the other axes do."""
+        """Whether the axis has a certain step, without regard to other axes."""
         clear = self.step is not None and self.step.score > TUNING.verdicts_clear
         return clear and self.wander is not None and self.wander.step > TUNING.verdicts_clear
 
@@ -57,12 +57,12 @@ class Follow:
 class AxisVerdict:
     """The verdict on an axis.
 
-    `kind` is one of the kinds of verdicts, or empty. `score` is the evidence over the evidence that chance explains;
-    from 1 upwards the axis is named. `cause` is a parameter, FRICTION or INPUT_GAIN. `size` and `std` are relative: per
-    day for a drift, and the root mean square about the mean for a wandering axis. `since` and `until` are the limits of
-    the time of the change [s]. `days` is the length of the history. `deviation` (p,) is relative to the median of the
-    axis' kind, NaN for too few axes. `visible` is the relative step of any parameter in the middle of the history that
-    would be named, infinite for too few segments.
+    `kind` is one of the kinds of verdicts, or empty. `score` is the ratio of the evidence to the evidence that chance
+    explains. From 1 upwards the axis is named. `cause` is a parameter, FRICTION or INPUT_GAIN. `size` and `std` are
+    relative. A drift has a size per day. A wandering axis has the root mean square about its mean. `since` and `until`
+    are the limits of the time of the change [s]. `days` is the length of the history. `deviation` (p,) is relative to
+    the median of the axis' kind, NaN for too few axes. `visible` is the relative step of any parameter in the middle of
+    the history that would be named, infinite for too few segments.
     """
 
     kind: str
@@ -78,7 +78,7 @@ class AxisVerdict:
 
     @property
     def weight(self) -> float:
-        """The rank of a finding: its size if the evidence is sufficient, otherwise its evidence."""
+        """The rank of a finding, which is the size if the evidence is sufficient, otherwise the evidence."""
         return abs(self.total) if self.kind and math.isfinite(self.total) else self.score
 
     @property
@@ -288,7 +288,7 @@ def format_span(since: float, until: float) -> str:
 
 
 def sentence(verdict: AxisVerdict) -> str:
-    """Return the reason for attention, or another remark on the axis; empty if nothing is to be said."""
+    """Return the reason for attention, or another remark on the axis. The text may be empty."""
     what = _WORDS.get(verdict.cause, verdict.cause.replace("_", " "))
     size, std = 100 * verdict.size, 100 * verdict.std
     if verdict.kind == CHANGED:

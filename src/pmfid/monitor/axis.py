@@ -94,7 +94,7 @@ class Watching:
         own.detection[:] = self.detector.start(own.theta.shape)
 
     def detection_rows(self, p: int) -> int:
-        """Return the number of rows in the detector's state; a row has p numbers."""
+        """Return the number of rows in the detector's state, whose rows have p numbers."""
         return self.detector.detection(p).rows
 
     @cached_property
@@ -179,7 +179,7 @@ class WatchedAxis:
         return (self.samples - 1) * self.estimator.dt
 
     def _add_known(self, theta: Floats, std: Floats) -> tuple[Floats, Floats]:
-        """Combine a reference (p,) and its standard deviations with the prior information; return both, each (q,)."""
+        """Combine a reference (p,) and its standard deviations with the prior information. Both results are (q,)."""
         if self.known is None:
             return theta, std
         found = self.known.combine(Posterior(self._front.names, self._front.units, theta, np.diag(std**2)))
@@ -276,7 +276,7 @@ class WatchedAxis:
         """Return the evidence of the estimate on the cause, or None while no estimate exists.
 
         If the model has unmodelled effects, the evidence excludes their constant offset. The covariance of the evidence
-        then includes the covariance of a unit of normal work.
+        includes the covariance of a unit of normal work.
         """
         found, work = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov)), self.calibration.work
         if work is not None:
@@ -295,7 +295,7 @@ class WatchedAxis:
         return np.where(kinds, reference, 0.0) if self.calibration.work is not None and kinds.sum() > 1 else None
 
     def _settle(self, rows: Floats, information: float, estimate: Estimate) -> list[Event]:
-        """Make the estimate the model; later make this model, corrected by the blocks, the reference."""
+        """Make the estimate the model. Later the model, corrected by the blocks, becomes the reference."""
         rest = self._rest
         rest.gathered[0] += information
         if rest.refined[0]:
@@ -338,7 +338,7 @@ class WatchedAxis:
         return not estimate.status & UNUSABLE and self.plausible(np.array(estimate.theta))
 
     def plausible(self, theta: Floats) -> bool:
-        """Return whether a machine can have the parameters (p,): positive mass, and no negative friction."""
+        """Return whether a machine can have the parameters (p,), with a positive mass and without negative friction."""
         equation = self.estimator.equation
         never_negative = np.array(equation.positive)
         return bool(np.all(np.isfinite(theta)) and theta[equation.leading] > 0 and np.all(theta[never_negative] >= 0))

@@ -29,10 +29,10 @@ from pmfid.types import Counts, Floats
 
 
 def powers(x: Floats, w: Floats, edge: float) -> tuple[Floats, Floats]:
-    """Return the mean square of sums of blocks over the information of these sums, and its standard error.
+    """Return the mean square of sums of blocks, divided by their information, and the standard error of this ratio.
 
-    The blocks x and their information w are (runs, n, p). Both results are (lengths, p), with a row for each of the
-    `calibration_lengths`. Sums without information do not count. `edge` has the meaning as in `detectors`.
+    The blocks x and their information w are (runs, n, p). The ratios and errors are (lengths, p), with a row for each
+    of the `calibration_lengths`. Sums without information do not count. `edge` has the meaning as in `detectors`.
     """
     means, errors = [], []
     for length in TUNING.calibration_lengths:
@@ -47,9 +47,9 @@ def powers(x: Floats, w: Floats, edge: float) -> tuple[Floats, Floats]:
 
 
 def noisier(record: tuple[Floats, Floats], simulated: tuple[Floats, Floats], edge: float) -> bool:
-    """Return whether sums of blocks of the record deviate by more than the same sums of the simulation.
+    """Return whether sums of the record's blocks deviate by more than sums of simulated blocks.
 
-    The record has x and w (n, p); the simulation has x and w (runs, n, p).
+    The record has x and w (n, p), and the simulation has x and w (runs, n, p).
     """
     mean, error = powers(record[0][None], record[1][None], edge)
     normal, _ = powers(*simulated, edge)
@@ -57,10 +57,10 @@ def noisier(record: tuple[Floats, Floats], simulated: tuple[Floats, Floats], edg
 
 
 def piece_length(x: Floats) -> int:
-    """Return the number of units in a piece of x (n, p) that keeps the correlation of neighbouring units.
+    """Return the number of units per piece at which pieces of x (n, p) keep the correlation of neighbours.
 
-    The result is the smallest number with the right variance per unit. Within chance, sums of this number of units have
-    the same variance per unit as sums of four times as many.
+    The result is the smallest number with the right variance per unit. Within chance, the variance per unit does not
+    change if a sum has four times as many units.
     """
     for length in TUNING.calibration_pieces[:-1]:
         n = len(x) // (4 * length)
@@ -72,7 +72,7 @@ def piece_length(x: Floats) -> int:
 
 
 def _variance(x: Floats, length: int) -> Floats:
-    """Return the mean square (p,) per unit of sums of `length` units of x (n, p)."""
+    """Return the mean square (p,) per unit, for sums over `length` units of x (n, p)."""
     n = len(x) // length * length
     if n == 0:
         return np.ones(x.shape[1])
@@ -84,8 +84,8 @@ def resample_units(
 ) -> tuple[Floats, Floats]:
     """Draw units (runs, n, p) in pieces of `length` from random places of a record x, w (n, p).
 
-    Mean and standard deviation of each run come from a second record of the original length, drawn in the same way. The
-    errors of mean and standard deviation are then as large as in a record of this length.
+    Mean and standard deviation of each run come from a second resampled record of the original length. The errors of
+    mean and standard deviation are then as large as in a record of this length.
     """
     drawn = _rows(len(x), shape, length, rng)
     learned = _rows(len(x), (shape[0], len(x)), length, rng)
@@ -181,13 +181,14 @@ def _learn_units(units: Blocks, size: float) -> NormalWork:
     return replace(found, scale=scale, limit=found.limit / sigma)
 
 
-#: Least number of units whose scatter gives thresholds. Each quarter of the record needs its own scatter.
+#: Least number of units whose scatter gives thresholds. Each quarter of the record needs an own estimate of the
+#: scatter.
 LEAST_RECORD_UNITS = TUNING.calibration_parts * TUNING.least_record_blocks
 
 
 @dataclass(frozen=True)
 class Tail:
-    """The rate of false alarms [1/h] at a threshold h: rate exp(-(h - level) / slope) from `level` upwards.
+    """The rate of false alarms [1/h], which is rate exp(-(h - level) / slope) at a threshold h >= level.
 
     `maxima` (m,) has the largest interval maxima in falling order, from `hours` of simulation. `parts` has the level,
     slope and rate of each part of the record.
@@ -373,7 +374,7 @@ def calibrate(
 
 
 def _calibrate_by_work(plain: Calibration, estimator: Estimator, u: Floats, counts: Counts, seed: int) -> Calibration:
-    """Return the calibration with units of work in place of blocks, and with the tails of resampled units."""
+    """Return the calibration with units of work in place of blocks, and with tails from resampled units."""
     blocks = _record_blocks(estimator, plain.theta, u, counts, UNUSABLE_AT_REST)
     work = learn(blocks, plain.scale.information(blocks))
     record_hours = len(blocks.score) * block_samples(estimator) * estimator.dt / 3600
@@ -422,7 +423,7 @@ def _tails(
 
 
 def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Counts, left_out: int = UNUSABLE) -> Blocks:
-    """Return the blocks of a record of normal work, from the time when the model has the velocity of the plant.
+    """Return the blocks of a normal record after the time when the model reaches the plant's velocity.
 
     Raises UsageError if too few blocks remain.
     """
@@ -447,7 +448,7 @@ def replays(
 ) -> Iterator[Blocks]:
     """Yield the blocks of simulated runs of `run_time`, `hours` in total.
 
-    Each run repeats the input from a random moment.
+    Each simulated run repeats the input from a random moment.
     """
     samples, runs = round(TUNING.run_time / estimator.dt), max(1, round(hours * 3600 / TUNING.run_time))
     for run in range(runs):
@@ -475,7 +476,9 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
 
 
 def fit_tail(statistic: Floats, block_time: float, top: int = TUNING.calibration_tail) -> Tail:
-    """Return the tail of the `top` interval maxima of the statistic (runs, n), for blocks of `block_time` [s]."""
+    """Return the tail from the `top` largest interval maxima of the statistic (runs, n). A block lasts `block_time`
+    [s].
+    """
     size = max(1, round(TUNING.interval_time / block_time))
     n = statistic.shape[1] // size
     maxima = np.sort(statistic[:, : n * size].reshape(-1, size).max(axis=1))[::-1]
@@ -486,7 +489,7 @@ def fit_tail(statistic: Floats, block_time: float, top: int = TUNING.calibration
 
 
 def noise_ratio(scale: Scale, blocks: Blocks) -> Floats:
-    """Return the standard deviation (p,) of the blocks of a record over the standard deviation of the scale.
+    """Return the standard deviation (p,) of a record's blocks, as a multiple of the scale's.
 
     The ratio is 1 if the difference could be chance.
     """

@@ -1,4 +1,4 @@
-"""The cause that explains the block scores best: its parameter, size and time."""
+"""The cause that explains the block scores best, with its parameter, size and time."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ FRICTION = "friction"
 
 @dataclass(frozen=True)
 class Cause:
-    """One possible cause of a change.
+    """A possible cause of a change.
 
-    `name` is the parameter, INPUT_GAIN or FRICTION. `change` and `std` have the unit of the parameter; for FRICTION
-    they are relative. `relative` is the change over the reference value, or over `std` if the reference value is 0.
-    `start` is the index of the first block that shows the change. `others` has the causes that are equally likely, or
-    None if no estimate existed for a comparison.
+    `name` is the parameter, INPUT_GAIN or FRICTION. `change` and `std` have the unit of the parameter, but are relative
+    for FRICTION. `relative` is the change over the reference value, or over `std` if the reference value is 0. `start`
+    is the index of the first block that shows the change. `others` has the causes that are equally likely, or None if
+    no estimate existed for a comparison.
     """
 
     name: str
@@ -70,9 +70,10 @@ def explain(
     because the deviation was noticed then. `friction` (p,) is theta with 0 for all other parameters, if all frictions
     may grow alike.
 
-    The blocks use a motion that is simulated with the reference. This motion reverses at other instants than the
-    changed plant, which looks like a part of the change. The simulated motion of the estimate reverses at the same time
-    as the plant. Causes that the estimate excludes are therefore left out, and the size combines blocks and estimate.
+    The blocks use a motion that is simulated with the reference. The simulated motion of the reference reverses at
+    other instants than the changed plant, which looks like a part of the change. The simulated motion of the estimate
+    reverses at the same time as the plant. Causes that the estimate excludes are therefore left out, and the size
+    combines blocks and estimate.
     """
     S, W, Z = (np.cumsum(part[::-1], axis=0)[::-1] for part in (blocks.score, blocks.cross, blocks.square))
     Z = Z + TUNING.cause_ridge * np.diag(np.diagonal(Z[0]))
@@ -92,7 +93,7 @@ def explain(
 
 
 def _measure_along(evidence: ChangeEvidence, theta: Floats, directions: Floats) -> tuple[Floats, Floats, float]:
-    """Return sizes (k,) and information (k,) of a change along each of the directions (k, p) alone, by the estimate.
+    """Return sizes (k,) and information (k,) of a change in a single direction, for each of the directions (k, p).
 
     The third result is the squared deviation of the estimate from theta (p,) in standard errors.
     """
@@ -129,7 +130,7 @@ def _combine_sizes(
 def new_gain(evidence: ChangeEvidence, theta: Floats, input_gain: float) -> tuple[float, float, float]:
     """Return the new input gain, its standard deviation and the previous gain.
 
-    The gain alone must have moved theta (p,).
+    A changed gain must explain the whole move of theta (p,).
     """
     size, known, _ = (np.ravel(part)[0] for part in _measure_along(evidence, theta, theta[None]))
     cause = _scale_cause(Cause(INPUT_GAIN, 0.0, 0.0, 0.0, 0), float(size), float(known**-0.5), theta, (), input_gain)
@@ -162,8 +163,9 @@ def _start(gain: Floats) -> int:
 def _size(blocks: Blocks, scale: Scale, direction: Floats, start: int) -> tuple[float, float]:
     """Return the change along a direction (p,), and its standard deviation.
 
-    Blocks in which the change occurs and the filters settle show only a part of the change. Such blocks are left out if
-    enough information remains. The uncertainty of the start is the change of the size by one more block, or one fewer.
+    Blocks in which the change occurs and the filters settle show only a part of the change. Blocks with a part of the
+    change are left out if enough information remains. The uncertainty of the start is the change of the size by one
+    more block, or one fewer.
     """
     by_block = scale.standardise(blocks)[1][:, direction != 0].mean(axis=1)  # of the moved parameters
     information = np.cumsum(by_block[::-1])[::-1]

@@ -55,7 +55,7 @@ class Detector(ABC):
 
 @dataclass(frozen=True)
 class Cusum(Detector):
-    """Two-sided cumulative sum (Page 1954): g = max(0, g +- x - (drift + tolerance) w), the largest of all.
+    """Two-sided cumulative sum (Page 1954), the largest g = max(0, g +- x - (drift + tolerance) w) of all parameters.
 
     `drift` is half the deviation for which the detector is tuned, in standard deviations of a block.
     """
@@ -69,7 +69,7 @@ class Cusum(Detector):
 
 @dataclass(frozen=True)
 class PageHinkley(Detector):
-    """Page-Hinkley (Hinkley 1971): a cumulative sum about the mean of the past in place of the reference.
+    """Page-Hinkley detector (Hinkley 1971), a cumulative sum about the past mean in place of the reference.
 
     A slightly wrong reference therefore raises no alarm, and a slow drift is followed in silence. `memory` is the
     memory of the mean, in blocks of average information. The mean starts as if a tenth of the memory had passed without
@@ -91,10 +91,10 @@ class PageHinkley(Detector):
 
 @dataclass(frozen=True)
 class Glr(Detector):
-    """Generalised likelihood ratio (Willsky and Jones 1976): the best start of a shift of any size.
+    """Generalised likelihood ratio (Willsky and Jones 1976) of the best start of a shift of any size.
 
-    The statistic is the maximum of (|sum x| - tolerance sum w)^2 / (2 (sum w + edge)) over the last `window` starts and
-    the parameters.
+    The statistic is the maximum of (|sum x| - tolerance sum w)^2 / (2 (sum w + edge)) over parameters and the last
+    `window` starts.
     """
 
     name: ClassVar[DetectorName] = "glr"
@@ -108,8 +108,8 @@ class Glr(Detector):
 class ChiSquare(Detector):
     """Statistic d^T C^-1 d of the deviation d of the estimate within its memory, with the covariance C.
 
-    The deviation d = sum x / sqrt(sum w + edge), with discounted sums, is in standard deviations of an estimate with
-    the same memory. `keep` is the discount of a block. `precision` (p, p) is C^-1, the inverse covariance of d in
+    The deviation d = sum x / sqrt(sum w + edge) has discounted sums. Its unit is the standard deviation of an estimate
+    with equal memory. `keep` is the discount of a block. `precision` (p, p) is C^-1, the inverse covariance of d in
     normal work, row by row.
     """
 
@@ -129,7 +129,7 @@ class ChiSquare(Detector):
 def make_detectors(keep: float, precision: tuple[tuple[float, ...], ...] = ()) -> dict[str, Detector]:
     """Return all detectors by name.
 
-    `keep` is the discount of a block in the memory of the estimate; `precision` belongs to `ChiSquare`.
+    `keep` is the discount of a block in the memory of the estimate. `precision` belongs to `ChiSquare`.
     """
     made: list[Detector] = [Cusum(), PageHinkley(), Glr(), ChiSquare(keep, precision)]
     return {detector.name: detector for detector in made}

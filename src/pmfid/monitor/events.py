@@ -24,7 +24,7 @@ STATES = (STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING)
 
 @dataclass(frozen=True)
 class Watch:
-    """The settings of a monitor: detector, rate of false alarms and tolerance.
+    """The settings of a monitor, with detector, rate of false alarms and tolerance.
 
     Parameters
     ----------
@@ -233,7 +233,7 @@ class FleetRows:
     def take(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags | None = None) -> None:
         """Copy `part` into the rows `rows` (k,), in rising order, and the samples `time`.
 
-        Only the rows with a true entry in `kept` (k,) are copied; None copies all.
+        Only the rows with a true entry in `kept` (k,) are copied. None copies all rows.
         """
         taken = np.ones(rows.size, np.bool_) if kept is None else kept
         whole = taken.all() and rows[-1] - rows[0] == rows.size - 1  # consecutive rows, because rows rise

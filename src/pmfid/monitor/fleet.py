@@ -50,7 +50,7 @@ class Quiet:
     ) -> Flags:
         """Run a piece u, counts (k, n), n >= 1, of k axes, and return whether each axis stayed quiet, (k,).
 
-        `index` (k,) has the rows of the axes in `every`. `sampled` has these axes alone, and is updated.
+        `index` (k,) has the rows of the axes in `every`. `sampled` has only the axes of the piece, and is updated.
         `every.watched` is updated for the axes that stay quiet. `rows` is filled as if all axes stayed quiet.
         """
         samples, filled = sampled.samples.copy(), sampled.progress[:, 0].astype(np.int64)
@@ -75,7 +75,7 @@ class Quiet:
         bars(factor, variance, inflation, rows.std)
 
     def _room(self, k: int, n: int, p: int) -> tuple[Floats, Floats, Floats]:
-        """Return work arrays for results that are not returned; their memory is reused."""
+        """Return work arrays for results that are not returned. The memory of the arrays is reused."""
         if self._memory[0].shape != (k, n, p):
             self._memory = np.empty((k, n, p)), np.empty((k, n, p)), np.empty((k, n))
         return self._memory
@@ -170,7 +170,7 @@ class MonitorFleet:
         return rows
 
     def _run(self, index: Places, u: Floats, counts: Counts, rows: FleetRows, part: tuple[slice, slice]) -> None:
-        """Run a piece of a group of axes: the quiet axes together, the others one after the other."""
+        """Run a piece of a group of axes. The quiet axes run together, all other axes one by one."""
         quiet = self._quiet.may_run(self._all.watched, index)
         if quiet.all():
             quiet = self._run_quiet(index, u, counts, rows, part, np.arange(index.size))
@@ -215,7 +215,7 @@ class MonitorFleet:
         return kept
 
     def _with(self, axis: int, action: Callable[[Monitor], T]) -> T:
-        """Return the result of an action on the monitor of an axis, and store the new state of this monitor."""
+        """Apply an action to the monitor of an axis, store the monitor's new state, and return the action's result."""
         self._scratch.go_on(self._all, axis)
         found = action(self._scratch)
         self._all.put(slice(axis, axis + 1), self._scratch.pack_state())

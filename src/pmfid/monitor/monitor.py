@@ -46,7 +46,7 @@ class GuessedSamples:
 
 
 def longest(rate: float) -> int:
-    """Return the largest number of lost samples that is guessed; after a longer gap the filters settle again.
+    """Return the largest number of lost samples that is guessed. After a longer gap the filters settle again.
 
     `rate` is the sample period over the time constant of the filters.
     """
@@ -129,7 +129,7 @@ class Monitor(WatchedAxis, Presentable):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the reported parameters: the estimator's parameters, and the input gain if it is unknown."""
+        """Names of the reported parameters, which are the estimator's parameters and an unknown input gain."""
         return choose_naming(self.estimator, self.known).names
 
     @property
@@ -178,8 +178,8 @@ class Monitor(WatchedAxis, Presentable):
     def step(self, u: float, counts: int) -> tuple[Estimate, list[Event]]:
         """Take one sample as `RecursiveEstimator.step` does, and return the estimate and the events.
 
-        A sample is lost if u is not finite. The counts after a lost sample continue the last ones, whatever the counter
-        did in the gap.
+        A sample is lost if u is not finite. The counts after a lost sample continue from the last known counts. The
+        counter's change in the gap is ignored.
         """
         own = self._inputs.step(u, counts)
         estimate = self.estimator.step(u, own)
@@ -249,7 +249,7 @@ class Monitor(WatchedAxis, Presentable):
 
     @property
     def longest(self) -> int:
-        """Largest number of lost samples that `fill_gap` takes; a longer gap needs `skip`."""
+        """Largest number of lost samples that `fill_gap` takes. A longer gap needs `skip`."""
         return longest(self._rate)
 
     def fill_gap(self, missing: int, u: float, counts: int) -> list[Event]:

@@ -1,4 +1,4 @@
-"""The states of monitored axes as bytes: one array for each part of a state, with a row for each axis.
+"""The states of monitored axes as bytes, in one array for each part of a state with a row for each axis.
 
 The bytes of a file are not trusted until they are checked. Whole numbers are checked against their bounds, and real
 numbers must be finite. The kernels check their own states.
@@ -23,8 +23,8 @@ from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS
 from pmfid.monitor.scores import Disturbed, RowArrays, Sampled, Scoring, Watched
 from pmfid.types import Floats, Places
 
-#: Header of the saved states. `layout` is the checksum of a row's layout, `config` the number of the configuration,
-#: `checksum` the CRC-32 of everything else.
+#: Header of the saved states. `layout` is the checksum of a row's layout, `config` the configuration's number,
+#: `checksum` the CRC-32 of all other bytes.
 HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
 MAGIC, VERSION = 0x4D464D50, 1  # "PMFM"
 #: Largest number of axes of a fleet. A header with a larger number is refused.
@@ -69,7 +69,7 @@ class AxisStates:
         return np.dtype([(f"{k} {name}", array.dtype, array.shape[1:]) for k, (name, array) in enumerate(named)])
 
     def take_rows(self, index: Places | slice) -> AxisStates:
-        """Return some axes: copies for an array of numbers, views for a slice."""
+        """Return some axes, as copies for an array of numbers and as views for a slice."""
         return AxisStates(self.sampled.take_rows(index), self.watched.take_rows(index), self.disturbed.take_rows(index))
 
     def put(self, index: Places | slice, other: AxisStates) -> None:
@@ -100,7 +100,7 @@ def make_parts(saved: AxisStates, config: int) -> list[memoryview]:
 
 
 def seal_parts(parts: Sequence[memoryview]) -> list[memoryview]:
-    """Return the result of `make_parts`, or a copy of it, with the checksum. Any thread may compute it."""
+    """Return the result of `make_parts` or a copy of this result, with the checksum. Any thread may compute it."""
     head = np.frombuffer(parts[0], HEAD)[0].copy()
     checksum = zlib.crc32(head.tobytes()[:-4])
     for part in parts[1:]:
@@ -110,9 +110,9 @@ def seal_parts(parts: Sequence[memoryview]) -> list[memoryview]:
 
 
 def read(data: bytes, like: AxisStates, config: int) -> AxisStates:
-    """Read the states that `write_states` wrote, of any number of axes with the layout of `like`.
+    """Read bytes of `write_states` for any number of axes with the layout of `like`.
 
-    Raises UsageError for all other bytes; `check_states` checks the numbers.
+    Raises UsageError for all other bytes. `check_states` checks the numbers.
     """
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")

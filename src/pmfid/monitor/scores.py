@@ -30,7 +30,8 @@ UNUSABLE_AT_REST = UNUSABLE | int(Status.STANDSTILL)
 
 @dataclass(frozen=True)
 class Blocks:
-    """The sums of n blocks for p parameters: `score` S_b (n, p), `cross` W_b (n, p, p), `square` Z_b (n, p, p).
+    """The sums of n blocks for p parameters, which are `score` S_b (n, p), `cross` W_b (n, p, p) and `square` Z_b (n,
+    p, p).
 
     The matrix Z_b is the sum of zeta zeta^T.
     """
@@ -128,14 +129,14 @@ def scores(
 
 
 class ScoreFilter:
-    """A filter that makes the blocks of one axis, from pieces of any number of samples."""
+    """A filter that makes the blocks of one axis from pieces of any length."""
 
     def __init__(
         self, estimator: Estimator, theta: Floats, before: ScoreFilter | None = None, left_out: int = UNUSABLE
     ) -> None:
         """Take over the guard of `before`, a filter of the same axis with another reference.
 
-        This guard knows the motion. `left_out` is as in `Scoring`.
+        The guard of `before` knows the motion. `left_out` is as in `Scoring`.
         """
         self.theta = np.array(theta, np.float64)
         self.kernel, first = reference_kernel(estimator, self.theta.tolist())
@@ -186,11 +187,11 @@ class ScoreFilter:
 
 @dataclass(frozen=True)
 class Scale:
-    """The scale that makes scores comparable: x = R^-1 S / sigma is in standard deviations of each parameter.
+    """The scale of comparable scores x = R^-1 S / sigma, in standard deviations of each parameter.
 
     `inverse` (p, p) is R^-1, with R the mean W_b of normal work. `energy` (p,) is the mean of diag(R^-1 Z_b R^-T).
-    `sigma` (p,) is the standard deviation of a block's deviation in normal work [unit of theta]; (n, p) has a value for
-    each block.
+    `sigma` (p,) is the standard deviation of a block's deviation in normal work [unit of theta]. A `sigma` (n, p) has a
+    value for each block.
     """
 
     inverse: Floats
@@ -215,7 +216,7 @@ class Scale:
 
 
 def make_scale(blocks: Blocks) -> Scale:
-    """Return the scale of the blocks of normal work, with sigma about a deviation of zero."""
+    """Return the scale from blocks of normal work, with sigma about a deviation of zero."""
     inverse = np.linalg.inv(blocks.cross.mean(axis=0))
     unscaled = Scale(inverse, np.ones(len(inverse)), np.ones(len(inverse)))
     x, w = unscaled.standardise(blocks)
@@ -227,7 +228,7 @@ DERIVED = {"saved": False}
 
 
 class RowArrays:
-    """Arrays with the same number of rows, one row for each axis."""
+    """Arrays with one row for each axis."""
 
     __dataclass_fields__: dict[str, object]
 
@@ -236,7 +237,7 @@ class RowArrays:
         return ((name, getattr(self, name)) for name in _names(type(self), saved_only))  # type: ignore[arg-type]  # a class has a hash
 
     def take_rows(self, index: Places | slice) -> Self:
-        """Return some rows: copies for an array of numbers, views for a slice."""
+        """Return some rows, as copies for an array of numbers and as views for a slice."""
         if isinstance(index, slice):
             return type(self)(**{name: part[index] for name, part in self.parts()})
         return type(self)(**{name: part.take(index, axis=0) for name, part in self.parts()})

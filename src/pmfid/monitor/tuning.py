@@ -16,7 +16,7 @@ class MonitorTuning:
     #: Information, in average blocks, until the estimate after an alarm serves as a model, and then as a reference.
     model_information: float = 15.0
     reference_information: float = 60.0
-    #: Information at which a cause is named. `cause_information` holds if all other causes are excluded. Otherwise
+    #: Information at which a cause is named. `cause_information` holds if all other causes are excluded. In other cases
     #: `cause_blind` holds without an estimate, and `cause_latest` with an estimate. If friction is small, only braking
     #: separates mass from gain.
     cause_information: float = 4.0
@@ -33,7 +33,7 @@ class MonitorTuning:
     #: Units in a piece, and the relative change of the sum's variance that more units may cause.
     calibration_pieces: tuple[int, ...] = (1, 2, 4, 8, 16)
     calibration_same: float = 0.1
-    #: Excess of a record's power over the simulated power that counts: in standard errors, and as a ratio.
+    #: Least excess of a record's power over the simulated power that counts, in standard errors and as a ratio.
     calibration_larger: float = 3.0
     at_least: float = 1.3
     #: Information of a unit [average blocks]. The first size counts at which neighbouring units correlate by less than
@@ -58,15 +58,14 @@ class MonitorTuning:
     #: Difference between a record's noise and the simulated noise, in standard errors, above which the record's noise
     #: counts.
     calibration_noisier: float = 3.0
-    #: Hours of resampled work for each hour of simulated work, and the number of runs into which these hours are
-    #: divided.
+    #: Hours of resampled work for each hour of simulated work, and the number of resampled runs.
     calibration_resampled: float = 4.0
     calibration_runs: int = 64
     #: Number of parts of a record whose thresholds are compared. The record leaves doubt, so alarms are made rarer than
     #: asked, by a factor of at most `calibration_careful`. Fewer false alarms are better than more.
     calibration_parts: int = 4
     calibration_careful: float = 2.0
-    #: Discount of a unit of work in the memory of `ChiSquare`.
+    #: Discount by which `ChiSquare` forgets a unit of work.
     unit_keep: float = 0.85
     #: Largest distance [counts] of a simulated machine. A machine that goes further runs away.
     most_counts: float = 2.0**53
@@ -78,13 +77,12 @@ class MonitorTuning:
     # cause
     #: Ridge that keeps the instruments of a few blocks independent.
     cause_ridge: float = 1e-6
-    #: Number of blocks over which a change may be spread: the block of the change, and the next one, whose filters
-    #: remember the change.
+    #: Number of blocks over which a change may be spread. The filters carry the change into the next block.
     cause_transition: int = 2
     #: Least information, in average blocks, that remains for the size without the blocks of the transition.
     least_information: float = 2.0
     #: Difference between the unexplained deviations of two causes [squared standard errors] that excludes the worse
-    #: cause: three standard errors.
+    #: cause.
     cause_excluded: float = 9.0
     #: Relative error of a size from blocks, in addition to its standard error. The simulated motion reverses at other
     #: instants than the changed plant.
@@ -108,7 +106,7 @@ class MonitorTuning:
     monitor_alone: float = 0.9
     #: Relative error of the filtered input, by the unknown instant of a switch, above which the switch matters.
     monitor_doubtful: float = 0.01
-    #: Largest number of guessed samples, and the same limit in time constants of the filters. The larger limit holds.
+    #: Largest number of guessed samples, and a further limit in time constants of the filters. The larger limit holds.
     monitor_few: int = 8
     monitor_short: float = 0.25
     #: Time in which the filters forget an impulse, in their time constants.

@@ -1,1 +1,1 @@
-"""Figures and the HTML report, made from results alone."""
+"""Figures and the HTML report, which need only results."""

@@ -63,7 +63,7 @@ def simulation_figure(balance: Balance) -> Figure:
 
 
 def residual_figure(balance: Balance) -> Figure:
-    """Draw the residual over velocity and position: samples, and means with two standard errors."""
+    """Draw the residual over velocity and position, as samples and as means with two standard errors."""
     own = balance.estimator.equation.motion
     with open_figure(3.4, 1, 2, sharey=True) as (figure, panels):
         views = (

@@ -63,7 +63,7 @@ def gathering_figure(curves: Mapping[str, tuple[Floats, Floats]], ylabel: str) -
 
 
 def ellipse_figure(names: tuple[str, ...], scale: Floats, fishers: Mapping[str, Floats]) -> Figure | None:
-    """Draw the 95 % confidence ellipse of each pair of parameters, in percent of `scale` (p,).
+    """Draw the 95 % confidence ellipse for each pair of parameters, in percent of `scale` (p,).
 
     `fishers` has the information (p, p) of each input, in the units of the parameters. The result is None for a single
     parameter.
@@ -141,7 +141,7 @@ def write_design(out: Path, appraisal: Appraisal) -> None:
 def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
     """Write the columns t, u, x, v at the nodes.
 
-    The input of a row holds until the next row; the last input is 0.
+    The input of a row holds until the next row, and the last input is 0.
     """
     rows = zip(t.tolist(), [*u.tolist(), 0.0], x.tolist(), v.tolist(), strict=True)
     lines = ["t,u,x,v", *(",".join(repr(round(value, 12)) for value in row) for row in rows)]
@@ -149,8 +149,9 @@ def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.nd
 
 
 def criteria_table(appraisal: Appraisal) -> Rows:
-    """Return one row for each input: value, gain of the design, part that survives stiction, and change of the
-    profile."""
+    """Return a row for each input, with value, gain of the design, part that survives stiction, and change of the
+    profile.
+    """
     header = ["input", appraisal.design.criterion, "gain of design", "survives stiction", "profile"]
     rows = []
     for name, worth in appraisal.worths.items():
@@ -217,7 +218,7 @@ _STD_TEXT = (
 
 
 def rounds_table(state: Commissioning) -> Rows:
-    """Return one row for each round: parameters with standard deviations, travelled distance, and misfit.
+    """Return a row for each round, with parameters, standard deviations, travelled distance, and misfit.
 
     The misfit is the number of missed counts, or the inflation for normal noise.
     """

@@ -23,7 +23,7 @@ from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
-#: Okabe and Ito (2008): eight colours that colour-blind readers can distinguish, here without yellow and black.
+#: Colours of Okabe and Ito (2008) without yellow and black, which colour-blind readers can distinguish.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
 MAGENTA = "#CC0099"
 GREY = "#777777"
@@ -33,7 +33,7 @@ NO_ESTIMATE = Status.STARTING | Status.SETTLING
 
 #: Keywords of matplotlib, each with its own type.
 Style = dict[str, Any]
-_STYLE: dict[Any, Any] = {  # the type of the keys is a list of hundreds of literals
+_STYLE: dict[Any, Any] = {  # the keys have a type with hundreds of literals
     "axes.axisbelow": True,
     "axes.edgecolor": GREY,
     "axes.grid": True,
@@ -48,13 +48,13 @@ _STYLE: dict[Any, Any] = {  # the type of the keys is a list of hundreds of lite
     "legend.frameon": False,
     "lines.linewidth": 1.3,
     "svg.fonttype": "none",  # text in a figure stays searchable text
-    "svg.hashsalt": "pmfid",  # the same figure gives the same bytes
+    "svg.hashsalt": "pmfid",  # equal figures give equal bytes
 }
 
 
 @contextmanager
 def figure_style() -> Iterator[None]:
-    """Apply the style of all figures, whatever the user's matplotlibrc says."""
+    """Apply the style of all figures in place of the user's matplotlibrc."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(_STYLE)
@@ -76,7 +76,7 @@ def open_figure(height: float, rows: int = 1, columns: int = 1, **subplots: Any)
 def plain_ticks(axis: Axis) -> None:
     """Set plain numbers at the ticks of a logarithmic axis. Call this function after the scale is set.
 
-    Other ticks would be formulas, which `figure_style` does not typeset.
+    Ticks outside this range would be formulas, which `figure_style` does not typeset.
     """
     axis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.set_minor_formatter(NullFormatter())
@@ -89,7 +89,7 @@ def save_png(figure: Figure, path: Path, width: int = 1200) -> None:
 
 
 def decimation(y: ArrayLike, limit: int = TUNING.max_points) -> NDArray[np.int64]:
-    """Return rising indices of at most `limit` (>= 4) samples of y (n,): the ends, and the extremes of equal parts.
+    """Return rising indices of at most `limit` (>= 4) samples of y (n,), for the ends and the extremes of equal parts.
 
     A record of at most `limit` samples keeps all its samples. Samples that are not finite are never extremes.
     """

@@ -28,18 +28,18 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     import polars as pl
 
-#: Colours of the verdicts, and of the quality of a period, with the worst first.
+#: Colours for the verdicts, and for the quality of a period, with the worst first.
 KINDS = {"changed": COLOURS[1], "drifts": COLOURS[3], "differs": COLOURS[0], "wanders": COLOURS[5]}
-#: Markers of the verdicts for prints without colour, and styles of the overlaid lines of parameters.
+#: Markers of the verdicts for prints without colour, and styles for overlaid lines of parameters.
 MARKERS = {"changed": "o", "drifts": "^", "differs": "s", "wanders": "d"}
 LINES = (("-", "o"), ("--", "^"), (":", "s"), ("-.", "d"))
 MAP = {"change": COLOURS[1], "no estimate": "#333333", "doubt": COLOURS[3], "good": "#cfe8dc", "no data": "#f4f4f4"}
-#: Kinds of verdicts with a course over time, and the least height of a panel of such an axis [%].
+#: Kinds of verdicts with a course over time, and the least height [%] of their panels.
 MOVING, LEAST_HEIGHT = ("changed", "drifts"), 2.0
 
 
 def spread_figure(found: History) -> Figure:
-    """Draw a panel for each parameter: the distance of each axis from the median of its type, and its change.
+    """Draw a panel for each parameter, with each axis's change and distance from the median of its type.
 
     Distance and change are relative.
     """
@@ -102,7 +102,7 @@ def moving(found: History) -> pl.DataFrame:
 
 
 def ticks_of(times: Floats) -> list[str]:
-    """Return the labels of times [s] at an axis, by the date alone if the dates distinguish the times."""
+    """Return the labels of times [s] at an axis, as dates if the dates distinguish the times."""
     texts = [when(float(time)) for time in times]
     days = (times[-1] - times[0]) / FLEET_TUNING.plan_day if times.size else 0.0
     if days >= TUNING.fleet_dates or (times.size > 1 and len({text.partition(" ")[0] for text in texts}) == times.size):
@@ -111,7 +111,7 @@ def ticks_of(times: Floats) -> list[str]:
 
 
 def trend_figure(found: History) -> Figure:
-    """Draw a panel for each of the first moving axes: every parameter by period, with 95 % intervals.
+    """Draw a panel for each of the first moving axes, with every parameter by period and 95 % intervals.
 
     The values are relative to the first value of the parameter.
     """
@@ -150,7 +150,7 @@ def label_of(axis: str) -> str:
 
 
 def map_figure(found: History) -> Figure:
-    """Draw a map of axes by periods: changes, periods without an estimate, and doubtful periods."""
+    """Draw a map of axes by periods, with changes, doubtful periods, and periods without an estimate."""
     order = _order(found)
     place = {axis: row for row, axis in enumerate(order)}
     times = np.array(sorted(set(found.periods["period"].drop_nans().drop_nulls().to_list())) or [0.0])

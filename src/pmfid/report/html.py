@@ -52,8 +52,8 @@ Table = tuple[Sequence[str], Sequence[Sequence[Cell]]]
 class Section:
     """A part of the report.
 
-    `heading` and `text` are plain text, in which an empty line starts a new paragraph. `table` has a header and rows;
-    numbers are shown with 4 digits, text unchanged. `svg` is an <svg> element, as the function `svg` returns it, and is
+    `heading` and `text` are plain text, in which an empty line starts a new paragraph. `table` has a header and rows.
+    Numbers have 4 digits, and text is unchanged. `svg` is an <svg> element, as the function `svg` returns it, and is
     embedded unchanged. If `first` is set, the figure stands above text and table, otherwise below. `code` has the lines
     of a file, which are shown unchanged. Raises UsageError if the number of cells in a row differs from the header.
     """
@@ -76,7 +76,7 @@ class Section:
 
 
 def svg(figure: Figure) -> str:
-    """Return the figure as an <svg> element for HTML; the same figure gives the same text."""
+    """Return the figure as an <svg> element for HTML. Equal figures give equal text."""
     buffer = io.StringIO()
     with figure_style(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # the reader's fonts have the glyphs
@@ -87,7 +87,7 @@ def svg(figure: Figure) -> str:
 
 
 def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
-    """Write the sections to one HTML file in UTF-8; the same sections give the same bytes.
+    """Write the sections to one HTML file in UTF-8. Equal sections give equal bytes.
 
     The file has no scripts, links or dates. Raises OSError if the file cannot be written.
     """
@@ -97,7 +97,7 @@ def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
     )
     parts = [_part(section, f"s{number}-") for number, section in enumerate(sections, 1)]
     page = environment.from_string(source).render(title=title, sections=parts)
-    # A file name may contain bytes that are no text. Such bytes are shown as a question mark.
+    # A file name may contain bytes that are no text. Invalid bytes are shown as a question mark.
     replace_file(path, (page + "\n").encode("utf-8", "replace"))
 
 
@@ -133,5 +133,5 @@ def _is_number(text: str) -> bool:
 
 
 def _own_ids(svg: str, prefix: str) -> str:
-    """Put a prefix before each id, because two figures on a page use the same numbers for their elements."""
+    """Put a prefix before each id, because the elements of two figures on a page have equal numbers."""
     return re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{prefix}", svg)

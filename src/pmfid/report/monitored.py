@@ -36,7 +36,7 @@ from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
-#: Rows of the strip, from the top: states of the monitor, then status bits of the estimate.
+#: Rows of the strip from the top, with states of the monitor, then status bits of the estimate.
 STATES = {WATCHING: COLOURS[2], SUSPICIOUS: COLOURS[1], SETTLING: COLOURS[3], CANNOT_TELL: GREY, STARTING: GREY}
 STRIP_BITS = {
     "poor excitation": Status.POOR_EXCITATION,
@@ -51,10 +51,10 @@ LEFT_OUT = Status.SAMPLE_REJECTED
 
 @dataclass(frozen=True)
 class RunData:
-    """The data of a monitored run: n rows of p parameters.
+    """The data of a monitored run, with n rows of p parameters.
 
-    The time `t` is (n,) [s]; `u`, `velocity` and `innovation` are (n,); `theta` and `std` are (n, p). `status` (n,) has
-    bits, `state` (n,) words. `nominal` is (p,). `alarms` have the form for JSON.
+    `t` [s], `u`, `velocity` and `innovation` are (n,). `theta` and `std` are (n, p). `status` (n,) has bits, `state`
+    (n,) words. `nominal` is (p,). `alarms` have the form for JSON.
     """
 
     names: Sequence[str]
@@ -221,7 +221,7 @@ def run_data(setup: Setup, run: MonitoredRun, history: RunHistory) -> RunData:
 
 
 def _velocity(position: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the velocity (n,). A clock that was set may give two samples the same time."""
+    """Return the velocity (n,). Two samples may have equal times after the clock was set."""
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.asarray(np.gradient(position, t))
 

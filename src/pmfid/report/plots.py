@@ -141,7 +141,7 @@ def _draw(shown: object) -> Figure:
 def _drive(result: DriveResult) -> Figure:
     """Draw the estimates of a recursive method over time, or the simulated and measured motion of another method.
 
-    If nothing can be simulated, the measured motion is drawn alone.
+    If nothing can be simulated, only the measured motion is drawn.
     """
     if result.track is not None:
         return estimate_figure(result.record.times, result.track)
@@ -208,7 +208,7 @@ def _terms(found: TermSearch) -> Figure:
 def _validation(found: Validation, record: int | None = None) -> Figure:
     """Draw the measured and simulated output of one record, or the errors of all records.
 
-    `record` is the number of the record; None means the only record, or all records.
+    `record` is the number of the record. None means the only record, or all records.
     """
     if record is None and len(found.runs) > 1:
         return horizon_figure(found)
@@ -217,7 +217,7 @@ def _validation(found: Validation, record: int | None = None) -> Figure:
 
 @_draw.register
 def _process(process: Process, dt: float | None = None) -> Figure:
-    """Draw the step response; with a sample period [s], draw the frequency response up to half its rate."""
+    """Draw the step response. With a sample period [s], draw the frequency response up to half the sample rate."""
     return step_figure(process) if dt is None else bode_of(process, dt)
 
 

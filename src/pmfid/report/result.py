@@ -88,7 +88,7 @@ def _drive_parameters(result: DriveResult) -> Section:
 
 
 def motion_figure(record: Record, speed: str = LINEAR.speed) -> Figure:
-    """Draw input and velocity of a record; `speed` is the unit of the velocity."""
+    """Draw input and velocity of a record, with `speed` as the unit of the velocity."""
     velocity = np.gradient(record.counts * record.resolution, record.times)
     signals = signals_figure(record.times, record.u, velocity, velocity_unit=speed)
     signals.axes[0].set_ylabel("input u")  # a record does not contain the unit

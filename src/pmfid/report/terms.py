@@ -1,4 +1,4 @@
-"""The report of a search over the terms of a drive: tables, friction of the models, and numbers."""
+"""The report of a search over a drive's terms, with tables, friction of the models, and numbers."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def model_rows(found: TermSearch) -> Rows:
 
 
 def _value(model: NestedModel, roles: tuple[int, ...]) -> str:
-    """Format a parameter with its standard error; a directional parameter has both values."""
+    """Format a parameter with its standard error. A directional parameter has both values."""
     equation: Equation = model.trial.model.equation
     indices = dict.fromkeys(index for index in (equation.roles[role] for role in roles) if index is not None)
     std = None if model.fit is None else model.fit.theta_std
@@ -121,7 +121,7 @@ def _number(value: float, digits: int = 4) -> str:
 
 
 def friction_figure(found: TermSearch) -> Figure:
-    """Draw the friction over velocity: the friction from the record at the chosen model's mass, and the models."""
+    """Draw the friction over velocity, from the record at the chosen model's mass and from the models."""
     last = found.chosen.balance
     models = [(model.label, model.balance) for model in found.models if model.balance is not None]
     with open_figure(4.2) as (figure, (axes,)):

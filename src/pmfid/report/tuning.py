@@ -27,18 +27,18 @@ class ReportTuning:
     figures_width: float = 9.0
 
     # fleet
-    #: Number of names in a panel, and the least change [%] with a name; numbers of rows and periods of the map.
+    #: Number of names in a panel, least change [%] with a name, and numbers of the map's rows and periods.
     fleet_names: int = 6
     fleet_shown: float = 2.0
     fleet_rows: int = 50
     fleet_columns: int = 400
-    #: Number of drawn trends, letters of a name, and quiet rows of the map for comparison.
+    #: Numbers of drawn trends, of letters in a name, and of quiet rows for comparison in the map.
     fleet_trends: int = 6
     fleet_longest: int = 24
     fleet_quiet: int = 10
-    #: Length of a history [days] from which its times are labelled by the date alone.
+    #: Least length of a history [days] whose times have only dates as labels.
     fleet_dates: float = 2.0
-    #: Largest number of axes and problems in the tables. The files in the same folder have all axes and problems.
+    #: Largest number of axes and problems in the tables. Files next to the report have all axes and problems.
     fleet_most_axes: int = 60
     fleet_problems: int = 40
     fleet_others: int = 20
@@ -53,7 +53,7 @@ class ReportTuning:
     # plots
     #: Number of axes of a fleet that are drawn individually.
     plots_most_axes: int = 50
-    #: Resolution of a figure in a notebook: 9 inches are 900 pixels.
+    #: Resolution of a figure in a notebook, at which 9 inches are 900 pixels.
     plots_dpi: int = 100
 
     # Decades of frequency below the slowest and above the fastest corner, and time constants in a step response.

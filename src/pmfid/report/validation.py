@@ -1,4 +1,4 @@
-"""The report of a validation: figures, tables and numbers."""
+"""The report of a validation with figures, tables and numbers."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def run_figure(run: FreeRun, unit: str) -> Figure:
 
 
 def horizon_figure(found: Validation) -> Figure:
-    """Draw the errors over the interval between restarts; the last point is the error without a restart."""
+    """Draw the errors over the interval between restarts. The last point is the error without a restart."""
     with open_figure(3.6) as (figure, (axes,)):
         for number, run in enumerate(found.runs):
             colour, duration = COLOURS[number % len(COLOURS)], float(run.t[-1] - run.t[0])

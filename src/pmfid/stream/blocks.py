@@ -17,12 +17,12 @@ from pmfid.types import Counts, Flags, Floats
 
 MAGIC, VERSION = b"PMFB", 1
 MOST_SAMPLES, LONGEST_NAME = 1024, 64
-#: An epoch has 32 bits. Above the largest number of samples, neighbouring numbers are the same double, as in JSON.
+#: An epoch has 32 bits. Above the largest number of samples, neighbouring integers are one double, as in JSON.
 MOST_EPOCH, MOST_NUMBER = 2**32, 2**53
-#: Bits of the flags: u are float64 instead of float32, counts are int64 instead of int32.
+#: Flags that u are float64 instead of float32, and counts int64 instead of int32.
 WIDE_U, WIDE_COUNTS = 1, 2
 U, COUNTS = (np.dtype("<f4"), np.dtype("<f8")), (np.dtype("<i4"), np.dtype("<i8"))
-#: Magic, version, flags, samples, epoch, bytes of the name, first, time, dt. `block_type` has the same fields by name.
+#: Magic, version, flags, samples, epoch, bytes of the name, first, time, dt. `block_type` has all fields by name.
 HEADER = struct.Struct("<4sBBHIB3xQdd")
 CRC = struct.Struct("<I")
 #: Size of the longest block in bytes.
@@ -47,8 +47,7 @@ def block_type(flags: int, samples: int, letters: int) -> np.dtype[np.void]:
 
 #: Least number of blocks for which one pass is faster.
 FEWEST = 4
-#: Number of cached lists of names, and largest number of names in one list. The messages of a gateway repeat their
-#: names.
+#: Number of cached name lists, and largest number of names in a list. The messages of a gateway repeat their names.
 LISTS, NAMES = 1024, 256
 #: Bytes of the header that alike blocks share (magic, version, flags, samples), and the place of the name's length.
 _COMMON, _LETTERS = slice(0, 8), 12
@@ -102,16 +101,17 @@ def _read_names(text: bytes, letters: int) -> tuple[str, ...] | None:
     return names if whole else None
 
 
-#: Number of searches for a block by MAGIC alone in one message. Each search may cost the checksum of a whole block.
+#: Number of searches for a block by MAGIC in one message. Each search for a block may cost the checksum of a whole
+#: block.
 _MOST_SEARCHES = 16
 
 
 def encode(block: Block) -> bytes:
     """Return the bytes of a block in the shortest form without a loss.
 
-    Raises UsageError for a block that a receiver would refuse: 0 or more than MOST_SAMPLES samples, an invalid name, or
-    invalid numbers. A name is invalid if it is empty, longer than LONGEST_NAME bytes or not printable. Numbers are
-    invalid if they are out of range or not finite.
+    Raises UsageError for a block that a receiver would refuse, with no or more than MOST_SAMPLES samples, an invalid
+    name, or invalid numbers. A name is invalid if it is empty, longer than LONGEST_NAME bytes or not printable. Numbers
+    are invalid if they are out of range or not finite.
     """
     u, counts = np.asarray(block.u, np.float64), np.asarray(block.counts, np.int64)
     if not (0 < u.size <= MOST_SAMPLES and u.shape == counts.shape == (u.size,)):
@@ -171,7 +171,7 @@ class BlockStream:
 
 
 def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
-    """Return the blocks of a message, or of the received part of a stream, and the number of consumed bytes.
+    """Return the blocks of a message or a stream's received part, and the number of consumed bytes.
 
     `whole` is true for a message.
     """
@@ -194,7 +194,7 @@ def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
 
 
 def _next(data: bytes, start: int, whole: bool) -> int:
-    """Return the start of the next possible block: at a MAGIC, or in a stream at the beginning of a MAGIC."""
+    """Return the start of the next possible block, at a MAGIC, or at an incomplete MAGIC at the end of a stream."""
     place = data.find(MAGIC, start)
     if place >= 0 or whole:
         return place if place >= 0 else len(data)

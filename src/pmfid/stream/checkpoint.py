@@ -111,7 +111,9 @@ def state_size(engine: StreamEngine) -> int:
 
 
 def draft(engine: StreamEngine, room: StateBuffer) -> Draft:
-    """Return the checkpoint of the engine between two ticks; another thread completes it while the engine goes on."""
+    """Return the checkpoint of the engine between two ticks. Another thread completes the checkpoint while the engine
+    runs.
+    """
     states = room.copy_states([group.fleet.unsealed_state() for group in engine.groups])
     others = [[_pack_seats(group).tobytes(), _pack_held(group)] for group in engine.groups]
     groups = list[dict[str, Any]]()
@@ -164,7 +166,7 @@ def _pack_held(group: Group) -> bytes:
 
 
 def _write_held(heads: Sequence[np.ndarray], u: Sequence[np.ndarray], counts: Sequence[np.ndarray]) -> bytes:
-    """Return waiting blocks as bytes: their number, their heads, all u and all counts. No blocks give no bytes."""
+    """Return waiting blocks as bytes, with their number, their heads, all u and all counts. No blocks give no bytes."""
     number = sum(map(len, heads))
     whole = (np.concatenate(parts).astype(kind) for parts, kind in ((heads, HELD), (u, "<f8"), (counts, "<i8")))
     return b"".join([_LENGTH.pack(number), *(part.tobytes() for part in whole)]) if number else b""
@@ -332,8 +334,8 @@ def body_of(
 def body_from(monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> bytes:
     """Return the body of a checkpoint from which axes continue with these monitors.
 
-    The first number that arrives for an axis, whatever it is, follows the axis' last sample. Raises ValueError for
-    monitors of another configuration.
+    Any first number that arrives for an axis follows the axis' last sample. Raises ValueError for monitors of another
+    configuration.
     """
     fleet, group = MonitorFleet(prepared.setup.monitor, 0), Group(prepared, pace)
     try:

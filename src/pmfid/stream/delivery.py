@@ -1,4 +1,4 @@
-"""Deliveries of sources: blocks of numbered samples, lines with a time, and unusable input."""
+"""Deliveries of sources, which are blocks of numbered samples, lines with a time, and unusable input."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def join_arrays(parts: Sequence[object], *names: str) -> list[NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Table:
-    """Blocks with the same number of samples as one item, as gateways send them: one row for each block, in order.
+    """Blocks of one length as one item with a row for each block, in the order of the gateway.
 
     `axes` has the names. `epoch`, `first`, `time` and `dt` (k,) are as in `Block`. `u` and `counts` are (k, n), n > 0.
     """
@@ -63,7 +63,7 @@ class Table:
 
     @classmethod
     def join(cls, tables: Sequence[Table]) -> Table:
-        """Join tables whose blocks have the same length into one table."""
+        """Join tables with blocks of one length into one table."""
         if len(tables) == 1:
             return tables[0]
         return cls(

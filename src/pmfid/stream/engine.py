@@ -25,8 +25,7 @@ from pmfid.stream.tuning import TUNING
 
 
 class Inbox:
-    """The waiting deliveries: sources put deliveries in from their threads, and the engine's thread takes deliveries
-    out."""
+    """The queue of deliveries. The threads of sources add deliveries, and the engine's thread removes them."""
 
     def __init__(self) -> None:
         self._waiting: deque[Delivery] = deque()
@@ -89,7 +88,7 @@ class Inbox:
         return not self._open and not self._waiting
 
     def close(self) -> None:
-        """Refuse further deliveries; the waiting ones can still be taken."""
+        """Refuse further deliveries. Waiting deliveries can still be taken."""
         with self._changed:
             self._open = False
             self._changed.notify_all()

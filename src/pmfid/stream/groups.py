@@ -33,7 +33,7 @@ _LINE = struct.Struct("<ddq")
 class Timed:
     """A converter from lines to samples.
 
-    `dt` is the sample period [s]. `window` is the time for which lines wait for older lines [s]; 0 means that no line
+    `dt` is the sample period [s]. `window` is the time for which lines wait for older lines [s]. 0 means that no line
     waits. `timed` is true if the lines have a time.
 
     A line has no number, so only its content reveals a repetition. The digests of the last lines survive a restart, for
@@ -216,7 +216,7 @@ def prepare(
 class Pace:
     """Times that set the pace of a group.
 
-    `window` is the time for which early blocks wait for earlier ones [s]. `every` is the time between two rows [s]; 0
+    `window` is the time for which early blocks wait for earlier ones [s]. `every` is the time between two rows [s]. 0
     gives all rows.
     """
 
@@ -225,7 +225,7 @@ class Pace:
 
 
 class Seat:
-    """One axis in its group.
+    """An axis as a member of its group.
 
     `order` sorts the blocks of the axis, `timed` its lines. `number` is the number of the axis in the service, or 0
     before it has one. `notices` is the number of its notices. `notice_counts` has the number of events of each kind
@@ -308,7 +308,7 @@ class Group:
         self.kindred = self._build_kindred()
 
     def remove(self, gone: Sequence[int]) -> None:
-        """Remove some axes; the other axes go on."""
+        """Remove some axes. The other axes continue."""
         if not len(gone):
             return
         self.fleet.remove(np.array(gone, np.int64))

@@ -17,17 +17,17 @@ from pmfid.stream.stepping import Batch, FoundEvent, GroupQueue
 from pmfid.stream.tuning import TUNING
 from pmfid.types import Flags
 
-#: Groups of the blocks in a table, each with the numbers (k,) of the axes in the group, -1 for axes of other groups.
+#: Groups of a table's blocks. Each group has the numbers (k,) of its axes, and -1 for axes of other groups.
 Seating = list[tuple[Group, NDArray[np.int64]]]
 
 
-#: Consecutive tables with blocks of the same length, and the deliveries that brought them.
+#: Consecutive tables with blocks of one length, and the deliveries of the tables.
 Tables = list[tuple[Table, Delivery]]
 
 
 @dataclass
 class Seatings:
-    """A cache of the seatings of tables; `seats` has all axes by name."""
+    """A cache of the seatings of tables. `seats` has all axes by name."""
 
     seats: Mapping[str, Seat]
     _known: dict[tuple[str, ...], Seating | None] = field(default_factory=dict, init=False)
@@ -145,7 +145,7 @@ class Intake:
             self._settle([one], ordered)
 
     def _table(self, tables: Tables, seating: Seating, ordered: Ordered) -> None:
-        """Take the expected blocks together, and the other blocks one by one. Each block counts as an item."""
+        """Take the expected blocks together, and the other blocks one by one. Each block counts as one item."""
         table = Table.join([table for table, _ in tables])
         size = len(table.axes)
         turns = np.arange(self._turn + 1, self._turn + 1 + size)

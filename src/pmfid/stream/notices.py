@@ -20,9 +20,9 @@ from pmfid.stream.tuning import TUNING
 class Notices:
     """Notices on their way to the outlets, and all alarms with their later course.
 
-    Notices on the data of an axis are numbered in the order of the data, starting from the number of the axis. Data
-    that come again after a restart give the same numbers, in whatever order the axes come. Notices of the service have
-    no such order, so a clock numbers them.
+    Notices on the data of an axis are numbered in the data's order, starting from the axis's number. Data that repeat
+    after a restart give the old numbers in any order of the axes. Notices of the service have no such order, so a clock
+    numbers them.
     """
 
     outlets: Sequence[Outlet]
@@ -95,7 +95,7 @@ class Taker(Protocol):
 class Silence:
     """A monitor of silence that raises and clears alarms.
 
-    `limit` is the time after which silence is an alarm [s]; 0 raises no alarm. `sources` has the names of the expected
+    `limit` is the time after which silence is an alarm [s]. 0 raises no alarm. `sources` has the names of the expected
     sources, `sinks` the watched sinks. `tick` advances the clock, whose time is `now` [s]. An alarm lasts until its
     source, its sink or the last of its axes is back. The alarms of a checkpoint restore this object after a restart.
     """

@@ -220,7 +220,7 @@ class Order:
     """The order of the blocks of one axis.
 
     `dt` is the sample period [s]. `window` is the number of samples for which an early block waits. `place` is the row
-    of the axis' numbers; by default the axis has its own row. `epoch` and `expected` belong to the next sample; the
+    of the axis' numbers. By default the axis has its own row. `epoch` and `expected` belong to the next sample; the
     epoch is -1 before the first one. `held` has the waiting blocks, by epoch and number. `idle` is the number of
     consecutive repeated samples, and the number that was expected meanwhile.
     """
@@ -287,7 +287,7 @@ class Order:
             verdict.events.append({"event": "period", "problem": problem})
 
     def _count_old(self, first: int, end: int, verdict: ItemReport) -> None:
-        """Count old samples: samples of a gap are late, other samples are repeated."""
+        """Count old samples, which are late if they belong to a gap, and repeated in other cases."""
         late = sum(max(0, min(end, b) - max(first, a)) for a, b in self.gaps)
         verdict.late += late
         verdict.duplicate += end - first - late
@@ -339,7 +339,7 @@ class Order:
         return self._count_epoch_gap(block)
 
     def _must_wait(self, block: Block) -> bool:
-        """Return whether lower numbers may still come: the waiting blocks of each epoch span at most the window."""
+        """Return whether lower numbers may still come, because each epoch's waiting blocks span at most the window."""
         if not self.window:
             return False
         start, end, epoch = block.first, block.end, block.epoch

@@ -16,7 +16,7 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True)
 class Kindred:
-    """Axes of the same configuration, which are stepped together.
+    """Axes of one configuration, which are stepped together.
 
     `config` is the name of their AXIS.toml. `names` and `units` belong to the q parameters in rows. `dt` is the sample
     period [s]. `nominal` (q,) has the normal values. `axes` has the names in PLANT.toml, by the number within the
@@ -36,11 +36,11 @@ class Kindred:
 
 @dataclass(frozen=True)
 class EstimateRows:
-    """Estimates of axes of one group, with m rows in the order of time for each axis.
+    """Estimates of a group's axes, with m rows in the order of time for each axis.
 
     `axis` (m,) is the number within the group. `number` (m,) is the number of the axis' samples so far, including this
     one. `time` (m,) is the time by the axis' clock [s]. `u`, `counts`, `innovation` and `status` (bits of `Status`) are
-    (m,). `theta` and `std` are (m, q); `std` is infinite while nothing is known. `state` (m,) is the number of the
+    (m,). `theta` and `std` are (m, q), and `std` is infinite while nothing is known. `state` (m,) is the number of the
     state in `monitor.events.STATES`. `received` is `time.monotonic()` of the delivery that brought the latest of these
     samples.
     """
@@ -63,11 +63,11 @@ class EstimateRows:
 class Notice:
     """An event of one axis, or of the service if `axis` is "".
 
-    `number` identifies the notice; later notices of an axis have higher numbers. After a restart, a notice on repeated
+    `number` identifies the notice. Later notices of an axis have higher numbers. After a restart, a notice on repeated
     data has its former number, which identifies the repetition. `wall` is the time of the event in seconds since 1970.
     `what` is the object that `pmfid monitor --json` prints for an event (alarm, state, settled, outlier, gap, clock,
-    ...). Events of the service have the same form (late, duplicate, unusable, dropped, checkpoint, acknowledged,
-    reference, source, sink).
+    ...). Events of the service (late, duplicate, unusable, dropped, checkpoint, acknowledged, reference, source, sink)
+    have this form, too.
     """
 
     axis: str
@@ -89,7 +89,7 @@ class AlarmRecord:
     """An alarm and its later course.
 
     `number` is the number of its notice. `wall` is a time in seconds since 1970. `what` is the object that `pmfid
-    monitor --json` prints. `note` and `acknowledged` are text and time of the acknowledgement; the time is None without
+    monitor --json` prints. `note` and `acknowledged` are text and time of the acknowledgement. The time is None without
     an acknowledgement. `settled` has the new values once they are known. `cleared` is the time at which a silent axis,
     source or sink was back, or None.
     """
@@ -166,8 +166,8 @@ Labels = tuple[tuple[str, str], ...]
 class Counters:
     """Totals that only grow (`add`), and levels that are set (`put`).
 
-    The names follow Prometheus, for example "pmfid_samples_total". Labels have few values: sources, sinks, reasons and
-    groups, never axes.
+    The names follow Prometheus, for example "pmfid_samples_total". Labels have few values, such as sources, sinks,
+    reasons and groups, but never axes.
     """
 
     _values: dict[tuple[str, Labels], float] = field(default_factory=dict, init=False)

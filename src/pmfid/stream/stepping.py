@@ -23,7 +23,7 @@ class Batch:
     """Samples of k axes that are stepped together.
 
     `index` (k,) has the numbers of the axes, each once. `u` and `counts` are (k, n). `time`, `offset` and `turn` (k,)
-    are as in `SamplePiece`; `received` is (k,). `pieces` has k pieces, or none for blocks of a table. No sample is
+    are as in `SamplePiece`, and `received` is (k,). `pieces` has k pieces, or none for blocks of a table. No sample is
     missing before the blocks of a table, and their samples have no times of their own.
     """
 
@@ -182,7 +182,7 @@ def _choose_samples(
 ) -> Chosen:
     """Return rows and columns of the samples that are given out.
 
-    These are the samples whose number is a multiple of the stride, and all samples of followed axes.
+    Rows are made for all samples of followed axes, and for each sample number that is a multiple of the stride.
     """
     first = (-start - 1) % group.stride
     own = [row for row, k in enumerate(index.tolist()) if group.seats[k].name in followed] if followed else []

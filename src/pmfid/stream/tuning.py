@@ -18,10 +18,11 @@ class StreamTuning:
     #: Largest number of waiting deliveries, and of items in them. Above these numbers, the sources wait.
     engine_most: int = 8192
     most_items: int = 8192
-    #: Number of items that the engine takes together, apart from the items of the last delivery. This number of items
-    #: fits into the processor's cache. More items would be stepped more slowly, and a backlog would remain.
+    #: Number of items that the engine takes together, apart from the items of the last delivery. An array of this
+    #: number of items fits into the processor's cache. More items would be stepped more slowly, and a backlog would
+    #: remain.
     at_once: int = 1024
-    #: Time over which deliveries are collected [s]. This time fills the arrays, and the delay remains invisible.
+    #: Time over which deliveries are collected [s]. Arrays fill within this time, and the delay remains invisible.
     engine_tick: float = 0.025
     #: Time between two tests for commands while no delivery arrives [s].
     engine_idle: float = 0.1
@@ -37,7 +38,7 @@ class StreamTuning:
     groups_most: int = 100_000
     groups_known: int = 1000
     #: Number of notices of a kind, such as bad lines and gaps, that an axis gets one by one. Each later notice comes
-    #: after twice as many events as the one before.
+    #: after twice as many events as the preceding notice.
     each_notice: int = 10
 
     # intake
@@ -45,15 +46,15 @@ class StreamTuning:
     intake_most_names: int = 2**17
 
     # notices
-    #: Smallest number of a notice of the service, in microseconds since 1970, beyond the numbers of all axes. `of_axis`
-    #: is the number of notices reserved for each axis.
+    #: Smallest number of a service's notice, beyond the numbers of all axes, in microseconds since 1970. `of_axis` is
+    #: the number of notices reserved for each axis.
     notices_own: int = 10**15
     of_axis: int = 10**9
     #: Time between two tests [s], and the longest counted pause of the engine [s]. No data can come while the process
     #: is stopped.
     notices_look: float = 1.0
     longest_pause: float = 5.0
-    #: Number of sample periods for which an axis may be silent, however short the limit is.
+    #: Number of sample periods for which an axis may be silent, even above a short limit.
     notices_periods: float = 5.0
     #: Largest number of axes that get their own alarm if they fall silent between two tests. More axes share one alarm,
     #: which names `notices_most_names` axes.
@@ -63,8 +64,7 @@ class StreamTuning:
     # order
     #: Largest deviation of a clock that was not set [s]. Time stamps may have a resolution of whole seconds.
     order_set: float = 1.5
-    #: Least number of samples and shortest time [s] of a measurement of the clock's rate, and the tolerance of this
-    #: rate.
+    #: Least number of samples and shortest time [s] of a clock measurement, and the tolerance of the clock's rate.
     rate_samples: int = 500
     rate_time: float = 60.0
     order_rate: float = 0.005

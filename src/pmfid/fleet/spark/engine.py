@@ -40,7 +40,7 @@ QUIET = {
     "spark.ui.enabled": "false",
     "spark.ui.showConsoleProgress": "false",
     "spark.sql.session.timeZone": "UTC",
-    # Each Python process has one core of the machine, and would otherwise start a thread for every core.
+    # Each Python process has one core of the machine. Without a limit the process would start a thread for every core.
     "spark.executorEnv.POLARS_MAX_THREADS": "1",
     "spark.executorEnv.OMP_NUM_THREADS": "1",
     "spark.executorEnv.OPENBLAS_NUM_THREADS": "1",
@@ -56,9 +56,9 @@ def session_of(master: str | None = None, settings: Mapping[str, str] | None = N
     """Return the running session, as on Databricks, or set up a new one.
 
     A new session follows the environment or `master`. By default it is a session of this machine with all its
-    processors, which nobody else can reach. `master` has Spark's form: "local[2]", "spark://host:7077", "yarn", or
-    "sc://host" (Spark Connect). `settings` belong to Spark; in a running session, only some settings can still change.
-    Raises UsageError if PySpark or Java is missing, and if a session runs elsewhere than on `master`.
+    processors, which nobody else can reach. `master` has Spark's form, for example "local[2]", "spark://host:7077",
+    "yarn", or "sc://host" (Spark Connect). `settings` belong to Spark. In a running session, only some settings can
+    still change. Raises UsageError if PySpark or Java is missing, and if a session runs elsewhere than on `master`.
     """
     found, settings = running(), dict(settings or {})
     if found is not None:
@@ -84,7 +84,7 @@ def is_own(master: str | None) -> bool:
 
 
 def memory() -> int:
-    """Return the memory of this machine, or of the container of this process [bytes]."""
+    """Return the memory [bytes] of the machine, or of the container if the process is in one."""
     found = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
     with suppress(OSError, ValueError):  # the process has no container, or no limit
         found = min(found, int(CONTAINER.read_text()))
@@ -123,7 +123,7 @@ def _own_environment() -> Iterator[None]:
         yield
 
 
-#: Columns of the results: the item or shard, and its pickled result.
+#: Columns of the results, for the item or shard and its pickled result.
 NUMBER, FOUND = "number", "found"
 RETURNED = f"{NUMBER} long, {FOUND} binary"
 NOT_THERE = (
@@ -174,7 +174,7 @@ def arrow_of(frame: DataFrame) -> pa.Table:
 
 
 def merge_batches(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.Table]:
-    """Yield the same rows in fewer tables, none of them empty."""
+    """Yield the rows in fewer tables, without empty tables."""
     import pyarrow as pa
 
     waiting: list[pa.RecordBatch] = []
@@ -197,7 +197,7 @@ B = TypeVar("B")
 class Spark:
     """The engine of a Spark cluster.
 
-    `master` is as in `session_of`; None takes the running session, or the session that the environment defines. Files
+    `master` is as in `session_of`. None takes the running session, or the session that the environment defines. Files
     must be visible to all executors under the same names. A Spark DataFrame takes its own session.
     """
 

@@ -1,4 +1,4 @@
-"""Blocks of many axes through Spark Structured Streaming, with a state for each shard: `pmfid fleet stream`."""
+"""Blocks of many axes through Spark Structured Streaming, with a state for each shard (`pmfid fleet stream`)."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ SPARK = "spark"
 class Pacing:
     """The pace of a stream.
 
-    `interval` is the time between two batches [s]. `files` is the largest number of files in a batch; None takes all
+    `interval` is the time between two batches [s]. `files` is the largest number of files in a batch. None takes all
     files. With `once`, the stream ends after all present files.
     """
 
@@ -144,7 +144,7 @@ def stream_files(
     master: str | None = None,
     settings: Mapping[str, str] | None = None,
 ) -> None:
-    """Watch a growing folder of Parquet files, or of growing files of blocks (.pmfb), until the stream is stopped.
+    """Watch a folder that receives Parquet files or growing files of blocks (.pmfb) until the stream is stopped.
 
     `begin` has states from which axes continue in a new checkpoint. Raises UsageError if PySpark or Java is missing, or
     if the stream fails. An invalid folder, a folder in use, and a checkpoint of another configuration raise UsageError,
@@ -193,8 +193,8 @@ def kind_of(source: Path) -> str:
 def _session(log: SparkLog, master: str | None, settings: Mapping[str, str]) -> SparkSession:
     """Return the session of a stream.
 
-    A session of this machine alone may take a quarter of the machine's memory, as Java itself does, or the value of
-    Spark's own variable. Spark's default is 1 GB, but a batch has the states of its shards in several copies.
+    A local session may take a quarter of the machine's memory, as Java itself does. Spark's own variable can set
+    another limit. Spark's default is 1 GB, but a batch has the states of its shards in several copies.
     """
     own = os.environ.get("SPARK_DRIVER_MEMORY") or f"{memory() // 2**22}m"
     roomy = {"spark.driver.memory": own, "spark.driver.maxResultSize": "0"}

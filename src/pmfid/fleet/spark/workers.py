@@ -1,4 +1,4 @@
-"""Classes that Spark runs: a source of growing files of blocks, and the processor of a shard with its state."""
+"""Classes that Spark runs, which read growing files of blocks and process a shard with its state."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class BlockFiles(DataSource):  # type: ignore[misc]
     files.
 
     A file may grow at its end, and new files may come. The position of the source is the size of each file that it has
-    read. A restart therefore reads the same bytes again.
+    read. After a restart, equal positions therefore give equal bytes.
     """
 
     @classmethod
@@ -86,7 +86,7 @@ def _whole(path: Path, start: int) -> int:
     return size - stream.waiting
 
 
-#: The name of the state, and its only column: the body of a checkpoint of `pmfid serve`, packed by `pack_state`.
+#: The name of the state, and its only column, which holds the body of a checkpoint, packed by `pack_state`.
 STATE, COLUMN = "shard", "body binary"
 #: Size of a body [bytes].
 SIZE = Struct("<Q")
