@@ -362,7 +362,7 @@ typedef struct {
 enum {
     PMF_OF_SPEED = 0,
     PMF_OF_SQUARE = 1, /* square of the speed, without a table */
-    PMF_OF_PLACE = 2, /* position, as in all following forms */
+    PMF_OF_PLACE = 2, /* position */
     PMF_OF_WAVE = 3 /* sine of the position, without a table */
 };
 

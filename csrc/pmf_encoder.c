@@ -129,7 +129,7 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
         state->idle = PMF_IF(counted, PMF_W(0), state->idle);
     }
 #if PMF_PROCESS
-    if (config->process != 0U) { /* a constant process is no standstill */
+    if (config->process != 0U) { /* a process may be constant without a standstill */
         return PMF_W(0);
     }
 #endif
@@ -266,8 +266,8 @@ static void keep_gains(const pmf_encoder_config_t *config, gains_t *gains)
     gains->smooth_start = config->smooth_start;
 }
 
-/* A reversal at the fraction x of an interval h changes the acceleration. A reversal makes the mean velocity differ
- * from the mean of both ends, as a jerk does, times 6 x (1 - x) = 1.5 (1 - direction^2). */
+/* A reversal at the fraction x of an interval h changes the acceleration. Like a jerk, a reversal makes the mean
+ * velocity differ from the mean of both ends, by 6 x (1 - x) = 1.5 (1 - direction^2) times a jerk's effect. */
 static real_t late_turn(const pmf_encoder_state_t *state, real_t direction, real_t velocity)
 {
     real_t turn = PMF_R(1.0) - direction * direction;

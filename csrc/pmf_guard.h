@@ -40,7 +40,7 @@
 #define PEAK_MARGIN                                                                                                    \
     PMF_R(1.25) /* multiple of the leaking peak above which an input moves the peak, so that a constant input does not \
                  */
-#define NEW_SIZE PMF_R(2.0) /* multiple of the peak above which the limit of the motion grows with the input */
+#define NEW_SIZE PMF_R(2.0) /* an input above this multiple of the peak raises the limit of the motion */
 #define LARGEST_GROWTH PMF_R(100.0)
 #define SWINGS PMF_R(0.25) /* fraction of the largest input, below which a change gives little information */
 #define GAIN_STEP PMF_R(0.03125) /* step of the normalised gradient */

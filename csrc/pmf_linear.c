@@ -234,7 +234,8 @@ static void settle_anew(pmf_linear_state_t *state)
     pmf_clear(state->settling, (uint32_t)sizeof state->settling);
 }
 
-/* Let data pass filters of the copy, damped to settle in as many samples as have passed. */
+/* Let data pass filters of the copy with additional damping, so that the filters settle in the number of past samples.
+ */
 static void go_behind_fast(const pmf_linear_config_t *config, pmf_linear_state_t *state, real_t samples)
 {
     real_t a[M];
@@ -317,8 +318,8 @@ static real_t bar(const pmf_estimate_t *estimate, uint32_t i, uint32_t inflated)
     return estimate->variance_factor[i] * estimate->innovation_variance * inflation;
 }
 
-/* The refined estimate takes over after a fair fraction of the direct estimate's samples, if its standard errors are
- * small or not much larger. After the fast filters, innovations are not white. */
+/* The refined estimate takes over after a fair fraction of the direct estimate's samples. Its standard errors must be
+ * small, or at most slightly larger than the direct ones. After the fast filters, innovations are not white. */
 static uint32_t refined_enough(const pmf_config_t *config, const pmf_state_t *state)
 {
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;

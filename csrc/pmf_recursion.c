@@ -10,7 +10,7 @@
  * excited directions. If a direction has only the regularisation, theta is held and the status says so. With forgetting
  * = 1 no regularisation is used, and theta equals the batch solution.
  *
- * Every loop has a fixed number of turns: n_parameters is a constant of the configuration. */
+ * Every loop has a fixed number of turns, because n_parameters is a constant of the configuration. */
 #include "pmf_innovations.h"
 #include "pmf_scale.h"
 

@@ -7,7 +7,7 @@
 
 #define HALF_MEMORIES 4U /* factor between the bits of this half memory and of the last */
 #define SOME PMF_R(0.0625) /* fraction of the encoder's squared error above which the axis moves */
-#define LITTLE PMF_SCALAR(0.25) /* fraction of the starting limit that ends the fast forgetting */
+#define LITTLE PMF_SCALAR(0.25) /* fraction of `outgrown` below which the fast forgetting ends */
 
 /* Sum the squares of the acceleration in motion over this and the last half memory, in units of the encoder's error.
  * Returns whether a half memory is complete. */

@@ -24,7 +24,7 @@
 #define PMF_WITH_LAG 1 /* an input with a first-order lag */
 #define PMF_WITH_SEPARATE 1 /* forgetting by parameter */
 #define PMF_WITH_GUARD 1 /* guard against samples that no motion explains */
-#define PMF_WITH_ENDLESS 1 /* float32 without forgetting, or with slow forgetting that may fill the sums */
+#define PMF_WITH_ENDLESS 1 /* float32 with so little forgetting that sums may be full */
 #define PMF_WITH_SPLIT 1 /* signals beyond input, velocity and direction */
 #define PMF_WITH_NOISE 1 /* known covariance of the noise */
 #define PMF_WITH_STEPS 1 /* each sample has the time since the preceding sample */

@@ -26,7 +26,7 @@
 #define WHILE PMF_R(0.25) /* fraction of the variance that ends an interval of comparison */
 #define STAYED PMF_R(0.25) /* [samples] */
 #define YOUNG 10U
-#define ENOUGH_AGE 100U /* samples before the motion is accepted, and samples near an edge: */
+#define ENOUGH_AGE 100U /* least numbers of samples, and of samples near an edge, of an accepted motion */
 #define ENOUGH_NEAR 100U
 #define SHARP PMF_R(0.1) /* standard deviation [samples] of a known dead time */
 #define LEAST_KEPT PMF_R(0.3) /* least kept fraction of mass and viscous friction in one sample */

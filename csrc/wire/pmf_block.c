@@ -1,4 +1,4 @@
-/* A block of numbered samples as bytes: docs/wire.md. The byte order of the machine does not matter.
+/* A block of numbered samples as bytes (docs/wire.md). The byte order of the machine does not matter.
  * SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_block.h"
 

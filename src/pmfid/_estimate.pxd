@@ -1,4 +1,4 @@
-"""The estimate after a sample. Kernels of both precisions store their numbers in it as doubles."""
+"""The estimate after a sample. Kernels of both precisions store doubles in an estimate."""
 
 cdef extern from "pmf_sizes.h":
     enum:

@@ -176,9 +176,9 @@ cdef _check_blocks(const pmf_scoring_t *scoring, progress, shapes, expected):
 cdef class Kernel:
     """A configured kernel with its state.
 
-    `config` is a `pmf_config_t` of the module's sizes as bytes. `pmfid.kernel.configuration` and `raw_config` make such
-    bytes. `names` are the names of the parameters. Raises ValueError for a wrong number of bytes, and for numbers that
-    exceed the kernel's memory.
+    `config` is a `pmf_config_t` of the module's sizes as bytes. `pmfid.kernel.configuration` and `raw_config` make this
+    argument. `names` are the names of the parameters. Raises ValueError for a wrong number of bytes, and for numbers
+    that exceed the kernel's memory.
     """
 
     cdef pmf_config_t config
@@ -456,7 +456,7 @@ cdef class ManyKernel:
         self.states[:] = taken
 
     def older_size(self, uint32_t packing, bytes is_whole not None):
-        """Return the size of a state [byte] in the older version `packing`. Raises the errors of the constructor."""
+        """Return the size of a state [byte] in the older version `packing`. Raises the constructor's errors."""
         cdef pmf_layout_t layout
         self._lay_out(&layout, packing, is_whole)
         return layout.packed_size

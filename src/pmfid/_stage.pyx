@@ -291,7 +291,7 @@ def bars(cnp.ndarray factor not None, cnp.ndarray variance not None, cnp.ndarray
     """Return standard errors (..., p) from variance factors (..., p), inflations (..., p) and innovation variances
     (...,).
 
-    An inflation of zero is not yet known, and does not scale. A standard error without an innovation variance is
+    An inflation of zero is unknown, and does not scale. A standard error without an innovation variance is
     infinite. `found` is an array for the results. Raises ValueError for other shapes and arrays with gaps.
     """
     std = np.empty(np.shape(factor)) if found is None else found

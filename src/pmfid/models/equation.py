@@ -1,4 +1,6 @@
-"""Equation of a plant: a sum of terms, linear in the unknown coefficients. Each term is a derivative of a signal."""
+"""Equation of a plant, as a sum of terms that is linear in the unknown coefficients. Each term is a derivative of a
+signal.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,7 @@ ROLES: tuple[tuple[tuple[Signal, int], ...], ...] = (
     (("input", 1),),
 )
 MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, OFFSET, STIFFNESS, LATE = range(8)
-#: Roles whose value is never negative: inertia, friction and dead time.
+#: Roles whose value is never negative, which are inertia, friction and dead time.
 POSITIVE_ROLES = (MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, LATE)
 DEAD_TIME, LAG = "dead_time", "lag"
 #: Longest dead time, and longest lag, in samples.
@@ -39,7 +41,7 @@ MOST_LATE = 20
 
 @dataclass(frozen=True)
 class Term:
-    """One term of an equation: coefficient * d^derivative signal / dt^derivative. A coefficient with a name is unknown.
+    """A term of an equation, coefficient * d^derivative signal / dt^derivative. A coefficient with a name is unknown.
 
     Parameters
     ----------
@@ -112,8 +114,9 @@ class Term:
 
     @property
     def noisy(self) -> bool:
-        """True if the term carries the noise of the measured output. The output of a machine without a derivative
-        counts as free of noise, because a step of the encoder is small against the travel."""
+        """True if the term carries the noise of the measured output. The output of a machine itself counts as free of
+        noise, because an encoder step is small against the travel.
+        """
         return self.facts.measured and (self.facts.of_process or self.derivative > 0)
 
     @property
@@ -130,7 +133,7 @@ class Term:
 
 @dataclass(frozen=True)
 class Equation:
-    """Equation of a plant: the sum of the `unknown` terms equals the sum of the `known` terms.
+    """Equation of a plant, in which the `unknown` terms and the `known` terms have equal sums.
 
     In the notation of the theory, sum theta_i D^j w_i = D^j w_0.
 
@@ -243,7 +246,7 @@ class Equation:
         return tuple(name for name, _ in self.further if name != LAG or self.process)
 
     def role_values(self, theta: Sequence[float] | Floats | None) -> list[float]:
-        """Return the value of each role of the simulated body from the parameters (p,); a role without a term has the
+        """Return the value of each role of the simulated body from the parameters (p,). A role without a term has the
         value 0.
 
         A known dead time is included. If `theta` is None, only the dead time differs from 0.
@@ -269,7 +272,7 @@ class Equation:
 
     @property
     def relative_degree(self) -> int:
-        """Relative degree of a process: highest derivative of the output minus highest derivative of the input."""
+        """Relative degree of a process, as the highest derivative of the output minus that of the input."""
         terms = (*self.unknown, *self.known)
         return self.order - max(term.derivative for term in terms if term.signal == "process_input")
 
@@ -296,7 +299,8 @@ class Equation:
     @property
     def instrument_powers(self) -> tuple[int, ...]:
         """Powers of s over f(s) in the instruments, one for each entry of `noisy`. The powers fall to 1 for a machine.
-        They fall to 0 for a process, which has a term with y itself."""
+        The powers fall to 0 for a process, which has a term with y itself.
+        """
         lowest = 0 if self.process else 1
         return tuple(reversed(range(lowest, lowest + len(self.noisy))))
 
@@ -308,7 +312,7 @@ class Equation:
 
     @property
     def leading(self) -> int:
-        """Index of the leading parameter, which belongs to the highest derivative: the mass of a drive."""
+        """Index of the leading parameter, which belongs to the highest derivative (the mass of a drive)."""
         return self.noisy[0]
 
     @property
@@ -366,7 +370,7 @@ class Equation:
 
     @cached_property
     def positive(self) -> tuple[bool, ...]:
-        """Truth values (p,), True for unknowns that are never negative in a machine: inertia and friction."""
+        """Truth values (p,), True for inertia and friction, which are never negative in a machine."""
         chosen = {self.roles[role] for role in POSITIVE_ROLES}
         return tuple(
             i in chosen or (term.shape is not None and term.shape.positive) for i, term in enumerate(self.unknown)
@@ -379,8 +383,9 @@ class Equation:
 
     @property
     def symmetric(self) -> Equation:
-        """Equation that the counts alone can identify. Friction is equal in both directions, a constant load takes up
-        their difference, and only shapes of the place remain."""
+        """Equation whose parameters the counts determine without a simulated model. Friction is equal in both
+        directions, a constant load takes up their difference, and only shapes of the place remain.
+        """
         split = [term.facts.one_way for term in self.unknown]
         fast = [term.shape is not None and term.shape.of_speed for term in self.unknown]
         if not any(split) and not any(fast):
@@ -417,7 +422,7 @@ class Equation:
 
     @property
     def without_simulation(self) -> str:
-        """Reason why the auxiliary model cannot simulate the equation; empty if it can."""
+        """Reason why the auxiliary model cannot simulate the equation. The text is empty if the model can."""
         known = {(term.signal, term.derivative) for term in self.known}
         if self.process:
             return "it is one of a linear process"

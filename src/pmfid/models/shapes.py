@@ -1,4 +1,4 @@
-"""Forces with a given form and an unknown size: friction at a speed, friction along the travel, and forces at a place.
+"""Forces with a given form and an unknown size, such as friction at a speed or a place, and forces at a place.
 
 The kernel computes a wave and a square. Every other form is a table of evenly spaced knots with straight lines between
 the knots (csrc/pmf_shapes.h). A new form is therefore one class in this module. A force with the form s and the
@@ -23,7 +23,7 @@ from pmfid.types import Floats
 
 #: Number of straight pieces in the table of Stribeck friction.
 PIECES = 64
-#: Speed, in multiples of the Stribeck speed, above which Stribeck friction has vanished: exp(-16).
+#: Speed, in multiples of the Stribeck speed, above which Stribeck friction has vanished to exp(-16).
 FADED = 4.0
 #: Setting for a parameter that pmfid estimates.
 ESTIMATE: Literal["estimate"] = "estimate"
@@ -69,7 +69,7 @@ class Shape(ABC):
 
 @dataclass(frozen=True)
 class Stribeck(Shape):
-    """Stribeck friction exp(-(v / speed)^2): the friction at rest beyond Coulomb friction, which falls with the speed.
+    """Stribeck friction exp(-(v / speed)^2), the part of the friction at rest that falls with the speed.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Signals of an equation, and the facts about each signal. Each term of an equation is a derivative of one signal."""
+"""Signals of an equation, and the facts about each signal. Each term of an equation is a derivative of a signal."""
 
 from __future__ import annotations
 

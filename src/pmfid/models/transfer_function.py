@@ -99,7 +99,7 @@ class TransferFunction:
 
     @property
     def only_simulated(self) -> str:
-        """Reason why only methods that simulate whole records accept the model; empty if all methods accept it."""
+        """Reason why only methods that simulate whole records accept the model. The text is empty if all methods do."""
         if self.m == self.n:
             return "the numerator is of the order of the denominator (m = n)"
         if self.integrators == self.n:
@@ -154,5 +154,5 @@ def _check_whole(name: str, value: object, low: int, high: int, what: str) -> No
 
 
 def power_unit(power: int) -> str:
-    """Return the unit of a coefficient a_i if y and u have the same unit."""
+    """Return the unit of a coefficient a_i if y and u have equal units."""
     return f"s^{power}"

@@ -30,7 +30,7 @@ __all__ = ["Spec", "load_spec", "make_problem"]
 Criterion = Literal["trace", "D", "A", "E", "ME", "c"]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
-# This type is not strict, because TOML has lists where a frozen object needs a tuple.
+# The type of tuples is not strict, because TOML has lists where a frozen object needs a tuple.
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Names = Annotated[tuple[str, ...], Field(strict=False)]
 

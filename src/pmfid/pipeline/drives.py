@@ -410,7 +410,7 @@ def _needs_simulation(estimator: Estimator) -> bool:
 
 
 def _batch_twin(estimator: Estimator) -> BatchEstimator:
-    """Return the off-line method for the same columns."""
+    """Return the off-line method for the columns of an on-line method."""
     if isinstance(estimator, BatchEstimator):
         return estimator
     if isinstance(estimator, RIV):
@@ -486,7 +486,7 @@ def _run(
 ) -> tuple[Track, Track]:
     """Return the tracks of a run over the record, without and with prior information.
 
-    A run in several chunks gives the same numbers as a single run. In a gap the estimate does not change.
+    A run in several chunks gives the numbers of a single run. In a gap the estimate does not change.
     """
     n, parts, reported = record.u.size, list[Track](), list[Track]()
     chunk = TUNING.drives_chunk if known is None else ESTIMATOR_TUNING.known_piece

@@ -16,7 +16,7 @@ from pmfid.pipeline.kinds import Kind, Progress, Records
 from pmfid.pipeline.processes import Processes
 from pmfid.pipeline.result import DriveResult, Result
 
-#: Flags of results that a mistake in the columns may explain. Such flags justify slow checks of the log.
+#: Flags of results that a mistake in the columns may explain. The flags justify slow checks of the log.
 SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback", "not_followed", "unmodelled"}
 KINDS: dict[str, Kind[Records]] = {
     # each kind receives only records that it has read itself

@@ -34,7 +34,7 @@ Records = Record | Sequence[Experiment]
 class Kind(ABC, Generic[Data]):
     """A kind of plant, which reads, estimates and checks its records.
 
-    `Data` is the type of its records: one record of a machine, or the experiments of one transfer function.
+    `Data` is the type of the records, which is a machine's record or a transfer function's experiments.
     """
 
     #: Recursive method that replaces "auto" in firmware.
@@ -99,7 +99,7 @@ class Kind(ABC, Generic[Data]):
 
 
 def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the names and units of the parameters (p,) of a simulation of the model.
+    """Return names and units of the parameters (p,) with which the model is simulated.
 
     Raises UsageError for an equation that cannot be simulated.
     """

@@ -1,4 +1,4 @@
-"""Prior information: the keys `given` and `prior` of [estimator], and input_gain = "estimate"."""
+"""Prior information from the keys `given` and `prior` of [estimator], and from input_gain = "estimate"."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
 def check_numbers_known(axis: Axis, what: str) -> None:
     """Raise UsageError if the input gain is not a number, or if the axis has prior information.
 
-    `what` is the name of the function that needs the input gain and does not support prior information.
+    `what` names the function that needs the input gain and does not support prior information.
     """
     if finds_gain(axis):
         raise UsageError(

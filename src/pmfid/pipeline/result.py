@@ -1,4 +1,4 @@
-"""The result of an identification: parameters, intervals and findings."""
+"""The result of an identification, with parameters, intervals and findings."""
 
 from __future__ import annotations
 
@@ -206,7 +206,7 @@ class Result(Presentable):
 
     @property
     def _lines(self) -> list[str]:
-        """One line for each parameter."""
+        """A line of text for each parameter."""
         known = {name: f" ({kind})" for name, kind in self.beforehand.items()}
         lines = Parameters(self.names, self.units, self.theta, self.theta_std).lines
         return [line + known.get(name, "") for name, line in zip(self.names, lines, strict=True)]
@@ -370,7 +370,7 @@ class ProcessResult(Result):
         return "fit unknown, unstable" if self.fit is None else f"fit {self.fit:.2f} %"
 
     def particulars(self) -> dict[str, object]:
-        """The entries of `to_json` for a transfer function: poles and zeros as [real, imaginary], and the fit [%]."""
+        """Entries of `to_json` for a transfer function, with poles and zeros as [real, imaginary], and the fit [%]."""
         process, checks = self.process, self.assessment
         return {
             "records": [experiment.name for experiment in self.experiments],
@@ -386,7 +386,7 @@ class ProcessResult(Result):
         }
 
 
-#: Patterns for units: masses become forces per acceleration, and then lengths and angles become counts. The metre of a
+#: Patterns for units. Masses become forces per acceleration, and lengths and angles become counts. The metre of a
 #: torque remains.
 _MASSES = {"kg": "N s2/m", "kg m2": "N m s2/rad"}
 _LENGTH = re.compile(r"(?<=/)(?:m|rad)(?=\d|$)|^(?:m|rad)(?=/s|$)")

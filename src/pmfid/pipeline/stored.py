@@ -1,6 +1,6 @@
-"""RESULT.json: the parameters of an earlier identification, validated on load.
+"""The parameters of an earlier identification in RESULT.json, validated on load.
 
-Every value in the file must be a number, and the model must be that of AXIS.toml.
+Every value in the file must be a number, and the model must be the model of AXIS.toml.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ __all__ = ["Stored", "read_stored"]
 
 REMEDY = "give the result.json that `pmfid identify --out` writes, or what --json prints"
 SAME_AXIS = "give the AXIS.toml that it was identified with"
-#: Prefixes of names that are not parameters of the motion: unknowns of a pre-filter, and an estimated input gain. A
+#: Prefixes of names that are not parameters of the motion, such as unknowns of a pre-filter and an input gain. A
 #: separate function checks the gain.
 NOT_OF_MOTION = ("prefilter_", "input_gain")
 
@@ -91,8 +91,7 @@ class Stored:
     def check_equation(self, text: str) -> None:
         """Raise UsageError for parameters of another equation.
 
-        The names of parameters alone do not show a known dead time, the speed of a friction term or the pitch of a
-        force.
+        Parameter names do not show a known dead time, a friction term's speed or a force's pitch.
         """
         if self.equation is not None and self.equation != text:
             stored = printable(" ".join(self.equation.split()))[: TUNING.stored_longest]

@@ -54,8 +54,8 @@ class PipelineTuning:
     #: that another reading leaves unexplained to the part that the given reading leaves.
     readings_follows: float = 0.15
     readings_better: float = 0.3
-    #: Greatest unexplained part for a reading with friction that no model explains. Such a reading also requires a
-    #: common clock, because an integral also follows an input with another clock.
+    #: Greatest unexplained part for a reading with friction that no model explains. The reading requires a common
+    #: clock, because an integral also follows an input with another clock.
     readings_loosely: float = 0.3
     #: Unexplained part of the input below which a reading with a significant mass is accepted at once.
     readings_clearly: float = 0.001

@@ -1,1 +1,1 @@
-"""Records from the columns of a file: clock, counts, gaps and wrong samples."""
+"""Records from the columns of a file, with clock, counts, gaps and wrong samples."""

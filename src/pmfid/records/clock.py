@@ -1,4 +1,4 @@
-"""Time stamps: the clock of a record, and its missing lines."""
+"""The clock of a record from its time stamps, and the missing lines."""
 
 from __future__ import annotations
 
@@ -74,8 +74,8 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
 
 
 def _check_name(step: float, config: RecordConfig) -> None:
-    """Raise UsageError if the name of the time column has another unit than the configured one, and a mean step in the
-    unit of the name is usual for an axis.
+    """Raise UsageError if the time column's name contradicts the configured unit, and the name's unit gives a usual
+    mean step.
     """
     named = named_unit(config.time or "")
     if named is None or config.time_unit in (None, named):
@@ -379,7 +379,7 @@ def _even_stamps(time: Floats) -> Floats:
 
 
 def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """Return the rows without repetitions of the previous row at the same time."""
+    """Return the rows without exact repetitions of the previous row and its time."""
     again = np.r_[False, np.diff(_take_rows(time, rows)) == 0] & _take_rows(repeated, rows)
     count = int(np.count_nonzero(again))
     if not count:
@@ -391,7 +391,7 @@ def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tupl
 def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
     """Return the rows without the few rows that follow another row too early, as at the start of a logger.
 
-    A grid has no place for two rows close together, unless each row is a point of it and the stamps scatter.
+    A grid has no place for two close rows, unless each row is a point of the grid and the stamps scatter.
     """
     stamps = _take_rows(time, rows)
     steps = np.diff(stamps)
@@ -411,7 +411,7 @@ def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
     """Return the places (n,) of rising stamps (n,) on an even grid, starting at 0, and its period, or None without a
     grid.
 
-    Each step of the stamps is nearly a whole number of periods. If the stamps scatter more, a line through all stamps
+    Each step between stamps is nearly a whole number of periods. If the stamps scatter more, a line through all stamps
     gives the grid.
     """
     steps = np.diff(time)

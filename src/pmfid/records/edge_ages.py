@@ -17,7 +17,7 @@ def read_edge_ages(
     """Return the ages [s] of the last edges in the used rows, and notes for people.
 
     An age is NaN without an edge. The ages are None if no column has them, or if an `obstacle` prevents their use. A
-    unit in the column's name counts; without a unit the ages are in s. Raises UsageError for a column that is missing
+    unit in the column's name counts. Without a unit the ages are in s. Raises UsageError for a column that is missing
     or not numeric.
     """
     if encoder.edge_age is None:

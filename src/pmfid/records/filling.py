@@ -51,7 +51,7 @@ def smooth_deviation(
     )
     lasting = np.diff(events) * dt
     along, kept, free, still = _travel(lasting, decay), np.exp(-decay * lasting), 1 / steps[1:], 1 / moves[1:]
-    band = np.zeros((4, 2 * g))  # band of the lower triangle; position and velocity alternate
+    band = np.zeros((4, 2 * g))  # band of the lower triangle, in which position and velocity alternate
     band[0, 0::2] = one + np.r_[still, TUNING.filling_nothing] + np.r_[TUNING.filling_nothing, still]
     band[0, 1::2] = (
         second + np.r_[still * along**2 + free * kept**2, TUNING.filling_nothing] + np.r_[TUNING.filling_nothing, free]

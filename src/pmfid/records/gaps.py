@@ -58,7 +58,7 @@ class Polynomial:
         return np.asarray(np.linalg.solve(weighted @ powers, right)[:, 0, 0] + level)
 
 
-#: Candidate polynomials: a line, cubics through more and more samples, and a mean for an input of pure noise.
+#: Candidate polynomials, which are a line, cubics through more and more samples, and a mean for an input of pure noise.
 TRIED = (
     Polynomial(1, 1),
     Polynomial(3, 2),

@@ -14,7 +14,7 @@ from pmfid.types import Counts, Flags, Floats
 
 
 def join_records(records: Sequence[Record], place_matters: bool) -> Record:
-    """Join the records, so that the counts of each record continue those of the previous record.
+    """Join the records, so that the counts of each record continue the counts of the previous record.
 
     The counter of a record may start anywhere. Raises UsageError for records with different sample periods, and for an
     axis with forces that depend on the position.

@@ -22,8 +22,7 @@ __all__ = ["Wrap", "wrap_of"]
 class Wrap:
     """The wrap of a counter.
 
-    `span` is the range of the counter, `times` is the number of wraps, and `row` is the row of the first wrap, counted
-    from 1.
+    `span` is the range of the counter, `times` the number of wraps, and `row` the first wrap's row, counted from 1.
     """
 
     span: int
@@ -87,8 +86,8 @@ def _smooth(
 
 
 def _spans(change: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, extent: int) -> list[int]:
-    """Return the possible ranges of a counter: a power of two, and the size of the jumps for another period such as
-    a turn.
+    """Return the possible ranges of a counter, which are a power of two, and the jumps' size for periods such as a
+    turn.
     """
     counter = 2 ** math.ceil(math.log2(extent + 1))
     sizes = np.abs(change[jumps])

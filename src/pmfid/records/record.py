@@ -166,7 +166,7 @@ def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:
 
 @dataclass(frozen=True)
 class Record:
-    """One run of a drive.
+    """A run of a drive.
 
     `u` (n,) is the scaled input, with NaN in gaps where the input is unknown. `counts` (n,) are the unwrapped encoder
     counts. `dt` is the sample period [s], and `resolution` is the unit of y per count. `notes` describe changes to the
@@ -254,7 +254,7 @@ def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record
     try:
         return _build(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, quantize, path.name)
     except UsageError as error:
-        # The message has one line, whatever the names in a damaged file contain.
+        # The message has one line, even if names in a damaged file have several.
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
 
 

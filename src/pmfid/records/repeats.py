@@ -69,8 +69,8 @@ def find_stale_rows(time: Floats, y: Floats) -> Flags:
 
 
 def _cubic(time: Floats, y: Floats, place: NDArray[np.intp], at: Floats) -> Floats:
-    """Return values of cubic polynomials at the times `at` (m,). Each polynomial passes through four neighbouring
-    points, and `place` (m,) is the second point.
+    """Return values of cubic polynomials at the times `at` (m,). Each fitted polynomial passes through four
+    neighbouring points, and `place` (m,) is the second point.
     """
     values = np.zeros(at.size)
     for i in range(-1, 3):

@@ -17,7 +17,7 @@ from pmfid.types import Flags, Floats
 
 @dataclass(frozen=True)
 class Resampled:
-    """Columns (m,) on an even grid: time in the unit of the stamps, input and output, with NaN in gaps.
+    """Columns (m,) on an even grid, for time in the stamps' unit, input and output, with NaN in gaps.
 
     `jitter` is the root mean square deviation of the steps, relative to the period. If only the stamps are uneven,
     `jitter` is 0. `own` holds the samples before resampling, or None if the samples are even or the clock drifts.
@@ -163,7 +163,7 @@ def _weigh_stamps(stamps: Floats, y: Floats) -> tuple[float, float]:
 
     The number is 1 if the stamps are the instants of the samples, and 0 if an even clock samples before the stamps. The
     number is the slope of a regression. The regressor is the distance of the interpolated output from the mean of the
-    two neighbouring outputs. The target is the distance of the measured output from the same mean.
+    two neighbouring outputs. The target is the distance of the measured output from the mean of its neighbours.
     """
     steps = np.diff(stamps)
     both = steps[:-1] + steps[1:]

@@ -130,12 +130,11 @@ class RecordTuning:
     #: range any motion may resemble a jump.
     most_bits: int = 32
     outliers_least: int = 8
-    #: Number of changes of the counts in the window of the median that predicts a change. The median follows a step of
-    #: the velocity, and five successive wrong changes do not move it. A window of the same length also reveals steps of
-    #: the velocity.
+    #: Number of count changes in the median window that predicts a change. The median follows a step of the velocity,
+    #: and five successive wrong changes do not move it. A window of equal length also reveals steps of the velocity.
     outliers_around: int = 11
-    #: Allowed deviation of a change from the median [counts]. The next constant is the allowed deviation as a multiple
-    #: of two terms: the usual deviation and the step of the velocity.
+    #: Allowed deviation of a change from the median [counts]. The next constant is the allowed deviation, as a multiple
+    #: of the usual deviation and the velocity step.
     outliers_counts: float = 10.0
     outliers_times: float = 4.0
     #: Quantile of the deviations that counts as usual.

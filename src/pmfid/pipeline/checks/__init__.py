@@ -1,6 +1,6 @@
 """Checks of a log, which report its mistakes before an estimate and with every estimate.
 
-A check takes a `CheckedLog` and yields findings. Each family of checks has its own file. Checks in SOON cost little and
+A check takes a `CheckedLog` and yields findings. Each group of checks has its own file. Checks in SOON cost little and
 run with every identification. Checks in LATER run in `pmfid check`, and if an estimate is doubtful.
 """
 

@@ -1,4 +1,4 @@
-"""Checks for inputs that are not forces: a current without its sign, a command or a set point."""
+"""Checks for inputs that are not forces, such as a current without its sign, a command or a set point."""
 
 from __future__ import annotations
 
@@ -68,7 +68,9 @@ def _fit(columns: Floats, z: Floats) -> tuple[Floats, float]:
 
 
 def find_command(log: CheckedLog) -> Iterator[Finding]:
-    """Yield a finding if the input is a command: the set point of the output, or the requested torque of a drive."""
+    """Yield a finding if the input is a command, such as the set point of the output or the requested torque of a
+    drive.
+    """
     name, output = log.axis.record.input, log.axis.record.output
     u, y = log.record.u, log.encoder.position(log.record.counts)
     if not log.is_machine or np.ptp(u) == 0 or np.ptp(y) == 0:

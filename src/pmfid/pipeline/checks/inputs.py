@@ -1,4 +1,4 @@
-"""Checks of the input alone: limits that it reaches, and values that are logged more slowly than the record."""
+"""Checks of the input for limits that it reaches, and for values logged more slowly than the record."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _falls_short(log: CheckedLog, there: NDArray[np.bool_]) -> bool:
 def _arcs(there: NDArray[np.bool_]) -> Floats:
     """Return an array (n,) with a parabola over each marked stretch of rows.
 
-    All parabolas have the same curvature, and approximate a smooth signal beyond a limit.
+    All parabolas have one curvature, and approximate a smooth signal beyond a limit.
     """
     edges = np.flatnonzero(np.diff(np.r_[False, there, False].astype(np.int8)))
     first, last = (np.repeat(edges[side::2], edges[1::2] - edges[::2]) for side in (0, 1))

@@ -1,4 +1,4 @@
-"""Checks for other readings of the two columns: another sign, another unit, a velocity or a delay."""
+"""Checks for other readings of the two columns, such as another sign, another unit, a velocity or a delay."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def _has_inertia(view: View, dt: float) -> bool:
 
 
 def _is_one_body(view: View) -> bool:
-    """Return whether the mass and the power of friction have the same sign, if both are significant."""
+    """Return whether mass and friction power have equal signs, if both are significant."""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
     return mass * work > 0 or abs(work) < TUNING.readings_likely
 

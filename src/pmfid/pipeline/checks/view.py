@@ -1,4 +1,4 @@
-"""Quantities that the checks derive from a log: signals on a common grid, stops and candidate models."""
+"""Quantities that the checks derive from a log, which are signals on a common grid, stops and candidate models."""
 
 from __future__ import annotations
 
@@ -61,7 +61,8 @@ class View:
     def shows_load(self, better: float, sure: float) -> bool:
         """Return whether a constant load is visible.
 
-        The load must leave less than `better` of what the other columns leave, and have `sure` standard deviations.
+        The load must have `sure` standard deviations, and reduce the residual of the other columns below the fraction
+        `better`.
         """
         certain = abs(self.sure(np.eye(self.theta.size)[LOAD])) > sure
         return not self.one_way and certain and self.unexplained < better * self.unexplained_without_load
@@ -73,7 +74,8 @@ class View:
 
     @cached_property
     def theta(self) -> Floats:
-        """The parameters (p,) per unit of the input: mass, viscous and Coulomb friction, load and further terms.
+        """The parameters (p,) per unit of the input, which are mass, viscous and Coulomb friction, load and further
+        terms.
 
         An invisible parameter is 0.
         """
@@ -308,7 +310,7 @@ class CheckedLog:
 
     @cached_property
     def closest_view(self) -> View | None:
-        """The view of the plain drive or of the configured drive, whichever explains more of the input.
+        """The view of the plain drive or the configured drive, whichever explains more of the input.
 
         The configured drive includes gravity, spring and cogging.
         """

@@ -1,1 +1,1 @@
-"""The way from a record alone to an AXIS.toml, with a reason for each guess."""
+"""The way from a record without settings to an AXIS.toml, with a reason for each guess."""

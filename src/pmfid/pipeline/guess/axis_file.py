@@ -26,7 +26,7 @@ __all__ = ["AxisGuess", "find_to_do", "guess"]
 
 #: Reader of an answer. A reader raises ValueError with the remedy for an answer that cannot be used.
 Reader = Callable[[str], float]
-#: Callback that asks for a number that the record does not show. Its arguments are the question and the reader of the
+#: Callback that asks for a number that the record does not show. The arguments are the question and the reader of the
 #: answer. The callback returns None without an answer.
 Ask = Callable[[str, Reader], float | None]
 
@@ -309,7 +309,7 @@ def _number(text: str) -> float:
 
 
 def _format_answer(value: float, turned: bool = False) -> str:
-    """Return an answer as TOML: a number, or a text with the number and the unit of the answer.
+    """Return an answer as TOML, which is a number, or a text with number and unit.
 
     `turned` makes the number negative.
     """

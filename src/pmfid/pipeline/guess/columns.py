@@ -110,8 +110,8 @@ class Pair:
 def numeric(table: Table) -> dict[str, Floats]:
     """Return the columns of numbers that are not constant, by name.
 
-    If the topics of a table have separate rows, the function returns the rows of the position. Other missing values
-    take the preceding value of the column, which suffices for a guess.
+    If the topics of a table have separate rows, the function returns the rows of the position. A missing value inside
+    the record takes the preceding value of the column, which suffices for a guess.
     """
     found: dict[str, Floats] = {}
     rows: Flags | None = None
@@ -155,9 +155,9 @@ def _even(values: Floats) -> bool:
 def pair_of(columns: Mapping[str, Floats], dt: float, output: str | None = None) -> Pair | None:
     """Return input and output among the columns (n,) with a sample period dt [s].
 
-    Names decide first. Input and output of one joint have the same number, and a measured column is better than a
-    command. Among several pairs, the motion of the best pair explains most of the input. The result is None without two
-    columns. `output` is the column of the output, or None for a guess.
+    Names decide first. Input and output of one joint have one number, and a measured column is better than a command.
+    Among several pairs, the motion of the best pair explains most of the input. The result is None without two columns.
+    `output` is the column of the output, or None for a guess.
     """
     roles = {name: role_of(name) for name in columns}
     named = ([name for name in columns if roles[name] == role] for role in OUTPUT_ROLES)
@@ -196,7 +196,7 @@ def pair_of(columns: Mapping[str, Floats], dt: float, output: str | None = None)
 
 
 def _least_distant(names: list[str]) -> list[str]:
-    """Return the columns that are closest to a measurement among columns with the same number."""
+    """Return the columns that are closest to a measurement among columns of one number."""
     closest = dict[str, int]()
     for name in names:
         closest[number_of(name)] = min(closest.get(number_of(name), 2), distance_from_measured(name))
@@ -204,7 +204,7 @@ def _least_distant(names: list[str]) -> list[str]:
 
 
 def _moving(columns: Mapping[str, Floats], outputs: list[str]) -> list[str]:
-    """Return the outputs that are possible for a mass: without jumps, and not the velocity of another output."""
+    """Return the outputs that are possible for a mass, without jumps and velocities of other outputs."""
     smooth = [name for name in outputs if role_of(name) or not _jumps(columns[name])]
     rates = {a for a in smooth for b in smooth if a != b and not role_of(a) and _is_rate(columns[a], columns[b])}
     return [name for name in smooth if name not in rates]

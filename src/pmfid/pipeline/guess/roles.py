@@ -80,12 +80,12 @@ def is_position(name: str) -> bool:
 
 
 def distance_from_measured(name: str) -> int:
-    """Return 0 for a measured column, 1 for a filtered or estimated column and 2 for a command, by the name alone."""
+    """Return by the name 0 for a measured column, 1 for a filtered or estimated column and 2 for a command."""
     changed = any(re.fullmatch(_CHANGED, word) for word in words_of(name))
     return 2 if is_commanded(name) else int(changed)
 
 
 def number_of(name: str) -> str:
-    """Return the number in a name, such as that of a joint, or an empty text without a single number."""
+    """Return the number in a name, such as a joint's number, or an empty text without a single number."""
     found = re.findall(r"\d+", re.sub(r"[\[(][^\])]*[\])]\s*$", "", name) or name) or re.findall(r"\d+", name)
     return found[0] if len(found) == 1 else ""

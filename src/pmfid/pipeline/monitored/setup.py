@@ -40,7 +40,7 @@ VERSION = 6
 
 
 def cache_dir() -> Path:
-    """Return the folder of calibrations: PMFID_CACHE, or pmfid in the user's cache folder."""
+    """Return the folder of calibrations, which is PMFID_CACHE, or pmfid in the user's cache folder."""
     if os.environ.get("PMFID_CACHE"):
         return Path(os.environ["PMFID_CACHE"])
     home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
@@ -75,7 +75,7 @@ def _write(path: Path, calibration: Calibration) -> None:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}")
         part.write_text(f"{_digest(text)}\n{text}", encoding="utf-8")
-        part.replace(path)  # another run may write the same file
+        part.replace(path)  # another run may write this file
     except OSError:
         return
 

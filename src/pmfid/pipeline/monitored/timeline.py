@@ -165,9 +165,7 @@ class Metronome:
         self._next, self._counts = float(saved["next"]), int(saved["counts"])
 
     def take(self, line: Line) -> list[Found]:
-        """Return the sample of a line. Each line advances the time by one sample period, even if the line is
-        unusable.
-        """
+        """Return the sample of a line. Each line, even an unusable one, advances the time by one sample period."""
         time, self._next = self._next, self._next + self.dt
         if line.problem:
             return [Skipped(time, BAD, line.problem), Sample(time, math.nan, self._counts)]
