@@ -244,7 +244,8 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 }
 
 #if PMF_LATE
-/* The older input acts for a part of the interval, the newer input for the remainder. Both parts are simulated exactly.
+/* The older input acts for a part of the interval, the newer input for the remainder. Both parts of the interval are
+ * simulated exactly.
  */
 PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                                      const pmf_late_state_t *late, real_t *signal)

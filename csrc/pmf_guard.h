@@ -370,8 +370,8 @@ static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t
     real_t edge = REST_EDGE + PMF_IF(state->moving > PMF_R(0.0), CAUTION * guard->scatter, PMF_R(0.0));
     truth_t plain = (missed * missed <= edge * edge) & ((guard->suspect | guard->doubt) == 0U) & PMF_NOT(apart);
     real_t scatter = guard->scatter, beyond = scatter + STEP, least = SWINGS * guard->peak;
-    truth_t looks =
-        (guard->seen < config->guard) & (missed * missed > REST_EDGE * REST_EDGE); /* the lesson may be wrong */
+    truth_t looks = (guard->seen < config->guard) &
+                    (missed * missed > REST_EDGE * REST_EDGE); /* the last lesson of the guard may be wrong */
     whole_t status = PMF_W(0);
     if (PMF_ANY(guard->wait > 0U)) {
         guard->wait -= PMF_BIT((guard->wait > 0U) & (guard->suspect == 0U), 1U);

@@ -239,8 +239,8 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
     return PMF_IF(finite_state(state, p, instrumental), status, PMF_W(PMF_RESET | PMF_STARTING));
 }
 
-/* An export with shapes has recursions of two sizes. Both use loops, because code for every size would be twice the
- * rest of the kernel. */
+/* An export with shapes has recursions of two sizes. Both recursions use loops, because code for every size would be
+ * twice the rest of the kernel. */
 #if defined(PMF_PARAMETERS) || (PMF_MAX_SHAPES > 0 && PMF_LAYOUT != 0U)
 #define EVERY_SIZE 0
 #else

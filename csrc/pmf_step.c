@@ -236,7 +236,7 @@ static void weigh_instruments(const pmf_recursion_config_t *config, pmf_network_
 #endif
 
 /* The instrumental estimate takes over after a fair fraction of the direct estimate's samples. The instrumental
- * estimate must also know the mass about as well, or well enough. */
+ * estimate must also know the mass about as well as the direct estimate, or well enough. */
 static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
 {
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;

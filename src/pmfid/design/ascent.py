@@ -181,7 +181,7 @@ def proportions(rule: Criterion, informations: Floats, rounds: int = TUNING.asce
 def share(rule: Criterion, mean: Floats) -> Floats:
     """Return the matrix W (p, p) with value(F) <= trace(W F) for every information F, with equality at the mean.
 
-    The criteria are homogeneous and concave in F, so the tangent at the mean is such a bound.
+    The criteria are homogeneous and concave in F, so that the tangent at the mean is an upper bound.
     """
     return rule.gradient(mean) * rule.value(mean)
 

@@ -148,8 +148,7 @@ class Allowed:
 
 
 def spread_along_ridges(allowed: Allowed, samples: Floats, middle: Floats, rng: np.random.Generator) -> Floats:
-    """Spread the samples (n, p) along the ridges that extend beyond the samples. Without such a ridge, return the
-    samples.
+    """Spread the samples (n, p) along the ridges that extend beyond the samples. Without ridges, return the samples.
 
     `middle` (p,) is a possible place in the middle of the samples.
     """

@@ -143,7 +143,7 @@ def _check_prior(prior: ArrayLike, size: int) -> None:
 
 @dataclass(frozen=True)
 class Relaxation:
-    """A change that makes limits feasible. It sets the limit `name` from `value` to `needed`, both in `unit`."""
+    """A change of the limit `name` from `value` to `needed`, both in `unit`, that makes limits feasible."""
 
     name: str
     value: float

@@ -101,8 +101,8 @@ def matter_of(estimator: Estimator, theta: Floats, std: Floats, spread: Floats, 
 def sizes(estimator: Estimator, theta: Floats) -> Floats:
     """Return the size (p,) to which the error of each parameter in theta (p,) is relative.
 
-    A positive parameter is compared with its own size. A parameter of either sign, such as a load, may be zero. Such a
-    parameter is therefore compared with the largest parameter of the same unit.
+    A positive parameter is compared with its own size. A parameter of either sign, such as a load, may be zero. A
+    parameter of either sign is therefore compared with the largest parameter of its unit.
     """
     own, units = np.abs(theta), np.array(estimator.equation.units)
     largest = np.array([np.max(own[units == unit]) for unit in units])

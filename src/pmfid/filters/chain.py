@@ -107,8 +107,8 @@ def mean_velocity_correction(network: Network, node: int) -> Taps:
     one sample.
 
     For a plant of relative degree r, the factor M_(r+1)/M_r = 1 - dt^2 s_T^2 / 12 (r = 2) matches the term of order
-    n-1. The factor is the next member of the expansion that leads to M_r. It removes a viscous error of d dt^2 <a^2> /
-    (12 <v^2>).
+    n-1. The factor is the next member of the expansion that leads to M_r. The factor removes a viscous error of d dt^2
+    <a^2> / (12 <v^2>).
     """
     one = network.delay(node)
     return [(node, -1 / 12), (one, 14 / 12), (network.delay(one), -1 / 12)]

@@ -197,7 +197,7 @@ class Parts:
     ) -> Iterator[None]:
         """Open a context for all work on these shards of the survey.
 
-        Within the context, rows of files that mix axes are kept by shard. An engine of many machines shuffles such
+        Within the context, rows of files that mix axes are kept by shard. An engine of many machines shuffles mixed
         files itself. The rows go into `folder`, by default the folder of temporary files.
         """
         names = find_mixed_parts(survey.rows, shards) if isinstance(self._engine, Local) else set()

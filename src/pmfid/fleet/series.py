@@ -48,8 +48,8 @@ class Series:
     def usable(self) -> Flags:
         """The segments that count, as flags (n,).
 
-        A usable segment counts if its equation holds. If such segments are a minority, all usable segments count. The
-        equation fails in a segment with a change or a bad start.
+        A usable segment counts if its equation holds. If segments with a valid equation are a minority, all usable
+        segments count. The equation fails in a segment with a change or a bad start.
         """
         clean = self.known & ((self.status & int(Status.UNMODELLED)) == 0)
         return clean if 2 * np.count_nonzero(clean) > np.count_nonzero(self.known) else self.known

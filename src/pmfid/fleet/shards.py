@@ -360,8 +360,8 @@ class StreamSettings:
 def open_folder(checkpoint: Path, out: Path, settings: StreamSettings) -> Iterator[Folder]:
     """Open the folder of results that belongs to a checkpoint.
 
-    Both folders are created if new, and locked for one stream. Raises UsageError if a folder belongs to another stream,
-    to other settings or to a running stream, or cannot be created.
+    The folders of checkpoint and results are created if new, and locked for one stream. Raises UsageError if a folder
+    belongs to another stream, to other settings or to a running stream, or cannot be created.
     """
     if checkpoint.resolve() == out.resolve():
         raise UsageError(f"{out}: is the checkpoint; give a folder of its own for --out")

@@ -353,7 +353,7 @@ def _files(source: Path, out: Path | None) -> list[Part]:
     data = (
         path for path in paths if path.suffix.lower() in known and (own is None or own not in path.resolve().parents)
     )
-    # Engines give such names to files that they write in addition to the data.
+    # Engines write files with a leading dot or underscore in addition to the data.
     found = sorted(path for path in data if not any(part[:1] in "._" for part in path.relative_to(source).parts))
     if not found and not closed:
         raise UsageError(f"{source}: no file of a known format is in it; it should hold Parquet or Arrow files")

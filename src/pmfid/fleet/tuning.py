@@ -10,7 +10,7 @@ class FleetTuning:
     """All thresholds of `pmfid.fleet`, ordered by module."""
 
     # aside
-    #: Multiple of a file's rows above which the file counts as mixed. Shards that read such a file one by one would
+    #: Multiple of a file's rows above which the file counts as mixed. Shards that read a mixed file one by one would
     #: read more rows than this multiple.
     aside_times: int = 3
     #: Largest number of rows in memory while a file's rows are stored by shard.
@@ -23,7 +23,7 @@ class FleetTuning:
     #: deviations.
     changes_part: float = 0.05
     changes_sure: float = 5.0
-    #: Largest number of such segments before the place that explains most.
+    #: Largest number of segments between the beginning of a step and the place that explains most.
     changes_back: int = 2
     #: Least begin of a parameter with a trend, as a part of its mean, because a line may go through zero.
     least_begin: float = 0.1

@@ -153,7 +153,7 @@ def load_state(kernel: Kernel, precision: str, data: bytes) -> None:
 
 
 def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
-    """Copy the learned limits of the motion from `other` to a kernel at its start. Both have the same encoder."""
+    """Copy the learned limits of the motion from `other` to a kernel at its start. Both kernels have one encoder."""
     own, known = (
         np.frombuffer(one.raw_state(), structures(None, precision)["pmf_state_t"]).copy() for one in (kernel, other)
     )

@@ -162,7 +162,7 @@ def _counts_samples(time: Floats, config: RecordConfig) -> bool:
 def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
     """Return the unit that makes the first stamp a date of this century and the step a usual sample period.
 
-    The result is None if no unit does so, or if the unit is known.
+    The result is None without a possible unit, and for a known unit.
     """
     if config.time_unit or config.dt is not None or named_unit(config.time or ""):
         return None

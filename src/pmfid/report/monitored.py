@@ -122,8 +122,8 @@ def _select_trusted(data: RunData) -> Flags:
 def _show_accepted(axes: Axes, values: Floats, status: NDArray[np.uint32]) -> None:
     """Set the range of the axis without samples that were left out, for example at a jump of the counts.
 
-    The neighbours of such a sample are left out as well, because their difference quotients use the sample. With these
-    samples, all others would look flat.
+    The neighbours of a sample that was left out are also left out, because their difference quotients use the sample.
+    With these samples, all others would look flat.
     """
     left_out = np.pad((status & LEFT_OUT) != 0, 1)
     shown = values[~(left_out[:-2] | left_out[1:-1] | left_out[2:]) & np.isfinite(values)]

@@ -48,7 +48,7 @@ def join_arrays(parts: Sequence[object], *names: str) -> list[NDArray[Any]]:
 
 @dataclass(frozen=True)
 class Table:
-    """Blocks of one length as one item with a row for each block, in the order of the gateway.
+    """Blocks of one length as one item, with a row for each block in the sender's order.
 
     `axes` has the names. `epoch`, `first`, `time` and `dt` (k,) are as in `Block`. `u` and `counts` are (k, n), n > 0.
     """
@@ -117,8 +117,8 @@ class Delivery:
 
     `source` is the name in PLANT.toml. `items` are in the order of their arrival. `done` is called at most once, from
     any thread, when all items are in a durable checkpoint. Without checkpoints it is called immediately. A source that
-    can acknowledge does so in `done`. `mark` is the position of the source after this delivery, and is kept in the
-    checkpoint. `received` is `time.monotonic()` at the arrival.
+    can acknowledge uses `done` for the acknowledgement. `mark` is the position of the source after this delivery, and
+    is kept in the checkpoint. `received` is `time.monotonic()` at the arrival.
     """
 
     source: str

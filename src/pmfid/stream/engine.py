@@ -35,8 +35,8 @@ class Inbox:
         self._last = 0.0
 
     def put(self, delivery: Delivery) -> bool:
-        """Hand over a delivery, and wait while the inbox is full. Returns False, without the delivery, once it is
-        closed.
+        """Hand over a delivery, and wait while the inbox is full. A closed inbox refuses the delivery and returns
+        False.
         """
         with self._changed:
             while self._open and self._full:

@@ -206,8 +206,8 @@ def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
     """Return the stops at whose ends the change of the motion (n,) is far larger than elsewhere."""
     limit = max(TUNING.view_abrupt * (elsewhere + 1), TUNING.view_counts)
     begins, ends = (np.array([turn[stop[side]] for stop in stops]) for side in (0, 1))
-    # A counter that catches up jumps to its true value. After such a jump, the larger edge of a stop says more than the
-    # smaller edge.
+    # A counter that catches up jumps to its true value. After a jump of the counter, the larger edge of a stop says
+    # more than the smaller edge.
     both = (np.sqrt(begins * ends) >= limit) & (np.minimum(begins, ends) > elsewhere + 1)
     usual = float(np.median(begins)) if begins.size else 0.0
     dead = (begins >= TUNING.view_dead * limit) & (

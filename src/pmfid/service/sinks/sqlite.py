@@ -104,8 +104,8 @@ class SqliteSink:
     """A sink that writes all given notices in one transaction, or none of them.
 
     When `put` returns, the notices are on the disk. A notice with the same number, axis and content is not written
-    again. The number does not suffice, because a service that lost its state counts from 1 again. The alarms of such a
-    service must not look like old alarms.
+    again. The number does not suffice, because a service that lost its state counts from 1 again. The alarms of a new
+    start must not look like old alarms.
     """
 
     def __init__(self, name: str, path: Path) -> None:
