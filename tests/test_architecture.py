@@ -62,6 +62,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "testing": DIAGNOSTICS,
     "simulation": {"errors", "types"},
     "design": {"errors", "types", "presentation", "lazy_imports", "models", "simulation"},
+    "actuators": {"errors", "findings", "presentation", "simulation", "types"},
     "export": DIAGNOSTICS | {"pmfid"},
     "pipeline": PIPELINE,
     "stream": WINGS,
@@ -358,7 +359,7 @@ TABLES = NUMERIC | {"pydantic", "pydantic_core", "polars"}
 #: Package -> the libraries that the import of its modules needs; all other libraries of OUTSIDE may be absent.
 NEEDS = {
     **dict.fromkeys(["simulation", "kernel", "models", "filters", "linear", "estimators", "diagnostics"], NUMERIC),
-    **dict.fromkeys(["monitor", "testing", "io", "design"], NUMERIC),
+    **dict.fromkeys(["monitor", "testing", "io", "design", "actuators"], NUMERIC),
     **dict.fromkeys(["config", "records", "stream", "pipeline"], TABLES),
     "export": NUMERIC | {"jinja2"},
     "report": TABLES | {"jinja2", "matplotlib"},

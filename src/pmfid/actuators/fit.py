@@ -1,0 +1,296 @@
+"""Parameters of a servo out of a log of position commands: estimates, standard errors and findings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pmfid.actuators.problem import NUISANCE, Problem
+from pmfid.actuators.servo import PARTNERS, SIGNED, UNITS, Servo
+from pmfid.actuators.standard_errors import standard_errors
+from pmfid.actuators.starts import find_start
+from pmfid.actuators.tuning import TUNING
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.findings import Finding, codes, sort_findings, texts
+from pmfid.presentation import Parameters, Presentable, Summary, plain_dict, remarks_of
+from pmfid.types import Floats
+
+#: Terms that a fit adds if the log shows them -> a small value, as a part of the typical torque, or of a period.
+TRIALS: Mapping[str, float] = {
+    **dict.fromkeys(["kd", "gravity", "offset", "stribeck", "load_friction", "quadratic"], 0.02),
+    "loop_delay": 0.1,
+}
+
+
+@dataclass(frozen=True, repr=False)
+class ServoFit(Presentable):
+    """Parameters of a servo with standard errors.
+
+    Attributes
+    ----------
+    servo : Servo
+        The model, with all terms that were found.
+    theta, theta_std : ndarray
+        Estimates and standard errors (p,) in the units of `units`.
+    simulated : ndarray
+        Position (n,) [rad] of the model under the logged commands.
+    residual : float
+        Root mean square of the simulated minus the measured position [rad].
+    limited : float
+        Part of the time at which the torque is limited.
+    added : tuple of str
+        Terms that the log shows and the model did not name.
+    findings : tuple of Finding
+        Observations on the result, the most important first.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid.actuators import Servo, fit_servo
+    >>> true = Servo(resolution=0.0015, given={"kp": 8.0})
+    >>> t = np.arange(600) * 0.01
+    >>> goal = 0.5 * np.sign(np.sin(2.1 * t)) + 0.2 * np.sin(7 * t)
+    >>> position = true.simulate(np.array([0.01, 0.06, 0.05, 0.01]), t, goal, start=0.0)
+    >>> fit = fit_servo(true, t, goal, np.round(position / 0.0015) * 0.0015)
+    >>> fit.servo.unknown[0], abs(float(fit.theta[0]) - 0.01) < 1e-4
+    ('inertia', True)
+    """
+
+    servo: Servo
+    theta: Floats
+    theta_std: Floats
+    simulated: Floats
+    residual: float
+    limited: float
+    added: tuple[str, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters (p,). Where torques are multiples of kp only, the names say so."""
+        return tuple(
+            f"{name}/kp" if self.servo.relative and UNITS[name][0] != UNITS[name][1] else name
+            for name in self.servo.unknown
+        )
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the parameters (p,)."""
+        return self.servo.units
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """Words of the status; empty if nothing was found."""
+        return tuple(codes(finding for finding in self.findings if finding.severity != "note"))
+
+    @cached_property
+    def _parameters(self) -> Parameters:
+        return Parameters(self.names, self.units, self.theta, self.theta_std)
+
+    def summary(self) -> Summary:
+        """Return the title, the table and the remarks of the result."""
+        title = f"servo: deviation of the simulated motion {self.residual:.3g} rad (rms)"
+        return self._parameters.summary(title, remarks_of(self.status, texts(self.findings)))
+
+    def columns(self) -> Mapping[str, object]:
+        """Return the columns of `to_frame`."""
+        return self._parameters.columns
+
+    def to_dict(self) -> dict[str, object]:
+        """Return the result as text, numbers, lists and dicts."""
+        content = {
+            "parameters": self._parameters.content,
+            "given": dict(self.servo.given),
+            "residual": self.residual,
+            "limited": self.limited,
+            "added": list(self.added),
+            "status": list(self.status),
+            "findings": [finding.to_json() for finding in self.findings],
+        }
+        return plain_dict(content)
+
+
+def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search: bool = True) -> ServoFit:
+    """Estimate the parameters of a servo from its commands and positions.
+
+    The closed loop is simulated under the commands, and least squares fit the simulated position to the measured one.
+    The standard errors come from the scores of blocks of the record (Liang and Zeger 1986), so they hold for a
+    correlated residual.
+
+    Parameters
+    ----------
+    servo : Servo
+        What is known.
+    t, goal, position : array_like
+        Times [s], commands [rad] and measured positions [rad], (n,). The steps of the time may vary.
+    search : bool
+        Whether terms that the log shows are added to the model.
+
+    Returns
+    -------
+    ServoFit
+        Estimates, standard errors and findings.
+
+    Raises
+    ------
+    UsageError
+        If the arrays differ in length, are not finite, or if the time does not rise.
+    NotIdentifiableError
+        If the servo does not move, or if no simulated motion follows the measured one.
+
+    Examples
+    --------
+    See `ServoFit`.
+    """
+    arrays = _check(servo, t, goal, position)
+    problem = Problem(servo, *arrays)
+    z, cost = problem.refine(find_start(problem))
+    if cost > 0.5 * float(np.square(problem.position - problem.position.mean()).sum()):
+        raise NotIdentifiableError(
+            "no servo explains the motion: check that goal and position belong to one joint and have one unit and sign"
+        )
+    added: list[str] = []
+    while search and len(added) < TUNING.most_added:
+        better = _add_term(problem, z, cost)
+        if better is None:
+            break
+        problem, z, cost, name = better
+        added.append(name)
+    return _conclude(problem, z, tuple(added))
+
+
+def _check(servo: Servo, t: Floats, goal: Floats, position: Floats) -> list[Floats]:
+    """Return the arrays of a log as floats. Raises for arrays that no fit can use."""
+    arrays = [np.ascontiguousarray(values, dtype=float) for values in (t, goal, position)]
+    if any(values.ndim != 1 or values.size != arrays[0].size for values in arrays):
+        raise UsageError("t, goal and position must be one-dimensional and equally long: use the columns of one table")
+    if arrays[0].size < TUNING.samples_each * (len(servo.unknown) + NUISANCE):
+        raise UsageError(f"{arrays[0].size} samples are too few for {len(servo.unknown)} parameters: use a longer log")
+    for name, values in zip(("t", "goal", "position"), arrays, strict=True):
+        if not np.isfinite(values).all():
+            raise UsageError(f"{name} is not finite in row {int(np.argmin(np.isfinite(values)))}: leave such rows out")
+    if not (np.diff(arrays[0]) > 0).all():
+        raise UsageError(f"t does not rise after row {int(np.argmin(np.diff(arrays[0]) > 0))}: sort the rows by time")
+    if np.ptp(arrays[1]) < 3 * servo.resolution or np.ptp(arrays[2]) < 3 * servo.resolution:
+        raise NotIdentifiableError("the servo hardly moves: command steps or sines of many encoder steps")
+    return arrays
+
+
+# --- terms ------------------------------------------------------------------------------------------------------------
+
+
+def _widen(problem: Problem, z: Floats, name: str) -> tuple[Problem, Floats]:
+    """Return the problem with a further term, and coordinates with a small value of this term."""
+    servo = replace(problem.servo, terms=(*problem.servo.terms, name))
+    wider = Problem(servo, problem.t, problem.goal, problem.position)
+    now = dict(zip(problem.servo.unknown, problem.theta(z).tolist(), strict=True))
+    torque, small = problem.torque(now.get("kp")), TRIALS[name]
+    fresh = {
+        "loop_delay": small * problem.servo.loop_period * 10,
+        "kd": small * torque / problem.speed,
+        "load_friction": small,
+        "quadratic": small * torque / problem.speed**2,
+        "stribeck_speed": 0.2 * problem.speed,
+        "gravity_angle": 0.0,
+    }
+    theta = np.array([now[word] if word in now else fresh.get(word, small * torque) for word in servo.unknown])
+    return wider, np.append(wider.coordinates(theta)[:-NUISANCE], z[-NUISANCE:])
+
+
+def _score(problem: Problem, z: Floats, name: str) -> float:
+    """Return the part of the squared residual that a further term explains to first order."""
+    wider, start = _widen(problem, z, name)
+    base, residual = problem.jacobian(z), problem.residual(z)
+    columns = [wider.residual(start) - residual]
+    if name == "gravity":  # a quarter of a turn away
+        shifted = start.copy()
+        shifted[wider.servo.unknown.index("gravity_angle")] = np.pi / 2
+        columns.append(wider.residual(shifted) - residual)
+    new = np.stack(columns, axis=1)
+    new -= base @ np.linalg.lstsq(base, new, rcond=None)[0]
+    rest = residual - base @ np.linalg.lstsq(base, residual, rcond=None)[0]
+    explained = new @ np.linalg.lstsq(new, rest, rcond=None)[0]
+    return float(explained @ explained / max(rest @ rest, 1e-300))
+
+
+def _add_term(problem: Problem, z: Floats, cost: float) -> tuple[Problem, Floats, float, str] | None:
+    """Return the fit with the term that explains most of the residual, or None if no term is significant."""
+    servo = problem.servo
+    partners = set(PARTNERS.values())
+    open_terms = [
+        name for name in TRIALS if name not in servo.unknown and name not in servo.given and name not in partners
+    ]
+    if servo.relative and "kd" in open_terms:  # kd and viscous friction differ by the loop's delay alone
+        open_terms.remove("kd")
+    if not open_terms:
+        return None
+    scores = {name: _score(problem, z, name) for name in open_terms}
+    name = max(scores, key=lambda word: scores[word])
+    wider, start = _widen(problem, z, name)
+    found, less = wider.refine(start)
+    worth = 1.0 - less / cost
+    chance = min(TUNING.beyond**2 / _independent(problem.residual(z)), TUNING.plain)
+    return (wider, found, less, name) if worth > max(TUNING.explains, chance) else None
+
+
+def _independent(residual: Floats) -> float:
+    """Return the number of independent samples that a correlated residual (n,) is worth."""
+    rho = _correlation(residual)
+    return float(residual.size * (1 - rho) / (1 + rho))
+
+
+def _correlation(residual: Floats) -> float:
+    """Return the correlation of a residual (n,) from one sample to the next, within [0, 0.999]."""
+    centred = residual - residual.mean()
+    return float(np.clip(centred[1:] @ centred[:-1] / max(centred @ centred, 1e-300), 0.0, 0.999))
+
+
+# --- findings ---
+
+
+def _conclude(problem: Problem, z: Floats, added: tuple[str, ...]) -> ServoFit:
+    servo, residual, theta, std = problem.servo, problem.residual(z), problem.theta(z), standard_errors(problem, z)
+    _, _, limited = servo.run(theta, problem.t, problem.goal, float(problem.position[0]))
+    rms = float(np.sqrt(np.mean(residual**2)))
+    findings = _find(servo, theta, std, rms, _correlation(residual), limited, added)
+    return ServoFit(servo, theta, std, residual + problem.position, rms, limited, added, tuple(sort_findings(findings)))
+
+
+def _find(
+    servo: Servo, theta: Floats, std: Floats, rms: float, correlation: float, limited: float, added: tuple[str, ...]
+) -> list[Finding]:
+    findings, deviation = [], rms / servo.resolution
+    if deviation > TUNING.contradicted / math.sqrt(12) and correlation > TUNING.correlated:
+        sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
+        findings.append(Finding("unmodelled", sentence, "name a further term, or move one joint at a time"))
+    unclear, zero = _open_parameters(servo, theta, std)
+    if unclear:
+        sentence = f"the log says too little on {', '.join(unclear)}"
+        findings.append(Finding("poor_excitation", sentence, "command steps and fast sines over the whole range"))
+    if zero:
+        findings.append(Finding("zero", f"the log does not tell {', '.join(zero)} from zero", severity="note"))
+    if added:
+        findings.append(Finding("added", f"the log shows {', '.join(added)}, estimated as well", severity="note"))
+    if servo.relative:
+        remedy = "give kp, a known inertia, or gravity = m g l"
+        findings.append(Finding("relative", "torques are multiples of kp", remedy, "note"))
+    if limited > TUNING.limited and servo.has("torque_limit"):
+        sentence = f"the torque is limited during {100 * limited:.0f} % of the log"
+        findings.append(Finding("saturated", sentence, "command smaller or slower steps"))
+    return findings
+
+
+def _open_parameters(servo: Servo, theta: Floats, std: Floats) -> tuple[list[str], list[str]]:
+    """Return the parameters that the log leaves open, and those among the optional ones that may be zero."""
+    unclear: list[str] = []
+    zero: list[str] = []
+    for name, value, error in zip(servo.unknown, theta, std, strict=True):
+        if name in SIGNED or name in ("delay", "loop_delay") or error < TUNING.open_from * abs(value):
+            continue
+        may_vanish = name in ("viscous", "coulomb", *TRIALS) and value <= 2 * error < math.inf
+        (zero if may_vanish else unclear).append(name)
+    return unclear, zero

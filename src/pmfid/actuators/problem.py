@@ -1,0 +1,101 @@
+"""One log of a servo as a problem of least squares: coordinates, residuals and their derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+
+from pmfid.actuators.servo import SIGNED, Servo
+from pmfid.actuators.tuning import TUNING
+from pmfid.types import Floats
+
+#: The start position [steps of the encoder] and the start velocity follow the parameters in the coordinates.
+NUISANCE = 2
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The residuals of a servo on a log. `t`, `goal` and `position` (n,) are in s and rad.
+
+    Coordinates z (p + 2,) are the logarithms of positive parameters, signed parameters over their scale, the start
+    position over the encoder's step, and the start velocity over `speed`.
+    """
+
+    servo: Servo
+    t: Floats
+    goal: Floats
+    position: Floats
+
+    @cached_property
+    def positive(self) -> np.ndarray:
+        """Whether each parameter is positive (p,)."""
+        return np.array([name not in SIGNED for name in self.servo.unknown])
+
+    @cached_property
+    def scale(self) -> Floats:
+        """Unit of each coordinate of a signed parameter (p,)."""
+        return np.array([self.torque() if name == "offset" else 1.0 for name in self.servo.unknown])
+
+    def torque(self, gain: float | None = None) -> float:
+        """Typical torque [N m] at a gain [N m/rad]; None is the given one, or 1."""
+        gain = self.servo.given.get("kp", 1.0) if gain is None else gain
+        return gain * max(self.lag, self.servo.resolution)
+
+    @cached_property
+    def lag(self) -> float:
+        """Typical distance of the position from the goal [rad]."""
+        return float(np.std(self.goal - self.position))
+
+    @cached_property
+    def speed(self) -> float:
+        """Typical speed [rad/s]."""
+        return max(
+            float(np.std(np.diff(self.position) / np.diff(self.t))), self.servo.resolution / float(np.ptp(self.t))
+        )
+
+    def theta(self, z: Floats) -> Floats:
+        """Parameters (p,) at coordinates (p + 2,)."""
+        own = z[:-NUISANCE]
+        return np.where(self.positive, np.exp(np.clip(own, -60.0, 60.0)), own * self.scale)
+
+    def coordinates(self, theta: Floats, start: float = 0.0, velocity: float = 0.0) -> Floats:
+        """Coordinates (p + 2,) of parameters (p,)."""
+        own = np.where(self.positive, np.log(np.maximum(theta, 1e-26)), theta / self.scale)
+        return np.append(own, [start / self.servo.resolution, velocity / self.speed])
+
+    def simulate(self, z: Floats) -> Floats:
+        """Simulated position (n,) [rad]."""
+        start = float(self.position[0]) + z[-2] * self.servo.resolution
+        return self.servo.simulate(self.theta(z), self.t, self.goal, start, z[-1] * self.speed)
+
+    def residual(self, z: Floats) -> Floats:
+        """Simulated minus measured position (n,) [rad]. The residual is finite for all coordinates."""
+        return np.nan_to_num(np.clip(self.simulate(z) - self.position, -1e6, 1e6), nan=1e6)
+
+    def jacobian(self, z: Floats) -> Floats:
+        """Derivatives (n, p + 2) of the residual by the coordinates, as central differences."""
+        columns = []
+        for index in range(z.size):
+            width = np.zeros_like(z)
+            width[index] = TUNING.difference if index < z.size - NUISANCE and self.positive[index] else 1e-2
+            columns.append((self.residual(z + width) - self.residual(z - width)) / (2 * width[index]))
+        return np.stack(columns, axis=1)
+
+    def refine(self, z: Floats) -> tuple[Floats, float]:
+        """Coordinates of a local minimum of the squared residual from `z` on, and this minimum [rad2]."""
+        from scipy.optimize import least_squares  # slow to import
+
+        found = least_squares(
+            self.residual, z, self.jacobian, method="lm", max_nfev=TUNING.evaluations, xtol=1e-10, ftol=1e-10
+        )
+        return cast("Floats", found.x), 2 * float(found.cost)
+
+    def head(self) -> Problem:
+        """The part of the log on which starts are compared, from shortly before the first motion on."""
+        moving = np.flatnonzero(np.abs(self.goal - self.goal[0]) > 3 * self.servo.resolution)
+        first = float(self.t[moving[0]]) - 0.2 if moving.size else float(self.t[0])
+        use = (self.t >= first) & (self.t <= first + TUNING.start_time)
+        return Problem(self.servo, *(np.ascontiguousarray(part[use]) for part in (self.t, self.goal, self.position)))

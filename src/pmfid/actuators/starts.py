@@ -1,0 +1,66 @@
+"""Starts of a fit: random servos, the best of which are refined."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pmfid.actuators.problem import Problem
+from pmfid.actuators.tuning import TUNING
+from pmfid.types import Floats
+
+
+def _draw(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a number with a uniform logarithm."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _gain(problem: Problem, rng: np.random.Generator, frequency: float) -> float:
+    """Draw a proportional gain [N m/rad] that agrees with what is given."""
+    given = problem.servo.given
+    if problem.servo.relative or "kp" in given:
+        return given.get("kp", 1.0)
+    if "inertia" in given:
+        return given["inertia"] * frequency**2
+    torque = next(given[name] for name in ("gravity", "torque_limit", "coulomb", "kd") if given.get(name))
+    return torque / max(problem.lag, problem.servo.resolution) * _draw(rng, 0.03, 30.0)
+
+
+def _draw_servo(problem: Problem, rng: np.random.Generator, period: float) -> Floats:
+    """Draw one servo, (p,)."""
+    frequency, damping = _draw(rng, *TUNING.frequencies), _draw(rng, *TUNING.dampings)
+    gain = _gain(problem, rng, frequency)
+    inertia = problem.servo.given.get("inertia", gain / frequency**2)
+    torque = gain * max(problem.lag, problem.servo.resolution)
+    drawn = {
+        "inertia": inertia,
+        "viscous": 2 * damping * frequency * inertia,
+        "coulomb": torque * _draw(rng, *TUNING.frictions),
+        "kp": gain,
+        "kd": damping * frequency * inertia,
+        "torque_limit": gain * float(np.max(np.abs(problem.goal - problem.position))) * _draw(rng, 0.1, 1.5),
+        "delay": max(rng.uniform(0.0, TUNING.delays) * period, 1e-6),
+        "loop_delay": rng.uniform(0.1, 1.0) * problem.servo.loop_period,
+        "gravity": torque * _draw(rng, 0.1, 10.0),
+        "gravity_angle": rng.uniform(-np.pi, np.pi),
+        "offset": 0.0,
+        "stribeck": torque * _draw(rng, *TUNING.frictions),
+        "stribeck_speed": problem.speed * _draw(rng, 0.03, 1.0),
+        "load_friction": _draw(rng, 0.01, 0.3),
+        "quadratic": inertia * _draw(rng, 0.01, 1.0),
+    }
+    return np.array([drawn[name] for name in problem.servo.unknown])
+
+
+def find_start(problem: Problem) -> Floats:
+    """Coordinates (p + 2,) of the best local minimum from random starts, on the first part of the motion.
+
+    The starts are the same in each call.
+    """
+    head, rng = problem.head(), np.random.default_rng(0)
+    period = float(np.median(np.diff(head.t)))
+    trials = [head.coordinates(_draw_servo(problem, rng, period)) for _ in range(TUNING.starts)]
+    costs = [float(np.square(head.residual(z)).mean()) for z in trials]
+    best = [trials[index] for index in np.argsort(costs)[: TUNING.refined]]
+    z = min((head.refine(trial) for trial in best), key=lambda found: found[1])[0]
+    start = z[-2:] if head.t[0] == problem.t[0] else np.zeros(2)
+    return np.append(z[:-2], start)

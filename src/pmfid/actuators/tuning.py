@@ -1,0 +1,53 @@
+"""Thresholds, limits and counts of `pmfid.actuators`, each with what it decides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, init=False, repr=False, eq=False)
+class ActuatorTuning:
+    """One value for each decision of `pmfid.actuators`, by module."""
+
+    # fit
+    #: Number of random starts, and number of the best ones that are refined.
+    starts: int = 1200
+    refined: int = 10
+    #: Starts are compared on this much of the motion [s].
+    start_time: float = 12.0
+    #: Ranges from which starts are drawn: natural frequency [rad/s], damping ratio, delay [sample periods], Coulomb
+    #: friction over the torque that the error of the position commands.
+    frequencies: tuple[float, float] = (5.0, 300.0)
+    dampings: tuple[float, float] = (0.05, 3.0)
+    delays: float = 3.5
+    frictions: tuple[float, float] = (0.003, 0.5)
+    #: Step of the difference quotients, in the logarithm of a positive parameter.
+    difference: float = 1e-4
+    #: A positive parameter below this part of its start has no effect, and stays there.
+    least: float = 1e-6
+    #: Simulated motions of one refinement, per parameter.
+    evaluations: int = 60
+    #: The fit needs this many samples for each parameter.
+    samples_each: int = 10
+    #: Blocks of the record whose scores give the standard errors, and the shortest block [s].
+    blocks: int = 40
+    shortest_block: float = 0.25
+    # terms
+    #: A term is added if it explains this part of the squared residual, beyond this many standard deviations.
+    explains: float = 0.03
+    beyond: float = 6.0
+    #: A term that explains this part is added however correlated the residual is.
+    plain: float = 0.3
+    most_added: int = 3
+    # findings
+    #: The residual contradicts the model from this multiple of the encoder's rounding on, if it is correlated this much
+    #: from one sample to the next.
+    contradicted: float = 1.5
+    correlated: float = 0.3
+    #: A parameter is open from this relative standard error on.
+    open_from: float = 0.5
+    #: The torque is limited during so much of the record that a limit belongs to the model.
+    limited: float = 0.2
+
+
+TUNING = ActuatorTuning()

@@ -1,0 +1,8 @@
+import numpy as np
+from numpy.typing import NDArray
+
+_Floats = NDArray[np.float64]
+
+def simulate_servo(
+    t: _Floats, goal: _Floats, values: _Floats, period: float, resolution: float, x0: float, v0: float
+) -> tuple[_Floats, _Floats, float]: ...

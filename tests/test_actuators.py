@@ -1,0 +1,160 @@
+"""Servos under position commands: simulation against small steps, parameters against the truth, refusals."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pmfid.actuators import Servo, fit_servo
+from pmfid.actuators.tuning import ActuatorTuning
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.types import Floats
+
+STEP = 2 * math.pi / 4096
+#: inertia, viscous, coulomb, kp, kd, gravity, torque_limit, delay of a servo on a pendulum.
+TRUTH = {"inertia": 0.01, "viscous": 0.06, "coulomb": 0.05, "kp": 8.0, "kd": 0.02, "gravity": 1.3, "delay": 0.01}
+TRUTH["torque_limit"] = 1e9
+
+
+def simulate_by_small_steps(
+    truth: dict[str, float], t: Floats, goal: Floats, resolution: float = STEP, inner: int = 10
+) -> Floats:
+    """Position (n,) on a grid of 1 ms: semi-implicit Euler, loop at 1 kHz on counts."""
+    h, x, v, torque, before = 1e-3 / inner, 0.0, 0.0, 0.0, 0.0
+    ticks = round((t[-1] - t[0]) / 1e-3)
+    held = goal[np.searchsorted(t, np.arange(ticks) * 1e-3 + 1e-9 - truth["delay"], side="right") - 1]
+    held[: round(truth["delay"] / 1e-3)] = goal[0]
+    out = np.empty(ticks)
+    for k in range(ticks):
+        out[k] = x
+        y = resolution * round(x / resolution) if resolution else x
+        torque = truth["kp"] * (held[k] - y) - truth["kd"] * (y - before) / 1e-3
+        torque, before = max(-truth["torque_limit"], min(torque, truth["torque_limit"])), y
+        for _ in range(inner):
+            v += h / truth["inertia"] * (torque - truth["gravity"] * math.sin(x) - truth["viscous"] * v)
+            stop = h / truth["inertia"] * truth["coulomb"]
+            v = v - math.copysign(stop, v) if abs(v) > stop else 0.0
+            x += h * v
+    return out
+
+
+def make_log(seed: int = 1, time: float = 8.0, period: float = 0.01, **changes: float) -> tuple[Floats, Floats, Floats]:
+    """Times, goals and positions in whole steps of a servo under steps and sines."""
+    rng, t = np.random.default_rng(seed), np.arange(0.0, time, period)
+    steps = rng.uniform(-0.5, 0.5, t.size // 40 + 1).repeat(40)[: t.size]
+    goal = np.where(t < time / 2, steps, 0.4 * np.sin(5 * t) + 0.2 * np.sin(13 * t))
+    position = simulate_by_small_steps({**TRUTH, **changes}, np.append(t, time), np.append(goal, goal[-1]))
+    every = round(period / 1e-3)
+    return t, goal, STEP * np.floor(position[::every] / STEP + 0.5)
+
+
+@pytest.fixture(autouse=True)
+def _few_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The landscape of these logs is plain, and the tests are to be quick."""
+    monkeypatch.setattr(ActuatorTuning, "starts", 300)
+    monkeypatch.setattr(ActuatorTuning, "refined", 3)
+
+
+def check_estimates(fit, within: float, **changes: float) -> None:  # type: ignore[no-untyped-def]
+    truth = {**TRUTH, **changes}
+    for name, value, std in zip(fit.servo.unknown, fit.theta, fit.theta_std, strict=True):
+        if name in truth:
+            assert abs(value - truth[name]) < within * truth[name], name
+            assert abs(value - truth[name]) < 4 * std, name
+
+
+def test_the_simulated_loop_is_that_of_small_steps() -> None:
+    t = np.arange(0.0, 2.0, 0.01)
+    goal = 0.5 * np.sign(np.sin(3 * t)) + 0.2 * np.sin(11 * t)
+    servo = Servo(STEP, given={**TRUTH, "gravity_angle": 0.0})
+    for quantised in (False, True):
+        found = servo.simulate(np.empty(0), t, goal, 0.0, quantised=quantised)
+        expected = simulate_by_small_steps(TRUTH, np.append(t, 2.0), np.append(goal, goal[-1]), STEP * quantised, 100)[
+            ::10
+        ]
+        assert np.abs(found - expected).max() < (2.5 if quantised else 0.2) * STEP
+
+
+def test_a_servo_with_a_known_gain_shows_inertia_friction_gravity_and_delay() -> None:
+    fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02, "gravity_angle": 0.0}, terms=["gravity"]), *make_log())
+    assert fit.servo.unknown == ("inertia", "viscous", "coulomb", "delay", "gravity")
+    check_estimates(fit, 0.05)
+    assert fit.status == ()
+    assert fit.residual < 1.2 * STEP / math.sqrt(12)
+
+
+def test_known_gravity_gives_the_gain() -> None:
+    servo = Servo(STEP, given={"gravity": 1.3, "gravity_angle": 0.0, "kd": 0.02})
+    fit = fit_servo(servo, *make_log(seed=2), search=False)
+    assert "kp" in fit.servo.unknown
+    check_estimates(fit, 0.05)
+
+
+def test_without_any_torque_all_torques_are_multiples_of_the_gain() -> None:
+    fit = fit_servo(Servo(STEP), *make_log(seed=3, gravity=0.0, kd=0.0))
+    assert fit.names[:3] == ("inertia/kp", "viscous/kp", "coulomb/kp")
+    assert fit.units[:3] == ("s2", "s", "rad")
+    assert fit.theta[0] == pytest.approx(0.01 / 8.0, rel=0.01)
+    assert "relative" in [finding.code for finding in fit.findings]
+
+
+def test_a_limit_of_the_torque_is_found() -> None:
+    log = make_log(seed=4, gravity=0.0, torque_limit=1.5)
+    fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}, terms=["torque_limit"]), *log)
+    assert 0.02 < fit.limited < 0.6
+    check_estimates(fit, 0.05, torque_limit=1.5)
+
+
+def test_a_load_that_the_model_lacks_is_found_or_flagged() -> None:
+    fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), *make_log(seed=5))
+    assert "gravity" in fit.added
+    check_estimates(fit, 0.05)
+    plain = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), *make_log(seed=5), search=False)
+    assert "unmodelled" in plain.status
+
+
+def test_rows_may_be_missing() -> None:
+    t, goal, position = make_log(seed=6, gravity=0.0)
+    keep = np.random.default_rng(0).random(t.size) > 0.1
+    keep |= np.append(False, np.diff(goal) != 0)  # a command that nobody logged cannot be simulated
+    fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), t[keep], goal[keep], position[keep])
+    check_estimates(fit, 0.2, gravity=0.0)
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        (lambda t, g, y: (t, g[:-1], y), "equally long"),
+        (lambda t, g, y: (t[:30], g[:30], y[:30]), "too few"),
+        (lambda t, g, y: (t, np.where(t < 1, np.nan, g), y), "goal is not finite in row 0"),
+        (lambda t, g, y: (t[::-1], g, y), "does not rise after row 0"),
+    ],
+)
+def test_arrays_that_no_fit_can_use_are_refused(changed, words: str) -> None:  # type: ignore[no-untyped-def]
+    t = np.arange(200) * 0.01
+    with pytest.raises(UsageError, match=words):
+        fit_servo(Servo(STEP), *changed(t, np.sin(t), np.sin(t)))
+
+
+def test_a_motion_that_does_not_follow_the_command_is_refused() -> None:
+    t, goal, position = make_log()
+    with pytest.raises(NotIdentifiableError, match="one joint"):
+        fit_servo(Servo(STEP), t, np.random.default_rng(0).permutation(goal), -position)
+    with pytest.raises(NotIdentifiableError, match="hardly moves"):
+        fit_servo(Servo(STEP), t, goal, 0 * position)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"resolution": 0.0}, "resolution must be positive"),
+        ({"resolution": STEP, "given": {"kq": 1.0}}, "did you mean 'kp'"),
+        ({"resolution": STEP, "given": {"kp": -1.0}}, "kp must be finite and positive"),
+        ({"resolution": STEP, "terms": ["friction"]}, "unknown parameter 'friction'"),
+    ],
+)
+def test_a_servo_of_impossible_values_is_refused(arguments: dict, words: str) -> None:  # type: ignore[type-arg]
+    with pytest.raises(UsageError, match=words):
+        Servo(**arguments)
