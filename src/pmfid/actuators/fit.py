@@ -9,7 +9,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pmfid.actuators.problem import NUISANCE, Problem
+from pmfid.actuators.problem import ServoProblem
 from pmfid.actuators.servo import PARTNERS, SIGNED, UNITS, Servo
 from pmfid.actuators.standard_errors import standard_errors
 from pmfid.actuators.starts import find_start
@@ -147,7 +147,7 @@ def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search
     See `ServoFit`.
     """
     arrays = _check(servo, t, goal, position)
-    problem = Problem(servo, *arrays)
+    problem = ServoProblem(servo, *arrays)
     z, cost = problem.refine(find_start(problem))
     if cost > 0.5 * float(np.square(problem.position - problem.position.mean()).sum()):
         raise NotIdentifiableError(
@@ -168,7 +168,7 @@ def _check(servo: Servo, t: Floats, goal: Floats, position: Floats) -> list[Floa
     arrays = [np.ascontiguousarray(values, dtype=float) for values in (t, goal, position)]
     if any(values.ndim != 1 or values.size != arrays[0].size for values in arrays):
         raise UsageError("t, goal and position must be one-dimensional and equally long: use the columns of one table")
-    if arrays[0].size < TUNING.samples_each * (len(servo.unknown) + NUISANCE):
+    if arrays[0].size < TUNING.samples_each * (len(servo.unknown) + TUNING.nuisance):
         raise UsageError(f"{arrays[0].size} samples are too few for {len(servo.unknown)} parameters: use a longer log")
     for name, values in zip(("t", "goal", "position"), arrays, strict=True):
         if not np.isfinite(values).all():
@@ -183,10 +183,10 @@ def _check(servo: Servo, t: Floats, goal: Floats, position: Floats) -> list[Floa
 # --- terms ------------------------------------------------------------------------------------------------------------
 
 
-def _widen(problem: Problem, z: Floats, name: str) -> tuple[Problem, Floats]:
+def _widen(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, Floats]:
     """Return the problem with a further term, and coordinates with a small value of this term."""
     servo = replace(problem.servo, terms=(*problem.servo.terms, name))
-    wider = Problem(servo, problem.t, problem.goal, problem.position)
+    wider = ServoProblem(servo, problem.t, problem.goal, problem.position)
     now = dict(zip(problem.servo.unknown, problem.theta(z).tolist(), strict=True))
     torque, small = problem.torque(now.get("kp")), TRIALS[name]
     fresh = {
@@ -198,10 +198,10 @@ def _widen(problem: Problem, z: Floats, name: str) -> tuple[Problem, Floats]:
         "gravity_angle": 0.0,
     }
     theta = np.array([now[word] if word in now else fresh.get(word, small * torque) for word in servo.unknown])
-    return wider, np.append(wider.coordinates(theta)[:-NUISANCE], z[-NUISANCE:])
+    return wider, np.append(wider.coordinates(theta)[: -TUNING.nuisance], z[-TUNING.nuisance :])
 
 
-def _score(problem: Problem, z: Floats, name: str) -> float:
+def _score(problem: ServoProblem, z: Floats, name: str) -> float:
     """Return the part of the squared residual that a further term explains to first order."""
     wider, start = _widen(problem, z, name)
     base, residual = problem.jacobian(z), problem.residual(z)
@@ -217,7 +217,7 @@ def _score(problem: Problem, z: Floats, name: str) -> float:
     return float(explained @ explained / max(rest @ rest, 1e-300))
 
 
-def _add_term(problem: Problem, z: Floats, cost: float) -> tuple[Problem, Floats, float, str] | None:
+def _add_term(problem: ServoProblem, z: Floats, cost: float) -> tuple[ServoProblem, Floats, float, str] | None:
     """Return the fit with the term that explains most of the residual, or None if no term is significant."""
     servo = problem.servo
     partners = set(PARTNERS.values())
@@ -252,7 +252,7 @@ def _correlation(residual: Floats) -> float:
 # --- findings ---
 
 
-def _conclude(problem: Problem, z: Floats, added: tuple[str, ...]) -> ServoFit:
+def _conclude(problem: ServoProblem, z: Floats, added: tuple[str, ...]) -> ServoFit:
     servo, residual, theta, std = problem.servo, problem.residual(z), problem.theta(z), standard_errors(problem, z)
     _, _, limited = servo.run(theta, problem.t, problem.goal, float(problem.position[0]))
     rms = float(np.sqrt(np.mean(residual**2)))

@@ -12,12 +12,9 @@ from pmfid.actuators.servo import SIGNED, Servo
 from pmfid.actuators.tuning import TUNING
 from pmfid.types import Floats
 
-#: The start position [steps of the encoder] and the start velocity follow the parameters in the coordinates.
-NUISANCE = 2
-
 
 @dataclass(frozen=True)
-class Problem:
+class ServoProblem:
     """The residuals of a servo on a log. `t`, `goal` and `position` (n,) are in s and rad.
 
     Coordinates z (p + 2,) are the logarithms of positive parameters, signed parameters over their scale, the start
@@ -58,7 +55,7 @@ class Problem:
 
     def theta(self, z: Floats) -> Floats:
         """Parameters (p,) at coordinates (p + 2,)."""
-        own = z[:-NUISANCE]
+        own = z[: -TUNING.nuisance]
         return np.where(self.positive, np.exp(np.clip(own, -60.0, 60.0)), own * self.scale)
 
     def coordinates(self, theta: Floats, start: float = 0.0, velocity: float = 0.0) -> Floats:
@@ -80,7 +77,7 @@ class Problem:
         columns = []
         for index in range(z.size):
             width = np.zeros_like(z)
-            width[index] = TUNING.difference if index < z.size - NUISANCE and self.positive[index] else 1e-2
+            width[index] = TUNING.difference if index < z.size - TUNING.nuisance and self.positive[index] else 1e-2
             columns.append((self.residual(z + width) - self.residual(z - width)) / (2 * width[index]))
         return np.stack(columns, axis=1)
 
@@ -93,9 +90,11 @@ class Problem:
         )
         return cast("Floats", found.x), 2 * float(found.cost)
 
-    def head(self) -> Problem:
+    def head(self) -> ServoProblem:
         """The part of the log on which starts are compared, from shortly before the first motion on."""
         moving = np.flatnonzero(np.abs(self.goal - self.goal[0]) > 3 * self.servo.resolution)
         first = float(self.t[moving[0]]) - 0.2 if moving.size else float(self.t[0])
         use = (self.t >= first) & (self.t <= first + TUNING.start_time)
-        return Problem(self.servo, *(np.ascontiguousarray(part[use]) for part in (self.t, self.goal, self.position)))
+        return ServoProblem(
+            self.servo, *(np.ascontiguousarray(part[use]) for part in (self.t, self.goal, self.position))
+        )

@@ -6,23 +6,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from pmfid.actuators.problem import NUISANCE, Problem
+from pmfid.actuators.problem import ServoProblem
 from pmfid.actuators.servo import SIGNED
 from pmfid.actuators.tuning import TUNING
 from pmfid.types import Floats
 
 
-def standard_errors(problem: Problem, z: Floats) -> Floats:
+def standard_errors(problem: ServoProblem, z: Floats) -> Floats:
     """Return the standard errors (p,) at the minimum `z`, in the units of the parameters."""
     theta = problem.theta(z)
     slope = np.where(problem.positive, theta, problem.scale)
     covariance = _covariance(problem, z, problem.jacobian(z), problem.residual(z))
-    std = np.sqrt(np.diag(covariance))[:-NUISANCE] * slope
-    small = _small(problem, z, theta)
+    std = np.sqrt(np.diag(covariance))[: -TUNING.nuisance] * slope
+    small = _error_at_zero(problem, z, theta)
     return np.asarray(np.where(np.isnan(small), std, small))
 
 
-def _covariance(problem: Problem, z: Floats, jacobian: Floats, residual: Floats) -> Floats:
+def _covariance(problem: ServoProblem, z: Floats, jacobian: Floats, residual: Floats) -> Floats:
     """Return the covariance of the coordinates (p + 2, p + 2): scores of blocks, and the unknown delay of the loop."""
     n, count = jacobian.shape
     bread = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
@@ -35,12 +35,12 @@ def _covariance(problem: Problem, z: Floats, jacobian: Floats, residual: Floats)
     # The larger of both for each coordinate, with the correlations of the blocks.
     factor = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(spread), 1e-300), 1.0))
     covariance = spread * np.outer(factor, factor)
-    for shift in _neglected(problem, z, bread @ jacobian.T, residual):
+    for shift in _neglected_shifts(problem, z, bread @ jacobian.T, residual):
         covariance = covariance + np.outer(shift, shift)
     return np.asarray(covariance)
 
 
-def _neglected(problem: Problem, z: Floats, solve: Floats, residual: Floats) -> list[Floats]:
+def _neglected_shifts(problem: ServoProblem, z: Floats, solve: Floats, residual: Floats) -> list[Floats]:
     """Return what the neglected parts of the loop shift the coordinates by: list of (p + 2,).
 
     These parts are half a period of delay in the loop, the encoder's step in the loop, and the phase of the ticks.
@@ -57,7 +57,7 @@ def _neglected(problem: Problem, z: Floats, solve: Floats, residual: Floats) -> 
         servo, given={**servo.given, "loop_delay": servo.given.get("loop_delay", 0.0) + servo.loop_period / 2}
     )
     if late.unknown == servo.unknown:
-        shifts.append(solve @ (Problem(late, problem.t, problem.goal, problem.position).residual(z) - residual))
+        shifts.append(solve @ (ServoProblem(late, problem.t, problem.goal, problem.position).residual(z) - residual))
     if "delay" in servo.unknown:
         index = servo.unknown.index("delay")
         tick = np.zeros_like(z)
@@ -66,7 +66,7 @@ def _neglected(problem: Problem, z: Floats, solve: Floats, residual: Floats) -> 
     return shifts
 
 
-def _small(problem: Problem, z: Floats, theta: Floats) -> Floats:
+def _error_at_zero(problem: ServoProblem, z: Floats, theta: Floats) -> Floats:
     """Return standard errors (p,) of positive parameters that ended at zero, and NaN for all others.
 
     The logarithm of such a parameter has no derivative. The standard error is that of the parameter itself.
@@ -88,7 +88,7 @@ def _small(problem: Problem, z: Floats, theta: Floats) -> Floats:
     return out
 
 
-def _unit(problem: Problem, z: Floats, name: str) -> float:
+def _unit(problem: ServoProblem, z: Floats, name: str) -> float:
     """Return a value of a parameter that has a clear effect."""
     now = dict(zip(problem.servo.unknown, problem.theta(z).tolist(), strict=True))
     torque = problem.torque(now.get("kp"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmfid.actuators.problem import Problem
+from pmfid.actuators.problem import ServoProblem
 from pmfid.actuators.tuning import TUNING
 from pmfid.types import Floats
 
@@ -14,7 +14,7 @@ def _draw(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _gain(problem: Problem, rng: np.random.Generator, frequency: float) -> float:
+def _gain(problem: ServoProblem, rng: np.random.Generator, frequency: float) -> float:
     """Draw a proportional gain [N m/rad] that agrees with what is given."""
     given = problem.servo.given
     if problem.servo.relative or "kp" in given:
@@ -25,7 +25,7 @@ def _gain(problem: Problem, rng: np.random.Generator, frequency: float) -> float
     return torque / max(problem.lag, problem.servo.resolution) * _draw(rng, 0.03, 30.0)
 
 
-def _draw_servo(problem: Problem, rng: np.random.Generator, period: float) -> Floats:
+def _draw_servo(problem: ServoProblem, rng: np.random.Generator, period: float) -> Floats:
     """Draw one servo, (p,)."""
     frequency, damping = _draw(rng, *TUNING.frequencies), _draw(rng, *TUNING.dampings)
     gain = _gain(problem, rng, frequency)
@@ -51,7 +51,7 @@ def _draw_servo(problem: Problem, rng: np.random.Generator, period: float) -> Fl
     return np.array([drawn[name] for name in problem.servo.unknown])
 
 
-def find_start(problem: Problem) -> Floats:
+def find_start(problem: ServoProblem) -> Floats:
     """Coordinates (p + 2,) of the best local minimum from random starts, on the first part of the motion.
 
     The starts are the same in each call.

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 class ActuatorTuning:
     """One value for each decision of `pmfid.actuators`, by module."""
 
+    # problem
+    #: The start position and the start velocity follow the parameters in the coordinates.
+    nuisance: int = 2
     # fit
     #: Number of random starts, and number of the best ones that are refined.
     starts: int = 1200
