@@ -235,9 +235,11 @@ typedef struct {
 /* Columns are sums of taps: regressors, then the target, then the instruments if there are any. */
 typedef struct {
     uint32_t n_stages, n_columns;
+#if PMF_WITH_NETWORK
     pmf_stage_t stage[PMF_MAX_STAGES];
     uint32_t tap_end[PMF_MAX_COLUMNS];
     pmf_tap_t tap[PMF_MAX_TAPS];
+#endif
 #if PMF_WITH_STEPS
     uint32_t n_rates; /* 0: the step does not vary */
     pmf_rates_t rates;

@@ -81,7 +81,7 @@ PMF_SELDOM void learn_scatter(const pmf_encoder_config_t *config, pmf_guard_stat
 }
 
 /* Begin a suspicion, and withdraw the lesson of the preceding sample. */
-PMF_SELDOM void begin_suspicion(pmf_guard_state_t *guard, truth_t where, real_t last)
+PMF_RARE void begin_suspicion(pmf_guard_state_t *guard, truth_t where, real_t last)
 {
     truth_t fresh = where & ((guard->wait > 0U) | (size_of(guard->missed) > guard->scatter + STEP));
     guard->scatter -= PMF_IF(fresh & (guard->lesson < guard->scatter), guard->lesson, PMF_R(0.0));
@@ -90,7 +90,7 @@ PMF_SELDOM void begin_suspicion(pmf_guard_state_t *guard, truth_t where, real_t 
 }
 
 /* Return the error of the last count that was accepted at once. */
-PMF_SELDOM real_t last_miss(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, truth_t suspected)
+PMF_RARE real_t last_miss(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, truth_t suspected)
 {
     whole_t wait = guard->wait + 1U;
     truth_t judged = (wait == CALM(config)) | (wait == 2U * CALM(config));
@@ -103,7 +103,7 @@ PMF_SELDOM real_t last_miss(const pmf_encoder_config_t *config, const pmf_guard_
 }
 
 /* Learn the effect of an input from a sample without a doubt. */
-PMF_SELDOM void learn_gain(pmf_guard_state_t *guard, truth_t where, real_t swing, real_t missed)
+PMF_RARE void learn_gain(pmf_guard_state_t *guard, truth_t where, real_t swing, real_t missed)
 {
     real_t gain = guard->gain + GAIN_STEP * missed * (swing / guard->peak) / guard->peak;
     where = where & (guard->peak > LEAST_PEAK) & (guard->seen >= FIRST_SAMPLES);
@@ -139,7 +139,7 @@ PMF_SELDOM integer_t rounded(real_t x)
     return PMF_TO_INTEGER(x + PMF_IF(x < PMF_R(0.0), PMF_R(-0.5), PMF_R(0.5)));
 }
 
-PMF_SELDOM integer_t sum_of(integer_t a, integer_t b)
+PMF_RARE integer_t sum_of(integer_t a, integer_t b)
 {
     return signed_count(0xffffffffU, ((whole_t)a + (whole_t)b) & 0xffffffffU);
 }
@@ -155,8 +155,8 @@ static integer_t foreseen_change(integer_t change, real_t rate)
 /* Two successive wrong readings may look like the first two samples of a blow. The third sample continues only after a
  * blow.
  */
-PMF_SELDOM truth_t is_blow(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed,
-                           real_t pending, real_t limit)
+PMF_RARE truth_t is_blow(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed,
+                         real_t pending, real_t limit)
 {
     real_t before = guard->missed, most = PMF_R(2.0) * PMF_TO_REAL((integer_t)guard->suspect) * size_of(missed) + limit;
     truth_t third = guard->suspect > 1U;
@@ -173,7 +173,7 @@ PMF_SELDOM truth_t is_blow(const pmf_encoder_config_t *config, const pmf_guard_s
 
 /* Return whether this error is the largest so far. During learning a jump causes the errors J and -2 J, and a wrong
  * reading J and -3 J. */
-PMF_SELDOM truth_t was_wild(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed)
+PMF_RARE truth_t was_wild(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed)
 {
     real_t first = guard->missed, size = size_of(first);
     truth_t wild = (size_of(missed + PMF_R(2.5) * first) <= PMF_R(0.75) * size) & (size > guard->scatter);
@@ -214,7 +214,7 @@ static whole_t doubt_lessons(const pmf_encoder_config_t *config, pmf_guard_state
 
 /* The lesson of a wrong count would hide all other wrong counts. The guard does not restart from the first sample,
  * because the learning might never end. */
-PMF_SELDOM void learn_anew(pmf_guard_state_t *guard, truth_t where, real_t change)
+PMF_RARE void learn_anew(pmf_guard_state_t *guard, truth_t where, real_t change)
 {
     guard->scatter = PMF_IF(where, PMF_R(0.0), guard->scatter);
     guard->missed = PMF_IF(where, PMF_R(0.0), guard->missed);
@@ -323,8 +323,8 @@ static void judge_input(const pmf_encoder_config_t *config, pmf_encoder_state_t 
 }
 
 /* Judge a new input, which sets a new size or is doubtful. */
-PMF_SELDOM truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, truth_t grows,
-                              real_t missed_before, real_t size)
+PMF_RARE truth_t meet_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, truth_t grows,
+                            real_t missed_before, real_t size)
 {
     pmf_guard_state_t *guard = &state->guard;
     real_t spike = PMF_IF(guard->seen >= config->guard, PMF_ALIKE(config->spike), EARLY_SPIKE);

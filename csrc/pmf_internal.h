@@ -89,6 +89,14 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_SELDOM static
 #endif
 
+/* The same for functions with one caller or a short body: in an export, the compiler may join them with their callers.
+ */
+#if PMF_LAYOUT != 0U
+#define PMF_RARE static
+#else
+#define PMF_RARE PMF_SELDOM
+#endif
+
 /* Source of the accepted value of an estimated dead time. */
 #define PMF_BELIEVES_NONE 0U /* the recursion, without a better source */
 #define PMF_BELIEVES_HELD 1U /* the last accepted value */

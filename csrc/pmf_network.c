@@ -5,8 +5,10 @@
  * digits at small pole * dt. */
 #include "pmf_internal.h"
 
+#if PMF_WITH_NETWORK
 #define COLUMN(c, t, from) column[c] = tap[t].weight * node[from];
 #define TAP(c, t, from) column[c] += tap[t].weight * node[from];
+#endif
 
 #if PMF_STEPS
 #if PMF_LAYOUT != 0U /* an export has exactly the rules of its stages */
@@ -75,19 +77,44 @@ static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t
 }
 #endif
 
-#ifdef PMF_NETWORK
+#define DELAY(k, from)                       \
+    {                                        \
+        real_t w = node[from];               \
+        node[PMF_SIGNALS + (k)] = memory[k]; \
+        memory[k] = w;                       \
+    }
+
+#if !PMF_WITH_NETWORK
+/* Straight code with the constants of an export. A rise has the coefficient b1 = -b0. */
+#define STAGE(k, from, a, b0, b1)                        \
+    {                                                    \
+        real_t w = node[from], y = (b0) * w + memory[k]; \
+        memory[k] = (b1) * w + (a) * y;                  \
+        node[PMF_SIGNALS + (k)] = y;                     \
+    }
+#define RISE(k, from, a, b0)                             \
+    {                                                    \
+        real_t x = (b0) * node[from], y = x + memory[k]; \
+        memory[k] = (a) * y - x;                         \
+        node[PMF_SIGNALS + (k)] = y;                     \
+    }
+#define COLUMN(c, from, weight) column[c] = (weight) * node[from];
+#define TAP(c, from, weight) column[c] += (weight) * node[from];
+
+PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
+{
+    real_t *node = state->node, *memory = state->memory, *column = state->column;
+    (void)config;
+    PMF_STAGES(STAGE, RISE, DELAY)
+    PMF_COLUMNS(COLUMN, TAP)
+}
+#elif defined(PMF_NETWORK)
 /* Straight code for known stages and taps, listed in order. */
 #define STAGE(k, from)                                          \
     {                                                           \
         real_t w = node[from], y = stage[k].b0 * w + memory[k]; \
         memory[k] = stage[k].b1 * w + stage[k].a * y;           \
         node[PMF_SIGNALS + (k)] = y;                            \
-    }
-#define DELAY(k, from)                       \
-    {                                        \
-        real_t w = node[from];               \
-        node[PMF_SIGNALS + (k)] = memory[k]; \
-        memory[k] = w;                       \
     }
 
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)

@@ -28,8 +28,10 @@
 #define PMF_WITH_SPLIT 1 /* signals beyond input, velocity and direction */
 #define PMF_WITH_NOISE 1 /* known covariance of the noise */
 #define PMF_WITH_STEPS 1 /* each sample has the time since the preceding sample */
+#define PMF_WITH_NETWORK 1 /* the network is part of the configuration; otherwise it is code */
 
 #define PMF_LAYOUT 0U /* CRC-32 of the state's fields. Python computes the number for the module. */
+#define PMF_CONFIG 0U /* CRC-32 of the configuration, likewise */
 
 /* An export also defines the number of parameters of every recursion (PMF_PARAMETERS), the use of instruments
  * (PMF_INSTRUMENTAL), the forgetting (PMF_SCHEME), and PMF_FLOAT32 for float32 arithmetic. The build defines these

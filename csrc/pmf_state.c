@@ -29,6 +29,7 @@ static uint32_t checksum(const pmf_saved_t *saved)
     return pmf_crc32(pmf_crc32(0U, head, (uint32_t)sizeof head), &saved->state, (uint32_t)sizeof saved->state);
 }
 
+#if PMF_WITH_NETWORK
 /* Return whether all stages compute their nodes from nodes of the same step. */
 static uint32_t computes_nodes(const pmf_network_config_t *network)
 {
@@ -44,11 +45,18 @@ static uint32_t computes_nodes(const pmf_network_config_t *network)
     return 1U;
 #endif
 }
+#else
+#define STAGE(k, from, a, b0, b1) &((from) < PMF_SIGNALS + (k))
+#define RISE(k, from, a, b0) STAGE(k, from, a, b0, b0)
+#define DELAY(k, from) STAGE(k, from, 0, 0, 1)
+#define computes_nodes(network) (1U PMF_STAGES(STAGE, RISE, DELAY))
+#endif
 
 void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state)
 {
     real_t *node = state->network.node;
     uint32_t keeps = 0U, models = 0U, size = (uint32_t)sizeof *node;
+    (void)config; /* an export may have its values as constants */
 #if PMF_WITH_LINEAR
     keeps |= config->linear.enabled;
 #endif
@@ -78,7 +86,7 @@ void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t 
     saved->version = PMF_STATE_VERSION;
     saved->layout = PMF_LAYOUT;
     saved->size = (uint32_t)sizeof *saved;
-    saved->config = pmf_crc32(0U, config, (uint32_t)sizeof *config);
+    saved->config = PMF_CONFIG;
     pmf_copy(state, &saved->state, (uint32_t)sizeof *state);
     pmf_clear_computed(config, &saved->state);
     saved->checksum = checksum(saved);
@@ -95,7 +103,7 @@ uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_stat
     if (saved->version != PMF_STATE_VERSION || saved->layout != PMF_LAYOUT) {
         return PMF_OTHER_VERSION;
     }
-    if (saved->config != pmf_crc32(0U, config, (uint32_t)sizeof *config)) {
+    if (saved->config != PMF_CONFIG) {
         return PMF_OTHER_CONFIG;
     }
     if (pmf_plausible(config, &saved->state) == 0U) {

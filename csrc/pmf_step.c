@@ -110,6 +110,23 @@ PMF_SELDOM void begin_again(const pmf_config_t *config, pmf_state_t *state)
 }
 #endif
 
+#if PMF_WITH_AUXILIARY
+/* The nodes that the auxiliary model writes. */
+typedef struct {
+    real_t signal[PMF_SIGNALS];
+} signals_t;
+
+/* Step the auxiliary model if it has parameters. Lanes without them keep only the model and its signals: a copy of the
+ * whole state takes as long as several samples. */
+static void step_model(const pmf_config_t *config, pmf_state_t *state)
+{
+    truth_t running = state->auxiliary.running != 0U;
+    signals_t *signals = (signals_t *)(void *)state->network.node;
+    PMF_WHERE(running, &state->auxiliary,
+              PMF_WHERE(running, signals, pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, signals->signal)));
+}
+#endif
+
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
     whole_t status = pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
@@ -143,8 +160,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
             pmf_auxiliary_late_step(&config->auxiliary, &state->auxiliary, &state->late, state->network.node);
         } else
 #endif
-            PMF_WHERE(state->auxiliary.running != 0U, state,
-                      pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, state->network.node));
+            step_model(config, state);
     }
 #endif
 #if PMF_STEPS

@@ -465,7 +465,7 @@ def test_fuzzing_for_a_while_finds_nothing(cls: type[RecursiveEstimator], tmp_pa
 
 @needs(M4F)
 def test_a_bcrls_drive_is_small(tmp_path: Path) -> None:
-    """BCRLS, float32, Cortex-M4F, without the guard: flash 4.1 kB, state under 700 bytes, stack under 400 bytes, 1500
+    """BCRLS, float32, Cortex-M4F, without the guard: flash 4.2 kB, state under 700 bytes, stack under 400 bytes, 1300
     instructions.
     """
     estimator = make(pmfid.BCRLS)
@@ -473,7 +473,7 @@ def test_a_bcrls_drive_is_small(tmp_path: Path) -> None:
     measured = cost(tmp_path, "axis")
     assert 2000 < measured.flash < 4200
     assert 100 < measured.stack < 400
-    assert 500 < measured.mean <= measured.most < 1500
+    assert 500 < measured.mean <= measured.most < 1300
     assert "RAM 588 bytes" in (tmp_path / "axis.h").read_text()
     names = {name for name, _ in kept((tmp_path / "drive.map").read_text())}
     assert all(name.endswith("-drive.o") for name in names), "nothing of the C library"

@@ -105,6 +105,16 @@ pmf_stepper_t *pmf_fastest_step(const pmf_config_t *config)
     }
 }
 
+pmf_stepper_t *pmf_fastest_filter(const pmf_config_t *config)
+{
+    switch (pmf_method_of(config)) {
+    case PMF_RLS: return pmf_filter_rls;
+    case PMF_BCRLS: return pmf_filter_bcrls;
+    case PMF_RIV: return pmf_filter_riv;
+    default: return pmf_is_plain(config) ? pmf_filter_plain : pmf_filter;
+    }
+}
+
 static void run_one(const pmf_config_t *config, const pmf_many_t *many, pmf_stepper_t *step, uint64_t axis,
                     pmf_state_t *state)
 {

@@ -67,6 +67,11 @@ uint32_t JOIN(pmf_step, PMF_STRAIGHT)(const pmf_config_t *config, pmf_state_t *s
     return pmf_step(config, state, input, count);
 }
 
+uint32_t JOIN(pmf_filter, PMF_STRAIGHT)(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count)
+{
+    return pmf_filter(config, state, input, count);
+}
+
 uint32_t JOIN(pmf_is, PMF_STRAIGHT)(const pmf_config_t *config)
 {
     return config->encoder.rate == 0 && config->late.room == 0U && config->linear.enabled == 0U &&

@@ -18,10 +18,17 @@ uint32_t pmf_step_rls(const pmf_config_t *config, pmf_state_t *state, scalar_t i
 uint32_t pmf_step_bcrls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 uint32_t pmf_step_riv(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 uint32_t pmf_step_plain(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+/* Encoder and filters of the methods. */
+uint32_t pmf_filter_rls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+uint32_t pmf_filter_bcrls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+uint32_t pmf_filter_riv(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+uint32_t pmf_filter_plain(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 
 /* Return PMF_GENERAL or the method of a configuration. */
 uint32_t pmf_method_of(const pmf_config_t *config);
 /* Return the fastest step of a configuration, with the bits of pmf_step(). */
 pmf_stepper_t *pmf_fastest_step(const pmf_config_t *config);
+/* Return the fastest filters of a configuration, with the bits of pmf_filter(). */
+pmf_stepper_t *pmf_fastest_filter(const pmf_config_t *config);
 
 #endif

@@ -73,7 +73,6 @@ cdef extern from "pmf_internal.h":
     void pmf_init(const pmf_config_t *, pmf_state_t *) nogil
     uint32_t pmf_step(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     void pmf_set_step(const pmf_config_t *, pmf_state_t *, real_t) nogil
-    uint32_t pmf_filter(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) nogil
     uint32_t pmf_plausible(const pmf_config_t *, const pmf_state_t *) nogil
     void pmf_open(const pmf_config_t *, pmf_state_t *, uint32_t, real_t) nogil
     void pmf_rebase(pmf_state_t *, uint32_t) nogil
@@ -111,6 +110,7 @@ cdef extern from "many/pmf_motions.h":
 cdef extern from "many/pmf_straight.h":
     ctypedef uint32_t pmf_stepper_t(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) noexcept nogil
     pmf_stepper_t *pmf_fastest_step(const pmf_config_t *) nogil
+    pmf_stepper_t *pmf_fastest_filter(const pmf_config_t *) nogil
 
 cdef extern from "many/pmf_many.h":
     ctypedef struct pmf_rows_t:
@@ -323,11 +323,12 @@ cdef class Kernel:
         cdef Py_ssize_t n = u.shape[0], c = self.config.network.n_columns, k, i
         cdef cnp.ndarray[double, ndim=2, mode="c"] columns = np.empty((n, c))
         cdef cnp.ndarray[uint32_t, mode="c"] status = np.empty(n, np.uint32)
+        cdef pmf_stepper_t *filtered = pmf_fastest_filter(&self.config)
         with nogil:
             for k in range(n):
                 if step != NULL:
                     pmf_set_step(&self.config, &self.state, <real_t> step[k])
-                status[k] = pmf_filter(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
+                status[k] = filtered(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
                 for i in range(c):
                     columns[k, i] = self.state.network.column[i]
         return columns, status

@@ -14,7 +14,7 @@ import numpy as np
 import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.firmware import export_firmware
-from pmfid.kernel.saved import configuration, shape_of, tight_state
+from pmfid.kernel.saved import configuration, firmware_shape, tight_state
 from pmfid.kernel.structures import resize_structure, structures, whole_words
 from tests.firmware.build import REQUIRED
 from tests.test_many import PROCESS, PROCESSES, VARIANTS, fleet_record, make, process_record
@@ -51,7 +51,7 @@ def estimators() -> Iterator[tuple[str, RecursiveEstimator]]:
 def folder_of(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
     """Write the configuration, the state and its fields for a build with the module's sizes or an export's sizes."""
     config, precision = configuration(estimator.runner.kernel, estimator.precision), estimator.precision
-    shape = shape_of(config) if place == "export" else None
+    shape = firmware_shape(config) if place == "export" else None
     types = structures(shape, precision)
     if shape is None:
         state = np.frombuffer(estimator.runner.kernel.raw_state(), types["pmf_state_t"])[0]
@@ -97,8 +97,8 @@ def program(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
             str(sources / "many" / name) for name in ("pmf_layout.c", "pmf_many.c", "pmf_scores.c", "pmf_lanes.c")
         ]
         lanes = ["-DPMF_LANE_BYTES=16", "-DPMF_HAVE_LANES_16", "-msse4.2"]
-        for method in ("rls", "bcrls", "riv"):
-            for name, own in (("pmf_straight", []), ("pmf_lanes", lanes)):
+        for method in ("rls", "bcrls", "riv", "plain"):
+            for name, own in (("pmf_straight", []), *([("pmf_lanes", lanes)] if method != "plain" else [])):
                 files.append(f"{name}_{method}.o")
                 source = str(sources / "many" / f"{name}.c")
                 flags = [*REQUIRED, *options, *own, *SANITIZE, f"-DPMF_STRAIGHT={method}", f"-I{sources}"]

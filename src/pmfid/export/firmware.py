@@ -6,7 +6,7 @@ import math
 import re
 import shutil
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import SupportsInt
@@ -18,7 +18,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import check_arrays
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.kernel.saved import configuration, recursions_of, shape_of, tight_state
+from pmfid.kernel.saved import config_number, configuration, firmware_shape, recursions_of, shape_of, tight_state
 from pmfid.kernel.structures import (
     HEADERS,
     Structured,
@@ -369,7 +369,8 @@ def _context(
 
     kernel, precision = estimator.make_kernel(estimator.forgetting), estimator.precision
     config = configuration(kernel, precision)
-    shape = shape_of(config)
+    number = config_number(config, structures(shape_of(config), precision))
+    shape = firmware_shape(config)
     types = structures(shape, precision)
     if record is None:
         samples = record_run(estimator, *made_up_record(estimator))
@@ -387,7 +388,9 @@ def _context(
         "equation": estimator.equation.text,
         "macros": shape.macros(),
         "fixed": fixed_recursion(config),
-        "stepped": list_network(config) if shape.with_steps else None,
+        "stepped": list_stepped_network(config) if shape.with_network else None,
+        "listed": None if shape.with_network else list_network(config),
+        "config_number": number,
         "layout": layout_number(types["pmf_state_t"]),
         "functions": sorted(set(re.findall(r"\b(pmf_\w+)\(", "".join(map(header, HEADERS))))),
         "sizes": {name: types[f"pmf_{name}_t"].itemsize for name in ("state", "config", "saved")},
@@ -400,17 +403,44 @@ def _context(
 
 def list_network(config: Structured) -> tuple[str, str]:
     """Return the stages, and the columns with their taps, as calls of the macros of pmf_network.c."""
+    listed, network = list[str](), config["network"]
+    for k, stage in enumerate(network["stage"][: int(network["n_stages"])]):
+        a, b0, b1 = (stage[name][()] for name in ("a", "b0", "b1"))
+        place = f"{k}, {int(stage['source'])}"
+        if (a, b0, b1) == (0, 0, 1):
+            listed.append(f"DELAY({place})")
+        elif b1 == -b0 != 0:
+            listed.append(f"RISE({place}, {literal(a)}, {literal(b0)})")
+        else:
+            listed.append(f"STAGE({place}, {literal(a)}, {literal(b0)}, {literal(b1)})")
+    taps = [
+        f"{'TAP' if further else 'COLUMN'}({column}, {int(tap['node'])}, {literal(tap['weight'][()])})"
+        for column, further, tap in _taps(network)
+    ]
+    return " ".join(listed), " ".join(taps)
+
+
+def _taps(network: Structured) -> Iterator[tuple[int, int, Structured]]:
+    """Yield each tap with the index of its column, and its own index in that column."""
+    first = 0
+    for column, end in enumerate(network["tap_end"][: int(network["n_columns"])].tolist()):
+        for index, tap in enumerate(network["tap"][first:end]):
+            yield column, index, tap
+        first = end
+
+
+def list_stepped_network(config: Structured) -> tuple[str, str]:
+    """Return the same for the macros of a varying step, which read their coefficients."""
     network = config["network"]
     listed = list[str]()
     for k, stage in enumerate(network["stage"][: int(network["n_stages"])]):
         kind = ("FOLLOW", "CANCELLED") if stage["rate"] else ("DELAYED", "WRITTEN")
         rate = f", {int(stage['rate'])}" * bool(stage["rate"])
         listed.append(f"{kind[int(stage['b1'] == 0)]}({k}, {int(stage['source'])}{rate})")
-    taps, first = list[str](), 0
-    for column, end in enumerate(network["tap_end"][: int(network["n_columns"])].tolist()):
-        for tap in range(first, end):
-            taps.append(f"{'TAP' if tap > first else 'COLUMN'}({column}, {tap}, {int(network['tap'][tap]['node'])})")
-        first = end
+    taps = [
+        f"{'TAP' if further else 'COLUMN'}({column}, {index}, {int(tap['node'])})"
+        for index, (column, further, tap) in enumerate(_taps(network))
+    ]
     return " ".join(listed), " ".join(taps)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -74,6 +75,12 @@ def shape_of(config: Structured) -> KernelSizes:
         with_noise=int(noise),
         with_steps=int(config["encoder"]["rate"] > 0),
     )
+
+
+def firmware_shape(config: Structured) -> KernelSizes:
+    """Return the sizes and parts of an export, whose network is code unless the step varies."""
+    shape = shape_of(config)
+    return shape if shape.with_steps else replace(shape, with_network=0)
 
 
 def place_matters(shapes: Structured) -> bool:
@@ -234,8 +241,13 @@ def _envelope(config: Structured, shape: KernelSizes, precision: str) -> Structu
     saved["magic"], saved["version"] = constants["PMF_STATE_MAGIC"], constants["PMF_STATE_VERSION"]
     saved["layout"] = layout_number(types["pmf_state_t"])
     saved["size"] = saved.dtype.itemsize
-    saved["config"] = zlib.crc32(resize_structure(config, types["pmf_config_t"]).tobytes())
+    saved["config"] = config_number(config, types)
     return saved
+
+
+def config_number(config: Structured, types: Structures) -> int:
+    """Return the CRC-32 of a configuration in its tight layout."""
+    return zlib.crc32(resize_structure(config, types["pmf_config_t"]).tobytes())
 
 
 def _checksum(data: bytes, types: Structures) -> int:

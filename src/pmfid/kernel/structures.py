@@ -69,6 +69,7 @@ class KernelSizes:
     with_split: int
     with_noise: int
     with_steps: int
+    with_network: int = 1
 
     def macros(self) -> dict[str, int]:
         """The macros of pmf_sizes.h with their values."""
