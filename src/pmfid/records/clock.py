@@ -53,8 +53,8 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
         if config.dt is None:
             raise UsageError("[record] neither time nor dt is there; give one of them")
         return config.dt, ()
-    median, jitter = _steps_of(time)
     mean, grid = even_grid(time)
+    median, jitter = (mean, 0.0) if grid and has_same_steps(time) else _steps_of(time)
     if not grid:
         _check_steps(time, np.diff(time), median)
         mean = float((time[-1] - time[0]) / (len(time) - 1))
@@ -64,7 +64,8 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
     epoch = _epoch(float(time[0]), mean, config)
     factor = UNITS[epoch] if epoch else time_factor(config)
     _check_unit(mean, factor, config, epoch, _counts_samples(time, config))
-    notes = [f"time steps vary by up to {jitter:.1%} of their median"] if jitter > 1e-3 else []
+    varies = jitter > TUNING.clock_same_steps
+    notes = [f"time steps vary by up to {jitter:.1%} of their median"] if varies else []
     if grid and jitter > TUNING.clock_even:
         notes.append(f"the stamps scatter around an even grid of {mean * factor:g} s, which is taken")
     if factor != 1:
@@ -92,6 +93,13 @@ def _steps_of(time: Floats) -> tuple[float, float]:
     steps = np.diff(time)
     median = float(np.median(steps))
     return median, _furthest(steps, median) / median if median else 0.0
+
+
+def has_same_steps(time: Floats) -> bool:
+    """Return whether the stamps (n,) rise in equal steps. Most clocks do, and need no median of their steps."""
+    steps = np.diff(time)
+    least = float(np.min(steps, initial=np.inf))
+    return bool(least > 0 and np.max(steps, initial=0.0) - least <= TUNING.clock_same_steps * least)
 
 
 def even_grid(time: Floats) -> tuple[float, bool]:
@@ -288,10 +296,13 @@ def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: Record
     if time is None:
         rows = np.flatnonzero(kept)
         return PlacedRows(rows, _shorten_gaps(rows), *sample_period(None, config))
-    rows, repeats = _drop_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
-    rows, early = _drop_early(time, rows)
+    if same := has_same_steps(time):
+        rows, repeats, early = np.arange(time.size), (), ()
+    else:
+        rows, repeats = _drop_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
+        rows, early = _drop_early(time, rows)
     stamps, places = _take_rows(time, rows), None
-    if not is_steady(stamps):
+    if not (same or is_steady(stamps)):
         missing = misses_lines(stamps, _take_rows(output, rows))
         found = None
         if missing is False:
@@ -448,5 +459,7 @@ def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.i
 
 def _shorten_gaps(places: NDArray[np.intp]) -> NDArray[np.intp]:
     """Return the places with gaps of at most clock_longest samples."""
+    if places.size and places[-1] - places[0] == places.size - 1:
+        return np.arange(places.size)
     steps = np.diff(places, prepend=places[:1])
     return np.cumsum(np.minimum(steps, TUNING.clock_longest + 1, out=steps), out=steps)

@@ -47,6 +47,8 @@ def find_stale_rows(time: Floats, y: Floats) -> Flags:
     rows with changes of many steps. No motion does so.
     """
     stale = np.zeros(y.size, bool)
+    if _count_sudden_rests(np.diff(y)) < TUNING.repeats_fewest:
+        return stale
     new = np.flatnonzero(np.diff(y, prepend=np.nan))
     if new.size < TUNING.repeats_fewest:
         return stale
@@ -66,6 +68,17 @@ def find_stale_rows(time: Floats, y: Floats) -> Flags:
     off = _cubic(time[new], y[new], place, time[rows]) - y[rows]
     stale[rows[np.abs(off) > TUNING.repeats_off]] = True
     return stale
+
+
+def _count_sudden_rests(change: Floats) -> int:
+    """Return at least the number of short rests within fast motion, from the change (n,) per row.
+
+    Most records have none, and then need no search for stale rows.
+    """
+    stops = np.flatnonzero((change[1:] == 0) & (np.abs(change[:-1]) > TUNING.repeats_sudden))
+    soon = np.minimum(stops[:, None] + np.arange(2, TUNING.repeats_longest + 1), change.size - 1)
+    goes_on = change[soon] * np.sign(change[stops])[:, None] > TUNING.repeats_sudden
+    return int(np.count_nonzero(np.any(goes_on, axis=1)))
 
 
 def _cubic(time: Floats, y: Floats, place: NDArray[np.intp], at: Floats) -> Floats:

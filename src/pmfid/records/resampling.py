@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.records.clock import even_grid, find_places, is_steady, misses_lines, slope_below
+from pmfid.records.clock import even_grid, find_places, has_same_steps, is_steady, misses_lines, slope_below
 from pmfid.records.tuning import TUNING
 from pmfid.types import Flags, Floats
 
@@ -52,6 +52,8 @@ def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False
     out.
     """
     known = np.isfinite(time) & np.isfinite(u) & np.isfinite(y)
+    if not thinned and np.all(known) and has_same_steps(time):
+        return None
     stamps, u, y = _drop_repeats(time[known], u[known], y[known])
     if stamps.size < TUNING.resampling_fewest or not (thinned or _is_uneven(stamps, y)):
         return None

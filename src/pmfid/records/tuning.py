@@ -28,6 +28,8 @@ class RecordTuning:
     #: standard deviations.
     clock_group: int = 50
     most_by_chance: float = 5.0
+    #: Relative difference of the longest and shortest step of a clock that needs neither a note nor a further test.
+    clock_same_steps: float = 1e-3
     #: Relative difference within which a period and a time column agree.
     clock_same: float = 0.01
     #: Longest step without a missing sample, in median steps.
