@@ -19,7 +19,7 @@ from pmfid.io.safety import readable
 PART, ROWS, LOST, FIRST, LAST, EXTENT = "part", "rows", "lost", "first", "last", "extent"
 #: Number of the first row in the part.
 START = "start"
-_PLACE, _END = "place in the part", "end"
+_PLACE, _END, _FINITE, _KNOWN = "place in the part", "end", "finite time", "known"
 
 
 @dataclass(frozen=True)
@@ -83,13 +83,15 @@ def count_rows(rows: pl.LazyFrame, columns: SourceColumns, *more: pl.Expr) -> pl
 
     The result also has first and last time, type, and the further columns `more`. The rows come from `Part.rows`.
     """
-    known = pl.col(AXIS).is_not_null() & pl.col(TIME).is_finite()
+    finite = pl.when(pl.col(TIME).is_finite()).then(pl.col(TIME))
     kind = pl.col(TYPE).min() if columns.type else pl.lit("")
+    rows = rows.with_columns(finite.alias(_FINITE), (pl.col(AXIS).is_not_null() & finite.is_not_null()).alias(_KNOWN))
+    known = pl.col(_KNOWN).sum().cast(pl.Int64)
     return rows.group_by(AXIS, (pl.col(TIME) / TUNING.plan_day).floor().alias("day")).agg(
-        known.sum().cast(pl.Int64).alias(ROWS),
-        (~known | known.is_null()).sum().cast(pl.Int64).alias(LOST),
-        pl.col(TIME).filter(pl.col(TIME).is_finite()).min().alias(FIRST),
-        pl.col(TIME).filter(pl.col(TIME).is_finite()).max().alias(LAST),
+        known.alias(ROWS),
+        (pl.len().cast(pl.Int64) - known).alias(LOST),
+        pl.col(_FINITE).min().alias(FIRST),
+        pl.col(_FINITE).max().alias(LAST),
         kind.fill_null("").alias(TYPE),
         *more,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -245,8 +244,8 @@ def codes_of(part: Series) -> set[str]:
     found = {"missing"} if np.average(part.lost, weights=part.samples) > TUNING.series_lost else set()
     if np.ptp(part.dt) > TUNING.series_same * np.max(part.dt):
         found.add("mixed_dt")
-    status = Counter(bit for bit in REPORTED for one in used.status if int(one) & bit)
-    found |= {str(bit.name).lower() for bit, many in status.items() if 2 * many >= used.start.size}
+    many = {bit: np.count_nonzero(used.status & int(bit)) for bit in REPORTED}
+    found |= {str(bit.name).lower() for bit in REPORTED if many[bit] and 2 * many[bit] >= used.start.size}
     found |= {"one_size"} if np.all(part.status & ONE_SIZE) else set()
     if not used.start.size:
         occurred = int(np.bitwise_or.reduce(part.status))
