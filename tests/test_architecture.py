@@ -354,6 +354,12 @@ def test_the_command_starts_without_the_heavy_libraries() -> None:
     assert "numpy" in modules_after("import pmfid.encoder"), "the list of modules would not show it"
 
 
+def test_identify_imports_scipy_only_where_it_is_used() -> None:
+    loaded = modules_after("import pmfid.pipeline.identify")
+    assert "pmfid.pipeline.identify" in loaded
+    assert "scipy" not in loaded, "a quarter of the time of a short record"
+
+
 NUMERIC = {"numpy", "scipy"}
 TABLES = NUMERIC | {"pydantic", "pydantic_core", "polars"}
 #: Package -> the libraries that the import of its modules needs; all other libraries of OUTSIDE may be absent.

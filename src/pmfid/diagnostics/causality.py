@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtrc
 
 from pmfid._stage import first_order
 from pmfid.diagnostics.tuning import TUNING
@@ -96,6 +95,8 @@ def evidence(
 
     The known columns (N, a) are given. A coefficient of a single column within `allowed` is no evidence.
     """
+    from scipy.special import fdtrc  # slow to import
+
     if error.size < 2 * (known.shape[1] + tested.shape[1]) + 20 or not _rms(error) > 0:
         return NONE
     columns = np.column_stack([error / _rms(error), _basis(known), tested])

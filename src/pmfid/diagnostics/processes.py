@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from pmfid.diagnostics.causality import (
     ResidualStretch,
@@ -58,6 +57,8 @@ def look_at_hold(problem: ProcessProblem, point: ProcessPoint, noise: Noise | No
     the spacing of the samples lets no filter whiten the noise. The function also reports nothing if a reference makes
     the sum of squares meaningless.
     """
+    from scipy.special import chdtri  # slow to import
+
     if noise is None or problem.referenced:
         return Hold()
     white = prewhiten_problem(problem, noise)
@@ -161,6 +162,8 @@ def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
 
 def _exceeds_chance(difference: Floats, cov: Floats) -> bool:
     """Return whether a difference (p,) is too large for its covariance (p, p)."""
+    from scipy.special import chdtri  # slow to import
+
     size = np.sqrt(np.diagonal(cov))
     scaled = difference / size
     distance = scaled @ np.linalg.pinv(cov / np.outer(size, size), hermitian=True) @ scaled
@@ -183,6 +186,8 @@ def _reduces_residual(whole: float, left: float, samples: int, unknowns: int) ->
     """Return whether a sum of squares falls from `whole` to `left` by more than chance allows for `unknowns`
     parameters.
     """
+    from scipy.special import chdtri  # slow to import
+
     ratio = samples * np.log(max(whole, 1e-300) / max(left, 1e-300))
     return bool(ratio > chdtri(unknowns, TUNING.noise_chance / samples))
 

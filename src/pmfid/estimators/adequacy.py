@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -148,13 +149,12 @@ def _stribeck(difference: Difference, q: Floats, v: Floats, fall: float) -> Floa
 
     The velocity changes linearly from one part to the next.
     """
-    from scipy.special import erf  # slow to import, and used here only
-
     change = float(np.max(np.abs(np.diff(v)), initial=0.0))
     parts = int(np.clip(np.ceil(change / (TUNING.adequacy_fine * fall)), 1, TUNING.most_parts))
     v = difference.motion(q, np.zeros(parts * v.size))[1]
     ends = np.r_[v[0], (v[1:] + v[:-1]) / 2, v[-1]]
-    below = np.diff(fall * np.sqrt(np.pi) / 2 * erf(np.abs(ends) / fall))
+    erf = np.fromiter(map(math.erf, np.abs(ends) / fall), np.float64, ends.size)  # SciPy is slow to import
+    below = np.diff(fall * np.sqrt(np.pi) / 2 * erf)
     step = np.diff(ends)
     steady = np.abs(step) < TUNING.adequacy_steady * fall
     return np.where(steady, np.sign(v) * np.exp(-((v / fall) ** 2)), below / np.where(steady, 1.0, step))

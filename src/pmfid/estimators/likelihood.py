@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from scipy.special import log_ndtr
 
 from pmfid.estimators.motion import Difference, bounded_step, rms
 from pmfid.estimators.tuning import TUNING
@@ -282,6 +281,8 @@ def count_likelihood(apart: Floats, noise: float) -> tuple[Floats, Floats, Float
 
 def log_probability(apart: Floats, noise: float) -> Floats:
     """Return the log-probability of a count whose middle is `apart` >= 0 (n,) [counts] from the position."""
+    from scipy.special import log_ndtr  # slow to import
+
     log_inner = log_ndtr((0.5 - apart) / noise)
     log_outer = log_ndtr((-0.5 - apart) / noise)
     return np.asarray(log_inner + np.log(-np.expm1(np.minimum(log_outer - log_inner, -TUNING.tiny))))

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from math import comb
 
 import numpy as np
-from scipy.linalg import expm
 
 from pmfid.filters.network import Network, Taps
 
@@ -163,6 +162,8 @@ def _hold_response(cutoff: float, order: int, dt: float, j: int) -> np.ndarray:
     """Return the first `order` samples of the response of s^j F(s) to an input held for one interval, by a matrix
     exponential.
     """
+    from scipy.linalg import expm  # slow to import
+
     A = cutoff * (np.diag(np.ones(order - 1), -1) - np.eye(order))
     B = np.zeros(order)
     B[0] = cutoff

@@ -9,7 +9,6 @@ from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from pmfid._stage import follow_states
 from pmfid.deprecation import rename_method
@@ -61,6 +60,8 @@ class Transition:
 def transition(F: Floats, g: Floats, grid: Grid) -> Transition:
     """Return the exact transition for F (n, n), g (n,) and a signal w that is linear between instants. If w is held,
     its change is 0."""
+    from scipy.linalg import expm  # slow to import
+
     n = F.shape[0]
     steps = np.atleast_1d(np.asarray(grid.steps, float))
     distinct, back = np.unique(steps, return_inverse=True)

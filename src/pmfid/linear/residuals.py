@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
 
 from pmfid.linear.experiment import Grid, RecordStretch
 from pmfid.linear.solve import ProcessPoint, ProcessProblem
@@ -256,6 +255,8 @@ def repeats(error: Floats, known: Floats, stretches: Sequence[RecordStretch], ph
     Finally, the test combines the probabilities of all harmonics (Fisher 1932). Therefore the test tolerates a narrow
     resonance of the noise that is not quite whitened.
     """
+    from scipy.special import chdtrc  # slow to import
+
     noise: Noise = fit_noise(split(error, phases)[1], place)
     columns = whiten_columns(noise, np.column_stack([error, known]), place)
     size = np.linalg.norm(columns, axis=0)

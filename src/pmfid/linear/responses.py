@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import schur, solve_sylvester
 
 from pmfid._stage import first_order
 from pmfid.linear.experiment import Grid, RecordStretch, product, respond, transition
@@ -21,6 +20,8 @@ def respond_bounded(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, 
     Fast unstable modes grow by more than the factor e over the grid. The part of `start` for fast unstable modes
     belongs to the last instant.
     """
+    from scipy.linalg import schur, solve_sylvester  # slow to import
+
     n, limit = F.shape[0], 1 / max(grid.duration, 1e-300)
     T, Q, kept = schur(F - limit * np.eye(n), sort="lhp")
     if kept == n:

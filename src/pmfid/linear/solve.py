@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import qr, solve_triangular
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.linear.experiment import RecordStretch
@@ -66,6 +65,8 @@ class Solution:
 @np.errstate(over="ignore", invalid="ignore")  # a very poor process has no finite loss
 def visit(problem: ProcessProblem, theta: Floats, initial: Floats) -> ProcessPoint:
     """Linearise at theta (p,), where the initial conditions (stretches, n) move to their best fit."""
+    from scipy.linalg import qr, solve_triangular  # slow to import
+
     errors, phis, zetas, found = [], [], [], []
     for stretch, start in zip(problem.stretches, initial, strict=True):
         here = linearise(problem.structure, theta, start, stretch)

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.bridges import Body
@@ -41,6 +40,8 @@ def smooth_deviation(
     `events` (g,) are sample numbers that start with 0. `steps` and `moves` (g,) are the variances of the changes of
     velocity and position at the events. `decay` is in 1/s.
     """
+    from scipy.linalg import cho_solve_banded, cholesky_banded  # slow to import
+
     n, g = deviation.size, events.size
     segment = np.repeat(np.arange(g), np.diff(np.r_[events, n]))
     response = _travel(np.asarray((np.arange(n) - events[segment]) * dt, np.float64), decay)
@@ -76,6 +77,8 @@ def _variances(factor: Floats, kept: Floats) -> Floats:
     """Return the posterior variances (g - 1,) of the steps, which are velocity minus `kept` times the previous
     velocity.
     """
+    from scipy.linalg import cho_solve_banded  # slow to import
+
     variances = np.empty(kept.size)
     for first in range(0, kept.size, TUNING.filling_chunk):
         own = np.arange(first, min(first + TUNING.filling_chunk, kept.size))
