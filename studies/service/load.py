@@ -95,6 +95,7 @@ def _watched(served: Service, broker_pid: int, port: int, axes: int, seconds: fl
         used |= {who: use_of(pid) for who, pid in pids.items() if who != "machines" or machines.poll() is None}
     sent = json.loads(machines.communicate()[0])
     _drained(served, sent["samples"])
+    used |= {who: use_of(pid) for who, pid in pids.items() if who != "machines"}  # with the work that came late
     looks.append(_look(served, begin))
     cores = {who: (used[who].cpu - before[who].cpu) / sent["wall"] for who in used}
     return Run(axes, seconds, sent, cores, looks)
