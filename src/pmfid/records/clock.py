@@ -296,9 +296,8 @@ def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: Record
     if time is None:
         rows = np.flatnonzero(kept)
         return PlacedRows(rows, _shorten_gaps(rows), *sample_period(None, config))
-    if same := has_same_steps(time):
-        rows, repeats, early = np.arange(time.size), (), ()
-    else:
+    rows, repeats, early = np.arange(time.size), tuple[str, ...](), tuple[str, ...]()
+    if not (same := has_same_steps(time)):
         rows, repeats = _drop_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
         rows, early = _drop_early(time, rows)
     stamps, places = _take_rows(time, rows), None
