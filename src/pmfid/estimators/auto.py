@@ -60,8 +60,7 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
     The interval likelihood is the first choice if the model explains every count. Hidden unmodelled effects must stay
     within its error bars, or within the error bars of instrumental variables. Instrumental variables demand less of the
     model and are the second choice. If their iteration does not settle, output error, bias-compensated or plain least
-    squares follow.
-    Raises NotIdentifiableError if no method can identify every parameter.
+    squares follow. Raises NotIdentifiableError if no method can identify every parameter.
     """
     refused: list[str] = []
     simulates = not configured.equation.without_simulation
@@ -78,7 +77,7 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
         if issubclass(cls, Simulating) and not simulates:
             continue
         if not issubclass(cls, Simulating) and _needs_motion(configured.equation):
-            continue  # such a method has no such parameter, so its estimate would be off by the effect
+            continue  # the method has no such parameter, so that the missing effect would distort the estimate
         if cls is IV and configured.equation.searched:  # iv is linear in the parameters
             continue
         candidate = _candidate(cls, configured, u, counts)
@@ -112,8 +111,8 @@ class _Sharp:
     def better_than(self, other: Fit, cls: type[BatchEstimator]) -> str:
         """Return the reason to prefer this estimate to the estimate of `cls`; empty if no reason exists.
 
-        A contradiction between the two estimates is a reason. So is a smaller uncertainty in the geometric mean of the
-        parameters, hidden unmodelled effects included.
+        The reason is a contradiction between the two estimates, or a smaller uncertainty in the geometric mean of the
+        parameters. The uncertainty includes hidden unmodelled effects.
         """
         spread = self.adequacy.spread()
         if cls is not IV or is_contradicted(other, self.fit, spread):
@@ -127,8 +126,7 @@ class _Sharp:
 
 
 def _needs_motion(equation: Equation) -> bool:
-    """Whether a parameter is estimated that only a simulated motion has: a dead time, a lag, the speed of Stribeck
-    friction."""
+    """Return whether a parameter needs a simulated motion: a dead time, a lag, or the speed of Stribeck friction."""
     return ESTIMATE in (equation.dead_time, equation.lag) or bool(equation.searched)
 
 
@@ -138,7 +136,8 @@ Settled = tuple[Columns, Floats]
 
 @dataclass(frozen=True)
 class _Groundwork:
-    """What is found on a record before the candidates are fitted; None: not found. refused: the reasons so far."""
+    """Results on a record before the fits of the candidates, or None without a result. `refused` holds the reasons so
+    far."""
 
     settled: Settled | None
     best: Best | None
@@ -146,8 +145,8 @@ class _Groundwork:
     refused: Sequence[str]
 
     def fit_candidate(self, candidate: BatchEstimator, u: Floats, counts: NDArray[np.int64]) -> Fit:
-        """The fit of a candidate. Output error is that of the motion that is known, and where none was found it finds
-        none: what the interval likelihood was refused for."""
+        """Return the fit of a candidate. Output error takes the known motion. Without a known motion, output error is
+        refused for the reason of the interval likelihood."""
         if isinstance(candidate, IV) and self.settled is not None:
             return candidate.fit_settled(*self.settled, u, counts)
         if not isinstance(candidate, OE) or candidate.window is not None:
@@ -160,7 +159,9 @@ class _Groundwork:
 
 
 def _settle_iteration(configured: Estimator, u: Floats, counts: NDArray[np.int64]) -> Settled | None:
-    """That of `IV`, which is both a candidate and what the motion that fits best starts from; None: there is none."""
+    """Return the converged iteration of `IV`, or None without convergence. The search for the best motion starts from
+    it.
+    """
     if configured.equation.without_simulation or configured.equation.searched:
         return None
     try:

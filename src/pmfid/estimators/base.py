@@ -45,16 +45,13 @@ class Estimator:
     """A method of estimation with a model and an encoder. The object holds only the configuration, checked at
     construction.
 
-    model: `Drive`, `TransferFunction`, or an `EquationModel`.
-    encoder: `Encoder`.
-    dt: sample period [s].
-    cutoff: pole of the Poisson chain [rad/s], 0 < cutoff <= 2/dt. Its inverse is the time constant of the filters.
-    order: number of stages, >= 2 for a drive. The default 2 means n for a transfer function of a higher order n.
-    discretization: "matched", "paper", or "exact" for `LS` and `BCLS`.
-    prefilter_zeros: one negative zero [rad/s] per noisy column, or None for the method's default.
-    precision: "float64" or "float32".
-    steps: time [s] between each sample of the record and the preceding one (n,), if the clock is uneven. On-line,
-    "given" means that each sample brings its step. `dt` is then the mean step.
+    model: `Drive`, `TransferFunction`, or an `EquationModel`. encoder: `Encoder`. dt: sample period [s]. cutoff: pole
+    of the Poisson chain [rad/s], 0 < cutoff <= 2/dt. Its inverse is the time constant of the filters. order: number of
+    stages, >= 2 for a drive. The default 2 means n for a transfer function of a higher order n. discretization:
+    "matched", "paper", or "exact" for `LS` and `BCLS`. prefilter_zeros: one negative zero [rad/s] per noisy column, or
+    None for the method's default. precision: "float64" or "float32". steps: time [s] between each sample of the record
+    and the preceding one (n,), if the clock is uneven. On-line, "given" means that each sample brings its step. `dt` is
+    then the mean step.
 
     Raises UsageError with a remedy for an invalid value.
     """
@@ -160,9 +157,7 @@ class Estimator:
 
     def steps_before(self, samples: int) -> Floats | None:
         """Return the time [s] between each sample of a record and the preceding one (n,); None if the clock is even.
-
-        Raises UsageError if the steps are unknown, or if their number is not `samples`.
-        """
+        Raises UsageError if the steps are unknown, or if their number is not `samples`."""
         if self.steps is None:
             return None
         if not isinstance(self.steps, SampleSteps) or self.steps.before.size != samples:
@@ -171,7 +166,7 @@ class Estimator:
         return self.steps.before
 
     def weigh_rows(self, zeta: Floats, used: Flags) -> Floats:
-        """Instruments (m, p) of the rows in use (n,), by the time that each stands for."""
+        """Return the instruments (m, p) of the rows in use (n,), weighted by the time that each row represents."""
         if not isinstance(self.steps, SampleSteps):
             return zeta
         return np.asarray(zeta * self.steps.weights(self.dt)[used, None])
@@ -260,8 +255,8 @@ class Estimator:
 
     @property
     def _extra(self) -> int:
-        """Number of unknown coefficients of f(s), which the extended model without compensation contains (paper eq.
-        19, 21).
+        """Number of unknown coefficients of f(s), which the extended model without compensation contains (paper eq. 19,
+        21).
         """
         return 0 if self.instrumental else len(self.zeros)
 
@@ -323,10 +318,8 @@ class Estimator:
         return config
 
     def late_config(self, found: float = 0.0) -> dict[str, object] | None:
-        """Return the kernel configuration of a late input; None if the input acts at once.
-
-        `found` is the dead time [s] of the model if the dead time is unknown.
-        """
+        """Return the kernel configuration of a late input; None if the input acts at once. `found` is the dead time [s]
+        of the model if the dead time is unknown."""
         late, lag = self.equation.dead_time, self.equation.lag
         known, room = (found, MOST_LATE) if late == ESTIMATE else (float(late), None)
         if not (late or lag):
@@ -335,11 +328,8 @@ class Estimator:
 
     @property
     def first_samples(self) -> int:
-        """Number of samples that do not count at the start.
-
-        These are the samples until the filters have settled. With an unknown start, only one sample is left out: the
-        start passes through the kernel in one sample.
-        """
+        """Number of samples that do not count at the start. The filters settle within these samples. With an unknown
+        start, only one sample is left out, because the start passes through the kernel in one sample."""
         return 1 if any(term.signal == "start" for term in self.equation.unknown) else self.settle_samples
 
     @property

@@ -21,9 +21,7 @@ def check_identifiable(
     columns: Columns, names: tuple[str, ...], least_part: float = TUNING.start_pivot, simulated: bool = False
 ) -> None:
     """Raise NotIdentifiableError with a parameter's name if a column is zero or a combination of the other columns.
-
-    With `simulated`, the equation holds only while the simulated motion moves.
-    """
+    With `simulated`, the equation holds only while the simulated motion moves."""
     if columns.z.size <= 2 * len(names) and columns.status & Status.COUNT_JUMP:
         raise NotIdentifiableError(
             "the counts jump all the time: check the wiring and the counter's bits, or correct max_speed"
@@ -89,8 +87,8 @@ def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...], 
 
 
 def _are_apart(columns: Columns, least_part: float) -> bool:
-    """Are the target, the regressors and the instruments far from each other by their products? A decomposition of the
-    columns takes ten times as long, and is needed only where the products are not accurate enough."""
+    """Return whether products show that the target, the regressors and the instruments are far from each other. A
+    decomposition of the columns takes ten times as long, and is needed only if the products are too inaccurate."""
     least, z = max(TUNING.products_accurate, 2 * least_part), columns.z
     for matrix in (columns.phi, columns.zeta):
         products, along = matrix.T @ matrix, matrix.T @ z
@@ -101,7 +99,7 @@ def _are_apart(columns: Columns, least_part: float) -> bool:
             own = 1 / np.diagonal(np.linalg.inv(products / np.outer(size, size)))
         except np.linalg.LinAlgError:
             return False
-        alone = 1 - (along / size) ** 2 / (z @ z)  # of the power of the target, beyond one column
+        alone = 1 - (along / size) ** 2 / (z @ z)  # part of the target's power that the column alone leaves
         if not min(np.min(own), np.min(alone)) > least:
             return False
     return True
@@ -150,7 +148,9 @@ class BatchEstimator(Estimator):
         return self._restore_first_output(self._fit(u, integer_counts(counts) - first), first * self.encoder.resolution)
 
     def _first_count(self, counts: ArrayLike) -> int:
-        """Return the first count with its sign if the equation holds for the change since the first count, else 0."""
+        """Return the first count with its sign if the equation holds for the change since the first count, or else
+        0.
+        """
         if level_of(self.equation) is None:
             return 0
         given = integer_counts(counts)
@@ -165,7 +165,7 @@ class BatchEstimator(Estimator):
         return replace(fit, theta=lift @ fit.theta, theta_cov=lift @ fit.theta_cov @ lift.T)
 
     def solve(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
-        """theta (p,) of `fit` with matched filters, without its error bars; raises as `fit`."""
+        """Return theta (p,) of `fit` with matched filters, without error bars. Raises the errors of `fit`."""
         return self._solve_columns(u, counts)[1]
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
@@ -180,10 +180,8 @@ class BatchEstimator(Estimator):
         return columns, *self._solve(columns)
 
     def fit_output(self, u: ArrayLike, y: ArrayLike) -> Fit:
-        """Estimate the parameters from an output (n,) that is a measured number, without encoder counts.
-
-        The resolution of the encoder is not used. Raises the same errors as `fit`.
-        """
+        """Estimate the parameters from an output (n,) that is a measured number, without encoder counts. The resolution
+        of the encoder is not used. Raises the same errors as `fit`."""
         y = np.asarray(y, np.float64)
         if not np.all(np.isfinite(y)) or y.ndim != 1:
             raise UsageError(f"y must be a finite array (n,), got shape {y.shape}; see Experiment for missing samples")
@@ -219,7 +217,5 @@ class BatchEstimator(Estimator):
         return np.asarray(gain @ spread @ gain.T * n / max(1, n - theta.size))
 
     def _scores(self, columns: Columns, theta: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the score of each sample (n, p): its pull on theta before the gain. The sum over all samples is
-        zero.
-        """
+        """Return the pull (n, p) of each sample on theta before the gain. The sum over all samples is zero."""
         return np.asarray(columns.zeta * (columns.z - columns.phi @ theta)[:, None])

@@ -42,7 +42,7 @@ from pmfid.status import Status
 
 @dataclass(frozen=True)
 class Instruments(ProcessSolver, Simulating):
-    """The settled iteration of instrumental variables, and its error bars; see `IV`."""
+    """The converged iteration of instrumental variables, and its error bars; see `IV`."""
 
     initial: Mapping[str, float] | None = field(default=None, kw_only=True)
 
@@ -56,21 +56,21 @@ class Instruments(ProcessSolver, Simulating):
         return fixed_filters(problem)
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
-        """Estimate the parameters. Raises NotIdentifiableError also if the iteration does not settle."""
+        """Estimate the parameters. Raises NotIdentifiableError also if the iteration does not converge."""
         u, counts = check_arrays(u, counts)
         return self.fit_settled(*self.settle_iteration(u, counts), u, counts)
 
     def fit_settled(
         self, columns: Columns, theta: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
     ) -> Fit:
-        """The fit of an iteration that has settled: its columns and theta (p,)."""
+        """Return the fit of a converged iteration from its columns and theta (p,)."""
         return self._result(columns, theta, self.estimate_covariance(columns, theta, u, counts))
 
     def settle_iteration(
         self, u: ArrayLike, counts: ArrayLike, near: float | None = None
     ) -> tuple[Columns, NDArray[np.float64]]:
-        """The columns of the last turn and theta (p,): `fit` without the covariance, and with its errors; near: as of
-        `start`."""
+        """Return the columns of the last iteration and theta (p,), as `fit` without the covariance. Raises the errors
+        of `fit`. `start` describes `near`."""
         theta = self.start(u, counts, near)
         for turn in range(TUNING.instruments_max_iterations):
             columns = self.columns_at(theta, u, counts)
@@ -127,16 +127,18 @@ class Instruments(ProcessSolver, Simulating):
             # two motions use different samples if one of them moves while the other rests
             used = columns.used & sides[0].used & sides[1].used
             error = [(side.z - side.phi @ at)[used[side.used]] for side, at in zip(sides, moved, strict=True)]
-            with np.errstate(over="ignore"):  # of a resolution that no encoder has
+            with np.errstate(over="ignore"):  # the error comes from a resolution that no encoder has
                 jacobian[:, i] = columns.zeta[used[columns.used]].T @ (error[1] - error[0]) / (2 * step)
         return inverse_of(jacobian)
 
     def start(
         self, u: ArrayLike, counts: ArrayLike, near: float | None = None, bounded: bool = False
     ) -> NDArray[np.float64]:
-        """Parameters to simulate with first: the given ones, or from the counts alone; (p,). near: about how late the
-        input acts, if that is estimated [s], None: not known. bounded: none negative but a constant load and waves, so
-        that the motion is stable."""
+        """Return the given start values (p,), or start values from the counts alone.
+
+        `near` is the approximate delay of the input [s], if the estimator finds a delay, or None. If `bounded`, only a
+        constant load and waves may be negative, so that the motion is stable.
+        """
         if self.initial is not None:
             return initial_vector(self.initial, self.names)
         if self.equation.lag == ESTIMATE:
@@ -160,10 +162,8 @@ class Instruments(ProcessSolver, Simulating):
     def _start_late(
         self, at: Callable[[float], Model], tried: Sequence[float], u: ArrayLike, counts: ArrayLike, bounded: bool
     ) -> NDArray[np.float64]:
-        """Return start values with the dead time or lag whose simulated velocity is nearest to the measured one.
-
-        `at` returns the model for a time [s], and `tried` are the times to try [samples].
-        """
+        """Return start values with the dead time or lag whose simulated velocity is nearest to the measured velocity.
+        `at` returns the model for a time [s], and `tried` are the times to try [samples]."""
         found: list[tuple[float, NDArray[np.float64]]] = []
         refused: NotIdentifiableError | None = None
         for samples in tried:
@@ -184,9 +184,7 @@ class Instruments(ProcessSolver, Simulating):
 
     def mismatch(self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike) -> float:
         """Return the mean square error of the filtered velocity, relative to the mean square of the measured velocity.
-
-        The model simulates the velocity at theta (p,).
-        """
+        The model simulates the velocity at theta (p,)."""
         columns, used, _ = self._filter_record(theta, *check_arrays(u, counts), None)
         check = auxiliary_columns(self)[3]
         measured, modelled = columns[used, check], columns[used, check + 1]
@@ -242,8 +240,8 @@ class Instruments(ProcessSolver, Simulating):
 
     @cached_property
     def _unguarded(self) -> Instruments:
-        """Return the method without its guard, for records with gaps: in a gap, the simulated motion may be faster
-        than the guard allows.
+        """Return the method without its guard, for records with gaps: in a gap, the simulated motion may be faster than
+        the guard allows.
         """
         return replace(self, encoder=replace(self.encoder, guard=False))
 
@@ -266,7 +264,7 @@ class Instruments(ProcessSolver, Simulating):
         return np.array([*self.equation.positive, *(True for _ in self.equation.further)])
 
     def noise(self) -> NDArray[np.float64]:
-        """Covariance (p, p) of one sample's regressors by a white encoder error with the variance of the encoder's
+        """Return the covariance (p, p) of one sample's regressors by a white error with the variance of the encoder's
         step.
         """
         network, columns, first, _ = auxiliary_columns(self)
@@ -283,7 +281,7 @@ class Instruments(ProcessSolver, Simulating):
 
 
 def _nearest(tried: Sequence[float], near: float | None, dt: float) -> Sequence[float]:
-    """Those of the times [samples] that are next to a time `near` [s], where that is known."""
+    """Return the tried times [samples] next to the time `near` [s], or all of them without `near`."""
     if near is None:
         return tried
     return sorted(tried, key=lambda samples: abs(samples - near / dt))[: TUNING.tried_near]
@@ -305,11 +303,8 @@ def initial_vector(initial: Mapping[str, float], names: tuple[str, ...]) -> NDAr
 
 
 def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
-    """Return theta (p,) from the values of the roles in the symmetric equation.
-
-    In an equation without an offset, a constant load becomes Coulomb friction that differs between the directions.
-    Negative frictions start at zero.
-    """
+    """Return theta (p,) from the values of the roles in the symmetric equation. In an equation without an offset, a
+    constant load becomes Coulomb friction that differs between the directions. Negative frictions start at zero."""
     values = list(known)
     if equation.roles[OFFSET] is None:
         values[COULOMB_FORWARD] += values[OFFSET]

@@ -31,7 +31,7 @@ class IV(Instruments):
     """Iterated instrumental variables, off-line.
 
     The plant is simulated from the input alone with the present estimate, stiction included. The simulated motion gives
-    the instruments. It also gives the direction and the moving fractions of every interval.
+    the instruments. The motion also gives the direction and the moving fractions of every interval.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ class IV(Instruments):
     adapts the filter to the estimate.
 
     The instrument of a dead time is the change of the input, which under control follows the encoder's error. The dead
-    time therefore comes from the motion that fits best (`IntervalML`), on two conditions. That motion must explain
-    every count, and its error bar for the dead time must be shorter.
+    time therefore comes from the motion that fits best (`IntervalML`), on two conditions. The best motion must explain
+    every count, and give a shorter error bar of the dead time.
 
     Examples
     --------
@@ -83,7 +83,7 @@ class IV(Instruments):
             return fit
         try:
             return self._fit_at_lateness(sharp.theta[late], sharp.theta_cov[np.ix_(late, late)], late, fit, u, counts)
-        except NotIdentifiableError:  # the iteration does not settle at this dead time or lag
+        except NotIdentifiableError:  # the iteration does not converge at this dead time or lag
             return fit
 
     def _sharp(self, fit: Fit, u: Floats, counts: NDArray[np.int64]) -> Fit | None:
@@ -119,7 +119,7 @@ class IV(Instruments):
         return self._result(self.columns_at(whole, u, counts), whole, cov)
 
     def _fix_lateness(self, late: Floats, start: Floats) -> Instruments:
-        """The estimate with a known lateness (l,) [s], starting from theta (p,)."""
+        """Return the estimator with a known lateness (l,) [s], starting from theta (p,)."""
         times = iter(late.tolist())
         model, equation = self.model, self.equation
         model = model.replace_dead_time(next(times)) if equation.dead_time == ESTIMATE else model
@@ -143,18 +143,17 @@ class RIV(Simulating, RecursiveEstimator):
     forgetting : float
         Factor of exponential forgetting for each sample, 0 to 1.
     initial : mapping, optional
-        Parameters by name to start from. By default `BCRLS` gives them, as soon as it has an estimate.
+        Start values by parameter name. By default the first estimate of `BCRLS` gives the start values.
 
     Notes
     -----
-    The model is driven by the input alone with a slow copy of the estimate. Where the model does not follow the
-    measured velocity, the estimate is that of `BCRLS`, with `Status.FALLBACK`; the model then starts again from that
-    estimate.
+    The input alone drives a model with a slow copy of the estimate. If the model does not follow the measured velocity,
+    the estimate is that of `BCRLS`, with `Status.FALLBACK`. The model then restarts from the estimate of `BCRLS`.
 
-    A dead time that is estimated comes from a second motion, which each count cuts off at its nearest edge
-    (csrc/pmf_within.h): its instrument, the change of the input, is that of the encoder's error under control. The
-    other parameters are given at that dead time, with its variance in theirs. Until the dead time is believed, the
-    status has `Status.DEAD_TIME`.
+    An estimated dead time comes from a second motion, which each count limits to its nearest edge (csrc/pmf_within.h).
+    Under control, the change of the input follows the encoder's error and is a poor instrument. The other parameters
+    hold for the estimated dead time, and their variances include the variance of the dead time. The status has
+    `Status.DEAD_TIME` until the dead time is credible.
 
     Examples
     --------
@@ -193,5 +192,5 @@ class RIV(Simulating, RecursiveEstimator):
 
     @property
     def _zeros_needed(self) -> int:
-        """Those of the direct estimate, which does not tell the directions apart."""
+        """Number of zeros of the direct estimate, which does not distinguish the directions."""
         return len(self.model.symmetric.equation.noisy)

@@ -173,7 +173,7 @@ class _Place:
 
 def _evaluate(difference: Difference, q: Floats, fixed: float | None, e: Floats | None = None) -> _Place:
     e = difference(q) if e is None else e
-    if not np.max(np.abs(e)) < TUNING.likelihood_lost:  # no likelihood leads back from here
+    if not np.max(np.abs(e)) < TUNING.likelihood_lost:  # no likelihood leads back from a place so far away
         return _Place(q, e, np.inf, np.inf)
     noise = fixed or likeliest_noise(e)
     return _Place(q, e, noise, cost(e, noise)[0])

@@ -108,7 +108,7 @@ def simulate_motions(
             continue
         if shapes or known.lag:
             pieces *= parts
-            for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # removes the damping that the kernel adds to each part
+            for viscous in (VISCOUS_FORWARD, VISCOUS_BACKWARD):  # the kernel adds this damping to each part
                 less = parts * TUNING.little_damping * roles[:, MASS] / (period / split)
                 roles[:, viscous] = np.maximum(roles[:, viscous] - less, 0.0)
         velocity[rows], _, _, ends[rows] = _kernel64.simulate_many(

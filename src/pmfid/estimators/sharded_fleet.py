@@ -264,7 +264,7 @@ class ShardedFleet:
 
     def remove(self, handles: ArrayLike) -> None:
         """Remove these axes. The fleet refuses their handles from now on, even after another axis has taken their
-        place. The memory stays for new axes. Raises UsageError for an unknown axis or a repeated one."""
+        place. The memory of removed axes stays for new axes. Raises UsageError for an unknown or repeated axis."""
         self._handles.release(self._handles.places(handles))
 
     def _group(self, runner: Runner[RecursiveEstimator]) -> ShardGroup:

@@ -182,7 +182,9 @@ def _span(rows: NDArray[np.int64]) -> slice | NDArray[np.int64]:
 
 @dataclass(frozen=True)
 class ShardPiece:
-    """Axes of a shard that a thread steps at once. `rows` (k,) are ascending, and `at` is their place in the tables."""
+    """Axes of a shard that a thread steps at once. `rows` (k,) are ascending, and `at` is the place of the rows in the
+    tables.
+    """
 
     shard: Shard
     rows: NDArray[np.int64]

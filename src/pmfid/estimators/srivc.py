@@ -268,7 +268,7 @@ def result(estimator: Estimator, problem: ProcessProblem, solution: Solution) ->
 
 
 def process_of(estimator: Estimator, theta: NDArray[np.float64], cov: NDArray[np.float64]) -> Process:
-    """The transfer function at theta (p,) with covariance (p, p), in seconds."""
+    """Return the transfer function at theta (p,) with covariance (p, p), in seconds."""
     model = estimator.model
     if not isinstance(model, TransferFunction):
         raise UsageError(f"{estimator.method} on experiments is for a transfer function, not for a {model.kind}")

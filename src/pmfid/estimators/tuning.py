@@ -418,7 +418,7 @@ class EstimatorTuning:
     edges_slower: tuple[float, ...] = (1.0, 0.1, 0.0)
     #: Fewest edges for each unknown.
     edges_fewest: int = 5
-    #: Iterations of variances and least squares. The variances converge to a few percent within three.
+    #: Iterations of variances and least squares. The variances converge to a few percent within three iterations.
     edges_passes: int = 3
     #: Smallest standard deviation of an edge [counts], the accuracy of the simulation.
     edges_finest: float = 1e-6
