@@ -45,13 +45,16 @@ class Estimator:
     """A method of estimation with a model and an encoder. The object holds only the configuration, checked at
     construction.
 
-    model: `Drive`, `TransferFunction`, or an `EquationModel`. encoder: `Encoder`. dt: sample period [s]. cutoff: pole
-    of the Poisson chain [rad/s], 0 < cutoff <= 2/dt. Its inverse is the time constant of the filters. order: number of
-    stages, >= 2 for a drive. The default 2 means n for a transfer function of a higher order n. discretization:
-    "matched", "paper", or "exact" for `LS` and `BCLS`. prefilter_zeros: one negative zero [rad/s] per noisy column, or
-    None for the method's default. precision: "float64" or "float32". steps: time [s] between each sample of the record
-    and the preceding one (n,), if the clock is uneven. On-line, "given" means that each sample brings its step. `dt` is
-    then the mean step.
+    model: `Drive`, `TransferFunction`, or an `EquationModel`.
+    encoder: `Encoder`.
+    dt: sample period [s].
+    cutoff: pole of the Poisson chain [rad/s], 0 < cutoff <= 2/dt. Its inverse is the time constant of the filters.
+    order: number of stages, >= 2 for a drive. The default 2 means n for a transfer function of a higher order n.
+    discretization: "matched", "paper", or "exact" for `LS` and `BCLS`.
+    prefilter_zeros: one negative zero [rad/s] per noisy column, or None for the method's default.
+    precision: "float64" or "float32".
+    steps: time [s] between each sample of the record and the preceding one (n,), if the clock is uneven. On-line,
+    "given" means that each sample brings its step. `dt` is then the mean step.
 
     Raises UsageError with a remedy for an invalid value.
     """

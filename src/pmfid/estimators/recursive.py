@@ -104,24 +104,22 @@ LOOK = constants_of(None)["PMF_LOOK"]
 class RecursiveEstimator(Estimator):
     """An `Estimator` that runs sample by sample.
 
-    `forgetting` is the weight of the past per sample, 0 < forgetting <= 1. The memory is dt / (1 - forgetting). The
-    value 1 forgets nothing in float64. A float32 sum would ignore new samples after some millions of samples. In
-    float32, the gathered information is halved whenever it amounts to 2^19 samples.
+    forgetting: weight of the past per sample, 0 < forgetting <= 1. The memory is dt / (1 - forgetting). The value 1
+    forgets nothing in float64. A float32 sum would ignore new samples after some millions of samples. In float32, the
+    gathered information is halved whenever it amounts to 2^19 samples.
 
-    `forgetting_scheme` is one of four. No scheme winds up without excitation.
+    forgetting_scheme: one of four schemes. No scheme winds up without excitation.
     - "exponential" forgets all samples alike. A small part of the largest information is never forgotten, and theta is
-    held
-      once only this part is left (Levenberg-Marquardt, Ljung and Soderstrom 1983).
+      held once only this part is left (Levenberg-Marquardt, Ljung and Soderstrom 1983).
     - "directional" forgets only in the directions that the samples excite (Cao and Schwartz 2000), for least squares
-    only.
-      Rest and constant speed lose no information, except by the noise of a coarse encoder, which also excites. An
+      only. Rest and constant speed lose no information, except by the noise of a coarse encoder, which also excites. An
       excited direction has a longer memory, by a factor of about the number of parameters.
     - "constant-trace" keeps the mean of P constant, with each entry relative to its value after the first memory. The
       forgetting is at most twice as fast as `forgetting` (Goodwin and Sin 1984, section 3.3).
     - "window" gives equal weight to the samples of the last memory, and zero weight to older ones, in blocks of an
-    eighth.
+      eighth.
 
-    `forgetting_of` has factors by name for parameters that change more slowly than the others, or never: {"b0": 1.0}.
+    forgetting_of: factors by name for parameters that change more slowly than the others, or never: {"b0": 1.0}.
     `forgetting_of` requires the exponential scheme. A parameter that stays known sharpens the estimates of the others.
     In float32 the memory of each parameter is at most 2^19 samples in which the others are excited.
 
