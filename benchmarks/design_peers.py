@@ -24,9 +24,9 @@ class Tried:
 def casadi_starts(problem: Problem, criterion: str, starts: int, seed: int) -> Tried:
     """Solve by multiple shooting with exact steps and IPOPT with exact second derivatives.
 
-    The program is built once, untimed. Its variables are position, velocity and their sensitivities at the nodes. For D
-    and A the information is a variable, too, for D by its Cholesky factor. A start is a random input within its limits
-    with the motion that it causes.
+    The program is built once, untimed. The variables of the program are position, velocity and their sensitivities at
+    the nodes. For D and A the information is a variable, too, for D by its Cholesky factor. A start is a random input
+    within its limits with the motion that it causes.
     """
     import casadi
 

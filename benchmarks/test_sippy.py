@@ -16,8 +16,8 @@ SAMPLES = 10_000
 def test_sippy_rls(benchmark: BenchmarkFixture, record: Record) -> None:
     """Estimate an ARX model of the measured velocity from input and direction, by recursive least squares.
 
-    Its parameters belong to a difference equation with the encoder's noise in the regressors, so that no mass is
-    compared.
+    The parameters of SIPPY belong to a difference equation with the encoder's noise in the regressors, so that no mass
+    is compared.
     """
     sippy = pytest.importorskip("sippy_unipi")
     counts = record.counts[: SAMPLES + 1]

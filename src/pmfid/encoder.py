@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import UsageError
 
 #: Acceleration times dt^2 [counts] for which the direction tracker is tuned (Kalata's tracking index). With the value
-#: 10, the tracker follows a piecewise constant acceleration within a sample. The same value still damps the staircase
+#: 10, the tracker follows a piecewise constant acceleration within a sample. The chosen value still damps the staircase
 #: of two counts.
 TRACKING_INDEX = 10.0
 
@@ -131,8 +131,8 @@ FINE = 2**30
 
 
 def fine_counts(y: NDArray[np.float64]) -> tuple[Encoder, NDArray[np.int64]]:
-    """Return an encoder for a finite output y (n,), and the counts (n,). The encoder is so fine that quantisation
-    has no effect.
+    """Return an encoder for a finite output y (n,), and the counts (n,). The encoder is so fine that quantisation has
+    no effect.
     """
     size = float(np.max(np.abs(y), initial=0.0)) or 1.0
     resolution = size / FINE

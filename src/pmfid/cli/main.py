@@ -67,7 +67,7 @@ def main() -> None:
 def _open_closed_streams() -> None:
     """Open each closed stream, as by `<&-`, on the null device.
 
-    Otherwise the next opened file would get its number, and would receive the printed text.
+    If a stream stayed closed, the next opened file would get its number and receive the printed text.
     """
     for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
         if getattr(sys, name) is None:

@@ -163,8 +163,7 @@ def search(
     """Search the terms of a drive, starting from a model.
 
     `places` are periodic forces along the travel that are candidates, too. If `scan`, the search also looks for the
-    pitch of a cogging force.
-    Raises NotIdentifiableError if the first model has no fit.
+    pitch of a cogging force. Raises NotIdentifiableError if the first model has no fit.
     """
     looking = scan and model.cogging is None and all(place.key != "cogging" for place in places)
     first = bench.first(model)
@@ -470,8 +469,8 @@ def propose_candidates(trial: Trial, found: Adequacy) -> list[Candidate]:
 def _deserves_trial(trial: Trial, found: Adequacy, k: int) -> bool:
     """Return whether a force deserves a trial.
 
-    If the model explains every count, the score of the force must be beyond chance. Otherwise unmodelled effects
-    scatter the scores, and the likelihood decides.
+    If the model explains every count, the score of the force must be beyond chance. If the model leaves effects out,
+    these effects scatter the scores, and the likelihood decides.
     """
     if trial.best.clean:
         return bool(abs(found.z[k]) >= ESTIMATOR_TUNING.adequacy_missed)

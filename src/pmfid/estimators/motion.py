@@ -247,7 +247,7 @@ class Restart:
         self.speed = self.shown
 
     def best(self, parameters: Floats, force: Floats | None) -> tuple[Floats, Floats]:
-        """Return position and velocity (n,) from the start of least squares."""
+        """Return position and velocity (n,) for the start that least squares finds."""
         prior = self.white / self.known**2
         if self.effect.size == 0:
             self.effect = self._effect_at(self.shown, parameters, force)

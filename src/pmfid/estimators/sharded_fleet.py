@@ -263,8 +263,9 @@ class ShardedFleet:
         return self._handles.take(places)
 
     def remove(self, handles: ArrayLike) -> None:
-        """Remove these axes. The fleet refuses their handles from now on, even after another axis has taken their
-        place. The memory of removed axes stays for new axes. Raises UsageError for an unknown or repeated axis."""
+        """Remove these axes. The fleet refuses handles of removed axes, even after other axes have taken their places.
+        The memory of removed axes stays for new axes. Raises UsageError for an unknown or repeated axis.
+        """
         self._handles.release(self._handles.places(handles))
 
     def _group(self, runner: Runner[RecursiveEstimator]) -> ShardGroup:

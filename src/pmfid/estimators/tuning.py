@@ -148,8 +148,8 @@ class EstimatorTuning:
     damped_from: int = 15
     #: Relative size up to which such a cycle counts as converged.
     instruments_accepted: float = 2e-3
-    #: A parameter may be zero if its term is less than this part of the target. Its change is then measured against
-    #: this part.
+    #: A parameter may be zero if its term is less than this part of the target. The change of such a parameter is
+    #: measured against this part.
     instruments_small: float = 1e-2
     #: Length of a record's first part, in which the model's velocity forgets its unknown start.
     start_part: float = 0.05
@@ -240,8 +240,8 @@ class EstimatorTuning:
     motion_shorter: float = 0.25
     #: Step of the difference quotient by the speed after a gap, as a part of the prior standard deviation.
     velocity_step: float = 0.1
-    #: Step of the difference quotients as a part of a parameter. It is far above the kinks that stops and reversals
-    #: leave in the simulated position, and far below the position's curvature.
+    #: Step of the difference quotients as a part of a parameter. The step is far above the kinks that stops and
+    #: reversals leave in the simulated position, and far below the position's curvature.
     quotient_step: float = 1e-4
     max_evaluations: int = 200
     #: Number of motions that vector lanes compute in about the time of one.

@@ -117,8 +117,8 @@ def phase_scatter(difference: Difference, q: Floats, sensitivity: Floats, noise:
     """Return the variances (p,) of sum sensitivity (n, p) * score over the places of the lattice.
 
     The counts are those of the motion simulated at q. `noise` is the position's noise [counts] in an interval
-    likelihood; None takes the position's error itself as score. A larger noise gives zero, because noise breaks every
-    pattern of the counts.
+    likelihood; None takes the position's error itself as score. A noise above the floor gives zero, because noise
+    breaks every pattern of the counts.
     """
     if noise is not None and noise > TUNING.given_away * TUNING.noise_floor:
         return np.zeros(sensitivity.shape[1])

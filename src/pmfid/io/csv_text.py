@@ -313,7 +313,7 @@ def _strip_other_lines(body: bytes) -> bytes:
 
 
 def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
-    """Return the columns with numbers in the first lines as numbers, and the others as text.
+    """Return the columns with numbers in the first lines as numbers, and all other columns as text.
 
     If a later cell is no number, all columns are text, because only a used column may cause an error.
     """

@@ -111,7 +111,7 @@ def _check_mat(data: bytes) -> None:
     """Raise ValueError unless all sizes and types in a v5 file are consistent.
 
     With inconsistent sizes, the reader of SciPy ends the whole process. A file of another version passes the check, and
-    the reader refuses it.
+    the reader refuses the file.
     """
     order = {b"\x00\x01IM": "<", b"\x01\x00MI": ">"}.get(data[124:128])
     if order is None or 0 in data[:4]:

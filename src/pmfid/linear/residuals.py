@@ -63,8 +63,8 @@ def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Nois
     most = min(TUNING.residuals_most, max(1, error.size // TUNING.residuals_part))
     laid, there = _place_on_line(error, place, _size(place)), _place_on_line(np.ones(error.size), place, _size(place))
     pairs = np.maximum(_autocovariance(there, most), 1e-9)
-    # The sums are divided by one number and not by the count of pairs. Otherwise the result may be no valid covariance,
-    # and spectral lines appear.
+    # The sums are divided by one number and not by the count of pairs. With the count of pairs, the result may be no
+    # valid covariance, and spectral lines appear.
     raw = _autocovariance(laid, most) / pairs[0]
     if pairs[0] - pairs[1] > TUNING.residuals_gaps * error.size and np.any(
         np.abs(raw[1 : TUNING.residuals_soon]) > 4 * raw[0] / np.sqrt(error.size)

@@ -110,7 +110,7 @@ class Structure:
 
     `integrators` is the number of poles at 0. If `unstable`, poles may lie in the right half-plane. `dead_time` is the
     dead time of the input that the stretches do not contain, in their unit of time. `latest` is None for a known dead
-    time. Otherwise the dead time is the last parameter, between dead_time and `latest`.
+    time. An unknown dead time is the last parameter, between dead_time and `latest`.
     """
 
     n: int
@@ -200,8 +200,8 @@ def companion(a: Floats) -> Floats:
 
 
 def channels(structure: Structure, theta: Floats, stretch: RecordStretch, *, twice: bool) -> Channels:
-    """Return the channels for the denominator and the dead time in theta (p,). If `twice`, the channels contain s^j
-    / (A A').
+    """Return the channels for the denominator and the dead time in theta (p,). If `twice`, the channels contain s^j /
+    (A A').
     """
     n, free, size, late = structure.n, structure.free, stretch.grid.size, structure.lateness(theta)
     a = structure.denominator(theta)
@@ -243,7 +243,7 @@ def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: Rec
     simulated = b @ single[: b.size, 0] + initial @ single[:n, -1]
     if structure.offset:
         simulated = simulated + offset * single[0, -2]
-    source = stretch.inputs.shape[0] - 1  # the last input is the reference, if one exists
+    source = stretch.inputs.shape[0] - 1  # with a reference, the last input is the part that the reference explains
     zeta = [b @ double[i : i + b.size, source] + initial @ double[i : i + n, -1] for i in range(free)]
     if structure.offset:
         zeta = [slope + offset * double[i, -2] for i, slope in enumerate(zeta)]
