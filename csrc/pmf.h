@@ -384,7 +384,7 @@ typedef struct {
     uint32_t n;
     pmf_shape_t shape[PMF_MAX_SHAPES];
     scalar_t knot[PMF_MAX_KNOTS];
-    scalar_t sum[PMF_MAX_KNOTS]; /* integral from the first knot, for shapes of a speed, in steps */
+    scalar_t sum[PMF_MAX_KNOTS]; /* integral of a speed's shape from the first knot, in steps */
 } pmf_shapes_config_t;
 #endif
 
@@ -524,7 +524,7 @@ typedef struct {
     uint32_t first_column; /* first column of regressors, target and instruments */
     uint32_t update_samples; /* samples between two computations of the filters from the copy */
     uint32_t settle_samples; /* samples in addition to the settling of the process itself */
-    uint32_t start_updates; /* updates of the direct estimate that start the model */
+    uint32_t start_updates; /* number of updates of the direct estimate at which the model starts */
     scalar_t half_dt;
     scalar_t scale[PMF_MAX_ORDER + 1]; /* dt^(n-i) */
     scalar_t limit[PMF_MAX_ORDER]; /* limit of a_i dt^(n-i), above which the process is too fast for the samples */

@@ -123,9 +123,9 @@ static real_t left_behind_stop(const body_t *body, truth_t forward)
     return PMF_IF((behind > PMF_R(0.0)) & (before > PMF_R(0.0)), behind / before, PMF_R(0.0));
 }
 
-/* The velocity deviation w by each parameter follows m w' + d w = -signal, and a stop removes the rest of m w like a
- * blow. The blow is the derivative of the sum of friction and input in the equation. After two filter stages with the
- * delay of the equation's filters, the blow completes regressors and target. */
+/* The velocity deviation w by each parameter follows m w' + d w = -signal, and a stop removes the remaining momentum m
+ * w like a blow. The blow is the derivative of the sum of friction and input in the equation. After two filter stages
+ * with the delay of the equation's filters, the blow completes regressors and target. */
 static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, const body_t *body,
                              real_t before, real_t after, const real_t *signal)
 {

@@ -34,9 +34,9 @@
 #define NOISE PMF_R(2.0) /* error of a second difference of counts */
 #define REST_EDGE PMF_R(6.0) /* smaller errors are never suspicious at rest */
 #define MOTION_EDGE PMF_R(8.0) /* smaller errors are never suspicious in motion */
-#define CAUTION PMF_R(3.0) /* limit in motion, as a multiple of the errors so far */
-#define EARLY_CAUTION PMF_R(30.0) /* limit at the start, as a multiple of the errors so far */
-#define EARLY_SPIKE PMF_R(1e6) /* limit at the start, as a multiple of the largest input */
+#define CAUTION PMF_R(3.0) /* limit of an error in motion, as a multiple of the errors so far */
+#define EARLY_CAUTION PMF_R(30.0) /* limit of an error at the start, as a multiple of the errors so far */
+#define EARLY_SPIKE PMF_R(1e6) /* limit of an input at the start, as a multiple of the largest input */
 #define PEAK_MARGIN                                                                                                    \
     PMF_R(1.25) /* multiple of the leaking peak above which an input moves the peak, so that a constant input does not \
                  */
@@ -152,8 +152,8 @@ static integer_t foreseen_change(integer_t change, real_t rate)
     return sum_of(change, rounded(PMF_IF(rate < PMF_R(0.0), -sure, sure)));
 }
 
-/* Two successive wrong readings may look like the first two samples of a blow. The third sample continues only after a
- * blow.
+/* Two successive wrong readings may look like the first two samples of a blow. Only after a blow does a third sample
+ * continue.
  */
 PMF_RARE truth_t is_blow(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, real_t missed,
                          real_t pending, real_t limit)
@@ -307,7 +307,7 @@ PMF_SELDOM void grow(const pmf_encoder_config_t *config, pmf_guard_state_t *guar
     guard->peak = PMF_IF(where, size, guard->peak);
 }
 
-/* Decide on a doubtful input that the filters receive now. */
+/* Decide on a doubtful input when the filters receive it. */
 static void judge_input(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t missed_before,
                         truth_t large)
 {

@@ -28,7 +28,8 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
         }                                \
     } while (0)
 #endif
-/* Lanes and straight steps (many/pmf_straight.c) leave out parts for which the structures have room. */
+/* Lanes and straight steps (many/pmf_straight.c) leave out the code of some parts, but not their room in the
+ * structures. */
 #if defined(PMF_LANES) || defined(PMF_STRAIGHT)
 #define PMF_WHOLE 0
 #define PMF_LINEAR 0 /* lanes save time on the matrices of a process only if all axes compute them at once */

@@ -163,8 +163,8 @@ static void mean_form(const pmf_linear_filter_t *filter, uint32_t n, real_t left
     }
 }
 
-/* Compute the transfer function between samples as a function of s_T, the variable of the trapezoidal filters: its
- * denominator `a`, and the numerators `top` and `unit` of the rows b and one (Faddeev and LeVerrier). */
+/* Compute the transfer function between samples as a function of s_T, the variable of the trapezoidal filters (Faddeev
+ * and LeVerrier). `a` is the denominator. `top` and `unit` are the numerators of the rows b and one. */
 static void sampled_form(const pmf_linear_filter_t *filter, uint32_t n, const real_t *b, real_t one, real_t *a,
                          real_t *top, real_t *unit)
 {
@@ -252,7 +252,7 @@ static void held(const pmf_linear_filter_t *filter, uint32_t n, real_t u, real_t
 }
 
 /* Apply the trapezoidal rule with the mean of a signal over the sample. With the last state's increment q, the middle
- * of the states is c + q / 2^(n-i). The increment of a state is the middle of the next state. */
+ * of the states is c + q / 2^(n-i). In a sample, a state grows by the middle of the next state. */
 static void trapezoidal(const pmf_linear_filter_t *filter, uint32_t n, real_t mean, real_t w[M])
 {
     real_t middle[M + 1], q = mean;

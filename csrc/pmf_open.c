@@ -33,8 +33,8 @@ static void open_all(uint32_t p, pmf_recursion_state_t *state, real_t keep)
  * information on the other parameters for given theta_i stays. In L D L^T with parameter i first, only the pivot of i
  * shrinks.
  *
- * Least squares takes R from the sums. The factors of the last step also hold the regularisation. The regularisation
- * may exceed the kept part, so that the diagonal would become negative. */
+ * Least squares takes the information R from the sums. The factors of the last step also hold the regularisation. The
+ * regularisation may exceed the kept part, so that the diagonal would become negative. */
 static void open_squares(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t one, real_t keep)
 {
     uint32_t p = config->n_parameters, i, j;

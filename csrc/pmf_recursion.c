@@ -248,7 +248,7 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
 #endif
 
 #if EVERY_SIZE
-/* The same code with a constant number of parameters. Loops unroll, and the bits stay. The code is split into
+/* The step with a constant number of parameters. Loops unroll, and the bits stay. The code is split into
  * functions, because a compiler's time grows faster than the size of a function. */
 #define FIXED(p, instrumental)                                                                                         \
     PMF_APART whole_t checked_##p##_##instrumental(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, \

@@ -130,7 +130,7 @@ uint32_t pmf_arithmetic(void)
     volatile real_t large = LARGE, least = LEAST_NORMAL, half = PMF_R(0.5);
     real_t a = above, b = below, c = one, nothing = zero, half_least;
     uint32_t wrong = 0U;
-    if (a * b - c != PMF_R(0.0)) { /* the product rounds to one; a fused product or a wider format does not */
+    if (a * b - c != PMF_R(0.0)) { /* the product rounds to one, unless it is fused or has a wider format */
         wrong |= PMF_CONTRACTED;
     }
     a = large;
