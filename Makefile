@@ -7,8 +7,8 @@ BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
-.PHONY: demo test test-long test-core coverage spark kills broker-kills service-faults soak check format bench bench-compare study hostile firmware \
-    firmware-tools service-tools spark-tools golden images clean
+.PHONY: demo test test-long test-core coverage spark kills broker-kills service-faults soak check format bench \
+    bench-compare study hostile firmware docs docs-pictures firmware-tools service-tools spark-tools golden images clean
 
 # Build tools, then pmfid with its dependencies, at the versions of requirements-dev.txt. An edit of Python counts at
 # once, an edit of C after `make`. The imports of commands are compiled to bytecode here, because some environments
@@ -170,8 +170,8 @@ firmware: .venv/tools
 # Write every page of results to results/, which takes hours.
 study: .venv/tools .venv/spark
 	mkdir -p results/images
-	.venv/bin/pmfid explain --page > docs/axis_toml.md
-	.venv/bin/pmfid explain --plant --page > docs/plant_toml.md
+	.venv/bin/pmfid explain --page > docs/reference/axis_toml.md
+	.venv/bin/pmfid explain --plant --page > docs/reference/plant_toml.md
 	.venv/bin/python -m studies.accuracy --out results/accuracy.md
 	.venv/bin/python -m studies.dead_time --out results/dead_time.md
 	.venv/bin/python -m studies.no_settings --out results/no_settings.md
@@ -206,6 +206,21 @@ hostile: .venv/tools
 # Results of every method on fixed records, whose diff shows a change of numbers.
 golden: .venv/installed
 	.venv/bin/python -m tests.golden.make
+
+# The site, from nothing: every code block and every example runs, and a warning or a dead link is an error. Open
+# build/docs/html/index.html.
+.venv/docs: requirements-docs.txt | .venv/tools
+	$(PIP) install --require-hashes -r requirements-docs.txt
+	touch $@
+
+docs: .venv/docs
+	$(KEPT) .venv/bin/python -m docs.stage build/docs/source
+	$(KEPT) .venv/bin/python -m sphinx -W --keep-going -q -E -c docs -d build/docs/doctrees build/docs/source build/docs/html
+	.venv/bin/python -m docs.links build/docs/html
+
+# The pages as a reader sees them: wide and narrow, light and dark.
+docs-pictures: docs service-tools
+	.venv/bin/python -m docs.pictures build/docs/html build/docs/pictures
 
 images: .venv/installed
 	.venv/bin/python -m examples.demo --out demo-report --images docs/images

@@ -42,7 +42,7 @@ def test_every_detector_is_made_and_reported_and_every_file_and_option_may_name_
     assert set(make_detectors(0.9)) == set(DETECTORS)
     (option,) = (parameter for parameter in monitor.params if parameter.name == "detector")
     assert tuple(option.to_info_dict()["type"]["choices"]) == DETECTORS
-    steps, _, choosing = (REPOSITORY / "docs/guide/monitoring.md").read_text(encoding="utf-8").partition("## Choosing")
+    steps, _, choosing = (REPOSITORY / "docs/howto/monitoring.md").read_text(encoding="utf-8").partition("## Choosing")
     for name in DETECTORS:
         assert MonitorConfig(detector=name).detector == name
         assert name in steps.partition("# detector =")[2].partition("\n")[0]
@@ -224,7 +224,7 @@ def test_every_format_has_a_reader_is_reported_and_is_attacked() -> None:
     assert set(READERS) == set(FORMATS)
     assert set(records.WRITERS) == set(FORMATS)
     assert SPOKEN in str(identify.help)
-    assert SPOKEN in " ".join((REPOSITORY / "docs/guide/records.md").read_text(encoding="utf-8").split())
+    assert SPOKEN in " ".join((REPOSITORY / "docs/howto/records.md").read_text(encoding="utf-8").split())
 
 
 # --- the recipes ------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from studies import design_runs, design_wrong
 from studies.design_case import case
 
 ROOT = Path(__file__).parents[1]
-PAGE = ROOT / "docs" / "guide" / "design.md"
+PAGE = ROOT / "docs" / "howto" / "design.md"
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The examples of the README run and give the true parameters."""
+"""The examples of README and pages run and give the true parameters; pages, words and names are complete."""
 
 from __future__ import annotations
 
@@ -10,33 +10,36 @@ from typing import Any
 import pytest
 
 import pmfid
+from docs.blocks import FENCE, ROOT, Outcome, run_blocks
+from docs.stage import WORDS, describe_commands, list_words, program
 from pmfid.config.axis import load_axis
 
-ROOT = Path(__file__).parents[1]
 
-
-def blocks(language: str, page: str = "README.md") -> list[str]:
+def blocks(language: str, page: str) -> list[str]:
     return re.findall(rf"```{language}\n(.*?)```", (ROOT / page).read_text(encoding="utf-8"), re.DOTALL)
+
+
+def run_page(page: str, folder: Path, names: dict[str, Any]) -> list[Outcome]:
+    return list(run_blocks((ROOT / page).read_text(encoding="utf-8"), folder, names))
 
 
 @pytest.mark.parametrize(
     ("page", "name", "theta"),
     [
         ("README.md", "result", [1.07, 12.8, 0.8]),
-        ("docs/guide/python.md", "estimate", [1.07, 12.8, 0.8]),
-        ("docs/guide/models.md", "fit", [1.07, 12.8, 0.8, 0.8]),
+        ("docs/howto/python.md", "estimate", [1.07, 12.8, 0.8]),
+        ("docs/explanation/models.md", "fit", [1.07, 12.8, 0.8, 0.8]),
     ],
 )
-def test_python_examples_find_the_cart(page: str, name: str, theta: list[float]) -> None:
+def test_python_examples_find_the_cart(page: str, name: str, theta: list[float], tmp_path: Path) -> None:
     names: dict[str, Any] = {}
-    for code in blocks("python", page):
-        exec(code, names)
+    run_page(page, tmp_path, names)
     assert names[name].theta == pytest.approx(theta, rel=0.1)
     assert names[name].theta[0] == pytest.approx(1.07, rel=0.01)
 
 
 def test_toml_example_is_the_file(tmp_path):
-    text = blocks("toml")[0]
+    text = blocks("toml", "docs/howto/records.md")[0]
     (tmp_path / "axis.toml").write_text(text)
     shown, file = load_axis(tmp_path / "axis.toml"), load_axis(ROOT / "examples" / "cart.toml")
     assert shown == file
@@ -45,7 +48,7 @@ def test_toml_example_is_the_file(tmp_path):
 def test_methods_named_are_the_methods_there_are():
     from pmfid.estimators.registry import ESTIMATORS
 
-    guide = (ROOT / "docs/guide/models.md").read_text(encoding="utf-8")
+    guide = (ROOT / "docs/explanation/models.md").read_text(encoding="utf-8")
     table = dict(re.findall(r"^\| `([\w-]+)` \| `(\w+)` \|", guide, re.MULTILINE))
     assert table == {name: cls.__name__ for name, cls in ESTIMATORS.items()}
 
@@ -55,10 +58,56 @@ def test_version_is_one():
     assert project["version"] == pmfid.__version__
 
 
-@pytest.mark.parametrize(
-    "page", ["README.md", *(f"docs/guide/{path.name}" for path in (ROOT / "docs/guide").iterdir())]
-)
+PAGES = [
+    "README.md",
+    "ARCHITECTURE.md",
+    *(str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md"))),
+]
+#: Pages that the build of the site writes.
+BUILT = {"commands.md", "gallery/index.rst"}
+SHORT = [page for page in PAGES if page.startswith("docs/howto/status/") or page == "docs/coming_from.md"]
+
+
+@pytest.mark.parametrize("page", SHORT)
+def test_blocks_of_a_page_run_and_show_something(page: str, tmp_path: Path) -> None:
+    outcomes = run_page(page, tmp_path, {"__name__": "page"})
+    assert outcomes
+    assert all(outcome.text for outcome in outcomes)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("page", [page for page in PAGES if page.startswith("docs/start/")])
+def test_a_tutorial_runs_as_it_is_printed(page: str, tmp_path: Path) -> None:
+    fences = FENCE.findall((ROOT / page).read_text(encoding="utf-8"))
+    assert len(run_page(page, tmp_path, {"__name__": "page"})) == len(fences)
+
+
+def test_a_block_that_fails_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="exit code 2"):
+        list(run_blocks("```sh\npmfid identify missing.csv --config none.toml\n```\n", tmp_path))
+    with pytest.raises(ZeroDivisionError):
+        list(run_blocks("```python\n1 / 0\n```\n", tmp_path))
+
+
+@pytest.mark.parametrize("page", PAGES)
 def test_pages_that_a_page_names_exist(page: str) -> None:
-    links = re.findall(r"\]\((?!http)([^)#]+)\)", (ROOT / page).read_text(encoding="utf-8"))
+    text = re.sub(r"^```.*?^```", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    links = re.findall(r"\]\((?!http)([^)#]+)\)", text)
     assert links or page != "README.md"
-    assert all(((ROOT / page).parent / link).exists() for link in links)
+    assert [link for link in links if link not in BUILT and not ((ROOT / page).parent / link).exists()] == []
+
+
+def test_the_page_of_status_words_has_each_word_once() -> None:
+    page = (ROOT / "docs/howto/status.md").read_text(encoding="utf-8")
+    assert sorted(" ".join(WORDS.findall(page)).split()) == sorted(list_words())
+    pages = {path.stem for path in (ROOT / "docs/howto/status").glob("*.md")}
+    assert pages == set(re.findall(r"^status/(\w+)$", page, re.MULTILINE))
+    assert pages <= set(list_words())
+
+
+def test_the_reference_has_each_public_name_and_each_command() -> None:
+    page = (ROOT / "docs/reference/api.md").read_text(encoding="utf-8")
+    assert sorted(re.findall(r"^   (\w+)$", page, re.MULTILINE)) == sorted(pmfid.__all__)
+    commands = "".join(describe_commands(program, "pmfid"))
+    assert {"## pmfid identify", "## pmfid fleet history"} <= set(commands.splitlines())
+    assert "| `--quantize STEP` |" in commands

@@ -30,8 +30,8 @@ def said(*arguments: str) -> str:
 
 
 def test_the_page_of_all_keys_is_up_to_date() -> None:
-    """If this fails, run: pmfid explain --page > docs/axis_toml.md"""
-    assert (ROOT / "docs" / "axis_toml.md").read_text(encoding="utf-8") == page() == said("--page")
+    """If this fails, run: pmfid explain --page > docs/reference/axis_toml.md"""
+    assert (ROOT / "docs" / "reference" / "axis_toml.md").read_text(encoding="utf-8") == page() == said("--page")
 
 
 def test_every_key_says_what_it_is() -> None:
@@ -135,8 +135,12 @@ def test_what_is_unknown_is_refused_with_what_it_may_mean() -> None:
 
 
 def test_the_page_of_a_plant_is_up_to_date() -> None:
-    """If this fails, run: pmfid explain --plant --page > docs/plant_toml.md"""
-    assert (ROOT / "docs" / "plant_toml.md").read_text(encoding="utf-8") == plant_page() == said("--plant", "--page")
+    """If this fails, run: pmfid explain --plant --page > docs/reference/plant_toml.md"""
+    assert (
+        (ROOT / "docs" / "reference" / "plant_toml.md").read_text(encoding="utf-8")
+        == plant_page()
+        == said("--plant", "--page")
+    )
 
 
 def test_every_key_of_a_plant_says_what_it_is() -> None:

@@ -44,7 +44,7 @@ from tests.test_many import process_record
 DT, CUTOFF = 0.01, 100 / 3
 PRECISIONS = ("float32", "float64")
 AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
-FIRMWARE_PAGE = Path(__file__).parents[1] / "docs" / "firmware.md"
+FIRMWARE_PAGE = Path(__file__).parents[1] / "docs" / "howto" / "firmware.md"
 
 
 def needs(target: Target) -> pytest.MarkDecorator:
@@ -407,7 +407,7 @@ def test_every_file_compiles_without_a_warning(target: Target, optimize: str, pr
     assert (done.returncode, done.stderr) == (0, "")
 
 
-#: Rules of MISRA C:2012 that the kernel breaks on purpose; docs/firmware.md gives the reasons.
+#: Rules of MISRA C:2012 that the kernel breaks on purpose; docs/howto/firmware.md gives the reasons.
 MISRA = set(re.findall(r"^\| (\d+\.\d+) \|", FIRMWARE_PAGE.read_text(encoding="utf-8"), re.MULTILINE))
 
 

@@ -277,6 +277,6 @@ def test_sections_say_whether_a_goal_is_met() -> None:
 
 
 def test_python_example_of_the_page_runs() -> None:
-    page = (ROOT / "docs" / "guide" / "laboratory.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "howto" / "laboratory.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     exec(code, {})

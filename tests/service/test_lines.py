@@ -113,7 +113,7 @@ def test_fields_are_scaled_as_columns_of_a_pipe(tmp_path: Path, record: str, nam
 
 
 def test_what_telegraf_makes_of_two_nodes_is_a_sample(messages: Messages) -> None:
-    """The line is the output of `inputs.opcua` after `merge`, as in docs/guide/service.md."""
+    """The line is the output of `inputs.opcua` after `merge`, as in docs/howto/service.md."""
     data = b'drive,axis=x1 Quality="OK (0x0)",u=1.5,x=0.001,t=1 1700000000050000000\n'
     (line,) = lines_of(list(messages.items(data)))
     assert (line.u, line.counts, line.problem) == (1.5, 43, "")

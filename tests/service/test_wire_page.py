@@ -23,7 +23,7 @@ from tests.service.test_lines import axis
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8")
-GUIDE = (ROOT / "docs" / "guide" / "service.md").read_text(encoding="utf-8")
+GUIDE = (ROOT / "docs" / "howto" / "service.md").read_text(encoding="utf-8")
 SECTIONS = (MqttSourceSection, SerialSection, ExecdSection)
 
 
@@ -71,7 +71,7 @@ def test_the_guide_has_every_kind_and_no_other(heading: str, kinds: Mapping[str,
 
 
 @pytest.mark.parametrize(
-    "page", ["deploy/Containerfile", "docs/guide/service.md", "docs/wire.md", "examples/plant.toml"]
+    "page", ["deploy/Containerfile", "docs/howto/service.md", "docs/wire.md", "examples/plant.toml"]
 )
 def test_the_port_is_that_of_the_code(page: str) -> None:
     ports = re.findall(r"127\.0\.0\.1:(8\d{3})\b", (ROOT / page).read_text(encoding="utf-8"))

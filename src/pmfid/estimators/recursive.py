@@ -109,6 +109,7 @@ class RecursiveEstimator(Estimator):
     gathered information is halved whenever it amounts to 2^19 samples.
 
     forgetting_scheme: one of four schemes. No scheme winds up without excitation.
+
     - "exponential" forgets all samples alike. A small part of the largest information is never forgotten, and theta is
       held once only this part is left (Levenberg-Marquardt, Ljung and Soderstrom 1983).
     - "directional" forgets only in the directions that the samples excite (Cao and Schwartz 2000), for least squares

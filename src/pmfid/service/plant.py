@@ -268,7 +268,7 @@ def _read_kind(where: str, name: str, table: Mapping[str, Any], kinds: Mapping[s
         raise UsageError(f"[{where}.{name}] kind is missing; give one of {', '.join(kinds)}")
     kind = str(table["kind"])
     if kind in REMOVED:
-        raise UsageError(f"[{where}.{name}] kind = {kind!r} was removed; {REMOVED[kind]} (docs/guide/service.md)")
+        raise UsageError(f"[{where}.{name}] kind = {kind!r} was removed; {REMOVED[kind]} (docs/howto/service.md)")
     if kind not in kinds:
         raise UsageError(f"[{where}.{name}] kind = {kind!r} is none of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
     return _section(f"{where}.{name}", kinds[kind], table)
@@ -288,7 +288,7 @@ _HEAD = """\
 
 Written by `pmfid explain --plant --page`, from the models that validate the file. `pmfid explain KEY` says the same of
 one key, as `pmfid explain service.window`, or `pmfid explain sources.mqtt` of a kind. What a plant is, and how it is
-begun: [guide/service.md](guide/service.md); the axes themselves: [axis_toml.md](axis_toml.md).
+begun: [service.md](../howto/service.md); the axes themselves: [axis_toml.md](axis_toml.md).
 """
 
 

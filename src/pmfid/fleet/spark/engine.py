@@ -128,7 +128,7 @@ NUMBER, FOUND = "number", "found"
 RETURNED = f"{NUMBER} long, {FOUND} binary"
 NOT_THERE = (
     "the executors of Spark do not have pmfid: install it in the Python that they run (PYSPARK_PYTHON), or send an "
-    "environment that has it (spark.archives); see docs/guide/fleet.md"
+    "environment that has it (spark.archives); see docs/howto/fleet.md"
 )
 
 
