@@ -177,7 +177,7 @@ static whole_t check(const pmf_encoder_config_t *config, const pmf_encoder_state
 static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t direction,
                           real_t *signal)
 {
-#if PMF_WITH_SPLIT
+#if PMF_SPLIT
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
     real_t middle = PMF_TO_REAL(signed_count(0xffffffffU, state->travel)) - PMF_R(0.5) * PMF_TO_REAL(state->change);
     real_t position;
@@ -191,7 +191,7 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
     (void)config;
     signal[PMF_INPUT] = state->moving * state->input_before;
     signal[PMF_DIRECTION] = direction;
-#if PMF_WITH_SPLIT
+#if PMF_SPLIT
     signal[PMF_MOVING] = state->moving;
     signal[PMF_FORWARD] = moving + half;
     signal[PMF_BACKWARD] = half - moving;
@@ -280,7 +280,7 @@ static real_t late_turn(const pmf_encoder_state_t *state, real_t direction, real
 #endif
 
 PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state,
-                                              real_t input, whole_t count, real_t *signal)
+                                              real_t input, whole_t count, truth_t suspicious, real_t *signal)
 {
     uint32_t mask = config->count_mask;
     truth_t started = state->started != 0U;
@@ -303,12 +303,15 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
         status |= pmf_guard(config, state, input, count, apart, &change);
         counts = magnitude(change);
         motion = PMF_IF(apart, change, state->guard.change); /* corrected counts do not belong to the motion */
-        status |= bridged(config, state, change, motion);
+        if (PMF_ANY(suspicious)) {
+            status |= bridged(config, state, change, motion);
+        }
     } else {
         state->count = count;
         motion = change;
     }
 #else
+    (void)suspicious;
     state->count = count;
     motion = change;
 #endif

@@ -44,6 +44,9 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_PROCESS PMF_WITH_PROCESS
 #define PMF_MODELLED(config) ((config)->auxiliary.enabled != 0U)
 #endif
+#ifndef PMF_SPLIT /* otherwise no column has the signals beyond input, velocity and direction */
+#define PMF_SPLIT PMF_WITH_SPLIT
+#endif
 #if !PMF_WHOLE && !defined(PMF_MOTIONS)
 #define PMF_SHAPED 0 /* if each axis reads a table elsewhere, lanes save time only for motions */
 #define PMF_LATE 0 /* if each axis reads another input, lanes save time only for motions */
@@ -142,7 +145,7 @@ void pmf_copy(const void *from, void *to, uint32_t size);
 
 /* The parts of a step; `signal` has PMF_SIGNALS entries. */
 PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
-                                 whole_t count, real_t *signal);
+                                 whole_t count, truth_t suspicious, real_t *signal);
 /* Step the auxiliary model, after the encoder's signals of the same step. */
 PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
 #if PMF_LATE

@@ -129,14 +129,20 @@ static void step_model(const pmf_config_t *config, pmf_state_t *state)
 
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
-    whole_t status = pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
+#if PMF_WITH_GUARD
+    truth_t before = state->hold == config->encoder.guard_hold, suspicious, bridged;
+#else
+    truth_t before = PMF_W(0) != 0U;
+#endif
+    whole_t status = pmf_encoder_step(&config->encoder, &state->encoder, input, count, before, state->network.node);
     truth_t settling;
 #if PMF_WITH_GUARD
-    truth_t suspicious = (status & PMF_SAMPLE_REJECTED) != 0U;
-    truth_t bridged =
-        ((status & PMF_BRIDGED) != 0U) & (state->hold == config->encoder.guard_hold); /* set by the preceding sample */
-    state->hold = PMF_IF(suspicious, PMF_W(config->encoder.guard_hold),
-                         PMF_IF(bridged, PMF_W(0), state->hold - PMF_BIT(state->hold > 0U, 1U)));
+    suspicious = (status & PMF_SAMPLE_REJECTED) != 0U;
+    if (PMF_ANY(suspicious | (state->hold > 0U))) {
+        bridged = before & ((status & PMF_BRIDGED) != 0U);
+        state->hold = PMF_IF(suspicious, PMF_W(config->encoder.guard_hold),
+                             PMF_IF(bridged, PMF_W(0), state->hold - PMF_BIT(state->hold > 0U, 1U)));
+    }
     PMF_WHERE((status & PMF_BEGIN_AGAIN) != 0U, state, begin_again(config, state));
     status = status & ~(uint32_t)(PMF_BRIDGED | PMF_BEGIN_AGAIN);
 #endif

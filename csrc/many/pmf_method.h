@@ -39,4 +39,7 @@
 #define PMF_INSTRUMENTAL (METHOD != METHOD_rls)
 #define PMF_WITH_MODEL (METHOD == METHOD_riv)
 #define PMF_SCHEME PMF_EXPONENTIAL
+#if !PMF_WITH_MODEL
+#define PMF_SPLIT 0
+#endif
 #endif
