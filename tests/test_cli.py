@@ -26,6 +26,7 @@ from pmfid.config.axis import load_axis
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.io import SUFFIXES
+from pmfid.pipeline.result import format_value
 from pmfid.records.record import read_record
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 from pmfid.simulation.drive import Schedule, quantize, simulate_drive
@@ -501,8 +502,8 @@ def test_the_table_shows_what_the_json_says(tmp_path: Path, cart: Cart) -> None:
     result = run(cart.csv, "--out", str(tmp_path))
     assert (result.exit_code, result.stderr) == (0, "")
     for name, entry in good(cart.csv)["parameters"].items():
-        row = next(line for line in result.stdout.splitlines() if name in line)
-        assert f"{entry['value']:.6g}" in row
+        row = next(line for line in result.stdout.splitlines() if f"│ {name}" in line)
+        assert format_value(entry["value"], entry["std"]) in row
         assert entry["unit"] in row
     assert f"report: {tmp_path / 'report.html'}" in result.stdout
 

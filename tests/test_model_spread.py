@@ -238,8 +238,11 @@ def test_tables_and_text_show_it(result: DriveResult) -> None:
     rows = parameter_rows(result)
     assert parameter_header(result) == ("parameter", "value", "std", "model spread", "95 %", "unit")
     assert rows[0][3] == spread
-    headings = [str(column.header).replace("\n", " ") for column in terminal_table(result).columns]
+    headings = [str(column.header).replace("\n", " ") for column in terminal_table(result, 120).columns]
     assert headings == list(parameter_header(result))
+    assert [str(column.header) for column in terminal_table(result, 60).columns] == [
+        "parameter", "value(std)", "95 %", "unit"
+    ]  # fmt: skip
     assert f"(model spread {spread})" in str(result)
 
 

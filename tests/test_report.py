@@ -13,8 +13,10 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from pmfid import Drive, Encoder, identify
 from pmfid.errors import UsageError
 from pmfid.estimators.results import Track
+from pmfid.pipeline.result import format_short, format_value
 from pmfid.report.figures import (
     DOUBTFUL,
     comparison_figure,
@@ -27,7 +29,9 @@ from pmfid.report.figures import (
     stretches,
 )
 from pmfid.report.html import Section, svg, write_report
+from pmfid.report.result import write_result
 from pmfid.report.tuning import TUNING
+from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.status import Status
 
 N = 600
@@ -245,3 +249,33 @@ def test_text_is_escaped_and_numbers_stand_right(tmp_path: Path) -> None:
 def test_a_short_row_is_named() -> None:
     with pytest.raises(UsageError, match="row 2 of the table 'Errors' has 1 cells, the header 2"):
         Section("Errors", table=(("a", "b"), ((1, 2), (3,))))
+
+
+def test_a_number_has_the_digits_of_its_standard_error() -> None:
+    assert [format_value(*pair) for pair in ((0.62, 6.1e-5), (9.00871, 0.12), (120.0, 3.0), (2.5e-6, 0.0))] == [
+        "0.620000", "9.01", "120.0", "2.5e-06"
+    ]  # fmt: skip
+    assert format_short(3.20012e-4, 5.1e-8) == "0.000320012(51)"
+    assert format_short(2.97251e-6, 1.6e-10) == "2.97251(16)e-06"
+    assert format_short(1234.5, 20.0) == "1234(20)"
+
+
+def test_a_rotary_axis_has_no_metre(tmp_path: Path) -> None:
+    u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    model = Drive(CART.input_gain, axis="rotary")
+    result = identify(u, counts, model=model, dt=CART_DT, encoder=Encoder(CART_RESOLUTION), cutoff=20.0, method="iv")
+    write_result(tmp_path, result)
+    html = re.sub(
+        r"<svg.*?</svg>", lambda found: " ".join(re.findall(r">([^<]+)<", found[0])), _read(tmp_path), flags=re.S
+    )
+    assert "inertia" in html
+    assert "kg m2" in html
+    assert (
+        re.findall(r"(?<!N) m(?:/s)?[\]. ,]|\[N\]|N s/m|mass", re.sub(r"<[^>]+>", " ", html.partition("<body>")[2]))
+        == []
+    )
+
+
+def _read(folder: Path) -> str:
+    return (folder / "report.html").read_text(encoding="utf-8")

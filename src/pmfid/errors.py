@@ -13,6 +13,7 @@ __all__ = [
     "UnknownParameterError",
     "UsageError",
     "did_you_mean",
+    "list_some",
     "place_of",
     "printable",
     "whole_number",
@@ -94,6 +95,14 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str:
     by_folded = {choice.casefold(): choice for choice in choices}
     closest = get_close_matches(word.casefold(), by_folded, n=1, cutoff=0.5)
     return f"; did you mean {by_folded[closest[0]]!r}?" if closest else ""
+
+
+def list_some(names: Iterable[str], most: int) -> str:
+    """Return names with commas, of which only the first fit into `most` characters, and the number of the others."""
+    shown, others = list[str](), list(names)
+    while others and len(", ".join([*shown, others[0]])) <= most:
+        shown.append(others.pop(0))
+    return ", ".join(shown) + (f" and {len(others)} more" if others else "")
 
 
 def whole_number(name: str, value: object, low: int | None, remedy: str) -> int:

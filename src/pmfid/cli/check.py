@@ -6,8 +6,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.terminal import JSON, RECORDS, config_option, print_json, progress
-from pmfid.errors import printable
+from pmfid.cli.terminal import JSON, RECORDS, config_option, print_json, print_text, progress
 from pmfid.findings import codes
 
 EXIT_FOUND, EXIT_WRONG = 1, 3
@@ -47,11 +46,12 @@ def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: 
         from pmfid.diagnostics.matter import is_small_doubt
 
         small = dict.fromkeys(finding.code for finding in found if is_small_doubt(finding))
-        below = f"; below the tolerance: {', '.join(small)}" if small else ""
         said = "" if faults else ", nothing wrong found" if found else ", nothing found"
-        click.echo(printable(f"{name}: {samples} samples{said}{below}"))
+        print_text(f"{name}: {samples} samples{said}")
         for finding in found:
             if not is_small_doubt(finding):
-                click.echo(printable("\n".join(finding.lines)))
+                print_text("\n".join(finding.lines))
+        if small:
+            print_text(f"note: effects outside the model are below the tolerance: {', '.join(small)}")
     wrong = any(finding.severity == "wrong" for finding in found)
     ctx.exit(EXIT_WRONG if wrong else EXIT_FOUND if faults else 0)

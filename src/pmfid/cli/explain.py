@@ -37,7 +37,9 @@ def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> 
 
         print_json({"entries": [entry.to_json() for entry in found]})
     else:
-        click.echo(explain_entries(found))
+        from pmfid.cli.terminal import print_text
+
+        print_text(explain_entries(found))
 
 
 def _find_all(words: Sequence[str], plant: bool) -> list[ReferenceEntry]:

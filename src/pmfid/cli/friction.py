@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import CUTOFF, JSON, config_option, folder_option, print_json, progress
+from pmfid.cli.terminal import CUTOFF, JSON, config_option, folder_option, print_json, print_text, progress
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 @config_option()
 @CUTOFF
 @click.option("--nodes", type=int, default=10, show_default=True, help="Speeds in each direction.")
-@click.option("--rising-from", type=float, metavar="SPEED", help="Friction does not fall from this speed on [m/s].")
+@click.option(
+    "--rising-from", type=float, metavar="SPEED", help="Friction does not fall from this speed on [m/s or rad/s]."
+)
 @folder_option("Write friction.html and friction.json there.")
 @JSON
 def friction(
@@ -71,4 +73,4 @@ def _print(found: FrictionCurve, name: str, out: Path | None) -> None:
     console = Console()
     console.print(table)
     for line in (*(f"note: {note}" for note in found.notes), *([f"report: {out / 'friction.html'}"] if out else [])):
-        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
+        print_text(line)

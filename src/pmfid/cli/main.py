@@ -19,10 +19,20 @@ from pmfid.cli.init import init
 from pmfid.cli.monitor import monitor
 from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
-from pmfid.cli.terminal import CUTOFF, JSON, RECORDS, config_option, folder_option, print_json, progress, step
+from pmfid.cli.terminal import (
+    CUTOFF,
+    JSON,
+    RECORDS,
+    config_option,
+    folder_option,
+    print_json,
+    print_text,
+    progress,
+    step,
+)
 from pmfid.cli.terms import order, terms
 from pmfid.cli.validate import validate
-from pmfid.errors import INTERRUPTED, PmfidError, printable
+from pmfid.errors import INTERRUPTED, PmfidError
 from pmfid.estimators import METHODS
 from pmfid.io import SPOKEN
 
@@ -41,14 +51,14 @@ class CommandGroup(click.Group):
         try:
             return super().invoke(ctx)
         except PmfidError as error:
-            click.echo(f"pmfid: {printable(str(error))}", err=True)
+            print_text(f"pmfid: {error}", err=True)
             ctx.exit(error.exit_code)
         except BrokenPipeError:  # the reader has closed the pipe and needs no more
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             ctx.exit(0)
         except OSError as error:
             reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-            click.echo(f"pmfid: {printable(reason)}; choose another place", err=True)
+            print_text(f"pmfid: {reason}; choose another place", err=True)
             ctx.exit(EXIT_USAGE)
         except KeyboardInterrupt:
             click.echo("pmfid: interrupted", err=True)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from pmfid.cli.terminal import print_text
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
@@ -24,36 +25,58 @@ def print_result(result: Result, out: Path | None) -> None:
     from rich.console import Console
 
     from pmfid.diagnostics.matter import is_small_doubt
+    from pmfid.pipeline.conclusion import conclude
     from pmfid.pipeline.result import DriveResult, ProcessResult
 
-    console, table = Console(), _parameters(result)
+    console, said = Console(), conclude(result)
+    print_text(f"{said.sentence}\n  {said.action}")
+    table = _parameters(result, console.width)
     if isinstance(result, ProcessResult):
-        console.print(str(result.process), highlight=False, markup=False, soft_wrap=True)
+        print_text(str(result.process))
         _add_dynamics(table, result)
     console.print(table)
     if isinstance(result, DriveResult):
-        console.print(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %", highlight=False)
+        print_text(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %")
+    print_text(f"status: {', '.join(dict.fromkeys(result.status)) or 'none'}")
     small = dict.fromkeys(finding.code for finding in result.findings if is_small_doubt(finding))
-    below = f"; below the tolerance: {', '.join(small)}, which the report and --json describe" if small else ""
-    lines = [f"status: {', '.join(dict.fromkeys(result.status)) or 'none'}{below}"]
-    lines += [line for finding in result.findings if not is_small_doubt(finding) for line in finding.lines]
-    lines += [f"more: pmfid explain {result.status[0]}"] if result.status else []
+    lines = [line for finding in result.findings if not is_small_doubt(finding) for line in finding.lines]
+    if small:
+        below = f"note: effects outside the model are below the tolerance: {', '.join(small)}"
+        lines.append(f"{below}; the report and --json describe them")
+    lines += [f"more: pmfid explain {said.word}"] if said.word else []
     lines += [f"report: {out / 'report.html'}"] if out is not None else []
     for line in lines:
-        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
+        print_text(line)
 
 
-def _parameters(result: Result) -> Table:
+def _parameters(result: Result, width: int) -> Table:
+    """Return the table of parameters. A narrow table has the standard error in brackets and no model spread."""
+    from pmfid.pipeline.result import FOLDED, format_short, parameter_header, parameter_rows
+
+    title = f"{result.name}: {result.estimator.method}, {result.samples} samples"
+    header, rows = parameter_header(result), parameter_rows(result)
+    table = _parameter_table(title, header, rows)
+    if _width(table) <= width or FOLDED[0] not in header:
+        return table
+    numbers = zip(result.theta.tolist(), result.theta_std.tolist(), strict=True)
+    short = [
+        [row[0], format_short(*pair), row[header.index(FOLDED[1])], row[-1]]
+        for row, pair in zip(rows, numbers, strict=True)
+    ]
+    return _parameter_table(title, ("parameter", "value(std)", FOLDED[1], "unit"), short)
+
+
+def _parameter_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
     from rich.table import Table
 
-    from pmfid.pipeline.result import FOLDED, parameter_header, parameter_rows
+    from pmfid.pipeline.result import FOLDED
 
-    table = Table(title=_safe(f"{result.name}: {result.estimator.method}, {result.samples} samples"))
-    for heading in parameter_header(result):
+    table = Table(title=_safe(title))
+    for heading in header:
         folds = heading in FOLDED  # the other columns stay whole in a narrow terminal
         side: Literal["left", "right"] = "left" if heading in ("parameter", "unit") else "right"
-        table.add_column(heading.replace("model ", "model\n"), justify=side, no_wrap=not folds)
-    for row in parameter_rows(result):
+        table.add_column(heading.replace("model ", "model\n"), justify=side, no_wrap=not folds, overflow="fold")
+    for row in rows:
         table.add_row(*map(_safe, row))
     return table
 
@@ -70,46 +93,51 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
 
     In a narrow terminal, the table is split into blocks of parameters.
     """
-    from rich.console import Console
 
     from pmfid.report.comparison import comparison_rows
 
     header, rows = comparison_rows(comparison)
+    print_table(f"{comparison.name}: all methods", header[:-1], rows)
+    for row in rows:  # remarks do not fit into the table on a narrow terminal
+        if row[-1]:
+            print_text(f"{row[0]}: {row[-1]}")
+    for name, reason in comparison.refused.items():
+        print_text(f"{name} has no answer: {reason}")
+    if out is not None:
+        print_text(f"report: {out / 'compare.html'}")
+
+
+def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table, in a narrow terminal as blocks of columns that each begin with the first column."""
+    from rich.console import Console
+
     console = Console()
-    title = f"{comparison.name}: all methods"
-    for columns in _blocks(header[:-1], rows, console.width):
-        table = _comparison_table(title, header, rows, columns)
+    for columns in _blocks(header, rows, console.width):
+        table = _column_table(title, header, rows, columns)
         # A number is never cut. A wide table exceeds the edge of the terminal.
         Console(width=max(console.width, _width(table))).print(table)
         title = ""
-    for row in rows:  # remarks do not fit into the table on a narrow terminal
-        if row[-1]:
-            console.print(printable(f"{row[0]}: {row[-1]}"), highlight=False, markup=False, soft_wrap=True)
-    for name, reason in comparison.refused.items():
-        console.print(printable(f"{name} has no answer: {reason}"), highlight=False, markup=False, soft_wrap=True)
-    if out is not None:
-        console.print(f"report: {out / 'compare.html'}", highlight=False, markup=False, soft_wrap=True)
 
 
 def _blocks(header: Sequence[str], rows: Sequence[Sequence[str]], width: int) -> list[list[int]]:
-    """Return groups of columns that fit into `width` characters, each with the method as its first column."""
+    """Return groups of columns that fit into `width` characters, each with the first column."""
     blocks = [[0]]
     for column in range(1, len(header)):
         longer = [*blocks[-1], column]
-        if len(longer) == 2 or _width(_comparison_table("", header, rows, longer)) <= width:
+        if len(longer) == 2 or _width(_column_table("", header, rows, longer)) <= width:
             blocks[-1] = longer
         else:
             blocks.append([0, column])
     return blocks
 
 
-def _comparison_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], columns: list[int]) -> Table:
+def _column_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]], columns: list[int]) -> Table:
     from rich.table import Table
 
     table = Table(title=_safe(title) or None)
     for heading in (header[column] for column in columns):
         text = _safe(heading.replace("_", "\n").replace(" [", "\n["))
-        table.add_column(text, justify="left" if heading == "method" else "right", no_wrap=True)
+        table.add_column(text, justify="left" if heading == header[0] else "right", no_wrap=True)
     for row in rows:
         table.add_row(*(_safe(row[column]) for column in columns))
     return table
@@ -140,9 +168,9 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
     best = search.best
     console.print(f"best: --n {best.n} --m {best.m} --delay {best.delay}", highlight=False, markup=False)
     for note in search_notes(search):
-        console.print(printable(f"note: {note}"), highlight=False, markup=False, soft_wrap=True)
+        print_text(f"note: {note}")
     if out is not None:
-        console.print(f"report: {out / 'order.html'}", highlight=False, markup=False, soft_wrap=True)
+        print_text(f"report: {out / 'order.html'}")
 
 
 def _safe(text: str) -> str:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 import sys
+import textwrap
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -13,6 +15,8 @@ from pathlib import Path
 from typing import TypeVar
 
 import click
+
+from pmfid.errors import printable
 
 F = TypeVar("F", bound=Callable[..., object])
 
@@ -43,11 +47,35 @@ def folder_option(text: str) -> Callable[[F], F]:
     return click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help=text)
 
 
+def print_text(text: str, err: bool = False) -> None:
+    """Print text for people, without control characters, and with long lines folded at spaces.
+
+    An error that goes to a program instead of a terminal stays one line.
+    """
+    on_terminal = (sys.stderr if err else sys.stdout).isatty()
+    width = min(WIDEST, max(NARROWEST, shutil.get_terminal_size().columns)) if on_terminal else WIDEST
+    lines = printable(text).split("\n")
+    click.echo("\n".join(lines if err and not on_terminal else (fold(line, width) for line in lines)), err=err)
+
+
+def fold(line: str, width: int) -> str:
+    """Return a line in pieces of at most `width` characters. The further pieces stand two characters to the right."""
+    if len(line) <= width:
+        return line
+    left = line[: len(line) - len(line.lstrip())]
+    return textwrap.fill(
+        line.strip(), width, initial_indent=left, subsequent_indent=left + "  ", break_long_words=False,
+        break_on_hyphens=False,
+    )  # fmt: skip
+
+
 def print_json(content: Mapping[str, object]) -> None:
     """Print one object as one line of JSON. NaN raises ValueError, because JSON has no NaN."""
     click.echo(json.dumps(content, allow_nan=False))
 
 
+#: Largest and smallest width of a line of text.
+WIDEST, NARROWEST = 200, 40
 #: Time before a progress line appears on a terminal [s]. Shorter work needs no such line. `REFRESH` is the time between
 #: two updates [s].
 PATIENCE, REFRESH = 1.5, 0.25

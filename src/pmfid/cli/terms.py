@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import CUTOFF, JSON, RECORDS, config_option, folder_option, print_json, progress
-from pmfid.errors import UsageError, printable
+from pmfid.cli.terminal import CUTOFF, JSON, RECORDS, config_option, folder_option, print_json, print_text, progress
+from pmfid.errors import UsageError
 
 if TYPE_CHECKING:
     from pmfid.pipeline.terms import TermSearch
@@ -126,27 +126,14 @@ def _search_order(
 
 
 def _print(found: TermSearch, out: Path | None) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
+    from pmfid.cli.tables import print_table
     from pmfid.report.terms import hidden_rows, model_rows, term_rows
 
-    console = Console()
+    print_text(found.sentence)
+    print_text("\n".join(["", *found.lines, ""]))
     rows = (model_rows(found), term_rows(found), hidden_rows(found))
     for title, (header, cells) in zip(("models", "terms", "not seen below"), rows, strict=True):
-        if not cells:
-            continue
-        table = Table(title=escape(printable(f"{found.name}: {title}")))
-        for number, name in enumerate(header):
-            table.add_column(escape(name.replace(" [", "\n[")), justify="right" if number else "left")
-        for row in cells:
-            table.add_row(*(escape(printable(cell)) for cell in row))
-        # A number is never cut. A wide table exceeds the edge of the terminal.
-        Console(width=max(console.width, Console(width=10_000).measure(table).maximum)).print(table)
-    lines = [found.sentence, "", *found.lines, ""]
-    lines += [f"status: {', '.join(found.status)}"] if found.status else []
-    lines += [f"note: {note}" for note in found.notes]
-    lines += [f"report: {out / 'terms.html'}"] if out else []
-    for line in lines:
-        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
+        if cells:
+            print_table(f"{found.name}: {title}", header, cells)
+    lines = [f"status: {', '.join(found.status) or 'none'}", *(f"note: {note}" for note in found.notes)]
+    print_text("\n".join([*lines, *([f"report: {out / 'terms.html'}"] if out else [])]))

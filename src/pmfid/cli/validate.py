@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import JSON, RECORDS, config_option, folder_option, print_json, progress
+from pmfid.cli.terminal import JSON, RECORDS, config_option, folder_option, print_json, print_text, progress
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
@@ -80,4 +80,4 @@ def _print(found: Validation, out: Path | None) -> None:
         *(f"note: {note}" for note in found.notes),
         *([f"report: {out / 'validation.html'}"] if out else []),
     ):
-        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
+        print_text(line)

@@ -15,9 +15,13 @@ from typing import TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
-from pmfid.errors import UsageError, did_you_mean
+from pmfid.errors import UsageError, did_you_mean, list_some
 
 __all__ = ["FileSection", "load_sections", "show_value", "validate_sections"]
+
+
+#: Largest number of characters in a list of known keys.
+LISTED = 120
 
 
 class FileSection(BaseModel):
@@ -139,4 +143,4 @@ def _unknown(whole: type[FileSection], section: str, rest: list[str]) -> str:
     known = list(sections[section].model_fields) if rest else list(sections)
     what = f"[{section}] {word} is an unknown key" if rest else f"[{section}] is an unknown section or key"
     hint = f"; it belongs in [{home}]" if home else did_you_mean(word, known)
-    return f"{what}; known are {', '.join(known)}{hint}"
+    return f"{what}; known are {list_some(known, LISTED)}{hint}"

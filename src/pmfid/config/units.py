@@ -11,6 +11,8 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from pmfid.errors import did_you_mean
+
 __all__ = ["INPUTS", "OUTPUTS", "SI", "Quantity", "Unit", "column_unit", "gain", "keep_unit", "known_unit", "quantity"]
 
 _PREFIXES = {"": 1.0, "k": 1e3, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
@@ -75,6 +77,8 @@ _ALIASES = {
     "pct": "%", "percent": "%", "‰": "permille", "arms": "A", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
     "newton": "N", "metre": "m", "meter": "m", "millimeter": "mm", "radian": "rad", "radians": "rad",
 }  # fmt: skip
+#: Units that messages name in addition to the SI units.
+_USUAL = ("mm", "deg", "rpm", "mA", "kN", "%")
 #: Smallest number of letters of a unit after an underscore, stroke, blank or point. A single letter is usually an
 #: index.
 _LEAST_LETTERS = 2
@@ -174,5 +178,6 @@ def known_unit(text: str, table: dict[str, Unit]) -> str:
     """Return the unit with the given name in a table. Raises ValueError for an unknown name."""
     unit = unit_named(text, table)
     if unit is None:
-        raise ValueError(f"there is no such unit here; known are {', '.join(table)}")
+        usual = ", ".join(name for name, unit in table.items() if unit.plain or name in _USUAL)
+        raise ValueError(f"{text!r} is no unit here{did_you_mean(text, table)}; usual are {usual}")
     return unit.name

@@ -338,8 +338,9 @@ def simulation_sentence(balance: Balance) -> str:
     else:
         text += "The model follows the measured motion. "
     far, travel = float(np.max(np.abs(balance.drift))), float(np.ptp(balance.position))
+    unit, part = balance.estimator.equation.motion.travel, far / max(travel, 1e-300)
     return text + (
-        f"The simulated position departs by up to {far:.2g} m, {100 * far / max(travel, 1e-300):.2g} % of the travel; "
+        f"The simulated position departs by up to {far:.2g} {unit}, {100 * part:.2g} % of the travel; "
         "it adds up every error of the velocity and nothing calls it back."
     )
 
@@ -358,7 +359,8 @@ def residual_sentence(balance: Balance) -> str:
 
 
 def _dependence(balance: Balance, found: Binned, name: str, cause: str) -> str:
-    size = f"{found.change:.2g} N, {100 * found.change / balance.friction_size:.2g} % of the model's friction"
+    force = balance.estimator.equation.motion.force
+    size = f"{found.change:.2g} {force}, {100 * found.change / balance.friction_size:.2g} % of the model's friction"
     if found.score <= TUNING.significant:
         return f"No dependence on {name} is beyond chance (the means differ by {size})."
     if found.change < TUNING.relevant_force * balance.friction_size:
@@ -374,12 +376,14 @@ def _constant(balance: Balance) -> list[str]:
     roles = balance.estimator.equation.roles
     known = roles[OFFSET] is not None or roles[COULOMB_FORWARD] != roles[COULOMB_BACKWARD]
     remedy = "the constant load has changed" if known else "set offset = true to identify a constant load"
-    return [f"Look here: a constant force of {mean:.2g} N is left: {remedy}."]
+    force = balance.estimator.equation.motion.force
+    return [f"Look here: a constant load of {mean:.2g} {force} is left: {remedy}."]
 
 
 def friction_sentence(balance: Balance) -> str:
     """Describe where the measured friction deviates from the model's line."""
-    text = "Friction is the input force less mass times acceleration and offset, where the axis moves one way. "
+    inertia = balance.estimator.equation.motion.inertia
+    text = f"Friction is the input less {inertia} times acceleration and offset, where the axis moves one way. "
     if balance.friction is None:
         return text + "The axis reverses too often here: too few samples to show it."
     left = balance.friction.left

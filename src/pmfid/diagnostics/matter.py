@@ -41,7 +41,7 @@ FLAGS = {
     "clipped": "the output ends while the axis goes on: the range of the counter or the sensor ends there",
     "saturated": "the input stays at its largest or smallest value: right where the drive gave no more, else cut off",
     "held_output": "the output is read more slowly than the record: keep only the rows with a new value",
-    "held_input": "the input changes only every few rows: log it at the rate of the drive",
+    "held_input": "the input changes only every few rows: log it at the rate of the drive, unless that holds it",
     "unsigned": "the input has no sign, but the axis reverses under load: log the force or current with its sign",
     "command": "the input is a command: a set point is no force, and a drive may give another torque than asked for",
     "refused": "pmfid identify gives no estimate of this record, for this reason",

@@ -191,10 +191,8 @@ def _sharp(configured: Estimator, best: Best, refused: list[str]) -> _Sharp | No
         refused.append(f"{method.method}: {error}")
         return None
     spread, doubt = found.spread(), ""
-    if fit.status & Status.FALLBACK or not found.follows:
-        doubt = ", and the model does not explain every count"
-    elif not found.adequate:
-        doubt = ", and the counts contradict the model"
+    if fit.status & Status.FALLBACK or not found.follows or not found.adequate:
+        doubt = ", and the counts show effects outside the model"
     elif np.any(spread > fit.theta_std):
         doubt = "; the error bars of interval leave out unmodelled effects that this record does not show"
     return _Sharp(method, fit, found, doubt)

@@ -65,19 +65,39 @@ def parameter_rows(result: Parametric) -> list[list[str]]:
     names, units = result.names, result.units
     found = zip(names, result.theta, result.theta_std, _list_beyond_noise(result), units, strict=True)
     return [
-        [_format_name(result, name), f"{value:.6g}", f"{std:.2g}", *beyond, unit]
+        [_format_name(result, name), format_value(value, std), f"{std:.2g}", *beyond, unit]
         for name, value, std, beyond, unit in found
     ]
 
 
-def findings_lines(result: Parametric) -> list[str]:
-    """Return the findings as paragraphs, most important first."""
-    return [f"{finding.paragraph[0].upper()}{finding.paragraph[1:].rstrip('.')}." for finding in result.findings]
+def findings_lines(result: Parametric, notes: bool) -> list[str]:
+    """Return the findings that are notes, or all others, as paragraphs, most important first."""
+    shown = [finding.paragraph for finding in result.findings if (finding.severity == "note") == notes]
+    return [f"{text[0].upper()}{text[1:].rstrip('.')}." for text in shown]
 
 
 def _format_name(result: Parametric, name: str) -> str:
     known = result.beforehand.get(name)
     return name if known is None else f"{name} ({known})"
+
+
+def format_value(value: float, std: float) -> str:
+    """Return a number with as many digits as its standard error has in two digits."""
+    if not (std > 0 and math.isfinite(std) and value != 0):
+        return f"{value:.6g}"
+    digits = 2 + math.floor(math.log10(abs(value))) - math.floor(math.log10(float(f"{std:.2g}")))
+    return f"{value:#.{min(max(digits, 1), 15)}g}".rstrip(".").replace(".e", "e")
+
+
+def format_short(value: float, std: float) -> str:
+    """Return a number with its standard error in units of the last digit, such as 3.2001(5)e-04."""
+    text = format_value(value, std)
+    if not (std > 0 and math.isfinite(std)):
+        return text
+    number, _, exponent = text.partition("e")
+    decimals = len(number.partition(".")[2])
+    last = round(std / 10.0 ** (int(exponent or 0) - decimals))
+    return f"{number}({last})" + (f"e{exponent}" if exponent else "")
 
 
 def format_interval(low: float, high: float) -> str:

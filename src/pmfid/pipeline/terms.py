@@ -143,26 +143,34 @@ class WeighedTerm:
         return {"set": self.setting, "values": values, "kept": self.kept, **held_out, "verdict": self.verdict}
 
 
-def weighed_terms(found: Terms, fit: Fit | None) -> Iterator[WeighedTerm]:
+def write_line(key: str, value: object, unit: str) -> str:
+    """Return a line of [model] in which a period has the given unit, and a number with a unit has its own."""
+    if isinstance(value, Quantity):
+        return setting(key, f"{float(value) / value.unit.factor:.9g} {value.unit.name}")
+    periodic = key in PERIODS and isinstance(value, float) and unit
+    return setting(key, f"{value:.9g} {unit}" if periodic else value)
+
+
+def weighed_terms(found: Terms, fit: Fit | None, unit: str = "") -> Iterator[WeighedTerm]:
     """Yield each term of the chosen model with the standard errors of `fit`, and then the fitted terms that were
-    refused.
+    refused. `unit` is the unit of periods.
     """
     first, last = found.trials[0].model, dict[str, FittedCandidate]()
     for step in found.without:
-        yield _weigh_step(step, first, found.chosen, fit)
+        yield _weigh_step(step, first, found.chosen, fit, unit)
     for step in (step for tried in found.steps for step in tried):
         if step.trial is not None and not step.kept and not step.candidate.change.items() <= found.added.items():
-            last[_setting(step)] = step
+            last[_setting(step, unit)] = step
     for step in last.values():
         if step.trial is not None:
-            yield _weigh_step(step, first, step.trial, fit_trial(step.trial))
+            yield _weigh_step(step, first, step.trial, fit_trial(step.trial), unit)
 
 
-def _setting(step: FittedCandidate) -> str:
-    return ", ".join(setting(*pair) for pair in step.candidate.change.items())
+def _setting(step: FittedCandidate, unit: str) -> str:
+    return ", ".join(write_line(*pair, unit) for pair in step.candidate.change.items())
 
 
-def _weigh_step(step: FittedCandidate, first: Drive, trial: Trial, fit: Fit | None) -> WeighedTerm:
+def _weigh_step(step: FittedCandidate, first: Drive, trial: Trial, fit: Fit | None, unit: str) -> WeighedTerm:
     """Return the weighed term of a step. `first` is the first model of the search, and `trial` is a fit with the
     term.
     """
@@ -172,7 +180,7 @@ def _weigh_step(step: FittedCandidate, first: Drive, trial: Trial, fit: Fit | No
     std = np.full(len(names), np.nan) if fit is None else fit.theta_std
     rows = zip(names, trial.theta.tolist(), std.tolist(), units, strict=True)
     values = tuple(row for row in rows if row[0] not in {*rest.names, *dict(rest.further)})
-    return WeighedTerm(_setting(step), values, step.kept, step.error, step.without, step.verdict)
+    return WeighedTerm(_setting(step, unit), values, step.kept, step.error, step.without, step.verdict)
 
 
 #: Flags that `pmfid identify` does not have.
@@ -258,14 +266,11 @@ class TermSearch(Presentable):
     def lines(self) -> tuple[str, ...]:
         """The lines of [model] for AXIS.toml."""
         values = [(field.name, getattr(self.model, field.name), field.default) for field in fields(Drive)]
-        return ("[model]", 'kind = "drive"', *(self._line(*pair) for *pair, usual in values if pair[1] != usual))
-
-    def _line(self, key: str, value: object) -> str:
-        """Return a line of [model], with the unit that the file needs."""
-        if isinstance(value, Quantity):
-            return setting(key, f"{float(value) / value.unit.factor:.9g} {value.unit.name}")
-        periodic = key in PERIODS and isinstance(value, float) and self.unit
-        return setting(key, f"{value:.9g} {self.unit}" if periodic else value)
+        return (
+            "[model]",
+            'kind = "drive"',
+            *(write_line(key, value, self.unit) for key, value, usual in values if value != usual),
+        )
 
     @property
     def sentence(self) -> str:
@@ -392,9 +397,9 @@ def search_drive(
         raise explain_error(error, Drives().check_record(data, axis)) from None
     notes = tuple(filter(None, (*data.notes, known.sentence)))
     own = None if found.added else _judge_initial_model(data, axis)
-    result = _assemble_search(data, bench, found, notes, known.status, axis.estimator.tolerance, own)
-    unit = axis.record.output_unit or column_unit(axis.record.output, OUTPUTS)
-    return replace(result, unit=model.equation.motion.travel if unit else "")
+    in_units = axis.record.output_unit or column_unit(axis.record.output, OUTPUTS)
+    unit = model.equation.motion.travel if in_units else ""
+    return _assemble_search(data, bench, found, notes, known.status, axis.estimator.tolerance, own, unit)
 
 
 def _judge_initial_model(data: Record, axis: Axis) -> Said | None:
@@ -456,6 +461,7 @@ def _assemble_search(
     status: tuple[str, ...],
     tolerance: float,
     own_said: Said | None,
+    unit: str,
 ) -> TermSearch:
     pairs = zip(found.trials, found.errors, strict=True)
     models = compare_nested(bench, found.trials[0].model, list(pairs))
@@ -465,8 +471,8 @@ def _assemble_search(
     notes = tuple(dict.fromkeys((*record_notes, *_sentences(found), *texts(judged))))
     names = tuple(dict.fromkeys((*status, *own, *codes(judged))))
     hidden = tuple(_list_hidden(found, found.trials[0].model.equation.motion.force))
-    terms = tuple(weighed_terms(found, models[-1].fit))
-    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, terms, hidden, names, notes)
+    terms = tuple(weighed_terms(found, models[-1].fit, unit))
+    return TermSearch(data.name, int(data.u.size), data.resolution, found, models, terms, hidden, names, notes, unit)
 
 
 def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> Said:

@@ -55,7 +55,8 @@ class Section:
     `heading` and `text` are plain text, in which an empty line starts a new paragraph. `table` has a header and rows.
     Numbers have 4 digits, and text is unchanged. `svg` is an <svg> element, as the function `svg` returns it, and is
     embedded unchanged. If `first` is set, the figure stands above text and table, otherwise below. `code` has the lines
-    of a file, which are shown unchanged. Raises UsageError if the number of cells in a row differs from the header.
+    of a file, which are shown unchanged. A `folded` section shows its heading alone until the reader opens it. Raises
+    UsageError if the number of cells in a row differs from the header.
     """
 
     heading: str
@@ -64,6 +65,7 @@ class Section:
     svg: str | None = None
     code: str = ""
     first: bool = False
+    folded: bool = False
 
     def __post_init__(self) -> None:
         header, rows = self.table or ((), ())
@@ -86,8 +88,10 @@ def svg(figure: Figure) -> str:
     return re.sub(r'\s+xmlns(:\w+)?="[^"]*"', "", text[text.index("<svg") :])
 
 
-def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
+def write_report(path: Path, title: str, sections: Sequence[Section], lead: Sequence[str] = ()) -> None:
     """Write the sections to one HTML file in UTF-8. Equal sections give equal bytes.
+
+    `lead` are sentences that stand out above the sections. The first word of `lead`, such as "Good:", gives the colour.
 
     The file has no scripts, links or dates. Raises OSError if the file cannot be written.
     """
@@ -96,7 +100,7 @@ def write_report(path: Path, title: str, sections: Sequence[Section]) -> None:
         autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=jinja2.StrictUndefined
     )
     parts = [_part(section, f"s{number}-") for number, section in enumerate(sections, 1)]
-    page = environment.from_string(source).render(title=title, sections=parts)
+    page = environment.from_string(source).render(title=title, sections=parts, lead=lead)
     # A file name may contain bytes that are no text. Invalid bytes are shown as a question mark.
     replace_file(path, (page + "\n").encode("utf-8", "replace"))
 
@@ -115,6 +119,7 @@ def _part(section: Section, prefix: str) -> dict[str, object]:
         "code": section.code,
         "svg": _own_ids(section.svg or "", prefix),
         "first": section.first,
+        "folded": section.folded,
     }
 
 

@@ -16,6 +16,7 @@ from pmfid.io.row_file import fresh
 from pmfid.linear.order import Search
 from pmfid.linear.process import Process
 from pmfid.models.axes import LINEAR
+from pmfid.pipeline.conclusion import conclude
 from pmfid.pipeline.processes import search_json
 from pmfid.pipeline.result import DriveResult, ProcessResult, Result, findings_lines, parameter_header, parameter_rows
 from pmfid.records.record import Record
@@ -54,8 +55,10 @@ def write_drive(out: Path, result: DriveResult) -> None:
     write_json(out / "result.json", result.to_json())
     if result.track is not None:
         _write_track(track, result)
+    said, (followed, *checks) = conclude(result), model_checks(result)
+    sections = [_drive_parameters(result), followed, _drive_notes(result), *_figures(result), *checks]
     title = f"{result.record.name}: {result.estimator.method}"
-    write_report(out / "report.html", title, [_drive_parameters(result), *_figures(result), *model_checks(result)])
+    write_report(out / "report.html", title, sections, (said.sentence, said.action))
 
 
 def _write_track(path: Path, result: DriveResult) -> None:
@@ -74,6 +77,11 @@ def _write_track(path: Path, result: DriveResult) -> None:
 
 
 def _drive_parameters(result: DriveResult) -> Section:
+    text = "\n\n".join(findings_lines(result, notes=False))
+    return Section("Parameters", text, (parameter_header(result), parameter_rows(result)))
+
+
+def _drive_notes(result: DriveResult) -> Section:
     estimator = result.estimator
     zeros = ", ".join(f"{zero:.3g}" for zero in estimator.zeros)
     text = (
@@ -83,8 +91,9 @@ def _drive_parameters(result: DriveResult) -> Section:
         + (f", pre-filter zeros {zeros} rad/s" if zeros else "")
         + f". Relative error of the filtered equation: {100 * result.relative_error:.3g} %."
     )
-    text = "\n\n".join([text, HOW_TO_READ, *findings_lines(result)])
-    return Section("Parameters", text, (parameter_header(result), parameter_rows(result)))
+    return Section(
+        "Notes and settings", "\n\n".join([HOW_TO_READ, *findings_lines(result, notes=True), text]), folded=True
+    )
 
 
 def motion_figure(record: Record, speed: str = LINEAR.speed) -> Figure:
@@ -114,15 +123,18 @@ def write_process(out: Path, result: ProcessResult) -> None:
     """Write report.html and result.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "result.json", result.to_json())
+    said, notes = conclude(result), "\n\n".join(findings_lines(result, notes=True))
     sections = [
         Section("Parameters", _describe_process(result), (parameter_header(result), parameter_rows(result))),
-        _dynamics(result.process),
         *([Section("Measured and simulated output", svg=svg(output_figure(result)))] if result.fit is not None else []),
+        *([Section("Notes", notes, folded=True)] if notes else []),
+        _dynamics(result.process),
         Section("Frequency response", BAND, svg=svg(bode_of(result.process, result.estimator.dt))),
         Section("Step response", BAND, svg=svg(step_figure(result.process))),
         Section("Residual", _residual_text(result), svg=svg(correlation_figure(result))),
     ]
-    write_report(out / "report.html", f"transfer function: {result.estimator.method}", sections)
+    title = f"transfer function: {result.estimator.method}"
+    write_report(out / "report.html", title, sections, (said.sentence, said.action))
 
 
 BAND = "Band: two standard deviations."
@@ -130,7 +142,7 @@ BAND = "Band: two standard deviations."
 
 def _describe_process(result: ProcessResult) -> str:
     text = f"{result.name}: {result.samples} samples. {result.fit_text.capitalize()}."
-    return "\n\n".join([text, *findings_lines(result)])
+    return "\n\n".join([text, *findings_lines(result, notes=False)])
 
 
 def _dynamics(process: Process) -> Section:

@@ -24,7 +24,11 @@ from pmfid.types import Floats
 
 Rows = tuple[list[str], list[list[str]]]
 
-BODY = {"mass": (MASS,), "viscous": (VISCOUS_FORWARD, VISCOUS_BACKWARD), "Coulomb": (COULOMB_FORWARD, COULOMB_BACKWARD)}
+BODY = {
+    "inertia": (MASS,),
+    "viscous": (VISCOUS_FORWARD, VISCOUS_BACKWARD),
+    "Coulomb": (COULOMB_FORWARD, COULOMB_BACKWARD),
+}
 
 
 def write_terms(out: Path, found: TermSearch) -> None:
@@ -57,14 +61,16 @@ HIDDEN = "A term that is not in the model would be seen from this size on, four 
 
 def model_rows(found: TermSearch) -> Rows:
     """Return the header and a row of text for each of the nested models."""
-    header = ["model", "log-likelihood", "held out", "[counts]", "unexplained [%]", "at low speed [%]", *BODY]
+    own = found.model.equation.motion
+    units = (own.of_inertia, f"{own.force} / ({own.speed})", own.force)
+    body = [f"{name} [{unit}]" for name, unit in zip((own.inertia, *list(BODY)[1:]), units, strict=True)]
+    header = ["model", "unexplained [%]", "at low speed [%]", "held out [counts]", "log-likelihood", *body]
     return header, [
         [
             model.label,
-            f"{model.trial.log_likelihood:.1f}",
-            _number(model.error),
-            _number(model.error / found.resolution),
             *(_number(100 * part, 2) for part in model.unexplained),
+            _number(model.error / found.resolution),
+            f"{model.trial.log_likelihood:.1f}",
             *(_value(model, roles) for roles in BODY.values()),
         ]
         for model in found.models
@@ -81,15 +87,14 @@ def _value(model: NestedModel, roles: tuple[int, ...]) -> str:
 
 def term_rows(found: TermSearch) -> Rows:
     """Return the header and a row of text for each fitted term, with the terms of the chosen model first."""
-    header = ["set", "value", "kept", "held out with", "without", "verdict"]
+    travel = found.model.equation.motion.travel
+    header = ["set", "value", "verdict", f"held out, with / without [{travel}]"]
     return header, [
         [
-            one.setting,
-            ", ".join(_format_value(*value) for value in one.values) or "–",
-            "yes" if one.kept else "no",
-            _number(one.with_it),
-            _number(one.without),
+            one.setting.replace(", ", ",\n"),
+            "\n".join(_format_value(*value) for value in one.values) or "–",
             one.verdict,
+            f"{_number(one.with_it)} / {_number(one.without)}",
         ]
         for one in found.weighed
     ]
@@ -113,7 +118,7 @@ def step_rows(found: TermSearch) -> Rows:
 
 def hidden_rows(found: TermSearch) -> Rows:
     """Return the header and a row of text for each term that the model does not have."""
-    return ["term", "seen from", "unit"], [[one.says, f"{one.size:.2g}", one.unit] for one in found.hidden]
+    return ["term", "seen from"], [[one.says, f"{one.size:.2g} {one.unit}"] for one in found.hidden]
 
 
 def _number(value: float, digits: int = 4) -> str:
@@ -137,8 +142,9 @@ def friction_figure(found: TermSearch) -> Figure:
                 label = name if side[0] > 0 or not np.any(speeds > 0) else None
                 axes.plot(side, balance.model_friction(side), color=colour, lw=1.2, label=label)
         axes.axhline(0, color="grey", lw=0.5)
-        axes.set_xlabel("velocity [unit of y per s]")
-        axes.set_ylabel("friction [N]")
+        own = found.model.equation.motion
+        axes.set_xlabel(f"velocity [{own.speed}]")
+        axes.set_ylabel(f"friction [{own.force}]")
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=3, borderaxespad=0.2)
     return figure
 

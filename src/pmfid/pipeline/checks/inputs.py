@@ -26,7 +26,7 @@ def held_input(log: CheckedLog) -> Iterator[Finding]:
         yield Finding(
             "held_input",
             f"the input column {log.axis.record.input!r} changes only at every {every}th row",
-            "log the input at the rate of the drive; nothing is wrong if the drive itself holds its input",
+            "log the input at the rate of the drive, unless the drive itself holds it that long",
             detail="If the drive gets it more often, the log misses what moved the axis.",
         )
 

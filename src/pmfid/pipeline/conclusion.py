@@ -1,0 +1,93 @@
+"""The conclusion from a result for people: what the plant is, how sure that is, and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmfid.diagnostics.matter import OF_LOG, sizes
+from pmfid.diagnostics.tuning import TUNING
+from pmfid.findings import Finding
+from pmfid.pipeline.result import ProcessResult, Result, format_value
+from pmfid.types import Floats
+
+__all__ = ["Conclusion", "conclude"]
+
+
+@dataclass(frozen=True)
+class Conclusion:
+    """A sentence on the plant, an instruction for the user, and the word of the status that the instruction is for.
+
+    `word` is empty without a status.
+    """
+
+    sentence: str
+    action: str
+    word: str = ""
+
+
+def conclude(result: Result) -> Conclusion:
+    """Return the conclusion from a result."""
+    doubts = [finding for finding in result.findings if finding.severity != "note"]
+    grade = "Wrong" if any(one.severity == "wrong" for one in doubts) else "Doubtful" if doubts else "Good"
+    says = _describe_process(result) if isinstance(result, ProcessResult) else _describe_machine(result)
+    if doubts:
+        first = _most_useful(doubts)
+        return Conclusion(f"{grade}: {says}.", f"Do this first: {_advise(first)}.", first.code)
+    left = next((finding.remedy for finding in result.findings if finding.code == "to_do"), "")
+    if left:
+        return Conclusion(f"Incomplete: {says}.", f"Do this first: {left}.")
+    return Conclusion(f"{grade}: {says}.", "Nothing is left to do; pmfid validate tests it on another record.")
+
+
+def _most_useful(doubts: list[Finding]) -> Finding:
+    """Return the finding whose remedy comes first. A finding on the model is more useful than one on the log."""
+    worst = [finding for finding in doubts if finding.severity == doubts[0].severity]
+    return min(worst, key=lambda finding: (finding.code in OF_LOG, not finding.remedy))
+
+
+def _advise(finding: Finding) -> str:
+    return (finding.remedy or f"read what {finding.code} means with pmfid explain {finding.code}").rstrip(".")
+
+
+def _describe_process(result: ProcessResult) -> str:
+    poles = len(result.process.poles)
+    known = f"explains the output with a {result.fit_text}" if result.fit is not None else "is unstable"
+    return f"a transfer function with {poles} pole{'s' * (poles != 1)} {known}"
+
+
+def _describe_machine(result: Result) -> str:
+    """Return the mass, how sure it is, and the least sure parameter."""
+    leading = result.estimator.equation.leading
+    half, size = _half_intervals(result), _sizes(result)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        part = half / size
+    name, unit = result.names[leading], result.units[leading]
+    value = format_value(float(result.theta[leading]), float(half[leading]) / 2)
+    says = f"{name} {value} {unit}, {_known(float(part[leading]))}"
+    others = [index for index in range(result.theta.size) if index != leading]
+    if not others:
+        return f"{says} (95 %)"
+    worst = max(others, key=lambda index: np.inf if np.isnan(part[index]) else part[index])
+    return f"{says}, and every other parameter {_known(float(part[worst]))} (95 %, worst {result.names[worst]})"
+
+
+def _half_intervals(result: Result) -> Floats:
+    """Return half of each 95 % interval (p,), from the standard errors alone if the model spread is unknown."""
+    if result.interval_95 is not None and result.model_spread is not None:
+        spread = np.where(np.isfinite(result.model_spread), result.model_spread, 0.0)
+    else:
+        spread = np.zeros(result.theta.size)
+    return np.asarray(TUNING.normal_95 * np.hypot(result.theta_std, spread))
+
+
+def _sizes(result: Result) -> Floats:
+    p = len(result.estimator.equation.names)
+    return np.asarray(np.r_[sizes(result.estimator, result.theta[:p]), np.abs(result.theta[p:])])
+
+
+def _known(part: float) -> str:
+    if not np.isfinite(part):
+        return "to an unknown degree"
+    return f"within {100 * part:.2g} %" if part < 1 else "not known to its own size"
