@@ -59,7 +59,7 @@ def test_what_needs_someone_stands_first_and_a_new_alarm_comes_by_itself(browser
         plant.alarm("spindle-b", "inertia", "kg m2")
         assert until(page, "document.title.includes('2 alarms')")
         assert until(page, "document.querySelector('.rows .axis-name').textContent === 'spindle-b'"), "the newest first"
-        assert "Alarm of spindle-b: inertia +7.8\u00a0%" in page.inner_text("#spoken")
+        assert "Alarm of spindle-b: inertia is 7.8\u00a0% higher than normal" in page.inner_text("#spoken")
         assert page.inner_text("#alarmed").split()[0] == "2"
         assert violations(page) == []
 
@@ -378,6 +378,16 @@ def test_no_view_breaks_a_rule_of_accessibility_or_is_too_wide(
             there.wait_for_timeout(400)
             assert violations(there) == [], axis
             assert there.evaluate(wide) <= width, axis
+
+
+def test_an_alarm_says_what_to_do_and_its_parameter_stands_first(browser: Any) -> None:
+    plant = troubled(12)
+    with served(plant) as there, tab(browser) as page:
+        plant.alarm("spindle-b", "coulomb_friction", "N m")
+        at_axis(page, there, "spindle-b")
+        assert "Check brakes, guides, seals and belt tension for rubbing." in page.inner_text(".card.alarm")
+        assert page.inner_text(".value-card >> nth=0").startswith("coulomb friction")
+        assert page.inner_text(".chart-title >> nth=0") == "coulomb friction"
 
 
 @pytest.mark.long

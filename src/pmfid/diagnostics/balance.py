@@ -340,7 +340,7 @@ def simulation_sentence(balance: Balance) -> str:
     far, travel = float(np.max(np.abs(balance.drift))), float(np.ptp(balance.position))
     unit, part = balance.estimator.equation.motion.travel, far / max(travel, 1e-300)
     return text + (
-        f"The simulated position departs by up to {far:.2g} {unit}, {100 * part:.2g} % of the travel; "
+        f"The simulated position departs by up to {far:.2g} {unit}, {100 * part:.3g} % of the travel; "
         "it adds up every error of the velocity and nothing calls it back."
     )
 

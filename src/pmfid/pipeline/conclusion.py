@@ -65,12 +65,13 @@ def _describe_machine(result: Result) -> str:
         part = half / size
     name, unit = result.names[leading], result.units[leading]
     value = format_value(float(result.theta[leading]), float(half[leading]) / 2)
-    says = f"{name} {value} {unit}, {_known(float(part[leading]))}"
+    says = f"{name} {value} {unit} {_format_part(float(part[leading]))}"
     others = [index for index in range(result.theta.size) if index != leading]
     if not others:
-        return f"{says} (95 %)"
+        return f"{says} (95 % interval)"
     worst = max(others, key=lambda index: np.inf if np.isnan(part[index]) else part[index])
-    return f"{says}, and every other parameter {_known(float(part[worst]))} (95 %, worst {result.names[worst]})"
+    rest = f"every other parameter {_format_part(float(part[worst]))} at most"
+    return f"{says}, {rest} (95 % intervals; worst: {result.names[worst]})"
 
 
 def _half_intervals(result: Result) -> Floats:
@@ -87,7 +88,7 @@ def _sizes(result: Result) -> Floats:
     return np.asarray(np.r_[sizes(result.estimator, result.theta[:p]), np.abs(result.theta[p:])])
 
 
-def _known(part: float) -> str:
+def _format_part(part: float) -> str:
     if not np.isfinite(part):
-        return "to an unknown degree"
-    return f"within {100 * part:.2g} %" if part < 1 else "not known to its own size"
+        return "± an unknown part"
+    return f"± {100 * part:.2g} %" if part < 1 else "± over 100 %"

@@ -91,7 +91,7 @@ def svg(figure: Figure) -> str:
 def write_report(path: Path, title: str, sections: Sequence[Section], lead: Sequence[str] = ()) -> None:
     """Write the sections to one HTML file in UTF-8. Equal sections give equal bytes.
 
-    `lead` are sentences that stand out above the sections. The first word of `lead`, such as "Good:", gives the colour.
+    `lead` are sentences that stand out above the sections. The colour is green after "Good:" and red after "Wrong:".
 
     The file has no scripts, links or dates. Raises OSError if the file cannot be written.
     """

@@ -55,8 +55,8 @@ def write_drive(out: Path, result: DriveResult) -> None:
     write_json(out / "result.json", result.to_json())
     if result.track is not None:
         _write_track(track, result)
-    said, (followed, *checks) = conclude(result), model_checks(result)
-    sections = [_drive_parameters(result), followed, _drive_notes(result), *_figures(result), *checks]
+    said, checks = conclude(result), model_checks(result)
+    sections = [_drive_parameters(result), *checks[:1], _drive_notes(result), *_figures(result), *checks[1:]]
     title = f"{result.record.name}: {result.estimator.method}"
     write_report(out / "report.html", title, sections, (said.sentence, said.action))
 

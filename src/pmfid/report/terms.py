@@ -35,8 +35,7 @@ def write_terms(out: Path, found: TermSearch) -> None:
     """Write terms.html and terms.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "terms.json", found.to_json())
-    text = "\n\n".join([found.sentence, *(f"Note: {note}." for note in found.notes)])
-    sections = [Section("Models", text, model_rows(found)), Section("For AXIS.toml", code="\n".join(found.lines))]
+    sections = [Section("Models", "", model_rows(found)), Section("For AXIS.toml", code="\n".join(found.lines))]
     if found.weighed:
         sections.append(Section("Terms", TERMS, term_rows(found)))
     if any(model.balance is not None and model.balance.friction is not None for model in found.models):
@@ -45,7 +44,10 @@ def write_terms(out: Path, found: TermSearch) -> None:
     sections.append(Section("Terms that were tried", STEPS, step_rows(found)))
     if found.hidden:
         sections.append(Section("What this record would not show", HIDDEN, hidden_rows(found)))
-    write_report(out / "terms.html", f"{found.name}: terms of the drive", sections)
+    if found.notes:
+        sections.append(Section("Notes", "\n\n".join(f"{note}." for note in found.notes), folded=True))
+    lead = found.sentence, "Write the lines for AXIS.toml into its section [model]." if found.added else ""
+    write_report(out / "terms.html", f"{found.name}: terms of the drive", sections, [one for one in lead if one])
 
 
 TERMS = (

@@ -10,7 +10,25 @@ export function causeOf(alarm) {
   const std = Number.isFinite(alarm.std) ? ` ± ${number(alarm.std, 2)}` : "";
   const size = Number.isFinite(alarm.change) ? ` (${alarm.change > 0 ? "+" : ""}${number(alarm.change, 3)}${std}${unitOf(alarm.unit)})` : "";
   const others = alarm.others ? `, or ${words(alarm.others)}` : "";
-  return `${words(alarm.parameter)} ${percent(alarm.relative)}${size}${others}`;
+  if (!Number.isFinite(alarm.relative)) return `${words(alarm.parameter)} has changed${size}${others}`;
+  const way = alarm.relative < 0 ? "lower" : "higher";
+  return `${words(alarm.parameter)} is ${percent(Math.abs(alarm.relative)).replace("+", "")} ${way} than normal${size}${others}`;
+}
+
+// What people do first, by the beginning of the parameter's name.
+const ADVICE = [
+  [/^(mass|inertia)/, "Check whether the load was changed, came loose, or another part moves with the axis."],
+  [/^viscous/, "Check lubrication, temperature and bearings."],
+  [/^(coulomb|stribeck)/, "Check brakes, guides, seals and belt tension for rubbing."],
+  [/^(offset|gravity)/, "Check the counterweight and the load."],
+  [/^(stiffness|cogging)/, "Check springs, couplings and the motor."],
+  [/^input_gain/, "Check the drive, its supply and the sensor of the input. The axis itself has not changed."],
+];
+
+export function adviceOf(alarm) {
+  if (alarm.silent) return "Check power, network and logger.";
+  const found = ADVICE.find(([name]) => name.test(alarm.parameter));
+  return found ? found[1] : "Look at the charts, and compare with the reference.";
 }
 
 export const sinceOf = (alarm) => `${alarm.silent ? "" : `since ${moment(alarm.changed_at)}, `}found ${wall(alarm.wall)}`;
@@ -42,6 +60,7 @@ export function alarmCard(alarm, mayWrite, withAxis = true) {
         withAxis ? " " : null,
         el("strong", {}, causeOf(alarm)),
       ),
+      known ? null : el("p", {}, adviceOf(alarm)),
       el("p", { class: "fine" }, sinceOf(alarm), settled ? `, ${settled}` : ""),
       alarm.silent ? null : el("p", { class: "fine" }, `statistic ${number(alarm.statistic, 3)}, an alarm above ${number(alarm.threshold, 3)}`),
       alarm.cleared === null ? null : el("p", { class: "fine" }, `back since ${wall(alarm.cleared)}`),

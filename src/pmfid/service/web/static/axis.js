@@ -314,8 +314,20 @@ export class AxisView {
     const known = own.filter((alarm) => !isOpen(alarm));
     this.open.replaceChildren(...own.filter(isOpen).map((alarm) => alarmCard(alarm, write, false)));
     this.known.replaceChildren(...(known.length ? known.map((alarm) => alarmCard(alarm, write, false)) : [el("li", { class: "fine" }, own.length ? "the open ones stand above" : "none so far")]));
+    this.putFirst(own.find((alarm) => isOpen(alarm) && !alarm.silent)?.parameter);
     const happened = this.plant.notices.filter((notice) => notice.axis === this.axis).slice(-60).reverse();
     this.log.replaceChildren(...(happened.length ? happened.map(noticeLine) : [el("li", { class: "fine" }, "nothing so far")]));
+  }
+
+  // The estimate and the chart of an alarm stand first; of a gain that is the input, for the axis itself is as before.
+  putFirst(parameter) {
+    if (!parameter || parameter === this.first) return;
+    this.first = parameter;
+    const { names } = this.group;
+    const chart = parameter === "input_gain" ? names.length : names.indexOf(parameter);
+    if (chart < 0) return;
+    this.charts.prepend(this.all[chart].element);
+    if (chart < names.length) this.cards[chart].element.parentElement.prepend(this.cards[chart].element);
   }
 
   recolour() {
