@@ -154,9 +154,14 @@ def test_a_record_without_two_columns_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "a.toml").exists()
 
 
+def answer(question: str, read: Reader) -> float | None:
+    return read("4 ms") if "period" in question else None
+
+
 def test_a_record_without_time_says_what_to_fill_in(tmp_path: Path) -> None:
     pl.DataFrame({"u": run().motion.u, "counts": run().counts}).write_csv(tmp_path / "log.csv")
     assert "dt = 0.001  # TO DO: no column has the time" in guess(tmp_path / "log.csv").text
+    assert "dt = 0.004  # as answered" in guess(tmp_path / "log.csv", answer).text
 
 
 @pytest.mark.parametrize("step", [22.75e-6, 0.36, 1.0, 2 * np.pi / 4096])
@@ -330,6 +335,7 @@ def test_a_load_is_seen_and_otherwise_asked(tmp_path: Path) -> None:
         (lambda text: read_gain(text, Unit("N/A", "force", 1.0)), "31 N/V", "does not fit"),
         (lambda text: read_gain(text, Unit("N m/", "torque", 1.0)), "31 N/V", "does not fit"),
         (read_yes, "perhaps", "neither y nor n"),
+        (read_duration, "-5", "negative"),
     ],
 )
 def test_an_answer_that_does_not_fit_is_asked_again(read: Reader, text: str, said: str) -> None:

@@ -84,8 +84,7 @@ def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> Axis
     rest = {
         name: values
         for name, values in columns.items()
-        if name == output
-        or (role_of(name) not in ("time", "number", "acceleration", "other") and name != (found or [""])[0])
+        if name == output or (role_of(name) not in ("time", "number", "acceleration", "other") and name != found[0])
     }
     pair = pair_of(rest, dt, output)
     if pair is None:
@@ -108,14 +107,14 @@ def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> Axis
     return result
 
 
-def _record(result: AxisGuess, pair: Pair, found: tuple[str, str, str] | None, dt: float) -> None:
+def _record(result: AxisGuess, pair: Pair, found: tuple[str, str, str], dt: float) -> None:
     result.add("record", f"input = {quote_name(pair.input)}", pair.reason)
     result.add("record", f"output = {quote_name(pair.output)}", _why(pair))
     result.add("record", f'output_kind = "{pair.kind}"', KINDS[pair.kind])
-    if found is None:
-        result.add("record", f"dt = {dt:g}", f"{TO_DO}no column has the time; the sample period in s")
-        return
     name, unit, reason = found
+    if not name:
+        result.add("record", f"dt = {dt:g}", reason)
+        return
     result.add("record", f"time = {quote_name(name)}", f"it grows from row to row; a sample period of {dt:.6g} s")
     if unit:
         result.add("record", f'time_unit = "{unit}"', reason)
@@ -133,12 +132,13 @@ def _why(pair: Pair) -> str:
     return f"its name says {role}" if role else "the input drives it"
 
 
-def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple[tuple[str, str, str] | None, float]:
-    """Return name, unit and reason of the time column, and the sample period [s]."""
+def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple[tuple[str, str, str], float]:
+    """Return name, unit and reason of the time column, and the sample period [s]. The name is empty without a column."""
     found = time_of(table, columns)
     if found is None or _may_be_numbers(*found):
         answer = ask('sample period, in s or as "1 ms"', read_duration) if ask else None
-        return None, TUNING.axis_file_usual if answer is None else answer
+        untold = f"{TO_DO}no column has the time; the sample period in s"
+        return ("", "", untold if answer is None else "as answered"), answer or TUNING.axis_file_usual
     name, values, written = found
     values = values if written else columns.get(name, values)
     mean, grid = even_grid(values)
@@ -256,7 +256,9 @@ def read_duration(text: str) -> float:
     number, _, unit = text.strip().partition(" ")
     if unit.strip() not in ("", *UNITS):
         raise ValueError(f"{unit.strip()!r} is no unit of time here; known are {', '.join(UNITS)}")
-    return abs(_number(number)) * UNITS[unit.strip() or "s"]
+    if _number(number) < 0:
+        raise ValueError(f"{text!r} is negative; write a time like 0.001")
+    return _number(number) * UNITS[unit.strip() or "s"]
 
 
 def read_yes(text: str) -> float:
