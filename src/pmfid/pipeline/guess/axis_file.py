@@ -133,7 +133,10 @@ def _why(pair: Pair) -> str:
 
 
 def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple[tuple[str, str, str], float]:
-    """Return name, unit and reason of the time column, and the sample period [s]. The name is empty without a column."""
+    """Return name, unit and reason of the time column, and the sample period [s].
+
+    The name is empty without a time column.
+    """
     found = time_of(table, columns)
     if found is None or _may_be_numbers(*found):
         answer = ask('sample period, in s or as "1 ms"', read_duration) if ask else None
