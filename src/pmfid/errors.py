@@ -97,7 +97,7 @@ def did_you_mean(word: str, choices: Iterable[str]) -> str:
     return f"; did you mean {by_folded[closest[0]]!r}?" if closest else ""
 
 
-def list_some(names: Iterable[str], most: int) -> str:
+def list_some(names: Iterable[str], most: int = 100) -> str:
     """Return names with commas, of which only the first fit into `most` characters, and the number of the others."""
     shown, others = list[str](), list(names)
     while others and len(", ".join([*shown, others[0]])) <= most:

@@ -47,13 +47,14 @@ def folder_option(text: str) -> Callable[[F], F]:
     return click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help=text)
 
 
-def print_text(text: str, err: bool = False) -> None:
+def print_text(text: str, err: bool = False, widest: int = 200, narrowest: int = 40) -> None:
     """Print text for people, without control characters, and with long lines folded at spaces.
 
-    An error that goes to a program instead of a terminal stays one line.
+    `widest` and `narrowest` limit the width of a line. An error that goes to a program instead of a terminal stays one
+    line.
     """
     on_terminal = (sys.stderr if err else sys.stdout).isatty()
-    width = min(WIDEST, max(NARROWEST, shutil.get_terminal_size().columns)) if on_terminal else WIDEST
+    width = min(widest, max(narrowest, shutil.get_terminal_size().columns)) if on_terminal else widest
     lines = printable(text).split("\n")
     click.echo("\n".join(lines if err and not on_terminal else (fold(line, width) for line in lines)), err=err)
 
@@ -74,8 +75,6 @@ def print_json(content: Mapping[str, object]) -> None:
     click.echo(json.dumps(content, allow_nan=False))
 
 
-#: Largest and smallest width of a line of text.
-WIDEST, NARROWEST = 200, 40
 #: Time before a progress line appears on a terminal [s]. Shorter work needs no such line. `REFRESH` is the time between
 #: two updates [s].
 PATIENCE, REFRESH = 1.5, 0.25

@@ -20,10 +20,6 @@ from pmfid.errors import UsageError, did_you_mean, list_some
 __all__ = ["FileSection", "load_sections", "show_value", "validate_sections"]
 
 
-#: Largest number of characters in a list of known keys.
-LISTED = 120
-
-
 class FileSection(BaseModel):
     """A section of a file, or a whole file."""
 
@@ -143,4 +139,4 @@ def _unknown(whole: type[FileSection], section: str, rest: list[str]) -> str:
     known = list(sections[section].model_fields) if rest else list(sections)
     what = f"[{section}] {word} is an unknown key" if rest else f"[{section}] is an unknown section or key"
     hint = f"; it belongs in [{home}]" if home else did_you_mean(word, known)
-    return f"{what}; known are {list_some(known, LISTED)}{hint}"
+    return f"{what}; known are {list_some(known)}{hint}"
