@@ -16,6 +16,7 @@ from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import solve_with_instruments
 from pmfid.estimators.ls import BCLS
 from pmfid.estimators.results import Columns
+from pmfid.estimators.stretches import liveliest
 from pmfid.estimators.tuning import TUNING
 from pmfid.estimators.uncertainty import scatter
 from pmfid.models.drive import Model
@@ -62,8 +63,8 @@ def choose_cutoff(
 
     The pole has the smallest determinant of the covariance of instrumental variables along one motion. If the equation
     cannot be simulated, the covariance is that of bias-compensated least squares. The minimum is flat: a factor of
-    three from the best pole costs little. If no pole gives an estimate, the pole is 1 / (10 dt), and the estimator
-    reports the fault of the record.
+    three from the best pole costs little. The liveliest stretch therefore stands for a long record if it gives an
+    estimate. If no pole gives an estimate, the pole is 1 / (10 dt), and the estimator reports the fault of the record.
     """
     most = counts.size / TUNING.cutoff_least
     if forgetting < 1:
@@ -73,10 +74,14 @@ def choose_cutoff(
     poles = [1 / (samples * dt) for samples in TUNING.cutoff_tried if samples <= most] or [
         1 / (TUNING.cutoff_tried[0] * dt)
     ]
-    sizes: dict[float, float] = {}
-    for model in models:
-        for pole, found in _columns(model, encoder, dt, poles, u, counts):
-            sizes[pole] = min(_uncertainty(*found), sizes.get(pole, np.inf))
+    for samples in sorted({min(TUNING.stretch, counts.size), counts.size}):
+        part = liveliest(encoder.position(counts), samples)
+        sizes: dict[float, float] = {}
+        for model in models:
+            for pole, found in _columns(model, encoder, dt, poles, u[part], counts[part]):
+                sizes[pole] = min(_uncertainty(*found), sizes.get(pole, np.inf))
+        if np.any(np.isfinite(list(sizes.values()))):
+            break
     return min(sizes, key=lambda pole: sizes[pole], default=poles[0])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -20,6 +21,7 @@ from pmfid.estimators.ls import BCLS
 from pmfid.estimators.recursive import impulse_products
 from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.srivc import ProcessSolver, fixed_filters
+from pmfid.estimators.stretches import liveliest
 from pmfid.estimators.tuning import TUNING
 from pmfid.estimators.uncertainty import lattice_scatter, raise_variances, scatter
 from pmfid.linear.solve import ProcessProblem, Solution
@@ -71,6 +73,9 @@ class Instruments(ProcessSolver, Simulating):
     ) -> tuple[Columns, NDArray[np.float64]]:
         """Return the columns of the last iteration and theta (p,), as `fit` without the covariance. Raises the errors
         of `fit`. `start` describes `near`."""
+        if np.size(u) > TUNING.stretch and self.steps is None:
+            with suppress(NotIdentifiableError):
+                return self._settle_from_stretch(*check_arrays(u, counts), near)
         theta = self.start(u, counts, near)
         for turn in range(TUNING.instruments_max_iterations):
             columns = self.columns_at(theta, u, counts)
@@ -78,13 +83,7 @@ class Instruments(ProcessSolver, Simulating):
             before, theta = theta, self._plausible(theta, self._solve(columns)[0])
             if turn >= TUNING.damped_from:
                 theta = (theta + before) / 2
-            small = (
-                TUNING.instruments_small
-                * np.linalg.norm(columns.z)
-                / np.maximum(np.linalg.norm(columns.phi, axis=0), TUNING.tiny)
-            )
-            size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), small)
-            change = np.max(np.abs(theta - before) / size)
+            change = _measure_change(columns, before, theta)
             if change <= TUNING.instruments_tolerance or (
                 turn == TUNING.instruments_max_iterations - 1 and change <= TUNING.instruments_accepted
             ):
@@ -94,6 +93,31 @@ class Instruments(ProcessSolver, Simulating):
             "simulated motion does not follow the measured one; check input_gain and the model, or in Python give "
             "`initial`"
         )
+
+    def _settle_from_stretch(
+        self, u: NDArray[np.float64], counts: NDArray[np.int64], near: float | None
+    ) -> tuple[Columns, NDArray[np.float64]]:
+        """Return the result of `settle_iteration` for a long record, by the method of Broyden (1965).
+
+        The iteration starts from the liveliest stretch, with the gain of that stretch. Raises NotIdentifiableError also
+        if a few turns do not settle.
+        """
+        part = liveliest(self.encoder.position(counts), TUNING.stretch)
+        columns, theta = self.settle_iteration(u[part], counts[part], near)
+        gain = self._gain(columns, theta, u[part], counts[part]) * columns.z.size
+        score, step = np.zeros(theta.size), np.zeros(theta.size)
+        for turn in range(TUNING.stretch_turns):
+            columns = self.columns_at(theta, u, counts)
+            check_identifiable(columns, self.names, simulated=True)
+            last, score = score, columns.zeta.T @ (columns.z - columns.phi @ theta) / columns.z.size
+            if turn > 0:
+                expected = gain @ (last - score)
+                gain += np.outer(step - expected, step @ gain) / (step @ expected)
+            before, theta = theta, self._plausible(theta, theta + gain @ score)
+            step = theta - before
+            if _measure_change(columns, before, theta) <= TUNING.instruments_tolerance:
+                return columns, theta
+        raise NotIdentifiableError("the iteration does not settle from a stretch of the record")
 
     def estimate_covariance(
         self, columns: Columns, theta: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
@@ -278,6 +302,17 @@ class Instruments(ProcessSolver, Simulating):
         """Return `found` with lower limits: a mass or friction falls at most half-way from theta to zero."""
         low = np.where(self.positive, 0.5 * theta, -np.inf)
         return np.maximum(found, low)
+
+
+def _measure_change(columns: Columns, before: NDArray[np.float64], theta: NDArray[np.float64]) -> float:
+    """Return the largest relative change of a parameter from `before` to `theta` (p,)."""
+    small = (
+        TUNING.instruments_small
+        * np.linalg.norm(columns.z)
+        / np.maximum(np.linalg.norm(columns.phi, axis=0), TUNING.tiny)
+    )
+    size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), small)
+    return float(np.max(np.abs(theta - before) / size))
 
 
 def _nearest(tried: Sequence[float], near: float | None, dt: float) -> Sequence[float]:

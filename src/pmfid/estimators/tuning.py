@@ -393,6 +393,13 @@ class EstimatorTuning:
     #: Fastest pole that samples can show, as a multiple of 1 / dt.
     srivc_fastest: float = 2.0
 
+    # stretches
+    #: Samples of the longest record that is used as a whole in each step. A longer record is represented by its
+    #: liveliest stretch of this length where any part of it gives the same answer.
+    stretch: int = 20_000
+    #: Turns of the iteration on a long record from the estimate of a stretch.
+    stretch_turns: int = 12
+
     # uncertainty
     #: Least number of blocks of the greatest length.
     uncertainty_fewest: int = 24

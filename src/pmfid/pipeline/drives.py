@@ -33,6 +33,7 @@ from pmfid.estimators.output_error import OE, Following
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns, Fit, Track, join_tracks
+from pmfid.estimators.stretches import liveliest
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import MOVE, Finding, advise, codes, make_notes, sort_findings
 from pmfid.io.tables import Table
@@ -40,7 +41,6 @@ from pmfid.models.drive import EquationModel
 from pmfid.models.equation import ESTIMATE, LATE, Equation
 from pmfid.pipeline import checks
 from pmfid.pipeline.checks.readings import INTEGRATE, convert_velocity
-from pmfid.pipeline.checks.view import liveliest
 from pmfid.pipeline.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.pipeline.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
 from pmfid.pipeline.result import DriveResult
@@ -70,7 +70,7 @@ def check_direction(record: Record, axis: Axis) -> str:
     above = _integrate_equation(model.equation)
     if above is None or not np.any(np.diff(record.counts)):
         return ""
-    part = liveliest(record.counts)
+    part = liveliest(record.counts, TUNING.view_most_samples)
     u, counts = record.u[part], record.counts[part]
     encoder = Encoder(record.resolution, standstill_time=axis.encoder.standstill_time)
     finer, position = convert_velocity(counts, record.resolution, record.dt)

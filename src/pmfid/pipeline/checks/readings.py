@@ -9,6 +9,7 @@ import numpy as np
 
 from pmfid.config.units import OUTPUTS, column_unit
 from pmfid.encoder import Encoder, fine_counts
+from pmfid.estimators.stretches import liveliest
 from pmfid.findings import Finding
 from pmfid.models.drive import Drive
 from pmfid.pipeline.checks.timing import drifts, too_slow
@@ -22,7 +23,6 @@ from pmfid.pipeline.checks.view import (
     View,
     best_view,
     hasty,
-    liveliest,
 )
 from pmfid.pipeline.guess.roles import is_position
 from pmfid.pipeline.known import set_any_gain
@@ -181,7 +181,7 @@ def _velocity(log: CheckedLog) -> View | None:
 
 def _view_reading(force: Floats, counts: Counts, encoder: Encoder, dt: float) -> View | None:
     """Return the view of a reading, or None if the reading describes no machine."""
-    part = liveliest(counts)
+    part = liveliest(counts, TUNING.view_most_samples)
     view = best_view(force[part], counts[part], encoder, dt, lasting=TUNING.readings_lasting)
     return view if view is not None and _has_inertia(view, dt) and _is_one_body(view) else None
 

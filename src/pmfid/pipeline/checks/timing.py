@@ -9,8 +9,9 @@ from itertools import pairwise
 import numpy as np
 
 from pmfid.diagnostics.drives import counts_per_sample
+from pmfid.estimators.stretches import liveliest
 from pmfid.findings import Finding
-from pmfid.pipeline.checks.view import CheckedLog, View, hasty, liveliest, view, with_friction
+from pmfid.pipeline.checks.view import CheckedLog, View, hasty, view, with_friction
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Counts, Floats
 

@@ -14,6 +14,7 @@ from pmfid.diagnostics.drives import counts_per_sample
 from pmfid.encoder import Encoder
 from pmfid.estimators.ls import LS
 from pmfid.estimators.plants import plant_of
+from pmfid.estimators.stretches import liveliest
 from pmfid.models.drive import Drive
 from pmfid.pipeline.known import finds_gain, set_any_gain
 from pmfid.pipeline.tuning import TUNING
@@ -301,7 +302,7 @@ class CheckedLog:
     @cached_property
     def part(self) -> slice:
         """The range of samples that are filtered."""
-        return liveliest(self.known.counts)
+        return liveliest(self.known.counts, TUNING.view_most_samples)
 
     @cached_property
     def view(self) -> View | None:
@@ -340,12 +341,3 @@ def hasty(change: Counts | Floats) -> float:
     """Return the size of the differences between successive changes (n,), relative to the size of the changes."""
     power = float(np.mean(np.square(change, dtype=np.float64)))
     return float(np.sqrt(np.mean(np.square(np.diff(change), dtype=np.float64)) / max(power, 1e-300)))
-
-
-def liveliest(counts: Counts, most: int = TUNING.view_most_samples) -> slice:
-    """Return the `most` consecutive samples with the most motion, or all samples of a shorter record."""
-    if counts.size <= most:
-        return slice(0, counts.size)
-    travelled = np.r_[0, np.cumsum(np.abs(np.diff(counts)))]
-    start = int(np.argmax(travelled[most - 1 :] - travelled[: counts.size - most + 1]))
-    return slice(start, start + most)

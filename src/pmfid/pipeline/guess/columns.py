@@ -12,9 +12,10 @@ import numpy as np
 from pmfid.config.units import OUTPUTS, Unit, column_unit
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import UsageError
+from pmfid.estimators.stretches import liveliest
 from pmfid.io.tables import Table, column, times
 from pmfid.pipeline.checks.readings import integrate_velocity, is_turned
-from pmfid.pipeline.checks.view import MASS, PLAIN, View, best_view, liveliest
+from pmfid.pipeline.checks.view import MASS, PLAIN, View, best_view
 from pmfid.pipeline.guess.roles import Role, distance_from_measured, number_of, role_of
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.outliers import wrap_of
@@ -274,7 +275,7 @@ def _hangs(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> 
     if not TUNING.readings_turned < np.ptp(angle) < TUNING.most_turned:
         return False
     encoder, counts = fine_counts(angle)
-    part = liveliest(counts)
+    part = liveliest(counts, TUNING.view_most_samples)
     forms = (replace(PLAIN, gravity=True), replace(PLAIN, spring=True))
     hanging, sprung = (best_view(u[part], counts[part], encoder, dt, model=form) for form in forms)
     if hanging is None or hanging.unexplained > TUNING.hanging_better * plain:
@@ -330,5 +331,5 @@ def _view(u: Floats, y: Floats, kind: str, dt: float) -> View | None:
         encoder, counts = Encoder(1.0), y.astype(np.int64)
     else:
         encoder, counts = fine_counts(y)
-    part = liveliest(counts)
+    part = liveliest(counts, TUNING.view_most_samples)
     return best_view(u[part], counts[part], encoder, dt)
