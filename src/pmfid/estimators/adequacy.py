@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pmfid._stage import first_order
 from pmfid.estimators.base import Estimator
@@ -150,7 +150,8 @@ def _stribeck(difference: Difference, q: Floats, v: Floats, fall: float) -> Floa
     The velocity changes linearly from one part to the next.
     """
     change = float(np.max(np.abs(np.diff(v)), initial=0.0))
-    parts = int(np.clip(np.ceil(change / (TUNING.adequacy_fine * fall)), 1, TUNING.most_parts))
+    most = TUNING.most_parts if v.size <= TUNING.stretch else TUNING.stretch_parts
+    parts = int(np.clip(np.ceil(change / (TUNING.adequacy_fine * fall)), 1, most))
     v = difference.motion(q, np.zeros(parts * v.size))[1]
     ends = np.r_[v[0], (v[1:] + v[:-1]) / 2, v[-1]]
     erf = np.fromiter(map(math.erf, np.abs(ends) / fall), np.float64, ends.size)  # SciPy is slow to import
@@ -383,9 +384,45 @@ def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequ
     sensitivity = -difference.jacobian(q)
     own = difference.remove_nuisance(sensitivity[:, :p], sensitivity[:, p:])
     candidates = list_candidate_forces(difference, q, places)
-    effects = _effects(difference, q, candidates)
+    batches = list(_batches(candidates, difference.rows))
+    tests = [_test_forces(best, own, sensitivity[:, p:], batch, information, slope) for batch in batches]
+    apart, hidden, moves, score, expected, variance, alone, elsewhere = (
+        np.concatenate(parts, axis=-1) for parts in zip(*tests, strict=True)
+    )
+    if best.noise is None and not np.any(np.abs(score) > TUNING.adequacy_missed * np.sqrt(variance)):
+        variance = alone
+    z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
+    found = tuple(candidate for candidate, there in zip(sum(batches, []), apart, strict=True) if there)
+    unseen = np.linalg.norm(hidden, axis=1)
+    of_encoder = slope.size * (1.0 if best.noise is not None else information / 12)
+    wrong = max(float(slope @ slope) / information - of_encoder, TUNING.tiny)
+    explained = min(float(np.sqrt(np.max(size**2 * expected, initial=0.0) / wrong)), 1.0)
+    return Adequacy(difference, q, best.noise, found, z, size, std, expected, moves, elsewhere, unseen, explained)
+
+
+def _batches(candidates: list[CandidateForce], rows: int) -> Iterator[list[CandidateForce]]:
+    """Yield the forces that are tested at once: all of them, or those of a long record with bounded memory."""
+    if rows <= TUNING.stretch:
+        yield candidates
+        return
+    for size in dict.fromkeys(candidate.force.size for candidate in candidates):
+        alike, most = [one for one in candidates if one.force.size == size], max(1, _PAIRS * rows // size)
+        yield from (alike[k : k + most] for k in range(0, len(alike), most))
+
+
+def _test_forces(
+    best: Best, own: Floats, nuisance: Floats, candidates: list[CandidateForce], information: float, slope: Floats
+) -> tuple[NDArray[np.bool_], Floats, Floats, Floats, Floats, Floats, Floats, Floats]:
+    """Test k forces at the sensitivities `own` (n, p) to the parameters and `nuisance` (n, 2) to the start.
+
+    Returns a mark (k,) for each force whose effect is apart from that of the parameters, and the shift (p, h) of the
+    parameters by the others. For each marked force follow the shift of the parameters (p, m), score, information and
+    variance (m,), the variance if the force alone were missing, and `gain_elsewhere`.
+    """
+    difference, p = best.difference, best.difference.parameters
+    effects = _effects(difference, best.q, candidates)
     effects[:, ~np.all(np.isfinite(effects), axis=0)] = 0.0  # a force of almost 0 may overflow
-    cleaned = difference.remove_nuisance(effects, sensitivity[:, p:])
+    cleaned = difference.remove_nuisance(effects, nuisance)
     del effects  # of long records each of these takes some 100 MB
     scale = np.maximum(np.linalg.norm(own, axis=0), TUNING.tiny)
     shift = np.linalg.lstsq(own / scale, cleaned)[0] / scale[:, None]
@@ -397,19 +434,14 @@ def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequ
     alone, moves = alone if np.all(apart) else alone[:, apart], moves[:, apart]
     score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
     variance = score_variance(best, alone, information, slope)
+    without = variance
     if best.noise is None and not np.any(np.abs(score) > TUNING.adequacy_missed * np.sqrt(variance)):
         # If a missing force is large, its residual hides the force. The variance then comes from the residual that each
         # force leaves.
         left = slope[:, None] - information * alone * (score / expected)
-        variance = np.minimum(variance, np.maximum(expected, block_scatter(alone * left, difference.recovery)))
-    z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
-    found = tuple(candidate for candidate, there in zip(candidates, apart, strict=True) if there)
+        without = np.minimum(variance, np.maximum(expected, block_scatter(alone * left, difference.recovery)))
     elsewhere = gain_elsewhere(alone * slope[:, None], alone**2 * information)
-    unseen = np.linalg.norm(hidden, axis=1)
-    of_encoder = slope.size * (1.0 if best.noise is not None else information / 12)
-    wrong = max(float(slope @ slope) / information - of_encoder, TUNING.tiny)
-    explained = min(float(np.sqrt(np.max(size**2 * expected, initial=0.0) / wrong)), 1.0)
-    return Adequacy(difference, q, best.noise, found, z, size, std, expected, moves, elsewhere, unseen, explained)
+    return apart, hidden, moves, score, expected, variance, without, elsewhere
 
 
 def gain_elsewhere(scores: Floats, informations: Floats) -> Floats:

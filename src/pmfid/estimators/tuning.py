@@ -399,6 +399,8 @@ class EstimatorTuning:
     stretch: int = 20_000
     #: Turns of the iteration on a long record from the estimate of a stretch.
     stretch_turns: int = 12
+    #: Greatest number of parts of a sample for Stribeck friction along a long record.
+    stretch_parts: int = 4
 
     # uncertainty
     #: Least number of blocks of the greatest length.
