@@ -6,6 +6,8 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,7 +21,7 @@ from pmfid.estimators.motion import Difference, rms
 from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.tuning import TUNING
-from pmfid.estimators.uncertainty import block_scatter, phase_scatter
+from pmfid.estimators.uncertainty import block_scatter, phase_scatter, sparse_phase_slopes
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,
@@ -32,6 +34,9 @@ from pmfid.models.equation import (
 )
 from pmfid.models.shapes import ESTIMATE, Square, Stribeck, Wave
 from pmfid.types import Floats
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 #: Keys of [model] and the values to set.
 Change = Mapping[str, object]
@@ -353,16 +358,18 @@ def information_of(best: Best) -> tuple[float, Floats]:
     return mean_information(best.noise), cost(error, best.noise)[1]
 
 
-def score_variance(best: Best, effects: Floats, information: float, slope: Floats) -> Floats:
+def score_variance(
+    best: Best, effects: Floats, information: float, slope: Floats, phases: csr_array | None = None
+) -> Floats:
     """Return the variances (k,) of the scores of effects (n, k) [counts].
 
     Each variance is the largest of three: the variance for independent samples, the scatter over blocks, and the
-    scatter over positions of the encoder's lattice.
+    scatter over positions of the encoder's lattice. `phases` are the scores at these positions if they are known.
     """
     difference, expected = best.difference, np.sum(effects**2, axis=0) * information
     variance = np.maximum(expected, block_scatter(effects * slope[:, None], difference.recovery))
     if best.noise is not None:
-        variance = np.maximum(variance, phase_scatter(difference, best.q, effects, best.noise))
+        variance = np.maximum(variance, phase_scatter(difference, best.q, effects, best.noise, phases))
     return np.asarray(variance)
 
 
@@ -385,14 +392,15 @@ def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequ
     own = difference.remove_nuisance(sensitivity[:, :p], sensitivity[:, p:])
     candidates = list_candidate_forces(difference, q, places)
     batches = list(_batches(candidates, difference.rows))
-    tests = [_test_forces(best, own, sensitivity[:, p:], batch, information, slope) for batch in batches]
+    phases = sparse_phase_slopes(difference, q, best.noise) if best.clean and len(batches) > 1 else None
+    tests = [_test_forces(best, own, sensitivity[:, p:], batch, information, slope, phases) for batch in batches]
     apart, hidden, moves, score, expected, variance, alone, elsewhere = (
         np.concatenate(parts, axis=-1) for parts in zip(*tests, strict=True)
     )
     if best.noise is None and not np.any(np.abs(score) > TUNING.adequacy_missed * np.sqrt(variance)):
         variance = alone
     z, size, std = score / np.sqrt(variance), score / expected, np.sqrt(variance) / expected
-    found = tuple(candidate for candidate, there in zip(sum(batches, []), apart, strict=True) if there)
+    found = tuple(candidate for candidate, there in zip(chain(*batches), apart, strict=True) if there)
     unseen = np.linalg.norm(hidden, axis=1)
     of_encoder = slope.size * (1.0 if best.noise is not None else information / 12)
     wrong = max(float(slope @ slope) / information - of_encoder, TUNING.tiny)
@@ -411,7 +419,13 @@ def _batches(candidates: list[CandidateForce], rows: int) -> Iterator[list[Candi
 
 
 def _test_forces(
-    best: Best, own: Floats, nuisance: Floats, candidates: list[CandidateForce], information: float, slope: Floats
+    best: Best,
+    own: Floats,
+    nuisance: Floats,
+    candidates: list[CandidateForce],
+    information: float,
+    slope: Floats,
+    phases: csr_array | None,
 ) -> tuple[NDArray[np.bool_], Floats, Floats, Floats, Floats, Floats, Floats, Floats]:
     """Test k forces at the sensitivities `own` (n, p) to the parameters and `nuisance` (n, 2) to the start.
 
@@ -433,7 +447,7 @@ def _test_forces(
     hidden = moves[:, ~apart] * np.array([candidate.plausible for candidate in candidates])[~apart]
     alone, moves = alone if np.all(apart) else alone[:, apart], moves[:, apart]
     score, expected = alone.T @ slope, np.sum(alone**2, axis=0) * information
-    variance = score_variance(best, alone, information, slope)
+    variance = score_variance(best, alone, information, slope, phases)
     without = variance
     if best.noise is None and not np.any(np.abs(score) > TUNING.adequacy_missed * np.sqrt(variance)):
         # If a missing force is large, its residual hides the force. The variance then comes from the residual that each

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from pmfid.estimators.motion import Difference, first_speed, mean_velocity, sum_
 from pmfid.estimators.results import Columns
 from pmfid.estimators.tuning import TUNING
 from pmfid.types import Floats
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 
 def block_scatter(scores: Floats, shortest: int = 1) -> Floats:
@@ -113,23 +117,46 @@ def _simulate_position(estimator: Estimator, theta: Floats, u: Floats, counts: N
     return place
 
 
-def phase_scatter(difference: Difference, q: Floats, sensitivity: Floats, noise: float | None) -> Floats:
+def phase_scatter(
+    difference: Difference, q: Floats, sensitivity: Floats, noise: float | None, slopes: csr_array | None = None
+) -> Floats:
     """Return the variances (p,) of sum sensitivity (n, p) * score over the places of the lattice.
 
     The counts are those of the motion simulated at q. `noise` is the position's noise [counts] in an interval
     likelihood; None takes the position's error itself as score. A noise above the floor gives zero, because noise
-    breaks every pattern of the counts.
+    breaks every pattern of the counts. `slopes` is the result of `sparse_phase_slopes`; None computes the scores here.
     """
     if noise is not None and noise > TUNING.given_away * TUNING.noise_floor:
         return np.zeros(sensitivity.shape[1])
+    if slopes is not None:
+        return np.asarray(np.mean(np.square(slopes @ sensitivity), axis=0))
+    errors = _phase_errors(difference, q)
+    sums = [sensitivity.T @ (error if noise is None else cost(error, noise)[1]) for error in errors]
+    return np.asarray(np.mean(np.square(sums), axis=0))
+
+
+def sparse_phase_slopes(difference: Difference, q: Floats, noise: float) -> csr_array:
+    """Return the scores (places, n) of `phase_scatter` at the counts whose edges are near, for several calls.
+
+    For all other counts the scores are zero in floating point.
+    """
+    from scipy.sparse import csr_array  # slow to import, and only long records need it
+
+    values, places, ends = list[Floats](), list[NDArray[np.int32]](), [0]
+    for error in _phase_errors(difference, q):
+        near = np.flatnonzero(np.abs(error) > 0.5 - TUNING.likelihood_reach * noise)
+        values.append(cost(error[near], noise)[1])
+        places.append(near.astype(np.int32))
+        ends.append(ends[-1] + near.size)
+    return csr_array((np.concatenate(values), np.concatenate(places), ends), shape=(len(values), difference.rows))
+
+
+def _phase_errors(difference: Difference, q: Floats) -> Iterator[Floats]:
+    """Yield the encoder's error (n,) of the motion simulated at q for each place of the lattice."""
     place = difference.motion(q)[0] / difference.resolution
-    sums = []
     for k in range(TUNING.uncertainty_phases):
         shifted = place + k / TUNING.uncertainty_phases
-        error = np.floor(shifted) + 0.5 - shifted
-        slope = error if noise is None else cost(error, noise)[1]
-        sums.append(sensitivity.T @ slope)
-    return np.asarray(np.mean(np.square(sums), axis=0))
+        yield np.floor(shifted) + 0.5 - shifted
 
 
 def likelihood_covariance(best: Best, weighted: Floats, scores: Floats) -> Floats:
