@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
 from typing import TYPE_CHECKING
@@ -96,7 +96,10 @@ def list_candidate_forces(
     moving = v != 0
     if not np.any(moving):
         return []
-    return [*_frictions(difference, q, v), *_forces(difference, q, x, v), *_places(difference, places, v)]
+    found = chain(_frictions(difference, q, v), _forces(difference, q, x, v), _places(difference, places, v))
+    if v.size <= TUNING.stretch:
+        return list(found)
+    return [replace(one, force=one.force.astype(np.float32)) for one in found]  # of a long record these take 200 MB
 
 
 def _frictions(difference: Difference, q: Floats, v: Floats) -> Iterator[CandidateForce]:
@@ -496,8 +499,9 @@ def _effects_alike(difference: Difference, q: Floats, candidates: Sequence[Candi
     """Return the change of the simulated position [counts] (n, k) for forces over equal parts of a sample."""
     usual = TUNING.step_of_force * abs(difference.equation.input_gain) * rms(difference.u)
     sizes = np.array([TUNING.adequacy_step * one.plausible or usual / rms(one.force) for one in candidates])
-    forces = sizes[:, None] * np.array([candidate.force for candidate in candidates])
-    found = difference.motions(np.tile(q, (2 * sizes.size, 1)), np.concatenate([-forces, forces]))[0]
+    forces = sizes[:, None] * np.array([candidate.force for candidate in candidates], np.float64)
+    forces = np.concatenate([-forces, forces])
+    found = difference.motions(np.tile(q, (2 * sizes.size, 1)), forces)[0]
     more, less = np.split(found, 2)
     signals = [difference.observe(row) for row in more - less]
     return np.asarray(np.array(signals).T / (2 * sizes))

@@ -30,7 +30,9 @@ def sum_travel(velocity: Floats, dt: Intervals) -> Floats:
     travel = np.zeros_like(velocity)
     steps = velocity * dt if isinstance(dt, np.ndarray) else velocity
     np.cumsum(steps[..., :-1], axis=-1, out=travel[..., 1:])
-    return travel if isinstance(dt, np.ndarray) else travel * dt
+    if not isinstance(dt, np.ndarray):
+        travel *= dt
+    return travel
 
 
 def mean_velocity(
