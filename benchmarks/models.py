@@ -14,6 +14,8 @@ from pmfid.types import Counts, Floats
 from studies.term_machines import KINDS, TERMS, bench_of, record_of
 
 SAMPLES = 10_000
+#: Samples of a long record.
+MANY = 1_000_000
 #: Options of `Drive`, and the terms of the machine that need them.
 MODELS: Mapping[str, tuple[Mapping[str, object], tuple[str, ...]]] = {
     "plain": ({}, ()),

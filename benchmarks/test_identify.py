@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import resource
 import time
 
 import pytest
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from benchmarks.models import MODELS, SEEDS, identify_case, make_case
+from benchmarks.models import MANY, MODELS, SEEDS, identify_case, make_case
 from pmfid import NotIdentifiableError
 
 
@@ -23,4 +24,14 @@ def test_identify_of_a_model(benchmark: BenchmarkFixture, name: str, seed: int) 
         return
     benchmark.extra_info["method"] = result.estimator.method
     benchmark.extra_info["status"] = list(result.status)
+    assert len(result.theta) == len(result.theta_std)
+
+
+@pytest.mark.benchmark(timer=time.process_time)
+@pytest.mark.parametrize("method", ["auto", "ls"])
+def test_identify_of_a_million_samples(benchmark: BenchmarkFixture, method: str) -> None:
+    case = make_case("plain", 0, MANY)
+    result = benchmark.pedantic(identify_case, args=(case,), kwargs={"method": method}, rounds=1)
+    benchmark.extra_info["status"] = list(result.status)
+    benchmark.extra_info["peak"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss  # of the process [kB]
     assert len(result.theta) == len(result.theta_std)

@@ -395,7 +395,9 @@ def _run_score_tests(best: Best, information: float, slope: Floats, places: Sequ
     own = difference.remove_nuisance(sensitivity[:, :p], sensitivity[:, p:])
     candidates = list_candidate_forces(difference, q, places)
     batches = list(_batches(candidates, difference.rows))
-    phases = sparse_phase_slopes(difference, q, best.noise) if best.clean and len(batches) > 1 else None
+    phases = None
+    if best.noise is not None and best.clean and len(batches) > 1:
+        phases = sparse_phase_slopes(difference, q, best.noise)
     tests = [_test_forces(best, own, sensitivity[:, p:], batch, information, slope, phases) for batch in batches]
     apart, hidden, moves, score, expected, variance, alone, elsewhere = (
         np.concatenate(parts, axis=-1) for parts in zip(*tests, strict=True)
