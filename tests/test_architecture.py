@@ -62,14 +62,14 @@ MAY_IMPORT: dict[str, set[str]] = {
     "testing": DIAGNOSTICS,
     "simulation": {"errors", "types"},
     "design": {"errors", "types", "presentation", "lazy_imports", "models", "simulation"},
-    "actuators": {"errors", "findings", "presentation", "simulation", "types"},
+    "actuators": {"errors", "findings", "io", "presentation", "records", "simulation", "types"},
     "export": DIAGNOSTICS | {"pmfid"},
     "pipeline": PIPELINE,
     "stream": WINGS,
     "service": WINGS | {"stream"},
     "fleet": WINGS | {"stream", "lazy_imports", "pmfid"},
-    "report": WINGS | {"fleet"},
-    "cli": WINGS | {"stream", "service", "fleet", "report", "simulation", "pmfid"},
+    "report": WINGS | {"actuators", "fleet"},
+    "cli": WINGS | {"actuators", "stream", "service", "fleet", "report", "simulation", "pmfid"},
     "pmfid": WINGS,
 }
 

@@ -133,6 +133,14 @@ def _terms(rng: Rng, folder: Path) -> Case:
     return Case(("terms", name, "--config", "axis.toml", *chosen), files)
 
 
+def _actuators(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder)
+    chosen = options(rng, 0.5, goal=["u", "u*", "*"], position=["y", "counts", "*"], unit=["counts", "deg"], bits=["12"])
+    chosen += options(rng, 0.3, given=["kp=8", "kp=-1", "1.kp=2"], term=["gravity", "x"], resolution=["0.001"])
+    chosen += [*_out(rng, 0.03), *_flags(rng, 0.6, "--json"), *_flags(rng, 0.7, "--no-search")]
+    return Case(("actuators", name, *chosen), files)
+
+
 def _friction(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder)
     chosen = options(rng, 0.1, nodes=["3", "0", "-2", "1e9"], rising_from=["0.1", "-1", "nan"], cutoff=["10"])
@@ -353,5 +361,6 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "fleet": (_fleet, 0.002),
     "order": (_order, 0.002),
     "explain": (_explain, 0.008),
-    "none": (_none, 0.048),
+    "actuators": (_actuators, 0.002),
+    "none": (_none, 0.046),
 }

@@ -9,6 +9,14 @@ from dataclasses import dataclass
 class ActuatorTuning:
     """One value for each decision of `pmfid.actuators`, by module."""
 
+    # logs
+    #: The encoder's step is read from the positions if they have this many distances of neighbours. The quantile is
+    #: below the median, because a fast motion leaves steps out.
+    step_levels: int = 20
+    step_quantile: float = 0.2
+    #: Part of a step by which a distance may differ from a whole number, and the part of all distances that do not.
+    step_tolerance: float = 0.1
+    step_share: float = 0.95
     # problem
     #: The start position and the start velocity follow the parameters in the coordinates.
     nuisance: int = 2

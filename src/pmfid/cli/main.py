@@ -9,6 +9,7 @@ from pathlib import Path
 import click
 
 from pmfid import __version__
+from pmfid.cli.actuators import actuators
 from pmfid.cli.check import check
 from pmfid.cli.design import commission, design
 from pmfid.cli.explain import explain
@@ -196,6 +197,7 @@ def compare(
     _compare(records, config, {"estimator.cutoff": cutoff}, quantize, out, as_json)
 
 
+main.add_command(actuators)
 main.add_command(check)
 main.add_command(init)
 main.add_command(design)

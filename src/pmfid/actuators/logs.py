@@ -1,0 +1,202 @@
+"""Logs of servos: commands and positions of each joint, out of the columns of a file."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pmfid.actuators.tuning import TUNING
+from pmfid.errors import UsageError
+from pmfid.io.tables import Table, column, times
+from pmfid.types import Floats
+
+#: Words in the names of columns. A longer word comes before a shorter one that it contains.
+TIMES = ("timestamp", "time", "stamp", "t")
+GOALS = ("goal_position", "goal", "commanded", "command", "cmd", "target", "setpoint", "desired", "reference", "action")
+POSITIONS = (
+    *("observation.state", "present_position", "measured_position", "position", "pos", "measured", "actual", "state"),
+    "q",
+)
+#: Columns that have a word of a position, but are none.
+OTHERS = ("velocity", "vel", "speed", "effort", "torque", "current", "load", "acceleration")
+#: Unit of goal and position -> its size [rad]. A count is a step of the encoder.
+ANGLES = {"rad": 1.0, "deg": np.pi / 180, "counts": 0.0}
+GRAVITY = 9.80665
+
+
+@dataclass(frozen=True, eq=False)
+class JointLog:
+    """Times [s], goals [rad] and positions [rad] of one joint, (n,).
+
+    `resolution` is the step of the encoder [rad], `given` holds parameters that the file states, and `notes` are
+    sentences on the reading.
+    """
+
+    name: str
+    t: Floats
+    goal: Floats
+    position: Floats
+    resolution: float
+    given: Mapping[str, float] = field(default_factory=dict)
+    notes: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class LogLayout:
+    """What a user says on the columns of a log. None leaves a point to the names of the columns.
+
+    `time` is a column, `goal` and `position` are columns or patterns with one star, which stands for the joint.
+    `unit` is one of `ANGLES`, and `resolution` is the step of the encoder [rad].
+    """
+
+    time: str | None = None
+    goal: str | None = None
+    position: str | None = None
+    unit: str | None = None
+    resolution: float | None = None
+
+
+def read_joints(path: Path, layout: LogLayout) -> list[JointLog]:
+    """Return the logs of all joints of a file. Raises UsageError for a file without a goal and a position."""
+    table, given = _read_table(path)
+    name = layout.time or _find_time(table)
+    t = times(table, name)[0] * _time_factor(name)
+    goals = _find_columns(table, layout.goal, GOALS, ())
+    positions = _find_columns(table, layout.position, POSITIONS, (*goals.values(), *OTHERS))
+    joints = [joint for joint in positions if joint in goals]
+    if not joints:
+        raise UsageError(
+            f"no joint has a goal and a position: the columns are {', '.join(list(table)[:30]) or 'none'}; name them, "
+            "as with --goal 'goal_*' --position 'position_*'"
+        )
+    return [_make_joint(table, t, joint, goals[joint], positions[joint], layout, given) for joint in joints]
+
+
+def _read_table(path: Path) -> tuple[Table, Mapping[str, float]]:
+    """Return the columns of a file, and the parameters that it states."""
+    if path.suffix.lower() == ".json":
+        return _read_bam(path)
+    from pmfid.io.reading import read_table
+
+    return read_table(path), {}
+
+
+def _read_bam(path: Path) -> tuple[Table, Mapping[str, float]]:
+    """Read a log of BAM, whose pendulum states its mass [kg] and length [m]."""
+    try:
+        content = json.loads(path.read_text("utf-8"))
+        entries = content["entries"]
+        names = [name for name, value in entries[0].items() if isinstance(value, int | float)]
+        table = {name: np.array([float(entry[name]) for entry in entries]) for name in names}
+        mass, length = float(content["mass"]), float(content["length"])
+    except OSError as error:
+        raise UsageError(f"cannot read the log: {error.strerror}; give the path of a data file") from None
+    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
+        raise UsageError("the JSON is no log of BAM with mass, length and entries: export the log as CSV") from None
+    torque = mass * GRAVITY * length
+    return table, {"gravity": torque} if torque > 0 else {}
+
+
+# --- names of columns -------------------------------------------------------------------------------------------------
+
+
+def _find_time(table: Table) -> str:
+    for word in TIMES:
+        for name in table:
+            if re.fullmatch(rf"(.*[/.])?{word}([\s_.]?[\[(]?(s|sec|ms|us|µs|ns)[\])]?)?", name.lower()):
+                return name
+    raise UsageError("no column is the time: name it with --time")
+
+
+def _time_factor(name: str) -> float:
+    from pmfid.records.clock import UNITS, named_unit
+
+    return UNITS[named_unit(name) or "s"]
+
+
+def _find_columns(table: Table, pattern: str | None, words: Sequence[str], others: Sequence[str]) -> dict[str, str]:
+    """Return the columns of each joint, by a pattern or else by words in their names."""
+    if pattern is not None:
+        inside = re.compile(re.escape(pattern).replace(r"\*", "(.*)", 1))
+        found = {name: inside.fullmatch(name) for name in table}
+        columns = {match[1] if "*" in pattern else "": name for name, match in found.items() if match}
+        if not columns:
+            raise UsageError(f"no column is {pattern!r}: available are {', '.join(list(table)[:30]) or 'none'}")
+        return columns
+    for word in words:
+        columns = {}
+        for name in table:
+            if name in others or any(_cut(name, other) is not None for other in others if other in OTHERS):
+                continue
+            joint = _cut(name, word)
+            if joint is not None:
+                columns.setdefault(joint, name)
+        if columns:
+            return columns
+    return {}
+
+
+def _cut(name: str, word: str) -> str | None:
+    """Return the name without a word and without a unit, or None if the word is not a part of it."""
+    plain = re.sub(r"\s*[\[(][^\])]*[\])]$", "", name)
+    plain = re.sub(r"[\s_.](rad|deg|counts|ticks)$", "", plain, flags=re.IGNORECASE)
+    found = re.search(rf"(?:^|(?<=[\s_./:-])){re.escape(word)}(?=$|[\s_./:-])", plain, re.IGNORECASE)
+    if found is None:
+        return None
+    parts = (plain[: found.start()].strip(" _./:-"), plain[found.end() :].strip(" _./:-"))
+    return ".".join(part for part in parts if part)
+
+
+def _own_unit(name: str) -> str | None:
+    """Return the unit in a column's name, one of `ANGLES`, or None."""
+    found = re.search(r"[\s_.\[(](rad|deg|degrees|counts?|ticks?)[\])]?$", name.lower())
+    return None if found is None else {"d": "deg", "r": "rad"}.get(found[1][0], "counts")
+
+
+# --- values -----------------------------------------------------------------------------------------------------------
+
+
+def _make_joint(
+    table: Table, t: Floats, joint: str, goal: str, position: str, layout: LogLayout, given: Mapping[str, float]
+) -> JointLog:
+    values = [column(table, "goal", goal), column(table, "position", position)]
+    if any(own.size != t.size for own in values):
+        raise UsageError(f"joint {joint or 'joint'}: time, goal and position differ in length: export one table")
+    there = np.isfinite(t) & np.isfinite(values[0]) & np.isfinite(values[1])
+    notes = [f"{np.sum(~there)} rows without a number are left out"] if not there.all() else []
+    rows = np.flatnonzero(there)
+    fresh = np.append(True, np.diff(t[rows]) != 0) if rows.size else np.zeros(0, bool)
+    notes += [f"{np.sum(~fresh)} rows with the stamp of the row before are left out"] if not fresh.all() else []
+    rows = rows[fresh]
+    scaled, resolution = [], layout.resolution
+    for name, own in zip((goal, position), values, strict=True):
+        unit = layout.unit or _own_unit(name) or "rad"
+        if unit == "counts" and resolution is None:
+            raise UsageError(f"column {name!r} is in counts: give the encoder's step with --bits or --resolution")
+        scaled.append(own[rows] * (ANGLES[unit] or resolution or 1.0))
+    step = resolution or find_step(scaled[1])
+    if step is None:
+        raise UsageError(f"joint {joint or 'joint'} does not show the encoder's step: give --bits or --resolution")
+    if layout.resolution is None:
+        notes.append(f"the encoder's step is {step:.4g} rad by the positions")
+    return JointLog(joint or "joint", t[rows] - (t[rows[0]] if rows.size else 0.0), *scaled, step, given, notes)
+
+
+def find_step(position: Floats) -> float | None:
+    """Return the step of the encoder [rad] that divides the differences of the positions (n,), or None."""
+    levels = np.unique(position)
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 1e-9 * max(float(np.ptp(levels)), 1e-300)] if gaps.size else gaps
+    if gaps.size < TUNING.step_levels:
+        return None
+    step = float(np.quantile(gaps, TUNING.step_quantile))
+    near = np.abs(gaps / step - np.rint(gaps / step)) < TUNING.step_tolerance
+    if near.mean() < TUNING.step_share:
+        return None
+    whole = np.rint(gaps[near] / step)
+    return float(np.sum(gaps[near]) / np.sum(whole)) if whole.sum() else None

@@ -1,0 +1,108 @@
+"""The command `pmfid actuators`."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pmfid.cli.terminal import JSON, folder_option, print_json, progress
+from pmfid.errors import NotIdentifiableError, UsageError, printable
+
+if TYPE_CHECKING:
+    from pmfid.actuators.joints import FittedJoint
+
+
+@click.command(short_help="Identify the servos in a log of position commands.")
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--goal", metavar="PATTERN", help="Columns of the commands, such as 'goal_*': the star is the joint.")
+@click.option("--position", metavar="PATTERN", help="Columns of the measured positions, such as 'position_*'.")
+@click.option("--time", metavar="NAME", help="Column of the time.")
+@click.option("--unit", type=click.Choice(["rad", "deg", "counts"]), help="Unit of goals and positions.")
+@click.option("--bits", type=click.IntRange(4, 32), help="Bits of the encoder per turn. Default: by the positions.")
+@click.option("--resolution", type=float, metavar="RAD", help="Step of the encoder, in place of --bits.")
+@click.option(
+    "--given", multiple=True, metavar="NAME=VALUE", help="Known parameter in SI, as kp=8, or shoulder.kp=8 of one joint."
+)
+@click.option("--term", "terms", multiple=True, metavar="NAME", help="Further parameter, as gravity or torque_limit.")
+@click.option("--loop-period", type=float, default=1e-3, show_default=True, metavar="S", help="Period of the loop.")
+@click.option("--search/--no-search", default=True, show_default=True, help="Add terms that the log shows.")
+@folder_option("Write actuators.html and actuators.json there.")
+@JSON
+def actuators(
+    log: Path,
+    goal: str | None,
+    position: str | None,
+    time: str | None,
+    unit: str | None,
+    bits: int | None,
+    resolution: float | None,
+    given: tuple[str, ...],
+    terms: tuple[str, ...],
+    loop_period: float,
+    search: bool,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """Find inertia, friction, gain and delay of every joint in LOG, which has its position commands and positions.
+
+    Without a known torque, such as kp or gravity, torques are multiples of kp.
+
+    Exit code 0: an estimate of a joint; 2: wrong usage or unreadable input; 3: no joint has an estimate.
+    """
+    with progress("actuators") as tell:
+        from pmfid.actuators.joints import fit_joints
+        from pmfid.actuators.logs import LogLayout, read_joints
+
+        if bits is not None and resolution is not None:
+            raise UsageError("--bits and --resolution are one thing: give one of them")
+        step = 2 * math.pi / 2**bits if bits is not None else resolution
+        if step is not None and not (math.isfinite(step) and step > 0):
+            raise UsageError(f"--resolution must be positive and finite, got {step}: give it in rad")
+        logs = read_joints(log, LogLayout(time, goal, position, unit, step))
+        found = fit_joints(logs, _read_given(given), terms, loop_period, search=search, tell=tell)
+        if all(joint.fit is None for joint in found):
+            raise NotIdentifiableError("; ".join(f"{joint.log.name}: {joint.refused}" for joint in found))
+        if out is not None:
+            from pmfid.report.actuators import write_joints
+
+            write_joints(out, found, log.name)
+    if as_json:
+        print_json({"log": printable(log.name), "joints": {joint.log.name: joint.to_dict() for joint in found}})
+    else:
+        _print(found, log.name, out)
+
+
+def _read_given(texts: tuple[str, ...]) -> dict[str, float]:
+    given = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            given[name.strip()] = float(value)
+        except ValueError:
+            raise UsageError(f"--given {text!r} is no NAME=VALUE with a number: write kp=8") from None
+    return given
+
+
+def _print(found: list[FittedJoint], name: str, out: Path | None) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    from pmfid.actuators.joints import HEADER
+
+    table = Table(title=escape(printable(name)))
+    for heading in HEADER:
+        table.add_column(heading, justify="right" if heading in ("value", "std") else "left", no_wrap=True)
+    for joint in found:
+        for row in joint.rows:
+            table.add_row(*(escape(printable(cell)) for cell in row))
+        table.add_section()
+    console = Console()
+    console.print(table)
+    lines = [line for joint in found for line in joint.lines]
+    lines += list(dict.fromkeys(f"note: {note}" for joint in found for note in joint.log.notes))
+    for line in (*lines, *([f"report: {out / 'actuators.html'}"] if out else [])):
+        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)

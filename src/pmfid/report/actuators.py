@@ -1,0 +1,33 @@
+"""The page of the servos in a log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from pmfid.actuators.joints import HEADER, FittedJoint
+from pmfid.errors import printable
+from pmfid.report.checks import followed_figure
+from pmfid.report.html import Section, svg, write_json, write_report
+
+
+def write_joints(out: Path, found: Sequence[FittedJoint], name: str) -> None:
+    """Write actuators.html and actuators.json into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / "actuators.json", {"log": printable(name), "joints": {one.log.name: one.to_dict() for one in found}})
+    text = "The column std is one standard error. " + " ".join(f"{one.log.name}: {one.status}." for one in found)
+    rows = [row for one in found for row in one.rows]
+    sections = [Section("Parameters", text, (HEADER, rows)), *(_draw_joint(one) for one in found)]
+    write_report(out / "actuators.html", f"{name}: servos", sections)
+
+
+def _draw_joint(joint: FittedJoint) -> Section:
+    log, fit = joint.log, joint.fit
+    notes = [f"Note: {note}." for note in log.notes]
+    if fit is None:
+        return Section(log.name, "\n\n".join([f"Refused: {joint.refused}.", *notes]))
+    findings = [f"{finding.paragraph[0].upper()}{finding.paragraph[1:]}." for finding in fit.findings]
+    deviation = f"The simulated motion deviates by {fit.residual / log.resolution:.2f} encoder steps (rms)."
+    signals = (log.position, fit.simulated)
+    figure = followed_figure(log.t, signals, "position [rad]", fit.simulated - log.position, "difference [rad]")
+    return Section(log.name, "\n\n".join([deviation, *findings, *notes]), svg=svg(figure))

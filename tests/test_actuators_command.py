@@ -1,0 +1,147 @@
+"""`pmfid actuators`: the joints of a log, by the names of its columns."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+from click.testing import CliRunner, Result
+
+from pmfid.actuators.joints import format_pair
+from pmfid.actuators.logs import LogLayout, find_step, read_joints
+from pmfid.actuators.tuning import ActuatorTuning
+from pmfid.cli.main import main
+from pmfid.errors import UsageError
+from tests.test_actuators import STEP, TRUTH, make_log
+
+
+@pytest.fixture(autouse=True)
+def _few_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The landscape of these logs is plain, and the tests are to be quick."""
+    monkeypatch.setattr(ActuatorTuning, "starts", 100)
+    monkeypatch.setattr(ActuatorTuning, "refined", 2)
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log of two joints, the first in degrees, and the second at rest."""
+    t, goal, position = make_log(gravity=0.0, kd=0.0)
+    deg = math.degrees(1.0)
+    columns = {"time_ms": 1e3 * t, "goal_1_deg": goal * deg, "position_1_deg": position * deg, "speed_1": 0 * t}
+    path = tmp_path_factory.mktemp("arm") / "arm.csv"
+    pl.DataFrame({**columns, "goal_2": 0 * t, "position_2": 0 * t}).write_csv(path)
+    return path
+
+
+def call(*arguments: object) -> Result:
+    return CliRunner().invoke(main, ["actuators", *map(str, arguments)])
+
+
+def test_every_joint_of_a_log_has_an_estimate_or_a_reason(arm: Path, tmp_path: Path) -> None:
+    words = (arm, "--bits", 12, "--given", "1.kp=8", "--given", "1.kd=0", "--no-search")
+    result = call(*words, "--json", "--out", tmp_path)
+    assert (result.exit_code, result.stderr) == (0, "")
+    joints = json.loads(result.stdout)["joints"]
+    for name in ("inertia", "viscous", "coulomb", "delay"):
+        own = joints["1"]["parameters"][name]
+        assert abs(own["value"] - TRUTH[name]) < min(0.05 * TRUTH[name], 4 * own["std"]), name
+    assert joints["1"]["status"] == []
+    assert "hardly moves" in joints["2"]["refused"]
+    assert json.loads((tmp_path / "actuators.json").read_text())["joints"] == joints
+    page = (tmp_path / "actuators.html").read_text()
+    assert "kg m2" in page
+    assert "hardly moves" in page
+
+
+def test_the_terminal_shows_one_table_and_the_status_of_each_joint(arm: Path) -> None:
+    result = call(arm, "--bits", 12, "--no-search")
+    assert result.exit_code == 0
+    assert "inertia/kp" in result.stdout
+    assert "1: status: none" in result.stdout
+    assert "2: status: refused: the servo hardly moves" in result.stdout
+    assert "give kp, a known inertia, or gravity" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["--goal", "aim_*"], 2, "no column is 'aim_*'"),
+        (["--goal", "goal_2", "--position", "position_2", "--bits", "12"], 3, "hardly moves"),
+        (["--unit", "counts"], 2, "--bits or --resolution"),
+        (["--bits", "12", "--resolution", "0.1"], 2, "give one of them"),
+        (["--bits", "12", "--given", "kp"], 2, "write kp=8"),
+        (["--bits", "12", "--given", "3.kp=8"], 2, "the joints are 1, 2"),
+        (["--bits", "12", "--term", "grafity"], 2, "did you mean 'gravity'"),
+        (["--resolution", "nan"], 2, "must be positive"),
+    ],
+)
+def test_a_log_that_no_fit_can_use_has_one_line_with_a_remedy(
+    arm: Path, words: list[str], code: int, message: str
+) -> None:
+    result = call(arm, *words)
+    assert (result.exit_code, result.stderr.count("\n")) == (code, 1)
+    assert message in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("goal", "position", "joint"),
+    [
+        ("goal_position", "position", "joint"),
+        ("shoulder.goal", "shoulder.pos", "shoulder"),
+        ("action.3", "observation.state.3", "3"),
+        ("cmd_left_knee [rad]", "q_left_knee [rad]", "left_knee"),
+    ],
+)
+def test_joints_are_found_by_the_names_of_their_columns(goal: str, position: str, joint: str, tmp_path: Path) -> None:
+    t = np.arange(100) * 0.01
+    pl.DataFrame({"t": t, goal: t, position: t, "velocity_left_knee": t}).write_csv(tmp_path / "log.csv")
+    (log,) = read_joints(tmp_path / "log.csv", LogLayout(resolution=STEP))
+    assert log.name == joint
+    assert log.position == pytest.approx(t)
+
+
+def test_rows_without_numbers_and_repeated_stamps_are_left_out(tmp_path: Path) -> None:
+    t = np.array([0.0, 0.1, 0.1, 0.2, 0.3])
+    columns = {"t": t, "goal": [0, 1, 1, None, 2], "position": [5, 6, 6, 7, 8]}
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    (log,) = read_joints(tmp_path / "log.csv", LogLayout(resolution=0.5, unit="counts"))
+    assert log.t == pytest.approx([0.0, 0.1, 0.3])
+    assert log.goal == pytest.approx([0.0, 0.5, 1.0])
+    assert log.position == pytest.approx([2.5, 3.0, 4.0])
+    assert len(log.notes) == 2
+
+
+def test_a_log_of_bam_states_its_pendulum(tmp_path: Path) -> None:
+    entries = [{"position": STEP * k, "goal_position": 0.1 * k, "timestamp": 0.02 * k} for k in range(99)]
+    (tmp_path / "log.json").write_text(json.dumps({"mass": 1.0, "length": 0.1, "entries": entries}))
+    (log,) = read_joints(tmp_path / "log.json", LogLayout())
+    assert log.given["gravity"] == pytest.approx(0.980665)
+    assert log.resolution == pytest.approx(STEP)
+    (tmp_path / "log.json").write_text('{"a": 1}')
+    with pytest.raises(UsageError, match="no log of BAM"):
+        read_joints(tmp_path / "log.json", LogLayout())
+
+
+def test_the_step_of_the_encoder_is_read_from_rounded_positions() -> None:
+    _, _, position = make_log()
+    assert find_step(np.round(position, 5)) == pytest.approx(STEP, rel=1e-3)
+    assert find_step(position + np.random.default_rng(0).normal(0, STEP, position.size)) is None
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "texts"),
+    [
+        (0.0123456, 0.00012, ("0.01235", "0.00012")),
+        (123.456, 2.04, ("123.5", "2.0")),
+        (5.0, 0.5, ("5.00", "0.50")),
+        (0.001, 0.2, ("0.00", "0.20")),
+        (12345.0, 160.0, ("1.234e+04", "1.6e+02")),
+        (1.0, math.inf, ("1", "inf")),
+    ],
+)
+def test_a_value_has_the_digits_of_its_error(value: float, std: float, texts: tuple[str, str]) -> None:
+    assert format_pair(value, std) == texts
