@@ -164,11 +164,13 @@ def _own_unit(name: str) -> str | None:
 def _make_joint(
     table: Table, t: Floats, joint: str, goal: str, position: str, layout: LogLayout, given: Mapping[str, float]
 ) -> JointLog:
+    label = f"joint {joint}" if joint else "the joint"
     values = [column(table, "goal", goal), column(table, "position", position)]
     if any(own.size != t.size for own in values):
-        raise UsageError(f"joint {joint or 'joint'}: time, goal and position differ in length: export one table")
+        raise UsageError(f"{label}: time, goal and position differ in length: export one table")
     there = np.isfinite(t) & np.isfinite(values[0]) & np.isfinite(values[1])
-    notes = [f"{np.sum(~there)} rows without a number are left out"] if not there.all() else []
+    notes = [f"{key} is {value:.4g} by the file" for key, value in given.items()]
+    notes += [f"{np.sum(~there)} rows without a number are left out"] if not there.all() else []
     rows = np.flatnonzero(there)
     fresh = np.append(True, np.diff(t[rows]) != 0) if rows.size else np.zeros(0, bool)
     notes += [f"{np.sum(~fresh)} rows with the stamp of the row before are left out"] if not fresh.all() else []
@@ -181,7 +183,7 @@ def _make_joint(
         scaled.append(own[rows] * (ANGLES[unit] or resolution or 1.0))
     step = resolution or find_step(scaled[1])
     if step is None:
-        raise UsageError(f"joint {joint or 'joint'} does not show the encoder's step: give --bits or --resolution")
+        raise UsageError(f"{label} does not show the encoder's step: give --bits or --resolution")
     if layout.resolution is None:
         notes.append(f"the encoder's step is {step:.4g} rad by the positions")
     return JointLog(joint or "joint", t[rows] - (t[rows[0]] if rows.size else 0.0), *scaled, step, given, notes)
@@ -192,11 +194,11 @@ def find_step(position: Floats) -> float | None:
     levels = np.unique(position)
     gaps = np.diff(levels)
     gaps = gaps[gaps > 1e-9 * max(float(np.ptp(levels)), 1e-300)] if gaps.size else gaps
-    if gaps.size < TUNING.step_levels:
+    if not gaps.size:
         return None
-    step = float(np.quantile(gaps, TUNING.step_quantile))
-    near = np.abs(gaps / step - np.rint(gaps / step)) < TUNING.step_tolerance
-    if near.mean() < TUNING.step_share:
-        return None
-    whole = np.rint(gaps[near] / step)
-    return float(np.sum(gaps[near]) / np.sum(whole)) if whole.sum() else None
+    step = float(gaps.min())
+    for multiple in TUNING.step_multiples:
+        gaps_near = gaps[gaps < (multiple + 0.5) * step]
+        step = float(gaps_near.sum() / np.rint(gaps_near / step).sum())
+    near = np.abs(gaps_near / step - np.rint(gaps_near / step)) < TUNING.step_tolerance
+    return step if gaps_near.size >= TUNING.step_levels and near.mean() >= TUNING.step_share else None

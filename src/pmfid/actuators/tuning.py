@@ -10,10 +10,10 @@ class ActuatorTuning:
     """One value for each decision of `pmfid.actuators`, by module."""
 
     # logs
-    #: The encoder's step is read from the positions if they have this many distances of neighbours. The quantile is
-    #: below the median, because a fast motion leaves steps out.
+    #: The encoder's step is read from distances of neighbouring positions up to these multiples of it in turn, because
+    #: text is rounded. That many distances are needed.
+    step_multiples: tuple[int, ...] = (1, 4, 16)
     step_levels: int = 20
-    step_quantile: float = 0.2
     #: Part of a step by which a distance may differ from a whole number, and the part of all distances that do not.
     step_tolerance: float = 0.1
     step_share: float = 0.95

@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 @click.option("--bits", type=click.IntRange(4, 32), help="Bits of the encoder per turn. Default: by the positions.")
 @click.option("--resolution", type=float, metavar="RAD", help="Step of the encoder, in place of --bits.")
 @click.option(
-    "--given", multiple=True, metavar="NAME=VALUE", help="Known parameter in SI, as kp=8, or shoulder.kp=8 of one joint."
+    "--given",
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="Known parameter in SI, as kp=8, or shoulder.kp=8 of one joint.",
 )
 @click.option("--term", "terms", multiple=True, metavar="NAME", help="Further parameter, as gravity or torque_limit.")
 @click.option("--loop-period", type=float, default=1e-3, show_default=True, metavar="S", help="Period of the loop.")

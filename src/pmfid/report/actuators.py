@@ -14,7 +14,9 @@ from pmfid.report.html import Section, svg, write_json, write_report
 def write_joints(out: Path, found: Sequence[FittedJoint], name: str) -> None:
     """Write actuators.html and actuators.json into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "actuators.json", {"log": printable(name), "joints": {one.log.name: one.to_dict() for one in found}})
+    write_json(
+        out / "actuators.json", {"log": printable(name), "joints": {one.log.name: one.to_dict() for one in found}}
+    )
     text = "The column std is one standard error. " + " ".join(f"{one.log.name}: {one.status}." for one in found)
     rows = [row for one in found for row in one.rows]
     sections = [Section("Parameters", text, (HEADER, rows)), *(_draw_joint(one) for one in found)]
