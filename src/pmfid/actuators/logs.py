@@ -26,7 +26,6 @@ POSITIONS = (
 OTHERS = ("velocity", "vel", "speed", "effort", "torque", "current", "load", "acceleration")
 #: Unit of goal and position -> its size [rad]. A count is a step of the encoder.
 ANGLES = {"rad": 1.0, "deg": np.pi / 180, "counts": 0.0}
-GRAVITY = 9.80665
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +97,7 @@ def _read_bam(path: Path) -> tuple[Table, Mapping[str, float]]:
         raise UsageError(f"cannot read the log: {error.strerror}; give the path of a data file") from None
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
         raise UsageError("the JSON is no log of BAM with mass, length and entries: export the log as CSV") from None
-    torque = mass * GRAVITY * length
+    torque = mass * TUNING.free_fall * length
     return table, {"gravity": torque} if torque > 0 else {}
 
 

@@ -10,6 +10,8 @@ class ActuatorTuning:
     """One value for each decision of `pmfid.actuators`, by module."""
 
     # logs
+    #: Standard acceleration of free fall [m/s2], for a file that states a mass and a length.
+    free_fall: float = 9.80665
     #: The encoder's step is read from distances of neighbouring positions up to these multiples of it in turn, because
     #: text is rounded. That many distances are needed.
     step_multiples: tuple[int, ...] = (1, 4, 16)
