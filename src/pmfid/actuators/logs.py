@@ -185,7 +185,8 @@ def _make_joint(
         raise UsageError(f"{label} does not show the encoder's step: give --bits or --resolution")
     if layout.resolution is None:
         notes.append(f"the encoder's step is {step:.4g} rad by the positions")
-    return JointLog(joint or "joint", t[rows] - (t[rows[0]] if rows.size else 0.0), *scaled, step, given, notes)
+    since = t[rows] - (t[rows[0]] if rows.size else 0.0)
+    return JointLog(joint or "joint", since, scaled[0], scaled[1], step, given, notes)
 
 
 def find_step(position: Floats) -> float | None:
