@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+import runpy
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
 import pmfid
 from docs.blocks import FENCE, ROOT, Outcome, run_blocks
@@ -80,6 +82,14 @@ def test_blocks_of_a_page_run_and_show_something(page: str, tmp_path: Path) -> N
 def test_a_tutorial_runs_as_it_is_printed(page: str, tmp_path: Path) -> None:
     fences = FENCE.findall((ROOT / page).read_text(encoding="utf-8"))
     assert len(run_page(page, tmp_path, {"__name__": "page"})) == len(fences)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("script", sorted((ROOT / "examples/gallery").glob("*.py")), ids=lambda path: path.stem)
+def test_an_example_of_the_gallery_prints_and_draws(script: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    names = runpy.run_path(str(script))
+    assert capsys.readouterr().out
+    assert any(isinstance(value, Figure) for value in names.values())
 
 
 def test_a_block_that_fails_is_an_error(tmp_path: Path) -> None:
