@@ -66,4 +66,4 @@ def run_commands(code: str, folder: Path) -> str:
     )
     if ended.returncode:
         raise RuntimeError(f"{code}\nended with exit code {ended.returncode}: {ended.stderr or ended.stdout}")
-    return ended.stdout
+    return ended.stdout.replace(f"{folder}/", "")
