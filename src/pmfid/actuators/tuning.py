@@ -62,5 +62,14 @@ class ActuatorTuning:
     #: The torque is limited during so much of the record that a limit belongs to the model.
     limited: float = 0.2
 
+    # exports
+    #: Step of the exported model of MuJoCo [s].
+    mujoco_step: float = 1e-3
+    #: Gravity is that of a mass within this distance of the axis [m]. A joint without gravity has the least mass [kg].
+    longest_arm: float = 0.1
+    least_mass: float = 1e-6
+    #: Inertia of a body in addition to its armature, as a part of the joint's inertia: MuJoCo refuses a body without any.
+    least_inertia: float = 1e-3
+
 
 TUNING = ActuatorTuning()

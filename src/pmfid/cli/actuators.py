@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 @click.option("--term", "terms", multiple=True, metavar="NAME", help="Further parameter, as gravity or torque_limit.")
 @click.option("--loop-period", type=float, default=1e-3, show_default=True, metavar="S", help="Period of the loop.")
 @click.option("--search/--no-search", default=True, show_default=True, help="Add terms that the log shows.")
-@folder_option("Write actuators.html and actuators.json there.")
+@folder_option("Write actuators.html, actuators.json and models for MuJoCo, URDF, Isaac, BAM and WPILib there.")
 @JSON
 def actuators(
     log: Path,

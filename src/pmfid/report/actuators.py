@@ -5,18 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from pmfid.actuators.exports import make_files
 from pmfid.actuators.joints import HEADER, FittedJoint
 from pmfid.errors import printable
 from pmfid.report.checks import followed_figure
-from pmfid.report.html import Section, svg, write_json, write_report
+from pmfid.report.html import Section, replace_file, svg, write_json, write_report
 
 
 def write_joints(out: Path, found: Sequence[FittedJoint], name: str) -> None:
-    """Write actuators.html and actuators.json into the folder `out`."""
+    """Write actuators.html, actuators.json and the files of simulators into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     write_json(
         out / "actuators.json", {"log": printable(name), "joints": {one.log.name: one.to_dict() for one in found}}
     )
+    for file, content in make_files(found).items():
+        replace_file(out / file, content.encode("utf-8", "replace"))
     text = "The column std is one standard error. " + " ".join(f"{one.log.name}: {one.status}." for one in found)
     rows = [row for one in found for row in one.rows]
     sections = [Section("Parameters", text, (HEADER, rows)), *(_draw_joint(one) for one in found)]
