@@ -68,7 +68,7 @@ class ActuatorTuning:
     #: Gravity is that of a mass within this distance of the axis [m]. A joint without gravity has the least mass [kg].
     longest_arm: float = 0.1
     least_mass: float = 1e-6
-    #: Inertia of a body in addition to its armature, as a part of the joint's inertia: MuJoCo refuses a body without any.
+    #: Inertia of a body without its armature, as a part of the joint's inertia. MuJoCo refuses a body of none.
     least_inertia: float = 1e-3
 
 
