@@ -126,6 +126,46 @@ def test_a_log_of_bam_states_its_pendulum(tmp_path: Path) -> None:
         read_joints(tmp_path / "log.json", LogLayout())
 
 
+@pytest.mark.parametrize("names", [["pan.pos", "lift.pos"], {"motors": ["pan", "lift"]}])
+def test_an_episode_of_a_data_set_of_lerobot(names: object, tmp_path: Path) -> None:
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "data/chunk-000").mkdir(parents=True)
+    features = {"action": {"names": names}, "observation.state": {"names": names}}
+    (tmp_path / "meta/info.json").write_text(json.dumps({"features": features}))
+    episode = np.repeat([0, 1], [30, 50])
+    t, number = np.concatenate([np.arange(30), np.arange(50)]) / 30, np.arange(80.0)
+    lists = {"action": [[k, -k] for k in number], "observation.state": [[k + 1, -k - 1] for k in number]}
+    frame = pl.DataFrame({**lists, "timestamp": t, "episode_index": episode})
+    frame.write_parquet(tmp_path / "data/chunk-000/file-000.parquet")
+    logs = read_joints(tmp_path, LogLayout(unit="deg", resolution=STEP))
+    assert [log.name for log in logs] == ["pan", "lift"]
+    assert np.degrees(logs[1].goal) == pytest.approx(-number[30:])
+    assert np.degrees(logs[0].position) == pytest.approx(number[30:] + 1)
+    assert logs[0].t == pytest.approx(np.arange(50) / 30)
+    (first, _) = read_joints(tmp_path, LogLayout(unit="rad", resolution=STEP, episode=0))
+    assert first.goal == pytest.approx(number[:30])
+    with pytest.raises(UsageError, match="does not state its unit"):
+        read_joints(tmp_path, LogLayout(resolution=STEP))
+    with pytest.raises(UsageError, match="no episode 7"):
+        read_joints(tmp_path, LogLayout(unit="rad", resolution=STEP, episode=7))
+
+
+def test_a_folder_of_sage_has_a_clock_for_commands_and_one_for_states(tmp_path: Path) -> None:
+    (tmp_path / "joint_list.txt").write_text("hip\nknee\n")
+    control = [f'CONTROL,{20000 * k},"[{k}.0, {-k}.0]"' for k in range(99)]
+    state = [f'STATE_MOTOR,{20000 * k + 5000},"[{k + 0.5}, {k + 0.7}]","[0, 0]","[0, 0]"' for k in range(99)]
+    (tmp_path / "control.csv").write_text("\n".join(["type,timestamp,positions", *control]))
+    (tmp_path / "state_motor.csv").write_text("\n".join(["type,timestamp,positions,velocities,torques", *state]))
+    hip, knee = read_joints(tmp_path, LogLayout(resolution=STEP))
+    assert (hip.name, knee.name) == ("hip", "knee")
+    assert hip.t == pytest.approx(0.02 * np.arange(99))
+    assert knee.goal == pytest.approx(-np.arange(99.0))
+    assert hip.position == pytest.approx(np.arange(99) + 0.5)
+    (tmp_path / "state_motor.csv").write_text("a,b\n1,2\n")
+    with pytest.raises(UsageError, match="no folder of SAGE"):
+        read_joints(tmp_path, LogLayout(resolution=STEP))
+
+
 def test_the_step_of_the_encoder_is_read_from_rounded_positions() -> None:
     _, _, position = make_log()
     assert find_step(np.round(position, 5)) == pytest.approx(STEP, rel=1e-3)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -10,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pmfid.actuators.formats import RobotTable, read_robot_table
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import UsageError
 from pmfid.io.tables import Table, column, times
@@ -50,7 +50,8 @@ class LogLayout:
     """What a user says on the columns of a log. None leaves a point to the names of the columns.
 
     `time` is a column, `goal` and `position` are columns or patterns with one star, which stands for the joint.
-    `unit` is one of `ANGLES`, and `resolution` is the step of the encoder [rad].
+    `unit` is one of `ANGLES`, `resolution` is the step of the encoder [rad], and `episode` is one of a
+    data set of LeRobot.
     """
 
     time: str | None = None
@@ -58,11 +59,13 @@ class LogLayout:
     position: str | None = None
     unit: str | None = None
     resolution: float | None = None
+    episode: int | None = None
 
 
 def read_joints(path: Path, layout: LogLayout) -> list[JointLog]:
     """Return the logs of all joints of a file. Raises UsageError for a file without a goal and a position."""
-    table, given = _read_table(path)
+    robot = read_robot_table(path, layout.episode)
+    table = robot.columns
     name = layout.time or _find_time(table)
     t = times(table, name)[0] * _time_factor(name)
     goals = _find_columns(table, layout.goal, GOALS, ())
@@ -73,32 +76,7 @@ def read_joints(path: Path, layout: LogLayout) -> list[JointLog]:
             f"no joint has a goal and a position: the columns are {', '.join(list(table)[:30]) or 'none'}; name them, "
             "as with --goal 'goal_*' --position 'position_*'"
         )
-    return [_make_joint(table, t, joint, goals[joint], positions[joint], layout, given) for joint in joints]
-
-
-def _read_table(path: Path) -> tuple[Table, Mapping[str, float]]:
-    """Return the columns of a file, and the parameters that it states."""
-    if path.suffix.lower() == ".json":
-        return _read_bam(path)
-    from pmfid.io.reading import read_table
-
-    return read_table(path), {}
-
-
-def _read_bam(path: Path) -> tuple[Table, Mapping[str, float]]:
-    """Read a log of BAM, whose pendulum states its mass [kg] and length [m]."""
-    try:
-        content = json.loads(path.read_text("utf-8"))
-        entries = content["entries"]
-        names = [name for name, value in entries[0].items() if isinstance(value, int | float)]
-        table = {name: np.array([float(entry[name]) for entry in entries]) for name in names}
-        mass, length = float(content["mass"]), float(content["length"])
-    except OSError as error:
-        raise UsageError(f"cannot read the log: {error.strerror}; give the path of a data file") from None
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError):
-        raise UsageError("the JSON is no log of BAM with mass, length and entries: export the log as CSV") from None
-    torque = mass * TUNING.free_fall * length
-    return table, {"gravity": torque} if torque > 0 else {}
+    return [_make_joint(robot, t, joint, goals[joint], positions[joint], layout) for joint in joints]
 
 
 # --- names of columns -------------------------------------------------------------------------------------------------
@@ -160,15 +138,15 @@ def _own_unit(name: str) -> str | None:
 # --- values -----------------------------------------------------------------------------------------------------------
 
 
-def _make_joint(
-    table: Table, t: Floats, joint: str, goal: str, position: str, layout: LogLayout, given: Mapping[str, float]
-) -> JointLog:
+def _make_joint(robot: RobotTable, t: Floats, joint: str, goal: str, position: str, layout: LogLayout) -> JointLog:
     label = f"joint {joint}" if joint else "the joint"
-    values = [column(table, "goal", goal), column(table, "position", position)]
+    values = [column(robot.columns, "goal", goal), column(robot.columns, "position", position)]
     if any(own.size != t.size for own in values):
         raise UsageError(f"{label}: time, goal and position differ in length: export one table")
     there = np.isfinite(t) & np.isfinite(values[0]) & np.isfinite(values[1])
-    notes = [f"{key} is {value:.4g} by the file" for key, value in given.items()]
+    if robot.unitless and layout.unit is None:
+        raise UsageError("a data set of LeRobot does not state its unit: give --unit deg, or rad")
+    notes = [*robot.notes, *(f"{key} is {value:.4g} by the file" for key, value in robot.given.items())]
     notes += [f"{np.sum(~there)} rows without a number are left out"] if not there.all() else []
     rows = np.flatnonzero(there)
     fresh = np.append(True, np.diff(t[rows]) != 0) if rows.size else np.zeros(0, bool)
@@ -186,7 +164,7 @@ def _make_joint(
     if layout.resolution is None:
         notes.append(f"the encoder's step is {step:.4g} rad by the positions")
     since = t[rows] - (t[rows[0]] if rows.size else 0.0)
-    return JointLog(joint or "joint", since, scaled[0], scaled[1], step, given, notes)
+    return JointLog(joint or "joint", since, scaled[0], scaled[1], step, robot.given, notes)
 
 
 def find_step(position: Floats) -> float | None:

@@ -12,6 +12,8 @@ class ActuatorTuning:
     # logs
     #: Standard acceleration of free fall [m/s2], for a file that states a mass and a length.
     free_fall: float = 9.80665
+    #: Stamps of SAGE beyond this are in microseconds [s].
+    longest_log: float = 1e4
     #: The encoder's step is read from distances of neighbouring positions up to these multiples of it in turn, because
     #: text is rounded. That many distances are needed.
     step_multiples: tuple[int, ...] = (1, 4, 16)

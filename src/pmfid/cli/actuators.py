@@ -32,6 +32,9 @@ if TYPE_CHECKING:
 @click.option("--term", "terms", multiple=True, metavar="NAME", help="Further parameter, as gravity or torque_limit.")
 @click.option("--loop-period", type=float, default=1e-3, show_default=True, metavar="S", help="Period of the loop.")
 @click.option("--search/--no-search", default=True, show_default=True, help="Add terms that the log shows.")
+@click.option(
+    "--episode", type=click.IntRange(0), metavar="N", help="Episode of a LeRobot data set. Default: a long one."
+)
 @folder_option("Write actuators.html, actuators.json and models for MuJoCo, URDF, Isaac, BAM and WPILib there.")
 @JSON
 def actuators(
@@ -46,10 +49,13 @@ def actuators(
     terms: tuple[str, ...],
     loop_period: float,
     search: bool,
+    episode: int | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
     """Find inertia, friction, gain and delay of every joint in LOG, which has its position commands and positions.
+
+    LOG is a table of any format, a data set of LeRobot, a folder of SAGE, or a log of BAM in JSON.
 
     Without a known torque, such as kp or gravity, torques are multiples of kp.
 
@@ -64,7 +70,7 @@ def actuators(
         step = 2 * math.pi / 2**bits if bits is not None else resolution
         if step is not None and not (math.isfinite(step) and step > 0):
             raise UsageError(f"--resolution must be positive and finite, got {step}: give it in rad")
-        logs = read_joints(log, LogLayout(time, goal, position, unit, step))
+        logs = read_joints(log, LogLayout(time, goal, position, unit, step, episode))
         found = fit_joints(logs, _read_given(given), terms, loop_period, search=search, tell=tell)
         if all(joint.fit is None for joint in found):
             raise NotIdentifiableError("; ".join(f"{joint.log.name}: {joint.refused}" for joint in found))
