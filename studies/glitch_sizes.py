@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.encoder import Encoder
+from pmfid.estimators import PRECISIONS, Precision
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import BCRLS, RLS, RecursiveEstimator
 from pmfid.estimators.results import Track
@@ -26,7 +27,6 @@ RATES = (0.001, 0.01, 0.03)
 #: Largest size [counts].
 LARGEST = (3, 5, 10, 30, 100, 300, 1000, 5000, 100_000, 1_000_000)
 METHODS: Mapping[str, type[RecursiveEstimator]] = MappingProxyType({"rls": RLS, "bcrls": BCRLS, "riv": RIV})
-PRECISIONS = ("float64", "float32")
 INCREMENTS = (16384, 4096, 1024, 256)
 #: Number of wrong counts in a cluster, and the samples that it spans.
 CLUSTER, WITHIN = 5, 20
@@ -70,7 +70,7 @@ class Harm:
     flagged: float
 
 
-def case_of(axis: str, method: str, seed: int, precision: str = "float64", start: bool = False) -> Case | None:
+def case_of(axis: str, method: str, seed: int, precision: Precision = "float64", start: bool = False) -> Case | None:
     """Return a case; the seed chooses motion and encoder. None means that the method is not within `CLEAN` without
     wrong counts. With `start`, counts are wrong from the start instead of from a third on."""
     machine = AXES[axis]

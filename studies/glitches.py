@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.encoder import Encoder
+from pmfid.estimators import ForgettingScheme, Precision
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import BCRLS, RLS, RecursiveEstimator
 from pmfid.estimators.results import Track
@@ -114,9 +115,9 @@ def effect(estimator: RecursiveEstimator, clean: Track, record: Spoiled) -> Effe
     return Effect(missed, record.places.size, float(apart.max()), float(apart[2 * MEMORY]))
 
 
-def make(method: str, axis: Axis, resolution: float, *, precision: str = "float64") -> RecursiveEstimator:
+def make(method: str, axis: Axis, resolution: float, *, precision: Precision = "float64") -> RecursiveEstimator:
     """Return a recursive estimator of an axis."""
-    scheme = "directional" if method.endswith("directional") else "exponential"
+    scheme: ForgettingScheme = "directional" if method.endswith("directional") else "exponential"
     return METHODS[method](
         Drive(axis.drive.input_gain),
         Encoder(resolution),

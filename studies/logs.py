@@ -15,11 +15,11 @@ import numpy as np
 
 from pmfid.config.axis import Axis
 from pmfid.config.toml_file import validate_sections
-from pmfid.config.units import Quantity, gain
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.pipeline.guess.axis_file import guess
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.types import Floats
+from pmfid.units import Quantity, gain
 from studies.log_bench import BENCHES, Keys, Log
 from studies.log_folder import clean, logs
 from studies.paper.truth import table

@@ -16,7 +16,7 @@ from pmfid.estimators.iv import RIV
 from pmfid.monitor.calibration import Calibration, simulated_hours
 from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.names import DETECTORS
+from pmfid.monitor.names import DETECTORS, DetectorName
 from pmfid.monitor.scores import Blocks, scores, start_blocks
 from pmfid.simulation import Machine
 from studies.friction_axes import BENCHES
@@ -81,7 +81,7 @@ def _hours(axis: Axis, machine: Machine, estimator: RIV, found: Calibration, hou
 
 
 def _growth(
-    axis: Axis, machine: Machine, estimator: RIV, found: Calibration, detector: str, seeds: int
+    axis: Axis, machine: Machine, estimator: RIV, found: Calibration, detector: DetectorName, seeds: int
 ) -> list[dict[str, Any]]:
     """Return for each run the names of all alarms, the number of early ones, the first delay [s], and further
     content.

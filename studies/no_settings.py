@@ -15,13 +15,14 @@ import numpy as np
 import pmfid
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
+from pmfid.estimators import Method
 from pmfid.simulation import Machine
 from studies.machines import MOTIONS, record_of, truth
 from studies.paper.truth import Study, Task, table, triple
 from studies.real_axes import REAL
 from studies.sections import Page, by_name
 
-METHODS = ("auto", "iv", "output-error", "interval", "bcls", "ls", "riv", "bcrls")
+METHODS: tuple[Method, ...] = ("auto", "iv", "output-error", "interval", "bcls", "ls", "riv", "bcrls")
 #: Factors that make the axis's encoder coarser.
 COARSER = (1, 16)
 SEEDS = 4
@@ -43,11 +44,11 @@ def work(name: str, motion: str, coarser: int, seed: int) -> dict[str, Any]:
     """
     axis = REAL[name]
     record, known = record_of(axis, Machine(axis.drive), motion, 4096 // coarser, seed), truth(axis)
-    plant = {"model": pmfid.Drive(axis.drive.input_gain), "encoder": pmfid.Encoder(record.resolution), "dt": axis.dt}
+    model, encoder = pmfid.Drive(axis.drive.input_gain), pmfid.Encoder(record.resolution)
     found: dict[str, Any] = {}
     for method in METHODS:
         try:
-            result = pmfid.identify(record.u, record.counts, method=method, **plant)  # type: ignore[arg-type]
+            result = pmfid.identify(record.u, record.counts, method=method, model=model, encoder=encoder, dt=axis.dt)
         except NotIdentifiableError:
             found[method] = None
             continue

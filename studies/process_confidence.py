@@ -16,7 +16,7 @@ from pmfid.diagnostics.tuning import TUNING
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.srivc import SRIVC, make_problem, spread
-from pmfid.linear.experiment import Experiment
+from pmfid.linear.experiment import HOLDS, Experiment, Hold
 from pmfid.linear.order import UNSTABLE, OrderCandidate, accepted_first, search_structure
 from pmfid.linear.process import Process
 from pmfid.linear.solve import visit
@@ -81,9 +81,9 @@ def _generator(kind: str, noise: str, seed: int) -> np.random.Generator:
 
 def _open(kind: str, noise: str, seed: int, rng: np.random.Generator) -> dict[str, Any]:
     """Return the verdicts with the hold of the record (`right`) and with the other one (`wrong`)."""
-    plant, hold = random_plant(rng), ("zoh", "foh")[int(rng.integers(2))]
+    plant, hold = random_plant(rng), HOLDS[int(rng.integers(2))]
     record = open_record(plant, kind, noise, LENGTHS[seed % len(LENGTHS)], hold, rng)
-    other = {"zoh": "foh", "foh": "zoh"}[hold]
+    other: Hold = "foh" if hold == "zoh" else "zoh"
     return {"right": _judged(plant, record), "wrong": _judged(plant, replace(record, hold=other))}
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from pmfid.linear.experiment import Experiment
+from pmfid.linear.experiment import Experiment, Hold
 from pmfid.linear.responses import companion
 from pmfid.simulation.process import simulate_process
 from pmfid.types import Floats
@@ -94,7 +94,7 @@ def make_noise(kind: str, samples: int, rng: np.random.Generator) -> Floats:
 
 
 def open_record(
-    plant: RandomPlant, kind: str, noise: str, samples: int, hold: str, rng: np.random.Generator
+    plant: RandomPlant, kind: str, noise: str, samples: int, hold: Hold, rng: np.random.Generator
 ) -> Experiment:
     """Return a record with the hold that made it."""
     u = make_input(kind, samples, plant, rng)

@@ -10,10 +10,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import Final, Literal
 
 import numpy as np
 
 from pmfid.encoder import Encoder
+from pmfid.estimators import PRECISIONS, ForgettingScheme, Precision
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import BCRLS, RLS, RecursiveEstimator
 from pmfid.models.drive import Drive
@@ -33,10 +35,15 @@ CUTOFF = 1 / 3
 LEAST_FORCE = 4.0
 #: Ratios of the new mass to the old mass, for even and for odd seeds.
 LOADS = (1.3, 0.7)
-PRECISIONS = ("float64", "float32")
 CLASSES: Mapping[str, type[RecursiveEstimator]] = MappingProxyType({"riv": RIV, "bcrls": BCRLS, "rls": RLS})
-BY_PARAMETER = "by parameter"
-SCHEMES = ("exponential", "constant-trace", "window", BY_PARAMETER, "directional")
+BY_PARAMETER: Final = "by parameter"
+SCHEMES: tuple[ForgettingScheme | Literal["by parameter"], ...] = (
+    "exponential",
+    "constant-trace",
+    "window",
+    BY_PARAMETER,
+    "directional",
+)
 #: Axes on which nothing was chosen.
 HELD_BACK = ("spindle", "gantry")
 LIMIT = 0.05
@@ -47,8 +54,8 @@ class Setting:
     """The measured object: estimator, forgetting scheme, precision."""
 
     method: str
-    scheme: str
-    precision: str
+    scheme: ForgettingScheme | Literal["by parameter"]
+    precision: Precision
 
 
 @dataclass(frozen=True)
@@ -84,15 +91,14 @@ def memory(axis: Axis) -> int:
 
 def make(setting: Setting, axis: Axis) -> RecursiveEstimator:
     """Return the estimator of an axis."""
-    by_parameter = setting.scheme == BY_PARAMETER
     return CLASSES[setting.method](
         Drive(axis.drive.input_gain),
         Encoder(axis.resolution),
         axis.dt,
         CUTOFF / axis.dt,
         forgetting=1 - 1 / memory(axis),
-        forgetting_scheme="exponential" if by_parameter else setting.scheme,
-        forgetting_of={"viscous_friction": 1.0} if by_parameter else None,
+        forgetting_scheme="exponential" if setting.scheme == BY_PARAMETER else setting.scheme,
+        forgetting_of={"viscous_friction": 1.0} if setting.scheme == BY_PARAMETER else None,
         precision=setting.precision,
     )
 

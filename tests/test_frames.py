@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 
 import pmfid
-from pmfid.config.axis import Axis
+from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
 from pmfid.io.tables import column, table_of, times
 from pmfid.records.record import record_of
@@ -79,8 +79,6 @@ def axis(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.parametrize("kind", FRAMES)
 def test_every_frame_is_the_same_record(kind: str, axis: Path) -> None:
-    from pmfid.config.axis import load_axis
-
     record = record_of(table_of(frames()[kind]), load_axis(axis))
     np.testing.assert_array_equal(record.u, RUN.u)
     np.testing.assert_array_equal(record.counts, RUN.counts)
@@ -130,3 +128,78 @@ def test_a_transfer_function_of_a_frame() -> None:
     result = pmfid.identify(pl.DataFrame({"u": u, "y": y}), axis=Axis.model_validate(sections))
     assert result.names == ("b0", "a0") or len(result.theta) == 2
     assert float(np.max(np.abs(np.sort(np.abs(result.theta)) - [1.0, 2.0]))) < 0.02
+
+
+SECTIONS: Any = {
+    "record": {"input": "u", "output": "counts", "output_kind": "counts", "time": "t"},
+    "encoder": {"resolution": 22.75e-6},
+    "model": {"input_gain": 2.0},
+}
+
+
+def test_a_dict_is_an_axis_and_settings_replace_its_estimator(axis: Path) -> None:
+    with unjudged():
+        first = pmfid.identify(frames()["polars"], axis=axis)
+        second = pmfid.identify(frames()["polars"], axis=SECTIONS, method="iv", cutoff=20.0)
+        np.testing.assert_array_equal(second.theta, first.theta)
+        third = pmfid.identify(frames()["polars"], axis=axis, method="bcls")
+        fourth = pmfid.identify(frames()["polars"], axis=load_axis(axis), method="bcls")
+        assert third.estimator.method == "bcls"
+        np.testing.assert_array_equal(third.theta, fourth.theta)
+    assert "estimator" not in SECTIONS
+
+
+@pytest.mark.parametrize(
+    ("axis", "settings", "message"),
+    [
+        (SECTIONS | {"model": {"friction": "direktional"}}, {}, "did you mean 'directional'"),
+        (SECTIONS | {"modell": {}}, {}, "did you mean 'model'"),
+        (SECTIONS, {"method": "output error"}, "did you mean 'output-error'"),
+        (SECTIONS, {"cutof": 20.0}, "did you mean 'cutoff'"),
+        (SECTIONS | {"model": 7}, {}, "must be a section of keys"),
+        (7, {}, "axis is the path of an AXIS.toml, or a dict with its sections, got int"),
+    ],
+)
+def test_a_wrong_option_names_the_right_one(axis: Any, settings: Any, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        pmfid.identify(COLUMNS, axis=axis, **settings)
+
+
+def test_wrong_options_of_models_and_estimators_name_the_right_one() -> None:
+    drive, encoder = pmfid.Drive(2.0), pmfid.Encoder(22.75e-6)
+    wrong: list[tuple[Any, str]] = [
+        (lambda: pmfid.Drive(2.0, friction="direktional"), "directional"),  # type: ignore[arg-type]
+        (lambda: pmfid.Drive(2.0, axis="rotatory"), "rotary"),  # type: ignore[arg-type]
+        (lambda: pmfid.IV(drive, encoder, 0.01, 20.0, discretization="match"), "matched"),  # type: ignore[arg-type]
+        (lambda: pmfid.IV(drive, encoder, 0.01, 20.0, precision="float23"), "float32"),  # type: ignore[arg-type]
+        (lambda: pmfid.RLS(drive, encoder, 0.01, 20.0, forgetting_scheme="windows"), "window"),  # type: ignore[arg-type]
+    ]
+    for make, right in wrong:
+        with pytest.raises(UsageError, match=f"did you mean '{right}'"):
+            make()
+    with pytest.raises(AttributeError, match="did you mean 'identify'"):
+        _ = pmfid.identifi  # type: ignore[attr-defined]
+
+
+def test_an_encoder_reads_units_as_the_configuration_does() -> None:
+    assert pmfid.Encoder("4096 counts/rev", max_speed="3000 rpm") == pmfid.Encoder(
+        2 * np.pi / 4096, max_speed=100 * np.pi
+    )
+    for text, why in (("0.01", "is no unit"), ("3 rpm", "no length or angle"), ("fine", "no length or angle")):
+        with pytest.raises(UsageError, match=why):
+            pmfid.Encoder(text)
+    with pytest.raises(UsageError, match="positive and finite"):
+        pmfid.Encoder("0 deg")
+
+
+def test_the_unit_of_an_encoder_makes_the_axis_rotary() -> None:
+    with unjudged():
+        turned = pmfid.identify(
+            RUN.u, RUN.counts, model=pmfid.Drive(2.0), dt=0.01, encoder=pmfid.Encoder("22.75e-6 rad"), cutoff=20.0
+        )
+        plain = pmfid.identify(
+            RUN.u, RUN.counts, model=pmfid.Drive(2.0), dt=0.01, encoder=pmfid.Encoder(22.75e-6), cutoff=20.0
+        )
+    assert (turned.names[0], turned.units[0]) == ("inertia", "kg m2")
+    assert (plain.names[0], plain.units[0]) == ("mass", "kg")
+    np.testing.assert_array_equal(turned.theta, plain.theta)

@@ -15,13 +15,13 @@ from click.testing import CliRunner
 
 from pmfid.cli.main import main
 from pmfid.config.axis import Axis, load_axis
-from pmfid.config.units import Unit
 from pmfid.errors import UsageError
 from pmfid.pipeline.guess.axis_file import Reader, guess, read_duration, read_gain, read_travel, read_yes
 from pmfid.pipeline.guess.columns import step_of
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.identify import kind_of
 from pmfid.simulation import CART, Scenario, make_scenario
+from pmfid.units import Unit
 from tests.conftest import unjudged
 
 RESOLUTION = 22.75e-6

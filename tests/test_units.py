@@ -14,12 +14,12 @@ import polars as pl
 import pytest
 
 from pmfid.config.axis import Axis
-from pmfid.config.units import INPUTS, OUTPUTS, Quantity, column_unit, gain, quantity
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.monitored.stream import Stop, line_samples
 from pmfid.records.record import Record, read_record
+from pmfid.units import INPUTS, OUTPUTS, Quantity, column_unit, gain, quantity
 from tests.conftest import cart_run
 
 DT, STEP = 0.01, 22.75e-6

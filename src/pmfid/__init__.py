@@ -6,7 +6,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from pmfid import fleet as fleet
     from pmfid._estimate import Estimate as Estimate
+    from pmfid.config.keys import AxisKeys as AxisKeys
     from pmfid.encoder import Encoder as Encoder
     from pmfid.encoder import quantize as quantize
     from pmfid.errors import NotIdentifiableError as NotIdentifiableError
@@ -57,6 +59,7 @@ if TYPE_CHECKING:
 #: The module that defines each public name. A module is imported when a name is first used, so that `pmfid --help`
 #: starts quickly.
 _PUBLIC = {
+    "AxisKeys": "pmfid.config.keys",
     "BCLS": "pmfid.estimators.ls",
     "BCRLS": "pmfid.estimators.recursive",
     "Drive": "pmfid.models.drive",
@@ -110,14 +113,18 @@ __version__ = "0.1.0"
 __all__ = sorted(_PUBLIC)
 
 
-def __getattr__(name: str) -> object:
-    if name == "fleet":
-        return import_module("pmfid.fleet")
-    if name not in _PUBLIC:
-        raise AttributeError(f"module 'pmfid' has no attribute {name!r}")
-    value = getattr(import_module(_PUBLIC[name]), name)
-    globals()[name] = value
-    return value
+if not TYPE_CHECKING:  # a type checker would accept every misspelt name
+
+    def __getattr__(name: str) -> object:
+        if name == "fleet":
+            return import_module("pmfid.fleet")
+        if name not in _PUBLIC:
+            from pmfid.errors import did_you_mean
+
+            raise AttributeError(f"module 'pmfid' has no attribute {name!r}{did_you_mean(name, _PUBLIC)}")
+        value = getattr(import_module(_PUBLIC[name]), name)
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

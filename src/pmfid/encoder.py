@@ -11,7 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
+from pmfid.units import Quantity, quantity
 
+#: A text for each property of an encoder that has a unit.
+EXAMPLES = {"resolution": "0.01 deg", "max_speed": "3000 rpm"}
 #: Acceleration times dt^2 [counts] for which the direction tracker is tuned (Kalata's tracking index). With the value
 #: 10, the tracker follows a piecewise constant acceleration within a sample. The chosen value still damps the staircase
 #: of two counts.
@@ -24,14 +27,15 @@ class Encoder:
 
     Parameters
     ----------
-    resolution : float
-        Unit of position per count, > 0.
+    resolution : float or str
+        Unit of position per count, > 0. A text has a unit, as in AXIS.toml: "0.01 deg" or "4096 counts/rev".
     bits : int
         Width of the counter, 1 to 32; the counter wraps at 2**bits.
     standstill_time : float
         Time without a count after which the axis counts as being at rest [s], > 0.
-    max_speed : float, optional
-        Highest speed [unit/s]. A faster change in one sample is flagged as a jump and left out.
+    max_speed : float or str, optional
+        Highest speed [unit/s], or a text such as "3000 rpm". A faster change in one sample is flagged as a jump and
+        left out.
     guard : bool
         If True, samples that no motion explains are flagged and left out, even without max_speed. Examples are a
         counter that was set to another value, a wrong reading, and a spike of the input. False lets every sample in.
@@ -46,15 +50,36 @@ class Encoder:
     >>> from pmfid import Encoder
     >>> Encoder(0.5).position([0, 1, 3])
     array([0.25, 0.75, 1.75])
+    >>> round(Encoder("4096 counts/rev").resolution, 6)
+    0.001534
     """
 
     resolution: float
-    bits: int = 32
-    standstill_time: float = 0.2
-    max_speed: float | None = None
-    guard: bool = True
+    bits: int
+    standstill_time: float
+    max_speed: float | None
+    guard: bool
 
-    def __post_init__(self) -> None:
+    def __init__(
+        self,
+        resolution: float | str,
+        bits: int = 32,
+        standstill_time: float = 0.2,
+        max_speed: float | str | None = None,
+        guard: bool = True,
+    ) -> None:
+        values = {
+            "resolution": _read_quantity("resolution", resolution, ("length", "angle")),
+            "bits": bits,
+            "standstill_time": standstill_time,
+            "max_speed": _read_quantity("max_speed", max_speed, ("speed", "angular speed")),
+            "guard": guard,
+        }
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        self._check()
+
+    def _check(self) -> None:
         _positive("resolution", self.resolution, "unit of position per count, as on the data sheet")
         if not 1e-30 < self.resolution < 1e30:
             raise UsageError(f"resolution is {self.resolution:g} per count: no encoder has that; check the unit")
@@ -161,6 +186,24 @@ def tracker_gains(tracking_index: float) -> dict[str, float]:
         "smooth_end": float((back @ gain)[1]),
         "smooth_start": float((back @ back @ gain)[1]),
     }
+
+
+def _read_quantity(name: str, value: object, of: tuple[str, ...]) -> object:
+    """Return a text with a unit as a number in SI, and any other value unchanged.
+
+    Raises UsageError for a text without a number, and for a unit that measures none of the quantities `of`.
+    """
+    if not isinstance(value, str):
+        return value
+    try:
+        read = quantity(value)
+    except ValueError as error:
+        raise UsageError(f"{name} = {value!r}: {error}") from None
+    if not isinstance(read, Quantity) or read.unit.of not in of:
+        raise UsageError(
+            f'{name} = {value!r} is no {" or ".join(of)}; give a number with its unit, as "{EXAMPLES[name]}"'
+        )
+    return read
 
 
 def _positive(name: str, value: float, remedy: str) -> None:

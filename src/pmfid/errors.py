@@ -12,6 +12,7 @@ __all__ = [
     "PmfidError",
     "UnknownParameterError",
     "UsageError",
+    "check_choice",
     "did_you_mean",
     "list_some",
     "place_of",
@@ -103,6 +104,14 @@ def list_some(names: Iterable[str], most: int = 100) -> str:
     while others and len(", ".join([*shown, others[0]])) <= most:
         shown.append(others.pop(0))
     return ", ".join(shown) + (f" and {len(others)} more" if others else "")
+
+
+def check_choice(name: str, value: object, choices: Iterable[str]) -> None:
+    """Raise UsageError with the closest choice if `value`, which the user gave as `name`, is none of the choices."""
+    known = tuple(choices)
+    if value not in known:
+        listed = ", ".join(map(repr, known))
+        raise UsageError(f"{name} must be one of {listed}, got {value!r}{did_you_mean(str(value), known)}")
 
 
 def whole_number(name: str, value: object, low: int | None, remedy: str) -> int:

@@ -9,6 +9,7 @@ import numpy as np
 
 from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
+from pmfid.monitor.names import DetectorName
 from pmfid.simulation.drive import DriveParameters, Schedule
 from pmfid.simulation.scenarios import CART, CART_DT
 from pmfid.types import Floats
@@ -49,7 +50,7 @@ def _when(seed: int) -> float:
     return BEFORE + 3.0 * float(np.random.default_rng((seed, 3)).random())
 
 
-def work(detector: str, change: str, tolerance: float, seed: int) -> dict[str, Any]:
+def work(detector: DetectorName, change: str, tolerance: float, seed: int) -> dict[str, Any]:
     """Return delay [s] (NaN without an alarm), cause, relative size, error of the estimated time [s], and earlier
     alarms.
     """
@@ -92,7 +93,7 @@ def settled_after(mass: Floats, when: float) -> float:
     return max(0.0, float(outside[-1] + 1) * CART_DT - when) if outside.size else 0.0
 
 
-def standstill(detector: str, seed: int, hours: float = 1.0) -> dict[str, Any]:
+def standstill(detector: DetectorName, seed: int, hours: float = 1.0) -> dict[str, Any]:
     """Run a cart that stands for `hours` in the middle, at tolerance 0.
 
     Returns the alarms and the largest drift in percent: at standstill, in the first second of motion after it, and

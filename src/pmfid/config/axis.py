@@ -12,19 +12,20 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from pmfid.config.keys import AxisKeys, EstimatorKeys
 from pmfid.config.model import ModelConfig, Name, Positive
 from pmfid.config.record import NO_ENCODER, EncoderConfig, RecordConfig, Sections, axis_kind
-from pmfid.config.toml_file import FileSection, load_sections
-from pmfid.config.units import Quantity
+from pmfid.config.toml_file import FileSection, load_sections, override_sections
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import UsageError
-from pmfid.estimators import Method
+from pmfid.estimators import Discretization, ForgettingScheme, Method, Precision
 from pmfid.estimators.facts import INPUT_GAIN, check_known
 from pmfid.models.drive import POSITION_KEYS
 from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.names import DetectorName
+from pmfid.units import Quantity
 
-__all__ = ["Axis", "check_sampling", "load_axis"]
+__all__ = ["Axis", "check_sampling", "load_axis", "read_axis"]
 
 
 def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
@@ -50,7 +51,7 @@ class EstimatorConfig(FileSection):
         le=1,
         description="a factor in (0, 1]; for a memory of T seconds use 1 - dt/T, 1 never forgets",
     )
-    forgetting_scheme: Literal["exponential", "directional", "constant-trace", "window"] = Field(
+    forgetting_scheme: ForgettingScheme = Field(
         "exponential", description="how old samples lose weight if forgetting < 1"
     )
     window: Positive | Literal["auto"] | None = Field(
@@ -60,14 +61,12 @@ class EstimatorConfig(FileSection):
     prior: dict[str, Annotated[tuple[float, float], Field(strict=False)]] = Field(
         {}, description="a mean and a standard deviation, as { mass = [1.0, 0.1] }"
     )
-    discretization: Literal["matched", "paper", "exact"] = Field(
-        "matched", description="the discretisation of the filters"
-    )
+    discretization: Discretization = Field("matched", description="the discretisation of the filters")
     # This type is not strict, because TOML has lists where a frozen object needs a tuple.
     prefilter_zeros: Annotated[tuple[Negative, Negative] | None, AfterValidator(_distinct)] = Field(
         None, strict=False, description="two different negative numbers in 1/s, for example [-30.0, -60.0]"
     )
-    precision: Literal["float64", "float32"] = Field("float64", description="the arithmetic of the kernel")
+    precision: Precision = Field("float64", description="the arithmetic of the kernel")
     tolerance: float = Field(
         TUNING.matter_tolerance,
         ge=0,
@@ -191,6 +190,32 @@ def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis
     has no effect. Raises UsageError with all problems if the file cannot be read or a value is not allowed.
     """
     return load_sections(Axis, path, overrides, "an AXIS.toml", _add_unit_encoder)
+
+
+def read_axis(axis: Axis | AxisKeys | Path | str, settings: EstimatorKeys | None = None) -> Axis:
+    """Return the configuration in an AXIS.toml, in a dict with its sections, or in an object.
+
+    The keys of `settings` replace those of [estimator]; a key with the value None has no effect. Raises UsageError
+    with all problems if the file cannot be read or a value is not allowed.
+    """
+    overrides = {f"estimator.{key}": value for key, value in (settings or {}).items()}
+    if isinstance(axis, str | Path):
+        return load_axis(Path(axis), overrides)
+    if isinstance(axis, Axis):
+        if not overrides:
+            return axis
+        raw: dict[str, object] = {
+            name: {key: getattr(section, key) for key in section.model_fields_set} for name, section in axis
+        }
+    elif isinstance(axis, Mapping):
+        raw = {name: dict(part) if isinstance(part, Mapping) else part for name, part in axis.items()}
+        _add_unit_encoder(raw)
+    else:
+        raise UsageError(
+            "axis is the path of an AXIS.toml, or a dict with its sections, got "
+            f"{type(axis).__name__}; give one of them"
+        )
+    return override_sections(Axis, raw, overrides)
 
 
 def _add_unit_encoder(raw: dict[str, object]) -> None:

@@ -12,15 +12,16 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, WrapValidator, model_validator
 
+from pmfid.config.keys import Form, KindName
 from pmfid.config.toml_file import FileSection
-from pmfid.config.units import gain, keep_unit, quantity
 from pmfid.errors import UsageError
 from pmfid.models.axes import AxisKind
-from pmfid.models.drive import Drive, EquationModel, Model
+from pmfid.models.drive import Drive, EquationModel, Friction, Model
 from pmfid.models.equation import Equation, Term
 from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
 from pmfid.models.signals import Signal
 from pmfid.models.transfer_function import TransferFunction
+from pmfid.units import gain, keep_unit, quantity
 
 #: Model classes by kind, without the kind of user-defined terms.
 MODELS: dict[str, type[Drive | TransferFunction]] = {cls.kind: cls for cls in (Drive, TransferFunction)}
@@ -57,7 +58,7 @@ FORMS = '"stribeck" with speed, "square", "wave" with period, or "along" with st
 class ShapeConfig(FileSection):
     """The form of a friction, or of a force that depends on the position, for a term of a user-defined equation."""
 
-    form: Literal["stribeck", "square", "wave", "along"] = Field(description=FORMS)
+    form: Form = Field(description=FORMS)
     speed: Positive | Literal["estimate"] | None = Field(
         None, description='the speed of "stribeck" in unit of y per s, or "estimate" to find it'
     )
@@ -105,7 +106,7 @@ class ModelConfig(FileSection):
     With kind = "equation", the section describes user-defined terms.
     """
 
-    kind: Literal["drive", "equation", "transfer_function"] = Field(
+    kind: KindName = Field(
         "drive", description='"drive", "transfer_function", or "equation" for the terms in unknown and known'
     )
     n: int | None = Field(None, description="the number of poles, 1 to 6, of a transfer function")
@@ -135,9 +136,7 @@ class ModelConfig(FileSection):
         'point apart, or "estimate" to '
         "find it",
     )
-    friction: Literal["symmetric", "directional"] = Field(
-        "symmetric", description="whether friction differs between forward and backward"
-    )
+    friction: Friction = Field("symmetric", description="whether friction differs between forward and backward")
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
     spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")
     stribeck: Annotated[Positive | Literal["estimate"], _TRAVEL] | None = Field(

@@ -8,12 +8,14 @@ from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
+from pmfid.config.keys import OutputKind, Separator, TimeUnit
 from pmfid.config.model import ModelConfig, Name, Positive, Travel
 from pmfid.config.toml_file import FileSection
-from pmfid.config.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, known_unit
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
+from pmfid.linear.experiment import Hold
 from pmfid.models.axes import AxisKind
+from pmfid.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, known_unit
 
 __all__ = ["NO_ENCODER", "EncoderConfig", "RecordConfig"]
 
@@ -43,29 +45,27 @@ class RecordConfig(FileSection):
 
     input: Name = Field(description="the name of the column that holds the input")
     output: Name = Field(description="the name of the column that holds the position or the counts")
-    output_kind: Literal["position", "counts", "velocity"] = Field(
-        "position", description="what the output column holds"
-    )
+    output_kind: OutputKind = Field("position", description="what the output column holds")
     input_unit: InputUnit | None = Field(
         None, description='the unit of the input, for example "mA", or leave it out if the column\'s name is right'
     )
     output_unit: OutputUnit | None = Field(
         None, description='the unit of the output, for example "mm" or "deg", or leave it out, as the input\'s'
     )
-    separator: Literal[",", ";", "\t", "|", " "] | None = Field(
+    separator: Separator | None = Field(
         None, description='what is between the columns of a text, for example ";", or leave it out: as the text shows'
     )
     decimal: Literal[".", ","] | None = Field(
         None, description='the decimal sign of a text, "." or ",", or leave it out: as the text shows'
     )
     time: Name | None = Field(None, description="the name of the time column")
-    time_unit: Literal["s", "ms", "us", "ns"] | None = Field(
+    time_unit: TimeUnit | None = Field(
         None, description="the unit of the time column, or leave it out if the column's name or s is right"
     )
     reference: Name | None = Field(
         None, description="the name of the column that holds the reference of a controller, of a transfer function"
     )
-    hold: Literal["zoh", "foh"] = Field("zoh", description="what the input does between samples: holds, or a line")
+    hold: Hold = Field("zoh", description="what the input does between samples: holds, or a line")
     gap: Positive | None = Field(None, description="the time step in s beyond which the record is interrupted")
     exclude: tuple[Span, ...] = Field(
         (), strict=False, description="parts to leave out, from and to in s as in the time column: [[1.5, 2.0]]"

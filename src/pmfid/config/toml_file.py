@@ -17,7 +17,7 @@ from pydantic_core import ErrorDetails
 
 from pmfid.errors import UsageError, did_you_mean, list_some
 
-__all__ = ["FileSection", "load_sections", "show_value", "validate_sections"]
+__all__ = ["FileSection", "load_sections", "override_sections", "show_value", "validate_sections"]
 
 
 class FileSection(BaseModel):
@@ -44,19 +44,27 @@ def load_sections(
     derived sections to the sections of the file. Raises UsageError with all problems if the file cannot be read or a
     value is not allowed.
     """
-    given = {key: value for key, value in (overrides or {}).items() if value is not None}
     raw = _read_toml(path, kind)
     if complete is not None:
         complete(raw)
+    try:
+        return override_sections(whole, raw, overrides or {})
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
+
+
+def override_sections(whole: type[Whole], raw: dict[str, object], overrides: Mapping[str, object]) -> Whole:
+    """Return the sections of `raw` as an object, after the values of `overrides` have replaced those in `raw`.
+
+    Raises UsageError as `validate_sections` does.
+    """
+    given = {key: value for key, value in overrides.items() if value is not None}
     for dotted, value in given.items():
         section, _, key = dotted.partition(".")
         table = raw.setdefault(section, {})
         if isinstance(table, dict):
             table[key] = value
-    try:
-        return validate_sections(whole, raw, given)
-    except UsageError as error:
-        raise UsageError(f"{path}: {error}") from None
+    return validate_sections(whole, raw, given)
 
 
 def validate_sections(
@@ -117,7 +125,13 @@ def _problem(
         return f"{label}: {message}" if isinstance(table, dict) else f"{label} must be a section of keys"
     value = table[rest[0]] if isinstance(table, dict) else None
     origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
-    return f"{label} = {show_value(value)}{origin}: {message}; give {field.description}"
+    hint = did_you_mean(value, _choices(error)) if isinstance(value, str) else ""
+    return f"{label} = {show_value(value)}{origin}: {message}; give {field.description}{hint}"
+
+
+def _choices(error: ErrorDetails) -> list[str]:
+    """Return the values that a key allows, or an empty list if the key allows any text or a number."""
+    return re.findall(r"'([^']*)'", error["msg"]) if error["type"] == "literal_error" else []
 
 
 def show_value(value: object) -> str:

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from pmfid.encoder import Encoder
-from pmfid.errors import UsageError, whole_number
+from pmfid.errors import UsageError, check_choice, whole_number
+from pmfid.estimators import PRECISIONS, Discretization, Precision
 from pmfid.estimators.configuration import (
     check_positive,
     configuration_of,
@@ -64,9 +65,9 @@ class Estimator:
     dt: float
     cutoff: float
     order: int = field(default=2, kw_only=True)
-    discretization: str = field(default="matched", kw_only=True)
+    discretization: Discretization = field(default="matched", kw_only=True)
     prefilter_zeros: Sequence[float] | None = field(default=None, kw_only=True)
-    precision: str = field(default="float64", kw_only=True)
+    precision: Precision = field(default="float64", kw_only=True)
     steps: object = field(default=None, kw_only=True)
 
     method: ClassVar[str] = ""
@@ -109,11 +110,8 @@ class Estimator:
             )
         if self.order < self.equation.order:
             raise UsageError(f"order must be at least {self.equation.order}, got {self.order}")
-        if self.discretization not in self.discretizations:
-            known = list(self.discretizations)
-            raise UsageError(f"discretization of {self.method} must be one of {known}, got {self.discretization!r}")
-        if self.precision not in ("float64", "float32"):
-            raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
+        check_choice(f"discretization of {self.method}", self.discretization, self.discretizations)
+        check_choice("precision", self.precision, PRECISIONS)
         self._check_zeros()
 
     def __reduce__(self) -> tuple[object, ...]:

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid._stage import first_order
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, check_choice
+from pmfid.estimators import ForgettingScheme
 from pmfid.estimators.base import Estimator, memory_of
 from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.estimators.least_squares import level_of
@@ -131,7 +132,7 @@ class RecursiveEstimator(Estimator):
     """
 
     forgetting: float = field(default=1.0, kw_only=True)
-    forgetting_scheme: str = field(default="exponential", kw_only=True)
+    forgetting_scheme: ForgettingScheme = field(default="exponential", kw_only=True)
     forgetting_of: Mapping[str, float] | None = field(default=None, kw_only=True)
     runner: Runner[Self] = field(init=False, repr=False, compare=False)
 
@@ -149,8 +150,7 @@ class RecursiveEstimator(Estimator):
 
     def _check_scheme(self) -> None:
         scheme = self.forgetting_scheme
-        if scheme not in FORGETTING_SCHEMES:
-            raise UsageError(f"forgetting_scheme must be one of {sorted(FORGETTING_SCHEMES)}, got {scheme!r}")
+        check_choice("forgetting_scheme", scheme, sorted(FORGETTING_SCHEMES))
         if refused := self.scheme_refused():
             raise UsageError(refused)
         for name, factor in (self.forgetting_of or {}).items():

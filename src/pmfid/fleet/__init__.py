@@ -30,7 +30,8 @@ _PUBLIC = {
 }
 
 __all__ = sorted(_PUBLIC)
-__getattr__ = make_getattr(__name__, _PUBLIC, {"Columns": "SourceColumns"})
+if not TYPE_CHECKING:  # a type checker would accept every misspelt name
+    __getattr__ = make_getattr(__name__, _PUBLIC, {"Columns": "SourceColumns"})
 
 
 def __dir__() -> list[str]:

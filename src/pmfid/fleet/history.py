@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from pmfid.config.axis import Axis, load_axis
+from pmfid.config.axis import Axis, read_axis
+from pmfid.config.keys import AxisKeys
 from pmfid.errors import UsageError, printable
 from pmfid.fleet.data import Engine, Local, Parts, Work
 from pmfid.fleet.plan import RowProblem, RowShard, shards_of, slice_length
 from pmfid.fleet.series import Periods, Series, period_rows, series_of, widen_errors
 from pmfid.fleet.settings import Chosen, choose, make_settings
-from pmfid.fleet.source import AXIS, TYPE, SourceColumns, is_spark, parts_of
+from pmfid.fleet.source import AXIS, TYPE, SourceColumns, SparkFrame, is_spark, parts_of
 from pmfid.fleet.store import Keep, Kept, Store, check_folder, digest, whole
 from pmfid.fleet.tuning import TUNING
 from pmfid.fleet.verdicts import (
@@ -34,6 +35,7 @@ from pmfid.fleet.verdicts import (
     sentence,
     sorts_by_type,
 )
+from pmfid.io.tables import Frame
 from pmfid.presentation import plain_dict
 
 #: Finding for an axis in which a step of this relative size may go unnoticed.
@@ -283,9 +285,9 @@ def data_of(data: object, columns: SourceColumns, engine: Engine | None, out: Pa
 
 
 def estimate(
-    data: object,
+    data: Frame | pl.LazyFrame | SparkFrame | Path | str,
     *,
-    axis: Axis | Path | str,
+    axis: Axis | AxisKeys | Path | str,
     by: str,
     period: str = "day",
     type: str | None = None,
@@ -299,19 +301,19 @@ def estimate(
 
     `data` is a folder of Parquet or Arrow files in any partition, a file of any format, or a frame. The frame may come
     from pandas, Polars (lazy, too), Arrow or Spark. The data have a row for each sample of each axis, in any order.
-    `axis` is an AXIS.toml or its path. The AXIS.toml names the columns of time, input and counts, and describes the
-    common properties of all axes. `by` is the column, or the key of the folders, with the names of the axes. `period`
-    is "day", "shift", "run" or a duration such as "10min". `type` is the column with the types of the axes. Axes are
-    compared within a type. `engine` is by default this machine, `Local()`, or the session of a Spark DataFrame. `out`
-    is a folder that keeps finished work. A second call with the same folder processes only new or changed data.
-    `segment` is the length of one estimate [s], the unit in which changes are found. The default is 60 s, or a length
-    that fits [estimator] forgetting. `tolerance` is the relative deviation that does not count, by default the
-    tolerance of [monitor].
+    `axis` is the path of an AXIS.toml, or a dict with its sections. The sections name the columns of time, input and
+    counts, and describe the common properties of all axes. `by` is the column, or the key of the folders, with the
+    names of the axes. `period` is "day", "shift", "run" or a duration such as "10min". `type` is the column with the
+    types of the axes. Axes are compared within a type. `engine` is by default this machine, `Local()`, or the session
+    of a Spark DataFrame. `out` is a folder that keeps finished work. A second call with the same folder processes only
+    new or changed data. `segment` is the length of one estimate [s], the unit in which changes are found. The default
+    is 60 s, or a length that fits [estimator] forgetting. `tolerance` is the relative deviation that does not count,
+    by default the tolerance of [monitor].
 
     Unusable axes, times and files appear in the `problems` and in the findings of the periods. All other data are
     processed. Raises UsageError for missing columns, methods that are not recursive, and data without a moving axis.
     """
-    own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
+    own = read_axis(axis)
     columns, periods = SourceColumns.from_axis(own, by, type), Periods.from_name(period)
     tolerance = own.monitor.tolerance if tolerance is None else tolerance
     if not 0 <= tolerance < math.inf:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Protocol
 from urllib.parse import unquote
 
 import numpy as np
@@ -319,6 +320,13 @@ def _name(column: pl.Expr, kind: pl.DataType) -> pl.Expr:
         whole = column.cast(pl.Int64, strict=False)
         return pl.when(column == whole).then(whole.cast(pl.String)).otherwise(text)
     return pl.when(text != "").then(text)
+
+
+class SparkFrame(Protocol):
+    """A DataFrame of Spark or of Spark Connect."""
+
+    @property
+    def sparkSession(self) -> object: ...
 
 
 def is_spark(source: object) -> bool:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final, cast
+from typing import TYPE_CHECKING, Any, Final, Protocol, cast
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.types import Floats
@@ -89,8 +89,24 @@ def _period(stamps: Floats) -> float:
     return float(np.median(np.diff(stamps))) if stamps.size > 1 else 0.0
 
 
-__all__ = ["TWICE", "NotedTable", "Table", "column", "from_array", "lookup", "notes_of", "times", "whole_name"]
+__all__ = ["TWICE", "Frame", "NotedTable", "Table", "column", "from_array", "lookup", "notes_of", "times", "whole_name"]
 
+
+class ArrowFrame(Protocol):
+    """A frame of Polars or Arrow, or a recent frame of pandas."""
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object: ...
+
+
+class PandasFrame(Protocol):
+    """A frame of pandas."""
+
+    @property
+    def iloc(self) -> object: ...
+
+
+#: A record in memory: a frame, or arrays by name.
+Frame = Mapping[str, ArrayLike] | ArrowFrame | PandasFrame
 #: Columns by name, each an array or a polars series, according to the reader of the file.
 Table = Mapping[str, object]
 

@@ -6,13 +6,14 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmfid._stage import follow_states
 from pmfid.deprecation import rename_method
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, check_choice
 from pmfid.linear.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain
 from pmfid.types import Floats
@@ -111,7 +112,8 @@ def _exponential(matrices: Floats) -> Floats:
     return np.asarray(result)
 
 
-HOLDS = ("zoh", "foh")
+Hold = Literal["zoh", "foh"]
+HOLDS: tuple[Hold, ...] = get_args(Hold)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -151,7 +153,7 @@ class Experiment(Presentable):
     y: Floats
     dt: float | None = None
     t: Floats | None = None
-    hold: str = "zoh"
+    hold: Hold = "zoh"
     gap: float | None = None
     reference: Floats | None = None
     name: str = "record"
@@ -162,8 +164,7 @@ class Experiment(Presentable):
             raise UsageError(f"u and y must be two arrays of the same length, got {u.shape} and {y.shape}")
         if np.any(np.isinf(u)) or np.any(np.isinf(y)):
             raise UsageError("u or y is infinite somewhere; write NaN where a sample is missing")
-        if self.hold not in HOLDS:
-            raise UsageError(f"hold must be one of {HOLDS}, got {self.hold!r}")
+        check_choice("hold", self.hold, HOLDS)
         if self.gap is not None and not (isinstance(self.gap, Real) and self.gap > 0):
             raise UsageError(f"gap must be a positive time in s, or None for 1.75 median steps, got {self.gap!r}")
         if (self.dt is None) == (self.t is None):

@@ -6,16 +6,17 @@ import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from numbers import Real
-from typing import ClassVar, Literal, Protocol, TypeVar
+from typing import ClassVar, Literal, Protocol, TypeVar, get_args
 
 from pmfid.deprecation import rename_method
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, check_choice
 from pmfid.models.axes import AXES, LINEAR, ROTARY, AxisKind, rotary
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation, Term, check_late
 from pmfid.models.shapes import Square, Stribeck, Wave
 from pmfid.models.signals import Signal
 
-FRICTIONS = ("symmetric", "directional")
+Friction = Literal["symmetric", "directional"]
+FRICTIONS: tuple[Friction, ...] = get_args(Friction)
 #: Fields of `Drive` whose force depends on the position.
 POSITION_KEYS = ("spring", "gravity", "cogging", "friction_period")
 
@@ -170,7 +171,7 @@ class Drive:
 
     input_gain: float | Literal["estimate"]
     offset: bool = False
-    friction: str = "symmetric"
+    friction: Friction = "symmetric"
     spring: bool = False
     dead_time: Late = 0.0
     stribeck: float | Literal["estimate"] | None = None
@@ -182,8 +183,7 @@ class Drive:
     axis: AxisKind = "linear"
 
     def __post_init__(self) -> None:
-        if self.axis not in AXES:
-            raise UsageError(f"axis must be one of {AXES}, got {self.axis!r}")
+        check_choice("axis", self.axis, AXES)
         known = self.input_gain != ESTIMATE
         if known and (not isinstance(self.input_gain, Real) or not 1e-30 < abs(self.input_gain) < 1e30):
             raise UsageError(
@@ -192,8 +192,7 @@ class Drive:
             )
         check_late(DEAD_TIME, self.dead_time)
         check_late(LAG, self.lag)
-        if self.friction not in FRICTIONS:
-            raise UsageError(f"friction must be one of {FRICTIONS}, got {self.friction!r}")
+        check_choice("friction", self.friction, FRICTIONS)
         if self.friction == "directional" and self.offset:
             raise UsageError(
                 "offset and directional friction cannot be distinguished; leave the offset out: "

@@ -38,7 +38,8 @@ _PUBLIC = {
 }
 
 __all__ = sorted(_PUBLIC)
-__getattr__ = make_getattr(__name__, _PUBLIC)
+if not TYPE_CHECKING:  # a type checker would accept every misspelt name
+    __getattr__ = make_getattr(__name__, _PUBLIC)
 
 
 def __dir__() -> list[str]:

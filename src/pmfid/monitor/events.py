@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.errors import UsageError
-from pmfid.monitor.names import DETECTORS
+from pmfid.errors import UsageError, check_choice
+from pmfid.monitor.names import DETECTORS, DetectorName
 from pmfid.types import Flags, Floats
 
 STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING = (
@@ -47,13 +47,12 @@ class Watch:
     Watch(detector='glr', mtbf_hours=100.0, tolerance=0.02)
     """
 
-    detector: str = "glr"
+    detector: DetectorName = "glr"
     mtbf_hours: float = 24.0
     tolerance: float = 0.02
 
     def __post_init__(self) -> None:
-        if self.detector not in DETECTORS:
-            raise UsageError(f"detector must be one of {list(DETECTORS)}, got {self.detector!r}")
+        check_choice("detector", self.detector, DETECTORS)
         if not 0.1 <= self.mtbf_hours <= 1e6:
             raise UsageError(f"mtbf_hours must be in [0.1, 1e6], got {self.mtbf_hours}; it is in hours")
         if not 0 <= self.tolerance < 1:

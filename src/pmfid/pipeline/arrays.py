@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import cast
+from typing import Unpack, cast, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.config.axis import Axis, load_axis
+from pmfid.config.axis import Axis, read_axis
+from pmfid.config.keys import AxisKeys, EstimatorKeys
 from pmfid.config.model import SHAPES, keys_of
 from pmfid.config.record import NO_ENCODER
 from pmfid.config.toml_file import validate_sections as axis_from
@@ -18,7 +19,7 @@ from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators.configuration import check_arrays, numbers
 from pmfid.findings import Finding
-from pmfid.io.tables import table_of
+from pmfid.io.tables import Frame, table_of
 from pmfid.linear.experiment import Experiment
 from pmfid.models.drive import Drive, EquationModel, Model
 from pmfid.models.equation import Equation
@@ -35,18 +36,51 @@ from pmfid.records.record import Record, record_of
 
 #: Names of input and output in messages.
 INPUT, OUTPUT = "u", "y"
+#: Records in memory or in files, which an AXIS.toml describes, and the objects that hold such a description.
+Log = Frame | Path | str | Sequence[Path | str]
+AxisSource = Axis | AxisKeys | Path | str
+
+
+@overload
+def identify(u: Log, *, axis: AxisSource, **settings: Unpack[EstimatorKeys]) -> Result: ...
+@overload
+def identify(
+    u: ArrayLike,
+    y: ArrayLike,
+    *,
+    model: Drive | EquationModel | TransferFunction,
+    dt: float,
+    encoder: Encoder | None = None,
+    **settings: Unpack[EstimatorKeys],
+) -> Result: ...
+@overload
+def identify(
+    u: Sequence[tuple[ArrayLike, ArrayLike]],
+    *,
+    model: Drive | EquationModel,
+    dt: float,
+    encoder: Encoder,
+    **settings: Unpack[EstimatorKeys],
+) -> Result: ...
+@overload
+def identify(
+    u: Experiment | Sequence[Experiment],
+    *,
+    model: TransferFunction,
+    encoder: Encoder | None = None,
+    **settings: Unpack[EstimatorKeys],
+) -> Result: ...
 
 
 def identify(
-    u: ArrayLike | Experiment | Sequence[Experiment] | Sequence[tuple[ArrayLike, ArrayLike]] | object,
+    u: Log | ArrayLike | Experiment | Sequence[Experiment] | Sequence[tuple[ArrayLike, ArrayLike]],
     y: ArrayLike | None = None,
     *,
-    model: Model | None = None,
-    axis: Axis | Path | str | None = None,
+    model: Drive | EquationModel | TransferFunction | None = None,
+    axis: AxisSource | None = None,
     dt: float | None = None,
-    cutoff: float | None = None,
     encoder: Encoder | None = None,
-    **settings: object,
+    **settings: Unpack[EstimatorKeys],
 ) -> Result:
     """Identify a machine or a transfer function, with the method, flags and notes of `pmfid identify`.
 
@@ -54,22 +88,22 @@ def identify(
     ----------
     u : array_like (n,), Experiment, list of pairs (u, y), frame, dict of arrays, or path
         The input. A missing sample is NaN. Several records are [(u, y), (u, y)], or several `Experiment`. With `axis`,
-        u is a table of pandas, Polars or Arrow, or the path of a file.
+        u is a table of pandas, Polars or Arrow, or one or several paths of files.
     y : array_like (n,), optional
         For a machine, the counts of its encoder as integers (see `quantize`). For a transfer function, its output.
     model : Drive, EquationModel or TransferFunction
         The plant. Not allowed with `axis`.
-    axis : Axis, path or str
-        The configuration in AXIS.toml. The configuration replaces all other arguments except `u`.
+    axis : path, str, dict or Axis
+        The configuration: the path of an AXIS.toml, or a dict with its sections (see `AxisKeys`). The configuration
+        replaces all other arguments except `u`, and `settings` replace the keys of its [estimator].
     dt : float
         Sample period [s].
-    cutoff : float, optional
-        Pole of the filters [rad/s]. By default, the record of a machine determines the pole.
     encoder : Encoder
         The encoder of a machine.
     **settings
-        Keys of [estimator] in AXIS.toml: method ("auto"), order, forgetting, forgetting_scheme, discretization,
-        prefilter_zeros and precision. A machine also has tolerance, given and prior. Examples of prior information are
+        Keys of [estimator] in AXIS.toml: method ("auto"), cutoff, order, forgetting, forgetting_scheme, discretization,
+        prefilter_zeros and precision. The cutoff is the pole of the filters [rad/s]. By default, the record of a
+        machine determines the cutoff. A machine also has tolerance, given and prior. Examples of prior information are
         given={"mass": 1.25} and prior={"mass": (1.0, 0.1)}. Drive(input_gain="estimate") needs prior information in
         place of a known gain.
 
@@ -101,26 +135,21 @@ def identify(
     ()
     """
     if axis is not None:
-        if settings or any(value is not None for value in (y, model, dt, cutoff, encoder)):
-            raise UsageError("axis says everything but the record: leave out y, model, dt, encoder and settings")
-        return _identify_by_axis(u, axis)
+        if any(value is not None for value in (y, model, dt, encoder)):
+            raise UsageError("axis says everything but the record: leave out y, model, dt and encoder")
+        whole = read_axis(axis, settings)
+        return run(_read(u, whole), whole)
     if model is None:
         raise UsageError("neither model nor axis is given: give a Drive, or an AXIS.toml")
     if isinstance(model, TransferFunction):
         experiments = _experiments(u, y, dt)
-        return run(experiments, axis_of(model, encoder, experiments[0].period, {"cutoff": cutoff, **settings}))
+        return run(experiments, axis_of(model, encoder, experiments[0].period, {**settings}))
     pairs = _pairs(u) if y is None else [(cast(ArrayLike, u), y)]
     if not pairs or dt is None or encoder is None:
         raise UsageError(f"a {model.kind} is identified from u and counts (n,) with dt and encoder; give all of them")
-    own = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
+    own = axis_of(model, encoder, dt, {**settings})
     place_matters = own.model.make().equation.place_matters
     return run(join_records([_record(*pair, own) for pair in pairs], place_matters), own)
-
-
-def _identify_by_axis(record: object, axis: Axis | Path | str) -> Result:
-    """Return the result for a frame, or for one or several files, with an AXIS.toml."""
-    own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
-    return run(_read(record, own), own)
 
 
 def _read(record: object, axis: Axis) -> Records:
@@ -133,12 +162,18 @@ def _read(record: object, axis: Axis) -> Records:
     return kind.read_table(table_of(record), axis)
 
 
+@overload
+def check(u: Log, *, axis: AxisSource) -> tuple[Finding, ...]: ...
+@overload
 def check(
-    u: ArrayLike | object,
+    u: ArrayLike, y: ArrayLike, *, model: Drive | EquationModel, dt: float, encoder: Encoder
+) -> tuple[Finding, ...]: ...
+def check(
+    u: Log | ArrayLike,
     y: ArrayLike | None = None,
     *,
-    model: Model | None = None,
-    axis: Axis | Path | str | None = None,
+    model: Drive | EquationModel | None = None,
+    axis: AxisSource | None = None,
     dt: float | None = None,
     encoder: Encoder | None = None,
 ) -> tuple[Finding, ...]:
@@ -175,7 +210,7 @@ def check(
     if axis is not None:
         if any(value is not None for value in (y, model, dt, encoder)):
             raise UsageError("axis says everything but the record: leave out y, model, dt and encoder")
-        own = axis if isinstance(axis, Axis) else load_axis(Path(axis))
+        own = read_axis(axis)
         return checked(_read(u, own), own)
     if model is None or y is None or dt is None or encoder is None:
         raise UsageError("check needs u, y, model, dt and encoder, or a frame and axis")
@@ -250,14 +285,13 @@ def search_terms(
     *,
     model: Drive,
     dt: float,
-    cutoff: float | None = None,
     encoder: Encoder,
     turn: float | None = None,
     pitch: float | Sequence[float] = (),
     friction_period: float | None = None,
     scan: bool = True,
     other: tuple[ArrayLike, ArrayLike] | None = None,
-    **settings: object,
+    **settings: Unpack[EstimatorKeys],
 ) -> TermSearch:
     """Search terms of a drive that a model does not have, as `pmfid terms` does.
 
@@ -269,8 +303,6 @@ def search_terms(
         The first model of the search.
     dt : float
         Sample period [s].
-    cutoff : float, optional
-        Pole of the filters [rad/s].
     encoder : Encoder
     turn : float, optional
         Period of gravity on a rotary axis [unit of y]. Without a period, the search ignores gravity.
@@ -308,7 +340,7 @@ def search_terms(
     >>> found.added
     {'offset': True}
     """
-    axis = axis_of(model, encoder, dt, {"cutoff": cutoff, **settings})
+    axis = axis_of(model, encoder, dt, {**settings})
     places = list_periodic_forces(turn, [pitch] if isinstance(pitch, int | float) else pitch, friction_period)
     second = None if other is None else _record(*other, axis)
     return search_drive(_record(u, counts, axis), axis, places, scan, second)
@@ -363,7 +395,10 @@ def _model(model: Model) -> dict[str, object]:
     if isinstance(model, TransferFunction) and model.initial_conditions:
         raise UsageError("the starts of experiments are always part of the fit here: drop initial_conditions")
     if isinstance(model, Drive | TransferFunction):
-        return {"kind": model.kind, **{key: getattr(model, key) for key in keys_of(type(model))}}
+        keys = {key: getattr(model, key) for key in keys_of(type(model))}
+        if keys.get("axis") == "linear":  # the unit of the encoder may say that the axis is rotary
+            del keys["axis"]
+        return {"kind": model.kind, **keys}
     if not isinstance(model, EquationModel):
         raise UsageError(f"model must be a Drive, an EquationModel or a TransferFunction, got {type(model).__name__}")
     equation = model.equation

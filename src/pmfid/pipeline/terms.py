@@ -11,7 +11,6 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.config.axis import Axis, check_sampling
-from pmfid.config.units import OUTPUTS, Quantity, column_unit
 from pmfid.diagnostics.balance import Balance, make_balance
 from pmfid.diagnostics.matter import weigh_findings
 from pmfid.diagnostics.term_fits import Bench, choose_cutoff, shortest_part
@@ -39,6 +38,7 @@ from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.records.joining import unbroken
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
+from pmfid.units import OUTPUTS, Quantity, column_unit
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.config.record import NO_ENCODER, RecordConfig, Sections, conversion
-from pmfid.config.units import OUTPUTS, column_unit
 from pmfid.errors import UsageError
 from pmfid.estimators.sample_steps import SampleSteps
 from pmfid.io.csv_text import Stated
@@ -26,6 +25,7 @@ from pmfid.records.resampling import OwnSamples, Resampled, resample_uneven
 from pmfid.records.topics import join_topics
 from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
+from pmfid.units import OUTPUTS, column_unit
 
 if TYPE_CHECKING:
     from pmfid.config.axis import Axis

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from pmfid.config.units import OUTPUTS, column_unit
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.estimators.stretches import liveliest
 from pmfid.findings import Finding
@@ -28,6 +27,7 @@ from pmfid.pipeline.guess.roles import is_position
 from pmfid.pipeline.known import set_any_gain
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Counts, Floats
+from pmfid.units import OUTPUTS, column_unit
 
 __all__ = ["INTEGRATE", "convert_velocity", "integrate_velocity", "is_exchanged", "read_as", "suggest_sign"]
 

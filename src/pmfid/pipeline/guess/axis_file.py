@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from pmfid.config.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, gain, quantity
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.findings import Finding
 from pmfid.io.reading import read_table
@@ -21,6 +20,7 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import UNITS, even_grid, named_unit
 from pmfid.records.outliers import wrap_of
 from pmfid.types import Floats
+from pmfid.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, gain, quantity
 
 __all__ = ["AxisGuess", "find_to_do", "guess"]
 

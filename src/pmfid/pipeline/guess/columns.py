@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.config.units import OUTPUTS, Unit, column_unit
 from pmfid.encoder import Encoder, fine_counts
 from pmfid.errors import UsageError
 from pmfid.estimators.stretches import liveliest
@@ -20,6 +19,7 @@ from pmfid.pipeline.guess.roles import Role, distance_from_measured, number_of, 
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.outliers import wrap_of
 from pmfid.types import Flags, Floats
+from pmfid.units import OUTPUTS, Unit, column_unit
 
 __all__ = ["is_whole", "step_of"]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from typing import Literal
 
-from pmfid.config.units import INPUTS, OUTPUTS, column_unit
 from pmfid.records.clock import named_unit
+from pmfid.units import INPUTS, OUTPUTS, column_unit
 
 Role = Literal["time", "number", "counts", "position", "velocity", "acceleration", "input", "other", ""]
 
