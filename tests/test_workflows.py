@@ -1,0 +1,69 @@
+"""Workflow files call targets that exist, wheels are asked for every Python, and the list of parts is true."""
+
+from __future__ import annotations
+
+import json
+import re
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from tests.wheel import check_contents, list_blocks
+
+REPOSITORY = Path(__file__).parents[1]
+PROJECT = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))
+WORKFLOWS = sorted((REPOSITORY / ".github" / "workflows").glob("*.yml"))
+
+
+@pytest.mark.parametrize("path", WORKFLOWS, ids=lambda path: path.stem)
+def test_workflows_call_targets_that_exist(path: Path) -> None:
+    yaml = pytest.importorskip("ruamel.yaml")
+    jobs = yaml.YAML(typ="safe").load(path.read_text(encoding="utf-8"))["jobs"]
+    makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
+    commands = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    targets = [found[1] for command in commands if (found := re.match(r"make ([\w-]+)", command))]
+    assert targets
+    assert [target for target in targets if not re.search(rf"^{target}:", makefile, re.MULTILINE)] == []
+    assert len(targets) >= len(commands) - 1  # the other one installs make on Windows
+
+
+def test_wheels_are_asked_for_every_python_that_is_supported() -> None:
+    asked = PROJECT["tool"]["cibuildwheel"]["build"]
+    assert asked == ["cp311-*", "cp312-*", "cp313-*", "cp314-*", "cp314t-*"]
+    assert PROJECT["project"]["requires-python"] == ">=3.11"
+
+
+def test_the_list_of_parts_names_what_is_in_the_wheel() -> None:
+    parts = json.loads((REPOSITORY / "deploy" / "sbom.cdx.json").read_text(encoding="utf-8"))
+    vendor = REPOSITORY / "src/pmfid/service/web/static/vendor"
+    found = {path.name.split(".")[0].split("-")[0] for path in vendor.iterdir()}
+    assert {part["name"] for part in parts["components"]} == found
+    script = (vendor / "uPlot.iife.min.js").read_text(encoding="utf-8")
+    assert f"(v{parts['components'][0]['version']})" in script[:200]
+    assert parts["metadata"]["component"]["version"] == PROJECT["project"]["version"]
+
+
+def test_a_wheel_with_tests_or_without_licences_is_refused(tmp_path: Path) -> None:
+    good = ["pmfid/__init__.py", "pmfid-1.dist-info/licenses/LICENSE", "pmfid-1.dist-info/licenses/uPlot-LICENSE.txt"]
+    good += ["pmfid-1.dist-info/sboms/pmfid.cdx.json", "pmfid/testing/contract.py"]
+    cases = [(good, ""), ([*good, "pmfid/tests/test_a.py"], "tests"), ([*good, "studies/a.py"], "studies")]
+    cases += [([*good, "pmfid/_kernel.pyx"], "pyx"), (good[:1], "LICENSE")]
+    for names, wrong in cases:
+        path = tmp_path / "a.whl"
+        with zipfile.ZipFile(path, "w") as file:
+            for name in names:
+                file.writestr(name, "")
+        if wrong:
+            with pytest.raises(SystemExit, match=wrong):
+                check_contents(path)
+        else:
+            check_contents(path)
+
+
+def test_the_tutorial_has_blocks_to_run() -> None:
+    page = (REPOSITORY / "docs/start/your_log.md").read_text(encoding="utf-8")
+    languages = [language for language, _ in list_blocks(page)]
+    assert {"sh", "python"} <= set(languages)
+    assert len(languages) > 4
