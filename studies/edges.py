@@ -1,4 +1,7 @@
-"""Edge times against counts, off-line: errors and coverage of `EdgeFit`, and errors of `interval` on the same counts.
+"""Edge times against counts: errors and coverage of `EdgeFit` off-line and `REdge` on-line, and errors of `interval`.
+
+The bound is that of Cramer and Rao for the edges, with known variances of lines and instants. `interval` takes the same
+counts without edges.
 
 `python -m studies.edges --seeds 5 [--held-back]`.
 """
@@ -8,23 +11,45 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 
-from pmfid import EdgeFit, Encoder, IntervalML
+from pmfid import EdgeFit, Encoder, IntervalML, REdge
 from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.motion import least
+from pmfid.estimators.tuning import TUNING
 from pmfid.simulation import capture_edges, simulate_drive
-from pmfid.types import Floats
+from pmfid.types import Counts, Floats
 from studies.uneven_clocks import HELD_BACK, MACHINES, MOTIONS, SAMPLES, Plant, make_plant, move
 
 INCREMENTS, FINE, TICK = (512, 64, 16), 20, 1e-6
 #: Largest distance of a line from its place, in steps, and mean lateness of an instant [s].
 FAULTS = ((0.0, 0.0), (0.01, 0.0), (0.03, 0.0), (0.1, 0.0), (0.01, 1e-5), (0.01, 5e-5))
+#: Rows of the errors of one run: off-line, on-line, both in standard deviations, `interval`, and the bound.
+OFF_LINE, ON_LINE, OFF_LINE_STD, ON_LINE_STD, INTERVAL, BOUND = range(6)
 
 
-def run_once(plant: Plant, motion: str, increments: int, off: float, late: float, seed: int) -> tuple[Floats, Floats]:
-    """Return errors (2, 3) of `EdgeFit`, relative and in standard deviations, and relative errors (3,) of `interval`.
-    Errors are NaN if a method refuses the record."""
+def bound_errors(method: EdgeFit, truth: Floats, record: tuple[Floats, Counts, Floats], off: float) -> Floats:
+    """Return the smallest standard deviations (3,) that an estimate without bias can have."""
+    difference, q = method._begin(truth, *record)
+    for part in TUNING.edges_slower:
+        q = least(replace(difference, pole=part * method.cutoff), q)
+        difference = difference.correct_lines(q, method.lines)
+    exact = replace(difference, pole=0.0)
+    deviation = np.hypot(TICK / np.sqrt(12) * exact.speed(q), TUNING.edges_finest)
+    exact = replace(exact, deviation=deviation, spread=off / np.sqrt(3))
+    effect = exact.whiten(exact.speed(q))
+    sensitivity = replace(exact, late=effect / np.linalg.norm(effect)).own_sensitivity(q)[:, : truth.size]
+    scale = exact.scale[: truth.size]
+    return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(sensitivity.T @ sensitivity))) * scale)
+
+
+def run_once(plant: Plant, motion: str, increments: int, off: float, late: float, seed: int) -> tuple[Floats, bool]:
+    """Return errors (6, 3), and whether `REdge` has a status at the end.
+
+    Errors and bound are relative to the parameters, and NaN if a method refuses the record.
+    """
     axis, rng = plant.axis, np.random.default_rng([seed, 33])
     resolution = axis.resolution * 4096 / increments
     u, _ = move(plant, motion, resolution, np.full(SAMPLES, axis.dt), seed)
@@ -33,47 +58,45 @@ def run_once(plant: Plant, motion: str, increments: int, off: float, late: float
     phase = rng.random() * resolution
     counts, ages = capture_edges(motion_of, resolution, phase, every=FINE, tick=TICK, line_errors=errors)
     ages = np.clip(ages - late * rng.exponential(size=ages.size), 0.0, axis.dt)
-    cutoff = 0.2 / axis.dt
-    method = EdgeFit(plant.model, Encoder(resolution), axis.dt, cutoff, lines=increments, tick=TICK)
-    edges = np.full((2, 3), np.nan)
+    cutoff, encoder, found = 0.2 / axis.dt, Encoder(resolution), np.full((6, 3), np.nan)
+    method = EdgeFit(plant.model, encoder, axis.dt, cutoff, lines=increments, tick=TICK)
     with suppress(NotIdentifiableError):
         fit = method.fit(u, counts, ages)
         error = fit.theta - plant.truth
-        edges = np.array([error / plant.truth, error / fit.theta_std])
-    try:
-        other = IntervalML(plant.model, Encoder(resolution), axis.dt, cutoff).fit(u, counts).theta / plant.truth - 1
-    except NotIdentifiableError:
-        other = np.full(3, np.nan)
-    return edges, other
+        found[[OFF_LINE, OFF_LINE_STD]] = error / plant.truth, error / fit.theta_std
+    on_line = REdge(plant.model, encoder, axis.dt, lines=increments, tick=TICK)
+    error = on_line.run(u, counts, ages).theta[-1] - plant.truth
+    found[[ON_LINE, ON_LINE_STD]] = error / plant.truth, error / on_line.theta_std
+    with suppress(NotIdentifiableError):
+        found[INTERVAL] = IntervalML(plant.model, encoder, axis.dt, cutoff).fit(u, counts).theta / plant.truth - 1
+    if not late:
+        with suppress(NotIdentifiableError):
+            found[BOUND] = bound_errors(method, plant.truth, (u, counts, ages), off) / plant.truth
+    return found, on_line.status != 0
 
 
 def measure(machines: Mapping[str, tuple[str, float]], seeds: range) -> None:
     """Print a row for each machine, motion, encoder and fault: root mean square errors over the seeds."""
-    print("| machine | motion | increments | lines off [%] | late [us] | edges [%] | within 2 sd [%] | interval [%] |")
-    print("|---|---|---|---|---|---|---|---|")
+    head = "off-line [%] | within 2 sd [%] | on-line [%] | within 2 sd [%] | status | bound [%] | interval [%]"
+    print(f"| machine | motion | increments | lines off [%] | late [us] | {head} |")
+    print("|---" * 12 + "|")
     for name, bench in machines.items():
         if bench[1]:
-            continue  # `move` cannot simulate a pendulum finely enough
+            continue  # of a pendulum `move` has no simulation that is fine enough
         plant = make_plant(*bench)
         for motion in MOTIONS:
             for increments in INCREMENTS:
                 for off, late in FAULTS:
                     runs = [run_once(plant, motion, increments, off, late, seed) for seed in seeds]
-                    found, other = (np.array(part) for part in zip(*runs, strict=True))
-                    within = 100 * np.mean(np.abs(found[:, 1]) < 2)
-                    parts = (_format_errors(one) for one in (found[:, 0], other))
-                    edges, interval = parts
-                    row = (
-                        name,
-                        motion,
-                        increments,
-                        f"{100 * off:g}",
-                        f"{1e6 * late:g}",
-                        edges,
-                        f"{within:.0f}",
-                        interval,
+                    found = np.array([one for one, _ in runs])
+                    within = 100 * np.mean(np.abs(found[:, [OFF_LINE_STD, ON_LINE_STD]]) < 2, axis=(0, 2))
+                    off_line, on_line, bound, interval = (
+                        _format_errors(found[:, row]) for row in (OFF_LINE, ON_LINE, BOUND, INTERVAL)
                     )
-                    print(f"| {' | '.join(map(str, row))} |", flush=True)
+                    cell = [name, motion, increments, f"{100 * off:g}", f"{1e6 * late:g}"]
+                    cell += [off_line, f"{within[0]:.0f}", on_line, f"{within[1]:.0f}"]
+                    cell += [sum(status for _, status in runs), bound, interval]
+                    print(f"| {' | '.join(map(str, cell))} |", flush=True)
 
 
 def _format_errors(errors: Floats) -> str:

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from pmfid.estimators.output_error import IntervalML as IntervalML
     from pmfid.estimators.recursive import BCRLS as BCRLS
     from pmfid.estimators.recursive import RLS as RLS
+    from pmfid.estimators.redge import REdge as REdge
     from pmfid.estimators.results import Fit as Fit
     from pmfid.estimators.results import Track as Track
     from pmfid.estimators.results import Tracks as Tracks
@@ -77,6 +78,7 @@ _PUBLIC = {
     "Finding": "pmfid.findings",
     "Fleet": "pmfid.estimators.fleet",
     "IV": "pmfid.estimators.iv",
+    "REdge": "pmfid.estimators.redge",
     "RIV": "pmfid.estimators.iv",
     "OE": "pmfid.estimators.output_error",
     "IntervalML": "pmfid.estimators.output_error",

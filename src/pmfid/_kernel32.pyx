@@ -2,3 +2,4 @@
 """The kernel in single precision."""
 
 include "_kernel.pxi"
+include "_edges.pxi"

@@ -2,3 +2,4 @@
 """The kernel in double precision."""
 
 include "_kernel.pxi"
+include "_edges.pxi"

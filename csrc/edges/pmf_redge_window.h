@@ -1,0 +1,230 @@
+/* Windows of the recursion: a reference, what its end keeps, and its beginning. Only pmf_redge.c includes this file.
+ * SPDX-License-Identifier: Apache-2.0 */
+#ifndef PMF_REDGE_WINDOW_H
+#define PMF_REDGE_WINDOW_H
+
+#include "pmf_redge_start.h"
+
+#define FIRST_WINDOW 24U /* edges in the first window */
+#define LAST_WINDOW 0x40000000U
+#define PRIOR PMF_R(0.09) /* variance of a parameter relative to its square, from the direct start */
+#define ANYWHERE PMF_R(0.1) /* variance of the place at the start of a window [counts^2] */
+#define FIRST_SPREAD PMF_R(0.01) /* variance of the lines before it is known [counts^2] */
+#define SECOND PMF_R(3.0) /* error of the second order, relative to the product of two relative changes */
+#define FRICTION PMF_R(0.3) /* part of the relative change of Coulomb friction that makes an error of second order */
+#define LATE PMF_R(5e-5) /* instants come late by about this time [s]; it is no alarm */
+#define AGAIN 400U /* edges after an alarm in which another one means a wrong model */
+#define MOST_UNREST (8U * AGAIN)
+
+static real_t smaller(real_t a, real_t b)
+{
+    return a < b ? a : b;
+}
+
+static real_t larger(real_t a, real_t b)
+{
+    return a > b ? a : b;
+}
+
+/* Move the number of the present count's line. */
+static void turn_lines(const pmf_redge_config_t *config, pmf_redge_state_t *state, integer_t change)
+{
+    int64_t lines = (int64_t)config->lines, number;
+    if (lines != 0) {
+        number = ((int64_t)state->line_number + change) % lines;
+        state->line_number = (uint32_t)(number < 0 ? number + lines : number);
+    }
+}
+
+static real_t predict(const real_t *by, const real_t *change)
+{
+    real_t sum = PMF_R(0.0);
+    uint32_t i;
+    for (i = 0; i < PMF_FOLLOWED; ++i) {
+        sum += by[i] * change[i];
+    }
+    return sum;
+}
+
+static void forget_start(pmf_start_t *start)
+{
+    static const pmf_start_t none;
+    *start = none;
+}
+
+static void forget_lines(const pmf_redge_config_t *config, pmf_line_t *lines)
+{
+    static const pmf_line_t none;
+    uint32_t i;
+    for (i = 0; i < config->lines; ++i) {
+        lines[i] = none;
+    }
+}
+
+/* Let the motion begin again at its present place and velocity, with derivatives by these. */
+static void begin_window(pmf_redge_state_t *state)
+{
+    uint32_t i;
+    for (i = 0; i < PMF_FOLLOWED; ++i) {
+        state->change[i] = PMF_R(0.0);
+        state->place_by[i] = i == PLACE ? PMF_R(1.0) : PMF_R(0.0);
+        state->velocity_by[i] = i == SPEED ? PMF_R(1.0) : PMF_R(0.0);
+    }
+    state->in_window = 0U;
+    state->window_time = PMF_R(0.0);
+}
+
+/* Note an alarm, or a loss of the motion. */
+static void note_unrest(pmf_redge_state_t *state)
+{
+    state->unrest = state->unrest < MOST_UNREST ? state->unrest + AGAIN : MOST_UNREST;
+}
+
+/* Return to the direct start; the parameters stay, without a standard deviation. */
+static void give_up(pmf_redge_state_t *state)
+{
+    uint32_t i;
+    state->running = 0U;
+    for (i = 0; i < PMF_BODY; ++i) {
+        state->variance[i] = PMF_UNKNOWN;
+    }
+    forget_start(&state->start);
+    state->edges = 0U;
+    note_unrest(state);
+}
+
+static void open_prior(pmf_redge_state_t *state, real_t velocity)
+{
+    uint32_t i, j;
+    for (i = 0; i < PMF_FOLLOWED; ++i) {
+        for (j = 0; j < PMF_FOLLOWED; ++j) {
+            state->covariance[i][j] = PMF_R(0.0);
+        }
+        state->covariance[i][i] = PRIOR;
+    }
+    state->covariance[PLACE][PLACE] = ANYWHERE;
+    state->covariance[LATENESS][LATENESS] = LATE * LATE;
+    state->covariance[SPEED][SPEED] = PRIOR * velocity * velocity + PMF_R(1e-6);
+    state->surprise = state->scatter = PMF_R(1.0);
+    state->colour = state->trend = state->rough = state->last = state->size = PMF_R(0.0);
+    state->last_variance = PMF_R(1.0);
+    state->calm = state->lost = state->astray = state->against = state->away = 0U;
+    state->drift = PMF_R(0.0);
+}
+
+/* Begin at the direct start. The last edge was `travel` counts after the one before. */
+static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines, real_t place,
+                  real_t travel)
+{
+    const real_t *theta = state->start.theta;
+    real_t slow = PMF_R(4e-4) * theta[MASS] / config->dt, fast = PMF_R(50.0) * theta[MASS] / config->dt;
+    real_t drift = state->drift;
+    state->reference[MASS] = theta[MASS];
+    state->reference[VISCOUS] = smaller(larger(theta[VISCOUS], slow), fast);
+    state->reference[COULOMB] = larger(theta[COULOMB], PMF_R(1e-3) * absolute(config->input_gain * state->input));
+    state->place = place;
+    state->velocity = travel / state->since;
+    forget_lines(config, lines);
+    begin_window(state);
+    open_prior(state, state->velocity);
+    state->drift = state->unrest > AGAIN ? drift : PMF_R(0.0);
+    state->spread = FIRST_SPREAD;
+    state->window = state->edges > FIRST_WINDOW ? state->edges : FIRST_WINDOW;
+    state->running = 1U;
+    state->edges = 0U;
+}
+
+/* Return the largest relative change of a parameter in this window, which makes errors of second order. */
+static real_t bend_of(const pmf_redge_state_t *state)
+{
+    real_t most = larger(absolute(state->change[FIRST + MASS]), absolute(state->change[FIRST + VISCOUS]));
+    return larger(most, FRICTION * absolute(state->change[FIRST + COULOMB]));
+}
+
+/* Return the part of the information that errors of second order leave. */
+static real_t part_to_keep(const pmf_redge_state_t *state)
+{
+    real_t bend = SECOND * bend_of(state), part = PMF_R(1.0);
+    uint32_t i;
+    for (i = FIRST; i < PMF_FOLLOWED; ++i) {
+        real_t error = bend * state->change[i], variance = state->covariance[i][i];
+        part = smaller(part, variance / (variance + error * error));
+    }
+    return part;
+}
+
+/* Express what each line depends on by the parameters alone, at their new values. */
+static void carry_lines(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines, real_t part,
+                        const real_t *ratio)
+{
+    real_t gain[LATENESS][CARRIED];
+    uint32_t i, j, k;
+    for (i = 0; i < LATENESS; ++i) {
+        if (solve(&state->covariance[LATENESS][LATENESS], PMF_FOLLOWED, CARRIED, &state->covariance[i][LATENESS],
+                  gain[i]) == 0U) {
+            for (j = 0; j < CARRIED; ++j) {
+                gain[i][j] = PMF_R(0.0);
+            }
+        }
+    }
+    for (k = 0; k < config->lines; ++k) {
+        pmf_line_t *line = &lines[k];
+        line->sum = part * (line->sum - predict(line->by, state->change));
+        line->weight *= part;
+        for (j = 0; j < CARRIED; ++j) {
+            real_t by = line->by[PLACE] * gain[PLACE][j] + line->by[SPEED] * gain[SPEED][j];
+            line->by[LATENESS + j] = part / ratio[j] * (line->by[LATENESS + j] + by);
+        }
+        line->by[PLACE] = line->by[SPEED] = PMF_R(0.0);
+    }
+}
+
+/* Move the reference to the estimate within limits; `ratio` is old over new. */
+static void move_reference(pmf_redge_state_t *state, real_t *ratio)
+{
+    static const scalar_t least[PMF_BODY] = {PMF_SCALAR(0.5), PMF_SCALAR(0.1), PMF_SCALAR(0.1)};
+    static const scalar_t most[PMF_BODY] = {PMF_SCALAR(2.0), PMF_SCALAR(5.0), PMF_SCALAR(5.0)};
+    uint32_t i;
+    state->place_by[LATENESS] = PMF_R(0.0); /* it moves the instants and not the axis */
+    state->place += predict(state->place_by, state->change);
+    state->velocity += predict(state->velocity_by, state->change);
+    ratio[0] = PMF_R(1.0);
+    for (i = 0; i < PMF_BODY; ++i) {
+        real_t factor = PMF_R(1.0) + state->change[FIRST + i];
+        factor = smaller(larger(factor, least[i]), most[i]);
+        ratio[FIRST - LATENESS + i] = PMF_R(1.0) / factor;
+        state->reference[i] *= factor;
+    }
+}
+
+/* End the window: its information stays, as far as it is linear, and the reference moves to the estimate. */
+static void end_window(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines)
+{
+    real_t part = part_to_keep(state), with_velocity[PMF_FOLLOWED], ratio[CARRIED], own;
+    uint32_t i, j;
+    for (i = 0; i < PMF_FOLLOWED; ++i) {
+        with_velocity[i] = predict(state->covariance[i], state->velocity_by);
+    }
+    own = predict(with_velocity, state->velocity_by);
+    if (predict(state->velocity_by, state->velocity_by) == PMF_R(0.0)) {
+        state->velocity = PMF_R(0.0);
+    }
+    move_reference(state, ratio);
+    carry_lines(config, state, lines, part, ratio);
+    for (i = 0; i < CARRIED; ++i) {
+        real_t *row = &state->covariance[LATENESS + i][LATENESS];
+        for (j = 0; j < CARRIED; ++j) {
+            row[j] *= ratio[i] * ratio[j] / part;
+        }
+        with_velocity[LATENESS + i] *= ratio[i] / part;
+        state->covariance[SPEED][LATENESS + i] = state->covariance[LATENESS + i][SPEED] = with_velocity[LATENESS + i];
+        state->covariance[PLACE][LATENESS + i] = state->covariance[LATENESS + i][PLACE] = PMF_R(0.0);
+    }
+    state->late -= state->change[LATENESS];
+    state->covariance[PLACE][SPEED] = state->covariance[SPEED][PLACE] = PMF_R(0.0);
+    state->covariance[PLACE][PLACE] = ANYWHERE;
+    state->covariance[SPEED][SPEED] = own / part + PMF_R(1e-12);
+    begin_window(state);
+}
+
+#endif

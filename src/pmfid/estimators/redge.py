@@ -1,0 +1,215 @@
+"""Mass and friction from the instants of the encoder's edges, on-line."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.encoder import Encoder
+from pmfid.errors import UsageError
+from pmfid.estimators.configuration import check_arrays, check_positive, configuration_of, construct_estimator
+from pmfid.estimators.results import Track
+from pmfid.estimators.tuning import TUNING
+from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
+
+if TYPE_CHECKING:
+    from pmfid._estimate import Estimate
+    from pmfid._kernel64 import EdgeKernel
+
+_HEAD = struct.Struct("<III")  # identifies the configuration, size of the state, checksum of the state
+
+
+@dataclass(frozen=True)
+class REdge:
+    """Recursive prediction errors at the instants of the encoder's edges, on-line.
+
+    Parameters
+    ----------
+    model : Drive
+        A drive with mass, viscous and Coulomb friction, and a known input gain.
+    encoder : Encoder
+        Encoder with a counter of 32 bits.
+    dt : float
+        Sample period [s].
+    lines : int, optional
+        Counts after which the lines repeat, as in one revolution. With None each count has a line of its own, as on a
+        linear scale.
+    tick : float
+        Period of the timer that takes the instants [s].
+    memory : float, optional
+        Time constant of forgetting [s] of motion. With None nothing is forgotten.
+    precision : {"float64", "float32"}
+        Number format of the recursion.
+
+    Raises
+    ------
+    UsageError
+        A value is outside these bounds, or the model has further terms.
+
+    Notes
+    -----
+    No initial guess is needed: the first parameters come from the divided differences of the edges. A change of the
+    machine is noticed by the innovations, and the recursion restarts. Until the first estimate, and after a loss of the
+    motion, the status has `Status.STARTING`. Large or correlated innovations set `Status.UNMODELLED`, also for a time
+    after a change. Instants that are late by more than 0.1 ms set `Status.DEAD_TIME`.
+
+    A sample with several edges gives the age of the last one. All instants may come late by a common time.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, REdge
+    >>> from pmfid.simulation import CART, capture_edges, prbs, simulate_drive
+    >>> u = prbs(2000, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> motion = simulate_drive(CART, np.repeat(u, 10), 1e-3)
+    >>> counts, ages = capture_edges(motion, 0.0058, every=10, tick=1e-6)
+    >>> estimator = REdge(Drive(CART.input_gain), Encoder(0.0058), 0.01, lines=16, tick=1e-6)
+    >>> estimator.run(u, counts, ages).theta[-1].round(3)
+    array([ 1.07, 12.8 ,  0.8 ])
+    """
+
+    model: Drive
+    encoder: Encoder
+    dt: float
+    lines: int | None = field(default=None, kw_only=True)
+    tick: float = field(default=0.0, kw_only=True)
+    memory: float | None = field(default=None, kw_only=True)
+    precision: str = field(default="float64", kw_only=True)
+    _kernel: EdgeKernel = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        check_positive("dt", self.dt, "it is the sample period in s")
+        self._check_model()
+        lines, most = self.lines, TUNING.most_lines
+        if lines is not None and (isinstance(lines, bool) or int(lines) != lines or not 1 <= lines <= most):
+            raise UsageError(
+                f"lines must be a whole number of counts from 1 to {most}, got {lines!r}; None for a linear scale"
+            )
+        if not 0 <= self.tick < self.dt:
+            raise UsageError(f"tick must be the period of the timer in s, below dt = {self.dt:g}, got {self.tick!r}")
+        if self.memory is not None:
+            check_positive("memory", self.memory, "it is the time constant of forgetting in s, or None")
+        if self.precision not in ("float64", "float32"):
+            raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
+        object.__setattr__(self, "_kernel", self._new_kernel())
+
+    def _check_model(self) -> None:
+        plain = isinstance(self.model, Drive) and self.model.input_gain != ESTIMATE
+        if not plain or self.model != Drive(self.model.input_gain):
+            raise UsageError(
+                "REdge takes Drive(input_gain) with mass, viscous and Coulomb friction alone; use EdgeFit off-line for "
+                "further terms"
+            )
+        if self.encoder.bits != TUNING.edges_bits:
+            raise UsageError(
+                f"the counter of REdge has {TUNING.edges_bits} bits, got {self.encoder.bits}; unwrap the counts first"
+            )
+
+    def _new_kernel(self) -> EdgeKernel:
+        from pmfid import _kernel32, _kernel64
+
+        module = _kernel32 if self.precision == "float32" else _kernel64
+        gain = float(self.model.input_gain)
+        memory = 0.0 if self.memory is None else self.memory
+        settings = (self.dt, self.encoder.resolution, gain, self.tick, memory, int(self.lines or 0))
+        return cast("EdgeKernel", module.EdgeKernel(self.names, *settings))
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return _resume, (type(self), configuration_of(self), self.get_state())
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.model.equation.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the parameters."""
+        return self.model.equation.units
+
+    @property
+    def estimate(self) -> Estimate:
+        """The estimate after the last sample."""
+        return self._kernel.estimate()
+
+    @property
+    def theta(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """Parameters (p,) after the last sample."""
+        return self.estimate.theta
+
+    @property
+    def theta_std(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """Standard deviations (p,) after the last sample, infinite without an estimate."""
+        return self.estimate.theta_std
+
+    @property
+    def status(self) -> int:
+        """`Status` bits after the last sample."""
+        return self.estimate.status
+
+    def step(self, u: float, counts: int, age: float | None = None) -> Estimate:
+        """Take a sample and return the estimate.
+
+        Parameters
+        ----------
+        u : float
+            Input from now on.
+        counts : int
+            Present counts.
+        age : float, optional
+            Time from the last edge to now [s]; None or NaN without an edge since the last sample.
+        """
+        return self._kernel.step(u, counts, np.nan if age is None else age)
+
+    def run(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike) -> Track:
+        """Take n samples, and return the estimate after each.
+
+        Parameters
+        ----------
+        u, counts, ages : array_like (n,)
+            The arguments of `step`.
+
+        Raises
+        ------
+        UsageError
+            The arrays do not fit each other.
+        """
+        known, whole = check_arrays(u, counts)
+        given = np.ascontiguousarray(ages, np.float64)
+        if given.shape != whole.shape:
+            raise UsageError(f"ages must be an array (n,) as counts, got {given.shape} for {whole.shape}")
+        theta, variance, innovation, running, status = self._kernel.run(known, whole, given)
+        return Track(self.names, self.units, theta, variance, np.zeros_like(theta), innovation, running, status)
+
+    def reset(self) -> None:
+        """Return to the state before the first sample."""
+        self._kernel.reset()
+
+    def get_state(self) -> bytes:
+        """Return the state, for `set_state` of an estimator with the same configuration."""
+        state = self._kernel.raw_state()
+        return _HEAD.pack(zlib.crc32(self._kernel.raw_config()), len(state), zlib.crc32(state)) + state
+
+    def set_state(self, state: bytes) -> None:
+        """Take the bytes of `get_state`. Raises UsageError for anything else."""
+        if not isinstance(state, bytes) or len(state) < _HEAD.size:
+            raise UsageError("a state is the bytes that get_state gave")
+        config, size, checksum = _HEAD.unpack_from(state)
+        body = state[_HEAD.size :]
+        if config != zlib.crc32(self._kernel.raw_config()) or size != len(body):
+            raise UsageError("the state is of another configuration; construct REdge with the same arguments")
+        if checksum != zlib.crc32(body):
+            raise UsageError("the state is damaged: its checksum does not fit")
+        self._kernel.set_raw_state(body)
+
+
+def _resume(cls: type[REdge], configuration: dict[str, object], state: bytes) -> REdge:
+    estimator = construct_estimator(cls, configuration)
+    estimator.set_state(state)
+    return estimator

@@ -1,0 +1,184 @@
+"""The recursion over edges, against machines whose parameters are known."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from pmfid import Drive, Encoder, REdge, Status, UsageError
+from pmfid.simulation import CART, DriveParameters, capture_edges, prbs, simulate_drive
+
+DT, EVERY = 0.01, 10
+TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+HEAVY = DriveParameters(300.0, 200.0, 90.0, 100.0)
+HOSTILE = (0.0, np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-40)
+
+
+def swing(turn: int = 16, samples: int = 2000, off: float = 0.0, seed: int = 11, drive: DriveParameters = CART):
+    """Return input, counts and ages of a drive on a wheel with `turn` lines, and the resolution."""
+    rng = np.random.default_rng(seed)
+    u = prbs(samples, clock=10 if drive.mass < 10 else 40, amplitude=4.0, rng=rng)
+    motion = simulate_drive(drive, np.repeat(u, EVERY), DT / EVERY)
+    step = (0.0931 if drive.mass < 10 else 0.4) / turn
+    errors = off * step * rng.uniform(-1.0, 1.0, turn)
+    counts, ages = capture_edges(motion, step, 0.3 * step, every=EVERY, tick=1e-6, line_errors=errors)
+    return u, counts, ages, step
+
+
+def estimator_of(step: float, turn: int | None = 16, gain: float = CART.input_gain, **options) -> REdge:
+    return REdge(Drive(gain), Encoder(step), DT, lines=turn, tick=1e-6, **options)
+
+
+@pytest.mark.parametrize(("turn", "off"), [(16, 0.0), (16, 0.03), (64, 0.01), (1024, 0.01)])
+def test_few_lines_give_a_mass_to_a_hundred_thousandth(turn: int, off: float) -> None:
+    u, counts, ages, step = swing(turn, off=off)
+    estimate = estimator_of(step, turn)
+    track = estimate.run(u, counts, ages)
+    np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=3e-5)
+    assert np.all(np.abs(track.theta[-1] - TRUTH) < 4 * track.theta_std[-1])
+    assert track.theta_std[-1, 0] < 3e-5 * TRUTH[0]
+    assert track.status[-1] == 0
+    assert np.array_equal(estimate.theta, track.theta[-1])
+    assert np.array_equal(estimate.theta_std, track.theta_std[-1])
+
+
+def test_a_heavy_axis_needs_no_other_settings() -> None:
+    u, counts, ages, step = swing(64, off=0.01, drive=HEAVY)
+    track = estimator_of(step, 64, HEAVY.input_gain).run(u, counts, ages)
+    truth = [HEAVY.mass, HEAVY.viscous_friction, HEAVY.coulomb_friction]
+    np.testing.assert_allclose(track.theta[-1], truth, rtol=1e-4)
+
+
+def test_lines_that_do_not_repeat_are_noise() -> None:
+    u, counts, ages, step = swing(64, off=0.01)
+    track = estimator_of(step, None).run(u, counts, ages)
+    np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=2e-2)
+    assert track.theta_std[-1, 0] > 1e-5 * TRUTH[0]
+
+
+def test_single_precision_is_near_double_precision() -> None:
+    u, counts, ages, step = swing(16, off=0.01)
+    track = estimator_of(step, precision="float32").run(u, counts, ages)
+    np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=1e-3)
+
+
+def test_before_the_first_estimate_nothing_is_known() -> None:
+    estimate = estimator_of(0.0058).step(1.0, 0)
+    assert estimate.status & Status.STARTING
+    assert np.all(np.isinf(estimate.theta_std))
+
+
+def test_instants_that_all_come_late_move_little() -> None:
+    u, counts, ages, step = swing(16, off=0.01, samples=3000)
+    rng = np.random.default_rng(3)
+    late = np.maximum(ages - 2e-5 * rng.exponential(size=ages.size), 0.0)
+    track = estimator_of(step).run(u, counts, late)
+    np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=3e-4)
+
+
+def test_a_mass_that_changes_is_followed() -> None:
+    before, after = swing(64, seed=1), swing(64, seed=2, drive=DriveParameters(1.44, 12.8, 0.8, CART.input_gain))
+    estimator = estimator_of(before[3], 64)
+    estimator.run(*before[:3])
+    counts = after[1] - after[1][0] + before[1][-1]
+    track = estimator.run(after[0], counts, after[2])
+    assert track["mass"][0] == pytest.approx(1.07, rel=1e-4)
+    assert np.all(np.abs(track["mass"][300:] / 1.44 - 1) < 0.05)
+    assert track["mass"][-1] == pytest.approx(1.44, rel=1e-3)
+
+
+def test_a_count_that_is_lost_costs_little() -> None:
+    u, counts, ages, step = swing(16, off=0.01)
+    track = estimator_of(step).run(u, counts - (np.arange(counts.size) > 1500), ages)
+    np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=1e-3)
+
+
+def test_a_wrong_model_is_flagged() -> None:
+    rng = np.random.default_rng(5)
+    u = prbs(3000, clock=10, amplitude=4.0, rng=rng)
+    motion = simulate_drive(CART, np.repeat(u + 0.2 * (u > 0), EVERY), DT / EVERY)
+    counts, ages = capture_edges(motion, 0.0058, every=EVERY, tick=1e-6)
+    track = estimator_of(0.0058).run(u, counts, ages)
+    assert np.mean(track.status[1000:] != 0) > 0.5
+
+
+def test_an_input_that_acts_late_is_flagged() -> None:
+    u = prbs(2000, clock=10, amplitude=4.0, rng=np.random.default_rng(6))
+    motion = simulate_drive(CART, np.roll(np.repeat(u, EVERY), 3), DT / EVERY)
+    counts, ages = capture_edges(motion, 0.0058, every=EVERY, tick=1e-6)
+    track = estimator_of(0.0058).run(u, counts, ages)
+    assert track.status[-1] & Status.DEAD_TIME
+
+
+def test_rest_changes_nothing() -> None:
+    u, counts, ages, step = swing()
+    estimator = estimator_of(step)
+    estimator.run(u, counts, ages)
+    before = estimator.theta
+    rest = np.full(5000, counts[-1])
+    track = estimator.run(np.zeros(5000), rest, np.full(5000, np.nan))
+    np.testing.assert_allclose(track.theta[-1], before, rtol=1e-6)
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_parts_have_the_bits_of_the_whole(precision: str) -> None:
+    u, counts, ages, step = swing(samples=1200, off=0.01)
+    whole = estimator_of(step, precision=precision).run(u, counts, ages)
+    first = estimator_of(step, precision=precision)
+    first.run(u[:700], counts[:700], ages[:700])
+    resumed = estimator_of(step, precision=precision)
+    resumed.set_state(first.get_state())
+    for other in (resumed, pickle.loads(pickle.dumps(first)), copy.deepcopy(first)):
+        stepped = [other.step(*sample).theta for sample in zip(u[700:], counts[700:].tolist(), ages[700:], strict=True)]
+        assert np.array_equal(stepped, whole.theta[700:])
+    first.reset()
+    assert first.get_state() == estimator_of(step, precision=precision).get_state()
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_nothing_but_numbers_leaves_the_kernel(precision: str) -> None:
+    rng = np.random.default_rng(8)
+    u, counts, ages, step = swing(samples=1500)
+    hostile = rng.random(u.size) < 0.02
+    u[hostile], ages[rng.random(u.size) < 0.02] = rng.choice(HOSTILE, hostile.sum()), rng.choice(HOSTILE)
+    counts[rng.random(u.size) < 0.01] += rng.integers(-(2**40), 2**40)
+    track = estimator_of(step, precision=precision).run(u, counts, ages)
+    assert np.all(np.isfinite(track.theta))
+    assert not np.any(np.isnan(track.theta_std))
+    assert np.any(track.status & Status.INVALID_INPUT)
+
+
+def test_counter_that_overflows_goes_on() -> None:
+    u, counts, ages, step = swing(samples=1000)
+    shifted = estimator_of(step).run(u, counts + 2**31 - 40, ages)
+    assert np.array_equal(shifted.theta, estimator_of(step).run(u, counts, ages).theta)
+
+
+def test_wrong_arguments_are_refused() -> None:
+    with pytest.raises(UsageError, match="use EdgeFit off-line"):
+        REdge(Drive(2.0, offset=True), Encoder(1e-3), DT)
+    with pytest.raises(UsageError, match="use EdgeFit off-line"):
+        REdge(Drive("estimate"), Encoder(1e-3), DT)
+    with pytest.raises(UsageError, match="lines must be a whole number"):
+        REdge(Drive(2.0), Encoder(1e-3), DT, lines=0)
+    with pytest.raises(UsageError, match="tick must be"):
+        REdge(Drive(2.0), Encoder(1e-3), DT, tick=1.0)
+    with pytest.raises(UsageError, match="memory must be positive"):
+        REdge(Drive(2.0), Encoder(1e-3), DT, memory=-1.0)
+    with pytest.raises(UsageError, match="has 32 bits"):
+        REdge(Drive(2.0), Encoder(1e-3, bits=16), DT)
+    with pytest.raises(UsageError, match="ages must be an array"):
+        estimator_of(1e-3).run([1.0, 2.0], [0, 1], [0.1])
+
+
+def test_foreign_and_damaged_states_are_refused() -> None:
+    estimator = estimator_of(1e-3)
+    state = estimator.get_state()
+    with pytest.raises(UsageError, match="another configuration"):
+        estimator.set_state(estimator_of(2e-3).get_state())
+    with pytest.raises(UsageError, match="damaged"):
+        estimator.set_state(state[:-1] + b"\x01")
+    with pytest.raises(UsageError, match="bytes that get_state gave"):
+        estimator.set_state(b"")
+    assert estimator.get_state() == state
