@@ -115,6 +115,12 @@ def test_a_load_that_the_model_lacks_is_found_or_flagged() -> None:
     assert "unmodelled" in plain.status
 
 
+def test_a_limit_that_the_model_lacks_is_found() -> None:
+    fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), *make_log(seed=4, gravity=0.0, torque_limit=1.5))
+    assert fit.added[0] == "torque_limit"
+    check_estimates(fit, 0.05, torque_limit=1.5)
+
+
 def test_rows_may_be_missing() -> None:
     t, goal, position = make_log(seed=6, gravity=0.0)
     keep = np.random.default_rng(0).random(t.size) > 0.1

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,8 +12,9 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
+from pmfid.actuators.checks import check_joint
 from pmfid.actuators.joints import format_pair
-from pmfid.actuators.logs import LogLayout, find_step, read_joints
+from pmfid.actuators.logs import JointLog, LogLayout, find_step, read_joints
 from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
@@ -185,3 +187,49 @@ def test_the_step_of_the_encoder_is_read_from_rounded_positions() -> None:
 )
 def test_a_value_has_the_digits_of_its_error(value: float, std: float, texts: tuple[str, str]) -> None:
     assert format_pair(value, std) == texts
+
+
+# --- checks of a log --------------------------------------------------------------------------------------------------
+
+
+def pair(**changes: object) -> list[JointLog]:
+    """Two joints of one log, whose first one has other columns."""
+    logs = []
+    for seed in (1, 2):
+        t, goal, position = make_log(seed, gravity=0.0)
+        logs.append(JointLog(str(seed), t, goal, position, STEP))
+    columns = {"goal": logs[0].goal, "position": logs[0].position}
+    own = {name: change(columns, logs[1]) for name, change in changes.items()}  # type: ignore[operator]
+    return [replace(logs[0], **own), logs[1]]
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"goal": lambda own, _: np.degrees(own["goal"])}, "the goal is in degrees .* give --goal-unit deg"),
+        ({"goal": lambda own, _: own["goal"] / STEP + 2048}, "the goal is in counts .* give --goal-unit counts"),
+        ({"position": lambda own, _: np.degrees(own["position"])}, "the position is in degrees"),
+        ({"goal": lambda own, _: -own["goal"]}, "turn the sign"),
+        ({"goal": lambda own, other: other.goal}, "does not follow the goal"),
+        ({"position": lambda own, other: other.position}, "follows the goal of joint 2 .* exchange the columns"),
+        ({"goal": lambda own, _: np.roll(own["goal"], 20)}, "ms before its goal"),
+    ],
+)
+def test_a_mistake_in_a_log_is_named(changes: dict[str, object], words: str) -> None:
+    logs = pair(**changes)
+    with pytest.raises(UsageError, match=words):
+        check_joint(logs[0], logs)
+
+
+def test_a_right_log_passes_the_checks_also_at_rest() -> None:
+    for log in pair():
+        check_joint(log, pair())
+    check_joint(pair(goal=lambda own, _: 0 * own["goal"])[0], pair())
+
+
+def test_goals_may_have_a_unit_of_their_own(tmp_path: Path) -> None:
+    pl.DataFrame({"t": np.arange(9.0), "goal": np.full(9, 180.0), "position": np.full(9, 1.0)}).write_csv(
+        tmp_path / "a.csv"
+    )
+    (log,) = read_joints(tmp_path / "a.csv", LogLayout(resolution=STEP, unit="rad", goal_unit="deg"))
+    assert (log.goal[0], log.position[0]) == (pytest.approx(math.pi), 1.0)

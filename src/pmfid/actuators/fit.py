@@ -19,10 +19,12 @@ from pmfid.findings import Finding, codes, sort_findings, texts
 from pmfid.presentation import Parameters, Presentable, Summary, plain_dict, remarks_of
 from pmfid.types import Floats
 
-#: Terms that a fit adds if the log shows them -> a small value, as a part of the typical torque, or of a period.
+#: Terms that a fit adds if the log shows them -> a small value, as a part of the typical torque, of a period, or for a
+#: limit of the largest torque.
 TRIALS: Mapping[str, float] = {
     **dict.fromkeys(["kd", "gravity", "offset", "stribeck", "load_friction", "quadratic"], 0.02),
     "loop_delay": 0.1,
+    "torque_limit": 0.85,
 }
 
 
@@ -160,6 +162,7 @@ def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search
             break
         problem, z, cost, name = better
         added.append(name)
+    problem, z, cost, added = _drop_terms(problem, z, cost, added)
     return _conclude(problem, z, tuple(added))
 
 
@@ -197,6 +200,9 @@ def _widen(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, F
         "stribeck_speed": 0.2 * problem.speed,
         "gravity_angle": 0.0,
     }
+    if name == "torque_limit":
+        torques = problem.servo.run(problem.theta(z), problem.t, problem.goal, float(problem.position[0]))[1]
+        fresh[name] = small * float(np.abs(torques).max())
     theta = np.array([now[word] if word in now else fresh.get(word, small * torque) for word in servo.unknown])
     return wider, np.append(wider.coordinates(theta)[: -TUNING.nuisance], z[-TUNING.nuisance :])
 
@@ -229,12 +235,38 @@ def _add_term(problem: ServoProblem, z: Floats, cost: float) -> tuple[ServoProbl
     if not open_terms:
         return None
     scores = {name: _score(problem, z, name) for name in open_terms}
-    name = max(scores, key=lambda word: scores[word])
+    ranked = sorted(scores, key=lambda word: -scores[word])
+    rounding = problem.residual(z).size * servo.resolution**2 / 12
+    tried = ranked[: TUNING.tried] if cost > TUNING.contradicted * rounding else ranked[:1]
+    found = [(*_refine_wider(problem, z, name), name) for name in tried]
+    best = min(found, key=lambda one: one[2])
+    return best if _is_worth(problem, z, best[2], cost) else None
+
+
+def _refine_wider(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, Floats, float]:
     wider, start = _widen(problem, z, name)
-    found, less = wider.refine(start)
-    worth = 1.0 - less / cost
+    return (wider, *wider.refine(start))
+
+
+def _is_worth(problem: ServoProblem, z: Floats, less: float, cost: float) -> bool:
+    """Return whether a squared residual of `less` in place of `cost`, which is that of `z`, is worth a term."""
     chance = min(TUNING.beyond**2 / _independent(problem.residual(z)), TUNING.plain)
-    return (wider, found, less, name) if worth > max(TUNING.explains, chance) else None
+    return 1.0 - less / cost > max(TUNING.explains, chance)
+
+
+def _drop_terms(
+    problem: ServoProblem, z: Floats, cost: float, added: list[str]
+) -> tuple[ServoProblem, Floats, float, list[str]]:
+    """Return the fit without the terms that are not worth their place after later ones came."""
+    for name in added[:-1]:
+        servo = replace(problem.servo, terms=tuple(word for word in problem.servo.terms if word != name))
+        narrow = ServoProblem(servo, problem.t, problem.goal, problem.position)
+        now = dict(zip(problem.servo.unknown, problem.theta(z).tolist(), strict=True))
+        start = narrow.coordinates(np.array([now[word] for word in servo.unknown]))
+        found, more = narrow.refine(np.append(start[: -TUNING.nuisance], z[-TUNING.nuisance :]))
+        if not _is_worth(narrow, found, cost, more):
+            problem, z, cost, added = narrow, found, more, [word for word in added if word != name]
+    return problem, z, cost, added
 
 
 def _independent(residual: Floats) -> float:

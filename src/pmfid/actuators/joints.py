@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
+from pmfid.actuators.checks import check_joint
 from pmfid.actuators.fit import ServoFit, fit_servo
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.servo import Servo
@@ -84,13 +85,14 @@ def fit_joints(
         own = {key: value for key, value in given.items() if "." not in key}
         own |= {key.rpartition(".")[2]: value for key, value in given.items() if key.rpartition(".")[0] == log.name}
         servo = Servo(log.resolution, {**log.given, **own}, terms, loop_period)
-        found.append(_fit_joint(log, servo, search))
+        found.append(_fit_joint(log, logs, servo, search))
         tell((number + 1) / len(logs))
     return found
 
 
-def _fit_joint(log: JointLog, servo: Servo, search: bool) -> FittedJoint:
+def _fit_joint(log: JointLog, others: Sequence[JointLog], servo: Servo, search: bool) -> FittedJoint:
     try:
+        check_joint(log, others)
         return FittedJoint(log, fit_servo(servo, log.t, log.goal, log.position, search=search))
     except PmfidError as error:
         return FittedJoint(log, None, str(error))

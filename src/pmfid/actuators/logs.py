@@ -51,7 +51,7 @@ class LogLayout:
 
     `time` is a column, `goal` and `position` are columns or patterns with one star, which stands for the joint.
     `unit` is one of `ANGLES`, `resolution` is the step of the encoder [rad], and `episode` is one of a
-    data set of LeRobot.
+    data set of LeRobot. `goal_unit` is the unit of the goals alone.
     """
 
     time: str | None = None
@@ -60,6 +60,7 @@ class LogLayout:
     unit: str | None = None
     resolution: float | None = None
     episode: int | None = None
+    goal_unit: str | None = None
 
 
 def read_joints(path: Path, layout: LogLayout) -> list[JointLog]:
@@ -153,8 +154,8 @@ def _make_joint(robot: RobotTable, t: Floats, joint: str, goal: str, position: s
     notes += [f"{np.sum(~fresh)} rows with the stamp of the row before are left out"] if not fresh.all() else []
     rows = rows[fresh]
     scaled, resolution = [], layout.resolution
-    for name, own in zip((goal, position), values, strict=True):
-        unit = layout.unit or _own_unit(name) or "rad"
+    for name, own, said in zip((goal, position), values, (layout.goal_unit or layout.unit, layout.unit), strict=True):
+        unit = said or _own_unit(name) or "rad"
         if unit == "counts" and resolution is None:
             raise UsageError(f"column {name!r} is in counts: give the encoder's step with --bits or --resolution")
         scaled.append(own[rows] * (ANGLES[unit] or resolution or 1.0))

@@ -54,6 +54,8 @@ class ActuatorTuning:
     #: A term that explains this part is added however correlated the residual is.
     plain: float = 0.3
     most_added: int = 3
+    #: So many of the best terms are refined to find the best one, if the residual contradicts the model.
+    tried: int = 3
     # findings
     #: The residual contradicts the model from this multiple of the encoder's rounding on, if it is correlated this much
     #: from one sample to the next.
@@ -64,6 +66,19 @@ class ActuatorTuning:
     #: The torque is limited during so much of the record that a limit belongs to the model.
     limited: float = 0.2
 
+    # checks
+    #: Samples that a check of a log needs, and the longest lag of a position after its goal, or before it [s].
+    least_checked: int = 50
+    longest_lag: float = 0.5
+    #: A position follows a goal from this correlation on. It follows the goal of another joint if that correlation is
+    #: high, and better by this much.
+    follows: float = 0.4
+    exchanged: float = 0.8
+    better: float = 0.2
+    #: Goal and position have different units if their ratio is that of the units up to this factor.
+    unit_within: float = 3.0
+    #: A position that is best explained by a goal of this many samples later moves before its goal.
+    early: float = 0.5
     # exports
     #: Step of the exported model of MuJoCo [s].
     mujoco_step: float = 1e-3

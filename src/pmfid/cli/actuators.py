@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 @click.option("--position", metavar="PATTERN", help="Columns of the measured positions, such as 'position_*'.")
 @click.option("--time", metavar="NAME", help="Column of the time.")
 @click.option("--unit", type=click.Choice(["rad", "deg", "counts"]), help="Unit of goals and positions.")
+@click.option(
+    "--goal-unit", type=click.Choice(["rad", "deg", "counts"]), help="Unit of the goals, if it is another one."
+)
 @click.option("--bits", type=click.IntRange(4, 32), help="Bits of the encoder per turn. Default: by the positions.")
 @click.option("--resolution", type=float, metavar="RAD", help="Step of the encoder, in place of --bits.")
 @click.option(
@@ -43,6 +46,7 @@ def actuators(
     position: str | None,
     time: str | None,
     unit: str | None,
+    goal_unit: str | None,
     bits: int | None,
     resolution: float | None,
     given: tuple[str, ...],
@@ -70,7 +74,7 @@ def actuators(
         step = 2 * math.pi / 2**bits if bits is not None else resolution
         if step is not None and not (math.isfinite(step) and step > 0):
             raise UsageError(f"--resolution must be positive and finite, got {step}: give it in rad")
-        logs = read_joints(log, LogLayout(time, goal, position, unit, step, episode))
+        logs = read_joints(log, LogLayout(time, goal, position, unit, step, episode, goal_unit))
         found = fit_joints(logs, _read_given(given), terms, loop_period, search=search, tell=tell)
         if all(joint.fit is None for joint in found):
             raise NotIdentifiableError("; ".join(f"{joint.log.name}: {joint.refused}" for joint in found))
