@@ -117,7 +117,7 @@ def test_a_load_that_the_model_lacks_is_found_or_flagged() -> None:
 
 def test_a_limit_that_the_model_lacks_is_found() -> None:
     fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), *make_log(seed=4, gravity=0.0, torque_limit=1.5))
-    assert fit.added[0] == "torque_limit"
+    assert fit.added == ("torque_limit",)
     check_estimates(fit, 0.05, torque_limit=1.5)
 
 

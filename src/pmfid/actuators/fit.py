@@ -162,6 +162,9 @@ def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search
             break
         problem, z, cost, name = better
         added.append(name)
+        if name == "torque_limit" and _is_contradicted(problem, cost):  # the start without a limit was far off
+            fresh, less = problem.refine(find_start(problem))
+            z, cost = (fresh, less) if less < cost else (z, cost)
     problem, z, cost, added = _drop_terms(problem, z, cost, added)
     return _conclude(problem, z, tuple(added))
 
@@ -236,11 +239,15 @@ def _add_term(problem: ServoProblem, z: Floats, cost: float) -> tuple[ServoProbl
         return None
     scores = {name: _score(problem, z, name) for name in open_terms}
     ranked = sorted(scores, key=lambda word: -scores[word])
-    rounding = problem.residual(z).size * servo.resolution**2 / 12
-    tried = ranked[: TUNING.tried] if cost > TUNING.contradicted * rounding else ranked[:1]
+    tried = ranked[: TUNING.tried] if _is_contradicted(problem, cost) else ranked[:1]
     found = [(*_refine_wider(problem, z, name), name) for name in tried]
     best = min(found, key=lambda one: one[2])
     return best if _is_worth(problem, z, best[2], cost) else None
+
+
+def _is_contradicted(problem: ServoProblem, cost: float) -> bool:
+    """Return whether a squared residual [rad2] is more than rounding explains."""
+    return cost > TUNING.contradicted**2 * problem.t.size * problem.servo.resolution**2 / 12
 
 
 def _refine_wider(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, Floats, float]:

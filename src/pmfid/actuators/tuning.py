@@ -54,7 +54,7 @@ class ActuatorTuning:
     #: A term that explains this part is added however correlated the residual is.
     plain: float = 0.3
     most_added: int = 3
-    #: So many of the best terms are refined to find the best one, if the residual contradicts the model.
+    #: Number of terms that are refined to find the best one, if the residual contradicts the model.
     tried: int = 3
     # findings
     #: The residual contradicts the model from this multiple of the encoder's rounding on, if it is correlated this much
