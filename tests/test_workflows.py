@@ -29,6 +29,34 @@ def test_workflows_call_targets_that_exist(path: Path) -> None:
     assert len(targets) >= len(commands) - 1  # the other one installs make on Windows
 
 
+def test_forms_and_the_citation_are_valid() -> None:
+    yaml = pytest.importorskip("ruamel.yaml")
+    read = {
+        path.name: yaml.YAML(typ="safe").load(path.read_text(encoding="utf-8"))
+        for path in [
+            *(REPOSITORY / ".github" / "ISSUE_TEMPLATE").glob("*.yml"),
+            REPOSITORY / "CITATION.cff",
+            REPOSITORY / ".pre-commit-config.yaml",
+        ]
+    }
+    citation = read.pop("CITATION.cff")
+    assert (citation["version"], citation["license"]) == (PROJECT["project"]["version"], PROJECT["project"]["license"])
+    hooks = [hook["entry"] for repo in read.pop(".pre-commit-config.yaml")["repos"] for hook in repo["hooks"]]
+    assert any(hook.startswith(".venv/bin/ruff check") for hook in hooks)
+    assert len(read) == 3
+    for form in read.values():
+        assert {"name", "description", "body"} <= set(form)
+        assert all({"type", "id", "attributes"} <= set(part) for part in form["body"])
+
+
+def test_the_pages_for_contributors_name_targets_that_exist() -> None:
+    text = (REPOSITORY / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    makefile = (REPOSITORY / "Makefile").read_text(encoding="utf-8")
+    named = set(re.findall(r"make (\.venv/tools|[a-z][\w-]*)`", text))
+    assert len(named) > 6
+    assert [name for name in named if not re.search(rf"^{re.escape(name)}:", makefile, re.MULTILINE)] == []
+
+
 def test_wheels_are_asked_for_every_python_that_is_supported() -> None:
     asked = PROJECT["tool"]["cibuildwheel"]["build"]
     assert asked == ["cp311-*", "cp312-*", "cp313-*", "cp314-*", "cp314t-*"]
