@@ -58,7 +58,7 @@ def format_pair(value: float, std: float) -> tuple[str, str]:
     places = 1 - math.floor(math.log10(float(f"{std:.1e}")))
     digits = places + math.floor(math.log10(abs(value))) + 1 if value else 1
     text = f"{value:#.{min(max(digits, 1), 15)}g}" if digits > 0 else f"{0.0:.{max(places, 0)}f}"
-    return text.rstrip("."), f"{std:#.2g}".rstrip(".")
+    return text.rstrip(".").replace(".e", "e"), f"{std:#.2g}".rstrip(".").replace(".e", "e")
 
 
 def fit_joints(
