@@ -267,6 +267,7 @@ def judge(
     - dead_time: the unmodelled effect may be a delayed input.
     - not_followed: the simulation does not follow the counts.
     - model_spread: an effect that the counts would not show moves a parameter beyond its standard error.
+    - unseen: the intervals include effects that the motion cannot show at all; a note.
     - feedback: the residual returns through the input.
     - count_jump: no motion explains one change of the counts.
     - coarse_motion: the method takes the encoder's error for white noise, and the counts per sample are too few.
@@ -500,11 +501,10 @@ def _find_hidden_effects(
     if np.any(found.unseen[: std.size] > std):
         part = float(np.max(found.unseen[: std.size] / np.maximum(np.abs(theta), ESTIMATOR_TUNING.tiny)))
         yield Finding(
-            "model_spread",
-            f"what this motion cannot show would move the parameters by {100 * part:.2g} %, and is in the interval",
-            "use an input of several sizes, which shows it",
+            "unseen",
+            f"the intervals include {100 * part:.2g} % for effects that this motion cannot show, such as a dead zone",
+            "record an input of several sizes, to narrow the intervals",
             "note",
-            "An example is a dead zone under an input of one size.",
         )
 
 

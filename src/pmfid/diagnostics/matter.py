@@ -18,6 +18,10 @@ FLAGS = {
         "Stribeck friction or a dead time would not show in this record, and would move a parameter beyond its "
         "standard error and the tolerance. Of a transfer function, the record does not show the hold of its input."
     ),
+    "unseen": (
+        "effects that this motion cannot show, such as a dead zone under an input of one size, widen the intervals: "
+        "record an input of several sizes"
+    ),
     "biased": "the method has an error of its own here, beyond its standard error; the note has the better number",
     "std_too_small": "the standard error leaves out the method's own error; the note says how large that is",
     "not_followed": "the simulated motion does not follow the record: the model, a sign or a column is wrong",

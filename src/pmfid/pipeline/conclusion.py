@@ -38,7 +38,9 @@ def conclude(result: Result) -> Conclusion:
     left = next((finding.remedy for finding in result.findings if finding.code == "to_do"), "")
     if left:
         return Conclusion(f"Incomplete: {says}.", f"Do this first: {left}.")
-    return Conclusion(f"{grade}: {says}.", "Nothing is left to do; pmfid validate tests it on another record.")
+    wide = next((finding.remedy for finding in result.findings if finding.code == "unseen"), "")
+    action = f"If this is too wide: {wide}." if wide else "Nothing is left to do"
+    return Conclusion(f"{grade}: {says}.", f"{action}; pmfid validate tests it on another record.".replace(".;", ";"))
 
 
 def _most_useful(doubts: list[Finding]) -> Finding:

@@ -75,8 +75,8 @@ def find_load(log: CheckedLog) -> Iterator[Finding]:
         return
     small = abs(view.theta[LOAD]) < abs(view.theta[COULOMB])  # the tests of an estimate name a small load
     if not small and view.shows_load(TUNING.readings_better, TUNING.readings_certain):
-        size = f"{abs(view.theta[LOAD]):.2g} {model.equation.motion.force}"
-        says = f"a constant load acts on the axis, about {size}, and the model has none"
+        size = f"{abs(view.theta[LOAD]):.2g}"  # in the unit of the input, because the view has no gain
+        says = f"a constant load acts on the axis, like an input of {size}, and the model has none"
         yield Finding("unmodelled", says, "set offset = true in [model]")
 
 

@@ -191,12 +191,25 @@ def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask 
     if pair.kind == "velocity":
         step, reason = step * dt * (unit.factor if unit else 1.0), f"{reason}, times the sample period"
         unit = None if unit is None or unit.plain else Unit("rad" if "ang" in unit.of else "m", "travel", 0.0)
-    result.add("encoder", f"resolution = {_format_number(step, unit)}", reason)
+    turn = _count_turn(step, unit) if found and pair.kind == "position" else None
+    if turn is not None and unit is not None:
+        reason = f"{reason}, {step:.5g} {unit.name}"
+        step = 2 * np.pi / turn / unit.factor
+    result.add("encoder", "resolution = " + (f'"{turn} counts/rev"' if turn else _format_number(step, unit)), reason)
     wrap = wrap_of(np.floor(output / step + 0.5).astype(np.int64)) if found and pair.kind == "position" else None
     if wrap is not None:
         size = float(f"{wrap.span * step:.9g}")
         result.add("encoder", f"range = {_format_number(size, unit)}", f"it wraps, the first time at row {wrap.row}")
     return column_unit(pair.output, OUTPUTS)
+
+
+def _count_turn(step: float, unit: Unit | None) -> int | None:
+    """Return the counts of a turn if the step of an angle is a whole part of it that the column has rounded."""
+    if unit is None or "ang" not in unit.of or f"{step:.4g}" == f"{step:.9g}":
+        return None
+    counts = 2 * np.pi / (step * unit.factor)
+    whole = round(counts)
+    return whole if abs(counts - whole) < TUNING.whole_turn else None
 
 
 def _format_number(value: float, unit: Unit | None) -> str:
@@ -220,7 +233,8 @@ def _model(result: AxisGuess, pair: Pair, travel: Unit | None, ask: Ask | None) 
         result.add("model", f"input_gain = {written}", f"the input is a {unit.of}{_sign(pair)}")
         return
     per = f"per {SI[unit.of]} of" if unit else "per unit of"
-    question = f'force or torque {per} the input, in N or N m, or as "{"0.42 N m/A" if force == "N m" else "55 N/A"}"'
+    example = f"{'0.42' if force == 'N m' else '55'} {force}/{SI[unit.of] if unit else 'A'}"
+    question = f'force or torque {per} the input, in N or N m, or as "{example}"'
     usual = Unit(f"{force}/{SI[unit.of] if unit else ''}", "torque" if rotary else "force" if travel else "", 1.0)
     answer = ask(question, lambda text: read_gain(text, usual)) if ask else None
     reason = f"{TO_DO}force or torque {per} the input; with 1 results are {per} it"
