@@ -178,7 +178,7 @@ class PipelineTuning:
     axis_file_shortest: float = 1e-5
     axis_file_longest: float = 0.1
     axis_file_usual: float = 1e-3
-    #: Largest distance from a whole number of counts of a turn at which a step of an angle is a rounded part of the turn.
+    #: A step of an angle is a rounded part of a turn if the counts of a turn are this close to a whole number.
     whole_turn: float = 0.05
     #: Largest number of characters of a list of columns in a message.
     axis_file_listed: int = 80
