@@ -55,7 +55,7 @@ def test_why_an_axis_needs_attention_can_be_read_on_a_narrow_screen(tmp_path: Pa
     page = (tmp_path / "fleet.html").read_text(encoding="utf-8")
 
     assert '<td class="long">mass +20.0 %' in page
-    assert "td.long { white-space: normal;" in page
+    assert "td.long { white-space: pre-line;" in page
     assert "fewer than 8" not in page
 
 

@@ -268,11 +268,12 @@ def test_with_forgetting_only_the_last_memories_are_judged() -> None:
     assert "3 memories" in checks.model_checks(result)[0].text
 
 
-def test_report_has_the_checks_last_and_each_note_on_its_line(tmp_path: Path) -> None:
+def test_report_has_the_motion_first_and_the_other_checks_last(tmp_path: Path) -> None:
     result = replace(clean(), findings=tuple(make_notes("x", ["one", "two"])))
     write_result(tmp_path, result)
     page = (tmp_path / "report.html").read_text("utf-8")
-    assert re.findall(r"<h2>(?:Model check: )?(.*)</h2>", page)[-4:] == list(HEADINGS)
+    found = re.findall(r"<h2>(?:Model check: )?(.*)</h2>", page)
+    assert [found[1], *found[-3:]] == list(HEADINGS)
     assert "<p>Note: one.</p>\n<p>Note: two.</p>" in page
     assert "input u" in page
     assert "unit of u" not in page

@@ -227,14 +227,15 @@ def test_without_a_cutoff_the_filters_leave_parts_to_predict(part: int, monkeypa
 
 def test_each_term_has_a_value_a_bar_and_both_errors(loaded: TermSearch) -> None:
     header, rows = term_rows(loaded)
-    assert header[:3] == ["set", "value", "kept"]
-    kept = [dict(zip(header, row, strict=True)) for row in rows if row[2] == "yes"]
-    assert [row["set"] for row in kept] == ["offset = true"]
-    assert kept[0]["value"].startswith("offset 0.01")
-    assert " ± " in kept[0]["value"]
-    assert float(kept[0]["held out with"]) < float(kept[0]["without"])
-    refused = {row[0]: row for row in rows if row[2] == "no"}
-    assert 'friction = "directional", offset = false' in refused
+    assert header[:3] == ["set", "value", "verdict"]
+    kept = [row for row, one in zip(rows, loaded.weighed, strict=True) if one.kept]
+    assert [row[0] for row in kept] == ["offset = true"]
+    assert kept[0][1].startswith("offset 0.01")
+    assert " ± " in kept[0][1]
+    held_out, without = map(float, kept[0][3].split(" / "))
+    assert held_out < without
+    refused = [row[0] for row, one in zip(rows, loaded.weighed, strict=True) if not one.kept]
+    assert 'friction = "directional",\noffset = false' in refused
     assert loaded.chosen.error == pytest.approx(loaded.weighed[0].with_it)
     written = json.loads(json.dumps(loaded.to_json(), allow_nan=False))["terms"]
     assert [one["set"] for one in written if one["kept"]] == ["offset = true"]
