@@ -16,7 +16,7 @@ from pmfid.cli.main import main
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.friction_curve import FrictionCurve
 from pmfid.report.friction import curve_figure
-from pmfid.simulation import DriveParameters, Machine
+from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, DriveParameters, Machine, drive_machine, multisine
 from pmfid.types import Floats
 from studies.friction_axes import BENCHES, FRICTIONS, stribeck
 from studies.machines import Axis, _control, record_of
@@ -106,6 +106,15 @@ def test_stribeck_friction_shows_as_a_minimum() -> None:
             true = np.abs(law(machine, side * speed))
             drop = force[0] - force.min()
             assert drop == pytest.approx(true[0] - true.min(), abs=2.5 * found.std[way][::side][0] + 1e-12)
+
+
+@pytest.mark.parametrize(("amplitude", "fastest"), [(3.0, 2.0), (5.0, 1.0), (5.0, 3.0)])
+def test_the_bar_of_the_mass_contains_what_strong_stribeck_friction_leaves(amplitude: float, fastest: float) -> None:
+    u = multisine(6000, CART_DT, np.linspace(0.1, fastest, 12), amplitude, np.random.default_rng(1))
+    run = drive_machine(Machine(CART, stribeck=1.2, stribeck_speed=0.04), u, CART_DT, CART_RESOLUTION)
+    setting = {"model": pmfid.Drive(2.0), "encoder": pmfid.Encoder(CART_RESOLUTION), "dt": CART_DT}
+    curve = pmfid.friction_curve(run.u, run.counts, **setting)
+    assert abs(curve.mass - CART.mass) < 2 * curve.mass_std
 
 
 def test_a_curve_that_may_not_fall_does_not() -> None:

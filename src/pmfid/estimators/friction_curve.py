@@ -289,8 +289,9 @@ def friction_curve(
     speed `rising_from` on [m/s], the friction does not fall with the speed; 0 means at no speed, and None sets no such
     condition.
 
-    The error bars contain noise and smoothing. They do not contain the error of straight lines at a sharp bend, which
-    more nodes reveal. A constant load is half the difference between both directions.
+    The error bars contain noise and smoothing. The bar of the mass also contains what further iterations would change.
+    The bars do not contain the error of straight lines at a sharp bend, which more nodes reveal.
+    A constant load is half the difference between both directions.
 
     Raises UsageError for wrong arguments, and NotIdentifiableError if the record does not separate the friction from
     other effects.
@@ -309,9 +310,12 @@ def friction_curve(
             "nowhere be asked to rise; give a lower speed, or leave it out"
         )
     solved = _solve_curve(basis, rising_from)
+    change = 0.0
     for _ in range(TUNING.friction_curve_turns - 1):
+        before = solved
         model, theta = with_curve(estimator, float(solved.theta[0]), solved.sides)
         solved = _solve_curve(make_basis(model, theta, u, counts, nodes), rising_from)
+        change = abs(solved.theta[0] - before.theta[0])
 
     def read(counts: Counts) -> Columns:
         columns, mass = model.columns_at(theta, u, counts), model.equation.leading
@@ -320,7 +324,9 @@ def friction_curve(
         return replace(columns, phi=phi, zeta=solved.everywhere[columns.used])
 
     along = lattice_scatter(model, theta, u, counts, read, solved.gain)
-    return _make_curve(solved, np.sqrt(np.maximum(solved.noise, along) + solved.bias**2))
+    std = np.sqrt(np.maximum(solved.noise, along) + solved.bias**2)
+    std[0] = np.hypot(std[0], TUNING.friction_curve_left * change)
+    return _make_curve(solved, std)
 
 
 @dataclass(frozen=True)
