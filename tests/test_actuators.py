@@ -164,3 +164,10 @@ def test_a_motion_that_does_not_follow_the_command_is_refused() -> None:
 def test_a_servo_of_impossible_values_is_refused(arguments: dict, words: str) -> None:  # type: ignore[type-arg]
     with pytest.raises(UsageError, match=words):
         Servo(**arguments)
+
+
+def test_a_position_that_scatters_by_more_than_rounding_is_flagged() -> None:
+    t, goal, position = make_log(seed=7, gravity=0.0)
+    scatter = STEP * np.random.default_rng(7).integers(-2, 3, t.size)
+    fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), t, goal, position + scatter, search=False)
+    assert fit.status == ("unmodelled",)

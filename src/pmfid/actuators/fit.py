@@ -303,9 +303,14 @@ def _find(
     servo: Servo, theta: Floats, std: Floats, rms: float, correlation: float, limited: float, added: tuple[str, ...]
 ) -> list[Finding]:
     findings, deviation = [], rms / servo.resolution
+    sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
     if deviation > TUNING.contradicted / math.sqrt(12) and correlation > TUNING.correlated:
-        sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
         findings.append(Finding("unmodelled", sentence, "name a further term, or move one joint at a time"))
+    elif deviation > TUNING.noisy / math.sqrt(
+        12
+    ):  # stamps that jitter hide the inertia of a smooth motion in the delay
+        remedy = "stamp each sample when the position is read, and command steps as well"
+        findings.append(Finding("unmodelled", sentence, remedy))
     unclear, zero = _open_parameters(servo, theta, std)
     if unclear:
         sentence = f"the log says too little on {', '.join(unclear)}"

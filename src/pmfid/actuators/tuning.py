@@ -61,6 +61,8 @@ class ActuatorTuning:
     #: from one sample to the next.
     contradicted: float = 1.5
     correlated: float = 0.3
+    #: The residual contradicts the model from this multiple of the rounding on, also if it is not correlated.
+    noisy: float = 3.0
     #: A parameter is open from this relative standard error on.
     open_from: float = 0.5
     #: The torque is limited during so much of the record that a limit belongs to the model.
