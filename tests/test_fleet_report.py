@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from pathlib import Path
 
@@ -31,7 +32,7 @@ def history(axes: int, deviation: float) -> History:
         {"axis": f"a{k}", "type": "", "named": k == 0, "kind": "changed" if k == 0 else "", "score": 2.0 - k}
         | {"cause": "mass", "size": 0.2, "std": 0.01, "why": "mass +20.0 % ± 1.0 % between 0:01:00 and 0:02:00"}
         | {"since": 60.0, "until": 120.0, "segments": 9, "mass": 1.0, "mass_deviation": deviation, "mass_change": 0.0}
-        | {"mass_slope": 0.0, "mass_slope_std": 1.0}
+        | {"mass_slope": 0.0, "mass_slope_std": 1.0, "visible": 0.1}
         for k in range(axes)
     ]
     period = {"first": 0.0, "last": 60.0, "mass": 1.0, "mass_std": 0.1, "quality": "good", "findings": ""}
@@ -40,6 +41,12 @@ def history(axes: int, deviation: float) -> History:
     nothing = pl.DataFrame(schema=problems | {"text": pl.String})
     facts = (("mass",), ("kg",), 900, 60.0, "day", 1, 0, "local")
     return History(pl.DataFrame(periods), pl.DataFrame(rows), nothing, *facts)
+
+
+def test_the_title_counts_axes_whose_periods_are_too_few_to_show_a_change() -> None:
+    made = history(3, 0.0)
+    blind = replace(made, axes=made.axes.with_columns(visible=pl.Series([0.1, math.inf, math.inf])))
+    assert blind.title == "1 of 3 axes needs attention, 2 have too few periods to show a change"
 
 
 def test_few_axes_of_a_type_are_said_to_be_judged_by_their_past_alone(tmp_path: Path) -> None:
