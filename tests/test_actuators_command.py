@@ -123,6 +123,11 @@ def test_a_log_of_bam_states_its_pendulum(tmp_path: Path) -> None:
     (log,) = read_joints(tmp_path / "log.json", LogLayout())
     assert log.given["gravity"] == pytest.approx(0.980665)
     assert log.resolution == pytest.approx(STEP)
+    held = [entry | {"torque_enable": k < 60} for k, entry in enumerate(entries)]
+    (tmp_path / "log.json").write_text(json.dumps({"mass": 1.0, "length": 0.1, "entries": held}))
+    (log,) = read_joints(tmp_path / "log.json", LogLayout())
+    assert log.t.size == 60
+    assert "39 rows without torque are left out" in log.notes
     (tmp_path / "log.json").write_text('{"a": 1}')
     with pytest.raises(UsageError, match="no log of BAM"):
         read_joints(tmp_path / "log.json", LogLayout())

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import count, takewhile
+from itertools import count, groupby, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -60,11 +60,15 @@ def _read_bam(path: Path) -> RobotTable:
     """Read a log of BAM, whose pendulum states its mass [kg] and length [m]."""
     with _refuse("log of BAM with mass, length and entries"):
         content = json.loads(path.read_text("utf-8"))
-        entries = content["entries"]
+        everything = content["entries"]
+        runs = [list(run) for on, run in groupby(everything, lambda entry: entry.get("torque_enable", True)) if on]
+        entries = max(runs, key=len, default=everything)
         names = [name for name, value in entries[0].items() if isinstance(value, int | float)]
         table = {name: np.array([float(entry[name]) for entry in entries]) for name in names}
         torque = float(content["mass"]) * TUNING.free_fall * float(content["length"])
-    return RobotTable(table, {"gravity": torque} if torque > 0 else {})
+    cut = len(everything) - len(entries)
+    notes = (f"{cut} rows without torque are left out",) if cut else ()
+    return RobotTable(table, {"gravity": torque} if torque > 0 else {}, notes)
 
 
 def _read_sage(folder: Path) -> RobotTable:
