@@ -1,6 +1,6 @@
 """
-A process behind five levels
-============================
+A process with a sensor of five levels
+======================================
 
 The sensor of this process knows five levels, and every seventh sample is missing. Poles, gain and step response
 still come out, each with its uncertainty.

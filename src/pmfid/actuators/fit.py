@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -193,7 +193,7 @@ def _widen(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, F
     """Return the problem with a further term, and coordinates with a small value of this term."""
     servo = replace(problem.servo, terms=(*problem.servo.terms, name))
     wider = ServoProblem(servo, problem.t, problem.goal, problem.position)
-    now = dict(zip(problem.servo.unknown, problem.theta(z).tolist(), strict=True))
+    now = problem.named(z)
     torque, small = problem.torque(now.get("kp")), TRIALS[name]
     fresh = {
         "loop_delay": small * problem.servo.loop_period * 10,
@@ -210,20 +210,24 @@ def _widen(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, F
     return wider, np.append(wider.coordinates(theta)[: -TUNING.nuisance], z[-TUNING.nuisance :])
 
 
-def _score(problem: ServoProblem, z: Floats, name: str) -> float:
-    """Return the part of the squared residual that a further term explains to first order."""
-    wider, start = _widen(problem, z, name)
+def _rank_terms(problem: ServoProblem, z: Floats, names: Sequence[str]) -> list[str]:
+    """Return terms by the part of the squared residual that each explains to first order, the largest first."""
     base, residual = problem.jacobian(z), problem.residual(z)
-    columns = [wider.residual(start) - residual]
-    if name == "gravity":  # a quarter of a turn away
-        shifted = start.copy()
-        shifted[wider.servo.unknown.index("gravity_angle")] = np.pi / 2
-        columns.append(wider.residual(shifted) - residual)
-    new = np.stack(columns, axis=1)
-    new -= base @ np.linalg.lstsq(base, new, rcond=None)[0]
     rest = residual - base @ np.linalg.lstsq(base, residual, rcond=None)[0]
-    explained = new @ np.linalg.lstsq(new, rest, rcond=None)[0]
-    return float(explained @ explained / max(rest @ rest, 1e-300))
+
+    def explain(name: str) -> float:
+        wider, start = _widen(problem, z, name)
+        columns = [wider.residual(start) - residual]
+        if name == "gravity":  # the angle is unknown, so that two angles a quarter of a turn apart are tried
+            turned = start.copy()
+            turned[wider.servo.unknown.index("gravity_angle")] = np.pi / 2
+            columns.append(wider.residual(turned) - residual)
+        new = np.stack(columns, axis=1)
+        new -= base @ np.linalg.lstsq(base, new, rcond=None)[0]
+        explained = new @ np.linalg.lstsq(new, rest, rcond=None)[0]
+        return float(explained @ explained)
+
+    return sorted(names, key=explain, reverse=True)
 
 
 def _add_term(problem: ServoProblem, z: Floats, cost: float) -> tuple[ServoProblem, Floats, float, str] | None:
@@ -237,8 +241,7 @@ def _add_term(problem: ServoProblem, z: Floats, cost: float) -> tuple[ServoProbl
         open_terms.remove("kd")
     if not open_terms:
         return None
-    scores = {name: _score(problem, z, name) for name in open_terms}
-    ranked = sorted(scores, key=lambda word: -scores[word])
+    ranked = _rank_terms(problem, z, open_terms)
     tried = ranked[: TUNING.tried] if _is_contradicted(problem, cost) else ranked[:1]
     found = [(*_refine_wider(problem, z, name), name) for name in tried]
     best = min(found, key=lambda one: one[2])
@@ -268,7 +271,7 @@ def _drop_terms(
     for name in added[:-1]:
         servo = replace(problem.servo, terms=tuple(word for word in problem.servo.terms if word != name))
         narrow = ServoProblem(servo, problem.t, problem.goal, problem.position)
-        now = dict(zip(problem.servo.unknown, problem.theta(z).tolist(), strict=True))
+        now = problem.named(z)
         start = narrow.coordinates(np.array([now[word] for word in servo.unknown]))
         found, more = narrow.refine(np.append(start[: -TUNING.nuisance], z[-TUNING.nuisance :]))
         if not _is_worth(narrow, found, cost, more):
@@ -306,9 +309,8 @@ def _find(
     sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
     if deviation > TUNING.contradicted / math.sqrt(12) and correlation > TUNING.correlated:
         findings.append(Finding("unmodelled", sentence, "name a further term, or move one joint at a time"))
-    elif deviation > TUNING.noisy / math.sqrt(
-        12
-    ):  # stamps that jitter hide the inertia of a smooth motion in the delay
+    elif deviation > TUNING.noisy / math.sqrt(12):
+        # Stamps that jitter hide the inertia of a smooth motion in the delay.
         remedy = "stamp each sample when the position is read, and command steps as well"
         findings.append(Finding("unmodelled", sentence, remedy))
     unclear, zero = _open_parameters(servo, theta, std)

@@ -58,6 +58,10 @@ class ServoProblem:
         own = z[: -TUNING.nuisance]
         return np.where(self.positive, np.exp(np.clip(own, -60.0, 60.0)), own * self.scale)
 
+    def named(self, z: Floats) -> dict[str, float]:
+        """Unknown parameters by name at coordinates (p + 2,)."""
+        return dict(zip(self.servo.unknown, self.theta(z).tolist(), strict=True))
+
     def coordinates(self, theta: Floats, start: float = 0.0, velocity: float = 0.0) -> Floats:
         """Coordinates (p + 2,) of parameters (p,)."""
         own = np.where(self.positive, np.log(np.maximum(theta, 1e-26)), theta / self.scale)

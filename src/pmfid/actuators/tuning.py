@@ -38,8 +38,6 @@ class ActuatorTuning:
     frictions: tuple[float, float] = (0.003, 0.5)
     #: Step of the difference quotients, in the logarithm of a positive parameter.
     difference: float = 1e-4
-    #: A positive parameter below this part of its start has no effect, and stays there.
-    least: float = 1e-6
     #: Simulated motions of one refinement, per parameter.
     evaluations: int = 60
     #: The fit needs this many samples for each parameter.
