@@ -193,7 +193,7 @@ def _widen(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, F
     """Return the problem with a further term, and coordinates with a small value of this term."""
     servo = replace(problem.servo, terms=(*problem.servo.terms, name))
     wider = ServoProblem(servo, problem.t, problem.goal, problem.position)
-    now = problem.named(z)
+    now = problem.list_values(z)
     torque, small = problem.torque(now.get("kp")), TRIALS[name]
     fresh = {
         "loop_delay": small * problem.servo.loop_period * 10,
@@ -271,7 +271,7 @@ def _drop_terms(
     for name in added[:-1]:
         servo = replace(problem.servo, terms=tuple(word for word in problem.servo.terms if word != name))
         narrow = ServoProblem(servo, problem.t, problem.goal, problem.position)
-        now = problem.named(z)
+        now = problem.list_values(z)
         start = narrow.coordinates(np.array([now[word] for word in servo.unknown]))
         found, more = narrow.refine(np.append(start[: -TUNING.nuisance], z[-TUNING.nuisance :]))
         if not _is_worth(narrow, found, cost, more):

@@ -58,7 +58,7 @@ class ServoProblem:
         own = z[: -TUNING.nuisance]
         return np.where(self.positive, np.exp(np.clip(own, -60.0, 60.0)), own * self.scale)
 
-    def named(self, z: Floats) -> dict[str, float]:
+    def list_values(self, z: Floats) -> dict[str, float]:
         """Unknown parameters by name at coordinates (p + 2,)."""
         return dict(zip(self.servo.unknown, self.theta(z).tolist(), strict=True))
 

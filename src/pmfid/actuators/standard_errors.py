@@ -90,7 +90,7 @@ def _error_at_zero(problem: ServoProblem, z: Floats, theta: Floats) -> Floats:
 
 def _unit(problem: ServoProblem, z: Floats, name: str) -> float:
     """Return a value of a parameter that has a clear effect."""
-    now = problem.named(z)
+    now = problem.list_values(z)
     torque = problem.torque(now.get("kp"))
     units = {
         "inertia": now.get("inertia", 1.0),
