@@ -67,10 +67,13 @@ PAGES = [
 ]
 #: Pages that the build of the site writes.
 BUILT = {"commands.md", "gallery/index.rst"}
-SHORT = [page for page in PAGES if page.startswith("docs/howto/status/") or page == "docs/coming_from.md"]
+#: Pages of status words. `make docs` runs the blocks of all of them, and the fast tests those of one.
+STATUS = [page for page in PAGES if page.startswith("docs/howto/status/")]
 
 
-@pytest.mark.parametrize("page", SHORT)
+@pytest.mark.parametrize(
+    "page", ["docs/coming_from.md", STATUS[0], *(pytest.param(page, marks=pytest.mark.long) for page in STATUS[1:])]
+)
 def test_blocks_of_a_page_run_and_show_something(page: str, tmp_path: Path) -> None:
     outcomes = run_page(page, tmp_path, {"__name__": "page"})
     assert outcomes
