@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from pmfid import Drive, Encoder, REdge, Status, UsageError
+from pmfid import Drive, EdgeFit, Encoder, REdge, Status, UsageError
 from pmfid.simulation import CART, DriveParameters, capture_edges, prbs, simulate_drive
 
 DT, EVERY = 0.01, 10
@@ -162,6 +162,8 @@ def test_wrong_arguments_are_refused() -> None:
         REdge(Drive("estimate"), Encoder(1e-3), DT)
     with pytest.raises(UsageError, match="lines must be a whole number"):
         REdge(Drive(2.0), Encoder(1e-3), DT, lines=0)
+    with pytest.raises(UsageError, match="lines must be a whole number"):
+        EdgeFit(Drive(2.0), Encoder(1e-3), DT, 20.0, lines="16")  # type: ignore[arg-type]
     with pytest.raises(UsageError, match="tick must be"):
         REdge(Drive(2.0), Encoder(1e-3), DT, tick=1.0)
     with pytest.raises(UsageError, match="memory must be positive"):

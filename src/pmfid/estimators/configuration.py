@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, whole_number
 from pmfid.types import Floats, Numbers
 
 if TYPE_CHECKING:
@@ -23,6 +23,16 @@ def check_positive(name: str, value: float, what: str) -> None:
     """Raise UsageError unless `value` is positive and finite."""
     if not (isinstance(value, Real) and math.isfinite(value) and value > 0):
         raise UsageError(f"{name} must be positive and finite, got {value!r}; {what}")
+
+
+def check_edges(lines: int | None, tick: float, dt: float, most: int | None = None) -> None:
+    """Raise UsageError unless `lines` is a number of counts up to `most`, and `tick` [s] is shorter than `dt` [s]."""
+    if lines is not None:
+        count = whole_number("lines", lines, 1, "it is the counts of a turn, or None for a linear scale")
+        if most is not None and count > most:
+            raise UsageError(f"lines must be a whole number of at most {most}, got {count}; None is for a linear scale")
+    if not (isinstance(tick, Real) and 0 <= tick < dt):
+        raise UsageError(f"tick must be the period of the timer in s, below dt = {dt:g}, got {tick!r}")
 
 
 def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[Floats, NDArray[np.int64]]:

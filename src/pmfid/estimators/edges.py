@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import Adequacy, weigh
-from pmfid.estimators.configuration import check_arrays, hold_last_input, like
+from pmfid.estimators.configuration import check_arrays, check_edges, hold_last_input, like
 from pmfid.estimators.likelihood import Best
 from pmfid.estimators.motion import Difference, invert_information, least, rms
 from pmfid.estimators.output_error import Following, IntervalML
@@ -258,10 +258,7 @@ class EdgeFit(Following):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.lines is not None and (isinstance(self.lines, bool) or int(self.lines) != self.lines or self.lines < 1):
-            raise UsageError(f"lines must be a whole number of counts, got {self.lines!r}; None for a linear scale")
-        if not 0 <= self.tick < self.dt:
-            raise UsageError(f"tick must be the period of the timer in s, below dt = {self.dt:g}, got {self.tick!r}")
+        check_edges(self.lines, self.tick, self.dt)
 
     def fit(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike | None = None) -> Fit:
         """Return the estimate from the input u (n,), counts (n,) and ages of the last edges (n,) [s].

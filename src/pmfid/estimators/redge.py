@@ -12,7 +12,13 @@ from numpy.typing import ArrayLike
 
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
-from pmfid.estimators.configuration import check_arrays, check_positive, configuration_of, construct_estimator
+from pmfid.estimators.configuration import (
+    check_arrays,
+    check_edges,
+    check_positive,
+    configuration_of,
+    construct_estimator,
+)
 from pmfid.estimators.results import Track
 from pmfid.estimators.tuning import TUNING
 from pmfid.models.drive import Drive
@@ -86,13 +92,7 @@ class REdge:
     def __post_init__(self) -> None:
         check_positive("dt", self.dt, "it is the sample period in s")
         self._check_model()
-        lines, most = self.lines, TUNING.most_lines
-        if lines is not None and (isinstance(lines, bool) or int(lines) != lines or not 1 <= lines <= most):
-            raise UsageError(
-                f"lines must be a whole number of counts from 1 to {most}, got {lines!r}; None for a linear scale"
-            )
-        if not 0 <= self.tick < self.dt:
-            raise UsageError(f"tick must be the period of the timer in s, below dt = {self.dt:g}, got {self.tick!r}")
+        check_edges(self.lines, self.tick, self.dt, TUNING.most_lines)
         if self.memory is not None:
             check_positive("memory", self.memory, "it is the time constant of forgetting in s, or None")
         if self.precision not in ("float64", "float32"):
