@@ -93,6 +93,13 @@ def test_a_right_log_has_no_mistake(machine: str) -> None:
     assert named(logged(machine, "none"), axis_of()) == ""
 
 
+@pytest.mark.parametrize("machine", MACHINES)
+def test_a_constant_input_is_no_load(machine: str) -> None:
+    record = logged(machine, "none")
+    constant = replace(record, u=np.full_like(record.u, np.mean(np.abs(record.u))))
+    assert not named(constant, axis_of()).startswith(LOAD)
+
+
 @pytest.mark.parametrize("fault", ["reversed", "velocity", "exchanged"])
 def test_the_mistake_stands_first_where_an_identification_is_refused(fault: str) -> None:
     with pytest.raises(NotIdentifiableError) as caught:

@@ -71,7 +71,10 @@ def find_load(log: CheckedLog) -> Iterator[Finding]:
     model, view = set_any_gain(log.axis).model.make(), log.closest_view
     if not (log.is_machine and isinstance(model, Drive) and view is not None and model.friction != "directional"):
         return
-    if model.offset or model.gravity or model.spring or view.unexplained > TUNING.readings_follows:
+    if model.offset or model.gravity or model.spring:
+        return
+    force = log.force[log.part]  # the motion must explain its variation, because a load alone explains its mean
+    if view.unexplained * np.sqrt(np.mean(force**2)) >= TUNING.readings_follows * np.std(force):
         return
     small = abs(view.theta[LOAD]) < abs(view.theta[COULOMB])  # the tests of an estimate name a small load
     if not small and view.shows_load(TUNING.readings_better, TUNING.readings_certain):
