@@ -43,6 +43,7 @@ from tests.test_many import process_record
 
 DT, CUTOFF = 0.01, 100 / 3
 PRECISIONS = ("float32", "float64")
+SELFTEST, EXAMPLE = "examples/selftest/selftest.c", "examples/main/main.c"
 AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
 FIRMWARE_PAGE = Path(__file__).parents[1] / "docs" / "howto" / "firmware.md"
 
@@ -337,14 +338,14 @@ def selftest(folder: Path, target: Target, *options: str, optimize: str = "-O2")
     """Compile the self-test of an export with further options and run it."""
     (config,) = folder.glob("*_config.c")
     prefix = config.name.removesuffix("_config.c")
-    return run(compiled(folder, prefix, target, folder / "selftest.c", optimize, *options), target)
+    return run(compiled(folder, prefix, target, folder / SELFTEST, optimize, *options), target)
 
 
 @needs(GCC)
 @pytest.mark.parametrize("options", [{}, {"steps": "given"}])
 def test_make_selftest_and_example_as_a_stranger_would(options: dict[str, object], tmp_path: Path) -> None:
     pmfid.export_firmware(make(pmfid.RIV, **options), tmp_path)
-    done = command(["make", "-s", "selftest", "all"], tmp_path)
+    done = command(["make", "-s", "selftest", "all", "example"], tmp_path)
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
     assert command(["./selftest"], tmp_path).stdout == "800 samples, the same bits\n"
     assert command(["./example"], tmp_path).returncode == 0
@@ -354,7 +355,7 @@ def test_make_selftest_and_example_as_a_stranger_would(options: dict[str, object
 def test_every_export_has_a_self_test_and_an_example_that_run(folder: Path) -> None:
     """The test uses the objects of the test above."""
     assert selftest(folder, GCC, *WARNINGS, optimize="-O3").stdout == "800 samples, the same bits\n"
-    example = compiled(folder, PREFIX, GCC, folder / "main.c", "-O3", *WARNINGS)
+    example = compiled(folder, PREFIX, GCC, folder / EXAMPLE, "-O3", *WARNINGS)
     assert run(example, GCC).returncode == 0
 
 
@@ -398,12 +399,12 @@ def test_every_file_compiles_without_a_warning(target: Target, optimize: str, pr
     """The kernel's C has the options of the test of bits above, which did not fail there."""
     pmfid.export_firmware(make(pmfid.RIV, precision), tmp_path)
     words = [target.compiler, *target.options, *(() if "c++" in target.options else ("-std=c99",))]
-    files = [path.name for path in tmp_path.glob("*.c")]
-    assert {"main.c", "selftest.c", "axis_config.c"} < set(files)
+    files = [path.name for path in tmp_path.glob("*.c")] + [SELFTEST, EXAMPLE]
+    assert {SELFTEST, EXAMPLE, "axis_config.c"} < set(files)
     if "c++" not in target.options:
         assert len(objects(tmp_path, target, optimize, *WARNINGS)) == len(files) - 3
-        files = ["main.c", "selftest.c", "axis_config.c"]
-    done = command([*words, *WARNINGS, optimize, "-ffp-contract=off", "-c", *files], tmp_path)
+        files = [SELFTEST, EXAMPLE, "axis_config.c"]
+    done = command([*words, *WARNINGS, optimize, "-ffp-contract=off", "-I.", "-c", *files], tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -417,7 +418,7 @@ MISRA = set(re.findall(r"^\| (\d+\.\d+) \|", FIRMWARE_PAGE.read_text(encoding="u
 def test_misra_finds_only_what_is_justified(kind: str, tmp_path: Path) -> None:
     """The drive and the process with the most code are checked, each with only the macros of its export."""
     pmfid.export_firmware(make(pmfid.RIV) if kind == "drive" else process_estimator("window", "float32"), tmp_path)
-    files = sorted(path.name for path in tmp_path.glob("*.c") if path.name not in ("main.c", "selftest.c"))
+    files = sorted(path.name for path in tmp_path.glob("*.c"))
     options = [
         "--std=c99",
         "-UPMF_LANES",
@@ -593,7 +594,7 @@ def test_two_axes_in_one_program(tmp_path: Path) -> None:
     for name in ("x", "y"):
         done = command(["make", "-s", f"lib{name}.a"], tmp_path / name)
         assert (done.returncode, done.stderr) == (0, "")
-        flags = ["-c", "selftest.c", "-DSELFTEST_NO_MAIN", "-o", f"{name}_selftest.o"]
+        flags = ["-I.", "-c", SELFTEST, "-DSELFTEST_NO_MAIN", "-o", f"{name}_selftest.o"]
         assert command(["gcc", *REQUIRED, *flags], tmp_path / name).returncode == 0
         objects += [f"{name}/{name}_selftest.o", f"{name}/lib{name}.a"]
     declared = "unsigned x_selftest(void); unsigned y_selftest(void);"

@@ -71,8 +71,8 @@ def estimator_of(name: str, unit: str = "kg", second: str = "drag") -> pmfid.RLS
 
 
 def compile_all(folder: Path, prefix: str) -> None:
-    files = ("main.c", f"{prefix}_config.c", "selftest.c")
-    done = command([GCC.compiler, *REQUIRED, *WARNINGS, "-fsyntax-only", *files], folder)
+    files = (f"{prefix}_config.c", "examples/main/main.c", "examples/selftest/selftest.c")
+    done = command([GCC.compiler, *REQUIRED, *WARNINGS, "-I.", "-fsyntax-only", *files], folder)
     assert done.returncode == 0, done.stderr[:500]
 
 

@@ -80,7 +80,7 @@ def compiled(folder: Path, prefix: str, target: Target, main: Path, optimize: st
     program = folder / f"{main.stem}-{target.name}{optimize}"
     kernel = objects(folder, target, optimize, *options)
     board = ["--specs=rdimon.specs", f"-T{HERE / 'mps2.ld'}", str(HERE / "startup.c")] if target.board else []
-    macros = [f'-DEXPORT_HEADER="{prefix}.h"', f"-DEXPORT_CONFIG={prefix}_config", "-I."]
+    macros = [f'-DEXPORT_HEADER="{prefix}.h"', f"-DEXPORT_CONFIG={prefix}_config", "-I.", "-Iexamples/selftest"]
     words = [target.compiler, *REQUIRED, *target.options, optimize, *options, *macros]
     sources = [str(main), f"{prefix}_config.c", *kernel]
     done = command([*words, *sources, *board, "-Wl,--gc-sections", "-o", program.name], folder)

@@ -103,8 +103,8 @@ def _faults_together(named: dict[str, str]) -> Iterator[str]:
         for file, text in _harmless(tuple(named)).items():
             if _without_comments(folder / file) != text:
                 yield f"{named}: {file} is not what harmless units give"
-        for file in ("main.c", "selftest.c"):
-            done = command([GCC.compiler, *REQUIRED, *WARNINGS, "-fsyntax-only", file], folder)
+        for file in ("examples/main/main.c", "examples/selftest/selftest.c"):
+            done = command([GCC.compiler, *REQUIRED, *WARNINGS, "-I.", "-fsyntax-only", file], folder)
             if done.returncode != 0:
                 yield f"{named}: {file}: {done.stderr[:300]}"
 
@@ -128,7 +128,9 @@ def _harmless(names: tuple[str, ...]) -> dict[str, str]:
     """Return the files of an export with harmless units, without comments, by file name."""
     with tempfile.TemporaryDirectory() as root:
         _export(dict.fromkeys(names, "kg"), Path(root))
-        return {path.name: _without_comments(path) for path in Path(root).iterdir()}
+        return {
+            str(path.relative_to(root)): _without_comments(path) for path in Path(root).rglob("*") if path.is_file()
+        }
 
 
 def _without_comments(path: Path) -> str:

@@ -250,16 +250,21 @@ class ParameterAlarm:
         return config
 
 
-#: File in the folder for each template, where NAME is the prefix.
+#: File in the folder for each template, where NAME is the prefix. Arduino, PlatformIO and Zephyr compile all C in the
+#: folder itself, and no C below `examples`.
 FILES = {
     "axis.h.j2": "NAME.h",
     "config.c.j2": "NAME_config.c",
     "sizes.h.j2": "pmf_sizes.h",
-    "main.c.j2": "main.c",
-    "selftest.c.j2": "selftest.c",
-    "selftest_data.h.j2": "selftest_data.h",
+    "main.c.j2": "examples/main/main.c",
+    "sketch.ino.j2": "examples/sketch/sketch.ino",
+    "selftest.c.j2": "examples/selftest/selftest.c",
+    "selftest_data.h.j2": "examples/selftest/selftest_data.h",
     "Makefile.j2": "Makefile",
     "CMakeLists.txt.j2": "CMakeLists.txt",
+    "module.yml.j2": "zephyr/module.yml",
+    "library.json.j2": "library.json",
+    "library.properties.j2": "library.properties",
 }
 COPIED = ("*.c", "*.h", "LICENSE")
 #: Sources that send samples to `pmfid serve`.
@@ -334,6 +339,7 @@ def export_firmware(
     for path in copied:
         shutil.copyfile(path, folder / path.name)
     for file, content in contents.items():
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
         (folder / file).write_bytes(content)
     return sorted(folder / name for name in [*names.values(), *(path.name for path in copied)])
 
@@ -346,7 +352,7 @@ def source_files(pattern: str) -> list[Path]:
 
 def _check_folder(folder: Path, prefix: str, files: set[str]) -> None:
     present = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
-    others = sorted(present - files)
+    others = sorted(present - {Path(file).parts[0] for file in files})
     if others and f"{prefix}.h" not in present:
         raise UsageError(f"{folder} has other things in it, for example {others[0]}; give an empty folder")
 
