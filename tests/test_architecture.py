@@ -24,7 +24,7 @@ CSRC = REPOSITORY / "csrc"
 
 KERNELS = {"_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
 GROUND = {"deprecation", "errors", "types", "findings", "status", "presentation", "durable", "units"} | KERNELS
-FILTERS = GROUND | {"models", "encoder"}
+FILTERS = GROUND | {"models", "encoder", "edge_times"}
 ESTIMATORS = FILTERS | {"filters", "linear"}
 DIAGNOSTICS = ESTIMATORS | {"estimators"}
 CONFIG = DIAGNOSTICS | {"diagnostics", "monitor"}
@@ -53,6 +53,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "kernel": {"errors", "pmfid", "_kernel32", "_kernel64"},
     "models": GROUND,
     "encoder": GROUND,
+    "edge_times": {"types"},
     "filters": FILTERS,
     "linear": {"errors", "types", "presentation", "_stage", "deprecation"},
     "io": {"errors", "types"},
@@ -62,7 +63,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "records": RECORDS,
     "monitor": DIAGNOSTICS | {"lazy_imports"},
     "testing": DIAGNOSTICS,
-    "simulation": {"errors", "types"},
+    "simulation": {"edge_times", "errors", "types"},
     "design": {"errors", "types", "presentation", "lazy_imports", "models", "simulation"},
     "actuators": {"errors", "findings", "io", "presentation", "records", "simulation", "types"},
     "export": DIAGNOSTICS | {"pmfid"},

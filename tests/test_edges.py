@@ -9,6 +9,7 @@ import pytest
 from pmfid import Drive, EdgeFit, Encoder, NotIdentifiableError, Status, UsageError
 from pmfid.config.axis import load_axis
 from pmfid.pipeline.identify import identify, kind_of
+from pmfid.records.edge_ages import Coarser
 from pmfid.simulation import CART, capture_edges, prbs, quantize, simulate_drive
 
 DT, EVERY, RESOLUTION = 1e-3, 10, 1e-4
@@ -158,7 +159,7 @@ def test_a_record_with_ages_is_identified_by_them(tmp_path: Path, asymmetry: flo
     assert result.estimator.method == "edges"
     assert np.all(np.abs(result.theta - TRUTH) < (1e-5 if asymmetry == 0 else 0.1) * TRUTH)
     assert bool(result.status) == (asymmetry > 0)
-    coarser = kind.read([tmp_path / "log.csv"], axis, 2 * encoder.resolution)
+    coarser = kind.read([tmp_path / "log.csv"], axis, Coarser(2 * encoder.resolution))
     assert coarser.ages is None
     assert any("are not used, because the position is quantised again" in note for note in coarser.notes)
 

@@ -356,7 +356,7 @@ def test_order_command(records, tmp_path, monkeypatch):
         (("--method", "known-step"), "give \\[encoder\\] resolution"),
         (("--m", "3"), "m must be a whole number"),
         (("--n", "9"), "n must be a whole number"),
-        (("--quantize", "0.1"), "quantize is for a drive"),
+        (("--quantize", "0.1"), "quantize and edges are for a drive"),
     ],
 )
 def test_wrong_use(records, arguments, text):

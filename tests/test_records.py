@@ -15,6 +15,7 @@ import scipy.io
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
 from pmfid.io import SUFFIXES
+from pmfid.records.edge_ages import Coarser
 from pmfid.records.record import Record, read_record
 from pmfid.records.tuning import TUNING
 from tests.formats import LIBRARIES, WRITERS
@@ -64,10 +65,10 @@ def csv(folder: Path, **replaced: Any) -> Path:
     return write(folder / "run.csv", columns() | replaced)
 
 
-def message(path: Path, axis: Axis | None = None, quantize: float | None = None) -> str:
+def message(path: Path, axis: Axis | None = None, step: float | None = None) -> str:
     """Return the text of the one error; it starts with the path and is a single line."""
     with pytest.raises(UsageError) as caught:
-        read_record(path, axis or make_axis(), quantize)
+        read_record(path, axis or make_axis(), None if step is None else Coarser(step))
     text = str(caught.value)
     assert "\n" not in text
     assert text.startswith(f"{path}: ")
@@ -110,7 +111,7 @@ def test_position_between_counts_is_floored(tmp_path: Path) -> None:
 
 
 def test_quantize_floors_the_position_to_the_coarser_step(tmp_path: Path) -> None:
-    record = read_record(csv(tmp_path), make_axis(), quantize=4e-3)
+    record = read_record(csv(tmp_path), make_axis(), Coarser(4e-3))
     np.testing.assert_array_equal(record.counts, columns()["counts"] // 4)
     assert record.resolution == 4e-3
     assert record.notes == ("position quantised again with a step of 0.004",)
@@ -118,7 +119,7 @@ def test_quantize_floors_the_position_to_the_coarser_step(tmp_path: Path) -> Non
 
 def test_quantize_of_counts_goes_through_the_unwrapped_position(tmp_path: Path) -> None:
     path = csv(tmp_path, counts=columns()["counts"] % 64)
-    record = read_record(path, make_axis(**COUNTS, encoder_bits=6), quantize=4e-3)
+    record = read_record(path, make_axis(**COUNTS, encoder_bits=6), Coarser(4e-3))
     np.testing.assert_array_equal(record.counts, columns()["counts"] // 4)
     assert record.resolution == 4e-3
 
@@ -126,11 +127,11 @@ def test_quantize_of_counts_goes_through_the_unwrapped_position(tmp_path: Path) 
 @pytest.mark.parametrize("step", [0.0, -1.0, 0.5e-3, np.nan, np.inf])
 def test_quantize_must_be_positive_and_not_finer_than_the_resolution(tmp_path: Path, step: float) -> None:
     with pytest.raises(UsageError, match=r"quantize = .* not finer than \[encoder\] resolution = 0.001"):
-        read_record(csv(tmp_path), make_axis(), quantize=step)
+        read_record(csv(tmp_path), make_axis(), Coarser(step))
 
 
 def test_quantize_equal_to_the_resolution_changes_nothing(tmp_path: Path) -> None:
-    np.testing.assert_array_equal(read_record(csv(tmp_path), make_axis(), quantize=1e-3).counts, columns()["counts"])
+    np.testing.assert_array_equal(read_record(csv(tmp_path), make_axis(), Coarser(1e-3)).counts, columns()["counts"])
 
 
 def test_counts_are_taken_as_they_are(tmp_path: Path) -> None:

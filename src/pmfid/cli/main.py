@@ -12,6 +12,7 @@ from pmfid import __version__
 from pmfid.cli.actuators import actuators
 from pmfid.cli.check import check
 from pmfid.cli.design import commission, design
+from pmfid.cli.encoder import encoder
 from pmfid.cli.explain import explain
 from pmfid.cli.export import export
 from pmfid.cli.fleet import fleet
@@ -33,7 +34,7 @@ from pmfid.cli.terminal import (
 )
 from pmfid.cli.terms import order, terms
 from pmfid.cli.validate import validate
-from pmfid.errors import INTERRUPTED, PmfidError
+from pmfid.errors import INTERRUPTED, PmfidError, UsageError
 from pmfid.estimators import METHODS
 from pmfid.io import SPOKEN
 
@@ -114,6 +115,12 @@ def _open_closed_streams() -> None:
     metavar="STEP",
     help="Floor the position to this coarser step first: what if the encoder were cheaper?",
 )
+@click.option(
+    "--edges",
+    type=float,
+    metavar="STEP",
+    help="As --quantize, and take the times of this encoder's edges, as the timer of a motor controller does.",
+)
 @folder_option(
     "Write report.html and result.json there, and track.parquet of a recursive method on a drive; of all methods "
     "compare.html."
@@ -123,9 +130,20 @@ def _open_closed_streams() -> None:
 @click.option("--delay", type=int, help="Dead time of a transfer function in samples.")
 @JSON
 def identify(
-    records: tuple[Path, ...], config: Path, quantize: float | None, out: Path | None, as_json: bool, **options: object
+    records: tuple[Path, ...],
+    config: Path,
+    quantize: float | None,
+    edges: float | None,
+    out: Path | None,
+    as_json: bool,
+    **options: object,
 ) -> None:
     """Identify the parameters of a record."""
+    if quantize is not None and edges is not None:
+        raise UsageError("--quantize and --edges both give the step of a coarser encoder: give one of them")
+    if edges is not None and options["method"] not in (None, "auto"):
+        raise UsageError(f"--edges has a method of its own, drop --method {options['method']}")
+    options["method"] = "auto" if edges is not None else options["method"]
     sections = {"resolution": "encoder", "n": "model", "m": "model", "delay": "model"}
     changes = {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()}
     if options["method"] == EVERY:
@@ -136,9 +154,13 @@ def identify(
         from pmfid.pipeline.guess.axis_file import find_to_do
         from pmfid.pipeline.identify import identify as run
         from pmfid.pipeline.identify import kind_of
+        from pmfid.records.edge_ages import Coarser
 
         axis = load_axis(config, changes)
-        result = run(kind_of(axis).read(records, axis, quantize), axis, tell).with_findings(*find_to_do(config))
+        if edges is not None and (axis.encoder.edge_age or axis.encoder.lines):
+            raise UsageError("--edges makes the edges of a coarser encoder: drop [encoder] edge_age and lines")
+        coarse = Coarser(edges, True) if edges is not None else None if quantize is None else Coarser(quantize)
+        result = run(kind_of(axis).read(records, axis, coarse), axis, tell).with_findings(*find_to_do(config))
         if out is not None:
             from pmfid.report.result import write_result
 
@@ -163,9 +185,11 @@ def _compare(
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.identify import compare as run
         from pmfid.pipeline.identify import kind_of
+        from pmfid.records.edge_ages import Coarser
 
         axis = load_axis(config, changes)
-        comparison = run(kind_of(axis).read(records, axis, quantize), axis, tell)
+        coarse = None if quantize is None else Coarser(quantize)
+        comparison = run(kind_of(axis).read(records, axis, coarse), axis, tell)
         if out is not None:
             from pmfid.report.comparison import write_comparison
 
@@ -208,6 +232,7 @@ main.add_command(serve)
 main.add_command(simulate)
 main.add_command(terms)
 main.add_command(validate)
+main.add_command(encoder)
 main.add_command(explain)
 main.add_command(export)
 main.add_command(fleet)

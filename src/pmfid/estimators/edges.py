@@ -151,7 +151,10 @@ class EdgeDifference(Difference):
         if ESTIMATE in (self.equation.dead_time, self.equation.lag):
             return found
         effect = found.whiten(speed)
-        return replace(found, late=effect / np.linalg.norm(effect))
+        size = np.linalg.norm(effect)
+        if not size > 0:
+            raise NotIdentifiableError("the simulated motion stands still at the edges")
+        return replace(found, late=effect / size)
 
     def speed(self, q: Floats) -> Floats:
         """Return the simulated velocity (m,) at the edges [counts per s] for a constant input around each edge."""
@@ -370,8 +373,11 @@ def _settle(difference: EdgeDifference, q: Floats) -> tuple[EdgeDifference, Floa
     """Return the whitened difference and its least squares q (q,)."""
     repeated = difference.rows / np.unique(difference.line).size
     if repeated > TUNING.edges_repeated:  # each line has its own place until the other errors are known
-        q = least(replace(difference, spread=1 / TUNING.edges_finest), q)
+        q = least(replace(difference, spread=TUNING.edges_free), q)
     for _ in range(TUNING.edges_passes):
-        difference = difference.with_variances(q).drop_truncated(q).with_variances(q)
+        difference = difference.with_variances(q).drop_truncated(q)
+        if difference.rows <= q.size:
+            raise NotIdentifiableError("too few edges are away from the samples: record a longer motion")
+        difference = difference.with_variances(q)
         q = least(difference, q)
     return difference, q

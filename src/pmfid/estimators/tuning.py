@@ -450,6 +450,9 @@ class EstimatorTuning:
     edges_reported: float = 0.002
     #: Lines that recur at least this often have their own places in the first least squares.
     edges_repeated: float = 5.0
+    #: Standard deviation of the lines while the other errors are unknown [counts], for edges of 1 count. A motion that
+    #: stands still would explain all edges if lines were free.
+    edges_free: float = 100.0
     #: Largest ratio of the variance of errors summed over blocks to that of uncorrelated errors. Chance gives ratios
     #: below 3.
     edges_correlated: float = 4.0

@@ -31,6 +31,7 @@ from pmfid.models.transfer_function import TransferFunction
 from pmfid.pipeline.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.pipeline.result import ProcessResult, delay_of, expects_unstable
 from pmfid.pipeline.stored import Stored
+from pmfid.records.edge_ages import Coarser
 from pmfid.records.record import experiment_of, read_experiment
 from pmfid.status import Status, status_findings
 from pmfid.types import Floats
@@ -52,9 +53,11 @@ class Processes(Kind[Sequence[Experiment]]):
                 "by sample the next value of a line is not known"
             )
 
-    def read(self, paths: Sequence[Path], axis: Axis, quantize: float | None = None) -> list[Experiment]:
-        if quantize is not None:
-            raise UsageError("quantize is for a drive; floor the column of the record for a transfer function")
+    def read(self, paths: Sequence[Path], axis: Axis, coarse: Coarser | None = None) -> list[Experiment]:
+        if coarse is not None:
+            raise UsageError(
+                "quantize and edges are for a drive; floor the column of the record for a transfer function"
+            )
         return [read_experiment(path, axis) for path in paths]
 
     def read_table(self, table: Table, axis: Axis) -> Sequence[Experiment]:

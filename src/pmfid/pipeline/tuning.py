@@ -168,6 +168,20 @@ class PipelineTuning:
     #: Greatest part of the motion that a valid simulation leaves unexplained.
     drives_followed: float = 0.2
 
+    # encoders
+    #: Parts of a sample in the simulated motion, and positions of the disc for each encoder.
+    encoders_parts: int = 10
+    encoders_draws: int = 3
+    #: Period of the timer of the edges [s].
+    encoders_tick: float = 1e-6
+    #: Increments per turn of the encoders for a rotary axis.
+    encoders_increments: tuple[int, ...] = (16, 64, 256, 1024, 4096, 16384)
+    #: Fewest steps in the travel of a linear axis, and decades of the steps.
+    encoders_least_steps: float = 5.0
+    encoders_decades: int = 4
+    #: Largest relative distance of the simulated from the recorded motion without a note.
+    encoders_missed: float = 0.3
+
     # friction
     #: Largest time constant of the filters that the program chooses [samples]. After slower filters, nearby speeds look
     #: alike.

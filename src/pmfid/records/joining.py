@@ -37,10 +37,12 @@ def join_records(records: Sequence[Record], place_matters: bool) -> Record:
     for record in records[1:]:
         parts.append(_settle_part(record, int(parts[-1][1][-1]), first=False))
     u, counts, there = (np.concatenate(signal) for signal in zip(*parts, strict=True))
-    joined = f"{len(records)} records make one estimate: the motion of each starts separately"
-    notes = (joined, *dict.fromkeys(f"{record.name}: {note}" for record in records for note in record.notes))
+    joined = [f"{len(records)} records make one estimate: the motion of each starts separately"]
+    if any(record.ages is not None for record in records):
+        joined.append("the ages of edges are not used, because there are several records")
+    notes = (*joined, *dict.fromkeys(f"{record.name}: {note}" for record in records for note in record.notes))
     name = ", ".join(record.name for record in records)
-    return replace(first, u=u, counts=counts, there=there, notes=notes, name=name, own=None)
+    return replace(first, u=u, counts=counts, there=there, notes=notes, name=name, own=None, ages=None)
 
 
 def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags]:
@@ -75,4 +77,12 @@ def unbroken(record: Record) -> Record:
     there = None if record.there is None else record.there[first:last]
     note = f"only the part without gaps that moves most is used here: {last - first} of {record.u.size} samples"
     notes = (*record.notes, note)
-    return replace(record, u=record.u[first:last], counts=record.counts[first:last], there=there, notes=notes, own=None)
+    return replace(
+        record,
+        u=record.u[first:last],
+        counts=record.counts[first:last],
+        there=there,
+        notes=notes,
+        own=None,
+        ages=None,
+    )

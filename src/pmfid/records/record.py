@@ -18,7 +18,7 @@ from pmfid.io.reading import read_table
 from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, notes_of, times, whole_name
 from pmfid.linear.experiment import Experiment
 from pmfid.records.clock import PlacedRows, left_out, named_unit, place_rows, time_factor
-from pmfid.records.edge_ages import read_edge_ages
+from pmfid.records.edge_ages import Coarser, make_edge_ages, read_edge_ages
 from pmfid.records.gaps import describe_missing, fill_gaps, is_held
 from pmfid.records.repeats import drop_stale_rows
 from pmfid.records.resampling import OwnSamples, Resampled, resample_uneven
@@ -237,22 +237,21 @@ def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
     )
 
 
-def read_record(path: Path, axis: Axis, quantize: float | None = None) -> Record:
+def read_record(path: Path, axis: Axis, coarse: Coarser | None = None) -> Record:
     """Read the record that `axis.record` describes from a file of one of the `formats`.
 
-    With `quantize`, a step in unit of y, a coarser encoder with that step quantises the position (floor quantiser, mean
-    error -step/2). Raises UsageError with the file, the column, the first bad row and the remedy. A constant input or a
-    record without motion is not an error.
+    A `coarse` encoder quantises the position again (floor quantiser, mean error -step/2). Raises UsageError with the
+    file, the column, the first bad row and the remedy. A constant input or a record without motion is not an error.
     """
     resolution = axis.encoder.resolution
     # The negated comparison also rejects NaN.
-    if quantize is not None and not resolution * (1 - 1e-9) <= quantize < np.inf:
+    if coarse is not None and not resolution * (1 - 1e-9) <= coarse.step < np.inf:
         raise UsageError(
-            f"quantize = {quantize:g} must be positive, finite and not finer than [encoder] resolution = "
-            f"{resolution:g}; give a larger step"
+            f"{'edges' if coarse.edges else 'quantize'} = {coarse.step:g} must be positive, finite and not finer than "
+            f"[encoder] resolution = {resolution:g}; give a larger step"
         )
     try:
-        return _build(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, quantize, path.name)
+        return _build(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, coarse, path.name)
     except UsageError as error:
         # The message has one line, even if names in a damaged file have several.
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
@@ -298,7 +297,7 @@ def _stated_factor(config: RecordConfig) -> float:
     return time_factor(config)
 
 
-def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Record:
+def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Record:
     config, table, columns = _columns(axis.record.model_copy(update={"reference": None}), table)
     keys = {"input": config.input, "output": config.output, "time": config.time}
     _check_lengths(columns, keys)
@@ -319,11 +318,12 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     travel, motion_notes = _measure_travel(y, rows, axis)
     counts, count_notes = counts_of(travel, axis)
     resolution = axis.encoder.resolution
-    if quantize is not None:
+    fine = None
+    if coarse is not None:
         # Without a position, y is computed from the counts, so that no position is floored twice.
-        y = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
-        counts, resolution = floor_counts(y, quantize, 1e-9), quantize
-        count_notes += (f"position quantised again with a step of {quantize:g}",)
+        fine = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
+        counts, resolution = floor_counts(fine, coarse.step, 1e-9), coarse.step
+        count_notes += (f"position quantised again with a step of {coarse.step:g}",)
     in_counts = config.output_kind == "counts" and resolution == 1
     if in_counts:
         count_notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
@@ -335,7 +335,7 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
     own = None
     if found is not None and found.own is not None:
         before = found.own.before * (rows.dt / found.own.before[0])
-        own = _own_record(found.own, SampleSteps(before), scale * units.u, units.y, quantize, axis)
+        own = _own_record(found.own, SampleSteps(before), scale * units.u, units.y, coarse, axis)
         own = replace(own, notes=notes, name=name, rotary=rotary, in_counts=in_counts)
     obstacle = (
         "the steps of the clock vary"
@@ -343,10 +343,13 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
         else "rows are missing"
         if not rows.whole
         else "the position is quantised again"
-        if quantize is not None
+        if coarse is not None and not coarse.edges
         else ""
     )
-    ages, age_notes = read_edge_ages(table, axis.encoder, rows.rows, obstacle)
+    if fine is not None and coarse is not None and coarse.edges:
+        ages, age_notes = make_edge_ages(fine, rows.dt, coarse, axis.encoder.tick, obstacle)
+    else:
+        ages, age_notes = read_edge_ages(table, axis.encoder, rows.rows, obstacle)
     notes += age_notes
     if rows.whole:
         return Record(
@@ -360,15 +363,15 @@ def _build(table: Table, axis: Axis, quantize: float | None, name: str) -> Recor
 
 
 def _own_record(
-    own: OwnSamples, steps: SampleSteps, u_scale: float, y_scale: float, quantize: float | None, axis: Axis
+    own: OwnSamples, steps: SampleSteps, u_scale: float, y_scale: float, coarse: Coarser | None, axis: Axis
 ) -> Record:
     """Return the record at its own instants. `u_scale` and `y_scale` are the factors of input and output."""
     kind, resolution = axis.record.output_kind, axis.encoder.resolution
     y = _scale_column(np.rint(own.y) if kind == "counts" else own.y, y_scale, "the unit of the output")
     counts = counts_of(y, axis)[0]
-    if quantize is not None:
+    if coarse is not None:
         y = counts.astype(np.float64) * resolution if kind == "counts" else y
-        counts, resolution = floor_counts(y, quantize, 1e-9), quantize
+        counts, resolution = floor_counts(y, coarse.step, 1e-9), coarse.step
     u, kept, steps = _span_gaps(_scale_column(own.u, u_scale), counts, steps)
     there = None if np.all(np.isfinite(u)) else np.isfinite(u)
     return Record(u, counts[kept], float(steps.before[0]), resolution, (), "", False, there, steps=steps)

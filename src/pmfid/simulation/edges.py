@@ -3,8 +3,9 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pmfid.edge_times import Lines, Trajectory, read_edge_times
 from pmfid.simulation.drive import Motion
-from pmfid.simulation.encoder import check_number, check_whole, quantize
+from pmfid.simulation.encoder import check_number, check_whole
 from pmfid.types import Counts, Floats
 
 
@@ -68,47 +69,5 @@ def capture_edges(
     errors = np.atleast_1d(np.asarray(line_errors, np.float64))
     if errors.ndim != 1 or not np.all(np.abs(errors) < 0.5 * resolution):
         raise ValueError("line_errors must be an array (lines,) of distances below half of the resolution")
-    counts = quantize(motion.x, resolution, phase)
-    counts -= motion.x < _place(counts, resolution, phase, errors)
-    counts += motion.x >= _place(counts + 1, resolution, phase, errors)
-    instants = _find_edges(motion, counts, resolution, phase, errors)
-    samples = np.arange(0, counts.size, every)
-    latest = np.maximum.accumulate(np.where(np.isnan(instants), -np.inf, instants))[samples]
-    now = motion.t[samples]
-    in_sample = latest > np.concatenate(([-np.inf], now[:-1]))
-    ages = np.full(samples.size, np.nan)
-    if tick:
-        now, latest = (tick * np.floor(t / tick) for t in (now, latest))
-    ages[in_sample] = now[in_sample] - latest[in_sample]
-    return counts[samples], ages
-
-
-def _place(lines: Counts, resolution: float, phase: float, errors: Floats) -> Floats:
-    """Return the positions [m] of lines, from the line numbers in counts."""
-    return np.asarray(lines * resolution - phase + errors[lines % errors.size])
-
-
-def _find_edges(motion: Motion, counts: Counts, resolution: float, phase: float, errors: Floats) -> Floats:
-    """Return the instant [s] of the last edge in the interval before each instant of the motion (n,), or NaN
-    without an edge.
-    """
-    change = np.diff(counts)
-    k = np.flatnonzero(change)
-    line = _place(np.where(change[k] > 0, counts[k + 1], counts[k + 1] + 1), resolution, phase, errors)
-    side = np.sign(change[k])
-    low, high = np.zeros(k.size), np.ones(k.size)
-    for _ in range(np.finfo(np.float64).nmant + 1):  # halvings, until the width is below the resolution of a double
-        middle = 0.5 * (low + high)
-        before = side * (_interpolate(motion, k, middle) - line) < 0.0
-        low, high = np.where(before, middle, low), np.where(before, high, middle)
-    instants = np.full(counts.size, np.nan)
-    instants[k + 1] = motion.t[k] + high * (motion.t[k + 1] - motion.t[k])
-    return instants
-
-
-def _interpolate(motion: Motion, k: Counts, part: Floats) -> Floats:
-    """Return the position at a part in [0, 1] of the intervals k, by Hermite's cubic."""
-    x, v = motion.x, motion.v
-    travel, step = x[k + 1] - x[k], motion.t[k + 1] - motion.t[k]
-    bend = step * (v[k] * (1.0 - part) - v[k + 1] * part) + travel * (2.0 * part - 1.0)
-    return np.asarray(x[k] + part * travel + part * (1.0 - part) * bend)
+    path, lines = Trajectory(motion.t, motion.x, motion.v), Lines(resolution, phase, errors)
+    return read_edge_times(path, lines, every, tick)

@@ -1,0 +1,92 @@
+"""The instants at which a motion passes the lines of an encoder."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid.types import Counts, Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Instants `t` (n,) [s], positions `x` (n,) and velocities `v` (n,) of a motion.
+
+    Between the instants, the position is the cubic of both positions and velocities.
+    """
+
+    t: Floats
+    x: Floats
+    v: Floats
+
+    @classmethod
+    def sample(cls, x: Floats, dt: float) -> Trajectory:
+        """Return the trajectory through positions x (n,) at every dt [s]. Its velocities are central differences."""
+        change: Floats = np.diff(x) / dt
+        v = np.r_[change[:1], 0.5 * (change[1:] + change[:-1]), change[-1:]]
+        return cls(np.asarray(dt * np.arange(x.size)), x, v)
+
+    def at(self, k: NDArray[np.intp], part: Floats) -> Floats:
+        """Return the position at a part in [0, 1] of the intervals k (m,), by Hermite's cubic."""
+        x, v = self.x, self.v
+        travel, step = x[k + 1] - x[k], self.t[k + 1] - self.t[k]
+        bend = step * (v[k] * (1.0 - part) - v[k + 1] * part) + travel * (2.0 * part - 1.0)
+        return np.asarray(x[k] + part * travel + part * (1.0 - part) * bend)
+
+
+@dataclass(frozen=True, eq=False)
+class Lines:
+    """Lines of an encoder: `step` per count, position `phase` at the start, and `errors` of the lines that repeat."""
+
+    step: float
+    phase: float
+    errors: Floats
+
+    def place(self, numbers: Counts) -> Floats:
+        """Return the positions of lines from their numbers in counts."""
+        return np.asarray(numbers * self.step - self.phase + self.errors[numbers % self.errors.size])
+
+    def count(self, x: Floats) -> Counts:
+        """Return the counts (n,) at positions x (n,)."""
+        counts = np.floor((x + self.phase) / self.step).astype(np.int64)
+        counts -= x < self.place(counts)
+        counts += x >= self.place(counts + 1)
+        return counts
+
+
+def read_edge_times(path: Trajectory, lines: Lines, every: int = 1, tick: float = 0.0) -> tuple[Counts, Floats]:
+    """Return the counts of each sample, and the age of the last edge in each sample [s].
+
+    A sample is each `every`-th instant of the path. `tick` is the period of the timer [s]; 0 means no ticks. An age is
+    NaN without an edge since the previous sample.
+    """
+    counts = lines.count(path.x)
+    instants = _find_edges(path, counts, lines)
+    samples = np.arange(0, counts.size, every)
+    latest = np.maximum.accumulate(np.where(np.isnan(instants), -np.inf, instants))[samples]
+    now = path.t[samples]
+    in_sample = latest > np.concatenate(([-np.inf], now[:-1]))
+    ages = np.full(samples.size, np.nan)
+    if tick:
+        now, latest = (tick * np.floor(t / tick) for t in (now, latest))
+    ages[in_sample] = now[in_sample] - latest[in_sample]
+    return counts[samples], ages
+
+
+def _find_edges(path: Trajectory, counts: Counts, lines: Lines) -> Floats:
+    """Return the instant [s] of the last edge in the interval before each instant of the path (n,), or NaN without an
+    edge."""
+    change = np.diff(counts)
+    k = np.flatnonzero(change)
+    line = lines.place(np.where(change[k] > 0, counts[k + 1], counts[k + 1] + 1))
+    side = np.sign(change[k])
+    low, high = np.zeros(k.size), np.ones(k.size)
+    for _ in range(np.finfo(np.float64).nmant + 1):  # halvings, until the width is below the resolution of a double
+        middle = 0.5 * (low + high)
+        before = side * (path.at(k, middle) - line) < 0.0
+        low, high = np.where(before, middle, low), np.where(before, high, middle)
+    instants = np.full(counts.size, np.nan)
+    instants[k + 1] = path.t[k] + high * (path.t[k + 1] - path.t[k])
+    return instants

@@ -1,0 +1,237 @@
+"""Which encoder a motion needs: the uncertainty of a parameter against the step of the encoder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmfid.config.axis import Axis
+from pmfid.edge_times import Lines, Trajectory, read_edge_times
+from pmfid.encoder import Encoder
+from pmfid.errors import NotIdentifiableError, UsageError, did_you_mean
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import hold_last_input, like
+from pmfid.estimators.edges import EdgeFit
+from pmfid.estimators.motion import first_speed
+from pmfid.estimators.output_error import IntervalML
+from pmfid.estimators.results import Fit
+from pmfid.models.axes import ROTARY
+from pmfid.pipeline.drives import Drives, make_estimator
+from pmfid.pipeline.identify import kind_of
+from pmfid.pipeline.kinds import Progress
+from pmfid.pipeline.known import check_numbers_known
+from pmfid.pipeline.result import DriveResult
+from pmfid.pipeline.tuning import TUNING
+from pmfid.presentation import Presentable, Summary, plain_dict
+from pmfid.records.joining import unbroken
+from pmfid.records.record import Record
+from pmfid.types import Floats
+
+__all__ = ["EncoderChoice", "compare_encoders"]
+
+#: Travel per turn of a rotary axis [rad].
+TURN = 2 * np.pi
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class EncoderChoice(Presentable):
+    """Relative uncertainty of the mass (or another leading parameter) for encoders of several steps.
+
+    Attributes
+    ----------
+    record : str
+    parameter : str
+    wanted : float
+        Wanted relative uncertainty, one standard deviation.
+    own : float
+        Relative uncertainty of the estimate from the record itself.
+    turn : float or None
+        Travel per turn of a rotary axis [rad], or None for a linear axis.
+    unit : str
+        Unit of the steps.
+    steps : ndarray (k,)
+        Steps of the encoders, the coarsest first.
+    counts, edges : ndarray (k,)
+        Relative uncertainty from counts, and from counts with edge times. NaN means that the parameter is unknown.
+    notes : tuple of str
+    """
+
+    record: str
+    parameter: str
+    wanted: float
+    own: float
+    turn: float | None
+    unit: str
+    steps: Floats
+    counts: Floats
+    edges: Floats
+    notes: tuple[str, ...] = ()
+
+    @property
+    def answer(self) -> str:
+        """The coarsest sufficient encoder of each kind, as a sentence."""
+        found = [self._name_coarsest(bars) for bars in (self.counts, self.edges)]
+        return f"{self.parameter} to {100 * self.wanted:.3g} %: counts need {found[0]}, edge times {found[1]}"
+
+    def _name_coarsest(self, bars: Floats) -> str:
+        enough = np.flatnonzero(~(bars <= self.wanted))
+        first = int(enough[-1]) + 1 if enough.size else 0
+        return "a finer encoder than these" if first == bars.size else self.name_step(float(self.steps[first]))
+
+    def name_step(self, step: float) -> str:
+        """Return the name of an encoder: increments per turn, or its step."""
+        return f"{step:.3g} {self.unit}" if self.turn is None else f"{self.turn / step:.0f} increments a turn"
+
+    def summary(self) -> Summary:
+        head = f"step [{self.unit}]" if self.turn is None else "increments per turn"
+        header = (head, "counts [%]", "edge times [%]")
+        rows = []
+        for step, *bars in zip(self.steps.tolist(), self.counts.tolist(), self.edges.tolist(), strict=True):
+            name = f"{step:.3g}" if self.turn is None else f"{self.turn / step:.0f}"
+            rows.append((name, *(f"{100 * bar:.2g}" if bar < 1 else "unknown" for bar in bars)))
+        title = f"{self.record}: standard deviation of {self.parameter} by encoder"
+        return Summary(title, header, rows, remarks=(self.answer, *self.notes))
+
+    def columns(self) -> dict[str, object]:
+        return {"step": self.steps, "counts": self.counts, "edges": self.edges}
+
+    def to_dict(self) -> dict[str, object]:
+        shown = {"record": self.record, "parameter": self.parameter, "wanted": self.wanted, "own": self.own}
+        rest = {"unit": self.unit, "answer": self.answer, "notes": list(self.notes)}
+        return plain_dict({**shown, "turn": self.turn, **self.columns(), **rest})
+
+
+def compare_encoders(
+    record: Record,
+    axis: Axis,
+    wanted: float = 0.01,
+    line_error: float = 0.01,
+    parameter: str | None = None,
+    progress: Progress | None = None,
+) -> EncoderChoice:
+    """Return the uncertainty of the leading parameter for encoders of several steps.
+
+    The machine is simulated at the estimate from the record, with the input of the record. Each encoder reads the
+    simulated motion, with lines that are off by at most `line_error` of a step, and the fits of counts and of edges see
+    these readings. The uncertainty is the larger of the reported standard deviation (median) and the true error (root
+    mean square) over several positions of the disc.
+
+    Raises UsageError for an axis without encoder or a value outside its range, and NotIdentifiableError as `identify`.
+    """
+    kind = kind_of(axis)
+    if not isinstance(kind, Drives):
+        raise UsageError('encoders are compared for a machine: give [model] kind = "drive"')
+    if not (0 < wanted < 1 and 0 <= line_error < 0.5):
+        raise UsageError("the wanted uncertainty is above 0 and below 100 %, and lines are off by less than 50 %")
+    check_numbers_known(axis, "a comparison of encoders")
+    record = replace(unbroken(record), own=None, ages=None)
+    axis = kind.prepare_axis(record, axis)
+    result = kind.estimate(record, axis)
+    names = result.names
+    if parameter is not None and parameter not in names:
+        raise UsageError(f"{parameter!r} is no parameter, which are {', '.join(names)}{did_you_mean(parameter, names)}")
+    index = result.estimator.equation.leading if parameter is None else names.index(parameter)
+    trial, bars = _Trial.make(result, record, axis, line_error), []
+    steps = trial.list_steps()
+    for number, step in enumerate(steps.tolist()):
+        bars.append(trial.compute_uncertainties(step, index))
+        if progress is not None:
+            progress((number + 1) / steps.size)
+    counts, edges = np.transpose(bars)
+    own = float(result.theta_std[index] / abs(result.theta[index]))
+    unit = "counts" if record.in_counts else result.estimator.equation.motion.travel
+    notes = tuple(_find_limits(trial, own, wanted, names[index]))
+    return EncoderChoice(record.name, names[index], wanted, own, trial.turn, unit, steps, counts, edges, notes)
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    """A simulated motion (m,) in `every` parts of each sample, and the methods that read this motion.
+
+    `theta` (p,) are the true parameters, and `u` (n,) is the input. `turn` is the travel per turn of a rotary axis
+    [rad]. `line_error` is the largest distance of a line from its place in steps. `missed` is the relative distance of
+    the simulated from the recorded motion.
+    """
+
+    estimator: Estimator
+    theta: Floats
+    u: Floats
+    path: Trajectory
+    turn: float | None
+    line_error: float
+    missed: float
+
+    @classmethod
+    def make(cls, result: DriveResult, record: Record, axis: Axis, line_error: float) -> _Trial:
+        estimator, every = make_estimator(axis, record), TUNING.encoders_parts
+        counting = like(IntervalML, estimator, prefilter_zeros=None)
+        u, y = hold_last_input(record.u), counting.position(record.counts)
+        own = counting.make_difference(result.theta, u, y)
+        start = [y[0], first_speed(y, record.dt, counting.cutoff, record.resolution)]
+        dt = record.dt / every
+        fine = replace(own, dt=dt, u=np.repeat(u, every), y=np.repeat(y, every))
+        x = fine.motion(np.r_[result.theta, start] / own.scale)[0]
+        missed = float(np.std(x[::every] - y) / np.std(y))
+        path = Trajectory.sample(x, dt)
+        turn = TURN if estimator.equation.motion is ROTARY and not record.in_counts else None
+        return cls(estimator, result.theta, u, path, turn, line_error, missed)
+
+    def list_steps(self) -> Floats:
+        """Return the steps of the encoders, the coarsest first: powers of 4 per turn, or decimal steps."""
+        if self.turn is not None:
+            return self.turn / np.array(TUNING.encoders_increments, float)
+        largest = np.floor(np.log10(np.ptp(self.path.x) / TUNING.encoders_least_steps))
+        return np.outer(10.0 ** (largest - np.arange(TUNING.encoders_decades)), [1.0, 0.3]).ravel()
+
+    def compute_uncertainties(self, step: float, index: int) -> tuple[float, float]:
+        """Return the relative uncertainty of a parameter from counts, and from counts with edge times."""
+        travel = float(np.ptp(self.path.x)) if self.turn is None else self.turn
+        lines = max(1, round(travel / step))
+        changes = {"encoder": Encoder(step), "prefilter_zeros": None}
+        counting = like(IntervalML, self.estimator, **changes)
+        timing = None
+        if not EdgeFit.refuses(self.estimator.equation):
+            own = None if self.turn is None else lines
+            timing = like(EdgeFit, self.estimator, **changes, lines=own, tick=TUNING.encoders_tick)
+        by_counts: list[Fit] = []
+        by_edges: list[Fit] = []
+        for seed in range(TUNING.encoders_draws):
+            rng = np.random.default_rng([seed, lines])
+            errors = step * self.line_error * rng.uniform(-1.0, 1.0, lines)
+            counts, ages = read_edge_times(
+                self.path, Lines(step, step * rng.random(), errors), TUNING.encoders_parts, TUNING.encoders_tick
+            )
+            with suppress(NotIdentifiableError):
+                by_counts.append(counting.fit(self.u, counts))
+            with suppress(NotIdentifiableError):
+                by_edges += [timing.examine(self.u, counts, ages)[0]] if timing else []
+        return self._summarise(by_counts, index), self._summarise(by_edges, index)
+
+    def _summarise(self, fits: Sequence[Fit], index: int) -> float:
+        """Return the larger of the median standard deviation and the root mean square error, relative to the truth.
+
+        The result is NaN if half of the positions of the disc give no fit.
+        """
+        if 2 * len(fits) <= TUNING.encoders_draws:
+            return float("nan")
+        std = np.median([fit.theta_std[index] for fit in fits])
+        error = np.sqrt(np.mean([(fit.theta[index] - self.theta[index]) ** 2 for fit in fits]))
+        return float(max(std, error) / abs(self.theta[index]))
+
+
+def _find_limits(trial: _Trial, own: float, wanted: float, parameter: str) -> Iterator[str]:
+    """Yield what limits the comparison, as sentences."""
+    if own > wanted:
+        yield (
+            f"the record itself gives {parameter} to {100 * own:.2g} % only: noise, unmodelled effects or its encoder "
+            "limit it; a longer or stronger motion helps, an encoder alone may not"
+        )
+    if trial.missed > TUNING.encoders_missed:
+        yield (
+            f"the simulated motion differs from the recorded one by {100 * trial.missed:.0f} % of its travel: the "
+            "comparison is of the simulated motion"
+        )
+    yield f"lines off by at most {100 * trial.line_error:g} % of a step, timer of {1e6 * TUNING.encoders_tick:g} us"

@@ -1,0 +1,148 @@
+"""What if the encoder were another one: `pmfid identify --edges` and `pmfid encoder`."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from pmfid.cli.main import main
+from pmfid.config.axis import load_axis
+from pmfid.errors import UsageError
+from pmfid.pipeline.encoders import EncoderChoice, compare_encoders
+from pmfid.records.edge_ages import Coarser
+from pmfid.records.joining import join_records
+from pmfid.records.record import read_record
+from pmfid.simulation import CART, prbs, simulate_drive
+
+AXIS = """
+[record]
+input = "u"
+output = "position"
+time = "t"
+
+[encoder]
+resolution = 1e-7
+
+[model]
+kind = "drive"
+input_gain = 2.0
+"""
+
+
+@pytest.fixture(scope="module")
+def fine(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a cart's record at 1 ms, run.csv, with its axis.toml."""
+    folder = tmp_path_factory.mktemp("fine")
+    u = prbs(4000, clock=50, amplitude=4.0, rng=np.random.default_rng(5))
+    x = 1e-7 * np.round(1e7 * simulate_drive(CART, u, 1e-3).x)
+    table = np.c_[1e-3 * np.arange(u.size), u, x]
+    np.savetxt(folder / "run.csv", table, "%.7f", ",", header="t,u,position", comments="")
+    (folder / "axis.toml").write_text(AXIS)
+    return folder
+
+
+def run(fine: Path, command: str, *options: str) -> Result:
+    return CliRunner().invoke(main, [command, str(fine / "run.csv"), "--config", str(fine / "axis.toml"), *options])
+
+
+def test_edges_of_a_coarse_encoder_give_what_its_counts_cannot(fine: Path) -> None:
+    """A step of 20 mm is a hundredth of the travel."""
+    found = {}
+    for option in ("--edges", "--quantize"):
+        result = run(fine, "identify", option, "0.02", "--json")
+        assert result.exit_code == 0, result.output
+        found[option] = json.loads(result.stdout.splitlines()[-1])
+    assert found["--edges"]["method"] == "edges"
+    mass = {option: one["parameters"]["mass"] for option, one in found.items()}
+    assert mass["--edges"]["value"] == pytest.approx(CART.mass, rel=1e-4)
+    assert mass["--edges"]["std"] < 0.1 * mass["--quantize"]["std"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--edges", "0.01", "--quantize", "0.01"), "give one of them"),
+        (("--edges", "0.01", "--method", "iv"), "drop --method iv"),
+        (("--edges", "1e-9"), "edges = 1e-09 must be .* give a larger step"),
+    ],
+)
+def test_wrong_use_of_edges(fine: Path, options: tuple[str, ...], message: str) -> None:
+    result = run(fine, "identify", *options)
+    assert result.exit_code == 2
+    with pytest.raises(AssertionError, match=message):
+        raise AssertionError(result.stderr)
+
+
+def test_made_edges_stand_in_place_of_no_recorded_ones(fine: Path, tmp_path: Path) -> None:
+    config = tmp_path / "axis.toml"
+    config.write_text(AXIS.replace("resolution", 'edge_age = "t"\nresolution'))
+    command = ["identify", str(fine / "run.csv"), "--config", str(config), "--edges", "0.01"]
+    result = CliRunner().invoke(main, command)
+    assert (result.exit_code, "drop [encoder] edge_age" in result.stderr) == (2, True)
+
+
+def test_records_that_are_joined_have_no_ages(fine: Path) -> None:
+    axis = load_axis(fine / "axis.toml")
+    record = read_record(fine / "run.csv", axis, Coarser(0.01, edges=True))
+    assert record.ages is not None
+    assert record.ages.shape == record.u.shape
+    joined = join_records([record, record], place_matters=False)
+    assert joined.ages is None
+    assert "the ages of edges are not used, because there are several records" in joined.notes
+
+
+def choice(counts: list[float], edges: list[float], turn: float | None = None) -> EncoderChoice:
+    steps = np.array([1e-1, 1e-2, 1e-3])
+    return EncoderChoice("run", "mass", 0.01, 1e-3, turn, "m", steps, np.array(counts), np.array(edges))
+
+
+@pytest.mark.parametrize(
+    ("counts", "edges", "answer"),
+    [
+        ([0.1, 0.02, 0.005], [0.005, 0.001, 1e-4], "counts need 0.001 m, edge times 0.1 m"),
+        ([0.005, 0.02, 0.03], [np.nan, 0.001, 1e-4], "counts need a finer encoder than these, edge times 0.01 m"),
+    ],
+)
+def test_an_encoder_suffices_if_all_finer_ones_do(counts: list[float], edges: list[float], answer: str) -> None:
+    assert choice(counts, edges).answer == f"mass to 1 %: {answer}"
+
+
+def test_increments_name_the_encoders_of_a_rotary_axis() -> None:
+    found = choice([0.1, np.nan, 0.005], [0.005, 0.001, 1e-4], turn=6.4)
+    assert found.answer == "mass to 1 %: counts need 6400 increments a turn, edge times 64 increments a turn"
+    assert found.summary().rows[1] == ("640", "unknown", "0.1")
+
+
+@pytest.mark.long
+def test_edge_times_need_a_coarser_encoder_than_counts(fine: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    result = run(fine, "encoder", "--want", "0.02", "--json", "--out", str(out))
+    assert result.exit_code == 0, result.output
+    found = json.loads(result.stdout.splitlines()[-1])
+    assert json.loads((out / "encoder.json").read_text()) == found
+    assert "<svg" in (out / "encoder.html").read_text()
+    counts, edges = (np.array(found[key], float) for key in ("counts", "edges"))
+    assert found["step"][:3] == pytest.approx([0.01, 0.003, 0.001])
+    assert np.all(edges[2:4] < 0.1 * counts[2:4])
+    assert np.all(np.diff(counts[2:]) < 0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"wanted": 0.0}, "above 0 and below 100 %"),
+        ({"line_error": 0.5}, "lines are off by less than 50 %"),
+        ({"parameter": "masss"}, "did you mean"),
+    ],
+)
+def test_wrong_use_of_the_comparison(fine: Path, changes: dict[str, object], message: str) -> None:
+    axis = load_axis(fine / "axis.toml")
+    record = read_record(fine / "run.csv", axis)
+    short = replace(record, u=record.u[:1500], counts=record.counts[:1500])
+    with pytest.raises(UsageError, match=message):
+        compare_encoders(short, axis, **changes)  # type: ignore[arg-type]
