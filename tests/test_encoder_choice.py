@@ -104,8 +104,8 @@ def choice(counts: list[float], edges: list[float], turn: float | None = None) -
 @pytest.mark.parametrize(
     ("counts", "edges", "answer"),
     [
-        ([0.1, 0.02, 0.005], [0.005, 0.001, 1e-4], "counts need 0.001 m, edge times 0.1 m"),
-        ([0.005, 0.02, 0.03], [np.nan, 0.001, 1e-4], "counts need a finer encoder than these, edge times 0.01 m"),
+        ([0.1, 0.02, 0.005], [0.005, 0.001, 1e-4], "counts need steps of 0.001 m, edge times steps of 0.1 m"),
+        ([0.005, 0.02, 0.03], [np.nan, 0.001, 1e-4], "counts need finer steps than these, edge times steps of 0.01 m"),
     ],
 )
 def test_an_encoder_suffices_if_all_finer_ones_do(counts: list[float], edges: list[float], answer: str) -> None:
@@ -116,6 +116,7 @@ def test_increments_name_the_encoders_of_a_rotary_axis() -> None:
     found = choice([0.1, np.nan, 0.005], [0.005, 0.001, 1e-4], turn=6.4)
     assert found.answer == "mass to 1 %: counts need 6400 increments a turn, edge times 64 increments a turn"
     assert found.summary().rows[1] == ("640", "unknown", "0.1")
+    assert found.plot().axes[0].get_xlabel() == "increments per turn"
 
 
 @pytest.mark.long

@@ -79,11 +79,11 @@ class EncoderChoice(Presentable):
     def _name_coarsest(self, bars: Floats) -> str:
         enough = np.flatnonzero(~(bars <= self.wanted))
         first = int(enough[-1]) + 1 if enough.size else 0
-        return "a finer encoder than these" if first == bars.size else self.name_step(float(self.steps[first]))
+        return "finer steps than these" if first == bars.size else self.name_step(float(self.steps[first]))
 
     def name_step(self, step: float) -> str:
         """Return the name of an encoder: increments per turn, or its step."""
-        return f"{step:.3g} {self.unit}" if self.turn is None else f"{self.turn / step:.0f} increments a turn"
+        return f"steps of {step:.3g} {self.unit}" if self.turn is None else f"{self.turn / step:.0f} increments a turn"
 
     def summary(self) -> Summary:
         head = f"step [{self.unit}]" if self.turn is None else "increments per turn"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from pmfid.pipeline.encoders import EncoderChoice
@@ -17,18 +18,21 @@ def write_choice(out: Path, found: EncoderChoice) -> None:
     write_json(out / "encoder.json", found.to_dict())
     table = found.summary()
     text = "\n\n".join(f"{note[0].upper()}{note[1:]}." for note in found.notes)
-    section = Section(table.title.partition(": ")[2].capitalize(), text, (table.header, table.rows), svg(draw(found)))
+    section = Section(
+        table.title.partition(": ")[2].capitalize(), text, (table.header, table.rows), svg(encoder_figure(found))
+    )
     write_report(out / "encoder.html", f"{found.record}: which encoder", [section], [f"{found.answer.capitalize()}."])
 
 
-def draw(found: EncoderChoice) -> Figure:
+def encoder_figure(found: EncoderChoice) -> Figure:
     """Draw the uncertainty against the encoder, from counts and with edge times."""
     places = found.steps if found.turn is None else found.turn / found.steps
     with open_figure(3.8) as (figure, (axes,)):
         axes.axhline(100 * found.wanted, color=GREY, lw=0.8, label=f"wanted: {100 * found.wanted:.3g} %")
         axes.axhline(100 * found.own, color=GREY, lw=0.8, ls="--", label="from this record")
         for bars, label, colour in ((found.counts, "counts", COLOURS[0]), (found.edges, "edge times", COLOURS[1])):
-            axes.plot(places, 100 * bars, "o-", color=colour, ms=3.5, lw=1.2, label=label)
+            known = np.where(bars < 1, 100 * bars, np.nan)
+            axes.plot(places, known, "o-", color=colour, ms=3.5, lw=1.2, label=label)
         axes.set_xscale("log")
         axes.set_yscale("log")
         if found.turn is not None:

@@ -22,12 +22,14 @@ from pmfid.estimators.results import Fit, Track, Tracks
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.monitor.monitor import Monitor
+from pmfid.pipeline.encoders import EncoderChoice
 from pmfid.pipeline.result import DriveResult, ProcessResult
 from pmfid.pipeline.terms import TermSearch
 from pmfid.pipeline.validation import Validation
 from pmfid.report.checks import simulation_figure
 from pmfid.report.design import motion_figure as designed_figure
 from pmfid.report.design import motions_of
+from pmfid.report.encoders import encoder_figure
 from pmfid.report.figures import (
     COLOURS,
     GREY,
@@ -197,6 +199,11 @@ def _bars(shown: Posterior | Seen | Estimate) -> Figure:
 @_draw.register
 def _curve(found: FrictionCurve) -> Figure:
     return curve_figure(found)
+
+
+@_draw.register
+def _encoders(found: EncoderChoice) -> Figure:
+    return encoder_figure(found)
 
 
 @_draw.register
