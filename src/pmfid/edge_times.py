@@ -28,7 +28,7 @@ class Trajectory:
         v = np.r_[change[:1], 0.5 * (change[1:] + change[:-1]), change[-1:]]
         return cls(np.asarray(dt * np.arange(x.size)), x, v)
 
-    def at(self, k: NDArray[np.intp], part: Floats) -> Floats:
+    def interpolate(self, k: NDArray[np.intp], part: Floats) -> Floats:
         """Return the position at a part in [0, 1] of the intervals k (m,), by Hermite's cubic."""
         x, v = self.x, self.v
         travel, step = x[k + 1] - x[k], self.t[k + 1] - self.t[k]
@@ -37,8 +37,8 @@ class Trajectory:
 
 
 @dataclass(frozen=True, eq=False)
-class Lines:
-    """Lines of an encoder: `step` per count, position `phase` at the start, and `errors` of the lines that repeat."""
+class Lattice:
+    """The lines of an encoder: `step` per count, position `phase` at the start, and `errors` of the lines that repeat."""
 
     step: float
     phase: float
@@ -56,7 +56,7 @@ class Lines:
         return counts
 
 
-def read_edge_times(path: Trajectory, lines: Lines, every: int = 1, tick: float = 0.0) -> tuple[Counts, Floats]:
+def read_edge_times(path: Trajectory, lines: Lattice, every: int = 1, tick: float = 0.0) -> tuple[Counts, Floats]:
     """Return the counts of each sample, and the age of the last edge in each sample [s].
 
     A sample is each `every`-th instant of the path. `tick` is the period of the timer [s]; 0 means no ticks. An age is
@@ -75,7 +75,7 @@ def read_edge_times(path: Trajectory, lines: Lines, every: int = 1, tick: float 
     return counts[samples], ages
 
 
-def _find_edges(path: Trajectory, counts: Counts, lines: Lines) -> Floats:
+def _find_edges(path: Trajectory, counts: Counts, lines: Lattice) -> Floats:
     """Return the instant [s] of the last edge in the interval before each instant of the path (n,), or NaN without an
     edge."""
     change = np.diff(counts)
@@ -85,7 +85,7 @@ def _find_edges(path: Trajectory, counts: Counts, lines: Lines) -> Floats:
     low, high = np.zeros(k.size), np.ones(k.size)
     for _ in range(np.finfo(np.float64).nmant + 1):  # halvings, until the width is below the resolution of a double
         middle = 0.5 * (low + high)
-        before = side * (path.at(k, middle) - line) < 0.0
+        before = side * (path.interpolate(k, middle) - line) < 0.0
         low, high = np.where(before, middle, low), np.where(before, high, middle)
     instants = np.full(counts.size, np.nan)
     instants[k + 1] = path.t[k] + high * (path.t[k + 1] - path.t[k])

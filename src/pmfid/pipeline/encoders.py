@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.config.axis import Axis
-from pmfid.edge_times import Lines, Trajectory, read_edge_times
+from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError, did_you_mean
 from pmfid.estimators.base import Estimator
@@ -202,7 +202,7 @@ class _Trial:
             rng = np.random.default_rng([seed, lines])
             errors = step * self.line_error * rng.uniform(-1.0, 1.0, lines)
             counts, ages = read_edge_times(
-                self.path, Lines(step, step * rng.random(), errors), TUNING.encoders_parts, TUNING.encoders_tick
+                self.path, Lattice(step, step * rng.random(), errors), TUNING.encoders_parts, TUNING.encoders_tick
             )
             with suppress(NotIdentifiableError):
                 by_counts.append(counting.fit(self.u, counts))

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.config.record import EncoderConfig
-from pmfid.edge_times import Lines, Trajectory, read_edge_times
+from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.io.tables import Table, column, whole_name
 from pmfid.records.clock import UNITS, named_unit
 from pmfid.types import Floats
@@ -33,7 +33,7 @@ def make_edge_ages(
     if obstacle:
         return None, (f"no edges are made, because {obstacle}",)
     path = Trajectory.sample(y, dt)
-    lines = Lines(coarse.step, 1e-9 * coarse.step, np.zeros(1))
+    lines = Lattice(coarse.step, 1e-9 * coarse.step, np.zeros(1))
     ages = read_edge_times(path, lines, tick=tick)[1]
     return ages, (f"the record has {np.count_nonzero(np.isfinite(ages))} edges of steps of {coarse.step:g}",)
 

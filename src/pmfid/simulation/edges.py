@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.edge_times import Lines, Trajectory, read_edge_times
+from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.simulation.drive import Motion
 from pmfid.simulation.encoder import check_number, check_whole
 from pmfid.types import Counts, Floats
@@ -69,5 +69,5 @@ def capture_edges(
     errors = np.atleast_1d(np.asarray(line_errors, np.float64))
     if errors.ndim != 1 or not np.all(np.abs(errors) < 0.5 * resolution):
         raise ValueError("line_errors must be an array (lines,) of distances below half of the resolution")
-    path, lines = Trajectory(motion.t, motion.x, motion.v), Lines(resolution, phase, errors)
+    path, lines = Trajectory(motion.t, motion.x, motion.v), Lattice(resolution, phase, errors)
     return read_edge_times(path, lines, every, tick)
