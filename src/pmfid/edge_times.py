@@ -38,7 +38,7 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Lattice:
-    """The lines of an encoder: `step` per count, position `phase` at the start, and `errors` of the lines that repeat."""
+    """The lines of an encoder: `step` per count, position `phase` at the start, and repeating `errors` of the lines."""
 
     step: float
     phase: float
