@@ -151,12 +151,13 @@ static void scale_noise(pmf_redge_state_t *state, real_t ratio)
     }
 }
 
-/* Add an edge to the sums of its line, and to the variances of lines and instants. */
+/* Add an edge to the sums of its line, and to the variances of lines and instants. The variance of the lines is that of
+ * MacKay (1992): squared errors of the lines over the part of each error that the edges determine. */
 static void learn_line(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *line, real_t distance,
                        const pmf_edge_t *edge)
 {
-    real_t ratio = smaller(edge->value * edge->value / edge->variance, MOST_SURPRISE), error, variance, weight;
-    real_t own = PMF_R(1.0) / ((real_t)state->edges + PMF_R(1.0));
+    real_t ratio = smaller(edge->value * edge->value / edge->variance, MOST_SURPRISE), weight;
+    real_t square, known = PMF_R(1.0);
     uint32_t i;
     if (line != 0) {
         weight = state->scatter / edge->instant;
@@ -166,14 +167,17 @@ static void learn_line(const pmf_redge_config_t *config, pmf_redge_state_t *stat
             line->by[i] += state->place_by[i] * weight;
         }
         weight = line->weight + state->scatter / state->spread;
-        error = (line->sum - predict(line->by, state->change)) / weight;
-        variance = state->scatter / weight;
+        square = (line->sum - predict(line->by, state->change)) / weight;
+        square *= square;
+        known -= (state->scatter / weight + variance_along(state, line->by) / (weight * weight)) / state->spread;
+        known = larger(known, PMF_R(0.0));
         scale_noise(state, ratio);
     } else {
-        error = distance - predict(state->place_by, state->change);
-        variance = edge->from_motion * (PMF_R(1.0) - edge->from_motion / edge->variance);
+        square = distance - predict(state->place_by, state->change);
+        square = square * square + edge->from_motion * (PMF_R(1.0) - edge->from_motion / edge->variance);
     }
-    state->spread += larger(own, PMF_R(1.0) / VARIANCES) * (error * error + variance - state->spread);
+    state->evidence = smaller(state->evidence + known, VARIANCES);
+    state->spread += (square - known * state->spread) / state->evidence;
     state->spread = smaller(larger(state->spread, config->finest * config->finest), WIDEST);
 }
 

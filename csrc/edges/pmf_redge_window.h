@@ -10,6 +10,7 @@
 #define PRIOR PMF_R(0.09) /* variance of a parameter relative to its square, from the direct start */
 #define ANYWHERE PMF_R(0.1) /* variance of the place at the start of a window [counts^2] */
 #define FIRST_SPREAD PMF_R(0.01) /* variance of the lines before it is known [counts^2] */
+#define FIRST_EVIDENCE PMF_R(2.0) /* lines that this variance counts for */
 #define SECOND PMF_R(3.0) /* error of the second order, relative to the product of two relative changes */
 #define FRICTION PMF_R(0.3) /* part of the relative change of Coulomb friction that makes an error of second order */
 #define LATE PMF_R(5e-5) /* instants come late by about this time [s]; it is no alarm */
@@ -42,6 +43,17 @@ static real_t predict(const real_t *by, const real_t *change)
     uint32_t i;
     for (i = 0; i < PMF_FOLLOWED; ++i) {
         sum += by[i] * change[i];
+    }
+    return sum;
+}
+
+/* Return the variance of a prediction by the followed unknowns. */
+static real_t variance_along(const pmf_redge_state_t *state, const real_t *by)
+{
+    real_t sum = PMF_R(0.0);
+    uint32_t i;
+    for (i = 0; i < PMF_FOLLOWED; ++i) {
+        sum += by[i] * predict(state->covariance[i], by);
     }
     return sum;
 }
@@ -129,6 +141,7 @@ static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pm
     open_prior(state, state->velocity);
     state->drift = state->unrest > AGAIN ? drift : PMF_R(0.0);
     state->spread = FIRST_SPREAD;
+    state->evidence = FIRST_EVIDENCE;
     state->window = state->edges > FIRST_WINDOW ? state->edges : FIRST_WINDOW;
     state->running = 1U;
     state->edges = 0U;
