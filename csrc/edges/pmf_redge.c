@@ -26,6 +26,8 @@
 #define VISIBLE PMF_R(4e-4) /* smaller mean squared innovations [counts^2] are no alarm */
 #define RECENT_EDGES 24U /* edges after an alarm before the correlation is known */
 #define MOST_CHANGE 1000000 /* counts in a sample */
+#define SHORTEST_WINDOW 12U /* edges */
+#define SETTLED PMF_R(0.06) /* part of the squared errors of second order that a new reference may leave */
 #define CALM 8U /* edges before an alarm */
 #define EXACT PMF_R(0.1) /* error of each parameter, relative to the best edge in counts: rounding */
 #define TREND PMF_R(0.3) /* correlation of innovations, of an alarm */
@@ -53,13 +55,14 @@ void pmf_redge_init(const pmf_redge_config_t *config, pmf_redge_state_t *state, 
     state->status = PMF_STARTING;
 }
 
-/* Return the squared error of the second order in the prediction of an edge, from what is known of the parameters. */
-static real_t second_order(const pmf_redge_state_t *state)
+/* Return the squared error of the second order in the prediction of an edge, for parameters that may be off by their
+ * standard deviations, and by their change since the start of the window if `changed` is 1. */
+static real_t second_order(const pmf_redge_state_t *state, real_t changed)
 {
     real_t most = PMF_R(0.0), relative = PMF_R(0.0);
     uint32_t i;
     for (i = FIRST; i < PMF_FOLLOWED; ++i) {
-        real_t moved = state->change[i] * state->change[i] + state->covariance[i][i];
+        real_t moved = changed * state->change[i] * state->change[i] + state->covariance[i][i];
         most = larger(most, moved * state->place_by[i] * state->place_by[i]);
         relative = larger(relative, i == FIRST + MASS ? moved : PMF_R(0.25) * moved);
     }
@@ -91,7 +94,7 @@ static void compare(const pmf_redge_config_t *config, const pmf_redge_state_t *s
     edge->from_motion = predict(edge->gain, edge->regressor);
     edge->instant = config->tick * config->tick / PMF_R(12.0) * velocity * velocity;
     edge->noise = state->scatter * (edge->instant + config->finest * config->finest);
-    edge->instant = edge->noise + second_order(state);
+    edge->instant = edge->noise + second_order(state, PMF_R(1.0));
     edge->variance = edge->from_motion + edge->from_line + edge->instant;
 }
 
@@ -278,6 +281,16 @@ static uint32_t is_chosen_by_chance(const pmf_redge_config_t *config, const pmf_
     return margin < limit && margin * margin < CHANCE * CHANCE * variance ? 1U : 0U;
 }
 
+/* Return 1 if the errors of second order exceed the noise, and a new reference makes them smaller. */
+static uint32_t is_bent(const pmf_redge_state_t *state, const pmf_edge_t *edge)
+{
+    real_t error = edge->instant - edge->noise;
+    return state->in_window >= SHORTEST_WINDOW && error > edge->noise &&
+                   second_order(state, PMF_R(0.0)) < SETTLED * error
+               ? 1U
+               : 0U;
+}
+
 /* Follow an edge `distance` counts beyond the simulated place. */
 static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines, real_t distance,
                         integer_t way, real_t age)
@@ -315,8 +328,11 @@ static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *sta
     state->calm += state->calm < LAST_WINDOW ? 1U : 0U;
     state->unrest -= state->unrest != 0U ? 1U : 0U;
     state->in_window += 1U;
+    state->bent += (edge.instant - edge.noise) / (edge.noise * (real_t)state->in_window) - state->bent / (real_t)state->in_window;
     if (is_alarm(state) != 0U) {
         take_alarm(config, state, lines);
+    } else if (is_bent(state, &edge) != 0U) {
+        end_window(config, state, lines);
     } else if (state->in_window >= state->window ||
                (config->memory > PMF_R(0.0) && state->window_time > config->memory &&
                 state->in_window >= FIRST_WINDOW)) {

@@ -12,6 +12,7 @@
 #define FIRST_SPREAD PMF_R(0.01) /* variance of the lines before it is known [counts^2] */
 #define FIRST_EVIDENCE PMF_R(2.0) /* lines that this variance counts for */
 #define SECOND PMF_R(3.0) /* error of the second order, relative to the product of two relative changes */
+#define BENT PMF_R(1.0) /* mean square of such errors over that of the noise, from which on lines are forgotten */
 #define FRICTION PMF_R(0.3) /* part of the relative change of Coulomb friction that makes an error of second order */
 #define LATE PMF_R(5e-5) /* instants come late by about this time [s]; it is no alarm */
 #define AGAIN 400U /* edges after an alarm in which another one means a wrong model */
@@ -83,6 +84,7 @@ static void begin_window(pmf_redge_state_t *state)
         state->velocity_by[i] = i == SPEED ? PMF_R(1.0) : PMF_R(0.0);
     }
     state->in_window = 0U;
+    state->bent = PMF_R(0.0);
     state->window_time = PMF_R(0.0);
 }
 
@@ -223,7 +225,11 @@ static void end_window(const pmf_redge_config_t *config, pmf_redge_state_t *stat
         state->velocity = PMF_R(0.0);
     }
     move_reference(state, ratio);
-    carry_lines(config, state, lines, part, ratio);
+    if (state->bent > BENT) {
+        forget_lines(config, lines);
+    } else {
+        carry_lines(config, state, lines, part, ratio);
+    }
     for (i = 0; i < CARRIED; ++i) {
         real_t *row = &state->covariance[LATENESS + i][LATENESS];
         for (j = 0; j < CARRIED; ++j) {
