@@ -151,6 +151,7 @@ static void scale_noise(pmf_redge_state_t *state, real_t ratio)
         for (j = 0; j < PMF_FOLLOWED; ++j) {
             state->covariance[i][j] *= state->scatter / before;
         }
+        state->opened[i] *= state->scatter / before;
     }
 }
 
@@ -192,6 +193,7 @@ static void forget(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     if (config->memory > PMF_R(0.0)) {
         growth = PMF_R(1.0) + time / config->memory;
         for (i = 0; i < PMF_FOLLOWED; ++i) {
+            state->opened[i] *= growth * growth;
             if (i != SPEED) {
                 uint32_t j;
                 for (j = 0; j < PMF_FOLLOWED; ++j) {
@@ -400,7 +402,7 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     if (state->running == 0U) {
         return;
     }
-    widened = larger(state->surprise, PMF_R(1.0)) * (PMF_R(1.0) + colour) / (PMF_R(1.0) - colour);
+    widened = contradiction_of(state) * larger(state->surprise, PMF_R(1.0)) * (PMF_R(1.0) + colour) / (PMF_R(1.0) - colour);
     for (i = 0; i < PMF_BODY; ++i) {
         real_t scale = state->reference[i] / (i == COULOMB ? PMF_R(1.0) : config->resolution);
         real_t error = bend * state->change[FIRST + i],

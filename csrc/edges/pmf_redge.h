@@ -56,6 +56,7 @@ typedef struct {
     real_t place_by[PMF_FOLLOWED], velocity_by[PMF_FOLLOWED];
     real_t reference[PMF_BODY]; /* per count of position, as a force per count/s^2 and count/s */
     real_t change[PMF_FOLLOWED], covariance[PMF_FOLLOWED][PMF_FOLLOWED]; /* parameters relative to the reference */
+    real_t opened[PMF_FOLLOWED]; /* variances at the start of the window */
     real_t late; /* time by which all instants come late [s] */
     real_t drift; /* variance that the place gains per second, of a wrong model [counts^2/s] */
     real_t spread, scatter; /* variance of the lines [counts^2]; variance of the instants over that of a tick */

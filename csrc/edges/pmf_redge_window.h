@@ -12,6 +12,7 @@
 #define FIRST_SPREAD PMF_R(0.01) /* variance of the lines before it is known [counts^2] */
 #define FIRST_EVIDENCE PMF_R(2.0) /* lines that this variance counts for */
 #define SECOND PMF_R(3.0) /* error of the second order, relative to the product of two relative changes */
+#define LIKELY PMF_R(2.0) /* standard deviations by which a parameter may change in a window */
 #define BENT PMF_R(1.0) /* mean square of such errors over that of the noise, from which on lines are forgotten */
 #define FRICTION PMF_R(0.3) /* part of the relative change of Coulomb friction that makes an error of second order */
 #define LATE PMF_R(5e-5) /* instants come late by about this time [s]; it is no alarm */
@@ -80,6 +81,7 @@ static void begin_window(pmf_redge_state_t *state)
     uint32_t i;
     for (i = 0; i < PMF_FOLLOWED; ++i) {
         state->change[i] = PMF_R(0.0);
+        state->opened[i] = state->covariance[i][i];
         state->place_by[i] = i == PLACE ? PMF_R(1.0) : PMF_R(0.0);
         state->velocity_by[i] = i == SPEED ? PMF_R(1.0) : PMF_R(0.0);
     }
@@ -114,7 +116,7 @@ static void open_prior(pmf_redge_state_t *state, real_t velocity)
         for (j = 0; j < PMF_FOLLOWED; ++j) {
             state->covariance[i][j] = PMF_R(0.0);
         }
-        state->covariance[i][i] = PRIOR;
+        state->covariance[i][i] = state->opened[i] = PRIOR;
     }
     state->covariance[PLACE][PLACE] = ANYWHERE;
     state->covariance[LATENESS][LATENESS] = LATE * LATE;
@@ -156,6 +158,19 @@ static real_t bend_of(const pmf_redge_state_t *state)
     return larger(most, FRICTION * absolute(state->change[FIRST + COULOMB]));
 }
 
+/* Return the factor by which variances at the start of this window were too small for what the parameters changed since,
+ * at least 1. */
+static real_t contradiction_of(const pmf_redge_state_t *state)
+{
+    real_t most = PMF_R(1.0);
+    uint32_t i;
+    for (i = FIRST; i < PMF_FOLLOWED; ++i) {
+        real_t gained = larger(state->opened[i] - state->covariance[i][i], PMF_R(0.1) * state->opened[i]);
+        most = larger(most, state->change[i] * state->change[i] / (LIKELY * LIKELY * gained));
+    }
+    return most;
+}
+
 /* Return the part of the information that errors of second order leave. */
 static real_t part_to_keep(const pmf_redge_state_t *state)
 {
@@ -165,7 +180,7 @@ static real_t part_to_keep(const pmf_redge_state_t *state)
         real_t error = bend * state->change[i], variance = state->covariance[i][i];
         part = smaller(part, variance / (variance + error * error));
     }
-    return part;
+    return part / contradiction_of(state);
 }
 
 /* Express what each line depends on by the parameters alone, at their new values. */
