@@ -26,7 +26,6 @@
 #define VISIBLE PMF_R(4e-4) /* smaller mean squared innovations [counts^2] are no alarm */
 #define RECENT_EDGES 24U /* edges after an alarm before the correlation is known */
 #define MOST_CHANGE 1000000 /* counts in a sample */
-#define SHORTEST_WINDOW 12U /* edges */
 #define SETTLED PMF_R(0.06) /* part of the squared errors of second order that a new reference may leave */
 #define CALM 8U /* edges before an alarm */
 #define EXACT PMF_R(0.1) /* error of each parameter, relative to the best edge in counts: rounding */
@@ -248,6 +247,7 @@ static void take_alarm(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     state->drift = again != 0U ? drift : PMF_R(0.0);
     state->covariance[PLACE][PLACE] += size;
     state->window = FIRST_WINDOW;
+    state->least = SHORTEST_WINDOW;
     state->surprise = PMF_R(1.0);
     state->size = state->trend = PMF_R(0.0);
     state->calm = state->lost = 0U;
@@ -287,7 +287,7 @@ static uint32_t is_chosen_by_chance(const pmf_redge_config_t *config, const pmf_
 static uint32_t is_bent(const pmf_redge_state_t *state, const pmf_edge_t *edge)
 {
     real_t error = edge->instant - edge->noise;
-    return state->in_window >= SHORTEST_WINDOW && error > edge->noise &&
+    return state->in_window >= state->least && error > edge->noise &&
                    second_order(state, PMF_R(0.0)) < SETTLED * error
                ? 1U
                : 0U;
@@ -335,6 +335,7 @@ static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *sta
         take_alarm(config, state, lines);
     } else if (is_bent(state, &edge) != 0U) {
         end_window(config, state, lines);
+        state->least *= 2U;
     } else if (state->in_window >= state->window ||
                (config->memory > PMF_R(0.0) && state->window_time > config->memory &&
                 state->in_window >= FIRST_WINDOW)) {

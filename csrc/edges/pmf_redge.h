@@ -67,7 +67,7 @@ typedef struct {
         last_line; /* last input; time since the last edge and in this window; that edge's line */
     pmf_start_t start;
     real_t theta[PMF_BODY], variance[PMF_BODY], innovation;
-    uint32_t count, begun, running, edges, in_window, window, calm, lost, astray, against, away, unrest, status;
+    uint32_t count, begun, running, edges, in_window, window, least, calm, lost, astray, against, away, unrest, status;
     integer_t offset; /* whole counts that the edges are away from the simulated motion */
     uint32_t line_number; /* number of the line at the present count, below `lines` */
 } pmf_redge_state_t;

@@ -6,6 +6,7 @@
 #include "pmf_redge_start.h"
 
 #define FIRST_WINDOW 24U /* edges in the first window */
+#define SHORTEST_WINDOW 12U
 #define LAST_WINDOW 0x40000000U
 #define PRIOR PMF_R(0.09) /* variance of a parameter relative to its square, from the direct start */
 #define ANYWHERE PMF_R(0.1) /* variance of the place at the start of a window [counts^2] */
@@ -147,6 +148,7 @@ static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pm
     state->spread = FIRST_SPREAD;
     state->evidence = FIRST_EVIDENCE;
     state->window = state->edges > FIRST_WINDOW ? state->edges : FIRST_WINDOW;
+    state->least = SHORTEST_WINDOW;
     state->running = 1U;
     state->edges = 0U;
 }
@@ -171,16 +173,16 @@ static real_t contradiction_of(const pmf_redge_state_t *state)
     return most;
 }
 
-/* Return the part of the information that errors of second order leave. */
-static real_t part_to_keep(const pmf_redge_state_t *state)
+/* Add the errors of second order to the variances of the parameters. A scaled covariance would not contain them in the
+ * combination of parameters that is known best. */
+static void admit_bend(pmf_redge_state_t *state)
 {
-    real_t bend = SECOND * bend_of(state), part = PMF_R(1.0);
+    real_t bend = SECOND * bend_of(state);
     uint32_t i;
     for (i = FIRST; i < PMF_FOLLOWED; ++i) {
-        real_t error = bend * state->change[i], variance = state->covariance[i][i];
-        part = smaller(part, variance / (variance + error * error));
+        real_t error = bend * state->change[i];
+        state->covariance[i][i] += error * error;
     }
-    return part / contradiction_of(state);
 }
 
 /* Express what each line depends on by the parameters alone, at their new values. */
@@ -230,8 +232,9 @@ static void move_reference(pmf_redge_state_t *state, real_t *ratio)
 /* End the window: its information stays, as far as it is linear, and the reference moves to the estimate. */
 static void end_window(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines)
 {
-    real_t part = part_to_keep(state), with_velocity[PMF_FOLLOWED], ratio[CARRIED], own;
+    real_t part = PMF_R(1.0) / contradiction_of(state), with_velocity[PMF_FOLLOWED], ratio[CARRIED], own;
     uint32_t i, j;
+    admit_bend(state);
     for (i = 0; i < PMF_FOLLOWED; ++i) {
         with_velocity[i] = predict(state->covariance[i], state->velocity_by);
     }
