@@ -27,6 +27,7 @@
 #define RECENT_EDGES 24U /* edges after an alarm before the correlation is known */
 #define MOST_CHANGE 1000000 /* counts in a sample */
 #define SETTLED PMF_R(0.06) /* part of the squared errors of second order that a new reference may leave */
+#define STRAIGHT PMF_R(1.001)
 #define CALM 8U /* edges before an alarm */
 #define EXACT PMF_R(0.1) /* error of each parameter, relative to the best edge in counts: rounding */
 #define TREND PMF_R(0.3) /* correlation of innovations, of an alarm */
@@ -330,16 +331,15 @@ static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *sta
     state->calm += state->calm < LAST_WINDOW ? 1U : 0U;
     state->unrest -= state->unrest != 0U ? 1U : 0U;
     state->in_window += 1U;
-    state->bent += (edge.instant - edge.noise) / (edge.noise * (real_t)state->in_window) - state->bent / (real_t)state->in_window;
     if (is_alarm(state) != 0U) {
         take_alarm(config, state, lines);
     } else if (is_bent(state, &edge) != 0U) {
         end_window(config, state, lines);
         state->least *= 2U;
-    } else if (state->in_window >= state->window ||
-               (config->memory > PMF_R(0.0) && state->window_time > config->memory &&
-                state->in_window >= FIRST_WINDOW)) {
-        end_window(config, state, lines);
+    } else if (state->in_window >= state->window) {
+        if (edge.instant > edge.noise * STRAIGHT) {
+            end_window(config, state, lines);
+        }
         state->window = state->window < LAST_WINDOW ? 2U * state->window : LAST_WINDOW;
     } else {
         /* the window goes on */

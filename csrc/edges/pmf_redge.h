@@ -61,7 +61,6 @@ typedef struct {
     real_t drift; /* variance that the place gains per second, of a wrong model [counts^2/s] */
     real_t spread, scatter; /* variance of the lines [counts^2]; variance of the instants over that of a tick */
     real_t evidence; /* errors of lines that their variance follows from */
-    real_t bent; /* mean squared error of second order in this window, over that of the noise */
     real_t surprise, colour, trend, rough, last, last_variance, size; /* of the innovations */
     real_t input, since, window_time,
         last_line; /* last input; time since the last edge and in this window; that edge's line */

@@ -14,7 +14,6 @@
 #define FIRST_EVIDENCE PMF_R(2.0) /* lines that this variance counts for */
 #define SECOND PMF_R(3.0) /* error of the second order, relative to the product of two relative changes */
 #define LIKELY PMF_R(2.0) /* standard deviations by which a parameter may change in a window */
-#define BENT PMF_R(1.0) /* mean square of such errors over that of the noise, from which on lines are forgotten */
 #define FRICTION PMF_R(0.3) /* part of the relative change of Coulomb friction that makes an error of second order */
 #define LATE PMF_R(5e-5) /* instants come late by about this time [s]; it is no alarm */
 #define AGAIN 400U /* edges after an alarm in which another one means a wrong model */
@@ -87,7 +86,6 @@ static void begin_window(pmf_redge_state_t *state)
         state->velocity_by[i] = i == SPEED ? PMF_R(1.0) : PMF_R(0.0);
     }
     state->in_window = 0U;
-    state->bent = PMF_R(0.0);
     state->window_time = PMF_R(0.0);
 }
 
@@ -185,32 +183,6 @@ static void admit_bend(pmf_redge_state_t *state)
     }
 }
 
-/* Express what each line depends on by the parameters alone, at their new values. */
-static void carry_lines(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines, real_t part,
-                        const real_t *ratio)
-{
-    real_t gain[LATENESS][CARRIED];
-    uint32_t i, j, k;
-    for (i = 0; i < LATENESS; ++i) {
-        if (solve(&state->covariance[LATENESS][LATENESS], PMF_FOLLOWED, CARRIED, &state->covariance[i][LATENESS],
-                  gain[i]) == 0U) {
-            for (j = 0; j < CARRIED; ++j) {
-                gain[i][j] = PMF_R(0.0);
-            }
-        }
-    }
-    for (k = 0; k < config->lines; ++k) {
-        pmf_line_t *line = &lines[k];
-        line->sum = part * (line->sum - predict(line->by, state->change));
-        line->weight *= part;
-        for (j = 0; j < CARRIED; ++j) {
-            real_t by = line->by[PLACE] * gain[PLACE][j] + line->by[SPEED] * gain[SPEED][j];
-            line->by[LATENESS + j] = part / ratio[j] * (line->by[LATENESS + j] + by);
-        }
-        line->by[PLACE] = line->by[SPEED] = PMF_R(0.0);
-    }
-}
-
 /* Move the reference to the estimate within limits; `ratio` is old over new. */
 static void move_reference(pmf_redge_state_t *state, real_t *ratio)
 {
@@ -243,11 +215,7 @@ static void end_window(const pmf_redge_config_t *config, pmf_redge_state_t *stat
         state->velocity = PMF_R(0.0);
     }
     move_reference(state, ratio);
-    if (state->bent > BENT) {
-        forget_lines(config, lines);
-    } else {
-        carry_lines(config, state, lines, part, ratio);
-    }
+    forget_lines(config, lines);
     for (i = 0; i < CARRIED; ++i) {
         real_t *row = &state->covariance[LATENESS + i][LATENESS];
         for (j = 0; j < CARRIED; ++j) {
