@@ -59,14 +59,17 @@ void pmf_redge_init(const pmf_redge_config_t *config, pmf_redge_state_t *state, 
  * standard deviations, and by their change since the start of the window if `changed` is 1. */
 static real_t second_order(const pmf_redge_state_t *state, real_t changed)
 {
-    real_t most = PMF_R(0.0), relative = PMF_R(0.0);
+    real_t most = PMF_R(0.0), relative = PMF_R(0.0), stops;
     uint32_t i;
+    stops = state->stops_by[SPEED] *
+            (changed * state->change[SPEED] * state->change[SPEED] + state->covariance[SPEED][SPEED]);
     for (i = FIRST; i < PMF_FOLLOWED; ++i) {
         real_t moved = changed * state->change[i] * state->change[i] + state->covariance[i][i];
+        stops += state->stops_by[i] * moved;
         most = larger(most, moved * state->place_by[i] * state->place_by[i]);
         relative = larger(relative, i == FIRST + MASS ? moved : PMF_R(0.25) * moved);
     }
-    return most * smaller(relative, PMF_R(1.0));
+    return most * smaller(relative, PMF_R(1.0)) + stops * stops;
 }
 
 /* Compare an edge `distance` counts beyond the simulated place with its line. */

@@ -54,6 +54,7 @@ typedef struct {
 typedef struct {
     real_t place, velocity; /* of the reference: counts beyond the line of the present count, counts/s */
     real_t place_by[PMF_FOLLOWED], velocity_by[PMF_FOLLOWED];
+    real_t stops_by[PMF_FOLLOWED]; /* half of the second derivatives of the place by the stops */
     real_t reference[PMF_BODY]; /* per count of position, as a force per count/s^2 and count/s */
     real_t change[PMF_FOLLOWED], covariance[PMF_FOLLOWED][PMF_FOLLOWED]; /* parameters relative to the reference */
     real_t opened[PMF_FOLLOWED]; /* variances at the start of the window */

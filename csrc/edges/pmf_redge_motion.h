@@ -101,11 +101,25 @@ static void move_piece(pmf_redge_state_t *state, real_t acceleration, real_t tim
     state->velocity += acceleration * once;
 }
 
+/* Stop the body. Where its braking is weak, a small change of velocity moves the stop by much: by the squared change
+ * over twice the acceleration. */
+static void stop_body(pmf_redge_state_t *state, real_t force, real_t way)
+{
+    real_t kept = left_after_stop(state, force, way), braking;
+    uint32_t i;
+    braking = absolute(force - way * state->reference[COULOMB]) / state->reference[MASS];
+    state->velocity = PMF_R(0.0);
+    for (i = 0; i < PMF_FOLLOWED; ++i) {
+        state->stops_by[i] += PMF_R(0.5) * (PMF_R(1.0) - kept) * state->velocity_by[i] * state->velocity_by[i] / braking;
+        state->velocity_by[i] *= kept;
+    }
+}
+
 /* Move the body and its derivatives for `time` under a force. */
 static void move_body(pmf_redge_state_t *state, real_t force, real_t time)
 {
     real_t rate = state->reference[VISCOUS] / state->reference[MASS], way, acceleration, part, left;
-    uint32_t i, pieces;
+    uint32_t pieces;
     for (pieces = 0; pieces < MOST_PIECES && time > PMF_R(0.0); ++pieces) {
         way = way_of(state, force);
         if (way == PMF_R(0.0)) {
@@ -120,11 +134,7 @@ static void move_body(pmf_redge_state_t *state, real_t force, real_t time)
         }
         move_piece(state, acceleration, left, way);
         if (left < part) {
-            real_t kept = left_after_stop(state, force, way);
-            state->velocity = PMF_R(0.0);
-            for (i = 0; i < PMF_FOLLOWED; ++i) {
-                state->velocity_by[i] *= kept;
-            }
+            stop_body(state, force, way);
         }
         time -= left;
     }

@@ -82,6 +82,7 @@ static void begin_window(pmf_redge_state_t *state)
     for (i = 0; i < PMF_FOLLOWED; ++i) {
         state->change[i] = PMF_R(0.0);
         state->opened[i] = state->covariance[i][i];
+        state->stops_by[i] = PMF_R(0.0);
         state->place_by[i] = i == PLACE ? PMF_R(1.0) : PMF_R(0.0);
         state->velocity_by[i] = i == SPEED ? PMF_R(1.0) : PMF_R(0.0);
     }
