@@ -19,6 +19,8 @@
 #define COLOURED PMF_R(64.0) /* edges: memory of the correlation of innovations */
 #define VARIANCES PMF_R(400.0) /* edges: memory of the variance of the lines */
 #define INSTANTS PMF_R(50.0) /* edges: memory of the variance of the instants */
+#define MOST_HEARD PMF_R(1e4)
+#define DOUBT PMF_R(10.0) /* edges that show the instants' noise, at which variances are twice as large */
 #define MOST_SURPRISE PMF_R(9.0)
 #define MOST_SIZE PMF_R(100.0) /* mean squared innovation [counts^2] that an alarm takes for true */
 #define DRIFTING PMF_R(8.0) /* edges over which such an innovation has grown */
@@ -135,11 +137,10 @@ static void learn(pmf_redge_state_t *state, const pmf_edge_t *edge)
 
 /* Let the noise follow the innovations: the drift of a wrong model, or the variance of the instants. The covariance
  * follows the latter, because information is relative to the noise. */
-static void scale_noise(pmf_redge_state_t *state, real_t ratio)
+static void scale_noise(pmf_redge_state_t *state, real_t ratio, real_t share)
 {
-    real_t gain = larger(PMF_R(1.0) / ((real_t)state->calm + PMF_R(2.0)), PMF_R(1.0) / INSTANTS),
-           before = state->scatter;
-    real_t factor = PMF_R(1.0) + gain * (ratio - PMF_R(1.0));
+    real_t gain = larger(PMF_R(1.0) / ((real_t)state->calm + PMF_R(2.0)), PMF_R(1.0) / INSTANTS);
+    real_t factor = PMF_R(1.0) + gain * (ratio - PMF_R(1.0)), before = state->scatter;
     uint32_t i, j;
     if (state->unrest == 0U) {
         state->drift = PMF_R(0.0);
@@ -149,6 +150,8 @@ static void scale_noise(pmf_redge_state_t *state, real_t ratio)
     } else {
         state->drift *= SHRINK;
     }
+    gain = larger(share / state->heard, share / INSTANTS);
+    factor = PMF_R(1.0) + gain * (ratio - PMF_R(1.0));
     state->scatter = larger(before * factor, PMF_R(1.0));
     for (i = 0; i < PMF_FOLLOWED; ++i) {
         for (j = 0; j < PMF_FOLLOWED; ++j) {
@@ -164,7 +167,7 @@ static void learn_line(const pmf_redge_config_t *config, pmf_redge_state_t *stat
                        const pmf_edge_t *edge)
 {
     real_t ratio = smaller(edge->value * edge->value / edge->variance, MOST_SURPRISE), weight;
-    real_t square, known = PMF_R(1.0);
+    real_t square, known = PMF_R(1.0), share = PMF_R(1.0);
     uint32_t i;
     if (line != 0) {
         weight = state->scatter / edge->instant;
@@ -178,11 +181,13 @@ static void learn_line(const pmf_redge_config_t *config, pmf_redge_state_t *stat
         square *= square;
         known -= (state->scatter / weight + variance_along(state, line->by) / (weight * weight)) / state->spread;
         known = larger(known, PMF_R(0.0));
-        scale_noise(state, ratio);
+        share = edge->noise / edge->variance;
+        scale_noise(state, ratio, share);
     } else {
         square = distance - predict(state->place_by, state->change);
         square = square * square + edge->from_motion * (PMF_R(1.0) - edge->from_motion / edge->variance);
     }
+    state->heard = smaller(state->heard + share, MOST_HEARD);
     state->evidence = smaller(state->evidence + known, VARIANCES);
     state->spread += (square - known * state->spread) / state->evidence;
     state->spread = smaller(larger(state->spread, config->finest * config->finest), WIDEST);
@@ -407,6 +412,7 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
         return;
     }
     widened = contradiction_of(state) * larger(state->surprise, PMF_R(1.0)) * (PMF_R(1.0) + colour) / (PMF_R(1.0) - colour);
+    widened *= PMF_R(1.0) + DOUBT / state->heard;
     for (i = 0; i < PMF_BODY; ++i) {
         real_t scale = state->reference[i] / (i == COULOMB ? PMF_R(1.0) : config->resolution);
         real_t error = bend * state->change[FIRST + i],

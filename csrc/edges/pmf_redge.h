@@ -61,6 +61,7 @@ typedef struct {
     real_t late; /* time by which all instants come late [s] */
     real_t drift; /* variance that the place gains per second, of a wrong model [counts^2/s] */
     real_t spread, scatter; /* variance of the lines [counts^2]; variance of the instants over that of a tick */
+    real_t heard; /* edges that show the variance of the instants */
     real_t evidence; /* errors of lines that their variance follows from */
     real_t surprise, colour, trend, rough, last, last_variance, size; /* of the innovations */
     real_t input, since, window_time,
