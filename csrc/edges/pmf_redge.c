@@ -20,6 +20,7 @@
 #define VARIANCES PMF_R(400.0) /* edges: memory of the variance of the lines */
 #define INSTANTS PMF_R(50.0) /* edges: memory of the variance of the instants */
 #define MOST_HEARD PMF_R(1e4)
+#define LEAST_SHARE PMF_R(0.3) /* of the instants in an innovation that is too large, before their noise is known */
 #define DOUBT PMF_R(10.0) /* edges that show the instants' noise, at which variances are twice as large */
 #define MOST_SURPRISE PMF_R(9.0)
 #define MOST_SIZE PMF_R(100.0) /* mean squared innovation [counts^2] that an alarm takes for true */
@@ -150,6 +151,7 @@ static void scale_noise(pmf_redge_state_t *state, real_t ratio, real_t share)
     } else {
         state->drift *= SHRINK;
     }
+    share = ratio > PMF_R(1.0) ? larger(share, LEAST_SHARE) : share;
     gain = larger(share / state->heard, share / INSTANTS);
     factor = PMF_R(1.0) + gain * (ratio - PMF_R(1.0));
     state->scatter = larger(before * factor, PMF_R(1.0));
