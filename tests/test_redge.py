@@ -50,6 +50,15 @@ def test_a_heavy_axis_needs_no_other_settings() -> None:
     np.testing.assert_allclose(track.theta[-1], truth, rtol=1e-4)
 
 
+@pytest.mark.parametrize(("turn", "seed"), [(512, 20), (512, 22), (64, 21), (64, 25)])
+def test_lines_that_are_far_off_are_within_the_standard_errors(turn: int, seed: int) -> None:
+    u, counts, ages, step = swing(turn, off=0.1, seed=seed, drive=HEAVY)
+    track = estimator_of(step, turn, HEAVY.input_gain).run(u, counts, ages)
+    truth = [HEAVY.mass, HEAVY.viscous_friction, HEAVY.coulomb_friction]
+    assert np.all(np.abs(track.theta[-1] - truth) < 4 * track.theta_std[-1])
+    assert track.theta_std[-1, 0] < 1e-4 * HEAVY.mass
+
+
 def test_lines_that_do_not_repeat_are_noise() -> None:
     u, counts, ages, step = swing(64, off=0.01)
     track = estimator_of(step, None).run(u, counts, ages)

@@ -35,6 +35,7 @@
 #define EXACT PMF_R(0.1) /* error of each parameter, relative to the best edge in counts: rounding */
 #define TREND PMF_R(0.3) /* correlation of innovations, of an alarm */
 #define SHRINK PMF_R(0.95) /* of the drift, from edge to edge without a trend */
+#define MOST_MOVES (8U * STEADY) /* moves of the reference, of which a right model needs three to seven */
 #define COLOUR PMF_R(0.3) /* correlation of innovations from which on the model is wrong */
 #define JITTER PMF_R(1.6e-5) /* standard deviation of instants from which on the model is wrong [s], */
 #define UNEVENLY PMF_R(3e-3) /* and of places [counts] */
@@ -298,8 +299,7 @@ static uint32_t is_chosen_by_chance(const pmf_redge_config_t *config, const pmf_
 static uint32_t is_bent(const pmf_redge_state_t *state, const pmf_edge_t *edge)
 {
     real_t error = edge->instant - edge->noise;
-    return state->in_window >= state->least && error > edge->noise &&
-                   second_order(state, PMF_R(0.0)) < SETTLED * error
+    return state->in_window >= state->least && error > edge->noise && second_order(state, PMF_R(0.0)) < SETTLED * error
                ? 1U
                : 0U;
 }
@@ -340,6 +340,7 @@ static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *sta
     state->edges += state->edges < LAST_WINDOW ? 1U : 0U;
     state->calm += state->calm < LAST_WINDOW ? 1U : 0U;
     state->unrest -= state->unrest != 0U ? 1U : 0U;
+    state->moves -= state->moves != 0U ? 1U : 0U;
     state->in_window += 1U;
     if (is_alarm(state) != 0U) {
         take_alarm(config, state, lines);
@@ -413,7 +414,8 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     if (state->running == 0U) {
         return;
     }
-    widened = contradiction_of(state) * larger(state->surprise, PMF_R(1.0)) * (PMF_R(1.0) + colour) / (PMF_R(1.0) - colour);
+    widened =
+        contradiction_of(state) * larger(state->surprise, PMF_R(1.0)) * (PMF_R(1.0) + colour) / (PMF_R(1.0) - colour);
     widened *= PMF_R(1.0) + DOUBT / state->heard;
     for (i = 0; i < PMF_BODY; ++i) {
         real_t scale = state->reference[i] / (i == COULOMB ? PMF_R(1.0) : config->resolution);
@@ -425,8 +427,8 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     }
     lateness = state->late - state->change[LATENESS];
     state->status |= lateness > LATEST || lateness < -LATEST ? PMF_DEAD_TIME : 0U;
-    if (state->unrest != 0U || (state->calm >= RECENT_EDGES && state->colour > COLOUR) || state->rough > PMF_R(1.0) ||
-        state->spread > UNEVEN) {
+    if (state->unrest != 0U || state->moves > MOST_MOVES || (state->calm >= RECENT_EDGES && state->colour > COLOUR) ||
+        state->rough > PMF_R(1.0) || state->spread > UNEVEN) {
         state->status |= PMF_UNMODELLED;
     }
 }

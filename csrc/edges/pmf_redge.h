@@ -3,8 +3,8 @@
  *
  * At an edge the position is known as well as the line is cut. A body that only the input moves is simulated at
  * reference parameters, with its derivatives. The difference from each edge is linear in place, velocity and parameters
- * at the start of a window. At the end of a window the reference moves to the estimate, and the next window is twice as
- * long. The first reference needs no guess: docs/decisions/estimation.md. */
+ * at the start of a window. At the end of a window the reference moves to the estimate. The first reference needs no
+ * guess: docs/decisions/estimation.md. */
 #ifndef PMF_REDGE_H
 #define PMF_REDGE_H
 
@@ -68,7 +68,8 @@ typedef struct {
         last_line; /* last input; time since the last edge and in this window; that edge's line */
     pmf_start_t start;
     real_t theta[PMF_BODY], variance[PMF_BODY], innovation;
-    uint32_t count, begun, running, edges, in_window, window, least, calm, lost, astray, against, away, unrest, status;
+    uint32_t count, begun, running, edges, in_window, window, least, calm, lost, astray, against, away, unrest, moves,
+        status;
     integer_t offset; /* whole counts that the edges are away from the simulated motion */
     uint32_t line_number; /* number of the line at the present count, below `lines` */
 } pmf_redge_state_t;

@@ -110,7 +110,8 @@ static void stop_body(pmf_redge_state_t *state, real_t force, real_t way)
     braking = absolute(force - way * state->reference[COULOMB]) / state->reference[MASS];
     state->velocity = PMF_R(0.0);
     for (i = 0; i < PMF_FOLLOWED; ++i) {
-        state->stops_by[i] += PMF_R(0.5) * (PMF_R(1.0) - kept) * state->velocity_by[i] * state->velocity_by[i] / braking;
+        state->stops_by[i] +=
+            PMF_R(0.5) * (PMF_R(1.0) - kept) * state->velocity_by[i] * state->velocity_by[i] / braking;
         state->velocity_by[i] *= kept;
     }
 }

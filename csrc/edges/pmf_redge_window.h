@@ -16,6 +16,7 @@
 #define LIKELY PMF_R(2.0) /* standard deviations by which a parameter may change in a window */
 #define FRICTION PMF_R(0.3) /* part of the relative change of Coulomb friction that makes an error of second order */
 #define LATE PMF_R(5e-5) /* instants come late by about this time [s]; it is no alarm */
+#define STEADY 1000U /* edges that make up for a move of the reference */
 #define AGAIN 400U /* edges after an alarm in which another one means a wrong model */
 #define MOST_UNREST (8U * AGAIN)
 
@@ -159,8 +160,8 @@ static real_t bend_of(const pmf_redge_state_t *state)
     return larger(most, FRICTION * absolute(state->change[FIRST + COULOMB]));
 }
 
-/* Return the factor by which variances at the start of this window were too small for what the parameters changed since,
- * at least 1. */
+/* Return the factor by which variances at the start of this window were too small for what the parameters changed
+ * since, at least 1. */
 static real_t contradiction_of(const pmf_redge_state_t *state)
 {
     real_t most = PMF_R(1.0);
@@ -202,10 +203,10 @@ static void move_reference(pmf_redge_state_t *state, real_t *ratio)
     }
 }
 
-/* End the window: its information stays, as far as it is linear, and the reference moves to the estimate. */
+/* End the window: its information on the parameters stays, and the reference moves to the estimate. */
 static void end_window(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines)
 {
-    real_t part = PMF_R(1.0) / contradiction_of(state), with_velocity[PMF_FOLLOWED], ratio[CARRIED], own;
+    real_t doubt = contradiction_of(state), with_velocity[PMF_FOLLOWED], ratio[CARRIED], own;
     uint32_t i, j;
     admit_bend(state);
     for (i = 0; i < PMF_FOLLOWED; ++i) {
@@ -216,20 +217,21 @@ static void end_window(const pmf_redge_config_t *config, pmf_redge_state_t *stat
         state->velocity = PMF_R(0.0);
     }
     move_reference(state, ratio);
+    state->moves += STEADY;
     forget_lines(config, lines);
     for (i = 0; i < CARRIED; ++i) {
         real_t *row = &state->covariance[LATENESS + i][LATENESS];
         for (j = 0; j < CARRIED; ++j) {
-            row[j] *= ratio[i] * ratio[j] / part;
+            row[j] *= ratio[i] * ratio[j] * doubt;
         }
-        with_velocity[LATENESS + i] *= ratio[i] / part;
+        with_velocity[LATENESS + i] *= ratio[i] * doubt;
         state->covariance[SPEED][LATENESS + i] = state->covariance[LATENESS + i][SPEED] = with_velocity[LATENESS + i];
         state->covariance[PLACE][LATENESS + i] = state->covariance[LATENESS + i][PLACE] = PMF_R(0.0);
     }
     state->late -= state->change[LATENESS];
     state->covariance[PLACE][SPEED] = state->covariance[SPEED][PLACE] = PMF_R(0.0);
     state->covariance[PLACE][PLACE] = ANYWHERE;
-    state->covariance[SPEED][SPEED] = own / part + PMF_R(1e-12);
+    state->covariance[SPEED][SPEED] = own * doubt + PMF_R(1e-12);
     begin_window(state);
 }
 
