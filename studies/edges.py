@@ -3,8 +3,8 @@
 The bound is that of Cramer and Rao for the edges, with known variances of lines and instants. `interval` takes the same
 counts without edges.
 
-`python -m studies.edges --seeds 5 [--held-back] [--on-line]`. With `--on-line`, `REdge` runs alone. The last line says how
-many of its errors without a status exceed 2, 3 and 5 standard errors.
+`python -m studies.edges --seeds 5 [--held-back] [--on-line]`. With `--on-line`, `REdge` runs alone. The last line says
+how many of its errors without a status exceed 2, 3 and 5 standard errors.
 """
 
 from __future__ import annotations
