@@ -6,7 +6,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from pmfid import Drive, EdgeFit, Encoder, NotIdentifiableError, Status, UsageError
+from pmfid import Drive, EdgeFit, Encoder, IntervalML, NotIdentifiableError, Status, UsageError
 from pmfid.config.axis import load_axis
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.records.edge_ages import Coarser
@@ -173,10 +173,29 @@ def test_an_unmodelled_force_is_named_by_the_edges() -> None:
     assert not found.adequate
 
 
-def test_edges_that_are_dense_for_their_scatter_are_flagged() -> None:
+@pytest.mark.parametrize("seed", [3, 4])
+def test_edges_that_are_dense_for_their_scatter_give_way_to_the_counts(seed: int) -> None:
     u, counts, ages, encoder = swing(512)
-    rng = np.random.default_rng(3)
+    rng = np.random.default_rng(seed)
     late = np.maximum(ages - 5e-5 * rng.exponential(size=ages.size), 0.0)
     fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=512).fit(u, counts, late)
-    assert np.any(np.abs(fit.theta - TRUTH) > 3 * fit.theta_std)
-    assert fit.status & Status.UNMODELLED
+    plain = IntervalML(Drive(CART.input_gain), encoder, 0.01, 20.0).fit(u, counts)
+    assert np.array_equal(fit.theta, plain.theta)
+    assert "the counts alone are surer" in fit.notes[0]
+
+
+def test_a_timer_that_saturates_gives_way_to_the_counts() -> None:
+    u, counts, ages, encoder = swing(16)
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16).fit(u, counts, np.minimum(ages, 0.005))
+    assert np.all(np.abs(fit.theta - TRUTH) < 4 * fit.theta_std)
+    assert fit.theta_std[0] < 1e-2 * TRUTH[0]
+
+
+def test_a_missed_and_a_doubled_edge_cost_nothing() -> None:
+    u, counts, ages, encoder = swing(16, off=0.01)
+    moved = np.flatnonzero(np.diff(counts) != 0) + 1
+    counts = counts.copy()
+    for k, times in ((moved[200], -1), (moved[500], 1)):
+        counts[k:] += times * np.sign(counts[k] - counts[k - 1])
+    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16, tick=1e-6).fit(u, counts, ages)
+    np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-5)

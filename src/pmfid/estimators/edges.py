@@ -239,6 +239,9 @@ class EdgeFit(Following):
     age of the last edge in each sample, in addition to the counts. The least squares weigh each edge by the variance of
     the instants and the variance of the lines. Each line has the same error at all its edges.
 
+    If the instants scatter so much that the counts alone make the mass surer, the estimate is the one of `IntervalML`,
+    with a note.
+
     If the errors of the edges are correlated in time, the model leaves out an effect, and the fit has
     `Status.UNMODELLED`.
 
@@ -274,13 +277,20 @@ class EdgeFit(Following):
         return self.examine(u, counts, ages)[0]
 
     def examine(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike) -> tuple[Fit, Adequacy | None]:
-        """Return the estimate of `fit` and the adequacy of the model at the edges. The adequacy is None if the
-        simulated motion does not pass the edges."""
+        """Return the estimate of `fit` and the adequacy of the model at the edges. The adequacy is None if the counts
+        alone were used."""
         known, whole = check_arrays(u, counts)
         if not np.all(np.isfinite(known)):
             raise UsageError("EdgeFit takes no gaps in u yet; cut the record at the gap")
-        theta, status = self._start(known, whole)
-        difference, q = self._begin(theta, known, whole, ages)
+        found = self._pass_edges(known, whole, ages)
+        if found and np.std(found[0].residual) < TUNING.edges_sharp * self.encoder.resolution:
+            return found
+        return self._try_counts(known, whole, found)
+
+    def _pass_edges(self, u: Floats, counts: Counts, ages: ArrayLike) -> tuple[Fit, Adequacy] | None:
+        """Return the estimate and its adequacy, or None if the simulated motion does not pass the edges."""
+        theta, status = self._start(u, counts)
+        difference, q = self._begin(theta, u, counts, ages)
         drifting: tuple[EdgeDifference, Floats] | None = None
         with suppress(NotIdentifiableError):
             for part in TUNING.edges_slower:
@@ -296,9 +306,26 @@ class EdgeFit(Following):
                 found, leading = self._conclude(*drifting, status, 0), self.equation.leading
                 if found[0].theta_std[leading] < found[0].theta[leading]:
                     return found
-        fit = like(IntervalML, self).fit(u, counts)
-        note = "the simulated motion does not pass the edges: the counts alone were used"
-        return replace(fit, status=fit.status | int(Status.FALLBACK | Status.UNMODELLED), notes=(note,)), None
+        return None
+
+    def _try_counts(self, u: Floats, counts: Counts, found: tuple[Fit, Adequacy] | None) -> tuple[Fit, Adequacy | None]:
+        """Return the estimate of the counts alone, or `found` if the edges make the mass surer."""
+        try:
+            fit = like(IntervalML, self).fit(u, counts)
+        except NotIdentifiableError:
+            if found is None:
+                raise
+            return found
+        if found is None:
+            status = int(Status.FALLBACK | Status.UNMODELLED)
+            note = "the simulated motion does not pass the edges: the counts alone were used"
+        else:
+            edges, leading = found[0], self.equation.leading
+            if not fit.theta_std[leading] < edges.theta_std[leading]:
+                return found
+            status, scatter = edges.status, 100 * np.std(edges.residual) / self.encoder.resolution
+            note = f"the edges scatter by {scatter:.2g} % of a step: the counts alone are surer and were used"
+        return replace(fit, status=fit.status | status, notes=(note,)), None
 
     def _begin(self, theta: Floats, u: Floats, counts: Counts, ages: ArrayLike) -> tuple[EdgeDifference, Floats]:
         """Return the difference at the edges, not yet whitened, and the start value q (q,)."""

@@ -446,6 +446,8 @@ class EstimatorTuning:
     edges_most_dropped: float = 0.25
     #: Largest scatter of an encoder's lines [counts, root mean square]. A larger scatter shows a wrong model.
     edges_rough: float = 0.15
+    #: Edges that scatter more [counts, root mean square] are compared with the counts alone.
+    edges_sharp: float = 0.02
     #: A smaller spread of the lines is not reported [counts].
     edges_reported: float = 0.002
     #: Lines that recur at least this often have their own places in the first least squares.
