@@ -53,6 +53,7 @@ typedef struct {
 
 typedef struct {
     real_t place, velocity; /* of the reference: counts beyond the line of the present count, counts/s */
+    real_t place_rest, velocity_rest; /* what the last digits do not hold */
     real_t place_by[PMF_FOLLOWED], velocity_by[PMF_FOLLOWED];
     real_t stops_by[PMF_FOLLOWED]; /* half of the second derivatives of the place by the stops */
     real_t reference[PMF_BODY]; /* per count of position, as a force per count/s^2 and count/s */

@@ -44,6 +44,15 @@ static real_t absolute(real_t x)
     return x < PMF_R(0.0) ? -x : x;
 }
 
+/* Add to a sum what its last digit cannot hold, too (Kahan 1965): in float32 the place would drift away. */
+static void add_exactly(real_t *sum, real_t *rest, real_t part)
+{
+    real_t before = *sum;
+    part += *rest;
+    *sum = before + part;
+    *rest = part - (*sum - before);
+}
+
 /* Return the direction of the motion, or of the motion that the force begins, and 0 at rest. */
 static real_t way_of(const pmf_redge_state_t *state, real_t force)
 {
@@ -97,8 +106,9 @@ static void move_piece(pmf_redge_state_t *state, real_t acceleration, real_t tim
             state->velocity_by[i] += by_velocity[i - FIRST];
         }
     }
-    state->place += time * state->velocity + acceleration * twice;
-    state->velocity += acceleration * once;
+    add_exactly(&state->place, &state->place_rest, time * state->velocity_rest + acceleration * twice);
+    add_exactly(&state->place, &state->place_rest, time * state->velocity);
+    add_exactly(&state->velocity, &state->velocity_rest, acceleration * once);
 }
 
 /* Stop the body. Where its braking is weak, a small change of velocity moves the stop by much: by the squared change
@@ -108,7 +118,7 @@ static void stop_body(pmf_redge_state_t *state, real_t force, real_t way)
     real_t kept = left_after_stop(state, force, way), braking;
     uint32_t i;
     braking = absolute(force - way * state->reference[COULOMB]) / state->reference[MASS];
-    state->velocity = PMF_R(0.0);
+    state->velocity = state->velocity_rest = PMF_R(0.0);
     for (i = 0; i < PMF_FOLLOWED; ++i) {
         state->stops_by[i] +=
             PMF_R(0.5) * (PMF_R(1.0) - kept) * state->velocity_by[i] * state->velocity_by[i] / braking;

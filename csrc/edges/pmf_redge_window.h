@@ -141,6 +141,7 @@ static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pm
     state->reference[COULOMB] = larger(theta[COULOMB], PMF_R(1e-3) * absolute(config->input_gain * state->input));
     state->place = place;
     state->velocity = travel / state->since;
+    state->place_rest = state->velocity_rest = PMF_R(0.0);
     forget_lines(config, lines);
     begin_window(state);
     open_prior(state, state->velocity);
@@ -214,7 +215,7 @@ static void end_window(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     }
     own = predict(with_velocity, state->velocity_by);
     if (predict(state->velocity_by, state->velocity_by) == PMF_R(0.0)) {
-        state->velocity = PMF_R(0.0);
+        state->velocity = state->velocity_rest = PMF_R(0.0);
     }
     move_reference(state, ratio);
     state->moves += STEADY;
