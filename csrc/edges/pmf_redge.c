@@ -312,7 +312,7 @@ static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *sta
     pmf_edge_t edge;
     real_t velocity = state->velocity + predict(state->velocity_by, state->change);
     if (!((real_t)way * velocity > PMF_R(0.0))) { /* it turned: the last edge may be of another line */
-        state->against += 1U;
+        state->against += velocity == PMF_R(0.0) && absolute(distance) < NOT_A_STEP ? 0U : 1U; /* or chatters at rest */
         if (state->against >= AGAINST) {
             give_up(state);
         }
