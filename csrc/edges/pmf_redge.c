@@ -164,7 +164,7 @@ static void scale_noise(pmf_redge_state_t *state, real_t ratio, real_t share)
     }
 }
 
-/* Add an edge to the sums of its line, and to the variances of lines and instants. The variance of the lines is that of
+/* Add an edge to the sums of its line, and to the variances of lines and instants. The variance of the lines follows
  * MacKay (1992): squared errors of the lines over the part of each error that the edges determine. */
 static void learn_line(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *line, real_t distance,
                        const pmf_edge_t *edge)
