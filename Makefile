@@ -3,29 +3,28 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang valgrind
 SERVICE_TOOLS = mosquitto chromium
 SPARK_TOOLS = openjdk-17-jre-headless
-BUILD_TOOLS = cmake cython ninja numpy scikit-build-core
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
 .PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core coverage spark kills broker-kills service-faults soak check format bench \
     bench-compare study hostile firmware docs docs-pictures firmware-tools service-tools spark-tools golden images clean
 
-# Build tools, then pmfid with its dependencies, at the versions of requirements-dev.txt. An edit of Python counts at
-# once, an edit of C after `make`. The imports of commands are compiled to bytecode here, because some environments
-# forbid later compilation.
-IMPORTED = click jinja2 matplotlib numpy polars pydantic rich scipy
+# The versions of requirements-dev.txt, whose hashes pip verifies, then pmfid. An edit of Python counts at once, an edit
+# of C after `make`. pmfid is compiled to bytecode here, because some environments forbid later compilation.
 .venv/installed: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	test -x .venv/bin/python || $(PYTHON) -m venv .venv
-	$(PIP) install --no-compile -c requirements-dev.txt $(BUILD_TOOLS)
-	$(PIP) install --no-compile -c requirements-dev.txt --no-build-isolation -e .
-	cd .venv/lib/python3*/site-packages && env -u PYTHONDONTWRITEBYTECODE ../../../bin/python -m compileall -q -j 0 \
-	$(IMPORTED) ../../../../src
+	$(PIP) install --require-hashes -r requirements-dev.txt
+	$(PIP) install --no-deps --no-build-isolation -e .
+	env -u PYTHONDONTWRITEBYTECODE .venv/bin/python -m compileall -q -j 0 src
 	touch $@
 
-# Additional packages for tests, checks and studies.
-.venv/tools: requirements-dev.txt | .venv/installed
-	$(PIP) install -r requirements-dev.txt
+.venv/tools: .venv/installed
 	touch $@
+
+# The pinned versions without hashes, which pip does not accept in constraints.
+build/pins.txt: requirements-dev.txt
+	mkdir -p build
+	sed '/^ /d; s/ \\$$//' $< >$@
 
 # A wheel for PYTHON in dist/. The same commit gives the same bytes, in any folder: pinned tools, a fresh build folder,
 # the time of the commit, and no name of the folder in the code.
@@ -35,7 +34,7 @@ wheel: export CFLAGS += -ffile-prefix-map=$(CURDIR)=.
 wheel:
 	rm -rf $(WHEEL_BUILD)
 	$(PYTHON) -m venv $(WHEEL_BUILD)/tools
-	$(WHEEL_BUILD)/tools/bin/pip install --quiet -c requirements-dev.txt $(BUILD_TOOLS)
+	$(WHEEL_BUILD)/tools/bin/pip install --quiet --require-hashes -r requirements-build.txt
 	umask 022 && PATH="$(CURDIR)/$(WHEEL_BUILD)/tools/bin:$$PATH" $(WHEEL_BUILD)/tools/bin/pip wheel --quiet --no-deps \
 	  --no-build-isolation -C build-dir=$(WHEEL_BUILD)/cmake --wheel-dir dist .
 
@@ -47,7 +46,7 @@ wheel-twice: wheel
 
 sdist:
 	$(PYTHON) -m venv build/sdist
-	build/sdist/bin/pip install --quiet -c requirements-dev.txt build $(BUILD_TOOLS)
+	build/sdist/bin/pip install --quiet --require-hashes -r requirements-build.txt
 	build/sdist/bin/python -m build --sdist --no-isolation --outdir dist
 
 # The wheels of this kind of machine for every Python, as [tool.cibuildwheel] describes. Linux needs containers.
@@ -107,8 +106,8 @@ spark-tools:
 
 EXTRA = import sys, tomllib; \
     print(*tomllib.load(open("pyproject.toml", "rb"))["project"]["optional-dependencies"][sys.argv[1]])
-.venv/spark: pyproject.toml | .venv/tools
-	$(PIP) install -c requirements-dev.txt $$(.venv/bin/python -c '$(EXTRA)' spark)
+.venv/spark: pyproject.toml build/pins.txt | .venv/tools
+	$(PIP) install -c build/pins.txt $$(.venv/bin/python -c '$(EXTRA)' spark)
 	touch $@
 
 # The tests run in one process, because Spark uses the other cores.
@@ -138,10 +137,11 @@ test-long: .venv/tools firmware-tools service-tools
 # tests of results from all layers, and tests of extras (formats, frames).
 ABOVE = $(wildcard tests/test_fleet_*.py tests/test_design_*.py tests/test_hostile*.py) $(addprefix tests/, service spark) \
     $(patsubst %,tests/test_%.py,formats frames logs_study openings presentation reproduce unpacked)
-build/core/bin/pytest: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
+build/core/bin/pytest: build/pins.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	$(PYTHON) -m venv build/core
-	build/core/bin/pip install --quiet -c requirements-dev.txt $(BUILD_TOOLS) pytest pytest-timeout pytest-xdist hypothesis
-	build/core/bin/pip install --quiet -c requirements-dev.txt --no-build-isolation -C build-dir=build/core/cmake -e .
+	build/core/bin/pip install --quiet --require-hashes -r requirements-build.txt
+	build/core/bin/pip install --quiet -c build/pins.txt pytest pytest-timeout pytest-xdist hypothesis
+	build/core/bin/pip install --quiet -c build/pins.txt --no-build-isolation -C build-dir=build/core/cmake -e .
 test-core: build/core/bin/pytest
 	$(PYTEST:.venv/%=build/core/%) -m "not long" $(STRUCTURE:%=--ignore %) $(ABOVE:%=--ignore %)
 
@@ -204,7 +204,7 @@ bench: .venv/peers
 
 # Compare the time of a sample with that of the commit REF, both measured in turn.
 REF ?= HEAD~1
-bench-compare: .venv/installed
+bench-compare: .venv/installed build/pins.txt
 	mkdir -p .benchmarks
 	.venv/bin/python -m benchmarks.compare $(REF)
 

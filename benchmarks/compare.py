@@ -25,7 +25,7 @@ def build_version(ref: str, folder: Path) -> Path:
         subprocess.run(["git", "worktree", "add", "--detach", str(folder), ref], cwd=ROOT, check=True)
     if not python.exists():
         subprocess.run([sys.executable, "-m", "venv", str(folder / ".venv")], check=True)
-        pins = str(ROOT / "requirements-dev.txt")
+        pins = str(ROOT / "build" / "pins.txt")
         subprocess.run([str(python), "-m", "pip", "install", "--quiet", "-c", pins, str(folder)], check=True)
     return python
 

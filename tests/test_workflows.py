@@ -63,6 +63,43 @@ def test_wheels_are_asked_for_every_python_that_is_supported() -> None:
     assert PROJECT["project"]["requires-python"] == ">=3.11"
 
 
+def read_locked(name: str) -> dict[str, str]:
+    """Return each pin of a lock file with its hashes."""
+    text = (REPOSITORY / name).read_text(encoding="utf-8").replace("\\\n", "")
+    return {pin.strip(): hashes for pin, hashes in re.findall(r"^(\S+==[^\n]*?) (--hash[^\n]*)$", text, re.MULTILINE)}
+
+
+@pytest.mark.parametrize("name", ["requirements-build.txt", "requirements-dev.txt", "requirements-docs.txt"])
+def test_every_locked_version_has_hashes_and_no_host(name: str) -> None:
+    text = (REPOSITORY / name).read_text(encoding="utf-8")
+    locked = read_locked(name)
+    assert len(locked) == text.count("==") - text.count(" == ") > 5
+    assert "://" not in text
+    assert all(re.fullmatch(r"(--hash=sha256:[0-9a-f]{64}\s*)+", hashes) for hashes in locked.values())
+
+
+def test_the_tools_of_a_wheel_are_locked_like_those_of_development() -> None:
+    build, dev = read_locked("requirements-build.txt"), read_locked("requirements-dev.txt")
+    shared = {pin.partition("==")[0] for pin in dev} & {pin.partition("==")[0] for pin in build}
+    assert {"cmake", "cython", "ninja", "numpy", "scikit-build-core"} <= shared
+    versions = [{pin.partition(" ;")[0] for pin in pins if pin.partition("==")[0] in shared} for pins in (build, dev)]
+    assert versions[0] == versions[1]
+
+
+def test_the_recipe_for_conda_asks_for_what_the_project_asks_for() -> None:
+    yaml = pytest.importorskip("ruamel.yaml")
+    recipe = yaml.YAML(typ="safe").load((REPOSITORY / "recipe/recipe.yaml").read_text(encoding="utf-8"))
+    project = PROJECT["project"]
+    assert recipe["context"]["version"] == project["version"]
+    run = {text.replace(" ", "").replace("matplotlib-base", "matplotlib") for text in recipe["requirements"]["run"]}
+    assert run == {*project["dependencies"], "python" + project["requires-python"]}
+    assert {text.replace(" ", "") for text in recipe["requirements"]["host"]} >= set(
+        PROJECT["build-system"]["requires"]
+    )
+    assert recipe["build"]["python"]["entry_points"] == [f"{n} = {f}" for n, f in project["scripts"].items()]
+    assert recipe["about"]["license_file"] == project["license-files"]
+
+
 def test_the_list_of_parts_names_what_is_in_the_wheel() -> None:
     parts = json.loads((REPOSITORY / "deploy" / "sbom.cdx.json").read_text(encoding="utf-8"))
     vendor = REPOSITORY / "src/pmfid/service/web/static/vendor"
