@@ -13,7 +13,7 @@ SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[c
 # of C after `make`. pmfid is compiled to bytecode here, because some environments forbid later compilation.
 .venv/installed: requirements-dev.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	test -x .venv/bin/python || $(PYTHON) -m venv .venv
-	$(PIP) install --require-hashes -r requirements-dev.txt
+	$(PIP) install --no-deps --require-hashes -r requirements-dev.txt
 	$(PIP) install --no-deps --no-build-isolation -e .
 	env -u PYTHONDONTWRITEBYTECODE .venv/bin/python -m compileall -q -j 0 src
 	touch $@
@@ -34,7 +34,7 @@ wheel: export CFLAGS += -ffile-prefix-map=$(CURDIR)=.
 wheel:
 	rm -rf $(WHEEL_BUILD)
 	$(PYTHON) -m venv $(WHEEL_BUILD)/tools
-	$(WHEEL_BUILD)/tools/bin/pip install --quiet --require-hashes -r requirements-build.txt
+	$(WHEEL_BUILD)/tools/bin/pip install --quiet --no-deps --require-hashes -r requirements-build.txt
 	umask 022 && PATH="$(CURDIR)/$(WHEEL_BUILD)/tools/bin:$$PATH" $(WHEEL_BUILD)/tools/bin/pip wheel --quiet --no-deps \
 	  --no-build-isolation -C build-dir=$(WHEEL_BUILD)/cmake --wheel-dir dist .
 
@@ -46,7 +46,7 @@ wheel-twice: wheel
 
 sdist:
 	$(PYTHON) -m venv build/sdist
-	build/sdist/bin/pip install --quiet --require-hashes -r requirements-build.txt
+	build/sdist/bin/pip install --quiet --no-deps --require-hashes -r requirements-build.txt
 	build/sdist/bin/python -m build --sdist --no-isolation --outdir dist
 
 # The wheels of this kind of machine for every Python, as [tool.cibuildwheel] describes. Linux needs containers.
@@ -139,7 +139,7 @@ ABOVE = $(wildcard tests/test_fleet_*.py tests/test_design_*.py tests/test_hosti
     $(patsubst %,tests/test_%.py,formats frames logs_study openings presentation reproduce unpacked)
 build/core/bin/pytest: build/pins.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	$(PYTHON) -m venv build/core
-	build/core/bin/pip install --quiet --require-hashes -r requirements-build.txt
+	build/core/bin/pip install --quiet --no-deps --require-hashes -r requirements-build.txt
 	build/core/bin/pip install --quiet -c build/pins.txt pytest pytest-timeout pytest-xdist hypothesis
 	build/core/bin/pip install --quiet -c build/pins.txt --no-build-isolation -C build-dir=build/core/cmake -e .
 test-core: build/core/bin/pytest
