@@ -234,4 +234,7 @@ def _find_limits(trial: _Trial, own: float, wanted: float, parameter: str) -> It
             f"the simulated motion differs from the recorded one by {100 * trial.missed:.0f} % of its travel: the "
             "comparison is of the simulated motion"
         )
-    yield f"lines off by at most {100 * trial.line_error:g} % of a step, timer of {1e6 * TUNING.encoders_tick:g} us"
+    yield (
+        "the encoder alone: noise and unmodelled effects come on top; lines are off by at most "
+        f"{100 * trial.line_error:g} % of a step, and the timer has ticks of {1e6 * TUNING.encoders_tick:g} us"
+    )
