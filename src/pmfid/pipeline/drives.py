@@ -39,6 +39,7 @@ from pmfid.findings import MOVE, Finding, advise, codes, make_notes, sort_findin
 from pmfid.io.tables import Table
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import ESTIMATE, LATE, Equation
+from pmfid.models.shapes import Square
 from pmfid.pipeline import checks
 from pmfid.pipeline.checks.readings import INTEGRATE, convert_velocity
 from pmfid.pipeline.kinds import Kind, Progress, method_of, settings, simulator
@@ -165,7 +166,7 @@ class Drives(Kind[Record]):
         data = take_own_instants(data, axis)
         known = repair_as_configured(data, axis)
         result = try_both_signs(axis, lambda own: _identify_by_method(known.record, own, axis, progress))
-        result = replace(result, theta_std=_widen_errors(result, data))
+        result = replace(result, theta_std=np.hypot(_widen_errors(result, data), _period_errors(result, data, axis)))
         return result.with_findings(*known.findings, *_clock_findings(data))
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
@@ -368,6 +369,20 @@ def _widen_errors(result: DriveResult, record: Record) -> Floats:
     most = float(np.max(record.doubt, initial=0.0))
     parts = record.doubt if record.doubt.size == result.theta.size else np.full(result.theta.size, most)
     return np.asarray(np.hypot(result.theta_std, parts * np.abs(result.theta)))
+
+
+def _period_errors(result: DriveResult, record: Record, axis: Axis) -> Floats:
+    """Return the standard errors (p,) from the sample period.
+
+    A parameter with an nth derivative is proportional to the nth power of the period. Known parameters pass their share
+    on to the others.
+    """
+    equation = result.estimator.equation
+    powers = [2 if isinstance(term.shape, Square) else term.derivative for term in equation.unknown]
+    powers += [1] * (result.theta.size - len(powers))  # times and the Stribeck speed
+    if axis.estimator.given or axis.estimator.prior:
+        powers = [2] * result.theta.size
+    return np.asarray(powers) * record.dt_error * np.abs(result.theta)
 
 
 def _collect_status(record: Record) -> int:

@@ -154,6 +154,23 @@ def slope_below(late: Floats) -> float:
     return slope
 
 
+def period_error(stamps: Floats, places: Floats) -> float:
+    """Return the relative standard error of the period of the line through stamps (n,) at places (n,) of a grid.
+
+    The scatter of the stamps comes from blocks, because stamps in the order of their arrival are late together.
+    """
+    n = stamps.size
+    blocks = min(TUNING.clock_blocks, n // TUNING.clock_group)
+    if blocks < TUNING.clock_least_blocks:
+        return 0.0
+    around = places - np.mean(places)
+    square = float(around @ around)
+    period = float(around @ (stamps - np.mean(stamps))) / square
+    late = (stamps - np.mean(stamps)) / period - around
+    means = [float(np.mean(part)) for part in np.array_split(late, blocks)]
+    return float(np.std(means, ddof=2)) * np.sqrt(n / blocks / square)
+
+
 def _furthest(values: Floats, middle: float) -> float:
     """Return the largest distance of the values (n,) from a given value. The function makes no copy, because a
     record may be large.
@@ -274,12 +291,16 @@ Number = TypeVar("Number", bound=np.generic)
 
 @dataclass(frozen=True)
 class PlacedRows:
-    """The used rows (m,) of a record and their places (m,) on a grid with the period dt [s], with notes for people."""
+    """The used rows (m,) of a record and their places (m,) on a grid with the period dt [s], with notes for people.
+
+    `dt_error` is the relative standard error of the period.
+    """
 
     rows: NDArray[np.intp]
     places: NDArray[np.intp]
     dt: float
     notes: tuple[str, ...]
+    dt_error: float = 0.0
 
     @property
     def whole(self) -> bool:
@@ -313,8 +334,10 @@ def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: Record
             stamps = stamps[0] + period * np.arange(places[-1] + 1)
     dt, notes = sample_period(stamps, config)  # `sample_period` refuses stamps without a grid
     counts = kept[rows]
-    places = np.flatnonzero(counts) if places is None else places[counts]
-    return PlacedRows(_take_rows(rows, np.flatnonzero(counts)), _shorten_gaps(places), dt, (*repeats, *early, *notes))
+    at = np.arange(rows.size) if places is None else places
+    error = 0.0 if same or config.dt is not None else period_error(_take_rows(time, rows), at.astype(np.float64))
+    used = _take_rows(rows, np.flatnonzero(counts))
+    return PlacedRows(used, _shorten_gaps(at[counts]), dt, (*repeats, *early, *notes), error)
 
 
 def _take_rows(values: NDArray[Number], rows: NDArray[np.intp]) -> NDArray[Number]:

@@ -177,6 +177,7 @@ class Record:
     the uneven instants of its clock, or None for even instants. A record at uneven instants has `steps`, the times
     between its samples. `in_counts` says whether lengths are in counts, because the travel of a count is unknown.
     `ages` (n,) is the time from the last edge of the encoder to the sample [s], NaN without an edge, or None.
+    `dt_error` is the relative standard error of the sample period, if the stamps scatter around an even grid.
     """
 
     u: Floats
@@ -193,6 +194,7 @@ class Record:
     own: Record | None = None
     in_counts: bool = False
     ages: Floats | None = None
+    dt_error: float = 0.0
 
     @property
     def times(self) -> Floats:
@@ -309,8 +311,10 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     if config.output_kind == "counts":  # resampling rounds the counts of an uneven clock
         _check_counts(columns, config)
     columns, found, clock_notes = _resample(axis, columns, units.y)
-    jitter = 0.0 if found is None else found.jitter
     rows, row_notes = _rows(table, config, columns)
+    clock = {"jitter": 0.0, "dt_error": rows.dt_error}
+    if found is not None:
+        clock = {"jitter": found.jitter, "dt_error": found.dt_error}
     if rows.rows.size < len(columns["input"]):  # without missing rows, a copy is needless
         columns = {key: values[rows.rows] for key, values in columns.items()}
     columns.pop("time", None)
@@ -353,13 +357,11 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     notes += age_notes
     if rows.whole:
         return Record(
-            u, counts, rows.dt, resolution, notes, name, rotary, jitter=jitter, own=own, in_counts=in_counts, ages=ages
+            u, counts, rows.dt, resolution, notes, name, rotary, own=own, in_counts=in_counts, ages=ages, **clock
         )
     u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity")
     notes = (*notes, describe_missing(u, there))
-    return Record(
-        u, counts, rows.dt, resolution, notes, name, rotary, there, jitter=jitter, own=own, in_counts=in_counts
-    )
+    return Record(u, counts, rows.dt, resolution, notes, name, rotary, there, own=own, in_counts=in_counts, **clock)
 
 
 def _own_record(
@@ -423,6 +425,11 @@ def _resample(
         return given, None, ()
     period = (found.time[1] - found.time[0]) * time_factor(config)
     note = "the stamps scatter around an even grid, as stamps of arrival do: the grid is taken"
+    notes = []
+    if found.dt_error > 0:
+        notes.append(
+            f"the period of the grid is known to {100 * found.dt_error:.1g} %; the intervals contain this error"
+        )
     if found.jitter:
         note = f"the steps of the clock vary by {found.jitter:.0%}, around {period:.4g} s"
     if stale:
@@ -430,7 +437,9 @@ def _resample(
         note = f"{part:.0%} of the rows repeat the output of the row before, and are left out: log what is new"
     y = np.rint(found.y) if config.output_kind == "counts" else found.y
     new = columns | {"time": found.time, "input": found.u, "output": y}
-    return new, found, (note, *([f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)"] if wraps else []))
+    if wraps:
+        notes.append(f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)")
+    return new, found, (note, *notes)
 
 
 def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tuple[str, ...]]:

@@ -10,7 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.records.clock import even_grid, find_places, has_same_steps, is_steady, misses_lines, slope_below
+from pmfid.records.clock import (
+    even_grid,
+    find_places,
+    has_same_steps,
+    is_steady,
+    misses_lines,
+    period_error,
+    slope_below,
+)
 from pmfid.records.tuning import TUNING
 from pmfid.types import Flags, Floats
 
@@ -21,6 +29,7 @@ class Resampled:
 
     `jitter` is the root mean square deviation of the steps, relative to the period. If only the stamps are uneven,
     `jitter` is 0. `own` holds the samples before resampling, or None if the samples are even or the clock drifts.
+    `dt_error` is the relative standard error of the period of late stamps.
     """
 
     time: Floats
@@ -28,6 +37,7 @@ class Resampled:
     y: Floats
     jitter: float
     own: OwnSamples | None = None
+    dt_error: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -118,7 +128,7 @@ def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:
         if abs(halves[0] - halves[1]) > TUNING.resampling_same_period * period
         else 0.0
     )
-    return Resampled(start + period * k, u, y, jitter)
+    return Resampled(start + period * k, u, y, jitter, dt_error=period_error(stamps, k))
 
 
 def _usual_step(steps: Floats) -> float:

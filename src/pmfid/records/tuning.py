@@ -27,6 +27,9 @@ class RecordTuning:
     #: Number of averaged stamps that reveal a missing sample. The next constant is the largest mean by chance, in
     #: standard deviations.
     clock_group: int = 50
+    #: Largest and least number of blocks of stamps whose means show the scatter of stamps that are late together.
+    clock_blocks: int = 30
+    clock_least_blocks: int = 4
     most_by_chance: float = 5.0
     #: Relative difference of the longest and shortest step of a clock that needs neither a note nor a further test.
     clock_same_steps: float = 1e-3
