@@ -328,6 +328,6 @@ def _encoder_warnings(worths: Mapping[str, Worth], recommended: str) -> list[str
     worst = max(worse, key=worse.__getitem__)
     return [
         f"by the counts of this encoder the design leaves {worst} {worse[worst]:.1f} times as uncertain as a trapezoid "
-        f"does: the axis comes to rest on a machine a little heavier, or the counts repeat along the motion; run the "
+        f"does. The axis comes to rest on a machine a little heavier, or the counts repeat along the motion. Run the "
         f"input {recommended!r}, or design with a larger min_speed, apart from whole counts per sample"
     ]

@@ -292,7 +292,7 @@ def check_identifiable(problem: Problem, maps: Affine) -> None:
     if rank < p:
         raise NotIdentifiableError(
             f"one run of this motion has {maps.matrix.shape[0] // p} samples and tells {rank} numbers, too few for "
-            f"{', '.join(problem.names)}; take more intervals or samples_per_interval, take {p - rank} of them out of "
+            f"{', '.join(problem.names)}. Take more intervals or samples_per_interval, take {p - rank} of them out of "
             "unknown, or give prior information"
         )
 

@@ -57,9 +57,9 @@ class Commissioning:
             return ()
         return (
             f"the best motion of the model misses a count by {missing:.2g} counts, so that all were taken as "
-            f"{2 * missing:.2g} wider on both sides: friction, input_gain or the start is not as the model has it, and "
-            "that error is in the deviations as far as it shows, not beyond; identify a longer record with pmfid "
-            "identify, whose models know more kinds of friction and a dead time",
+            f"{2 * missing:.2g} wider on both sides. The deviations contain this error only as far as it shows. "
+            "Friction, input_gain or the start is not as the model has it: use pmfid identify, whose models know more "
+            "kinds of friction and a dead time",
         )
 
     @property

@@ -73,7 +73,7 @@ def integer_counts(counts: ArrayLike) -> Numbers:
         where = ", ".join(str(index) for index in missing[0])
         raise UsageError(
             f"counts are NaN or infinite in {len(missing)} places, the first at index {where}: repeat the count before "
-            "where a sample is missing; of a transfer function, NaN in the output of an Experiment leaves it out"
+            "where a sample is missing. Of a transfer function, NaN in the output of an Experiment leaves it out"
         )
     if not np.array_equal(given, np.round(given)):
         raise UsageError("counts must be integers; use pmfid.quantize(position, resolution) for a position")

@@ -273,8 +273,8 @@ def _reason(problem: ProcessProblem) -> str:
     if np.any(poles.real * problem.duration > 1.0) and not problem.structure.unstable:
         return (
             f"least squares finds a pole at {np.max(poles.real) * problem.rate:+.3g} rad/s: if the process is "
-            "unstable, as only a controller lets it be recorded, say so with unstable = true in [model]; "
-            "otherwise use ls or bcls, or another structure"
+            "unstable, as only a controller lets it be recorded, say so with unstable = true in [model]. "
+            "Otherwise use ls or bcls, or another structure"
         )
     offset = "" if problem.structure.offset else "offset = true in [model] where the output has a constant, "
     return f"the model does not follow the record; try {offset}another structure, dead time or cutoff"

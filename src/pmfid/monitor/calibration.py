@@ -410,7 +410,7 @@ def _check_units(units: int, time: float) -> None:
         enough = LEAST_RECORD_UNITS / max(units, 1) * time
         raise UsageError(
             f"the record of normal work is noisier than the encoder explains, and has {units} units of work in "
-            f"{time:.3g} s: thresholds from its scatter need {LEAST_RECORD_UNITS}; record {enough:.3g} s or more, "
+            f"{time:.3g} s. Thresholds from its scatter need {LEAST_RECORD_UNITS}: record {enough:.3g} s or more, "
             "without a change of the machine"
         )
 

@@ -84,8 +84,8 @@ def check_direction(record: Record, axis: Axis) -> str:
     if not risen.relative_error < TUNING.drives_better * plain:
         return ""
     return (
-        f"[model] direction is that of the output's change, but {axis.record.output!r} is a velocity: the equation "
-        f"leaves {100 * plain:.2g} %, and {100 * risen.relative_error:.2g} % with the direction of the velocity; "
+        f"[model] direction is that of the output's change, but {axis.record.output!r} is a velocity. The equation "
+        f"leaves {100 * plain:.2g} %, and {100 * risen.relative_error:.2g} % with the direction of the velocity: "
         f"{INTEGRATE}, and raise every derivative of the output by one"
     )
 
@@ -285,7 +285,9 @@ def _check_sizes(estimator: Estimator, theta: Floats, theta_std: Floats, advice:
         raise NotIdentifiableError(f"a parameter or its standard deviation is not finite; {MOVE}")
     if not std < mass:
         name = estimator.names[leading]
-        raise NotIdentifiableError(f"{name} comes out as {mass:.3g} with a standard deviation of {std:.2g}; {advice}")
+        raise NotIdentifiableError(
+            f"{name} comes out as {mass:.3g} with a standard deviation of {std:.2g}. Advice: {advice}"
+        )
 
 
 def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> list[Finding]:
@@ -307,7 +309,7 @@ def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> l
         )
     if adequacy is not None or estimator.equation.without_simulation or "unmodelled" in codes(judgement.judged):
         advice = advise(judgement.judged, "check columns and scales of input and output, or lower the cutoff")
-        raise NotIdentifiableError(f"{sentence}, more than no motion at all would; {advice}")
+        raise NotIdentifiableError(f"{sentence}, more than no motion at all would. Advice: {advice}")
     return []
 
 

@@ -31,7 +31,7 @@ from pmfid.types import Counts, Floats
 
 FEEDBACK = (
     "the input follows the part that the curve leaves unexplained, as under position control, or with a dead time or a "
-    "lag that [model] does not have (see pmfid identify): the curve may be off by many of its standard errors, most of "
+    "lag that [model] does not have (see pmfid identify). The curve may be off by many of its standard errors, most of "
     "all under control with one repeated stroke"
 )
 
@@ -132,8 +132,8 @@ def _estimate_curve(
     if not found.mass_std < found.mass:
         raise NotIdentifiableError(
             f"the mass of the curve comes out as {found.mass:.3g} with a standard deviation of {found.mass_std:.2g}: "
-            "this record does not separate friction from the mass after these filters; use fewer nodes, or a higher "
-            "cutoff, or record reversals and speeds that vary"
+            "these filters do not separate friction from the mass. Use fewer nodes or a higher cutoff, or record "
+            "reversals and speeds that vary"
         )
     change = np.diff(u, prepend=u[:1])[-found.error.size :]
     follows = correlation_score(found.error, change) > DIAGNOSTIC_TUNING.significant

@@ -173,7 +173,7 @@ UNKNOWN_GAP = -1
 #: Remedy for a sender that restarted its numbers without a higher epoch.
 REMEDY = (
     "Repeated samples do no harm. If the sender restarted, let it send a higher epoch, as the time of day in "
-    'whole seconds; or use "Begin anew" on the page of the axis (POST /api/axis/NAME/anew): then its next samples are '
+    'whole seconds. Or use "Begin anew" on the page of the axis (POST /api/axis/NAME/anew): then its next samples are '
     "taken, whatever their epoch"
 )
 

@@ -188,8 +188,8 @@ def calibration_notes(calibration: Calibration, detector: str, mtbf_hours: float
     if doubt > math.log(TUNING.setup_sure):
         notes.append(
             f"from the {hours:.2g} h of the reference record the time between false alarms is known to a factor of "
-            f"{math.exp(doubt):.2g} only, to one of {TUNING.setup_sure:g} it would be from about "
-            f"{hours * (doubt / math.log(TUNING.setup_sure)) ** 2:.2g} h of it; record more normal work, or "
+            f"{math.exp(doubt):.2g} only. A factor of {TUNING.setup_sure:g} takes about "
+            f"{hours * (doubt / math.log(TUNING.setup_sure)) ** 2:.2g} h: record more normal work, or "
             "lower mtbf_hours"
         )
     return notes
@@ -200,7 +200,7 @@ def check_monitored(axis: Axis) -> None:
     reason = axis.model.make().equation.without_simulation
     if reason:
         raise UsageError(
-            f"the monitor is for a machine with friction that it can simulate, and of this equation {reason}; to "
+            f"the monitor is for a machine with friction that it can simulate, and of this equation {reason}. To "
             "follow its parameters use pmfid identify with forgetting < 1 and bcrls, or rsrivc for a transfer function"
         )
 
