@@ -91,7 +91,8 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
         gain, std = estimate[INPUT_GAIN], estimate.theta_std[-1]
         if not std < abs(gain):
             raise NotIdentifiableError(
-                f"input_gain comes out as {gain:.3g} with a standard deviation of {std:.2g}. Advice: {advise(result.findings)}"
+                f"input_gain comes out as {gain:.3g} with a standard deviation of {std:.2g}. Advice: "
+                f"{advise(result.findings)}"
             )
         estimator = with_gain(estimator, gain)
     return replace(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
@@ -168,7 +169,7 @@ def period_error(stamps: Floats, places: Floats) -> float:
     period = float(around @ (stamps - np.mean(stamps))) / square
     late = (stamps - np.mean(stamps)) / period - around
     means = [float(np.mean(part)) for part in np.array_split(late, blocks)]
-    return float(np.std(means, ddof=2)) * np.sqrt(n / blocks / square)
+    return float(np.std(means, ddof=2)) * math.sqrt(n / blocks / square)
 
 
 def _furthest(values: Floats, middle: float) -> float:

@@ -312,9 +312,7 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         _check_counts(columns, config)
     columns, found, clock_notes = _resample(axis, columns, units.y)
     rows, row_notes = _rows(table, config, columns)
-    clock = {"jitter": 0.0, "dt_error": rows.dt_error}
-    if found is not None:
-        clock = {"jitter": found.jitter, "dt_error": found.dt_error}
+    jitter, dt_error = (0.0, rows.dt_error) if found is None else (found.jitter, found.dt_error)
     if rows.rows.size < len(columns["input"]):  # without missing rows, a copy is needless
         columns = {key: values[rows.rows] for key, values in columns.items()}
     columns.pop("time", None)
@@ -356,12 +354,25 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         ages, age_notes = read_edge_ages(table, axis.encoder, rows.rows, obstacle)
     notes += age_notes
     if rows.whole:
-        return Record(
-            u, counts, rows.dt, resolution, notes, name, rotary, own=own, in_counts=in_counts, ages=ages, **clock
-        )
-    u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity")
-    notes = (*notes, describe_missing(u, there))
-    return Record(u, counts, rows.dt, resolution, notes, name, rotary, there, own=own, in_counts=in_counts, **clock)
+        there = None
+    else:
+        u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity")
+        notes, ages = (*notes, describe_missing(u, there)), None
+    return Record(
+        u,
+        counts,
+        rows.dt,
+        resolution,
+        notes,
+        name,
+        rotary,
+        there,
+        jitter=jitter,
+        own=own,
+        in_counts=in_counts,
+        ages=ages,
+        dt_error=dt_error,
+    )
 
 
 def _own_record(
