@@ -6,7 +6,7 @@ SPARK_TOOLS = openjdk-17-jre-headless
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
-.PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core coverage spark kills broker-kills service-faults soak check format bench \
+.PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core test-lowest test-newest coverage spark kills broker-kills service-faults soak check format bench \
     bench-compare study hostile firmware docs docs-pictures firmware-tools service-tools spark-tools golden images clean
 
 # The versions of requirements-dev.txt, whose hashes pip verifies, then pmfid. An edit of Python counts at once, an edit
@@ -144,6 +144,21 @@ build/core/bin/pytest: build/pins.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	build/core/bin/pip install --quiet -c build/pins.txt --no-build-isolation -C build-dir=build/core/cmake -e .
 test-core: build/core/bin/pytest
 	$(PYTEST:.venv/%=build/core/%) -m "not long" $(STRUCTURE:%=--ignore %) $(ABOVE:%=--ignore %)
+
+# The fast tests against a wheel, with the lowest versions that pyproject.toml allows and with the newest. Each pip
+# installs what a user's pip would. The lowest Matplotlib calls functions that newer versions of pyparsing warn of.
+TESTED = formats serve design control delta mdf4 tdms
+INSTALLED = $(filter-out $(STRUCTURE) $(ABOVE), $(wildcard tests/test_*.py)) tests/test_formats.py tests/test_frames.py
+build/lowest.txt: pyproject.toml
+	$(PYTHON) -m venv build/uv
+	build/uv/bin/pip install --quiet uv==0.13.9
+	echo "pyparsing<3.3" >build/lowest.in
+	build/uv/bin/uv pip compile --quiet --python $(PYTHON) --resolution lowest-direct $(TESTED:%=--extra %) \
+	  -c build/lowest.in -o $@ pyproject.toml >/dev/null
+test-lowest: wheel build/lowest.txt
+	$(PYTHON) -m tests.wheel dist $(PYTHON) --pins build/lowest.txt --extras $(TESTED) --tests $(INSTALLED)
+test-newest: wheel
+	$(PYTHON) -m tests.wheel dist $(PYTHON) --extras $(TESTED) --tests $(INSTALLED)
 
 # Coverage of src/pmfid by the fast tests.
 coverage: BOUND = 2700

@@ -85,8 +85,11 @@ def run_tutorial(folder: Path, variables: dict[str, str]) -> None:
     assert (folder / "figure.png").stat().st_size > 10_000
 
 
-def try_wheel(dist: Path, python: str, tests: list[str]) -> None:
-    """Install a wheel, time the way to the first figure, and run tests against the installed package."""
+def try_wheel(dist: Path, python: str, tests: list[str], extras: list[str], pins: Path | None) -> None:
+    """Install a wheel, time the way to the first figure, and run tests against the installed package.
+
+    `pins` are the versions of all dependencies. Without pins, the versions are the newest.
+    """
     wheel = find_wheel(dist, python)
     check_contents(wheel)
     with tempfile.TemporaryDirectory() as name:
@@ -94,7 +97,12 @@ def try_wheel(dist: Path, python: str, tests: list[str]) -> None:
         variables = make_environment(folder, python)
         pip = [folder / "venv" / "bin" / "python", "-m", "pip", "--quiet", "--disable-pip-version-check"]
         start, cpu = time.monotonic(), os.times()
-        subprocess.run([*pip, "install", "--only-binary=:all:", wheel], env=variables, check=True)
+        wanted = [f"{wheel}[{','.join(extras)}]" if extras else wheel]
+        # Without a compiler, a package that comes only as sources must be pure Python.
+        options = (
+            ["--prefer-binary", "-r", pins] if pins else ["--prefer-binary"] if extras else ["--only-binary=:all:"]
+        )
+        subprocess.run([*pip, "install", *options, *wanted], env=variables, check=True)
         installed = time.monotonic()
         run_tutorial(folder, variables)
         end, used = time.monotonic(), os.times()
@@ -105,7 +113,8 @@ def try_wheel(dist: Path, python: str, tests: list[str]) -> None:
             flush=True,
         )
         if tests:
-            subprocess.run([*pip, "install", *TEST_PACKAGES], env=variables, check=True)
+            options = ["-c", pins] if pins else []
+            subprocess.run([*pip, "install", *options, *TEST_PACKAGES], env=variables, check=True)
             program = ["python", "-m", "pytest", "-q", "-p", "no:cacheprovider", "-m", "not long", *tests]
             variables = variables | {"PATH": f"{variables['PATH']}:{os.environ['PATH']}"}
             subprocess.run(
@@ -119,9 +128,11 @@ def main() -> None:
     parser.add_argument("dist", type=Path)
     parser.add_argument("pythons", nargs="+")
     parser.add_argument("--tests", nargs="*", default=[])
+    parser.add_argument("--extras", nargs="*", default=[])
+    parser.add_argument("--pins", type=Path)
     arguments = parser.parse_args(sys.argv[1:])
     for python in arguments.pythons:
-        try_wheel(arguments.dist.resolve(), python, arguments.tests)
+        try_wheel(arguments.dist.resolve(), python, arguments.tests, arguments.extras, arguments.pins)
 
 
 if __name__ == "__main__":
