@@ -17,6 +17,7 @@ from pathlib import Path
 import click
 
 from docs.blocks import ROOT, run_blocks
+from docs.words import PICTURES, draw_word
 from pmfid.cli.main import main as program
 from pmfid.config.explain import ReferenceEntry, entries
 from pmfid.diagnostics.matter import FLAGS, OF_LOG, OF_MODEL
@@ -71,13 +72,17 @@ def show_outcomes(text: str, page: Path) -> str:
 
 
 def explain_words(words: list[str], folder: Path) -> str:
-    """Return a section for each status word: its meaning, its weight, and the page with figures if one exists."""
+    """Return a section for each status word: its meaning, its weight, and its figure or the page with figures."""
     known = {entry.name: entry for entry in entries() if not entry.kind}
     sections = []
     for word in words:
         more = (
             f"\n\n[Records and figures](status/{word}.md)" if (folder / "howto/status" / f"{word}.md").exists() else ""
         )
+        if word in PICTURES:
+            (folder / "howto/status").mkdir(parents=True, exist_ok=True)
+            draw_word(word).savefig(folder / f"howto/status/{word}.png", dpi=150)
+            more += f"\n\n![A good log, and a log with the word {word}](status/{word}.png)"
         weight = f"\n\n*{weigh_word(word)}*" if weigh_word(word) else ""
         sections.append(f"### {word}\n\n{write_meaning(known[word])}{weight}{more}\n")
     return "\n".join(sections)
