@@ -54,6 +54,8 @@ pmfid.search_terms(u, y, model=drive, dt=1e-3, encoder=encoder, cutoff=20.0).add
 pmfid.IV(drive, encoder, 1e-3, 20.0, discretization="paper").fit(u, y)
 pmfid.RIV(drive, encoder, 1e-3, 20.0, precision="float32").run(u, y)
 pmfid.RIV(drive, encoder, 1e-3, 20.0).step(0.0, 1).theta
+pmfid.RIV(drive, encoder, 1e-3, 20.0, steps="given")
+pmfid.IV(drive, encoder, 1e-3, 20.0, steps=np.full(9, 1e-3)).fit(u, y)
 pmfid.fleet.estimate("logs", axis=axis, by="machine")
 pmfid.fleet.estimate(frame.lazy(), axis=axis, by="machine").axes
 pmfid.fleet.Local()
@@ -74,7 +76,11 @@ pmfid.identify(frame, axis={"record": {"input": "u", "output": "y"}, "modell": {
 pmfid.check(frame, axes=axis)
 pmfid.IV(drive, encoder, 1e-3, 20.0, discretization="exakt")
 pmfid.RLS(drive, encoder, 1e-3, 20.0, forgetting_scheme="fading")
+pmfid.RIV(drive, encoder, 1e-3, 20.0, steps="givn")
+pmfid.RLS(drive, encoder, 1e-3, 20.0, precision="float16")
+pmfid.export_firmware(pmfid.RLS(drive, encoder, 1e-3, 20.0), "axis", prefx="axis")
 pmfid.fleet.estimate(7, axis=axis, by="machine")
+pmfid.fleet.estimate("logs", axis=axis, by="machine", engine="sparc")
 pmfid.fleet.estimat
 pmfid.identifi
 Encoder(b"0.01 deg")

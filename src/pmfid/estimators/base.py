@@ -21,7 +21,7 @@ from pmfid.estimators.configuration import (
     freeze,
 )
 from pmfid.estimators.plants import PlantDefaults, plant_of
-from pmfid.estimators.sample_steps import SampleSteps, read_steps
+from pmfid.estimators.sample_steps import SampleSteps, StepsOption, read_steps
 from pmfid.estimators.tuning import TUNING
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
@@ -68,7 +68,7 @@ class Estimator:
     discretization: Discretization = field(default="matched", kw_only=True)
     prefilter_zeros: Sequence[float] | None = field(default=None, kw_only=True)
     precision: Precision = field(default="float64", kw_only=True)
-    steps: object = field(default=None, kw_only=True)
+    steps: StepsOption = field(default=None, kw_only=True)
 
     method: ClassVar[str] = ""
     #: The kernel has columns of instruments in addition to the regressors.

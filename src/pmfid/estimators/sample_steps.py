@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
 from pmfid.kernel.structures import constants_of
@@ -50,7 +51,11 @@ class SampleSteps:
         return SampleSteps(self.before[first:last])
 
 
-def read_steps(steps: object) -> SampleSteps | Literal["given"] | None:
+#: Argument `steps` of an estimator.
+StepsOption = SampleSteps | Sequence[float] | NDArray[np.floating[Any]] | Literal["given"] | None
+
+
+def read_steps(steps: StepsOption) -> SampleSteps | Literal["given"] | None:
     """Return the argument `steps` of an estimator. Raises UsageError for anything but None, "given" and positive
     numbers.
     """
@@ -60,7 +65,7 @@ def read_steps(steps: object) -> SampleSteps | Literal["given"] | None:
         if steps == GIVEN:
             return GIVEN
     else:
-        found = check_steps(steps)  # type: ignore[arg-type]
+        found = check_steps(steps)
         if found.size:
             return SampleSteps(found)
     raise UsageError(
