@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -386,6 +387,8 @@ def test_an_alarm_says_what_to_do_and_its_parameter_stands_first(browser: Any) -
         plant.alarm("spindle-b", "coulomb_friction", "N m")
         at_axis(page, there, "spindle-b")
         assert "Check brakes, guides, seals and belt tension for rubbing." in page.inner_text(".card.alarm")
+        assert re.search(r"Changed at \S.*\. Noticed at \S.*\.", page.inner_text(".card.alarm"))
+        assert "is 1.7 times the limit, which normal work rarely reaches" in page.inner_text(".card.alarm")
         assert page.inner_text(".value-card >> nth=0").startswith("coulomb friction")
         assert page.inner_text(".chart-title >> nth=0") == "coulomb friction"
 

@@ -31,11 +31,16 @@ export function adviceOf(alarm) {
   return found ? found[1] : "Look at the charts, and compare with the reference.";
 }
 
-export const sinceOf = (alarm) => `${alarm.silent ? "" : `since ${moment(alarm.changed_at)}, `}found ${wall(alarm.wall)}`;
+export const sinceOf = (alarm) => `${alarm.silent ? "" : `Changed at ${moment(alarm.changed_at)}. `}Noticed at ${wall(alarm.wall)}.`;
+
+// How sure an alarm is.
+const sureOf = (alarm) =>
+  `The evidence for a change is ${number(alarm.statistic / alarm.threshold, 2)} times the limit, which normal work rarely reaches ` +
+  `(statistic ${number(alarm.statistic, 3)}, limit ${number(alarm.threshold, 3)}).`;
 
 function settledOf(alarm) {
   const found = alarm.settled?.parameters?.[alarm.parameter];
-  return found ? `now ${withError(found.value, found.std)}${unitOf(alarm.unit)}` : null;
+  return found ? `Now ${words(alarm.parameter)} ${withError(found.value, found.std)}${unitOf(alarm.unit)}.` : null;
 }
 
 export function alarmCard(alarm, mayWrite, withAxis = true) {
@@ -61,8 +66,8 @@ export function alarmCard(alarm, mayWrite, withAxis = true) {
         el("strong", {}, causeOf(alarm)),
       ),
       known ? null : el("p", {}, adviceOf(alarm)),
-      el("p", { class: "fine" }, sinceOf(alarm), settled ? `, ${settled}` : ""),
-      alarm.silent ? null : el("p", { class: "fine" }, `statistic ${number(alarm.statistic, 3)}, an alarm above ${number(alarm.threshold, 3)}`),
+      el("p", { class: "fine" }, sinceOf(alarm), settled ? ` ${settled}` : ""),
+      alarm.silent ? null : el("p", { class: "fine" }, sureOf(alarm)),
       alarm.cleared === null ? null : el("p", { class: "fine" }, `back since ${wall(alarm.cleared)}`),
       alarm.acknowledged === null ? null : el("p", { class: "fine note-text" }, `acknowledged ${wall(alarm.acknowledged)}`, alarm.note ? `: “${alarm.note}”` : ""),
     ),

@@ -1,0 +1,55 @@
+"""The files of deploy/compose name metrics, files and keys that exist."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from pmfid.service.metrics import HELP
+from pmfid.service.plant import load_plant, page_config
+
+REPOSITORY = Path(__file__).parents[2]
+FOLDER = REPOSITORY / "deploy" / "compose"
+#: Metrics of the process, which every service of Prometheus has.
+PROCESS = {"process_resident_memory_bytes"}
+
+
+def read_yaml(name: str) -> dict[str, dict[str, dict[str, list[str]]]]:
+    yaml = pytest.importorskip("ruamel.yaml")
+    return dict(yaml.YAML(typ="safe").load((FOLDER / name).read_text(encoding="utf-8")))
+
+
+def test_the_dashboard_shows_metrics_that_the_service_has() -> None:
+    dashboard = json.loads((FOLDER / "dashboard.json").read_text(encoding="utf-8"))
+    expressions = [target["expr"] for panel in dashboard["panels"] for target in panel["targets"]]
+    shown = set(re.findall(r"\b(?:pmfid|process)_\w+", " ".join(expressions)))
+    assert len(shown) > 10
+    assert shown <= HELP.keys() | PROCESS
+    places = [tuple(panel["gridPos"].values()) for panel in dashboard["panels"]]
+    assert len(set(places)) == len(places)
+
+
+def test_the_services_mount_files_that_exist() -> None:
+    services = read_yaml("compose.yaml")["services"]
+    mounted = [one.split(":")[0] for service in services.values() for one in service["volumes"]]
+    files = [name for name in mounted if name.startswith("./") and name != "./plant"]
+    assert len(files) == 5
+    assert [name for name in files if not (FOLDER / name).is_file()] == []
+    assert (FOLDER / services["pmfid"]["build"]["context"] / services["pmfid"]["build"]["dockerfile"]).is_file()
+
+
+def test_prometheus_asks_the_page_of_the_service(tmp_path: Path) -> None:
+    """The head of the compose file has the keys of PLANT.toml with which Prometheus reaches the page."""
+    (job,) = read_yaml("prometheus.yml")["scrape_configs"]
+    head = (FOLDER / "compose.yaml").read_text(encoding="utf-8").partition("\nservices:")[0]
+    keys = "\n".join(line.removeprefix("#   ") for line in head.splitlines() if re.match(r"#   (\[|\w+ = )", line))
+    keys = keys.replace("[service]", '[service]\nname = "hall"').replace("/state", str(tmp_path))
+    (tmp_path / "axis.toml").write_text((REPOSITORY / "examples/plant_axis.toml").read_text())
+    source = '[axes.x1]\nconfig = "axis.toml"\n[sources.hall]\nkind = "mqtt"\nhost = "broker"\ntopics = ["a"]\n'
+    (tmp_path / "PLANT.toml").write_text(f"{keys}\n{source}")
+    page = page_config(load_plant(tmp_path / "PLANT.toml"))
+    assert job["static_configs"][0]["targets"][0] in page.hosts
+    assert (page.token_env, page.read_token_env) == ("PMFID_TOKEN", "PMFID_READ_TOKEN")
