@@ -439,7 +439,7 @@ def test_the_json_object_has_its_keys_and_types(cart: Cart) -> None:
 def test_a_resolution_in_words_is_no_resolution(cart: Cart) -> None:
     result = CliRunner().invoke(main, ["identify", str(cart.csv), "--config", "axis.toml", "--resolution", "coarse"])
     assert result.exit_code == 2
-    assert "'coarse' is no number, with a unit or without, as 0.001 or \"0.01 mm\"" in result.stderr
+    assert "'coarse' is not a number, with a unit or without, as 0.001 or \"0.01 mm\"" in result.stderr
 
 
 def test_options_go_before_the_configuration(cart: Cart) -> None:

@@ -230,7 +230,7 @@ def test_links_are_followed_once_and_results_are_no_data(lake: History) -> None:
         ("machine=said/c.parquet", "type", "machine = said, its own column axis-0003"),
         ("machine=__HIVE_DEFAULT_PARTITION__/d.parquet", "rows_lost", "6000 rows"),
         ("short.parquet", "type", "write it as float64"),
-        ("list.parquet", "unreadable", "which is no name"),
+        ("list.parquet", "unreadable", "must contain names"),
     ],
 )
 def test_what_is_no_data_is_named(lake: History, file: str, code: str, said: str) -> None:

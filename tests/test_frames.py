@@ -157,7 +157,7 @@ def test_a_dict_is_an_axis_and_settings_replace_its_estimator(axis: Path) -> Non
         (SECTIONS, {"method": "output error"}, "did you mean 'output-error'"),
         (SECTIONS, {"cutof": 20.0}, "did you mean 'cutoff'"),
         (SECTIONS | {"model": 7}, {}, "must be a section of keys"),
-        (7, {}, "axis is the path of an AXIS.toml, or a dict with its sections, got int"),
+        (7, {}, "axis must be the path of an AXIS.toml or a dict with its sections, got int"),
     ],
 )
 def test_a_wrong_option_names_the_right_one(axis: Any, settings: Any, message: str) -> None:

@@ -306,7 +306,7 @@ def test_a_checkpoint_is_taken_up_and_has_what_changed_alone(tmp_path: Path) -> 
     assert again.restored is not None
     assert (again.restored.mark, again.restored.damaged, again.restored.sequence) == ({"read": [1, 2]}, (), 3)
     assert again.add(BCRLS).tolist() == [2**32 + 5]
-    with pytest.raises(pmfid.UsageError, match="mark must be of what JSON knows"):
+    with pytest.raises(pmfid.UsageError, match="mark must be a value that JSON can hold"):
         again.checkpoint(object())
 
 

@@ -19,7 +19,7 @@ CASES += [(pmfid.RLS, PROCESS), (pmfid.BCRLS, PROCESS)]
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize(("cls", "model"), CASES)
 def test_bits_are_those_of_the_general_step(cls, model, precision, forgetting):
-    """The bits are also equal for wrong counts, an input that is no number, and an axis at rest."""
+    """The bits are also equal for wrong counts, an input that is not a number, and an axis at rest."""
     run = cart_run(1, increments=2**14)
     u, counts = run.u.copy(), run.counts.copy()
     u[700:706], u[1500] = np.nan, 1e9

@@ -173,8 +173,8 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
         lambda text: text.replace("[axes.x1]", "[fleets]").replace('config = "axis.toml"', ""),
         "no axis is named",
     ),
-    "a name that is a path": (lambda text: text.replace("axes.x1", 'axes."../x"'), "is no name"),
-    "a script for a name": (lambda text: text.replace("axes.x1", 'axes."<script>"'), "is no name"),
+    "a name that is a path": (lambda text: text.replace("axes.x1", 'axes."../x"'), "is not a name"),
+    "a script for a name": (lambda text: text.replace("axes.x1", 'axes."<script>"'), "is not a name"),
     "a key of an axis": (lambda text: text.replace("config", "file"), r"\[axes.x1\] file is an unknown key"),
     "a pattern of any format": (
         lambda text: text + '[fleets.f]\nconfig = "axis.toml"\nnames = "{0:c}{0}"\ncount = 60\n',
@@ -190,7 +190,7 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
     ),
     "an axis twice": (
         lambda text: text + '[fleets.f]\nconfig = "axis.toml"\nnames = "x{}"\ncount = 3\n',
-        r"\[fleets.f\] names the axis 'x1' once more",
+        r"\[fleets.f\] names the axis 'x1' a second time",
     ),
     "an axis that is not there": (lambda text: text.replace('axis = "x1"', 'axis = "x9"'), "there is no axis 'x9'"),
     "a speed below 0": (lambda text: text.replace("speed = 0.0", "speed = -1.0"), r"\[sources.a\] speed = -1.0"),

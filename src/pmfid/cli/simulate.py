@@ -54,7 +54,9 @@ def _write(
     from pmfid.simulation import SCENARIOS, Faults, axis_toml, make_scenario, write_csv
 
     if name not in SCENARIOS:
-        raise UsageError(f"unknown scenario {name!r}{did_you_mean(name, SCENARIOS)}; pmfid simulate --list names all")
+        raise UsageError(
+            f"unknown scenario {name!r}{did_you_mean(name, SCENARIOS)}; pmfid simulate --list shows all names"
+        )
     try:
         lines, seed = int(options["increments"]), int(options["seed"])
         faults = Faults(missed, jitter, line_error, lines, seed)

@@ -34,7 +34,7 @@ def step(text: str) -> float | str:
     except ValueError:
         if re.search(r"\d", text):
             return text
-        raise click.BadParameter(f'{text!r} is no number, with a unit or without, as 0.001 or "0.01 mm"') from None
+        raise click.BadParameter(f'{text!r} is not a number, with a unit or without, as 0.001 or "0.01 mm"') from None
 
 
 def config_option(text: str = "What the record holds, the encoder, the model, the estimator.") -> Callable[[F], F]:

@@ -212,7 +212,7 @@ def read_axis(axis: Axis | AxisKeys | Path | str, settings: EstimatorKeys | None
         _add_unit_encoder(raw)
     else:
         raise UsageError(
-            "axis is the path of an AXIS.toml, or a dict with its sections, got "
+            "axis must be the path of an AXIS.toml or a dict with its sections, got "
             f"{type(axis).__name__}; give one of them"
         )
     return override_sections(Axis, raw, overrides)

@@ -98,7 +98,7 @@ def parts_of(u: Floats, least: int = 1) -> list[slice]:
 
 def gaps_in(u: Floats) -> tuple[tuple[int, int], ...]:
     """Return the gaps of a record, each as its first sample and the first sample after it. In a gap, the input (n,)
-    is no number.
+    is not a number.
     """
     parts = parts_of(u)
     edges = [0, *(edge for part in parts for edge in (part.start, part.stop)), u.size]

@@ -47,7 +47,7 @@ def check_arrays(u: ArrayLike, counts: ArrayLike) -> tuple[Floats, NDArray[np.in
 
 
 def numbers(name: str, values: ArrayLike) -> Numbers:
-    """Return an array of real numbers in their own type. Raises UsageError if a value is no number, or if rows
+    """Return an array of real numbers in their own type. Raises UsageError if a value is not a number, or if rows
     differ in length.
     """
     if np.ma.is_masked(values):

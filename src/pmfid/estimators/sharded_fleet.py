@@ -390,7 +390,7 @@ class ShardedFleet:
         try:
             json.dumps(mark)
         except (TypeError, ValueError, RecursionError) as error:
-            raise UsageError(f"mark must be of what JSON knows, got {type(mark).__name__}: {error}") from None
+            raise UsageError(f"mark must be a value that JSON can hold, got {type(mark).__name__}: {error}") from None
         return stored.write(self._vault, self._shards, self._handles, mark, self._each, sync)
 
     def __enter__(self) -> Self:

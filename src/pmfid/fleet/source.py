@@ -127,7 +127,7 @@ def seconds_of(column: pl.Expr, name: str, kind: pl.DataType, factor: float) -> 
             f"the column {name!r} is of type {kind}, half of a time: give a column that has both the day and the time"
         )
     if not (kind.is_numeric() or kind == pl.String):
-        raise UsageError(f"the column {name!r} is of type {kind}, which is no time")
+        raise UsageError(f"the column {name!r} must contain times, but its type is {kind}")
     number = column.cast(pl.Float64, strict=False)
     number = number if factor == 1 else number * factor
     return number if kind != pl.String else pl.coalesce(number, _parse_dates(column))
@@ -301,12 +301,12 @@ def _cast(own: str, name: str, kind: pl.DataType, factor: float, value: pl.Expr 
     column = pl.col(name) if value is None else value
     if own in (AXIS, TYPE):
         if kind.is_nested():
-            raise UsageError(f"the column {name!r} is of type {kind}, which is no name")
+            raise UsageError(f"the column {name!r} must contain names, but its type is {kind}")
         return _name(column, kind).alias(own)
     if own == TIME:
         return seconds_of(column, name, kind, factor).alias(own)
     if not (kind.is_numeric() or kind == pl.String or (kind == pl.Boolean and own != OUTPUT)):
-        raise UsageError(f"the column {name!r} is of type {kind}, which is no number")
+        raise UsageError(f"the column {name!r} must contain numbers, but its type is {kind}")
     return column.cast(pl.Float64, strict=False).alias(own)
 
 

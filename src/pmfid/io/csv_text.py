@@ -315,7 +315,7 @@ def _strip_other_lines(body: bytes) -> bytes:
 def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
     """Return the columns with numbers in the first lines as numbers, and all other columns as text.
 
-    If a later cell is no number, all columns are text, because only a used column may cause an error.
+    If a later cell is not a number, all columns are text, because only a used column may cause an error.
     """
     import polars as pl
 
@@ -353,7 +353,7 @@ def named_columns(frame: pl.DataFrame, layout: Layout) -> dict[str, object]:
 
 
 def _with_points(column: pl.Series) -> pl.Series:
-    """Replace decimal commas by points. A number with points between thousands becomes a text that is no number."""
+    """Replace decimal commas by points. A number with points between thousands becomes a text that is not a number."""
     import polars as pl
 
     thousands = column.str.contains(r"^\s*[+-]?\d{1,3}(\.\d{3})+")

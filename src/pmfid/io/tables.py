@@ -110,7 +110,7 @@ Frame = Mapping[str, ArrayLike] | ArrowFrame | PandasFrame
 #: Columns by name, each an array or a polars series, according to the reader of the file.
 Table = Mapping[str, object]
 
-#: Remedies for a cell that is no number.
+#: Remedies for a cell that is not a number.
 NUMBERS = "write numbers like 0.25, remove lines that are no data, or name another column"
 DATES = "write seconds like 0.25, 2026-03-04 12:00:00.25 or 12:00:00.25, and remove lines that are no data"
 #: Length of a day [s].

@@ -98,7 +98,9 @@ class Stribeck(Shape):
 
     def table(self) -> ShapeTable:
         if isinstance(self.speed, str):
-            raise UsageError("the Stribeck speed is not known yet: output-error and interval find it; or give it")
+            raise UsageError(
+                "the Stribeck speed is unknown: give the speed, or estimate it by output-error or interval"
+            )
         step = FADED / PIECES
         speeds = step * np.arange(PIECES + 1)
         # The mean over each piece equals the form's mean. Straight lines between the form's own values would lie on one

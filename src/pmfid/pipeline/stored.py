@@ -123,7 +123,7 @@ def read_stored(path: Path) -> Stored:
 
 
 def _no_number(text: str) -> NoReturn:
-    raise ValueError(f"{text} is no number")
+    raise ValueError(f"{text} is not a number")
 
 
 def _first(error: ValidationError) -> str:

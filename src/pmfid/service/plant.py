@@ -229,7 +229,7 @@ def _check_tables(raw: Mapping[str, Any]) -> None:
 
 def _check_name(where: str, name: str) -> None:
     if not re.fullmatch(_PATTERN, name):
-        raise UsageError(f"[{where}] {name!r} is no name; use {_WORD}")
+        raise UsageError(f"[{where}] {name!r} is not a name; use {_WORD}")
 
 
 def _section(label: str, cls: type[Section], table: Mapping[str, Any]) -> Section:
@@ -258,7 +258,7 @@ def _add_fleet(axes: dict[str, Path], key: str, fleet: FleetSection, folder: Pat
     _check_name(f"fleets.{key}", max(names, key=len))
     doubled = next((name for name in names if name in axes), None)
     if doubled is not None:
-        raise UsageError(f"[fleets.{key}] names the axis {doubled!r} once more; choose another pattern")
+        raise UsageError(f"[fleets.{key}] names the axis {doubled!r} a second time; choose another pattern")
     axes.update(dict.fromkeys(names, folder / fleet.config))
 
 

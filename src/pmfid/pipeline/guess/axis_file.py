@@ -313,7 +313,7 @@ def read_gain(text: str, usual: Unit | None = None) -> float:
 def _read(text: str, read: Callable[[object], object]) -> float:
     value = _number(text) if re.fullmatch(r"[\d.,eE+\s-]+", text) else read(text.replace(",", "."))
     if not isinstance(value, float) or value == 0:
-        raise ValueError(f"{text!r} is no number; write one like 0.25, with a unit if it is not in SI")
+        raise ValueError(f"{text!r} is not a number; write one like 0.25, with a unit if it is not in SI")
     return value
 
 

@@ -148,7 +148,7 @@ def _value(fields: Mapping[str, object], name: str) -> Value:
         raise ValueError(f"there is no field {name!r}")
     value = fields[name]
     if not _is_value(value):
-        raise ValueError(f"the field {name!r} is no number")
+        raise ValueError(f"the field {name!r} is not a number")
     return value
 
 
@@ -162,7 +162,7 @@ def _moment(text: str) -> float:
     try:
         moment = datetime.fromisoformat(day + text)
     except ValueError:
-        raise ValueError(f"{text!r} is no time") from None
+        raise ValueError(f"{text!r} is not a time") from None
     return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
