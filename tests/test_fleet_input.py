@@ -163,7 +163,7 @@ def test_a_long_text_is_no_time() -> None:
 
 @pytest.mark.parametrize("kind", [pl.Date(), pl.Time(), pl.Boolean()])
 def test_half_a_time_is_refused(kind: pl.DataType) -> None:
-    with pytest.raises(UsageError, match="'t' must contain times"):
+    with pytest.raises(UsageError, match=r"'t' (is of type|must contain times)"):
         seconds_of(pl.col("t"), "t", kind, 1.0)
 
 
