@@ -72,6 +72,14 @@ def test_single_precision_is_near_double_precision() -> None:
     np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=1e-3)
 
 
+@pytest.mark.parametrize("seed", [20, 21, 25])
+def test_single_precision_does_not_drift_over_dense_edges(seed: int) -> None:
+    u, counts, ages, step = swing(512, off=0.01, samples=3000, seed=seed, drive=HEAVY)
+    track = estimator_of(step, 512, HEAVY.input_gain, precision="float32").run(u, counts, ages)
+    assert not np.any(track.status[1000:])
+    assert track.theta[-1, 0] == pytest.approx(HEAVY.mass, rel=1e-4)
+
+
 def test_before_the_first_estimate_nothing_is_known() -> None:
     estimate = estimator_of(0.0058).step(1.0, 0)
     assert estimate.status & Status.STARTING
@@ -128,6 +136,17 @@ def test_rest_changes_nothing() -> None:
     rest = np.full(5000, counts[-1])
     track = estimator.run(np.zeros(5000), rest, np.full(5000, np.nan))
     np.testing.assert_allclose(track.theta[-1], before, rtol=1e-6)
+
+
+def test_a_count_that_chatters_at_rest_is_no_motion() -> None:
+    u = np.append(prbs(2000, clock=10, amplitude=4.0, rng=np.random.default_rng(4)), np.zeros(60))
+    motion, step = simulate_drive(CART, np.repeat(u, EVERY), DT / EVERY), 0.0058
+    counts, ages = capture_edges(motion, step, every=EVERY, tick=1e-6)
+    counts[2030::2] += 1 if (motion.x[-1] / step) % 1.0 > 0.5 else -1
+    ages[2030:] = 0.004
+    track = estimator_of(step).run(u, counts, ages)
+    assert track.status[-1] == 0
+    np.testing.assert_allclose(track.theta[-1], track.theta[2029], rtol=1e-6)
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
