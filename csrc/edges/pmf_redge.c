@@ -35,7 +35,7 @@
 #define EXACT PMF_R(0.1) /* error of each parameter, relative to the best edge in counts: rounding */
 #define TREND PMF_R(0.3) /* correlation of innovations, of an alarm */
 #define SHRINK PMF_R(0.95) /* of the drift, from edge to edge without a trend */
-#define MOST_MOVES (8U * STEADY) /* moves of the reference, of which a right model needs three to seven */
+#define MOST_MOVES (6U * STEADY) /* moves of the reference, of which a right model needs three to six */
 #define COLOUR PMF_R(0.3) /* correlation of innovations from which on the model is wrong */
 #define JITTER PMF_R(1.6e-5) /* standard deviation of instants from which on the model is wrong [s], */
 #define UNEVENLY PMF_R(3e-3) /* and of places [counts] */
