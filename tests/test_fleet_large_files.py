@@ -38,7 +38,7 @@ def config(tmp_path: Path) -> Path:
 @pytest.fixture
 def large(log: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Write one file of one row group; windows are shorter than an axis, and each shard has one axis."""
-    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=SAMPLES + 500, plan_rows=SAMPLES + 500)
+    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=SAMPLES + 500, plan_rows=SAMPLES + 500, plan_small=WINDOW)
     set_tuning(monkeypatch, "pmfid.fleet.source", source_window=WINDOW)
     path = tmp_path / "data" / "all.parquet"
     path.parent.mkdir()

@@ -16,7 +16,7 @@ from pmfid.estimators.recursive import BCRLS, impulse_products
 from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
-from pmfid.kernel.configuration import new_kernel
+from pmfid.kernel.configuration import Structured, fill, kernel_of, make_config
 from pmfid.kernel.structures import constants_of
 from pmfid.models.equation import ESTIMATE, LATE, ROLES, Equation
 
@@ -93,15 +93,34 @@ def make_auxiliary_kernel(
     `initial` (p,) are start values of the model's parameters. If `initial` is None, the model starts from the direct
     estimate. If `adapt` is True, the model follows the estimate, else it keeps the initial parameters.
     """
+    known, key = _cache_result(estimator, _make_cache), (forgetting, initial is not None, adapt)
+    if key not in known:
+        known[key] = _make_config(estimator, *key)
+    # A copy of a structure would leave the bytes between its fields undefined, and saved states contain them.
+    config = np.frombuffer(bytearray(known[key].tobytes()), known[key].dtype).reshape(())
+    values = estimator.equation.role_values(initial)
+    config["auxiliary"]["initial"][: len(values)] = values
+    if (late := _late(estimator, float(values[LATE]), forgetting)) is not None:
+        fill(config["late"], late)
+    return kernel_of(estimator.precision, config), auxiliary_columns(estimator)[2]
+
+
+def _make_cache(estimator: Estimator) -> dict[tuple[float, bool, bool], Structured]:
+    return {}
+
+
+def _make_config(estimator: Estimator, forgetting: float, has_initial: bool, adapt: bool) -> Structured:
+    """Return a kernel's configuration without the initial parameters. The iterations and segments of one estimator
+    differ only in these.
+    """
     network, columns, first, check = auxiliary_columns(estimator)
     p = len(estimator.names)
     direct = _cache_result(estimator, direct_estimator)
     causes = _causes(estimator.equation, network) if adapt else []
-    values = estimator.equation.role_values(initial)
     auxiliary = {
         "enabled": 1,
         "adapt": int(adapt),
-        "has_initial": int(initial is not None),
+        "has_initial": int(has_initial),
         "check_column": check,
         "target_column": first + p,
         "mass_column": first + p + 1 + estimator.equation.leading,
@@ -117,7 +136,7 @@ def make_auxiliary_kernel(
         "lag_samples": max(1.0, TUNING.alike_time_constants / (estimator.cutoff * estimator.dt)),
         "direct_index": _indices(_alike(direct.equation, estimator.equation)),
         "index": _indices(estimator.equation.roles),
-        "initial": values,
+        "initial": (),
         "jump_gain": 1 - math.exp(-2 / estimator.order * estimator.cutoff * estimator.dt),
         "sensitivities": len(causes),
         "cause": causes,
@@ -125,7 +144,7 @@ def make_auxiliary_kernel(
         "shapes": shapes_of(estimator.equation, network),
         "steps": int(estimator.steps is not None),
     }
-    kernel = new_kernel(
+    return make_config(
         estimator.precision,
         network.stages,
         columns,
@@ -136,10 +155,8 @@ def make_auxiliary_kernel(
         instrument=_with_check(estimator, estimator.recursion_config(p, True, forgetting, first))
         | {"growing": _growing(estimator) if adapt else 0},
         auxiliary=auxiliary,
-        late=_late(estimator, float(values[LATE]), forgetting),
         rates=network.rates if estimator.steps is not None else ((), ()),
     )
-    return kernel, first
 
 
 def _late(estimator: Estimator, start: float, forgetting: float) -> dict[str, object] | None:

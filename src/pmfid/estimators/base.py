@@ -26,7 +26,7 @@ from pmfid.estimators.tuning import TUNING
 from pmfid.filters.chain import HOLD_FILTERS
 from pmfid.filters.columns import ColumnBuilder, FilterSpec
 from pmfid.filters.network import TURN, Network, Taps, scale_taps
-from pmfid.kernel.configuration import late_values, new_kernel, shape_values, too_many
+from pmfid.kernel.configuration import kernel_of, late_values, make_config, shape_values, too_many
 from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
 from pmfid.models.equation import ESTIMATE, MOST_LATE, Equation
@@ -285,7 +285,7 @@ class Estimator:
         network, columns = self._columns
         direct = self.recursion_config(len(self.names), self.instrumental, forgetting)
         try:
-            return new_kernel(
+            config = make_config(
                 self.precision,
                 network.stages,
                 columns,
@@ -297,6 +297,7 @@ class Estimator:
                 shapes=shapes_of(self.equation, network),
                 rates=network.rates if self.steps is not None else ((), ()),
             )
+            return kernel_of(self.precision, config)
         except ValueError as error:  # the kernel has no room for this configuration
             raise UsageError(str(error)) from None
 

@@ -20,7 +20,7 @@ from pmfid.estimators.recursive import BCRLS, RecursiveEstimator
 from pmfid.estimators.results import Fit
 from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import ColumnBuilder
-from pmfid.kernel.configuration import new_kernel
+from pmfid.kernel.configuration import kernel_of, make_config
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.linear.residuals import covariance
@@ -366,7 +366,7 @@ class RSRIVC(ProcessOnly, RecursiveEstimator):
         p = len(self.names)
         builder = ColumnBuilder(direct.equation, direct.spec)
         columns = [*builder.regressors(), builder.target(), *builder.instruments()]
-        return new_kernel(
+        config = make_config(
             self.precision,
             builder.network.stages,
             columns,
@@ -376,6 +376,7 @@ class RSRIVC(ProcessOnly, RecursiveEstimator):
             instrument=self.recursion_config(p, True, forgetting, len(columns)),
             linear=self._linear_config(builder, len(columns)),
         )
+        return kernel_of(self.precision, config)
 
     def _linear_config(self, builder: ColumnBuilder, first: int) -> dict[str, object]:
         """Return the kernel configuration of the model."""

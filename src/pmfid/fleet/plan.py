@@ -10,11 +10,13 @@ from typing import cast
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.fleet.source import AXIS, TIME, TYPE, Part, SourceColumns, other_unit
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
+from pmfid.types import Floats
 
 PART, ROWS, LOST, FIRST, LAST, EXTENT = "part", "rows", "lost", "first", "last", "extent"
 #: Number of the first row in the part.
@@ -54,11 +56,8 @@ def survey_part(part: Part, columns: SourceColumns) -> Survey:
     """Return the survey of one part. A part that cannot be read has no rows and a problem."""
     try:
         with readable("data"):
-            place, windows = pl.col(_PLACE).cast(pl.Int64), list[pl.DataFrame]()
-            for one in part.windows():
-                rows = one.rows(columns).with_row_index(_PLACE, offset=one.first)
-                counted = count_rows(rows, columns, place.min().alias(START), place.max().alias(_END))
-                windows.append(counted.collect(engine="streaming"))
+            count = _count_window if part.sliced else _count_whole
+            windows = [count(one, columns) for one in part.windows()]
             found, odd = _together(pl.concat(windows)), part.other_types(columns)
     except UsageError as error:
         return Survey(_empty(), (RowProblem("", part.name, "unreadable", " ".join(str(error).split())),))
@@ -67,6 +66,45 @@ def survey_part(part: Part, columns: SourceColumns) -> Survey:
     if others.len():
         odd.append(f"its folder says {columns.axis} = {said}, its own column {others[0]}: the column is taken")
     return survey_of(part.name, found, odd, columns.factor)
+
+
+def _count_whole(part: Part, columns: SourceColumns) -> pl.DataFrame:
+    """Count the rows of a part of any size, as `count_rows` does, with the places of the first and last row."""
+    place, rows = pl.col(_PLACE).cast(pl.Int64), part.rows(columns).with_row_index(_PLACE, offset=part.first)
+    counted = count_rows(rows, columns, place.min().alias(START), place.max().alias(_END))
+    return counted.collect(engine="streaming")
+
+
+def _count_window(part: Part, columns: SourceColumns) -> pl.DataFrame:
+    """Count the rows of a part that fits into memory, for each run of rows of one axis, type and day.
+
+    Files usually have few runs, and a run is counted by its ends.
+    """
+    names = [AXIS, *([TYPE] if columns.type else [])]
+    frame = part.rows(columns).select(*names, TIME).collect(engine="streaming")
+    time = frame[TIME].to_numpy()
+    ended = [frame[name].rle().struct.field("len").cum_sum().to_numpy() for name in names]
+    edges = np.unique(np.concatenate([[0], *ended, _find_days(time)]).astype(np.int64))
+    starts, ends = edges[:-1], edges[1:]
+    finite = np.isfinite(time[starts])
+    axis, kind = (frame[name].gather(starts) for name in (names[0], names[-1]))
+    known, rows = finite & axis.is_not_null().to_numpy(), ends - starts
+    counted = {AXIS: axis, "day": np.floor(time[starts] / TUNING.plan_day)}
+    counted |= {ROWS: np.where(known, rows, 0), LOST: np.where(known, 0, rows)}
+    times = np.minimum.reduceat(time, starts), np.maximum.reduceat(time, starts)
+    counted |= dict(zip((FIRST, LAST), (np.where(finite, one, np.nan) for one in times), strict=True))
+    counted |= {START: starts + part.first, _END: ends - 1 + part.first}
+    types = kind.fill_null("") if columns.type else pl.lit("")
+    return pl.DataFrame(counted).with_columns(pl.col(FIRST, LAST).fill_nan(None), types.alias(TYPE))
+
+
+def _find_days(time: Floats) -> NDArray[np.intp]:
+    """Return the rows (k,) whose day differs from the day of the preceding row, from times (n,) [s]."""
+    ends = np.floor(np.array([time.min(initial=np.inf), time.max(initial=-np.inf)]) / TUNING.plan_day)
+    if ends[0] == ends[1]:
+        return np.empty(0, np.intp)
+    days = np.floor(time / TUNING.plan_day)
+    return np.flatnonzero(days[1:] != days[:-1]) + 1
 
 
 def _together(windows: pl.DataFrame) -> pl.DataFrame:
@@ -251,11 +289,11 @@ def _cut(
 class Places:
     """The places of rows in the parts `names`, which can be read in windows.
 
-    The rows come from the `Survey`. Files of one window are read as a whole.
+    The rows come from the `Survey`. Small files are read as a whole.
     """
 
     def __init__(self, names: Set[str], rows: pl.DataFrame) -> None:
-        large = pl.col(ROWS).sum().over(PART) > TUNING.source_window
+        large = pl.col(ROWS).sum().over(PART) > TUNING.plan_small
         found = rows.filter(pl.col(PART).is_in(list(names)) & large)
         groups = found.partition_by(PART, as_dict=True, include_key=False)
         self._rows = {str(key[0]): group for key, group in groups.items()}

@@ -258,23 +258,40 @@ def read_rows(
                 frames.append(aside.read(name, shard))
             else:
                 with readable("data"):
-                    frames += [_columns(_window(one, shard, columns, length)) for one in parts[name].windows()]
+                    frames += [_window(one, shard, columns, length) for one in parts[name].windows()]
         except UsageError as error:
             problems.append(RowProblem("", name, "unreadable", " ".join(str(error).split())))
         if parts[name].rewritten:
             problems.append(RowProblem("", name, "rewritten", REWRITTEN))
-    rows, found = unique(_sort_rows(_arrays(frames, shard.axes, columns)))
+    rows, found = _order_rows(_arrays(frames, shard.axes, columns))
     return rows, (*problems, *found)
 
 
-def _window(part: Part, shard: RowShard, columns: SourceColumns, length: float) -> pl.DataFrame:
-    axis, time = pl.col(AXIS), pl.col(TIME)
-    inside = (time >= shard.first * length) & (time < shard.last * length)
-    frame = part.rows(columns).filter(inside)
-    if columns.axis not in part.constants:
-        frame = frame.filter(axis.is_in(list(shard.axes)))
-    named = axis.cast(pl.Enum(list(shard.axes)), strict=False).to_physical().alias(AXIS)
-    return frame.select(named, *columns.carried[1:]).drop_nulls(AXIS).collect(engine="streaming")
+def _window(part: Part, shard: RowShard, columns: SourceColumns, length: float) -> _Columns:
+    """Return the rows of a shard in one window of a part. The axes have their numbers in the shard."""
+    low, high, axis, time = shard.first * length, shard.last * length, pl.col(AXIS), pl.col(TIME)
+    frame = part.rows(columns).select(columns.carried)
+    if not part.sliced:  # the part may be larger than the memory
+        inside = (time >= low) & (time < high)
+        frame = frame.filter(inside if columns.axis in part.constants else inside & axis.is_in(list(shard.axes)))
+    read = frame.collect(engine="streaming")
+    found = dict(_columns(read.drop(AXIS)))
+    found[AXIS], mine = _number_axes(read[AXIS], shard.axes)
+    inside = (found[TIME] >= low) & (found[TIME] < high)
+    if mine.all() and inside.all():
+        return found
+    return {name: values[mine & inside] for name, values in found.items()}
+
+
+def _number_axes(names: pl.Series, axes: Sequence[str]) -> tuple[NDArray[np.uint32], Flags]:
+    """Return the index (n,) of each name among the axes, and whether the name is one of them, (n,).
+
+    Each run of equal names is looked up once.
+    """
+    runs = names.rle()
+    numbers = runs.struct.field("value").cast(pl.Enum(list(axes)), strict=False).to_physical().cast(pl.UInt32)
+    known, many = numbers.is_not_null().to_numpy(), runs.struct.field("len").to_numpy()
+    return np.repeat(numbers.fill_null(0).to_numpy(), many), np.repeat(known, many)
 
 
 def _columns(frame: pl.DataFrame) -> _Columns:
@@ -284,11 +301,11 @@ def _columns(frame: pl.DataFrame) -> _Columns:
 def _arrays(frames: Sequence[_Columns], axes: tuple[str, ...], columns: SourceColumns) -> ShardRows:
     def join(name: str) -> Floats:
         parts = [frame[name] for frame in frames]
-        return np.asarray(np.concatenate(parts) if parts else np.empty(0))
+        return np.asarray(parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.empty(0))
 
     named = columns.named
     others = {named[own]: join(own) for own in columns.carried[2:]}
-    return ShardRows(axes, join(AXIS).astype(np.uint32), join(TIME), others)
+    return ShardRows(axes, join(AXIS).astype(np.uint32, copy=False), join(TIME), others)
 
 
 def rows_of(frame: pl.DataFrame, columns: SourceColumns) -> tuple[ShardRows, tuple[RowProblem, ...]]:
@@ -296,23 +313,24 @@ def rows_of(frame: pl.DataFrame, columns: SourceColumns) -> tuple[ShardRows, tup
     axes = tuple(sorted(frame[AXIS].drop_nulls().unique().to_list()))
     named = pl.col(AXIS).cast(pl.Enum(list(axes))).to_physical()
     known = frame.filter(pl.col(TIME).is_finite()).drop_nulls(AXIS).with_columns(named)
-    return unique(_sort_rows(_arrays([_columns(known)], axes, columns)))
+    return _order_rows(_arrays([_columns(known)], axes, columns))
 
 
-def _sort_rows(rows: ShardRows) -> ShardRows:
-    """Sort rows by axis, time, and then by all values, so that the order of files has no effect."""
+def _order_rows(rows: ShardRows) -> tuple[ShardRows, tuple[RowProblem, ...]]:
+    """Sort rows by axis and time, without repeated and contradictory rows."""
     if _increasing(rows):
-        return rows
+        return rows, ()
     by_axis = rows[np.argsort(rows.axis, kind="stable")]  # enough if the rows of each axis are in order
     if _increasing(by_axis):
-        return by_axis
+        return by_axis, ()
+    # The remaining values are keys, so that the order of files has no effect.
     keys: list[Floats] = [*rows.others.values(), rows.time, rows.axis.astype(np.float64)]
-    return rows[np.lexsort(keys)]
+    return unique(rows[np.lexsort(keys)])
 
 
 def _increasing(rows: ShardRows) -> bool:
-    same, step = np.diff(rows.axis.astype(np.int64)), np.diff(rows.time)
-    return bool(np.all((same > 0) | ((same == 0) & (step > 0))))
+    axis, later = rows.axis, rows.time[1:] > rows.time[:-1]
+    return bool(np.all((axis[1:] > axis[:-1]) | ((axis[1:] == axis[:-1]) & later)))
 
 
 def unique(rows: ShardRows) -> tuple[ShardRows, tuple[RowProblem, ...]]:
@@ -348,11 +366,18 @@ def pieces_of(rows: ShardRows, columns: SourceColumns, length: float) -> Iterato
     if not rows.time.size:
         return
     place = np.floor(rows.time / length)
-    ends = np.flatnonzero((np.diff(rows.axis) != 0) | (np.diff(place) != 0)) + 1
+    ends = np.flatnonzero((rows.axis[1:] != rows.axis[:-1]) | (place[1:] != place[:-1])) + 1
     for first, last in zip([0, *ends], [*ends, rows.time.size], strict=True):
-        steps = np.diff(rows.time[first:last])
-        cuts = np.flatnonzero(steps > TUNING.rows_apart * np.median(steps)) + 1 + first if steps.size else ends[:0]
+        cuts = _find_gaps(rows.time[first:last]) + first
         for low, high in zip([first, *cuts], [*cuts, last], strict=True):
             time = rows.time[low:high]
             others = {name: values[low:high] for name, values in rows.others.items()}
             yield RecordPiece(rows.axes[rows.axis[low]], float(time[0]), {columns.time: time - time[0], **others})
+
+
+def _find_gaps(time: Floats) -> NDArray[np.intp]:
+    """Return the rows (k,) after a gap, from rising times (n,) [s]."""
+    steps = np.diff(time)
+    if steps.size == 0 or steps.max() <= TUNING.rows_apart * steps.min():  # no median can be smaller
+        return np.empty(0, np.intp)
+    return np.flatnonzero(steps > TUNING.rows_apart * np.median(steps)) + 1

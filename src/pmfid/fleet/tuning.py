@@ -52,6 +52,8 @@ class FleetTuning:
     plan_rows: int = 2**20
     #: Most rows in a shard. A row takes 40 bytes, and as much again while rows are sorted and estimates computed.
     plan_budget: int = 2**22
+    #: Largest number of rows of a file that each of its shards reads as a whole.
+    plan_small: int = 2**17
 
     # rows
     #: Longest step within a piece, in medians of a slice. After a longer step, the next sample starts a new piece.

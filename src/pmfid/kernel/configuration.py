@@ -29,7 +29,15 @@ Rates = tuple[Sequence[int], Sequence[Rate]]
 Columns = Sequence[Sequence[tuple[int, float]]]
 
 
-def new_kernel(
+def kernel_of(precision: str, config: Structured) -> Kernel:
+    """Return a kernel in its initial state. Raises ValueError for a configuration that the kernel refuses."""
+    from pmfid import _kernel32, _kernel64
+
+    module = _kernel32 if precision == "float32" else _kernel64  # typed alike
+    return cast("Kernel", module.Kernel(config.tobytes()))
+
+
+def make_config(
     precision: str,
     stages: Stages,
     columns: Columns,
@@ -44,18 +52,15 @@ def new_kernel(
     late: Values | None = None,
     shapes: Values | None = None,
     rates: Rates = ((), ()),
-) -> Kernel:
-    """Return a kernel in its initial state.
+) -> Structured:
+    """Return the configuration of a kernel.
 
     `stages` has rows (source, a, b0, b1), and `columns` has a list of (node, weight) for each column. `encoder`,
     `direct`, `instrument`, `auxiliary`, `linear` and `late` hold the fields of the C structures by name. Without
     `auxiliary` and `linear` the kernel simulates no model and has no `instrument`. Without `late` the input acts at
     once. `shapes` replaces the field `shapes` of a missing `auxiliary`. `first_samples` defaults to `settle_samples`.
-    `rates` are the rules for a varying step. Raises ValueError if a size is exceeded, a field is missing or unknown, or
-    the kernel refuses the numbers.
+    `rates` are the rules for a varying step. Raises ValueError if a size is exceeded, or a field is missing or unknown.
     """
-    from pmfid import _kernel32, _kernel64
-
     parameters = max(cast("int", one["n_parameters"]) for one in (direct, instrument or direct))
     config = np.zeros((), structures(None, precision)["pmf_config_t"])
     values = {
@@ -72,8 +77,7 @@ def new_kernel(
     fill(config, values)
     if shapes is not None and auxiliary is None:
         fill(config["auxiliary"]["shapes"], shapes)
-    module = _kernel32 if precision == "float32" else _kernel64  # typed alike
-    return cast("Kernel", module.Kernel(config.tobytes()))
+    return config
 
 
 def network_values(stages: Stages, columns: Columns, parameters: int, rates: Rates = ((), ())) -> dict[str, object]:
