@@ -88,7 +88,10 @@ def parts_of(u: Floats, least: int = 1) -> list[slice]:
 
     A part with fewer than `least` samples determines no speed and belongs to the gap.
     """
-    known = np.flatnonzero(np.isfinite(u))
+    there = np.isfinite(u)
+    if np.all(there):
+        return [slice(0, u.size)] if u.size >= max(least, 1) else []
+    known = np.flatnonzero(there)
     if known.size == 0:
         return []
     breaks = np.flatnonzero(np.diff(known) > 1)

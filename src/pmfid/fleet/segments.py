@@ -69,14 +69,20 @@ class Share:
         """Number of times that each sample is processed."""
         return self.size / self.places.size
 
+    @property
+    def rows(self) -> slice | NDArray[np.intp]:
+        """The samples as a slice, if no sample lies between them, so that they need no copy."""
+        first, end = int(self.places[0]), int(self.places[-1]) + 1
+        return slice(first, end) if end - first == self.places.size else self.places
+
     def input(self, u: Floats) -> Floats:
         """Return the input (size,) of this share from the input (samples,) of the record."""
-        own = u[self.places]
+        own = u[self.rows]
         return own if own.size == self.size else np.resize(own, self.size)
 
     def counts(self, counts: Counts) -> Counts:
         """Return the counts (size,) of this share. Each repetition starts where the previous one ended."""
-        own = counts[self.places]
+        own = counts[self.rows]
         if own.size == self.size:
             return own
         again = np.arange(self.size) // own.size
@@ -300,7 +306,7 @@ def _stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
     record = record_at(piece.table, settings.axis)
     quarter, settled = quarter_of(settings, record.dt), settings.estimator.settle_samples
     span = round(settings.span / record.dt)
-    filled = np.zeros(record.u.size, bool) if record.there is None else ~record.there
+    filled = None if record.there is None else ~record.there
     shares = (
         (whole.start, share)
         for whole in parts_of(record.u)
@@ -316,10 +322,11 @@ def _stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
     return found
 
 
-def _stretch(piece: RecordPiece, record: Record, filled: Flags, first: int, share: Share, looked_at: bool) -> Stretch:
-    """Return a stretch whose share starts at the sample `first` of the record."""
-    places = share.places + first
-    begin, end = int(places[0]), int(places[-1]) + 1
+def _stretch(
+    piece: RecordPiece, record: Record, filled: Flags | None, first: int, share: Share, looked_at: bool
+) -> Stretch:
+    """Return a stretch whose share starts at the sample `first` of the record. `filled` marks the imputed samples."""
+    begin, end = first + int(share.places[0]), first + int(share.places[-1]) + 1
     return Stretch(
         piece.axis,
         piece.start + begin * record.dt,
@@ -329,7 +336,7 @@ def _stretch(piece: RecordPiece, record: Record, filled: Flags, first: int, shar
         record.resolution,
         share.input(record.u[first:]),
         share.counts(record.counts[first:]),
-        float(filled[places].mean()),
+        0.0 if filled is None else float(filled[first:][share.rows].mean()),
         share.repeats,
         looked_at,
     )

@@ -99,10 +99,11 @@ def _check_position(output: Floats, axis: Axis) -> None:
 
 def _check_counts(columns: Mapping[str, Floats], config: RecordConfig) -> None:
     """Raise UsageError for a column of counts that has fractions, and say so if the input has whole numbers instead."""
-    known, u = (columns[key][np.isfinite(columns[key])] for key in ("output", "input"))
+    there = np.isfinite(columns["output"])
     try:
-        _whole(known)
+        _whole(columns["output"] if np.all(there) else columns["output"][there])
     except UsageError:
+        u = columns["input"][np.isfinite(columns["input"])]
         if np.unique(u[: TUNING.record_distinct]).size <= TUNING.most_whole or np.any(u != np.rint(u)):
             raise
         raise UsageError(
@@ -112,9 +113,11 @@ def _check_counts(columns: Mapping[str, Floats], config: RecordConfig) -> None:
 
 
 def _whole(output: Floats) -> Counts:
-    rounded = np.rint(output)
+    rounded, most = np.rint(output), TUNING.max_count
+    if np.array_equal(rounded, output) and -most < np.min(output, initial=0) and np.max(output, initial=0) < most:
+        return rounded.astype(np.int64)
     off = np.subtract(output, rounded)
-    bad = np.flatnonzero((np.abs(off, out=off) > 1e-6) | (output >= TUNING.max_count) | (output <= -TUNING.max_count))
+    bad = np.flatnonzero((np.abs(off, out=off) > 1e-6) | (output >= most) | (output <= -most))
     del off  # the mask of a long record takes much memory
     if len(bad):
         raise UsageError(
