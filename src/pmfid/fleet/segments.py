@@ -18,7 +18,7 @@ from pmfid.estimators.adequacy import filter_forces
 from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV, RIV
-from pmfid.estimators.least_squares import solve_with_instruments
+from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.motion import rms
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Tracks
@@ -192,14 +192,17 @@ def _moves(stretch: Stretch, method: IV, theta: Floats) -> Floats:
     columns = method.columns_at(theta, u, counts)
     speed = velocity(counts) * (stretch.resolution / stretch.dt)
     forces, plausible = _forces(method.equation, theta, speed, u)
-    filtered = filter_forces(forces, method)[:, columns.used].T
-    found, inverse = solve_with_instruments(columns)
-    moves = -inverse @ (columns.zeta.T @ filtered)
-    score = filtered - columns.zeta @ np.linalg.lstsq(columns.zeta.T @ columns.zeta, columns.zeta.T @ filtered)[0]
-    scores = score * (columns.z - columns.phi @ found)[:, None]
-    information = np.sum(score * (filtered + columns.phi @ moves), axis=0)
-    variance = block_scatter(scores, ESTIMATOR_TUNING.instruments_lasting * method.settle_samples) * stretch.repeats
-    size, size_std = scores.sum(axis=0) / information, np.sqrt(variance) / np.abs(information)
+    # Rows without gaps in memory take half of the time.
+    filtered, phi, zeta = map(
+        np.ascontiguousarray, (filter_forces(forces, method)[:, columns.used], columns.phi.T, columns.zeta.T)
+    )
+    inverse = inverse_of(zeta @ phi.T)
+    moves = -inverse @ (zeta @ filtered.T)
+    score = filtered - np.linalg.lstsq(zeta @ zeta.T, zeta @ filtered.T)[0].T @ zeta
+    scores = score * (columns.z - inverse @ (zeta @ columns.z) @ phi)
+    information = np.sum(score * (filtered + moves.T @ phi), axis=1)
+    variance = block_scatter(scores.T, ESTIMATOR_TUNING.instruments_lasting * method.settle_samples) * stretch.repeats
+    size, size_std = scores.sum(axis=1) / information, np.sqrt(variance) / np.abs(information)
     asked = np.abs(size) > ESTIMATOR_TUNING.adequacy_missed * size_std
     sizes = np.where(asked, np.abs(size), np.sqrt(believed_square(size, size_std, plausible)))
     return np.asarray(np.abs(moves) * sizes)

@@ -319,7 +319,9 @@ def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: Record
         rows = np.flatnonzero(kept)
         return PlacedRows(rows, _shorten_gaps(rows), *sample_period(None, config))
     rows, repeats, early = np.arange(time.size), tuple[str, ...](), tuple[str, ...]()
-    if not (same := has_same_steps(time)):
+    if (same := has_same_steps(time)) and np.all(kept):
+        return PlacedRows(rows, rows, *sample_period(time, config))
+    if not same:
         rows, repeats = _drop_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
         rows, early = _drop_early(time, rows)
     stamps, places = _take_rows(time, rows), None

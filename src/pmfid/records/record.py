@@ -470,7 +470,8 @@ def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> 
     mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
     out, notes = left_out(time, samples, config, mask)
     u, y = columns["input"], columns["output"]
-    repeated = np.r_[False, (u[1:] == u[:-1]) & (y[1:] == y[:-1])]
+    repeated = np.zeros(samples, bool)
+    np.logical_and(u[1:] == u[:-1], y[1:] == y[:-1], out=repeated[1:])
     rows = place_rows(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config, y)
     if rows.rows.size < TUNING.min_samples:
         raise UsageError(
@@ -492,7 +493,7 @@ def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]
 
 
 def _check_not_empty(label: str, values: Floats) -> None:
-    if not np.any(np.isfinite(values)):
+    if not (np.isfinite(values[0]) or np.any(np.isfinite(values))):
         raise UsageError(f"{label} is empty: missing, NaN or infinite in every row; name another column, or record it")
 
 
