@@ -74,12 +74,16 @@ def test_what_is_wrong_with_one_is_reported_of_that_one(place: int, value: bytes
     assert sum(isinstance(one, Block) for one in found) == 7
 
 
-def test_a_wrong_checksum_costs_one_block() -> None:
-    parts = [encode(block(k + 1)) for k in range(8)]
-    parts[3] = parts[3][:-5] + bytes([parts[3][-5] ^ 1]) + parts[3][-4:]
+@pytest.mark.parametrize("damaged", [(3,), (0,), (7,), (2, 3), (0, 7), (1, 4, 6)])
+@pytest.mark.parametrize("place", [-1, -5, 30, 60])
+def test_a_wrong_checksum_costs_each_block_that_is_damaged(damaged: tuple[int, ...], place: int) -> None:
+    """One checksum of the whole message finds every damage, also the same one in several blocks."""
+    parts = [bytearray(encode(block(k + 1))) for k in range(8)]
+    for k in damaged:
+        parts[k][place] ^= 1
     found = decode(b"".join(parts))
-    assert [one.reason for one in found if isinstance(one, Unusable)] == ["crc"]
-    assert sum(isinstance(one, Block) for one in found) == 7
+    assert [one.reason for one in found if isinstance(one, Unusable)] == ["crc"] * len(damaged)
+    assert sum(isinstance(one, Block) for one in found) == 8 - len(damaged)
 
 
 def test_a_shorter_name_is_a_block_of_another_form() -> None:

@@ -16,8 +16,8 @@ from pmfid.estimators.recursive import BCRLS, impulse_products
 from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
-from pmfid.kernel.configuration import Structured, fill, kernel_of, make_config
-from pmfid.kernel.structures import constants_of
+from pmfid.kernel.configuration import fill, kernel_of, make_config
+from pmfid.kernel.structures import Structured, constants_of
 from pmfid.models.equation import ESTIMATE, LATE, ROLES, Equation
 
 if TYPE_CHECKING:

@@ -277,7 +277,8 @@ def _window(part: Part, shard: RowShard, columns: SourceColumns, length: float) 
     read = frame.collect(engine="streaming")
     found = dict(_columns(read.drop(AXIS)))
     found[AXIS], mine = _number_axes(read[AXIS], shard.axes)
-    inside = (found[TIME] >= low) & (found[TIME] < high)
+    times = np.asarray(found[TIME], np.float64)
+    inside = (times >= low) & (times < high)
     if mine.all() and inside.all():
         return found
     return {name: values[mine & inside] for name, values in found.items()}

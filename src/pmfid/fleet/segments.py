@@ -95,8 +95,11 @@ def shares_of(counts: Counts, settled: int, quarter: int, span: int) -> Iterator
     `settled` is the number of samples in which the filters settle. `quarter` is the number of samples in a quarter of a
     whole segment. `span` is the largest distance in samples of motion in one segment.
     """
-    edges = np.r_[0, np.flatnonzero(np.diff(counts)) + 1, counts.size]
+    edges = np.r_[0, np.flatnonzero(counts[1:] != counts[:-1]) + 1, counts.size]
     long = np.flatnonzero(np.diff(edges) > TUNING.segments_long * settled)
+    if not long.size:
+        yield from _share_samples(np.arange(counts.size), counts, 0, counts.size, settled, quarter)
+        return
     kept = np.ones(counts.size, bool)
     for k in long:
         kept[edges[k] + settled : edges[k + 1] - settled] = False
@@ -258,11 +261,12 @@ def lasting_status(tracks: Tracks) -> NDArray[np.uint32]:
 
 def evidence_gaps(u: Floats, counts: Counts) -> NDArray[np.uint32]:
     """Return status bits (n,) for effects that the inputs u and the counts (n, samples) cannot show."""
-    there, travel = counts[:, -1] - counts[:, 0], np.abs(np.diff(counts, axis=1)).sum(axis=1)
+    there = counts[:, -1] - counts[:, 0]
+    # One segment at a time fits into the processor's cache.
+    travel = np.array([np.abs(np.diff(one)).sum() for one in counts])
     one_way = travel - np.abs(there) < 2 * TUNING.segments_back * travel
     way = np.where(one_way, np.where(there > 0, FORWARD, BACKWARD), 0)
-    sizes = np.abs(u)
-    one_size = sizes.mean(axis=1) > TUNING.segments_level * sizes.max(axis=1)
+    one_size = np.array([size.mean() > TUNING.segments_level * size.max() for size in map(np.abs, u)])
     return np.asarray(way | np.where(one_size, ONE_SIZE, 0), np.uint32)
 
 
