@@ -239,10 +239,10 @@ typedef struct {
     pmf_stage_t stage[PMF_MAX_STAGES];
     uint32_t tap_end[PMF_MAX_COLUMNS];
     pmf_tap_t tap[PMF_MAX_TAPS];
-#endif
 #if PMF_WITH_STEPS
     uint32_t n_rates; /* 0: the step does not vary */
     pmf_rates_t rates;
+#endif
 #endif
 } pmf_network_config_t;
 

@@ -227,14 +227,15 @@ static whole_t bridged(const pmf_encoder_config_t *config, const pmf_encoder_sta
 /* Return the step of this interval over the sample period. */
 static real_t ratio_of(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t *status)
 {
+    real_t ratio = state->ratio;
     if (!PMF_STEPPED(config->rate > PMF_R(0.0))) {
         return PMF_R(1.0);
     }
-    if (!(state->ratio > PMF_R(0.0))) {
-        state->ratio = PMF_R(1.0);
+    if (!(ratio > PMF_R(0.0))) {
+        state->ratio = ratio = PMF_R(1.0);
         *status |= PMF_INVALID_INPUT | PMF_SETTLING;
     }
-    return state->ratio;
+    return ratio;
 }
 
 /* Set the gains of a Kalman filter for an acceleration that is constant within each step, and of its smoother by one
@@ -324,7 +325,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     emit_interval(config, state, state->moving * late_direction(GAINS, state, innovation, fast, state->velocity_before),
                   signal);
 #if PMF_STEPS
-    if (config->turns != 0U) {
+    if (PMF_TURNED(config) != 0U) {
         signal[PMF_TURN] = late_turn(state, signal[PMF_DIRECTION], state->velocity);
     }
 #endif

@@ -65,6 +65,12 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #else
 #define PMF_STEPPED(truth) (truth)
 #endif
+/* Return whether a reversal inside an interval is a separate signal. */
+#ifdef PMF_TURNS
+#define PMF_TURNED(config) PMF_TURNS
+#else
+#define PMF_TURNED(config) ((config)->turns)
+#endif
 /* Sample period in the unit of pauses, and interval [s] that the auxiliary model simulates. */
 #if PMF_STEPS
 #define PMF_SAMPLE(config) (PMF_STEPPED((config)->rate > PMF_R(0.0)) ? (uint32_t)PMF_TICKS : 1U)

@@ -5,20 +5,7 @@
  * digits at small pole * dt. */
 #include "pmf_internal.h"
 
-#if PMF_WITH_NETWORK
-#define COLUMN(c, t, from) column[c] = tap[t].weight * node[from];
-#define TAP(c, t, from) column[c] += tap[t].weight * node[from];
-#endif
-
 #if PMF_STEPS
-#if PMF_LAYOUT != 0U /* an export has exactly the rules of its stages */
-#define RATES(config) PMF_MAX_RATES
-#define STAGES(config) PMF_MAX_STAGES
-#else
-#define RATES(config) (config)->n_rates
-#define STAGES(config) (config)->n_stages
-#endif
-
 #define RECENT PMF_R(0.99609375) /* forgetting of steps, a memory of 256 samples */
 
 /* Return the mean square of the step over time, in which long steps have more weight. */
@@ -32,9 +19,8 @@ static real_t mean_square(pmf_network_state_t *state)
 
 /* Step a stage, which is a trapezoidal rule with a cancelled zero, a delay, or a value of the auxiliary model. `memory`
  * has the source of the preceding step. */
-#define FOLLOW(k, from, rate) \
-    STEPPED(k, from, gain[rate] * (stage[k].b0 * w + stage[k].b1 * memory[k]) + keep[rate] * *y)
-#define CANCELLED(k, from, rate) STEPPED(k, from, gain[rate] * (stage[k].b0 * w) + keep[rate] * *y)
+#define FOLLOW(k, from, b0, b1, gain, keep) STEPPED(k, from, (gain) * ((b0) * w + (b1) * memory[k]) + (keep) * *y)
+#define CANCELLED(k, from, b0, gain, keep) STEPPED(k, from, (gain) * ((b0) * w) + (keep) * *y)
 #define DELAYED(k, from) STEPPED(k, from, memory[k])
 #define WRITTEN(k, from) memory[k] = node[from];
 #define STEPPED(k, from, value)                               \
@@ -43,38 +29,6 @@ static real_t mean_square(pmf_network_state_t *state)
         *y = value;                                           \
         memory[k] = w;                                        \
     }
-
-/* Apply the trapezoidal rule over a step, with h as the pole times half the step. */
-static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t *state)
-{
-    const pmf_rates_t *rates = &config->rates;
-    const pmf_stage_t *stage = config->stage;
-    real_t keep[PMF_MAX_RATES], gain[PMF_MAX_RATES], square = mean_square(state);
-    real_t *node = state->node, *memory = state->memory;
-    uint32_t i;
-    for (i = 0; i < RATES(config); ++i) {
-        real_t step = rates->now[i] * state->ratio + rates->before[i] * state->ratio_before;
-        real_t h = rates->half[i] * step, inverse = PMF_R(1.0) / (PMF_R(1.0) + h);
-        keep[i] = (rates->keep[i] - h) * inverse;
-        gain[i] = (rates->gain[i] + rates->growth[i] * step + rates->square[i] * square) * inverse;
-    }
-#ifdef PMF_STEPPED_STAGES
-    PMF_STEPPED_STAGES(FOLLOW, CANCELLED, DELAYED, WRITTEN)
-#else
-    for (i = 0; i < STAGES(config); ++i) {
-        uint32_t from = stage[i].source, rate = stage[i].rate;
-        if (rate != 0U && stage[i].b1 != PMF_SCALAR(0.0)) {
-            FOLLOW(i, from, rate)
-        } else if (rate != 0U) {
-            CANCELLED(i, from, rate)
-        } else if (stage[i].b1 != PMF_SCALAR(0.0)) {
-            DELAYED(i, from)
-        } else {
-            WRITTEN(i, from)
-        }
-    }
-#endif
-}
 #endif
 
 #define DELAY(k, from)                       \
@@ -85,6 +39,29 @@ static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t
     }
 
 #if !PMF_WITH_NETWORK
+#define COLUMN(c, from, weight) column[c] = (weight) * node[from];
+#define TAP(c, from, weight) column[c] += (weight) * node[from];
+#endif
+
+#if !PMF_WITH_NETWORK && PMF_STEPS
+/* Straight code with the constants of an export, whose rates are variables. */
+#define RATE(i, half, step, effect)                                               \
+    real_t h##i = (half) * (step), inverse##i = PMF_R(1.0) / (PMF_R(1.0) + h##i); \
+    real_t keep##i = (PMF_R(1.0) - h##i) * inverse##i, gain##i = (effect) * inverse##i;
+
+PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
+{
+    real_t *node = state->node, *memory = state->memory, *column = state->column;
+    real_t now = state->ratio, before = state->ratio_before, square = mean_square(state);
+    PMF_RATES(RATE)
+    (void)config;
+    (void)now;
+    (void)before;
+    (void)square;
+    PMF_STAGES(FOLLOW, CANCELLED, DELAYED, WRITTEN)
+    PMF_COLUMNS(COLUMN, TAP)
+}
+#elif !PMF_WITH_NETWORK
 /* Straight code with the constants of an export. A rise has the coefficient b1 = -b0. */
 #define STAGE(k, from, a, b0, b1)                        \
     {                                                    \
@@ -98,8 +75,6 @@ static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t
         memory[k] = (a) * y - x;                         \
         node[PMF_SIGNALS + (k)] = y;                     \
     }
-#define COLUMN(c, from, weight) column[c] = (weight) * node[from];
-#define TAP(c, from, weight) column[c] += (weight) * node[from];
 
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
@@ -110,6 +85,8 @@ PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_st
 }
 #elif defined(PMF_NETWORK)
 /* Straight code for known stages and taps, listed in order. */
+#define COLUMN(c, t, from) column[c] = tap[t].weight * node[from];
+#define TAP(c, t, from) column[c] += tap[t].weight * node[from];
 #define STAGE(k, from)                                          \
     {                                                           \
         real_t w = node[from], y = stage[k].b0 * w + memory[k]; \
@@ -124,16 +101,37 @@ PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_st
     real_t *node = state->node, *memory = state->memory, *column = state->column;
     PMF_NETWORK(STAGE, DELAY, COLUMN, TAP)
 }
-#elif defined(PMF_STEPPED_STAGES) /* the list of an export */
-PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
-{
-    const pmf_tap_t *tap = config->tap;
-    const real_t *node = state->node;
-    real_t *column = state->column;
-    follow_steps(config, state);
-    PMF_STEPPED_COLUMNS(COLUMN, TAP)
-}
 #else
+#if PMF_STEPS
+/* Apply the trapezoidal rule over a step, with h as the pole times half the step. */
+static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t *state)
+{
+    const pmf_rates_t *rates = &config->rates;
+    const pmf_stage_t *stage = config->stage;
+    real_t keep[PMF_MAX_RATES], gain[PMF_MAX_RATES], square = mean_square(state);
+    real_t *node = state->node, *memory = state->memory;
+    uint32_t i;
+    for (i = 0; i < config->n_rates; ++i) {
+        real_t step = rates->now[i] * state->ratio + rates->before[i] * state->ratio_before;
+        real_t h = rates->half[i] * step, inverse = PMF_R(1.0) / (PMF_R(1.0) + h);
+        keep[i] = (rates->keep[i] - h) * inverse;
+        gain[i] = (rates->gain[i] + rates->growth[i] * step + rates->square[i] * square) * inverse;
+    }
+    for (i = 0; i < config->n_stages; ++i, ++stage) {
+        uint32_t from = stage->source, rate = stage->rate;
+        if (rate != 0U && stage->b1 != PMF_SCALAR(0.0)) {
+            FOLLOW(i, from, stage->b0, stage->b1, gain[rate], keep[rate])
+        } else if (rate != 0U) {
+            CANCELLED(i, from, stage->b0, gain[rate], keep[rate])
+        } else if (stage->b1 != PMF_SCALAR(0.0)) {
+            DELAYED(i, from)
+        } else {
+            WRITTEN(i, from)
+        }
+    }
+}
+#endif
+
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
     const pmf_stage_t *stage = config->stage;

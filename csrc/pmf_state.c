@@ -45,6 +45,8 @@ static uint32_t computes_nodes(const pmf_network_config_t *network)
     return 1U;
 #endif
 }
+#elif PMF_WITH_STEPS
+#define computes_nodes(network) 0U
 #else
 #define STAGE(k, from, a, b0, b1) &((from) < PMF_SIGNALS + (k))
 #define RISE(k, from, a, b0) STAGE(k, from, a, b0, b0)

@@ -127,7 +127,10 @@ static void step_model(const pmf_config_t *config, pmf_state_t *state)
 }
 #endif
 
-PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
+#if PMF_STEPS && PMF_LAYOUT != 0U && defined(__GNUC__) /* the step is the only caller in an export */
+__attribute__((always_inline)) inline
+#endif
+    PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
 #if PMF_WITH_GUARD
     truth_t before = state->hold == config->encoder.guard_hold, suspicious, bridged;
@@ -432,7 +435,7 @@ static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, who
               stepped = pmf_recursion_step(&config->direct, &state->direct, state->network.column));
     status = PMF_IF(use, stepped, status);
 #if PMF_STEPS
-    if (config->encoder.turns != 0U && state->network.cubes > BURSTS * state->network.time) {
+    if (PMF_TURNED(&config->encoder) != 0U && state->network.cubes > BURSTS * state->network.time) {
         status |= PMF_UNMODELLED;
     }
 #endif

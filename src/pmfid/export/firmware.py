@@ -6,7 +6,7 @@ import math
 import re
 import shutil
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import SupportsInt
@@ -394,8 +394,10 @@ def _context(
         "equation": estimator.equation.text,
         "macros": shape.macros(),
         "fixed": fixed_recursion(config),
-        "stepped": list_stepped_network(config) if shape.with_network else None,
-        "listed": None if shape.with_network else list_network(config),
+        "listed": (list_stepped_stages if shape.with_steps else list_stages)(config["network"]),
+        "columns": list_columns(config["network"]),
+        "turns": int(config["encoder"]["turns"]),
+        "rates": list_rates(config["network"]) if shape.with_steps else None,
         "config_number": number,
         "layout": layout_number(types["pmf_state_t"]),
         "functions": sorted(set(re.findall(r"\b(pmf_\w+)\(", "".join(map(header, HEADERS))))),
@@ -407,9 +409,9 @@ def _context(
     }
 
 
-def list_network(config: Structured) -> tuple[str, str]:
-    """Return the stages, and the columns with their taps, as calls of the macros of pmf_network.c."""
-    listed, network = list[str](), config["network"]
+def list_stages(network: Structured) -> str:
+    """Return the stages as calls of the macros of pmf_network.c."""
+    listed = list[str]()
     for k, stage in enumerate(network["stage"][: int(network["n_stages"])]):
         a, b0, b1 = (stage[name][()] for name in ("a", "b0", "b1"))
         place = f"{k}, {int(stage['source'])}"
@@ -419,35 +421,45 @@ def list_network(config: Structured) -> tuple[str, str]:
             listed.append(f"RISE({place}, {literal(a)}, {literal(b0)})")
         else:
             listed.append(f"STAGE({place}, {literal(a)}, {literal(b0)}, {literal(b1)})")
-    taps = [
-        f"{'TAP' if further else 'COLUMN'}({column}, {int(tap['node'])}, {literal(tap['weight'][()])})"
-        for column, further, tap in _taps(network)
-    ]
-    return " ".join(listed), " ".join(taps)
+    return " ".join(listed)
 
 
-def _taps(network: Structured) -> Iterator[tuple[int, int, Structured]]:
-    """Yield each tap with the index of its column, and its own index in that column."""
-    first = 0
-    for column, end in enumerate(network["tap_end"][: int(network["n_columns"])].tolist()):
-        for index, tap in enumerate(network["tap"][first:end]):
-            yield column, index, tap
-        first = end
-
-
-def list_stepped_network(config: Structured) -> tuple[str, str]:
-    """Return the same for the macros of a varying step, which read their coefficients."""
-    network = config["network"]
+def list_stepped_stages(network: Structured) -> str:
+    """Return the stages of a varying step, whose gain and memory follow their rate."""
     listed = list[str]()
     for k, stage in enumerate(network["stage"][: int(network["n_stages"])]):
-        kind = ("FOLLOW", "CANCELLED") if stage["rate"] else ("DELAYED", "WRITTEN")
-        rate = f", {int(stage['rate'])}" * bool(stage["rate"])
-        listed.append(f"{kind[int(stage['b1'] == 0)]}({k}, {int(stage['source'])}{rate})")
-    taps = [
-        f"{'TAP' if further else 'COLUMN'}({column}, {index}, {int(tap['node'])})"
-        for index, (column, further, tap) in enumerate(_taps(network))
-    ]
-    return " ".join(listed), " ".join(taps)
+        place, rate = f"{k}, {int(stage['source'])}", int(stage["rate"])
+        b0, b1 = (literal(stage[name][()]) for name in ("b0", "b1"))
+        if rate and stage["b1"]:
+            listed.append(f"FOLLOW({place}, {b0}, {b1}, gain{rate}, keep{rate})")
+        elif rate:
+            listed.append(f"CANCELLED({place}, {b0}, gain{rate}, keep{rate})")
+        else:
+            listed.append(f"{'DELAYED' if stage['b1'] else 'WRITTEN'}({place})")
+    return " ".join(listed)
+
+
+def list_columns(network: Structured) -> str:
+    """Return the columns with their taps as calls of the macros of pmf_network.c."""
+    listed, first = list[str](), 0
+    for column, end in enumerate(network["tap_end"][: int(network["n_columns"])].tolist()):
+        for index, tap in enumerate(network["tap"][first:end]):
+            kind = "TAP" if index else "COLUMN"
+            listed.append(f"{kind}({column}, {int(tap['node'])}, {literal(tap['weight'][()])})")
+        first = end
+    return " ".join(listed)
+
+
+def list_rates(network: Structured) -> str:
+    """Return the rules by which stages follow a varying step: half of the pole, the step, and the effect of the
+    step on the gain. The first rule belongs to stages without a rate."""
+    listed, rates = list[str](), network["rates"]
+    for i in range(1, int(network["n_rates"])):
+        step = "now" if rates["now"][i] else "before"
+        effects = {"gain": "", "growth": f" * {step}", "square": " * square"}
+        effect = next(literal(rates[name][i]) + factor for name, factor in effects.items() if rates[name][i])
+        listed.append(f"RATE({i}, {literal(rates['half'][i])}, {step}, {effect})")
+    return " ".join(listed)
 
 
 def fixed_recursion(config: Structured) -> tuple[int, int, int] | None:

@@ -78,9 +78,8 @@ def shape_of(config: Structured) -> KernelSizes:
 
 
 def firmware_shape(config: Structured) -> KernelSizes:
-    """Return the sizes and parts of an export, whose network is code unless the step varies."""
-    shape = shape_of(config)
-    return shape if shape.with_steps else replace(shape, with_network=0)
+    """Return the sizes and parts of an export, whose network is code."""
+    return replace(shape_of(config), with_network=0)
 
 
 def place_matters(shapes: Structured) -> bool:
