@@ -62,7 +62,7 @@ static integer_t signed_count(uint32_t mask, whole_t count); /* defined in pmf_e
 
 static real_t size_of(real_t x)
 {
-    return PMF_IF(x < PMF_R(0.0), -x, x);
+    return PMF_SIZE(x);
 }
 
 /* Learn from an accepted sample. After the first learning, possible effects of a wrong count are no lesson. A wrong
@@ -376,6 +376,11 @@ static whole_t pmf_guard(const pmf_encoder_config_t *config, pmf_encoder_state_t
     if (PMF_ANY(guard->wait > 0U)) {
         guard->wait -= PMF_BIT((guard->wait > 0U) & (guard->suspect == 0U), 1U);
     }
+#if PMF_LAYOUT == 0U /* an export saves the code */
+    if (PMF_ANY(looks)) { /* the lesson was wrong only if this error undoes the last one */
+        looks = looks & was_wild(config, guard, missed);
+    }
+#endif
     if (PMF_ALL(plain & PMF_NOT(looks))) {
         if (PMF_ANY(missed * missed > beyond * beyond)) {
             learn_scatter(config, guard, plain, missed);

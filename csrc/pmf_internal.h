@@ -17,6 +17,13 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_TO_REAL(x) ((real_t)(x))
 #define PMF_TO_INTEGER(x) ((integer_t)(x))
 #define PMF_IF(truth, yes, no) ((truth) ? (yes) : (no))
+#if !defined(__GNUC__) /* the size of -0 has no effect */
+#define PMF_SIZE(x) ((x) < PMF_R(0.0) ? -(x) : (x))
+#elif defined(PMF_FLOAT32)
+#define PMF_SIZE(x) __builtin_fabsf(x)
+#else
+#define PMF_SIZE(x) __builtin_fabs(x)
+#endif
 #define PMF_READ(table, index) ((table)[index])
 #define PMF_ANY(truth) ((truth) != 0)
 #define PMF_ALL(truth) ((truth) != 0)

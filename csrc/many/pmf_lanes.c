@@ -127,14 +127,18 @@ static void keep_lane(const pmf_config_t *config, const pmf_state_t *state, cons
     many->status[row] = (uint32_t)state->status[lane];
 }
 
-/* Fetch the next tile during the computation, because the processor cannot predict the rows of different axes. */
-static void fetch(const pmf_rows_t *rows, uint64_t axis, uint64_t sample, uint64_t samples)
+/* Fetch the next tile during the computation, because the processor cannot predict the rows of different axes. The
+ * function is inline, because gcc leaves out calls of a function that only fetches. */
+static inline __attribute__((always_inline)) void fetch(const pmf_rows_t *rows, uint64_t axis, uint64_t sample,
+                                                        uint64_t samples)
 {
-    uint64_t bytes = rows->sample == (int64_t)rows->size ? (samples - sample) * rows->size : 1U, at;
+    uint64_t left = samples - sample < TILE ? samples - sample : TILE, at;
+    uint64_t bytes = rows->sample == (int64_t)rows->size ? left * rows->size : 1U;
     const unsigned char *start = rows->start + (int64_t)axis * rows->axis + (int64_t)sample * rows->sample;
-    for (at = 0; at < bytes && at < TILE * rows->size; at += 64U) {
+    for (at = 0; at < bytes; at += 64U) {
         __builtin_prefetch(start + at);
     }
+    __builtin_prefetch(start + bytes - 1U);
 }
 
 /* Return the number of axes in the next group, or 0 if the remaining axes are faster one by one. */
