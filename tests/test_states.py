@@ -170,23 +170,25 @@ def test_crafted_states_do_no_harm(name: str, place: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.RIV])
-def test_a_fleet_continues_from_a_state_of_the_version_before(cls: type) -> None:
-    """The earlier version also saved values that each step computes again."""
+@pytest.mark.parametrize(("version", "larger"), zip(OLDER, (1.2, 1.02), strict=True))
+def test_a_fleet_continues_from_a_state_of_an_earlier_version(cls: type, version: int, larger: float) -> None:
+    """Earlier versions also saved values that are always zero or that each step computes again."""
     u, counts = fleet_record()
     fleet, other = pmfid.Fleet(make(cls), AXES), pmfid.Fleet(make(cls), AXES)
     fleet.run(u, counts)
     kernel = fleet._many.kernel
-    older = kernel.repack(kernel.states, OLDER, whole_words("float64"), back=True)
-    assert older.shape[1] > 1.2 * kernel.states.shape[1]
+    older = kernel.repack(kernel.states, version, whole_words("float64"), back=True)
+    assert older.shape[1] > larger * kernel.states.shape[1]
     head = fleet_head(kernel, "float64")
-    head["version"], head["size"] = OLDER, older.shape[1]
+    head["version"], head["size"] = version, older.shape[1]
     head["checksum"] = zlib.crc32(older.tobytes(), zlib.crc32(head.tobytes()[:-4]))
     other.set_state(head.tobytes() + older.tobytes())
     assert other.get_state() == fleet.get_state()
 
 
-def test_a_sharded_fleet_continues_from_shards_of_the_version_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("version", OLDER)
+def test_a_sharded_fleet_continues_from_shards_of_an_earlier_version(
+    version: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     u, counts = fleet_record()
     fleet = pmfid.ShardedFleet(tmp_path, [make(pmfid.BCRLS)], shard=2 * AXES)
@@ -194,8 +196,9 @@ def test_a_sharded_fleet_continues_from_shards_of_the_version_before(
     fleet.run(handles, u, counts)
     shard, words = fleet._shards[0], whole_words("float64")
     expected, kernel, identity = shard.used.copy(), shard.group.borrow(), shard.group.identity
-    monkeypatch.setattr(shard.group, "identity", shard.group.older)
-    shard.states = kernel.repack(shard.states, OLDER, words, back=True)
+    identities = {version: older for older, version in shard.group.older.items()}
+    monkeypatch.setattr(shard.group, "identity", identities[version])
+    shard.states = kernel.repack(shard.states, version, words, back=True)
     fleet.checkpoint()
     fleet.close()
     for _ in range(2):  # the second time, the state has the present version

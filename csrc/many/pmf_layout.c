@@ -56,6 +56,18 @@ static void leave_estimate(unused_t *unused, uint32_t at, uint32_t p)
     leave_tail(unused, at + (uint32_t)offsetof(pmf_estimate_t, inflation), p, sizeof(scalar_t));
 }
 
+/* Mark the values that only a varying step or a process uses. */
+static void leave_steps(unused_t *unused, const pmf_config_t *config)
+{
+    if (!(config->encoder.rate > PMF_SCALAR(0.0))) {
+        leave_out(unused, IN_STATE(encoder.tracker), END_IN_STATE(encoder.tracker));
+        leave_out(unused, IN_STATE(network.time), END_IN_STATE(network.cubes));
+    }
+    if (config->encoder.process == 0U) {
+        leave_out(unused, IN_STATE(encoder.first), END_IN_STATE(encoder.first));
+    }
+}
+
 /* Mark the parts that only other configurations use. */
 static void leave_idle(unused_t *unused, uint32_t at, const pmf_recursion_config_t *config)
 {
@@ -213,6 +225,9 @@ uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, u
         pmf_clear_computed(config, &filled);
         leave_idle(&unused, IN_STATE(direct), &config->direct);
         leave_idle(&unused, IN_STATE(instrument), &config->instrument);
+    }
+    if (version >= PMF_WITHOUT_STEPS) {
+        leave_steps(&unused, config);
     }
     layout->words = 0U;
     layout->packed_size = 0U;

@@ -107,7 +107,7 @@ def _listings(vault: CheckpointFolder, tell: Callable[[Event], None]) -> list[Li
 def _take_shards(listing: Listing, folder: Path, groups: Mapping[bytes, ShardGroup], each: Each) -> Taken:
     broken: dict[int, str] = {}
     shards = list[Shard]()
-    known = {one.older: one for one in groups.values()} | dict(groups)
+    known = {older: one for one in groups.values() for older in one.older} | dict(groups)
     for number, listed in enumerate(listing.shards):
         if listed.identity not in known:
             raise UsageError(

@@ -95,14 +95,15 @@ class ShardGroup:
     """One configuration of axes.
 
     `runner` is the runner from which the configuration came. `identity` distinguishes its states from those of other
-    configurations, and `older` is the identity in the preceding version. `start` (bytes,) is the default state of new
-    axes.
+    configurations, and `older` has the version for each identity in an earlier version. `start` (bytes,) is the default
+    state of new axes.
     """
 
     def __init__(self, runner: Runner[RecursiveEstimator]) -> None:
         self.runner = runner
         self.start = state_of(runner)
-        self.identity, self.older = identity_of(runner), identity_of(runner, OLDER)
+        self.identity = identity_of(runner)
+        self.older = {identity_of(runner, version): version for version in OLDER}
         self._idle: SimpleQueue[ManyKernel] = SimpleQueue()
         self.fastest_way = _many(runner).fastest_way
 
@@ -347,19 +348,20 @@ def read_shard(folder: Path, listed: Listed, shard: Shard) -> None:
     if (len(found.body) - len(head)) % max(listed.rows, 1):
         raise DamagedError("it has states of another number of axes")
     states = np.frombuffer(found.body, np.uint8, offset=len(head)).reshape(listed.rows, -1)
-    states = _convert_states(shard, states, older=listed.identity == shard.group.older)
+    states = _convert_states(shard, states, shard.group.older.get(listed.identity))
     if not _plausible(shard.group, states):
         raise DamagedError("these numbers are no states of its configuration, whatever their checksum says")
     shard.states[: listed.rows] = states
     shard.rows, shard.side, shard.sequence = listed.rows, listed.side, listed.sequence
 
 
-def _convert_states(shard: Shard, states: NDArray[np.uint8], *, older: bool) -> NDArray[np.uint8]:
-    """Return the states in the present version. Raises DamagedError if a state has an unexpected number of bytes."""
-    if older:
+def _convert_states(shard: Shard, states: NDArray[np.uint8], older: int | None) -> NDArray[np.uint8]:
+    """Return the states of an earlier version, if any, in the present version. Raises DamagedError if a state has an
+    unexpected number of bytes."""
+    if older is not None:
         kernel, shard.changed = shard.group.borrow(), True
         try:
-            states = kernel.repack(states, OLDER, whole_words(shard.group.runner.precision))
+            states = kernel.repack(states, older, whole_words(shard.group.runner.precision))
         except ValueError as error:
             raise DamagedError(str(error)) from None
         finally:

@@ -170,8 +170,9 @@ def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
 #: Envelope of a fleet's states. The checksum is the CRC-32 of the preceding words and the states.
 FLEET_HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
 FLEET_MAGIC = 0x46464D50  # the bytes "PMFF"
-#: The preceding version, whose states also contain values that each step computes again.
-OLDER = 2
+#: The earlier versions that are read. Their states also contain values of steps and processes that others lack, those
+#: of version 2 also values that each step computes again.
+OLDER = (2, 3)
 
 
 def save_fleet(kernel: ManyKernel, precision: str) -> bytes:
@@ -191,8 +192,8 @@ def load_fleet(kernel: ManyKernel, precision: str, data: bytes) -> None:
         raise UsageError(_FOREIGN_FLEET)
     head, expected = np.frombuffer(data[:place], FLEET_HEAD)[0], fleet_head(kernel, precision)
     axes, version = len(kernel.states), int(head["version"])
-    if version == OLDER:
-        expected["version"], expected["size"] = OLDER, head["size"]
+    if version in OLDER:
+        expected["version"], expected["size"] = version, head["size"]
     if len(data) != place + axes * int(expected["size"]):
         raise UsageError(_FOREIGN_FLEET)
     if head["checksum"] != zlib.crc32(data[place:], zlib.crc32(data[: place - 4])):
@@ -201,7 +202,7 @@ def load_fleet(kernel: ManyKernel, precision: str, data: bytes) -> None:
         raise UsageError(_FOREIGN_FLEET)
     states = np.frombuffer(data, np.uint8, offset=place).reshape(axes, -1)
     with _refused_in_one_sentence():
-        kernel.set_states(kernel.repack(states, OLDER, whole_words(precision)) if version == OLDER else states)
+        kernel.set_states(kernel.repack(states, version, whole_words(precision)) if version in OLDER else states)
 
 
 def fleet_head(kernel: ManyKernel, precision: str) -> Structured:
