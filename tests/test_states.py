@@ -170,7 +170,7 @@ def test_crafted_states_do_no_harm(name: str, place: str, tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.RIV])
-@pytest.mark.parametrize(("version", "larger"), zip(OLDER, (1.2, 1.02), strict=True))
+@pytest.mark.parametrize(("version", "larger"), [(2, 1.2), (3, 1.02)])
 def test_a_fleet_continues_from_a_state_of_an_earlier_version(cls: type, version: int, larger: float) -> None:
     """Earlier versions also saved values that are always zero or that each step computes again."""
     u, counts = fleet_record()
