@@ -56,9 +56,17 @@ static void leave_estimate(unused_t *unused, uint32_t at, uint32_t p)
     leave_tail(unused, at + (uint32_t)offsetof(pmf_estimate_t, inflation), p, sizeof(scalar_t));
 }
 
-/* Mark the values that only a varying step or a process uses. */
-static void leave_steps(unused_t *unused, const pmf_config_t *config)
+/* Mark the values that only a varying step or a process uses, and roles of the auxiliary model that are always zero. */
+static void leave_zeros(unused_t *unused, const pmf_config_t *config)
 {
+    const pmf_auxiliary_config_t *model = &config->auxiliary;
+    uint32_t i;
+    for (i = 0; i < PMF_ROLES && model->enabled != 0U; ++i) {
+        if (model->index[i] == PMF_NO_PARAMETER && model->direct_index[i] == PMF_NO_PARAMETER &&
+            model->initial[i] == 0) {
+            leave_out(unused, IN_STATE(auxiliary.parameter[i]), END_IN_STATE(auxiliary.parameter[i]));
+        }
+    }
     if (!(config->encoder.rate > PMF_SCALAR(0.0))) {
         leave_out(unused, IN_STATE(encoder.tracker), END_IN_STATE(encoder.tracker));
         leave_out(unused, IN_STATE(network.time), END_IN_STATE(network.cubes));
@@ -226,8 +234,8 @@ uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, u
         leave_idle(&unused, IN_STATE(direct), &config->direct);
         leave_idle(&unused, IN_STATE(instrument), &config->instrument);
     }
-    if (version >= PMF_WITHOUT_STEPS) {
-        leave_steps(&unused, config);
+    if (version >= PMF_WITHOUT_ZEROS) {
+        leave_zeros(&unused, config);
     }
     layout->words = 0U;
     layout->packed_size = 0U;

@@ -170,8 +170,8 @@ def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
 #: Envelope of a fleet's states. The checksum is the CRC-32 of the preceding words and the states.
 FLEET_HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
 FLEET_MAGIC = 0x46464D50  # the bytes "PMFF"
-#: The earlier versions that are read. Their states also contain values of steps and processes that others lack, those
-#: of version 2 also values that each step computes again.
+#: The earlier versions that are read. Their states also contain values that are always zero, those of version 2 also
+#: values that each step computes again.
 OLDER = (2, 3)
 
 
