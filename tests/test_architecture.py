@@ -65,7 +65,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "testing": DIAGNOSTICS,
     "simulation": {"edge_times", "errors", "types"},
     "design": {"errors", "types", "presentation", "lazy_imports", "models", "simulation"},
-    "actuators": {"errors", "findings", "io", "presentation", "records", "simulation", "types"},
+    "actuators": {"errors", "estimators", "findings", "io", "presentation", "records", "simulation", "types"},
     "export": DIAGNOSTICS | {"pmfid"},
     "pipeline": PIPELINE,
     "stream": WINGS,

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
+from pmfid.actuators.rounding import sharpen
 from pmfid.actuators.servo import PARTNERS, SIGNED, UNITS, Servo
 from pmfid.actuators.standard_errors import standard_errors
 from pmfid.actuators.starts import find_start
@@ -166,6 +167,10 @@ def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search
             fresh, less = problem.refine(find_start(problem))
             z, cost = (fresh, less) if less < cost else (z, cost)
     problem, z, cost, added = _drop_terms(problem, z, cost, added)
+    z = sharpen(problem, z)
+    while unclear := _list_unclear(problem, z, added):
+        problem, z, _ = _refine_narrower(problem, z, unclear[0])
+        z, added = sharpen(problem, z), [name for name in added if name != unclear[0]]
     return _conclude(problem, z, tuple(added))
 
 
@@ -237,7 +242,8 @@ def _add_term(problem: ServoProblem, z: Floats, cost: float) -> tuple[ServoProbl
     open_terms = [
         name for name in TRIALS if name not in servo.unknown and name not in servo.given and name not in partners
     ]
-    if servo.relative and "kd" in open_terms:  # kd and viscous friction differ by the loop's delay alone
+    # Without a limit of the torque, kd and viscous friction differ by the loop's delay alone.
+    if servo.relative and "kd" in open_terms and not servo.has("torque_limit"):
         open_terms.remove("kd")
     if not open_terms:
         return None
@@ -269,14 +275,29 @@ def _drop_terms(
 ) -> tuple[ServoProblem, Floats, float, list[str]]:
     """Return the fit without the terms that are not worth their place after later ones came."""
     for name in added[:-1]:
-        servo = replace(problem.servo, terms=tuple(word for word in problem.servo.terms if word != name))
-        narrow = ServoProblem(servo, problem.t, problem.goal, problem.position)
-        now = problem.list_values(z)
-        start = narrow.coordinates(np.array([now[word] for word in servo.unknown]))
-        found, more = narrow.refine(np.append(start[: -TUNING.nuisance], z[-TUNING.nuisance :]))
+        narrow, found, more = _refine_narrower(problem, z, name)
         if not _is_worth(narrow, found, cost, more):
             problem, z, cost, added = narrow, found, more, [word for word in added if word != name]
     return problem, z, cost, added
+
+
+def _refine_narrower(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, Floats, float]:
+    """Return the problem without a term, the coordinates of its minimum, and the minimum [rad2]."""
+    servo = replace(problem.servo, terms=tuple(word for word in problem.servo.terms if word != name))
+    narrow = ServoProblem(servo, problem.t, problem.goal, problem.position)
+    now = problem.list_values(z)
+    start = narrow.coordinates(np.array([now[word] for word in servo.unknown]))
+    return (narrow, *narrow.refine(np.append(start[: -TUNING.nuisance], z[-TUNING.nuisance :])))
+
+
+def _list_unclear(problem: ServoProblem, z: Floats, added: Sequence[str]) -> list[str]:
+    """Return the added terms that their standard errors do not tell from zero, the least clear first."""
+    if not added:
+        return []
+    errors = dict(zip(problem.servo.unknown, standard_errors(problem, z).tolist(), strict=True))
+    values = problem.list_values(z)
+    clear = {name: abs(values[name]) / max(errors[name], 1e-300) for name in added}
+    return sorted((name for name in added if not clear[name] > TUNING.clear), key=clear.__getitem__)
 
 
 def _independent(residual: Floats) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import cast
 
 import numpy as np
@@ -76,21 +76,31 @@ class ServoProblem:
         """Simulated minus measured position (n,) [rad]. The residual is finite for all coordinates."""
         return np.nan_to_num(np.clip(self.simulate(z) - self.position, -1e6, 1e6), nan=1e6)
 
-    def jacobian(self, z: Floats) -> Floats:
-        """Derivatives (n, p + 2) of the residual by the coordinates, as central differences."""
-        columns = []
+    def jacobian(self, z: Floats, *, forward: bool = False) -> Floats:
+        """Derivatives (n, p + 2) of the residual by the coordinates, as central or forward differences."""
+        columns, here = [], self.residual(z) if forward else None
         for index in range(z.size):
             width = np.zeros_like(z)
             width[index] = TUNING.difference if index < z.size - TUNING.nuisance and self.positive[index] else 1e-2
-            columns.append((self.residual(z + width) - self.residual(z - width)) / (2 * width[index]))
+            before, span = (self.residual(z - width), 2.0) if here is None else (here, 1.0)
+            columns.append((self.residual(z + width) - before) / (span * width[index]))
         return np.stack(columns, axis=1)
 
-    def refine(self, z: Floats) -> tuple[Floats, float]:
-        """Coordinates of a local minimum of the squared residual from `z` on, and this minimum [rad2]."""
+    def refine(self, z: Floats, *, rough: bool = False) -> tuple[Floats, float]:
+        """Coordinates of a local minimum of the squared residual from `z` on, and this minimum [rad2].
+
+        A rough refinement takes a few steps with forward differences.
+        """
         from scipy.optimize import least_squares  # slow to import
 
         found = least_squares(
-            self.residual, z, self.jacobian, method="lm", max_nfev=TUNING.evaluations, xtol=1e-10, ftol=1e-10
+            self.residual,
+            z,
+            partial(self.jacobian, forward=rough),
+            method="lm",
+            max_nfev=TUNING.first_evaluations if rough else TUNING.evaluations,
+            xtol=1e-10,
+            ftol=1e-10,
         )
         return cast("Floats", found.x), 2 * float(found.cost)
 

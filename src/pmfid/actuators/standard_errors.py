@@ -7,63 +7,95 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
-from pmfid.actuators.servo import SIGNED
+from pmfid.actuators.rounding import RoundedFit, evaluate_rounded, solve_scaled
+from pmfid.actuators.servo import SIGNED, Servo
 from pmfid.actuators.tuning import TUNING
 from pmfid.types import Floats
 
 
 def standard_errors(problem: ServoProblem, z: Floats) -> Floats:
-    """Return the standard errors (p,) at the minimum `z`, in the units of the parameters."""
+    """Return the standard errors (p,) at the estimate `z`, in the units of the parameters."""
     theta = problem.theta(z)
     slope = np.where(problem.positive, theta, problem.scale)
-    covariance = _covariance(problem, z, problem.jacobian(z), problem.residual(z))
-    std = np.sqrt(np.diag(covariance))[: -TUNING.nuisance] * slope
+    std = np.sqrt(np.diag(_covariance(problem, z)))[: -TUNING.nuisance] * slope
     small = _error_at_zero(problem, z, theta)
     return np.asarray(np.where(np.isnan(small), std, small))
 
 
-def _covariance(problem: ServoProblem, z: Floats, jacobian: Floats, residual: Floats) -> Floats:
-    """Return the covariance of the coordinates (p + 2, p + 2): scores of blocks, and the unknown delay of the loop."""
-    n, count = jacobian.shape
-    bread = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
+def _covariance(problem: ServoProblem, z: Floats) -> Floats:
+    """Return the covariance of the coordinates (p + 2, p + 2): scores of blocks, and neglected parts of the loop."""
+    now = evaluate_rounded(problem, z)
+    n, count = now.jacobian.shape
+    white = solve_scaled(now.curvature, np.eye(count))
     time = float(problem.t[-1] - problem.t[0])
     blocks = int(np.clip(time / TUNING.shortest_block, 2, TUNING.blocks))
     edges = np.linspace(0, n, blocks + 1).astype(int)
-    scores = np.add.reduceat(jacobian * residual[:, None], edges[:-1], axis=0)
-    spread = blocks / (blocks - 1) * bread @ (scores.T @ scores) @ bread
-    white = bread * max(float(residual @ residual) / max(n - count, 1), problem.servo.resolution**2 / 12)
+    scores = np.add.reduceat(now.scores, edges[:-1], axis=0)
+    half = scores @ white.T
+    spread = blocks / (blocks - 1) * half.T @ half
     # The larger of both for each coordinate, with the correlations of the blocks.
     factor = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(spread), 1e-300), 1.0))
     covariance = spread * np.outer(factor, factor)
-    for shift in _neglected_shifts(problem, z, bread @ jacobian.T, residual):
+    for shift in _neglected_shifts(problem, z, now):
         covariance = covariance + np.outer(shift, shift)
     return np.asarray(covariance)
 
 
-def _neglected_shifts(problem: ServoProblem, z: Floats, solve: Floats, residual: Floats) -> list[Floats]:
+def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list[Floats]:
     """Return what the neglected parts of the loop shift the coordinates by: list of (p + 2,).
 
-    These parts are half a period of delay in the loop, the encoder's step in the loop, and the phase of the ticks.
+    These parts are half a period of delay in the loop, the encoder's step in the loop, the phase of the ticks, and the
+    part of viscous friction that the loop makes.
     """
-    servo, theta, shifts = problem.servo, problem.theta(z), []
-    start, velocity = float(problem.position[0]) + z[-2] * servo.resolution, z[-1] * problem.speed
-    for phase in (0.0, 0.5):
-        own = start + phase * servo.resolution
-        stepped, fine = (
-            servo.simulate(theta, problem.t, problem.goal, own, velocity, quantised=on) for on in (True, False)
-        )
-        shifts.append(solve @ (stepped - fine))
+    servo, theta, step = problem.servo, problem.theta(z), problem.servo.resolution
+    start, velocity = float(problem.position[0]) + z[-2] * step, z[-1] * problem.speed
+
+    def simulate(other: Servo, values: Floats, own: float = 0.0, grid: float = 0.0, *, on: bool = False) -> Floats:
+        """Return the position [steps], from `own` steps after the start, on counts that are `grid` steps earlier."""
+        goal, first = problem.goal + grid * step, start + (own + grid) * step
+        return other.simulate(values, problem.t, goal, first, velocity, quantised=on) / step - grid
+
+    phases, fine, shifts = np.arange(TUNING.phases) / TUNING.phases, simulate(servo, theta), []
+    for phase in phases:  # the steps of goals and positions may differ by any part of a step
+        changes = simulate(servo, theta, phase, on=True) - simulate(servo, theta, phase)
+        shifts.append(now.shift(changes) / np.sqrt(phases.size))
+        shifts.append(now.shift(simulate(servo, theta, 0.0, phase, on=True) - fine) / np.sqrt(phases.size))
     late = replace(
         servo, given={**servo.given, "loop_delay": servo.given.get("loop_delay", 0.0) + servo.loop_period / 2}
     )
     if late.unknown == servo.unknown:
-        shifts.append(solve @ (ServoProblem(late, problem.t, problem.goal, problem.position).residual(z) - residual))
+        shifts.append(now.shift(simulate(late, theta) - fine))
+    if not servo.has("kd") and "viscous" in servo.unknown:
+        free = _free_torque(servo, theta)
+        shift = now.shift(simulate(*_move_viscous(*free)) - simulate(*free))
+        if "torque_limit" in servo.unknown:  # the limit cuts the loop's part off as well
+            index = servo.unknown.index("torque_limit")
+            shift[index] = now.shift(simulate(*_move_viscous(servo, theta)) - fine)[index]
+        shifts.append(shift)
     if "delay" in servo.unknown:
         index = servo.unknown.index("delay")
         tick = np.zeros_like(z)
         tick[index] = servo.loop_period / np.sqrt(12) / max(theta[index], servo.loop_period * 1e-3)
         shifts.append(tick)
     return shifts
+
+
+def _free_torque(servo: Servo, theta: Floats) -> tuple[Servo, Floats]:
+    """Return a servo whose torque has no limit, and its parameters (p,)."""
+    given, values = dict(servo.given), theta.copy()
+    if "torque_limit" in given:
+        given["torque_limit"] = TUNING.no_limit
+    if "torque_limit" in servo.unknown:
+        values[servo.unknown.index("torque_limit")] = TUNING.no_limit
+    return replace(servo, given=given), values
+
+
+def _move_viscous(servo: Servo, theta: Floats) -> tuple[Servo, Floats]:
+    """Return a servo whose loop makes a part of the viscous friction, and its parameters (p,)."""
+    values, index = theta.copy(), servo.unknown.index("viscous")
+    values[index] *= 1 - TUNING.loop_share
+    scale = {"kp": 1.0} if servo.relative else {}
+    return replace(servo, given={**servo.given, **scale, "kd": TUNING.loop_share * float(theta[index])}), values
 
 
 def _error_at_zero(problem: ServoProblem, z: Floats, theta: Floats) -> Floats:

@@ -61,6 +61,8 @@ def find_start(problem: ServoProblem) -> Floats:
     trials = [head.coordinates(_draw_servo(problem, rng, period)) for _ in range(TUNING.starts)]
     costs = [float(np.square(head.residual(z)).mean()) for z in trials]
     best = [trials[index] for index in np.argsort(costs)[: TUNING.refined]]
-    z = min((head.refine(trial) for trial in best), key=lambda found: found[1])[0]
+    better = sorted((head.refine(trial, rough=True) for trial in best), key=lambda found: found[1])
+    finished = (head.refine(trial) for trial, _ in better[: TUNING.finished])
+    z = min(finished, key=lambda found: found[1])[0]
     start = z[-2:] if head.t[0] == problem.t[0] else np.zeros(2)
     return np.append(z[:-2], start)

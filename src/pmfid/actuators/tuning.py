@@ -25,9 +25,12 @@ class ActuatorTuning:
     #: The start position and the start velocity follow the parameters in the coordinates.
     nuisance: int = 2
     # fit
-    #: Number of random starts, and number of the best ones that are refined.
-    starts: int = 1200
-    refined: int = 10
+    #: Number of random starts, number of the best ones that are refined, steps of each of these refinements,
+    #: and number of the best ones that are refined to the end.
+    starts: int = 600
+    refined: int = 8
+    first_evaluations: int = 10
+    finished: int = 2
     #: Starts are compared on this much of the motion [s].
     start_time: float = 12.0
     #: Ranges from which starts are drawn: natural frequency [rad/s], damping ratio, delay [sample periods], Coulomb
@@ -38,10 +41,22 @@ class ActuatorTuning:
     frictions: tuple[float, float] = (0.003, 0.5)
     #: Step of the difference quotients, in the logarithm of a positive parameter.
     difference: float = 1e-4
-    #: Simulated motions of one refinement, per parameter.
+    #: Steps of one refinement.
     evaluations: int = 60
     #: The fit needs this many samples for each parameter.
     samples_each: int = 10
+    #: Steps of the search for the largest likelihood, its ridge, and the gain of the log-likelihood that ends the search.
+    newton_steps: int = 15
+    newton_ridge: float = 1e-2
+    newton_gain: float = 1e-2
+    #: Least scatter [encoder steps] of the position before rounding. It stands for what any model neglects.
+    least_scatter: float = 0.08
+    #: Phases of the start within one encoder step at which the effect of rounding in the loop is computed.
+    phases: int = 6
+    #: Part of the viscous friction that may be a gain kd of the loop.
+    loop_share: float = 0.5
+    #: Limit of a torque that is never reached [N m].
+    no_limit: float = 1e12
     #: Blocks of the record whose scores give the standard errors, and the shortest block [s].
     blocks: int = 40
     shortest_block: float = 0.25
@@ -52,6 +67,8 @@ class ActuatorTuning:
     #: A term that explains this part is added however correlated the residual is.
     plain: float = 0.3
     most_added: int = 3
+    #: An added term stays if its value is more than this many standard errors.
+    clear: float = 3.0
     #: Number of terms that are refined to find the best one, if the residual contradicts the model.
     tried: int = 3
     # findings

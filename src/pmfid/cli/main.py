@@ -19,6 +19,7 @@ from pmfid.cli.fleet import fleet
 from pmfid.cli.friction import friction
 from pmfid.cli.init import init
 from pmfid.cli.monitor import monitor
+from pmfid.cli.selftest import selftest
 from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
 from pmfid.cli.terminal import (
@@ -228,6 +229,7 @@ main.add_command(design)
 main.add_command(commission)
 main.add_command(order)
 main.add_command(monitor)
+main.add_command(selftest)
 main.add_command(serve)
 main.add_command(simulate)
 main.add_command(terms)

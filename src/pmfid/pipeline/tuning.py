@@ -319,6 +319,17 @@ class PipelineTuning:
     #: Relative difference below which a number in a file equals the configured number.
     stored_same: float = 1e-6
 
+    # selftest
+    #: Simulated records.
+    selftest_runs: int = 10
+    #: The model is wrong if the record's free run deviates this many times as far as those of simulated records, and by
+    #: more than this part of the motion.
+    selftest_beyond: float = 2.0
+    selftest_material: float = 0.02
+    #: A parameter is lost from this error on (rms, relative). The intervals are too small below this coverage.
+    selftest_lost: float = 0.3
+    selftest_coverage: float = 0.7
+
     # terms
     #: Part of the motion that counts as slow.
     terms_slow: float = 1 / 3

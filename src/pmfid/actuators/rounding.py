@@ -1,0 +1,112 @@
+"""Likelihood of positions that an encoder rounds, and the estimate that maximises the likelihood.
+
+A position x is logged as k steps if x + noise rounds to k. A simulated position within half a step of the logged one is
+as good as any other, so a long standstill counts once. Least squares count each of its equal samples. The noise is
+normal with the standard deviation `scatter`, and contains the unmodelled effects. Deviations and scatters are in steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmfid.actuators.problem import ServoProblem
+from pmfid.actuators.tuning import TUNING
+from pmfid.estimators.likelihood import count_likelihood, log_probability
+from pmfid.types import Floats
+
+
+@dataclass(frozen=True)
+class RoundedFit:
+    """The likelihood at coordinates `z` (p + 2,): derivatives (n, p + 2) [steps] and deviations (n,) [steps]."""
+
+    jacobian: Floats
+    deviation: Floats
+    scatter: float
+
+    @property
+    def curvature(self) -> Floats:
+        """Second derivatives (p + 2, p + 2) of the negative logarithm of the likelihood."""
+        return np.asarray((self.jacobian * compute_weight(self.deviation, self.scatter)[:, None]).T @ self.jacobian)
+
+    @property
+    def scores(self) -> Floats:
+        """Gradient of the negative logarithm of the likelihood by sample (n, p + 2)."""
+        return np.asarray(self.jacobian * compute_score(self.deviation, self.scatter)[:, None])
+
+    def shift(self, change: Floats) -> Floats:
+        """Return the change (p + 2,) of the estimate if the simulated position changes by `change` (n,) [steps].
+
+        The weights are mean slopes of the score over the change, because the score is flat within half a step.
+        """
+        moved = compute_score(self.deviation + change, self.scatter) - compute_score(self.deviation, self.scatter)
+        tiny = np.abs(change) < 1e-6
+        slope = np.where(tiny, compute_weight(self.deviation, self.scatter), moved / np.where(tiny, 1.0, change))
+        return -solve_scaled((self.jacobian * slope[:, None]).T @ self.jacobian, self.jacobian.T @ moved)
+
+
+def compute_cost(deviation: Floats, scatter: float) -> float:
+    """Return the negative logarithm of the likelihood."""
+    return -float(log_probability(np.abs(deviation), scatter).sum())
+
+
+def compute_score(deviation: Floats, scatter: float) -> Floats:
+    """Return the derivative (n,) of the cost by the deviation."""
+    return np.asarray(np.sign(deviation) * count_likelihood(np.abs(deviation), scatter)[1])
+
+
+def compute_weight(deviation: Floats, scatter: float) -> Floats:
+    """Return the second derivative (n,) of the cost by the deviation."""
+    _, slope, bend = count_likelihood(np.abs(deviation), scatter)
+    return np.clip(slope**2 + bend, 0.0, scatter**-2)
+
+
+def find_scatter(deviation: Floats) -> float:
+    """Return the scatter [steps] that maximises the likelihood, and at least `TUNING.least_scatter`."""
+    from scipy.optimize import minimize_scalar  # slow to import
+
+    low = np.log(TUNING.least_scatter)
+    high = max(np.log(2 * float(np.sqrt(np.mean(deviation**2))) + 1e-9), low + 0.1)
+    found = minimize_scalar(
+        lambda log: compute_cost(deviation, float(np.exp(log))),
+        bounds=(low, high),
+        method="bounded",
+        options={"xatol": 0.05},
+    )
+    return float(np.exp(found.x))
+
+
+def solve_scaled(matrix: Floats, right: Floats) -> Floats:
+    """Solve a symmetric system (p, p). A coordinate without any effect has the solution 0."""
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    scaled = np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True)
+    return np.asarray((scaled @ (right.T / scale).T).T / scale).T
+
+
+def evaluate_rounded(problem: ServoProblem, z: Floats) -> RoundedFit:
+    """Return the likelihood at coordinates (p + 2,)."""
+    step = problem.servo.resolution
+    deviation = problem.residual(z) / step
+    return RoundedFit(problem.jacobian(z) / step, deviation, find_scatter(deviation))
+
+
+def sharpen(problem: ServoProblem, z: Floats) -> Floats:
+    """Return the coordinates (p + 2,) of the largest likelihood, from least squares `z` on, by damped Newton steps."""
+    step = problem.servo.resolution
+    for _ in range(TUNING.newton_steps):
+        now = evaluate_rounded(problem, z)
+        ridge = TUNING.newton_ridge * now.jacobian.T @ now.jacobian
+        move = -solve_scaled(now.curvature + ridge, now.scores.sum(axis=0))
+        cost = compute_cost(now.deviation, now.scatter)
+        for part in 0.5 ** np.arange(6):
+            tried = z + part * move
+            less = compute_cost(problem.residual(tried) / step, now.scatter)
+            if less < cost:
+                break
+        else:
+            return z
+        z = tried
+        if cost - less < TUNING.newton_gain:
+            return z
+    return z

@@ -1,0 +1,70 @@
+"""The command `pmfid selftest`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pmfid.cli.terminal import JSON, config_option, print_json, print_text, progress
+from pmfid.errors import printable
+
+if TYPE_CHECKING:
+    from pmfid.pipeline.selftest import SelfTest
+
+
+@click.command(short_help="Simulate a machine at its result, identify it again, and compare.")
+@click.argument("record", type=click.Path(path_type=Path))
+@config_option()
+@click.option(
+    "--model",
+    "stored",
+    required=True,
+    type=click.Path(path_type=Path),
+    metavar="RESULT.json",
+    help="The result to test: what `pmfid identify --out` or --json has written.",
+)
+@click.option("--runs", type=click.IntRange(2, 1000), default=10, show_default=True, help="Simulated records.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the noise.")
+@JSON
+def selftest(record: Path, config: Path, stored: Path, runs: int, seed: int, as_json: bool) -> None:
+    """Simulate the machine of RESULT.json with the input, encoder and noise of RECORD, and identify it again.
+
+    The status is empty if the parameters are recovered within their intervals, and if the record deviates from the
+    model no more than simulated records do.
+
+    Exit code 0: a test, passed or not; 2: wrong usage, unreadable input, parameters of another model.
+    """
+    with progress("selftest") as tell:
+        from pmfid.config.axis import load_axis
+        from pmfid.pipeline.selftest import run_selftest
+        from pmfid.pipeline.stored import read_stored
+        from pmfid.pipeline.validation import read_records
+
+        axis = load_axis(config)
+        (data,) = read_records([record], axis)
+        found = run_selftest(read_stored(stored), data, axis, runs=runs, seed=seed, tell=tell)
+    if as_json:
+        print_json(found.to_json())
+    else:
+        _print(found)
+
+
+def _print(found: SelfTest) -> None:
+    from rich.console import Console
+    from rich.markup import escape
+    from rich.table import Table
+
+    done = found.runs - found.refused
+    table = Table(title=f"{escape(printable(found.record))}: {found.runs} simulated records")
+    for number, heading in enumerate(("parameter", "simulated", "mean", "error (rms)", "covered", "unit")):
+        table.add_column(heading, justify="right" if 0 < number < 5 else "left", no_wrap=True)
+    for one in found.recoveries:
+        numbers = f"{one.value:.5g}", f"{one.mean:.5g}", f"{one.rmse:.2g}", f"{one.covered} of {done}"
+        table.add_row(one.name, *numbers, one.unit)
+    Console().print(table)
+    print_text(f"status: {', '.join(found.status) or 'none'}")
+    for finding in found.findings:
+        for line in finding.lines:
+            print_text(line)
