@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from pmfid.actuators import Servo, fit_servo
+from pmfid.actuators.rounding import compute_cost, compute_score, compute_weight
 from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.types import Floats
@@ -40,14 +41,16 @@ def simulate_by_small_steps(
     return out
 
 
-def make_log(seed: int = 1, time: float = 8.0, period: float = 0.01, **changes: float) -> tuple[Floats, Floats, Floats]:
+def make_log(
+    seed: int = 1, time: float = 8.0, period: float = 0.01, step: float = STEP, **changes: float
+) -> tuple[Floats, Floats, Floats]:
     """Times, goals and positions in whole steps of a servo under steps and sines."""
     rng, t = np.random.default_rng(seed), np.arange(0.0, time, period)
     steps = rng.uniform(-0.5, 0.5, t.size // 40 + 1).repeat(40)[: t.size]
     goal = np.where(t < time / 2, steps, 0.4 * np.sin(5 * t) + 0.2 * np.sin(13 * t))
-    position = simulate_by_small_steps({**TRUTH, **changes}, np.append(t, time), np.append(goal, goal[-1]))
+    position = simulate_by_small_steps({**TRUTH, **changes}, np.append(t, time), np.append(goal, goal[-1]), step)
     every = round(period / 1e-3)
-    return t, goal, STEP * np.floor(position[::every] / STEP + 0.5)
+    return t, goal, step * np.floor(position[::every] / step + 0.5)
 
 
 @pytest.fixture(autouse=True)
@@ -171,3 +174,28 @@ def test_a_position_that_scatters_by_more_than_rounding_is_flagged() -> None:
     scatter = STEP * np.random.default_rng(7).integers(-2, 3, t.size)
     fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), t, goal, position + scatter, search=False)
     assert fit.status == ("unmodelled",)
+
+
+@pytest.mark.parametrize("seed", range(30, 36))
+def test_bars_hold_the_friction_of_a_loop_that_sees_coarse_steps(seed: int) -> None:
+    step = 2 * math.pi / 1024
+    friction = {"coulomb": 8.0 * step * (0.8 + 0.3 * (seed - 30)), "gravity": 0.0, "kd": 0.0}
+    fit = fit_servo(Servo(step, given={"kp": 8.0, "kd": 0.0}), *make_log(seed=seed, step=step, **friction))
+    assert fit.status == ()
+    for name, value, std in zip(fit.names, fit.theta, fit.theta_std, strict=True):
+        assert abs(value - {**TRUTH, **friction}[name]) < 3 * std, name
+
+
+def test_the_score_of_a_rounded_position_is_the_slope_of_its_cost() -> None:
+    deviation, scatter, width = np.linspace(-1.2, 1.2, 13), 0.2, 1e-5
+    for moved in deviation:
+        slope = (compute_cost(np.array([moved + width]), scatter) - compute_cost(np.array([moved - width]), scatter)) / (2 * width)
+        assert compute_score(np.array([moved]), scatter)[0] == pytest.approx(slope, rel=1e-6, abs=1e-6)
+        bent = np.diff(compute_score(np.array([moved - width, moved + width]), scatter))[0] / (2 * width)
+        assert compute_weight(np.array([moved]), scatter)[0] == pytest.approx(bent, rel=1e-5, abs=1e-6)
+
+
+def test_an_unknown_gain_of_the_loop_is_within_the_bar_of_the_inertia() -> None:
+    fit = fit_servo(Servo(STEP), *make_log(seed=8, gravity=0.0, kd=0.05))
+    assert fit.names[0] == "inertia/kp"
+    assert 0.002 < 1 - fit.theta[0] * 8.0 / 0.01 < 3 * fit.theta_std[0] * 8.0 / 0.01

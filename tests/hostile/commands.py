@@ -191,6 +191,12 @@ def _validate(rng: Rng, folder: Path) -> Case:
     return Case(("validate", name, "--config", "axis.toml", "--model", place, *chosen), files)
 
 
+def _selftest(rng: Rng, folder: Path) -> Case:
+    case = _validate(rng, folder)
+    chosen = [*options(rng, 0.3, runs=["2", "0"], seed=["1", "-1"]), *_flags(rng, 0.6, "--json")]
+    return Case(("selftest", *case.arguments[1:6], *chosen), case.files)
+
+
 def _order(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder)
     chosen = options(rng, 0.1, cutoff=["10"]) + _out(rng, 0.03)
@@ -349,6 +355,7 @@ def _none(rng: Rng, folder: Path) -> Case:
 COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "identify": (_identify, 0.27),
     "validate": (_validate, 0.05),
+    "selftest": (_selftest, 0.002),
     "monitor": (_monitor, 0.19),
     "serve": (_serve, 0.01),
     "simulate": (_simulate, 0.13),

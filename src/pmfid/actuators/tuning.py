@@ -45,7 +45,7 @@ class ActuatorTuning:
     evaluations: int = 60
     #: The fit needs this many samples for each parameter.
     samples_each: int = 10
-    #: Steps of the search for the largest likelihood, its ridge, and the gain of the log-likelihood that ends the search.
+    #: Steps of the search for the largest likelihood, its ridge, and the last gain.
     newton_steps: int = 15
     newton_ridge: float = 1e-2
     newton_gain: float = 1e-2

@@ -70,6 +70,13 @@ def explain_error(error: NotIdentifiableError, findings: tuple[Finding, ...]) ->
     return NotIdentifiableError(causes[0].text) if causes else error
 
 
+def describe_refusal(error: NotIdentifiableError) -> Finding:
+    """Return a refusal of the data as a finding."""
+    text = str(error)
+    sentence, _, remedy = text.partition("; ") if "; " in text else text.rpartition(": ")
+    return Finding("refused", sentence, remedy, "wrong")
+
+
 def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
     """Return possible mistakes in a log, most important first.
 
@@ -82,9 +89,7 @@ def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
     try:
         result = cast(DriveResult, identify(data, axis))
     except NotIdentifiableError as error:
-        text = str(error)
-        sentence, _, remedy = text.partition("; ") if "; " in text else text.rpartition(": ")
-        return sort_findings((*log, Finding("refused", sentence, remedy, "wrong")))
+        return sort_findings((*log, describe_refusal(error)))
     except UsageError:
         return log
     doubts = [finding for finding in result.findings if finding.severity != "note"]

@@ -16,9 +16,9 @@ from pmfid.config.axis import Axis
 from pmfid.diagnostics.free_run import FreeRun
 from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.findings import Finding, codes, sort_findings
+from pmfid.findings import MOVE, Finding, codes, sort_findings
 from pmfid.pipeline.drives import Drives
-from pmfid.pipeline.identify import identify, kind_of
+from pmfid.pipeline.identify import describe_refusal, identify, kind_of
 from pmfid.pipeline.kinds import parameters_of
 from pmfid.pipeline.known import set_stored_gain
 from pmfid.pipeline.result import Result
@@ -102,19 +102,19 @@ def run_selftest(
     prepared = kind.prepare_axis(data, axis)
     own = kind.free_runs(data, prepared, theta)[0]
     rng, noise = np.random.default_rng(seed), measure_noise(own, data.resolution)
-    found, refusals, deviations = list[Result](), list[str](), list[float]()
+    found, refused, deviations = list[Result](), 0, list[float]()
     for number in range(runs):
         record = _simulate_record(data, own, noise, rng)
         deviations.append(measure_deviation(kind.free_runs(record, prepared, theta)[0])[0])
         try:
             found.append(identify(record, axis))
-        except NotIdentifiableError as error:
-            refusals.append(str(error))
+        except NotIdentifiableError:
+            refused += 1
         tell((number + 1) / runs)
     recoveries = tuple(_measure_recovery(*row, found) for row in zip(names, units, theta.tolist(), strict=True))
     recoveries = recoveries if found else ()
-    findings = [*_judge_model(own, deviations), *_judge_motion(recoveries, runs, refusals), *_judge_record(data, axis)]
-    test = SelfTest(data.name, runs, len(refusals), recoveries, sort_findings(findings))
+    findings = [*_judge_model(own, deviations), *_judge_motion(recoveries, runs, refused), *_judge_record(data, axis)]
+    test = SelfTest(data.name, runs, refused, recoveries, sort_findings(findings))
     return replace(test, findings=sort_findings((*findings, *_judge_coverage(test))))
 
 
@@ -173,15 +173,14 @@ def _judge_model(own: FreeRun, deviations: Sequence[float]) -> list[Finding]:
     return [Finding("unmodelled", sentence, "search for the missing term with `pmfid terms`")]
 
 
-def _judge_motion(recoveries: Sequence[Recovery], runs: int, refusals: Sequence[str]) -> list[Finding]:
-    if len(refusals) > runs / 2:
-        sentence = f"{len(refusals)} of {runs} simulated records have no estimate"
-        return [Finding("poor_excitation", sentence, refusals[0], "wrong")]
+def _judge_motion(recoveries: Sequence[Recovery], runs: int, refused: int) -> list[Finding]:
+    if refused > runs / 2:
+        return [Finding("poor_excitation", f"{refused} of {runs} simulated records have no estimate", MOVE, "wrong")]
     lost = [one.name for one in recoveries if not one.rmse <= TUNING.selftest_lost * abs(one.value)]
     if not lost:
         return []
     sentence = f"the method does not recover {', '.join(lost)} from its own simulation"
-    return [Finding("poor_excitation", sentence, "record a motion with reversals and varying speed")]
+    return [Finding("poor_excitation", sentence, MOVE)]
 
 
 def _judge_coverage(test: SelfTest) -> list[Finding]:
@@ -196,4 +195,4 @@ def _judge_record(data: Record, axis: Axis) -> list[Finding]:
     try:
         return [finding for finding in identify(data, axis).findings if finding.severity != "note"]
     except NotIdentifiableError as error:
-        return [Finding("refused", f"the record has no estimate: {error}", severity="wrong")]
+        return [describe_refusal(error)]

@@ -1,0 +1,106 @@
+"""`pmfid selftest`: good results pass, and wrong models or too little motion are reported."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+from pmfid.cli.main import main
+from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs
+from pmfid.types import Floats
+
+DT, STEP = 0.005, 5e-5
+DRIVE = DriveParameters(mass=0.8, viscous_friction=4.0, coulomb_friction=0.5, input_gain=1.5)
+TOML = """
+[record]
+input = "u"
+output = "counts"
+output_kind = "counts"
+dt = 0.005
+[encoder]
+resolution = 5e-5
+[model]
+input_gain = 1.5
+"""
+
+
+def write_record(folder: Path, u: Floats, machine: Machine, seed: int = 0) -> tuple[str, str]:
+    """Write a record and AXIS.toml, and return their paths."""
+    run = drive_machine(machine, u, DT, STEP, phase=STEP * np.random.default_rng(seed).random())
+    np.savetxt(folder / "run.csv", np.column_stack([u, run.counts]), "%.17g", ",", header="u,counts", comments="")
+    (folder / "axis.toml").write_text(TOML)
+    return str(folder / "run.csv"), str(folder / "axis.toml")
+
+
+def call(*words: str, code: int = 0) -> Result:
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == code, result.output
+    return result
+
+
+def run_selftest(folder: Path, u: Floats, machine: Machine, seed: int = 0, runs: int = 3) -> dict[str, object]:
+    """Identify a record, test the result, and return what `--json` prints."""
+    record, axis = write_record(folder, u, machine, seed)
+    call("identify", record, "--config", axis, "--out", str(folder / "out"))
+    words = (record, "--config", axis, "--model", str(folder / "out" / "result.json"), "--runs", str(runs))
+    return dict(json.loads(call("selftest", *words, "--json").stdout))
+
+
+def draw_input(seed: int, samples: int = 2000) -> Floats:
+    rng = np.random.default_rng([seed, 5])
+    return prbs(samples, clock=20, amplitude=5.0, rng=rng)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_good_result_is_recovered(tmp_path: Path, seed: int) -> None:
+    found = run_selftest(tmp_path, draw_input(seed), Machine(DRIVE), seed)
+    assert found["status"] == []
+    assert found["coverage"] >= 0.7  # type: ignore[operator]
+    mass = found["parameters"]["mass"]  # type: ignore[index]
+    assert mass["value"] == pytest.approx(0.8, rel=0.01)
+    assert 0 < mass["rmse"] < 0.01
+
+
+@pytest.mark.parametrize(
+    "machine",
+    [Machine(DRIVE, stribeck=1.0, stribeck_speed=0.1), Machine(DRIVE, stiffness=4.0), Machine(DRIVE, dead_time=0.04)],
+)
+def test_a_wrong_model_is_reported(tmp_path: Path, machine: Machine) -> None:
+    assert run_selftest(tmp_path, draw_input(3), machine)["status"]
+
+
+def test_too_little_motion_is_reported(tmp_path: Path) -> None:
+    record, axis = write_record(tmp_path, 0.58 * np.sign(draw_input(4, samples=80)), Machine(DRIVE))
+    values = {"mass": 0.8, "viscous_friction": 4.0, "coulomb_friction": 0.5}
+    content = {"model": "drive", "parameters": {name: {"value": value} for name, value in values.items()}}
+    (tmp_path / "guess.json").write_text(json.dumps(content))
+    words = (record, "--config", axis, "--model", str(tmp_path / "guess.json"), "--runs", "2", "--json")
+    found = json.loads(call("selftest", *words).stdout)
+    assert {"refused", "poor_excitation"} <= set(found["status"])
+    assert found["refused"] == 2
+    assert found["coverage"] is None
+
+
+def test_the_terminal_shows_recovery_and_status(tmp_path: Path) -> None:
+    record, axis = write_record(tmp_path, draw_input(6), Machine(DRIVE))
+    call("identify", record, "--config", axis, "--out", str(tmp_path / "out"))
+    stored = str(tmp_path / "out" / "result.json")
+    shown = call("selftest", record, "--config", axis, "--model", stored, "--runs", "2").stdout
+    assert "status: none" in shown
+    assert "2 of 2" in shown
+    content = json.loads((tmp_path / "out" / "result.json").read_text())
+    content["parameters"]["mass"]["value"] *= 1.1
+    (tmp_path / "wrong.json").write_text(json.dumps(content))
+    words = (record, "--config", axis, "--model", str(tmp_path / "wrong.json"), "--runs", "2")
+    assert "times as far from the model" in call("selftest", *words).stdout
+
+
+def test_a_result_of_another_model_is_refused(tmp_path: Path) -> None:
+    record, axis = write_record(tmp_path, draw_input(6), Machine(DRIVE))
+    (tmp_path / "other.json").write_text('{"model": "transfer_function", "parameters": {"a0": {"value": 1.0}}}')
+    result = call("selftest", record, "--config", axis, "--model", str(tmp_path / "other.json"), code=2)
+    assert "kind" in result.stderr
