@@ -16,7 +16,7 @@ LOOP = 1e-3
 
 @dataclass(frozen=True)
 class TrueServo:
-    """A servo under position commands. All values are in SI units, and `phase` in [0, 1) is that of the loop's ticks."""
+    """A servo under position commands, in SI units. `phase` in [0, 1) is that of the ticks of the loop."""
 
     inertia: float
     viscous: float

@@ -189,7 +189,9 @@ def test_bars_hold_the_friction_of_a_loop_that_sees_coarse_steps(seed: int) -> N
 def test_the_score_of_a_rounded_position_is_the_slope_of_its_cost() -> None:
     deviation, scatter, width = np.linspace(-1.2, 1.2, 13), 0.2, 1e-5
     for moved in deviation:
-        slope = (compute_cost(np.array([moved + width]), scatter) - compute_cost(np.array([moved - width]), scatter)) / (2 * width)
+        slope = (
+            compute_cost(np.array([moved + width]), scatter) - compute_cost(np.array([moved - width]), scatter)
+        ) / (2 * width)
         assert compute_score(np.array([moved]), scatter)[0] == pytest.approx(slope, rel=1e-6, abs=1e-6)
         bent = np.diff(compute_score(np.array([moved - width, moved + width]), scatter))[0] / (2 * width)
         assert compute_weight(np.array([moved]), scatter)[0] == pytest.approx(bent, rel=1e-5, abs=1e-6)

@@ -19,7 +19,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.findings import MOVE, Finding, codes, sort_findings
 from pmfid.pipeline.drives import Drives
 from pmfid.pipeline.identify import describe_refusal, identify, kind_of
-from pmfid.pipeline.kinds import parameters_of
+from pmfid.pipeline.kinds import Records, parameters_of
 from pmfid.pipeline.known import set_stored_gain
 from pmfid.pipeline.result import Result
 from pmfid.pipeline.stored import Stored
@@ -81,7 +81,7 @@ class SelfTest:
 
 def run_selftest(
     stored: Stored,
-    data: Record,
+    data: Records,
     axis: Axis,
     *,
     runs: int = TUNING.selftest_runs,
@@ -93,7 +93,7 @@ def run_selftest(
     Raises UsageError for a transfer function, or if the parameters belong to another model or allow no simulation.
     """
     kind, axis = kind_of(axis), set_stored_gain(axis, stored)
-    if not isinstance(kind, Drives):
+    if not (isinstance(kind, Drives) and isinstance(data, Record)):
         raise UsageError("a self-test simulates a machine: give an axis with kind = 'drive' or 'equation'")
     names, units = parameters_of(axis.model.make())
     theta = stored.theta(axis.model.kind, names, units)
