@@ -56,8 +56,7 @@ def make_log(
 @pytest.fixture(autouse=True)
 def _few_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     """The landscape of these logs is plain, and the tests are to be quick."""
-    monkeypatch.setattr(ActuatorTuning, "starts", 300)
-    monkeypatch.setattr(ActuatorTuning, "refined", 3)
+    monkeypatch.setattr(ActuatorTuning, "rounds", ((300, 3),))
 
 
 def check_estimates(fit, within: float, **changes: float) -> None:  # type: ignore[no-untyped-def]
@@ -188,6 +187,7 @@ def test_bars_hold_the_friction_of_a_loop_that_sees_coarse_steps(seed: int) -> N
 
 def test_the_score_of_a_rounded_position_is_the_slope_of_its_cost() -> None:
     deviation, scatter, width = np.linspace(-1.2, 1.2, 13), 0.2, 1e-5
+    assert np.isfinite(compute_score(np.array([-1e6, 1e6]), 0.08)).all()
     for moved in deviation:
         slope = (
             compute_cost(np.array([moved + width]), scatter) - compute_cost(np.array([moved - width]), scatter)

@@ -24,8 +24,7 @@ from tests.test_actuators import STEP, TRUTH, make_log
 @pytest.fixture(autouse=True)
 def _few_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     """The landscape of these logs is plain, and the tests are to be quick."""
-    monkeypatch.setattr(ActuatorTuning, "starts", 100)
-    monkeypatch.setattr(ActuatorTuning, "refined", 2)
+    monkeypatch.setattr(ActuatorTuning, "rounds", ((100, 2),))
 
 
 @pytest.fixture(scope="module")

@@ -22,8 +22,7 @@ NAME = 'knee "left" <--2>'
 def fit_joint(seed: int, given: dict[str, float], terms: list[str], **truth: float) -> FittedJoint:
     log = make_log(seed, **truth)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ActuatorTuning, "starts", 100)
-        patch.setattr(ActuatorTuning, "refined", 2)
+        patch.setattr(ActuatorTuning, "rounds", ((100, 2),))
         fit = fit_servo(Servo(STEP, given, terms), *log, search=False)
     return FittedJoint(JointLog(NAME, *log, STEP), fit)
 

@@ -71,8 +71,17 @@ BUILT = {"commands.md", "gallery/index.rst"}
 STATUS = [page for page in PAGES if page.startswith("docs/howto/status/")]
 
 
+#: Pages on servos whose blocks run.
+SERVOS = ["docs/howto/lerobot.md", "docs/howto/frc.md"]
+
+
 @pytest.mark.parametrize(
-    "page", ["docs/coming_from.md", STATUS[0], *(pytest.param(page, marks=pytest.mark.long) for page in STATUS[1:])]
+    "page",
+    [
+        "docs/coming_from.md",
+        STATUS[0],
+        *(pytest.param(page, marks=pytest.mark.long) for page in (*STATUS[1:], *SERVOS)),
+    ],
 )
 def test_blocks_of_a_page_run_and_show_something(page: str, tmp_path: Path) -> None:
     outcomes = run_page(page, tmp_path, {"__name__": "page"})

@@ -354,7 +354,7 @@ def _none(rng: Rng, folder: Path) -> Case:
 #: Command -> function that draws its calls, and the share of all calls: slow commands are rare.
 COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "identify": (_identify, 0.27),
-    "validate": (_validate, 0.05),
+    "validate": (_validate, 0.048),
     "selftest": (_selftest, 0.002),
     "monitor": (_monitor, 0.19),
     "serve": (_serve, 0.01),

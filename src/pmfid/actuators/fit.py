@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
-from pmfid.actuators.rounding import sharpen
+from pmfid.actuators.rounding import measure_correlation, sharpen
 from pmfid.actuators.servo import PARTNERS, SIGNED, UNITS, Servo
 from pmfid.actuators.standard_errors import standard_errors
 from pmfid.actuators.starts import find_start
@@ -302,14 +302,8 @@ def _list_unclear(problem: ServoProblem, z: Floats, added: Sequence[str]) -> lis
 
 def _independent(residual: Floats) -> float:
     """Return the number of independent samples that a correlated residual (n,) is worth."""
-    rho = _correlation(residual)
+    rho = measure_correlation(residual)
     return float(residual.size * (1 - rho) / (1 + rho))
-
-
-def _correlation(residual: Floats) -> float:
-    """Return the correlation of a residual (n,) from one sample to the next, within [0, 0.999]."""
-    centred = residual - residual.mean()
-    return float(np.clip(centred[1:] @ centred[:-1] / max(centred @ centred, 1e-300), 0.0, 0.999))
 
 
 # --- findings ---
@@ -319,7 +313,7 @@ def _conclude(problem: ServoProblem, z: Floats, added: tuple[str, ...]) -> Servo
     servo, residual, theta, std = problem.servo, problem.residual(z), problem.theta(z), standard_errors(problem, z)
     _, _, limited = servo.run(theta, problem.t, problem.goal, float(problem.position[0]))
     rms = float(np.sqrt(np.mean(residual**2)))
-    findings = _find(servo, theta, std, rms, _correlation(residual), limited, added)
+    findings = _find(servo, theta, std, rms, measure_correlation(residual), limited, added)
     return ServoFit(servo, theta, std, residual + problem.position, rms, limited, added, tuple(sort_findings(findings)))
 
 

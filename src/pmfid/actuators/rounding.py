@@ -26,6 +26,15 @@ class RoundedFit:
     scatter: float
 
     @property
+    def misfit(self) -> float:
+        """Factor of the standard errors for effects that the model lacks: the scatter, if it persists between samples.
+
+        The effects move the estimate as well, and in proportion to the scatter.
+        """
+        persists = measure_correlation(self.deviation) > TUNING.correlated
+        return max(self.scatter / TUNING.least_scatter, 1.0) if persists else 1.0
+
+    @property
     def curvature(self) -> Floats:
         """Second derivatives (p + 2, p + 2) of the negative logarithm of the likelihood."""
         return np.asarray((self.jacobian * compute_weight(self.deviation, self.scatter)[:, None]).T @ self.jacobian)
@@ -40,25 +49,37 @@ class RoundedFit:
 
         The weights are mean slopes of the score over the change, because the score is flat within half a step.
         """
+        change = np.nan_to_num(np.clip(change, -TUNING.widest, TUNING.widest), nan=TUNING.widest)
         moved = compute_score(self.deviation + change, self.scatter) - compute_score(self.deviation, self.scatter)
         tiny = np.abs(change) < 1e-6
         slope = np.where(tiny, compute_weight(self.deviation, self.scatter), moved / np.where(tiny, 1.0, change))
         return -solve_scaled((self.jacobian * slope[:, None]).T @ self.jacobian, self.jacobian.T @ moved)
 
 
+def measure_correlation(residual: Floats) -> float:
+    """Return the correlation of a residual (n,) from one sample to the next, within [0, 0.999]."""
+    centred = residual - residual.mean()
+    return float(np.clip(centred[1:] @ centred[:-1] / max(centred @ centred, 1e-300), 0.0, 0.999))
+
+
 def compute_cost(deviation: Floats, scatter: float) -> float:
     """Return the negative logarithm of the likelihood."""
-    return -float(log_probability(np.abs(deviation), scatter).sum())
+    return -float(log_probability(_measure_size(deviation), scatter).sum())
+
+
+def _measure_size(deviation: Floats) -> Floats:
+    """Return the sizes (n,) of deviations, limited to what the likelihood computes without an overflow."""
+    return np.nan_to_num(np.minimum(np.abs(deviation), TUNING.widest), nan=TUNING.widest)
 
 
 def compute_score(deviation: Floats, scatter: float) -> Floats:
     """Return the derivative (n,) of the cost by the deviation."""
-    return np.asarray(np.sign(deviation) * count_likelihood(np.abs(deviation), scatter)[1])
+    return np.asarray(np.sign(deviation) * count_likelihood(_measure_size(deviation), scatter)[1])
 
 
 def compute_weight(deviation: Floats, scatter: float) -> Floats:
     """Return the second derivative (n,) of the cost by the deviation."""
-    _, slope, bend = count_likelihood(np.abs(deviation), scatter)
+    _, slope, bend = count_likelihood(_measure_size(deviation), scatter)
     return np.clip(slope**2 + bend, 0.0, scatter**-2)
 
 

@@ -35,9 +35,9 @@ def _covariance(problem: ServoProblem, z: Floats) -> Floats:
     spread = blocks / (blocks - 1) * half.T @ half
     # The larger of both for each coordinate, with the correlations of the blocks.
     factor = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(spread), 1e-300), 1.0))
-    covariance = spread * np.outer(factor, factor)
+    covariance = now.misfit**2 * spread * np.outer(factor, factor)
     for shift in _neglected_shifts(problem, z, now):
-        covariance = covariance + np.outer(shift, shift)
+        covariance = covariance + now.misfit**2 * np.outer(shift, shift)
     return np.asarray(covariance)
 
 

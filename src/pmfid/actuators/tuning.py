@@ -25,10 +25,11 @@ class ActuatorTuning:
     #: The start position and the start velocity follow the parameters in the coordinates.
     nuisance: int = 2
     # fit
-    #: Number of random starts, number of the best ones that are refined, steps of each of these refinements,
-    #: and number of the best ones that are refined to the end.
-    starts: int = 600
-    refined: int = 8
+    #: Rounds of a search: the number of random starts, and the number of the best ones that are refined. The last
+    #: round comes only if the deviation of the one before exceeds `explained` steps of the encoder (rms).
+    rounds: tuple[tuple[int, int], ...] = ((80, 3), (600, 8))
+    explained: float = 0.35
+    #: Steps of each of these refinements, and number of the best ones that are refined to the end.
     first_evaluations: int = 10
     finished: int = 2
     #: Starts are compared on this much of the motion [s].
@@ -51,6 +52,8 @@ class ActuatorTuning:
     newton_gain: float = 1e-2
     #: Least scatter [encoder steps] of the position before rounding. It stands for what any model neglects.
     least_scatter: float = 0.08
+    #: Largest deviation in the likelihood [encoder steps].
+    widest: float = 1e4
     #: Phases of the start within one encoder step at which the effect of rounding in the loop is computed.
     phases: int = 6
     #: Part of the viscous friction that may be a gain kd of the loop.
