@@ -28,7 +28,7 @@ PMF_SELDOM uint32_t within(const real_t *number, uint32_t numbers, real_t least,
     return fine;
 }
 
-PMF_SELDOM uint32_t finite(const real_t *number, uint32_t numbers)
+PMF_SELDOM uint32_t all_finite(const real_t *number, uint32_t numbers)
 {
     return within(number, numbers, -LARGEST, LARGEST);
 }
@@ -49,10 +49,10 @@ PMF_SELDOM uint32_t check_guard(const pmf_encoder_config_t *config, const pmf_gu
     return at_most(state->seen, config->guard + PMF_GUARD_SOUND) & at_most(state->suspect, PMF_GUARD_SUSPECTS) &
            at_most(state->wait, config->guard >> 2) & at_most(state->doubt, PMF_GUARD_DOUBTS) &
            within(&state->rate, 1U, -MOST_COUNTS, MOST_COUNTS) & not_negative(&state->scatter, 1U) &
-           within(&state->peak, 1U, PMF_R(0.0), PMF_LARGEST_INPUT) & finite(&state->gain, 1U) &
-           finite(&state->missed, 1U) & finite(&state->last, 1U) & not_negative(&state->lesson, 1U) &
+           within(&state->peak, 1U, PMF_R(0.0), PMF_LARGEST_INPUT) & all_finite(&state->gain, 1U) &
+           all_finite(&state->missed, 1U) & all_finite(&state->last, 1U) & not_negative(&state->lesson, 1U) &
            within(&state->held, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) & at_most(state->sound, PMF_GUARD_SOUND) &
-           finite(&state->earlier, 1U) & not_negative(&state->fair, 1U);
+           all_finite(&state->earlier, 1U) & not_negative(&state->fair, 1U);
 }
 #endif
 
@@ -67,11 +67,12 @@ PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_
            within(&state->innovation, 1U, -MOST_COUNTS, MOST_COUNTS) &
            within(&state->direction, 1U, PMF_R(-1.0), PMF_R(1.0)) & within(&state->moving, 1U, PMF_R(0.0), PMF_R(1.0)) &
            within(&state->input, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) &
-           within(&state->input_before, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) & finite(&state->mean_velocity, 1U)
+           within(&state->input_before, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) &
+           all_finite(&state->mean_velocity, 1U)
 #if PMF_WITH_STEPS
            & within(&state->ratio, 1U, PMF_R(0.0), PMF_MOST_RATIO) &
            within(&state->ratio_before, 1U, PMF_R(0.0), PMF_MOST_RATIO) &
-           finite((const real_t *)(const void *)&state->tracker, REALS(state->tracker)) &
+           all_finite((const real_t *)(const void *)&state->tracker, REALS(state->tracker)) &
            not_negative(&state->tracker.place, 1U) & not_negative(&state->tracker.speed, 1U)
 #endif
 #if PMF_WITH_GUARD
@@ -83,7 +84,7 @@ PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_
 /* The diagonals are sums of squares. */
 PMF_SELDOM uint32_t check_sums(const pmf_recursion_config_t *config, const pmf_sums_t *sums)
 {
-    uint32_t i, fine = finite((const real_t *)(const void *)sums, REALS(*sums)) & not_negative(&sums->weight, 1U) &
+    uint32_t i, fine = all_finite((const real_t *)(const void *)sums, REALS(*sums)) & not_negative(&sums->weight, 1U) &
                        not_negative(&sums->squares, 1U);
     for (i = 0; i < config->n_parameters; ++i) {
         fine &= not_negative(config->instrumental != 0U ? &sums->square[i][i] : &sums->cross[i][i], 1U);
@@ -93,9 +94,9 @@ PMF_SELDOM uint32_t check_sums(const pmf_recursion_config_t *config, const pmf_s
 
 PMF_SELDOM uint32_t check_estimate(const pmf_estimate_t *estimate)
 {
-    return finite(estimate->theta, REALS(estimate->theta)) &
+    return all_finite(estimate->theta, REALS(estimate->theta)) &
            not_negative(estimate->variance_factor, REALS(estimate->variance_factor)) &
-           not_negative(estimate->inflation, REALS(estimate->inflation)) & finite(&estimate->innovation, 1U) &
+           not_negative(estimate->inflation, REALS(estimate->inflation)) & all_finite(&estimate->innovation, 1U) &
            not_negative(&estimate->innovation_variance, 1U);
 }
 
@@ -134,18 +135,18 @@ PMF_SELDOM uint32_t check_scale(const pmf_recursion_config_t *config, const pmf_
 PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
     return check_sums(config, &state->sums) & check_estimate(&state->estimate) & check_window(config, state) &
-           check_scale(config, state) & finite(&state->factor[0][0], REALS(state->factor)) &
+           check_scale(config, state) & all_finite(&state->factor[0][0], REALS(state->factor)) &
            not_negative(state->inverse_pivot, REALS(state->inverse_pivot)) &
            within(&state->mass, 1U, PMF_R(0.0), PMF_R(1.0)) & not_negative(&state->weight, 1U) &
            not_negative(&state->innovation_square, 1U) & at_most(state->started, state->updates) &
-           finite(state->score, REALS(state->score)) & at_most(state->blocks, PMF_BLOCK_MEMORY) &
+           all_finite(state->score, REALS(state->score)) & at_most(state->blocks, PMF_BLOCK_MEMORY) &
            /* a block counts only updates without a status, and may end some updates late */
            at_most(state->block_updates, state->updates) &
 #if PMF_WITH_NOISE
            check_check(&state->check) & check_check(&state->check_before) & at_most(state->unmodelled, PMF_UNMODELLED) &
 #endif
 #if PMF_WITH_PROCESS
-           finite(&state->lift, 1U) &
+           all_finite(&state->lift, 1U) &
 #endif
            not_negative(state->reference, REALS(state->reference)) & not_negative(&state->trace, 1U);
 }
@@ -153,31 +154,32 @@ PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const 
 #if PMF_WITH_AUXILIARY
 PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state)
 {
-    return finite(state->parameter, REALS(state->parameter)) & finite(&state->velocity, 1U) &
-           finite(&state->position, 1U) & not_negative(&state->power, 1U) & not_negative(&state->mismatch, 1U) &
+    return all_finite(state->parameter, REALS(state->parameter)) & all_finite(&state->velocity, 1U) &
+           all_finite(&state->position, 1U) & not_negative(&state->power, 1U) & not_negative(&state->mismatch, 1U) &
            at_most(state->running, 1U) & at_most(state->trial, config->trial_samples) & at_most(state->trusted, 1U) &
-           at_most(state->in_charge, 1U) & finite((const real_t *)(const void *)state->jump, REALS(state->jump)) &
-           finite(&state->cross, 1U) & not_negative(&state->innovations, 1U) & not_negative(&state->changes, 1U) &
+           at_most(state->in_charge, 1U) & all_finite((const real_t *)(const void *)state->jump, REALS(state->jump)) &
+           all_finite(&state->cross, 1U) & not_negative(&state->innovations, 1U) & not_negative(&state->changes, 1U) &
            at_most(state->feedback, PMF_FEEDBACK) &
 #if PMF_WITH_STEPS
            not_negative(&state->step, 1U) &
 #endif
-           finite((const real_t *)(const void *)&state->lag, REALS(state->lag)) & at_most(state->late, PMF_DEAD_TIME);
+           all_finite((const real_t *)(const void *)&state->lag, REALS(state->lag)) &
+           at_most(state->late, PMF_DEAD_TIME);
 }
 #endif
 
 #if PMF_WITH_AUXILIARY && PMF_WITH_DEAD_TIME && PMF_WITH_DEAD_TIME_FOUND
 PMF_SELDOM uint32_t check_found(const pmf_found_state_t *state)
 {
-    uint32_t i, fine = check_estimate(&state->believed) & finite(state->theta, REALS(state->theta)) &
-                       finite(&state->dead_time, 1U) & finite(&state->begun, 1U) & finite(&state->before, 1U) &
-                       not_negative(&state->unsure, 1U) & finite(&state->covariance[0][0], REALS(state->covariance)) &
-                       finite(&state->velocity, 1U) & within(&state->place, 1U, -MOST_COUNTS, MOST_COUNTS) &
-                       not_negative(&state->push, 1U) & not_negative(&state->speed, 1U) &
-                       not_negative(&state->surprise, 1U) & not_negative(&state->expected, 1U) &
-                       at_most(state->running, 1U) & at_most(state->age, PMF_OLDEST) &
-                       at_most(state->near, PMF_OLDEST) & at_most(state->looks, PMF_LOOKS) &
-                       at_most(state->tries, PMF_MOST_TRIES) & at_most(state->believes, PMF_BELIEVES_WITHIN);
+    uint32_t i,
+        fine = check_estimate(&state->believed) & all_finite(state->theta, REALS(state->theta)) &
+               all_finite(&state->dead_time, 1U) & all_finite(&state->begun, 1U) & all_finite(&state->before, 1U) &
+               not_negative(&state->unsure, 1U) & all_finite(&state->covariance[0][0], REALS(state->covariance)) &
+               all_finite(&state->velocity, 1U) & within(&state->place, 1U, -MOST_COUNTS, MOST_COUNTS) &
+               not_negative(&state->push, 1U) & not_negative(&state->speed, 1U) & not_negative(&state->surprise, 1U) &
+               not_negative(&state->expected, 1U) & at_most(state->running, 1U) & at_most(state->age, PMF_OLDEST) &
+               at_most(state->near, PMF_OLDEST) & at_most(state->looks, PMF_LOOKS) &
+               at_most(state->tries, PMF_MOST_TRIES) & at_most(state->believes, PMF_BELIEVES_WITHIN);
     for (i = 0; i < PMF_MAX_PARAMETERS + 2U; ++i) {
         fine &= not_negative(&state->covariance[i][i], 1U);
     }
@@ -188,13 +190,13 @@ PMF_SELDOM uint32_t check_found(const pmf_found_state_t *state)
 #if PMF_WITH_LINEAR
 PMF_SELDOM uint32_t check_linear(const pmf_linear_config_t *config, const pmf_linear_state_t *state)
 {
-    return finite(state->parameter, REALS(state->parameter)) & finite(state->b, REALS(state->b)) &
-           finite((const real_t *)(const void *)&state->own, REALS(state->own)) &
-           finite((const real_t *)(const void *)&state->fast, REALS(state->fast)) &
-           finite((const real_t *)(const void *)&state->behind_own, REALS(state->behind_own)) &
-           finite((const real_t *)(const void *)&state->behind_fast, REALS(state->behind_fast)) &
-           finite((const real_t *)(const void *)&state->bent, REALS(state->bent)) & at_most(state->damped, 1U) &
-           finite(state->settling, REALS(state->settling)) & finite(&state->output, 1U) &
+    return all_finite(state->parameter, REALS(state->parameter)) & all_finite(state->b, REALS(state->b)) &
+           all_finite((const real_t *)(const void *)&state->own, REALS(state->own)) &
+           all_finite((const real_t *)(const void *)&state->fast, REALS(state->fast)) &
+           all_finite((const real_t *)(const void *)&state->behind_own, REALS(state->behind_own)) &
+           all_finite((const real_t *)(const void *)&state->behind_fast, REALS(state->behind_fast)) &
+           all_finite((const real_t *)(const void *)&state->bent, REALS(state->bent)) & at_most(state->damped, 1U) &
+           all_finite(state->settling, REALS(state->settling)) & all_finite(&state->output, 1U) &
            not_negative(&state->power, 1U) & not_negative(&state->mismatch, 1U) &
            within(&state->discount, 1U, PMF_R(0.0), PMF_R(1.0)) & at_most(state->wait, config->update_samples) &
            at_most(state->age, 0x7fffffffU) & at_most(state->unsettled, state->age) & at_most(state->settled, 1U) &
@@ -213,7 +215,7 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
            at_most(state->hold, settle) &
 #endif
            check_encoder(&config->encoder, &state->encoder) &
-           finite((const real_t *)(const void *)&state->network, REALS(state->network)) &
+           all_finite((const real_t *)(const void *)&state->network, REALS(state->network)) &
 #if PMF_WITH_STEPS
            not_negative(&state->network.time, 1U) &
 #endif
@@ -223,15 +225,15 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
            check_recursion(&config->direct, &state->direct);
 #if PMF_WITH_AUXILIARY
 #if PMF_WITH_DEAD_TIME
-    fine &= finite(state->late.past, REALS(state->late.past)) & finite(&state->late.older, 1U) &
-            finite(&state->late.newer, 1U) & within(&state->late.part, 1U, PMF_R(0.0), PMF_R(1.0)) &
-            finite(&state->late.gathered, 1U) & at_most(state->late.at, config->late.room + 1U);
+    fine &= all_finite(state->late.past, REALS(state->late.past)) & all_finite(&state->late.older, 1U) &
+            all_finite(&state->late.newer, 1U) & within(&state->late.part, 1U, PMF_R(0.0), PMF_R(1.0)) &
+            all_finite(&state->late.gathered, 1U) & at_most(state->late.at, config->late.room + 1U);
 #if PMF_WITH_DEAD_TIME_FOUND
     fine &= check_found(&state->found);
 #endif
 #endif
 #if PMF_WITH_LAG
-    fine &= finite(&state->late.lagged, 1U);
+    fine &= all_finite(&state->late.lagged, 1U);
 #endif
     fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed);
 #endif

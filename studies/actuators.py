@@ -179,8 +179,11 @@ def fit_mujoco(log: Log) -> tuple[Floats, Floats, bool]:
         low, high = (0.0, 4 * PERIOD) if name == "delay" else (value / 50, value * 50)
         params.add(sysid.Parameter(name, nominal=value, min_value=low, max_value=high, modifier=modifier))
 
+    def setter(key: str) -> Callable[[Any, Any], None]:
+        return lambda s, p: _set_joint(s, key, p.value[0])
+
     for name, key in (("inertia", "armature"), ("viscous", "damping"), ("coulomb", "frictionloss")):
-        add(name, guess[name], lambda s, p, key=key: _set_joint(s, key, p.value[0]))
+        add(name, guess[name], setter(key))
     if log.truth.gravity:
         add("mass", mass, lambda s, p: setattr(s.bodies[1], "mass", p.value[0]))
     add("delay", PERIOD, None)
@@ -236,9 +239,9 @@ def write_page(logs: Sequence[Sequence[Log]], found: dict[str, list[list[Outcome
     errors = {name: [_rms_error(*pair) for pair in zip(logs, own, strict=True)] for name, own in found.items()}
     lines = ["# Servos: parameters from position commands", ""]
     lines += ["| servo | friction | " + " | ".join(found) + " |", "|---" * (len(found) + 2) + "|"]
-    for number, own in enumerate(logs):
+    for number, servo in enumerate(logs):
         cells = " | ".join(f"{100 * errors[name][number]:.2f}" for name in found)
-        lines.append(f"| {number + 1} | {own[0].kind} | {cells} |")
+        lines.append(f"| {number + 1} | {servo[0].kind} | {cells} |")
     lines += ["", "Error of inertia, viscous and Coulomb friction and delay [%], root mean square over the logs.", ""]
     lines += ["| method | median error [%] | covered [%] | silent beyond 3 bars [%] | processor time per log [s] |"]
     lines.append("|---" * 5 + "|")

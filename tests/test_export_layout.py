@@ -52,8 +52,8 @@ add_executable(application module/examples/main/main.c)
 target_include_directories(application PRIVATE module)
 target_link_libraries(application PRIVATE axis)
 """
-#: Warnings of a strict Arduino build. GCC knows a built-in function of the name of one in pmf_plausible.c.
-STRICT = ("-std=gnu11", "-Wall", "-Wextra", "-Werror", "-Wno-builtin-declaration-mismatch")
+#: Warnings of a strict Arduino build.
+STRICT = ("-std=gnu11", "-Wall", "-Wextra", "-Werror")
 
 
 def succeed(arguments: list[str], folder: Path) -> str:

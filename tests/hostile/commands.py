@@ -89,7 +89,7 @@ def _recorded(rng: Rng, folder: Path, methods: tuple[str, ...] = METHODS) -> tup
 
 def _identify(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder)
-    chosen = options(rng, 0.1, method=list(METHODS), cutoff=["10", "-1", "1e9"], quantize=["1e-3"])
+    chosen = options(rng, 0.1, method=list(METHODS), cutoff=["10", "-1", "1e9"], quantize=["1e-3"], edges=["1e-2"])
     chosen += options(rng, 0.03, resolution=["1e-3"], forgetting=["0.9"], order=["4", "9"])
     chosen += options(rng, 0.02, n=["1", "2"], m=["0", "1"], delay=["1", "20"])
     chosen += [*_out(rng, 0.01), *_flags(rng, 0.6, "--json"), *(_more(rng, name))]
@@ -147,6 +147,12 @@ def _friction(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder)
     chosen = options(rng, 0.1, nodes=["3", "0", "-2", "1e9"], rising_from=["0.1", "-1", "nan"], cutoff=["10"])
     return Case(("friction", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
+
+
+def _encoder(rng: Rng, folder: Path) -> Case:
+    files, name = _recorded(rng, folder)
+    chosen = options(rng, 0.2, want=["0.1", "-1", "nan"], line_error=["0", "60"], parameter=["mass", "x"])
+    return Case(("encoder", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
 
 
 def _fleet(rng: Rng, folder: Path) -> Case:
@@ -353,7 +359,8 @@ def _none(rng: Rng, folder: Path) -> Case:
 
 #: Command -> function that draws its calls, and the share of all calls: slow commands are rare.
 COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
-    "identify": (_identify, 0.27),
+    "identify": (_identify, 0.268),
+    "encoder": (_encoder, 0.002),
     "validate": (_validate, 0.048),
     "selftest": (_selftest, 0.002),
     "monitor": (_monitor, 0.19),

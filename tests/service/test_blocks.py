@@ -293,9 +293,12 @@ def test_the_encoder_goes_out_with_firmware_on_request_alone(tmp_path: Path) -> 
     for folder, option in ((without, []), (with_it, ["--blocks"])):
         arguments = ["export", str(ROOT / "examples" / "cart.toml"), "--dt", "0.01", "--out", str(folder), *option]
         assert CliRunner().invoke(main, arguments).exit_code == 0
-    files = {path.name: path.read_bytes() for path in with_it.iterdir()}
-    added = {name for name in files if not (without / name).exists()}
-    other = {path.name for path in without.iterdir() if path.read_bytes() != files[path.name]}
+    files, plain = (
+        {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+        for folder in (with_it, without)
+    )
+    added = set(files) - set(plain)
+    other = {name for name, text in plain.items() if text != files[name]}
     assert added == {"pmf_block.c", "pmf_block.h"}
     assert other == {"Makefile", "CMakeLists.txt"}
     assert b" pmf_block.o" in files["Makefile"]
