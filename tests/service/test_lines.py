@@ -145,14 +145,14 @@ def test_an_axis_without_a_time_takes_none(tmp_path: Path) -> None:
     assert math.isnan(line.time)
     assert line.u == 1.0
     (line,) = lines_of(list(form.items(b'{"axis": "x1", "u": null, "x": 2}')))
-    assert "no number" in line.problem
+    assert "not a number" in line.problem
 
 
 @pytest.mark.parametrize(
     ("field", "problem"),
     [
-        ("null", "no number"),
-        ("true", "no number"),
+        ("null", "not a number"),
+        ("true", "not a number"),
         ("[]", ""),
         ('"a"', "convert"),
         ("NaN", "finite"),
