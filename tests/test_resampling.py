@@ -81,6 +81,29 @@ def test_gaps_between_uneven_steps_stay_gaps(tmp_path: Path, clock: str) -> None
     assert "uneven_clock" not in result.status
 
 
+@pytest.mark.parametrize("key", ["exclude", "mask"])
+def test_rows_of_an_uneven_clock_are_left_out(tmp_path: Path, key: str) -> None:
+    """The left out rows have wrong counts at the start and within the record."""
+    time, u, counts = run("in turn")
+    bad = np.zeros(SAMPLES, bool)
+    bad[:200] = bad[1200:1230] = True
+    spans = [[float(time[0]), float(time[199])], [float(time[1200]), float(time[1229])]]
+    pl.DataFrame({"t": time, "u": u, "n": np.where(bad, 7, counts), "bad": bad.astype(int)}).write_csv(
+        tmp_path / "run.csv"
+    )
+    (tmp_path / "axis.toml").write_text(
+        '[record]\ninput = "u"\noutput = "n"\noutput_kind = "counts"\ntime = "t"\n'
+        f"{key} = {spans if key == 'exclude' else repr('bad')}\n"
+        f"[encoder]\nresolution = {8 * CART_RESOLUTION}\n[model]\ninput_gain = {CART.input_gain}\n"
+    )
+    axis = load_axis(tmp_path / "axis.toml")
+    record = kind_of(axis).read([tmp_path / "run.csv"], axis)
+    assert record.own is not None
+    result = identify(record, axis)
+    assert np.all(np.abs(result.theta - TRUTH) < 3.5 * result.theta_std)
+    assert any("230 rows are left out" in note for note in result.notes)
+
+
 def test_a_model_that_asks_for_even_samples_is_resampled_and_says_so(tmp_path: Path) -> None:
     result = identified(tmp_path, *run("host"), "dead_time = 0.0001\n")
     np.testing.assert_allclose(result.theta[:2], TRUTH[:2], rtol=0.02)

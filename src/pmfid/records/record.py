@@ -313,8 +313,11 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
     if config.output_kind == "counts":  # resampling rounds the counts of an uneven clock
         _check_counts(columns, config)
-    columns, found, clock_notes = _resample(axis, columns, units.y)
-    rows, row_notes = _rows(table, config, columns)
+    mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
+    columns, found, clock_notes = _resample(axis, columns, units.y, mask)
+    if found is not None:  # the rows to leave out are gaps now
+        config, mask = config.model_copy(update={"mask": None, "exclude": ()}), None
+    rows, row_notes = _rows(config, columns, mask)
     jitter, dt_error = (0.0, rows.dt_error) if found is None else (found.jitter, found.dt_error)
     if rows.rows.size < len(columns["input"]):  # without missing rows, a copy is needless
         columns = {key: values[rows.rows] for key, values in columns.items()}
@@ -415,17 +418,19 @@ def _span_gaps(u: Floats, counts: Counts, steps: SampleSteps) -> tuple[Floats, N
 
 
 def _resample(
-    axis: Axis, columns: dict[str, Floats], y_scale: float
+    axis: Axis, columns: dict[str, Floats], y_scale: float, mask: Floats | None
 ) -> tuple[dict[str, Floats], Resampled | None, tuple[str, ...]]:
     """Return the columns of an uneven clock on an even grid, the resampled data, and notes.
 
-    The resampled data are None for an even clock. `y_scale` is the factor of the output. A record keeps its clock if
-    its output is a velocity or has a range, or if rows are excluded.
+    The resampled data are None for an even clock. `y_scale` is the factor of the output. Rows that `mask` (n,) or
+    [record] exclude leave out become gaps. A record keeps its clock if its output is a velocity or has a range.
     """
     given, config, encoder = columns, axis.record, axis.encoder
-    keeps = config.output_kind == "velocity" or config.mask or config.exclude
-    if "time" not in columns or keeps or encoder.range is not None:
+    if "time" not in columns or config.output_kind == "velocity" or encoder.range is not None:
         return columns, None, ()
+    out, out_notes = left_out(columns["time"], columns["time"].size, config, mask)
+    if np.any(out):
+        columns = columns | {key: np.where(out, np.nan, columns[key]) for key in ("input", "output")}
     if config.output_kind == "position":
         _check_position(columns["output"], axis)  # the check needs the values of the file
     wraps = 0
@@ -453,7 +458,7 @@ def _resample(
     new = columns | {"time": found.time, "input": found.u, "output": y}
     if wraps:
         notes.append(f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)")
-    return new, found, (note, *notes)
+    return new, found, (*out_notes, note, *notes)
 
 
 def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
@@ -464,10 +469,11 @@ def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tu
     return whole[rows.places], notes
 
 
-def _rows(table: Table, config: RecordConfig, columns: Mapping[str, Floats]) -> tuple[PlacedRows, tuple[str, ...]]:
+def _rows(
+    config: RecordConfig, columns: Mapping[str, Floats], mask: Floats | None
+) -> tuple[PlacedRows, tuple[str, ...]]:
     """Return the used rows, their places on the grid, and notes for people."""
     time, samples = columns.get("time"), columns["input"].size
-    mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
     out, notes = left_out(time, samples, config, mask)
     u, y = columns["input"], columns["output"]
     repeated = np.zeros(samples, bool)
