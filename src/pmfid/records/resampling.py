@@ -158,10 +158,11 @@ def _is_uneven(stamps: Floats, y: Floats) -> bool:
     steady, even = is_steady(stamps), even_grid(stamps)[1]
     if steady and not even and np.max(np.abs(steps - median)) > TUNING.clock_even * median:
         return True
+    part, error = _weigh_stamps(stamps, y)
+    true = part - TUNING.resampling_errors * error > 0.5
     if steady or even:
-        part, error = _weigh_stamps(stamps, y)
-        return part - TUNING.resampling_errors * error > 0.5 or (not steady and _are_late(stamps, y))
-    return find_places(stamps) is None
+        return true or (not steady and _are_late(stamps, y))
+    return true or find_places(stamps) is None
 
 
 def _are_late(stamps: Floats, y: Floats) -> bool:
