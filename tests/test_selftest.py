@@ -85,6 +85,17 @@ def test_too_little_motion_is_reported(tmp_path: Path) -> None:
     assert found["coverage"] is None
 
 
+def test_a_result_that_the_record_excludes_is_reported(tmp_path: Path) -> None:
+    record, axis = write_record(tmp_path, draw_input(3), Machine(DRIVE), 3)
+    printed = json.loads(call("identify", record, "--config", axis, "--json").stdout)
+    printed["parameters"]["mass"]["value"] *= 1.03
+    (tmp_path / "other.json").write_text(json.dumps(printed))
+    words = (record, "--config", axis, "--model", str(tmp_path / "other.json"), "--runs", "2", "--json")
+    found = json.loads(call("selftest", *words).stdout)
+    assert found["status"] == ["biased"]
+    assert found["findings"][0]["sentence"].startswith("mass = 0.82")
+
+
 def test_the_terminal_shows_recovery_and_status(tmp_path: Path) -> None:
     record, axis = write_record(tmp_path, draw_input(6), Machine(DRIVE))
     call("identify", record, "--config", axis, "--out", str(tmp_path / "out"))

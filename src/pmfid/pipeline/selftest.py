@@ -113,7 +113,11 @@ def run_selftest(
         tell((number + 1) / runs)
     recoveries = tuple(_measure_recovery(*row, found) for row in zip(names, units, theta.tolist(), strict=True))
     recoveries = recoveries if found else ()
-    findings = [*_judge_model(own, deviations), *_judge_motion(recoveries, runs, refused), *_judge_record(data, axis)]
+    findings = [
+        *_judge_model(own, deviations),
+        *_judge_motion(recoveries, runs, refused),
+        *_judge_record(data, axis, names, theta),
+    ]
     test = SelfTest(data.name, runs, refused, recoveries, sort_findings(findings))
     return replace(test, findings=sort_findings((*findings, *_judge_coverage(test))))
 
@@ -190,9 +194,20 @@ def _judge_coverage(test: SelfTest) -> list[Finding]:
     return [Finding("std_too_small", sentence, "multiply the error bars, or choose another method")]
 
 
-def _judge_record(data: Record, axis: Axis) -> list[Finding]:
-    """Return the doubts of an identification of the record itself."""
+def _judge_record(data: Record, axis: Axis, names: Sequence[str], theta: Floats) -> list[Finding]:
+    """Return the doubts of an identification of the record itself, and the parameters of the result that this
+    identification excludes."""
     try:
-        return [finding for finding in identify(data, axis).findings if finding.severity != "note"]
+        result = identify(data, axis)
     except NotIdentifiableError as error:
         return [describe_refusal(error)]
+    found = [finding for finding in result.findings if finding.severity != "note"]
+    for name, value in zip(names, theta.tolist(), strict=True):
+        if name not in result.names:
+            continue
+        index = result.names.index(name)
+        own, std = float(result.theta[index]), float(result.theta_std[index])
+        if abs(value - own) > max(TUNING.selftest_away * std, axis.estimator.tolerance * abs(own)):
+            sentence = f"{name} = {value:.5g} does not belong to this record, which gives {own:.5g}"
+            found.append(Finding("biased", sentence, "identify this record again", "wrong"))
+    return found

@@ -329,6 +329,8 @@ class PipelineTuning:
     #: A parameter is lost from this error on (rms, relative). The intervals are too small below this coverage.
     selftest_lost: float = 0.3
     selftest_coverage: float = 0.7
+    #: Largest distance of a parameter from the estimate out of the same record [standard deviations].
+    selftest_away: float = 3.0
 
     # terms
     #: Part of the motion that counts as slow.
