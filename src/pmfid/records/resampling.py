@@ -162,7 +162,13 @@ def _is_uneven(stamps: Floats, y: Floats) -> bool:
     true = part - TUNING.resampling_errors * error > 0.5
     if steady or even:
         return true or (not steady and _are_late(stamps, y))
-    return true or find_places(stamps) is None
+    return find_places(stamps) is None or (true and _scatter_often(steps / median))
+
+
+def _scatter_often(steps: Floats) -> bool:
+    """Return whether many steps (n,) [periods] differ from their neighbours, besides missing samples."""
+    apart = np.abs(np.diff(steps - np.rint(steps)))
+    return bool(np.mean(apart > TUNING.even_steps) > TUNING.resampling_often)
 
 
 def _are_late(stamps: Floats, y: Floats) -> bool:

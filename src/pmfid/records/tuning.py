@@ -194,6 +194,8 @@ class RecordTuning:
     # resampling
     #: Relative deviation of steps from their median below which the steps are even.
     even_steps: float = 0.02
+    #: Smallest part of the steps that differ from their neighbours on an uneven clock with gaps.
+    resampling_often: float = 0.2
     #: Number of standard errors for a decision whether stamps are the instants of the samples. `resampling_plain` is
     #: the part of the rows in this test, because the other rows may be wrong readings.
     resampling_errors: float = 2.0
