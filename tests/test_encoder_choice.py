@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -74,8 +75,7 @@ def test_edges_of_a_coarse_encoder_give_what_its_counts_cannot(fine: Path) -> No
 def test_wrong_use_of_edges(fine: Path, options: tuple[str, ...], message: str) -> None:
     result = run(fine, "identify", *options)
     assert result.exit_code == 2
-    with pytest.raises(AssertionError, match=message):
-        raise AssertionError(result.stderr)
+    assert re.search(message, result.stderr)
 
 
 def test_made_edges_stand_in_place_of_no_recorded_ones(fine: Path, tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ class RoundedFit:
 
     @property
     def misfit(self) -> float:
-        """Factor of the standard errors for effects that the model lacks: the scatter, if it persists between samples.
+        """Factor of the standard errors for unmodelled effects: the scatter, if it persists between samples.
 
         The effects move the estimate as well, and in proportion to the scatter.
         """

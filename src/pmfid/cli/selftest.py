@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import JSON, config_option, print_json, print_text, progress
+from pmfid.cli.terminal import JSON, config_option, print_json, print_text, progress, result_option
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
@@ -17,14 +17,7 @@ if TYPE_CHECKING:
 @click.command(short_help="Simulate a machine at its result, identify it again, and compare.")
 @click.argument("record", type=click.Path(path_type=Path))
 @config_option()
-@click.option(
-    "--model",
-    "stored",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar="RESULT.json",
-    help="The result to test: what `pmfid identify --out` or --json has written.",
-)
+@result_option("The result to test: what `pmfid identify --out` or --json has written.")
 @click.option("--runs", type=click.IntRange(2, 1000), default=10, show_default=True, help="Simulated records.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the noise.")
 @JSON

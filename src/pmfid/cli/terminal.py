@@ -47,6 +47,13 @@ def folder_option(text: str) -> Callable[[F], F]:
     return click.option("--out", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help=text)
 
 
+def result_option(text: str) -> Callable[[F], F]:
+    """Return the option --model RESULT.json."""
+    return click.option(
+        "--model", "stored", required=True, type=click.Path(path_type=Path), metavar="RESULT.json", help=text
+    )
+
+
 def print_text(text: str, err: bool = False, widest: int = 200, narrowest: int = 40) -> None:
     """Print text for people, without control characters, and with long lines folded at spaces.
 

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import JSON, RECORDS, config_option, folder_option, print_json, print_text, progress
+from pmfid.cli.terminal import (
+    JSON,
+    RECORDS,
+    config_option,
+    folder_option,
+    print_json,
+    print_text,
+    progress,
+    result_option,
+)
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
@@ -17,14 +26,7 @@ if TYPE_CHECKING:
 @click.command(short_help="Predict other records with a result, by free-run simulation.")
 @RECORDS
 @config_option("What the records hold, the encoder, the model; of [estimator] only the cutoff is used.")
-@click.option(
-    "--model",
-    "stored",
-    required=True,
-    type=click.Path(path_type=Path),
-    metavar="RESULT.json",
-    help="The parameters: what `pmfid identify --out` or --json has written.",
-)
+@result_option("The parameters: what `pmfid identify --out` or --json has written.")
 @folder_option("Write validation.html and validation.json there.")
 @JSON
 def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | None, as_json: bool) -> None:
