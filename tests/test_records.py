@@ -555,3 +555,14 @@ def test_emps_record() -> None:
     np.testing.assert_allclose(record.u, 35.15065188 * raw["vir"].ravel(), rtol=1e-9)
     np.testing.assert_array_equal(record.counts, np.rint(raw["qm"].ravel() / 5e-8))
     assert record.notes == ("input scaled by gtau = 35.1507",)
+
+
+def test_known_forces_leave_the_input_before_the_estimate(tmp_path: Path) -> None:
+    data = columns()
+    path = csv(tmp_path, gravity=0.5 + 0 * data["t"], coupling=3 * np.sin(data["t"]))
+    axis = make_axis(record_known_force=["gravity", "coupling"], record_input_scale=4.0)
+    expected = 4 * data["u"] - (0.5 + 3 * np.sin(data["t"])) / 2
+    assert read_record(path, axis).u == pytest.approx(expected, abs=1e-12)
+    assert "coupled" in message(path, make_axis(record_known_force=["coupled"]))
+    unknown_gain = make_axis(record_known_force=["gravity"], model_input_gain="estimate", estimator_given={"mass": 1.0})
+    assert "give [model] input_gain" in message(path, unknown_gain)

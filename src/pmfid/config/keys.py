@@ -42,6 +42,7 @@ class RecordKeys(TypedDict, total=False):
     mask: str
     dt: float
     input_scale: float | str
+    known_force: Sequence[str]
 
 
 class EncoderKeys(TypedDict, total=False):

@@ -79,6 +79,13 @@ class RecordConfig(FileSection):
         description="a factor, u = input_scale * column, or the name of a scalar variable in the file",
     )
 
+    known_force: tuple[Name, ...] = Field(
+        (),
+        strict=False,
+        description="the columns of forces in N or torques in N m that are no terms of the model, "
+        'for example ["gravity_torque"] of a robot',
+    )
+
     @model_validator(mode="after")
     def _complete(self) -> Self:
         if self.time is None and self.dt is None:

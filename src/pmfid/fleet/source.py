@@ -203,6 +203,8 @@ class SourceColumns:
             raise UsageError("the history of a fleet is of machines; of a transfer function use pmfid identify")
         if record.time is None:
             raise UsageError('[record] time is missing: rows of many axes need a time each, time = "t"')
+        if record.known_force:
+            raise UsageError("[record] known_force is of one record; subtract the forces from the input column")
         if record.exclude:
             raise UsageError(
                 "[record] exclude is of one record; of a fleet leave out rows by a column, mask, or drop it"

@@ -91,6 +91,6 @@ def _sizes(result: Result) -> Floats:
 
 
 def _format_part(part: float) -> str:
-    if not np.isfinite(part):
+    if np.isnan(part):
         return "± an unknown part"
     return f"± {100 * part:.2g} %" if part < 1 else "± over 100 %"

@@ -275,7 +275,8 @@ def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, d
     names = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
     found = {key: whole_name(table, name) for key, name in names.items() if name is not None}
     if isinstance(table, ClockedSignals):
-        table = table.align(found["output"], tuple(found[key] for key in ("input", "reference") if key in found))
+        others = (*(found[key] for key in ("input", "reference") if key in found), *config.known_force)
+        table = table.align(found["output"], others)
     columns = {key: column(table, key, name) for key, name in found.items() if key != "time"}
     changed: dict[str, str] = dict(found)
     if "time" in found:
@@ -308,9 +309,10 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     _check_lengths(columns, keys)
     for key, values in columns.items():
         _check_not_empty(f"{key} column {keys[key]!r}", values)
-    columns, topic_notes = join_topics(columns)
     scale, scale_notes = _input_scale(table, config.input_scale)
     units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
+    columns["input"] = _subtract_known(table, axis, columns["input"], scale * units.u)
+    columns, topic_notes = join_topics(columns)
     if config.output_kind == "counts":  # resampling rounds the counts of an uneven clock
         _check_counts(columns, config)
     mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
@@ -450,7 +452,7 @@ def _resample(
             f"the period of the grid is known to {100 * found.dt_error:.1g} %; the intervals contain this error"
         )
     if found.jitter:
-        note = f"the steps of the clock vary by {found.jitter:.0%}, around {period:.4g} s"
+        note = f"the steps of the clock vary by {100 * found.jitter:.2g} %, around {period:.4g} s"
     if stale:
         part = stale / (stale + columns["time"].size)
         note = f"{part:.0%} of the rows repeat the output of the row before, and are left out: log what is new"
@@ -516,6 +518,19 @@ def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ..
             f"name a scalar variable, or give a number"
         )
     return array.item(), (f"input scaled by {scale} = {array.item():g}",)
+
+
+def _subtract_known(table: Table, axis: Axis, u: Floats, scale: float) -> Floats:
+    """Return the input column u (n,) without the input that supplies the known forces."""
+    gain = axis.model.input_gain
+    for name in axis.record.known_force:
+        if not isinstance(gain, float):
+            raise UsageError("[record] known_force needs an input_gain in N per unit of u; give [model] input_gain")
+        force = column(table, "known_force", whole_name(table, name))
+        if force.size != u.size:
+            raise UsageError(f"the column {name!r} has {force.size} rows, the input {u.size}; save them together")
+        u = u - force / (gain * scale)
+    return u
 
 
 def _scale_column(column: Floats, scale: float, key: str = "[record] input_scale") -> Floats:

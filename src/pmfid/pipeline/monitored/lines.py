@@ -32,6 +32,8 @@ def check_streamed(axis: Axis) -> None:
     """Raise UsageError if the configured columns cannot be read one sample at a time."""
     if isinstance(axis.record.input_scale, str):
         raise UsageError(f"[record] input_scale = {axis.record.input_scale!r} names a variable; a pipe needs a number")
+    if axis.record.known_force:
+        raise UsageError("[record] known_force is for records; subtract the force from the input before the pipe")
     if axis.record.output_kind == "velocity" or axis.encoder.range is not None:
         raise UsageError("a pipe needs counts, or positions that do not wrap: unwrap or integrate the output before")
 
