@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import cast
+from functools import cached_property
 
 import numpy as np
 
@@ -76,9 +75,12 @@ class ServoProblem:
         """Simulated minus measured position (n,) [rad]. The residual is finite for all coordinates."""
         return np.nan_to_num(np.clip(self.simulate(z) - self.position, -1e6, 1e6), nan=1e6)
 
-    def jacobian(self, z: Floats, *, forward: bool = False) -> Floats:
-        """Derivatives (n, p + 2) of the residual by the coordinates, as central or forward differences."""
-        columns, here = [], self.residual(z) if forward else None
+    def jacobian(self, z: Floats, here: Floats | None = None) -> Floats:
+        """Derivatives (n, p + 2) of the residual by the coordinates.
+
+        These are central differences, or forward differences from the residual `here` (n,) at `z`.
+        """
+        columns = []
         for index in range(z.size):
             width = np.zeros_like(z)
             width[index] = TUNING.difference if index < z.size - TUNING.nuisance and self.positive[index] else 1e-2
@@ -89,20 +91,27 @@ class ServoProblem:
     def refine(self, z: Floats, *, rough: bool = False) -> tuple[Floats, float]:
         """Coordinates of a local minimum of the squared residual from `z` on, and this minimum [rad2].
 
-        A rough refinement takes a few steps with forward differences.
+        The steps are those of Levenberg and Marquardt. Broyden's formula updates the derivatives while steps gain much.
+        A rough refinement takes a few steps.
         """
-        from scipy.optimize import least_squares  # slow to import
-
-        found = least_squares(
-            self.residual,
-            z,
-            partial(self.jacobian, forward=rough),
-            method="lm",
-            max_nfev=TUNING.first_evaluations if rough else TUNING.evaluations,
-            xtol=1e-10,
-            ftol=1e-10,
-        )
-        return cast("Floats", found.x), 2 * float(found.cost)
+        residual, slope, damping, age = self.residual(z), None, TUNING.damping, 0
+        for _ in range(TUNING.first_evaluations if rough else TUNING.evaluations):
+            if slope is None:
+                slope, age = self.jacobian(z, residual), 0
+            step = _step(slope, residual, damping)
+            moved = self.residual(z + step)
+            gain, change = 1 - float(moved @ moved) / max(float(residual @ residual), 1e-300), moved - residual
+            if gain > 0:
+                z, residual, damping = z + step, moved, damping / 10
+            if gain > TUNING.large_gain:
+                slope, age = _update_slope(slope, step, change), age + 1
+            elif gain > TUNING.least_gain or age > 0:
+                slope = None
+            elif gain > 0 or damping > TUNING.most_damping:
+                break
+            else:
+                damping *= 10
+        return z, float(residual @ residual)
 
     def head(self) -> ServoProblem:
         """The part of the log on which starts are compared, from shortly before the first motion on."""
@@ -112,3 +121,17 @@ class ServoProblem:
         return ServoProblem(
             self.servo, *(np.ascontiguousarray(part[use]) for part in (self.t, self.goal, self.position))
         )
+
+
+def _step(slope: Floats, residual: Floats, damping: float) -> Floats:
+    """Return the damped step (q,) of a least squares problem with derivatives (n, q)."""
+    size = np.maximum(np.linalg.norm(slope, axis=0), 1e-300)
+    scaled = slope / size
+    step = np.linalg.solve(scaled.T @ scaled + damping * np.eye(size.size), -scaled.T @ residual) / size
+    return np.asarray(np.clip(step, -TUNING.longest_step, TUNING.longest_step))
+
+
+def _update_slope(slope: Floats, step: Floats, change: Floats) -> Floats:
+    """Return derivatives (n, q) that agree with the change (n,) of the residual over a step (q,), after Broyden."""
+    weighted = step * np.square(slope).sum(axis=0)
+    return slope + np.outer(change - slope @ step, weighted / max(float(step @ weighted), 1e-300))

@@ -42,8 +42,15 @@ class ActuatorTuning:
     frictions: tuple[float, float] = (0.003, 0.5)
     #: Step of the difference quotients, in the logarithm of a positive parameter.
     difference: float = 1e-4
-    #: Steps of one refinement.
+    #: Steps of one refinement: their number, and their first and largest damping. Derivatives are carried on while a
+    #: step gains a large part of the squared residual. A step that gains less than the least part is the last one.
+    #: No step changes a coordinate by more than the longest step.
     evaluations: int = 60
+    damping: float = 1e-4
+    most_damping: float = 1e2
+    large_gain: float = 0.1
+    least_gain: float = 1e-5
+    longest_step: float = 1e3
     #: The fit needs this many samples for each parameter.
     samples_each: int = 10
     #: Steps of the search for the largest likelihood, its ridge, and the last gain.
