@@ -59,8 +59,9 @@ def simulate_servos(servos: Sequence[TrueServo], t: Floats, goals: Sequence[Floa
         wanted = own["kp"] * (held[k] - seen) - own["kd"] * (seen - before) / LOOP
         torque = np.where(tick, np.clip(wanted, -own["torque_limit"], own["torque_limit"]), torque)
         before = np.where(tick, seen, before)
-        force = torque - own["gravity"] * np.sin(x)
-        friction = own["coulomb"] + own["load_friction"] * np.abs(force)
+        load = own["gravity"] * np.sin(x)
+        force, transmitted = torque - load, np.abs(torque + load)  # the gearbox has the motor on one side
+        friction = own["coulomb"] + own["load_friction"] * transmitted
         friction = friction + own["stribeck"] * np.exp(-np.abs(v) / own["stribeck_speed"])
         moved, stop = left * v + gain * force, gain * friction
         moved = np.where(np.abs(moved) > stop, moved - np.copysign(stop, moved), 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,13 +17,15 @@ class ServoProblem:
     """The residuals of a servo on a log. `t`, `goal` and `position` (n,) are in s and rad.
 
     Coordinates z (p + 2,) are the logarithms of positive parameters, signed parameters over their scale, the start
-    position over the encoder's step, and the start velocity over `speed`.
+    position over the encoder's step, and the start velocity over `speed`. A loop that is `counted` sees the position in
+    steps of the encoder, which start at zero.
     """
 
     servo: Servo
     t: Floats
     goal: Floats
     position: Floats
+    counted: bool = False
 
     @cached_property
     def positive(self) -> np.ndarray:
@@ -69,7 +71,8 @@ class ServoProblem:
     def simulate(self, z: Floats) -> Floats:
         """Simulated position (n,) [rad]."""
         start = float(self.position[0]) + z[-2] * self.servo.resolution
-        return self.servo.simulate(self.theta(z), self.t, self.goal, start, z[-1] * self.speed)
+        velocity = float(z[-1]) * self.speed
+        return self.servo.simulate(self.theta(z), self.t, self.goal, start, velocity, quantised=self.counted)
 
     def residual(self, z: Floats) -> Floats:
         """Simulated minus measured position (n,) [rad]. The residual is finite for all coordinates."""
@@ -78,8 +81,11 @@ class ServoProblem:
     def jacobian(self, z: Floats, here: Floats | None = None) -> Floats:
         """Derivatives (n, p + 2) of the residual by the coordinates.
 
-        These are central differences, or forward differences from the residual `here` (n,) at `z`.
+        These are central differences, or forward differences from the residual `here` (n,) at `z`. They are those of a
+        loop that is not counted, because counts have no derivatives.
         """
+        if self.counted:
+            return replace(self, counted=False).jacobian(z)
         columns = []
         for index in range(z.size):
             width = np.zeros_like(z)

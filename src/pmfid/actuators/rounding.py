@@ -131,3 +131,9 @@ def sharpen(problem: ServoProblem, z: Floats) -> Floats:
         if cost - less < TUNING.newton_gain:
             return z
     return z
+
+
+def measure_cost(problem: ServoProblem, z: Floats) -> float:
+    """Return the negative logarithm of the likelihood at coordinates (p + 2,), with the likeliest scatter."""
+    deviation = problem.residual(z) / problem.servo.resolution
+    return compute_cost(deviation, find_scatter(deviation))

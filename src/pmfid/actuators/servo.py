@@ -40,6 +40,8 @@ BASE = ("inertia", "viscous", "coulomb", "kp", "delay")
 PARTNERS: Mapping[str, str] = MappingProxyType({"stribeck": "stribeck_speed", "gravity": "gravity_angle"})
 #: Parameters of either sign.
 SIGNED = ("gravity_angle", "offset")
+#: Parameters that are torques at a motion, apart from those of the loop.
+TORQUES = ("inertia", "viscous", "coulomb", "gravity", "offset", "stribeck", "quadratic")
 #: One of these must be given, or all torques are known only as multiples of `kp`.
 SCALES = ("kp", "inertia", "gravity", "torque_limit", "coulomb", "kd")
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
+from pmfid.actuators.rivals import compute_rival_shifts
 from pmfid.actuators.rounding import RoundedFit, evaluate_rounded, solve_scaled
 from pmfid.actuators.servo import SIGNED, Servo
 from pmfid.actuators.tuning import TUNING
@@ -38,6 +39,9 @@ def _covariance(problem: ServoProblem, z: Floats) -> Floats:
     covariance = now.misfit**2 * spread * np.outer(factor, factor)
     for shift in _neglected_shifts(problem, z, now):
         covariance = covariance + now.misfit**2 * np.outer(shift, shift)
+    for shift in compute_rival_shifts(problem, z):  # the curvature of the likelihood already knows near rivals
+        share = np.max(1 - np.diag(covariance)[shift != 0] / np.square(shift[shift != 0]), initial=0.0)
+        covariance = covariance + share * np.outer(shift, shift)
     return np.asarray(covariance)
 
 
@@ -63,8 +67,9 @@ def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list
     late = replace(
         servo, given={**servo.given, "loop_delay": servo.given.get("loop_delay", 0.0) + servo.loop_period / 2}
     )
-    if late.unknown == servo.unknown:
+    if late.unknown == servo.unknown and "loop_delay" not in servo.given:
         shifts.append(now.shift(simulate(late, theta) - fine))
+    shifts.append(now.shift(_simulate_late_ticks(problem, theta, start, velocity) / step - fine))
     if not servo.has("kd") and "viscous" in servo.unknown:
         free = _free_torque(servo, theta)
         shift = now.shift(simulate(*_move_viscous(*free)) - simulate(*free))
@@ -78,6 +83,23 @@ def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list
         tick[index] = servo.loop_period / np.sqrt(12) / max(theta[index], servo.loop_period * 1e-3)
         shifts.append(tick)
     return shifts
+
+
+def _simulate_late_ticks(problem: ServoProblem, theta: Floats, start: float, velocity: float) -> Floats:
+    """Return the position (n,) [rad] of a servo whose loop ticks between the samples, not at them."""
+    from scipy.interpolate import CubicSpline  # slow to import
+
+    servo, period = problem.servo, problem.servo.loop_period
+    late = TUNING.late_ticks * period
+    ticks = np.arange(problem.t[0] + late - period, problem.t[-1] + period, period)
+    goal = problem.goal[np.maximum(np.searchsorted(problem.t, ticks + 1e-9 * period, side="right") - 1, 0)]
+    known = {"delay": max(servo.given["delay"] - late, 0.0)} if "delay" in servo.given else {}
+    values = theta.copy()
+    if "delay" in servo.unknown:  # a command of a sample waits for the next tick
+        index = servo.unknown.index("delay")
+        values[index] = max(values[index] - late, 0.0)
+    moved = replace(servo, given={**servo.given, **known}).simulate(values, ticks, goal, start, velocity)
+    return np.asarray(CubicSpline(ticks, moved)(problem.t))
 
 
 def _free_torque(servo: Servo, theta: Floats) -> tuple[Servo, Floats]:

@@ -63,6 +63,8 @@ class ActuatorTuning:
     widest: float = 1e4
     #: Phases of the start within one encoder step at which the effect of rounding in the loop is computed.
     phases: int = 6
+    #: Phase of the loop's ticks after a sample [ticks], whose effect is one standard error.
+    late_ticks: float = 0.5
     #: Part of the viscous friction that may be a gain kd of the loop.
     loop_share: float = 0.5
     #: Limit of a torque that is never reached [N m].
@@ -70,6 +72,12 @@ class ActuatorTuning:
     #: Blocks of the record whose scores give the standard errors, and the shortest block [s].
     blocks: int = 40
     shortest_block: float = 0.25
+    # rivals
+    #: Parts of a load-dependent friction at which servos are fitted as well, 1 for a step up. The step is the friction
+    #: itself, or the least step. No friction takes more of the load than the last value.
+    rival_parts: tuple[float, ...] = (0.25, 0.5, 1.0)
+    rival_step: float = 0.1
+    most_load: float = 0.9
     # terms
     #: A term is added if it explains this part of the squared residual, beyond this many standard deviations.
     explains: float = 0.03
