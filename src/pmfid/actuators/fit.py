@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
-from pmfid.actuators.rounding import measure_correlation, sharpen
+from pmfid.actuators.rounding import measure_correlation, measure_cost, sharpen
 from pmfid.actuators.servo import PARTNERS, SIGNED, UNITS, Servo
 from pmfid.actuators.standard_errors import standard_errors
 from pmfid.actuators.starts import find_start
@@ -171,7 +171,15 @@ def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search
     while unclear := _list_unclear(problem, z, added):
         problem, z, _ = _refine_narrower(problem, z, unclear[0])
         z, added = sharpen(problem, z), [name for name in added if name != unclear[0]]
-    return _conclude(problem, z, tuple(added))
+    return _conclude(*_count_positions(problem, z), tuple(added))
+
+
+def _count_positions(problem: ServoProblem, z: Floats) -> tuple[ServoProblem, Floats]:
+    """Return the problem and the estimate with a loop on counts, if it makes the log much likelier."""
+    counted = replace(problem, counted=True)
+    found = sharpen(counted, z)
+    likelier = measure_cost(counted, found) < measure_cost(problem, z) - TUNING.counted_gain
+    return (counted, found) if likelier else (problem, z)
 
 
 def _check(servo: Servo, t: Floats, goal: Floats, position: Floats) -> list[Floats]:

@@ -18,7 +18,7 @@ class ServoProblem:
 
     Coordinates z (p + 2,) are the logarithms of positive parameters, signed parameters over their scale, the start
     position over the encoder's step, and the start velocity over `speed`. A loop that is `counted` sees the position in
-    steps of the encoder, which start at zero.
+    steps of the encoder, which start at zero. The loop ticks `phase` periods after a sample.
     """
 
     servo: Servo
@@ -26,6 +26,7 @@ class ServoProblem:
     goal: Floats
     position: Floats
     counted: bool = False
+    phase: float = 0.0
 
     @cached_property
     def positive(self) -> np.ndarray:
@@ -70,9 +71,33 @@ class ServoProblem:
 
     def simulate(self, z: Floats) -> Floats:
         """Simulated position (n,) [rad]."""
-        start = float(self.position[0]) + z[-2] * self.servo.resolution
-        velocity = float(z[-1]) * self.speed
-        return self.servo.simulate(self.theta(z), self.t, self.goal, start, velocity, quantised=self.counted)
+        start, velocity = float(self.position[0]) + float(z[-2]) * self.servo.resolution, float(z[-1]) * self.speed
+        if not self.phase:
+            return self.servo.simulate(self.theta(z), self.t, self.goal, start, velocity, quantised=self.counted)
+        from scipy.interpolate import CubicSpline  # slow to import
+
+        servo, theta = self._start_earlier(self.theta(z))
+        ticks, goal = self._ticks
+        return np.asarray(
+            CubicSpline(ticks, servo.simulate(theta, ticks, goal, start, velocity, quantised=self.counted))(self.t)
+        )
+
+    @cached_property
+    def _ticks(self) -> tuple[Floats, Floats]:
+        """Times (m,) [s] of the loop's ticks, and the goal (m,) [rad] at each."""
+        period = self.servo.loop_period
+        ticks = np.arange(self.t[0] + (self.phase - 1) * period, self.t[-1] + period, period)
+        rows = np.searchsorted(self.t, ticks + 1e-9 * period, side="right") - 1
+        return ticks, np.ascontiguousarray(self.goal[np.maximum(rows, 0)])
+
+    def _start_earlier(self, theta: Floats) -> tuple[Servo, Floats]:
+        """Return the servo and its parameters (p,) without the time in which a goal waits for the first tick."""
+        wait, servo, theta = self.phase * self.servo.loop_period, self.servo, theta.copy()
+        if "delay" in servo.given:
+            return replace(servo, given={**servo.given, "delay": max(servo.given["delay"] - wait, 0.0)}), theta
+        index = servo.unknown.index("delay")
+        theta[index] = max(theta[index] - wait, 0.0)
+        return servo, theta
 
     def residual(self, z: Floats) -> Floats:
         """Simulated minus measured position (n,) [rad]. The residual is finite for all coordinates."""
@@ -82,10 +107,10 @@ class ServoProblem:
         """Derivatives (n, p + 2) of the residual by the coordinates.
 
         These are central differences, or forward differences from the residual `here` (n,) at `z`. They are those of a
-        loop that is not counted, because counts have no derivatives.
+        loop that ticks at the samples and is not counted, because counts have no derivatives.
         """
-        if self.counted:
-            return replace(self, counted=False).jacobian(z)
+        if self.counted or self.phase:
+            return replace(self, counted=False, phase=0.0).jacobian(z)
         columns = []
         for index in range(z.size):
             width = np.zeros_like(z)

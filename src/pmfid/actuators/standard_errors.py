@@ -49,7 +49,7 @@ def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list
     """Return what the neglected parts of the loop shift the coordinates by: list of (p + 2,).
 
     These parts are half a period of delay in the loop, the encoder's step in the loop, the phase of the ticks, and the
-    part of viscous friction that the loop makes.
+    part of viscous friction that the loop makes. A given `loop_delay` says that the loop is known.
     """
     servo, theta, step = problem.servo, problem.theta(z), problem.servo.resolution
     start, velocity = float(problem.position[0]) + z[-2] * step, z[-1] * problem.speed
@@ -69,7 +69,7 @@ def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list
     )
     if late.unknown == servo.unknown and "loop_delay" not in servo.given:
         shifts.append(now.shift(simulate(late, theta) - fine))
-    shifts.append(now.shift(_simulate_late_ticks(problem, theta, start, velocity) / step - fine))
+    shifts.append(now.shift(replace(problem, counted=False, phase=TUNING.late_ticks).simulate(z) / step - fine))
     if not servo.has("kd") and "viscous" in servo.unknown:
         free = _free_torque(servo, theta)
         shift = now.shift(simulate(*_move_viscous(*free)) - simulate(*free))
@@ -77,29 +77,12 @@ def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list
             index = servo.unknown.index("torque_limit")
             shift[index] = now.shift(simulate(*_move_viscous(servo, theta)) - fine)[index]
         shifts.append(shift)
-    if "delay" in servo.unknown:
+    if "delay" in servo.unknown and "loop_delay" not in servo.given:
         index = servo.unknown.index("delay")
         tick = np.zeros_like(z)
         tick[index] = servo.loop_period / np.sqrt(12) / max(theta[index], servo.loop_period * 1e-3)
         shifts.append(tick)
     return shifts
-
-
-def _simulate_late_ticks(problem: ServoProblem, theta: Floats, start: float, velocity: float) -> Floats:
-    """Return the position (n,) [rad] of a servo whose loop ticks between the samples, not at them."""
-    from scipy.interpolate import CubicSpline  # slow to import
-
-    servo, period = problem.servo, problem.servo.loop_period
-    late = TUNING.late_ticks * period
-    ticks = np.arange(problem.t[0] + late - period, problem.t[-1] + period, period)
-    goal = problem.goal[np.maximum(np.searchsorted(problem.t, ticks + 1e-9 * period, side="right") - 1, 0)]
-    known = {"delay": max(servo.given["delay"] - late, 0.0)} if "delay" in servo.given else {}
-    values = theta.copy()
-    if "delay" in servo.unknown:  # a command of a sample waits for the next tick
-        index = servo.unknown.index("delay")
-        values[index] = max(values[index] - late, 0.0)
-    moved = replace(servo, given={**servo.given, **known}).simulate(values, ticks, goal, start, velocity)
-    return np.asarray(CubicSpline(ticks, moved)(problem.t))
 
 
 def _free_torque(servo: Servo, theta: Floats) -> tuple[Servo, Floats]:

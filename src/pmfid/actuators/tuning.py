@@ -57,6 +57,8 @@ class ActuatorTuning:
     newton_steps: int = 15
     newton_ridge: float = 1e-2
     newton_gain: float = 1e-2
+    #: The loop sees counts if its log is likelier by this [natural units].
+    counted_gain: float = 10.0
     #: Least scatter [encoder steps] of the position before rounding. It stands for what any model neglects.
     least_scatter: float = 0.08
     #: Largest deviation in the likelihood [encoder steps].
