@@ -62,8 +62,8 @@ def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list
     phases, fine, shifts = np.arange(TUNING.phases) / TUNING.phases, simulate(servo, theta), []
     for phase in phases:  # the steps of goals and positions may differ by any part of a step
         changes = simulate(servo, theta, phase, on=True) - simulate(servo, theta, phase)
-        shifts.append(now.shift(changes) / np.sqrt(phases.size))
-        shifts.append(now.shift(simulate(servo, theta, 0.0, phase, on=True) - fine) / np.sqrt(phases.size))
+        shifts.append(now.shift(changes) / np.sqrt(2 * phases.size))
+        shifts.append(now.shift(simulate(servo, theta, 0.0, phase, on=True) - fine) / np.sqrt(2 * phases.size))
     late = replace(
         servo, given={**servo.given, "loop_delay": servo.given.get("loop_delay", 0.0) + servo.loop_period / 2}
     )

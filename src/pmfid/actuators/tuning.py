@@ -48,8 +48,8 @@ class ActuatorTuning:
     evaluations: int = 60
     damping: float = 1e-4
     most_damping: float = 1e2
-    large_gain: float = 0.1
-    least_gain: float = 1e-5
+    large_gain: float = 0.5
+    least_gain: float = 1e-6
     longest_step: float = 1e3
     #: The fit needs this many samples for each parameter.
     samples_each: int = 10
