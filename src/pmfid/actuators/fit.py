@@ -149,34 +149,49 @@ def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search
     --------
     See `ServoFit`.
     """
-    arrays = _check(servo, t, goal, position)
-    problem = ServoProblem(servo, *arrays)
-    z, cost = problem.refine(find_start(problem))
+    problem = ServoProblem(servo, *_check(servo, t, goal, position))
+    z, added = find_start(problem), list[str]()
+    head = problem.head()
+    if search and head.t.size < TUNING.short_head * problem.t.size:  # most terms show in a part of a long log
+        found, z, _, added = _search_terms(head, *head.refine(z))
+        problem = replace(problem, servo=found.servo)
+        z = problem.place_start(z, head)
+    z, cost = problem.refine(z)
     if cost > 0.5 * float(np.square(problem.position - problem.position.mean()).sum()):
         raise NotIdentifiableError(
             "no servo explains the motion: check that goal and position belong to one joint and have one unit and sign"
         )
-    added: list[str] = []
-    while search and len(added) < TUNING.most_added:
+    if search:
+        problem, z, cost, added = _search_terms(problem, z, cost, added)
+        problem, z, cost, added = _drop_terms(problem, z, cost, added)
+    problem, z = _sharpen(problem, z)
+    std = standard_errors(problem, z)
+    while unclear := _list_unclear(problem, z, std, added):
+        problem, z = _sharpen(*_refine_narrower(problem, z, unclear[0])[:2])
+        std, added = standard_errors(problem, z), [name for name in added if name != unclear[0]]
+    return _conclude(problem, z, std, tuple(added))
+
+
+def _search_terms(
+    problem: ServoProblem, z: Floats, cost: float, added: Sequence[str] = ()
+) -> tuple[ServoProblem, Floats, float, list[str]]:
+    """Return the fit with all terms that the log shows, and their names after those of `added`."""
+    names = list(added)
+    while len(names) < TUNING.most_added:
         better = _add_term(problem, z, cost)
         if better is None:
             break
         problem, z, cost, name = better
-        added.append(name)
+        names.append(name)
         if name == "torque_limit" and _is_contradicted(problem, cost):  # the start without a limit was far off
             fresh, less = problem.refine(find_start(problem))
             z, cost = (fresh, less) if less < cost else (z, cost)
-    problem, z, cost, added = _drop_terms(problem, z, cost, added)
-    z = sharpen(problem, z)
-    while unclear := _list_unclear(problem, z, added):
-        problem, z, _ = _refine_narrower(problem, z, unclear[0])
-        z, added = sharpen(problem, z), [name for name in added if name != unclear[0]]
-    return _conclude(*_count_positions(problem, z), tuple(added))
+    return problem, z, cost, names
 
 
-def _count_positions(problem: ServoProblem, z: Floats) -> tuple[ServoProblem, Floats]:
-    """Return the problem and the estimate with a loop on counts, if it makes the log much likelier."""
-    counted = replace(problem, counted=True)
+def _sharpen(problem: ServoProblem, z: Floats) -> tuple[ServoProblem, Floats]:
+    """Return the likeliest estimate, and the problem with a loop on counts if these make the log much likelier."""
+    z, counted = sharpen(problem, z), replace(problem, counted=True)
     found = sharpen(counted, z)
     likelier = measure_cost(counted, found) < measure_cost(problem, z) - TUNING.counted_gain
     return (counted, found) if likelier else (problem, z)
@@ -258,8 +273,9 @@ def _add_term(problem: ServoProblem, z: Floats, cost: float) -> tuple[ServoProbl
     ranked = _rank_terms(problem, z, open_terms)
     tried = ranked[: TUNING.tried] if _is_contradicted(problem, cost) else ranked[:1]
     found = [(*_refine_wider(problem, z, name), name) for name in tried]
-    best = min(found, key=lambda one: one[2])
-    return best if _is_worth(problem, z, best[2], cost) else None
+    wider, start, _, name = min(found, key=lambda one: one[2])
+    best, less = wider.refine(start)
+    return (wider, best, less, name) if _is_worth(problem, z, less, cost) else None
 
 
 def _is_contradicted(problem: ServoProblem, cost: float) -> bool:
@@ -269,7 +285,7 @@ def _is_contradicted(problem: ServoProblem, cost: float) -> bool:
 
 def _refine_wider(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, Floats, float]:
     wider, start = _widen(problem, z, name)
-    return (wider, *wider.refine(start))
+    return (wider, *wider.refine(start, rough=True))
 
 
 def _is_worth(problem: ServoProblem, z: Floats, less: float, cost: float) -> bool:
@@ -283,26 +299,27 @@ def _drop_terms(
 ) -> tuple[ServoProblem, Floats, float, list[str]]:
     """Return the fit without the terms that are not worth their place after later ones came."""
     for name in added[:-1]:
-        narrow, found, more = _refine_narrower(problem, z, name)
+        narrow, found, more = _refine_narrower(problem, z, name, rough=True)
         if not _is_worth(narrow, found, cost, more):
-            problem, z, cost, added = narrow, found, more, [word for word in added if word != name]
+            z, cost = narrow.refine(found)
+            problem, added = narrow, [word for word in added if word != name]
     return problem, z, cost, added
 
 
-def _refine_narrower(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, Floats, float]:
+def _refine_narrower(
+    problem: ServoProblem, z: Floats, name: str, *, rough: bool = False
+) -> tuple[ServoProblem, Floats, float]:
     """Return the problem without a term, the coordinates of its minimum, and the minimum [rad2]."""
     servo = replace(problem.servo, terms=tuple(word for word in problem.servo.terms if word != name))
     narrow = ServoProblem(servo, problem.t, problem.goal, problem.position)
     now = problem.list_values(z)
     start = narrow.coordinates(np.array([now[word] for word in servo.unknown]))
-    return (narrow, *narrow.refine(np.append(start[: -TUNING.nuisance], z[-TUNING.nuisance :])))
+    return (narrow, *narrow.refine(np.append(start[: -TUNING.nuisance], z[-TUNING.nuisance :]), rough=rough))
 
 
-def _list_unclear(problem: ServoProblem, z: Floats, added: Sequence[str]) -> list[str]:
-    """Return the added terms that their standard errors do not tell from zero, the least clear first."""
-    if not added:
-        return []
-    errors = dict(zip(problem.servo.unknown, standard_errors(problem, z).tolist(), strict=True))
+def _list_unclear(problem: ServoProblem, z: Floats, std: Floats, added: Sequence[str]) -> list[str]:
+    """Return the added terms that standard errors (p,) do not tell from zero, the least clear first."""
+    errors = dict(zip(problem.servo.unknown, std.tolist(), strict=True))
     values = problem.list_values(z)
     clear = {name: abs(values[name]) / max(errors[name], 1e-300) for name in added}
     return sorted((name for name in added if not clear[name] > TUNING.clear), key=clear.__getitem__)
@@ -317,8 +334,8 @@ def _independent(residual: Floats) -> float:
 # --- findings ---
 
 
-def _conclude(problem: ServoProblem, z: Floats, added: tuple[str, ...]) -> ServoFit:
-    servo, residual, theta, std = problem.servo, problem.residual(z), problem.theta(z), standard_errors(problem, z)
+def _conclude(problem: ServoProblem, z: Floats, std: Floats, added: tuple[str, ...]) -> ServoFit:
+    servo, residual, theta = problem.servo, problem.residual(z), problem.theta(z)
     _, _, limited = servo.run(theta, problem.t, problem.goal, float(problem.position[0]))
     rms = float(np.sqrt(np.mean(residual**2)))
     findings = _find(servo, theta, std, rms, measure_correlation(residual), limited, added)

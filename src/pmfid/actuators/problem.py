@@ -38,6 +38,11 @@ class ServoProblem:
         """Unit of each coordinate of a signed parameter (p,)."""
         return np.array([self.torque() if name == "offset" else 1.0 for name in self.servo.unknown])
 
+    @cached_property
+    def _longest(self) -> Floats:
+        """Longest step of each coordinate (p + 2,) in a refinement."""
+        return np.append(np.where(self.positive, TUNING.longest_step, np.inf), np.full(TUNING.nuisance, np.inf))
+
     def torque(self, gain: float | None = None) -> float:
         """Typical torque [N m] at a gain [N m/rad]; None is the given one, or 1."""
         gain = self.servo.given.get("kp", 1.0) if gain is None else gain
@@ -103,15 +108,14 @@ class ServoProblem:
         """Simulated minus measured position (n,) [rad]. The residual is finite for all coordinates."""
         return np.nan_to_num(np.clip(self.simulate(z) - self.position, -1e6, 1e6), nan=1e6)
 
-    def jacobian(self, z: Floats, here: Floats | None = None) -> Floats:
-        """Derivatives (n, p + 2) of the residual by the coordinates.
+    def jacobian(self, z: Floats, *, forward: bool = False) -> Floats:
+        """Derivatives (n, p + 2) of the residual by the coordinates, as central or forward differences.
 
-        These are central differences, or forward differences from the residual `here` (n,) at `z`. They are those of a
-        loop that ticks at the samples and is not counted, because counts have no derivatives.
+        They are those of a loop that ticks at the samples and is not counted, because counts have no derivatives.
         """
         if self.counted or self.phase:
-            return replace(self, counted=False, phase=0.0).jacobian(z)
-        columns = []
+            return replace(self, counted=False, phase=0.0).jacobian(z, forward=forward)
+        columns, here = [], self.residual(z) if forward else None
         for index in range(z.size):
             width = np.zeros_like(z)
             width[index] = TUNING.difference if index < z.size - TUNING.nuisance and self.positive[index] else 1e-2
@@ -128,14 +132,14 @@ class ServoProblem:
         residual, slope, damping, age = self.residual(z), None, TUNING.damping, 0
         for _ in range(TUNING.first_evaluations if rough else TUNING.evaluations):
             if slope is None:
-                slope, age = self.jacobian(z, residual), 0
-            step = _step(slope, residual, damping)
+                slope, age = self.jacobian(z, forward=True), 0
+            step = np.clip(_step(slope, residual, damping), -self._longest, self._longest)
             moved = self.residual(z + step)
             gain, change = 1 - float(moved @ moved) / max(float(residual @ residual), 1e-300), moved - residual
             if gain > 0:
                 z, residual, damping = z + step, moved, damping / 10
             if gain > TUNING.large_gain:
-                slope, age = _update_slope(slope, step, change), age + 1
+                slope, age = update_slope(slope, step, change), age + 1
             elif gain > TUNING.least_gain or age > 0:
                 slope = None
             elif gain > 0 or damping > TUNING.most_damping:
@@ -153,16 +157,20 @@ class ServoProblem:
             self.servo, *(np.ascontiguousarray(part[use]) for part in (self.t, self.goal, self.position))
         )
 
+    def place_start(self, z: Floats, head: ServoProblem) -> Floats:
+        """Coordinates (p + 2,) of this log, from those of its first part."""
+        start = z[-TUNING.nuisance :] if head.t[0] == self.t[0] else np.zeros(TUNING.nuisance)
+        return np.append(z[: -TUNING.nuisance], start)
+
 
 def _step(slope: Floats, residual: Floats, damping: float) -> Floats:
     """Return the damped step (q,) of a least squares problem with derivatives (n, q)."""
     size = np.maximum(np.linalg.norm(slope, axis=0), 1e-300)
     scaled = slope / size
-    step = np.linalg.solve(scaled.T @ scaled + damping * np.eye(size.size), -scaled.T @ residual) / size
-    return np.asarray(np.clip(step, -TUNING.longest_step, TUNING.longest_step))
+    return np.asarray(np.linalg.solve(scaled.T @ scaled + damping * np.eye(size.size), -scaled.T @ residual) / size)
 
 
-def _update_slope(slope: Floats, step: Floats, change: Floats) -> Floats:
+def update_slope(slope: Floats, step: Floats, change: Floats) -> Floats:
     """Return derivatives (n, q) that agree with the change (n,) of the residual over a step (q,), after Broyden."""
     weighted = step * np.square(slope).sum(axis=0)
     return slope + np.outer(change - slope @ step, weighted / max(float(step @ weighted), 1e-300))

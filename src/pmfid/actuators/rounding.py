@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.actuators.problem import ServoProblem
+from pmfid.actuators.problem import ServoProblem, update_slope
 from pmfid.actuators.tuning import TUNING
 from pmfid.estimators.likelihood import count_likelihood, log_probability
 from pmfid.types import Floats
@@ -114,22 +114,26 @@ def evaluate_rounded(problem: ServoProblem, z: Floats) -> RoundedFit:
 
 def sharpen(problem: ServoProblem, z: Floats) -> Floats:
     """Return the coordinates (p + 2,) of the largest likelihood, from least squares `z` on, by damped Newton steps."""
-    step = problem.servo.resolution
+    step, slope, fresh = problem.servo.resolution, None, True
+    deviation = problem.residual(z) / step
     for _ in range(TUNING.newton_steps):
-        now = evaluate_rounded(problem, z)
-        ridge = TUNING.newton_ridge * now.jacobian.T @ now.jacobian
-        move = -solve_scaled(now.curvature + ridge, now.scores.sum(axis=0))
-        cost = compute_cost(now.deviation, now.scatter)
-        for part in 0.5 ** np.arange(6):
-            tried = z + part * move
-            less = compute_cost(problem.residual(tried) / step, now.scatter)
-            if less < cost:
+        if slope is None:
+            slope, fresh = problem.jacobian(z, forward=True) / step, True
+        now = RoundedFit(slope, deviation, find_scatter(deviation))
+        move = -solve_scaled(now.curvature + TUNING.newton_ridge * slope.T @ slope, now.scores.sum(axis=0))
+        cost = compute_cost(deviation, now.scatter)
+        for part in 0.5 ** np.arange(6 if fresh else 2):
+            moved = problem.residual(z + part * move) / step
+            gain = cost - compute_cost(moved, now.scatter)
+            if gain > 0:
+                slope = update_slope(slope, part * move, moved - deviation)
+                z, deviation = z + part * move, moved
                 break
-        else:
-            return z
-        z = tried
-        if cost - less < TUNING.newton_gain:
-            return z
+        if gain < TUNING.newton_gain:
+            if fresh:
+                return z
+            slope = None
+        fresh = False
     return z
 
 

@@ -54,23 +54,25 @@ def _draw_servo(problem: ServoProblem, rng: np.random.Generator, period: float) 
 def find_start(problem: ServoProblem) -> Floats:
     """Coordinates (p + 2,) of the best local minimum from random starts, on the first part of the motion.
 
-    The starts are the same in each call. Few starts are enough if their minimum leaves no more than rounding.
+    The starts are the same in each call. Few starts are enough if their minimum leaves no more than rounding, or if
+    two of them find it.
     """
     head, rng = problem.head(), np.random.default_rng(0)
     for starts, refined in TUNING.rounds:
-        z, cost = _search(head, rng, starts, refined)
-        if cost < (TUNING.explained * problem.servo.resolution) ** 2 * head.t.size:
+        (z, cost), *others = _search(head, rng, starts, refined)
+        agree = others[0][1] < TUNING.same_minimum * cost
+        if agree or cost < (TUNING.explained * problem.servo.resolution) ** 2 * head.t.size:
             break
-    start = z[-2:] if head.t[0] == problem.t[0] else np.zeros(2)
-    return np.append(z[:-2], start)
+    return problem.place_start(z, head)
 
 
-def _search(head: ServoProblem, rng: np.random.Generator, starts: int, refined: int) -> tuple[Floats, float]:
-    """Return the best local minimum from `starts` random servos, of which `refined` are refined."""
+def _search(
+    head: ServoProblem, rng: np.random.Generator, starts: int, refined: int
+) -> list[tuple[Floats, float]]:
+    """Return the best local minima from `starts` random servos, of which `refined` are refined, the best one first."""
     period = float(np.median(np.diff(head.t)))
     trials = [head.coordinates(_draw_servo(head, rng, period)) for _ in range(starts)]
     costs = [float(np.square(head.residual(z)).mean()) for z in trials]
     best = [trials[index] for index in np.argsort(costs)[:refined]]
     better = sorted((head.refine(trial, rough=True) for trial in best), key=lambda found: found[1])
-    finished = (head.refine(trial) for trial, _ in better[: TUNING.finished])
-    return min(finished, key=lambda found: found[1])
+    return sorted((head.refine(trial) for trial, _ in better[: TUNING.finished]), key=lambda found: found[1])

@@ -29,11 +29,15 @@ class ActuatorTuning:
     #: round comes only if the deviation of the one before exceeds `explained` steps of the encoder (rms).
     rounds: tuple[tuple[int, int], ...] = ((80, 3), (600, 8))
     explained: float = 0.35
+    #: Two minima are the same one if their squared residuals differ by less than this factor.
+    same_minimum: float = 1.01
     #: Steps of each of these refinements, and number of the best ones that are refined to the end.
     first_evaluations: int = 10
     finished: int = 2
     #: Starts are compared on this much of the motion [s].
     start_time: float = 12.0
+    #: Terms are searched in this part of the motion first, if it is shorter than this part of the log.
+    short_head: float = 0.5
     #: Ranges from which starts are drawn: natural frequency [rad/s], damping ratio, delay [sample periods], Coulomb
     #: friction over the torque that the error of the position commands.
     frequencies: tuple[float, float] = (5.0, 300.0)
@@ -44,13 +48,13 @@ class ActuatorTuning:
     difference: float = 1e-4
     #: Steps of one refinement: their number, and their first and largest damping. Derivatives are carried on while a
     #: step gains a large part of the squared residual. A step that gains less than the least part is the last one.
-    #: No step changes a coordinate by more than the longest step.
+    #: No step changes the logarithm of a parameter by more than the longest step.
     evaluations: int = 60
     damping: float = 1e-4
     most_damping: float = 1e2
     large_gain: float = 0.5
     least_gain: float = 1e-6
-    longest_step: float = 1e3
+    longest_step: float = 3.0
     #: The fit needs this many samples for each parameter.
     samples_each: int = 10
     #: Steps of the search for the largest likelihood, its ridge, and the last gain.
