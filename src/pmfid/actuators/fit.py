@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
+from pmfid.actuators.rivals import choose_likeliest
 from pmfid.actuators.rounding import measure_correlation, measure_cost, sharpen
 from pmfid.actuators.servo import PARTNERS, SIGNED, UNITS, Servo
 from pmfid.actuators.standard_errors import standard_errors
@@ -191,7 +192,10 @@ def _search_terms(
 
 def _sharpen(problem: ServoProblem, z: Floats) -> tuple[ServoProblem, Floats]:
     """Return the likeliest estimate, and the problem with a loop on counts if these make the log much likelier."""
-    z, counted = sharpen(problem, z), replace(problem, counted=True)
+    z, counted = choose_likeliest(problem, sharpen(problem, z)), replace(problem, counted=True)
+    residual = problem.residual(z)
+    if _is_contradicted(problem, float(residual @ residual)):
+        return problem, z
     found = sharpen(counted, z)
     likelier = measure_cost(counted, found) < measure_cost(problem, z) - TUNING.counted_gain
     return (counted, found) if likelier else (problem, z)
@@ -238,8 +242,8 @@ def _widen(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, F
     return wider, np.append(wider.coordinates(theta)[: -TUNING.nuisance], z[-TUNING.nuisance :])
 
 
-def _rank_terms(problem: ServoProblem, z: Floats, names: Sequence[str]) -> list[str]:
-    """Return terms by the part of the squared residual that each explains to first order, the largest first."""
+def _rank_terms(problem: ServoProblem, z: Floats, names: Sequence[str]) -> dict[str, float]:
+    """Return the part of the squared residual that each term explains to first order, the largest first."""
     base, residual = problem.jacobian(z), problem.residual(z)
     rest = residual - base @ np.linalg.lstsq(base, residual, rcond=None)[0]
 
@@ -253,9 +257,9 @@ def _rank_terms(problem: ServoProblem, z: Floats, names: Sequence[str]) -> list[
         new = np.stack(columns, axis=1)
         new -= base @ np.linalg.lstsq(base, new, rcond=None)[0]
         explained = new @ np.linalg.lstsq(new, rest, rcond=None)[0]
-        return float(explained @ explained)
+        return float(explained @ explained) / float(residual @ residual)
 
-    return sorted(names, key=explain, reverse=True)
+    return dict(sorted(((name, explain(name)) for name in names), key=lambda pair: -pair[1]))
 
 
 def _add_term(problem: ServoProblem, z: Floats, cost: float) -> tuple[ServoProblem, Floats, float, str] | None:
@@ -271,7 +275,11 @@ def _add_term(problem: ServoProblem, z: Floats, cost: float) -> tuple[ServoProbl
     if not open_terms:
         return None
     ranked = _rank_terms(problem, z, open_terms)
-    tried = ranked[: TUNING.tried] if _is_contradicted(problem, cost) else ranked[:1]
+    tried = list(ranked)[: TUNING.tried]
+    if not _is_contradicted(problem, cost):
+        tried = [name for name in tried[:1] if ranked[name] > TUNING.first_order * TUNING.explains]
+    if not tried:
+        return None
     found = [(*_refine_wider(problem, z, name), name) for name in tried]
     wider, start, _, name = min(found, key=lambda one: one[2])
     best, less = wider.refine(start)

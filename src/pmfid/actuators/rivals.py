@@ -20,28 +20,36 @@ from pmfid.types import Floats
 NAME = "load_friction"
 
 
-def compute_rival_shifts(problem: ServoProblem, z: Floats) -> list[Floats]:
-    """Return the changes (p + 2,) of the coordinates to other servos, each over its distance in standard errors.
+def choose_likeliest(problem: ServoProblem, z: Floats) -> Floats:
+    """Return the coordinates (p + 2,) of the likeliest servo among an estimate and its rivals."""
+    found = [(measure_cost(problem, z), z)]
+    for theta, rest, cost in _fit_rivals(problem, z):
+        if cost < found[0][0] - TUNING.newton_gain:
+            start = np.append(problem.coordinates(theta)[: -TUNING.nuisance], rest)
+            found.append((cost, sharpen(problem, start)))
+    return min(found, key=lambda pair: pair[0])[1]
+
+
+def compute_rival_changes(problem: ServoProblem, z: Floats) -> list[Floats]:
+    """Return the changes (p,) of the parameters to other servos, each over its distance in standard errors.
 
     The distance is that of the likelihood, and at least 1.
     """
-    if NAME not in problem.servo.unknown:
-        return []
     theta, cost = problem.theta(z), measure_cost(problem, z)
-    slope, index = np.where(problem.positive, theta, problem.scale), problem.servo.unknown.index(NAME)
-    shifts = []
-    for part in TUNING.rival_parts:
-        other = theta[index] * part if part < 1 else theta[index] + max(theta[index], TUNING.rival_step)
-        if other >= TUNING.most_load:
-            continue
-        found, more = _fit_rival(problem, z, float(other))
-        change = np.append((found - theta) / slope, np.zeros(TUNING.nuisance))
-        shifts.append(change / np.sqrt(max(2 * (more - cost), 1.0)))
-    return shifts
+    return [(found - theta) / np.sqrt(max(2 * (more - cost), 1.0)) for found, _, more in _fit_rivals(problem, z)]
 
 
-def _fit_rival(problem: ServoProblem, z: Floats, friction: float) -> tuple[Floats, float]:
-    """Return the parameters (p,) with a given load-dependent friction, and their cost."""
+def _fit_rivals(problem: ServoProblem, z: Floats) -> list[tuple[Floats, Floats, float]]:
+    """Return the parameters (p,), the start (2,) and the cost of servos with another load-dependent friction."""
+    now = problem.list_values(z).get(NAME)
+    if now is None:
+        return []
+    steps = [now * part if part < 1 else now + max(now, TUNING.rival_step) for part in TUNING.rival_parts]
+    return [_fit_rival(problem, z, friction) for friction in steps if friction < TUNING.most_load]
+
+
+def _fit_rival(problem: ServoProblem, z: Floats, friction: float) -> tuple[Floats, Floats, float]:
+    """Return the parameters (p,) and the start (2,) with a given load-dependent friction, and their cost."""
     servo, now = problem.servo, problem.list_values(z)
     terms = tuple(name for name in servo.terms if name != NAME)
     narrow = replace(problem, servo=replace(servo, given={**servo.given, NAME: friction}, terms=terms))
@@ -49,4 +57,5 @@ def _fit_rival(problem: ServoProblem, z: Floats, friction: float) -> tuple[Float
     start = np.array([now[name] * (part if name in TORQUES else 1.0) for name in narrow.servo.unknown])
     found = sharpen(narrow, np.append(narrow.coordinates(start)[: -TUNING.nuisance], z[-TUNING.nuisance :]))
     values = {**narrow.list_values(found), NAME: friction}
-    return np.array([values[name] for name in servo.unknown]), measure_cost(narrow, found)
+    theta = np.array([values[name] for name in servo.unknown])
+    return theta, found[-TUNING.nuisance :], measure_cost(narrow, found)

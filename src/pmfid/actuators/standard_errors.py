@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
-from pmfid.actuators.rivals import compute_rival_shifts
+from pmfid.actuators.rivals import compute_rival_changes
 from pmfid.actuators.rounding import RoundedFit, evaluate_rounded, solve_scaled
 from pmfid.actuators.servo import SIGNED, Servo
 from pmfid.actuators.tuning import TUNING
@@ -20,7 +20,12 @@ def standard_errors(problem: ServoProblem, z: Floats) -> Floats:
     slope = np.where(problem.positive, theta, problem.scale)
     std = np.sqrt(np.diag(_covariance(problem, z)))[: -TUNING.nuisance] * slope
     small = _error_at_zero(problem, z, theta)
-    return np.asarray(np.where(np.isnan(small), std, small))
+    variance = np.square(np.where(np.isnan(small), std, small))
+    for change in compute_rival_changes(problem, z):  # the curvature of the likelihood already knows near rivals
+        moved = np.square(change)
+        share = np.max(1 - variance / np.maximum(moved, 1e-300))
+        variance = variance + max(share, 0.0) * moved
+    return np.asarray(np.sqrt(variance))
 
 
 def _covariance(problem: ServoProblem, z: Floats) -> Floats:
@@ -39,9 +44,6 @@ def _covariance(problem: ServoProblem, z: Floats) -> Floats:
     covariance = now.misfit**2 * spread * np.outer(factor, factor)
     for shift in _neglected_shifts(problem, z, now):
         covariance = covariance + now.misfit**2 * np.outer(shift, shift)
-    for shift in compute_rival_shifts(problem, z):  # the curvature of the likelihood already knows near rivals
-        share = np.max(1 - np.diag(covariance)[shift != 0] / np.square(shift[shift != 0]), initial=0.0)
-        covariance = covariance + share * np.outer(shift, shift)
     return np.asarray(covariance)
 
 

@@ -66,9 +66,7 @@ def find_start(problem: ServoProblem) -> Floats:
     return problem.place_start(z, head)
 
 
-def _search(
-    head: ServoProblem, rng: np.random.Generator, starts: int, refined: int
-) -> list[tuple[Floats, float]]:
+def _search(head: ServoProblem, rng: np.random.Generator, starts: int, refined: int) -> list[tuple[Floats, float]]:
     """Return the best local minima from `starts` random servos, of which `refined` are refined, the best one first."""
     period = float(np.median(np.diff(head.t)))
     trials = [head.coordinates(_draw_servo(head, rng, period)) for _ in range(starts)]

@@ -93,6 +93,8 @@ class ActuatorTuning:
     most_added: int = 3
     #: An added term stays if its value is more than this many standard errors.
     clear: float = 3.0
+    #: If rounding explains the residual, a term is fitted only if it explains this share of that part to first order.
+    first_order: float = 0.5
     #: Number of terms that are refined to find the best one, if the residual contradicts the model.
     tried: int = 3
     # findings
