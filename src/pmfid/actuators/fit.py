@@ -150,7 +150,8 @@ def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search
     --------
     See `ServoFit`.
     """
-    problem = ServoProblem(servo, *_check(servo, t, goal, position))
+    times, goals, positions = _check(servo, t, goal, position)
+    problem = ServoProblem(servo, times, goals, positions)
     z, added = find_start(problem), list[str]()
     head = problem.head()
     if search and head.t.size < TUNING.short_head * problem.t.size:  # most terms show in a part of a long log

@@ -153,9 +153,8 @@ class ServoProblem:
         moving = np.flatnonzero(np.abs(self.goal - self.goal[0]) > 3 * self.servo.resolution)
         first = float(self.t[moving[0]]) - 0.2 if moving.size else float(self.t[0])
         use = (self.t >= first) & (self.t <= first + TUNING.start_time)
-        return ServoProblem(
-            self.servo, *(np.ascontiguousarray(part[use]) for part in (self.t, self.goal, self.position))
-        )
+        t, goal, position = (np.ascontiguousarray(part[use]) for part in (self.t, self.goal, self.position))
+        return ServoProblem(self.servo, t, goal, position)
 
     def place_start(self, z: Floats, head: ServoProblem) -> Floats:
         """Coordinates (p + 2,) of this log, from those of its first part."""

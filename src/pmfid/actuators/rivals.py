@@ -1,4 +1,4 @@
-"""Servos with another load-dependent friction that explain a log as well.
+"""Servos with another friction, or another loop, that explain a log as well.
 
 A friction in proportion to the load takes the same part of the torque wherever the motor drives. All other torques and
 the inertia, smaller by this part, then give the same motion. The curvature of the likelihood does not show how long
@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
-from pmfid.actuators.rounding import measure_cost, sharpen
+from pmfid.actuators.rounding import measure_correlation, measure_cost, sharpen
 from pmfid.actuators.servo import TORQUES
 from pmfid.actuators.tuning import TUNING
 from pmfid.types import Floats
@@ -31,12 +31,32 @@ def choose_likeliest(problem: ServoProblem, z: Floats) -> Floats:
 
 
 def compute_rival_changes(problem: ServoProblem, z: Floats) -> list[Floats]:
-    """Return the changes (p,) of the parameters to other servos, each over its distance in standard errors.
+    """Return the changes (p,) of the parameters to other servos, each smaller the less likely this servo is.
 
-    The distance is that of the likelihood, and at least 1.
+    A servo with another load-dependent friction is divided by its distance in standard errors, at least 1. A servo with
+    a friction that the model does not have counts with the root of its likelihood over that of the model. A servo whose
+    loop sees counts, where that of the model does not, or the other way round, counts in full.
     """
     theta, cost = problem.theta(z), measure_cost(problem, z)
-    return [(found - theta) / np.sqrt(max(2 * (more - cost), 1.0)) for found, _, more in _fit_rivals(problem, z)]
+    rho = measure_correlation(problem.residual(z))
+    worth = 0.5 * (1 - rho) / (1 + rho)
+    changes = [(found - theta) / np.sqrt(max(2 * (more - cost), 1.0)) for found, _, more in _fit_rivals(problem, z)]
+    for given in _list_absent(problem, z):
+        found, _, more = _fit_rival(problem, z, given)
+        changes.append((found - theta) * np.exp(-worth * max(more - cost, 0.0)))
+    other = replace(problem, counted=not problem.counted)
+    changes.append(other.theta(sharpen(other, z)) - theta)
+    return changes
+
+
+def _list_absent(problem: ServoProblem, z: Floats) -> list[dict[str, float]]:
+    """Return typical values of each friction that the model does not have."""
+    coulomb = problem.list_values(z).get("coulomb", problem.servo.given.get("coulomb", 0.0))
+    frictions: list[dict[str, float]] = [
+        {NAME: TUNING.rival_step},
+        {"stribeck": TUNING.rival_stribeck * coulomb, "stribeck_speed": TUNING.rival_speed * problem.speed},
+    ]
+    return [given for given in frictions if not any(problem.servo.has(name) for name in given)]
 
 
 def _fit_rivals(problem: ServoProblem, z: Floats) -> list[tuple[Floats, Floats, float]]:
@@ -45,17 +65,17 @@ def _fit_rivals(problem: ServoProblem, z: Floats) -> list[tuple[Floats, Floats, 
     if now is None:
         return []
     steps = [now * part if part < 1 else now + max(now, TUNING.rival_step) for part in TUNING.rival_parts]
-    return [_fit_rival(problem, z, friction) for friction in steps if friction < TUNING.most_load]
+    return [_fit_rival(problem, z, {NAME: friction}) for friction in steps if friction < TUNING.most_load]
 
 
-def _fit_rival(problem: ServoProblem, z: Floats, friction: float) -> tuple[Floats, Floats, float]:
-    """Return the parameters (p,) and the start (2,) with a given load-dependent friction, and their cost."""
+def _fit_rival(problem: ServoProblem, z: Floats, given: dict[str, float]) -> tuple[Floats, Floats, float]:
+    """Return the parameters (p,) and the start (2,) with a given friction, and their cost."""
     servo, now = problem.servo, problem.list_values(z)
-    terms = tuple(name for name in servo.terms if name != NAME)
-    narrow = replace(problem, servo=replace(servo, given={**servo.given, NAME: friction}, terms=terms))
-    part = (1 - friction) / max(1 - now[NAME], 1 - TUNING.most_load)
+    terms = tuple(name for name in servo.terms if name not in given)
+    narrow = replace(problem, servo=replace(servo, given={**servo.given, **given}, terms=terms))
+    part = (1 - given.get(NAME, 0.0)) / max(1 - now.get(NAME, 0.0), 1 - TUNING.most_load) if NAME in given else 1.0
     start = np.array([now[name] * (part if name in TORQUES else 1.0) for name in narrow.servo.unknown])
     found = sharpen(narrow, np.append(narrow.coordinates(start)[: -TUNING.nuisance], z[-TUNING.nuisance :]))
-    values = {**narrow.list_values(found), NAME: friction}
+    values = {**narrow.list_values(found), **given}
     theta = np.array([values[name] for name in servo.unknown])
     return theta, found[-TUNING.nuisance :], measure_cost(narrow, found)

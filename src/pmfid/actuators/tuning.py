@@ -84,6 +84,9 @@ class ActuatorTuning:
     rival_parts: tuple[float, ...] = (0.25, 0.5, 1.0)
     rival_step: float = 0.1
     most_load: float = 0.9
+    #: Stribeck friction over Coulomb friction, and its speed over the typical speed, of a servo that has this friction.
+    rival_stribeck: float = 0.5
+    rival_speed: float = 0.2
     # terms
     #: A term is added if it explains this part of the squared residual, beyond this many standard deviations.
     explains: float = 0.03
