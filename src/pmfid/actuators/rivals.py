@@ -1,4 +1,4 @@
-"""Servos with another friction, or another loop, that explain a log as well.
+"""Servos with another friction that explain a log as well.
 
 A friction in proportion to the load takes the same part of the torque wherever the motor drives. All other torques and
 the inertia, smaller by this part, then give the same motion. The curvature of the likelihood does not show how long
@@ -34,8 +34,7 @@ def compute_rival_changes(problem: ServoProblem, z: Floats) -> list[Floats]:
     """Return the changes (p,) of the parameters to other servos, each smaller the less likely this servo is.
 
     A servo with another load-dependent friction is divided by its distance in standard errors, at least 1. A servo with
-    a friction that the model does not have counts with the root of its likelihood over that of the model. A servo whose
-    loop sees counts, where that of the model does not, or the other way round, counts in full.
+    a friction that the model does not have counts with the root of its likelihood over that of the model.
     """
     theta, cost = problem.theta(z), measure_cost(problem, z)
     rho = measure_correlation(problem.residual(z))
@@ -44,8 +43,6 @@ def compute_rival_changes(problem: ServoProblem, z: Floats) -> list[Floats]:
     for given in _list_absent(problem, z):
         found, _, more = _fit_rival(problem, z, given)
         changes.append((found - theta) * np.exp(-worth * max(more - cost, 0.0)))
-    other = replace(problem, counted=not problem.counted)
-    changes.append(other.theta(sharpen(other, z)) - theta)
     return changes
 
 
@@ -75,7 +72,8 @@ def _fit_rival(problem: ServoProblem, z: Floats, given: dict[str, float]) -> tup
     narrow = replace(problem, servo=replace(servo, given={**servo.given, **given}, terms=terms))
     part = (1 - given.get(NAME, 0.0)) / max(1 - now.get(NAME, 0.0), 1 - TUNING.most_load) if NAME in given else 1.0
     start = np.array([now[name] * (part if name in TORQUES else 1.0) for name in narrow.servo.unknown])
-    found = sharpen(narrow, np.append(narrow.coordinates(start)[: -TUNING.nuisance], z[-TUNING.nuisance :]))
+    place = np.append(narrow.coordinates(start)[: -TUNING.nuisance], z[-TUNING.nuisance :])
+    found = sharpen(narrow, narrow.refine(place, rough=True)[0])
     values = {**narrow.list_values(found), **given}
     theta = np.array([values[name] for name in servo.unknown])
     return theta, found[-TUNING.nuisance :], measure_cost(narrow, found)
