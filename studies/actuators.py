@@ -52,8 +52,8 @@ class Log:
 
     @property
     def servo(self) -> Servo:
-        """What a user knows: the gain, the kind of friction, and that the joint has gravity at angle 0."""
-        given = {"kp": self.truth.kp, "kd": 0.0}
+        """What a user knows: gain, loop, kind of friction, and that the joint has gravity at angle 0."""
+        given = {"kp": self.truth.kp, "kd": 0.0, "loop_delay": 0.0}
         terms = list(TERMS[self.kind])
         if self.truth.gravity:
             given["gravity_angle"], terms = 0.0, [*terms, "gravity"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from pmfid.actuators.rounding import compute_cost, compute_score, compute_weight
 from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.types import Floats
+from studies.servo_truth import TrueServo, simulate_servos
 
 STEP = 2 * math.pi / 4096
 #: inertia, viscous, coulomb, kp, kd, gravity, torque_limit, delay of a servo on a pendulum.
@@ -201,3 +203,40 @@ def test_an_unknown_gain_of_the_loop_is_within_the_bar_of_the_inertia() -> None:
     fit = fit_servo(Servo(STEP), *make_log(seed=8, gravity=0.0, kd=0.05))
     assert fit.names[0] == "inertia/kp"
     assert 0.002 < 1 - fit.theta[0] * 8.0 / 0.01 < 3 * fit.theta_std[0] * 8.0 / 0.01
+
+
+def make_damped_log(load_friction: float) -> tuple[Servo, Floats, Floats, Floats]:
+    """Log of a damped joint without gravity: its motor hardly ever brakes."""
+    step, t = 2 * math.pi / 1024, np.arange(600) * 0.01
+    rng = np.random.default_rng(12)
+    goal = step * np.rint(np.where(t < 0.3, 0, rng.uniform(-0.7, 0.7, 15).repeat(40)) / step)
+    servo = Servo(step, given={"kp": 8.0, "kd": 0.0, "loop_delay": 0.0}, terms=["load_friction"])
+    position = servo.simulate(np.array([0.005, 0.5, 0.1, 0.015, load_friction]), t, goal, 0.0, quantised=True)
+    return servo, t, goal, step * np.rint(position / step)
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_bars_hold_a_load_friction_that_a_damped_joint_does_not_show(named: bool) -> None:
+    servo, t, goal, position = make_damped_log(0.1)
+    fit = fit_servo(servo if named else replace(servo, terms=()), t, goal, position, search=named)
+    truth = {"inertia": 0.005, "viscous": 0.5, "coulomb": 0.1, "delay": 0.015, "load_friction": 0.1}
+    for name, value, std in zip(fit.names, fit.theta, fit.theta_std, strict=True):
+        assert abs(value - truth[name]) < 3 * std, name
+    assert fit.theta_std[1] > 0.02 * fit.theta[1]
+
+
+def test_the_study_has_the_friction_of_a_loaded_gearbox() -> None:
+    t = np.arange(60) * 0.01
+    goal = 0.5 * np.sign(np.sin(14 * t))
+    true = TrueServo(0.01, 0.06, 0.05, 8.0, 0.01, 1e-6, gravity=1.3, load_friction=0.2)
+    given = {"kp": 8.0, "gravity": 1.3, "gravity_angle": 0.0, "load_friction": 0.2}
+    model = Servo(1e-6, given).simulate(np.array([0.01, 0.06, 0.05, 0.01]), t, goal, 0.0)
+    assert np.abs(simulate_servos([true], t, [goal])[0] - model).max() < STEP
+
+
+def test_a_known_loop_has_narrower_bars() -> None:
+    log = make_log(seed=3, gravity=0.0, kd=0.0)
+    known, open_loop = (
+        fit_servo(Servo(STEP, {"kp": 8.0, "kd": 0.0, **more}), *log) for more in ({"loop_delay": 0.0}, {})
+    )
+    assert known.theta_std[1] < 0.7 * open_loop.theta_std[1]

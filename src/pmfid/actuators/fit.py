@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
-from pmfid.actuators.rivals import choose_likeliest
+from pmfid.actuators.rivals import add_friction, choose_likeliest
 from pmfid.actuators.rounding import measure_correlation, measure_cost, sharpen
 from pmfid.actuators.servo import PARTNERS, SIGNED, UNITS, Servo
 from pmfid.actuators.standard_errors import standard_errors
@@ -167,6 +167,9 @@ def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search
         problem, z, cost, added = _search_terms(problem, z, cost, added)
         problem, z, cost, added = _drop_terms(problem, z, cost, added)
     problem, z = _sharpen(problem, z)
+    while search and len(added) < TUNING.most_added and (likelier := add_friction(problem, z)):
+        problem, z, name = likelier
+        added = [*added, name]
     std = standard_errors(problem, z)
     while unclear := _list_unclear(problem, z, std, added):
         problem, z = _sharpen(*_refine_narrower(problem, z, unclear[0])[:2])

@@ -30,6 +30,25 @@ def choose_likeliest(problem: ServoProblem, z: Floats) -> Floats:
     return min(found, key=lambda pair: pair[0])[1]
 
 
+def add_friction(problem: ServoProblem, z: Floats) -> tuple[ServoProblem, Floats, str] | None:
+    """Return the fit with a friction that makes the log much likelier, and its name, or None."""
+    for given in _list_absent(problem, z):
+        theta, rest, cost = _fit_rival(problem, z, given)
+        if _worth(problem, z) * (measure_cost(problem, z) - cost) > TUNING.friction_gain:
+            name = next(iter(given))
+            wider = replace(problem, servo=replace(problem.servo, terms=(*problem.servo.terms, name)))
+            values = {**dict(zip(problem.servo.unknown, theta.tolist(), strict=True)), **given}
+            start = wider.coordinates(np.array([values[word] for word in wider.servo.unknown]))
+            return wider, sharpen(wider, np.append(start[: -TUNING.nuisance], rest)), name
+    return None
+
+
+def _worth(problem: ServoProblem, z: Floats) -> float:
+    """Return the independent part of the samples, whose residual is correlated."""
+    rho = measure_correlation(problem.residual(z))
+    return (1 - rho) / (1 + rho)
+
+
 def compute_rival_changes(problem: ServoProblem, z: Floats) -> list[Floats]:
     """Return the changes (p,) of the parameters to other servos, each smaller the less likely this servo is.
 
@@ -37,12 +56,11 @@ def compute_rival_changes(problem: ServoProblem, z: Floats) -> list[Floats]:
     a friction that the model does not have counts with the root of its likelihood over that of the model.
     """
     theta, cost = problem.theta(z), measure_cost(problem, z)
-    rho = measure_correlation(problem.residual(z))
-    worth = 0.5 * (1 - rho) / (1 + rho)
+    worth = _worth(problem, z)
     changes = [(found - theta) / np.sqrt(max(2 * (more - cost), 1.0)) for found, _, more in _fit_rivals(problem, z)]
     for given in _list_absent(problem, z):
         found, _, more = _fit_rival(problem, z, given)
-        changes.append((found - theta) * np.exp(-worth * max(more - cost, 0.0)))
+        changes.append((found - theta) * np.exp(-0.5 * worth * max(more - cost, 0.0)))
     return changes
 
 
