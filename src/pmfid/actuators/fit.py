@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
-from pmfid.actuators.rivals import add_friction, choose_likeliest
+from pmfid.actuators.rivals import choose_likeliest
 from pmfid.actuators.rounding import measure_correlation, measure_cost, sharpen
 from pmfid.actuators.servo import PARTNERS, SIGNED, UNITS, Servo
 from pmfid.actuators.standard_errors import standard_errors
@@ -167,9 +167,6 @@ def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search
         problem, z, cost, added = _search_terms(problem, z, cost, added)
         problem, z, cost, added = _drop_terms(problem, z, cost, added)
     problem, z = _sharpen(problem, z)
-    while search and len(added) < TUNING.most_added and (likelier := add_friction(problem, z)):
-        problem, z, name = likelier
-        added = [*added, name]
     std = standard_errors(problem, z)
     while unclear := _list_unclear(problem, z, std, added):
         problem, z = _sharpen(*_refine_narrower(problem, z, unclear[0])[:2])
@@ -188,7 +185,7 @@ def _search_terms(
             break
         problem, z, cost, name = better
         names.append(name)
-        if name == "torque_limit" and _is_contradicted(problem, cost):  # the start without a limit was far off
+        if name == "torque_limit" and problem.is_contradicted(z):  # the start without a limit was far off
             fresh, less = problem.refine(find_start(problem))
             z, cost = (fresh, less) if less < cost else (z, cost)
     return problem, z, cost, names
@@ -197,8 +194,7 @@ def _search_terms(
 def _sharpen(problem: ServoProblem, z: Floats) -> tuple[ServoProblem, Floats]:
     """Return the likeliest estimate, and the problem with a loop on counts if these make the log much likelier."""
     z, counted = choose_likeliest(problem, sharpen(problem, z)), replace(problem, counted=True)
-    residual = problem.residual(z)
-    if _is_contradicted(problem, float(residual @ residual)):
+    if problem.is_contradicted(z):
         return problem, z
     found = sharpen(counted, z)
     likelier = measure_cost(counted, found) < measure_cost(problem, z) - TUNING.counted_gain
@@ -280,7 +276,7 @@ def _add_term(problem: ServoProblem, z: Floats, cost: float) -> tuple[ServoProbl
         return None
     ranked = _rank_terms(problem, z, open_terms)
     tried = list(ranked)[: TUNING.tried]
-    if not _is_contradicted(problem, cost):
+    if not problem.is_contradicted(z):
         tried = [name for name in tried[:1] if ranked[name] > TUNING.first_order * TUNING.explains]
     if not tried:
         return None
@@ -288,11 +284,6 @@ def _add_term(problem: ServoProblem, z: Floats, cost: float) -> tuple[ServoProbl
     wider, start, _, name = min(found, key=lambda one: one[2])
     best, less = wider.refine(start)
     return (wider, best, less, name) if _is_worth(problem, z, less, cost) else None
-
-
-def _is_contradicted(problem: ServoProblem, cost: float) -> bool:
-    """Return whether a squared residual [rad2] is more than rounding explains."""
-    return cost > TUNING.contradicted**2 * problem.t.size * problem.servo.resolution**2 / 12
 
 
 def _refine_wider(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, Floats, float]:

@@ -108,6 +108,10 @@ class ServoProblem:
         """Simulated minus measured position (n,) [rad]. The residual is finite for all coordinates."""
         return np.nan_to_num(np.clip(self.simulate(z) - self.position, -1e6, 1e6), nan=1e6)
 
+    def is_contradicted(self, z: Floats) -> bool:
+        """Whether the squared residual at coordinates (p + 2,) is more than rounding explains."""
+        return float(np.mean(self.residual(z) ** 2)) > (TUNING.contradicted * self.servo.resolution) ** 2 / 12
+
     def jacobian(self, z: Floats, *, forward: bool = False) -> Floats:
         """Derivatives (n, p + 2) of the residual by the coordinates, as central or forward differences.
 

@@ -22,6 +22,8 @@ NAME = "load_friction"
 
 def choose_likeliest(problem: ServoProblem, z: Floats) -> Floats:
     """Return the coordinates (p + 2,) of the likeliest servo among an estimate and its rivals."""
+    if problem.is_contradicted(z):
+        return z
     found = [(measure_cost(problem, z), z)]
     for theta, rest, cost in _fit_rivals(problem, z):
         if cost < found[0][0] - TUNING.newton_gain:
@@ -30,37 +32,22 @@ def choose_likeliest(problem: ServoProblem, z: Floats) -> Floats:
     return min(found, key=lambda pair: pair[0])[1]
 
 
-def add_friction(problem: ServoProblem, z: Floats) -> tuple[ServoProblem, Floats, str] | None:
-    """Return the fit with a friction that makes the log much likelier, and its name, or None."""
-    for given in _list_absent(problem, z):
-        theta, rest, cost = _fit_rival(problem, z, given)
-        if _worth(problem, z) * (measure_cost(problem, z) - cost) > TUNING.friction_gain:
-            name = next(iter(given))
-            wider = replace(problem, servo=replace(problem.servo, terms=(*problem.servo.terms, name)))
-            values = {**dict(zip(problem.servo.unknown, theta.tolist(), strict=True)), **given}
-            start = wider.coordinates(np.array([values[word] for word in wider.servo.unknown]))
-            return wider, sharpen(wider, np.append(start[: -TUNING.nuisance], rest)), name
-    return None
-
-
-def _worth(problem: ServoProblem, z: Floats) -> float:
-    """Return the independent part of the samples, whose residual is correlated."""
-    rho = measure_correlation(problem.residual(z))
-    return (1 - rho) / (1 + rho)
-
-
 def compute_rival_changes(problem: ServoProblem, z: Floats) -> list[Floats]:
     """Return the changes (p,) of the parameters to other servos, each smaller the less likely this servo is.
 
     A servo with another load-dependent friction is divided by its distance in standard errors, at least 1. A servo with
-    a friction that the model does not have counts with the root of its likelihood over that of the model.
+    a friction that the model does not have counts with the root of its likelihood over that of the model. A model that
+    the residual contradicts has no rivals, because its status says so.
     """
+    if problem.is_contradicted(z):
+        return []
     theta, cost = problem.theta(z), measure_cost(problem, z)
-    worth = _worth(problem, z)
+    rho = measure_correlation(problem.residual(z))
+    worth = 0.5 * (1 - rho) / (1 + rho)
     changes = [(found - theta) / np.sqrt(max(2 * (more - cost), 1.0)) for found, _, more in _fit_rivals(problem, z)]
     for given in _list_absent(problem, z):
         found, _, more = _fit_rival(problem, z, given)
-        changes.append((found - theta) * np.exp(-0.5 * worth * max(more - cost, 0.0)))
+        changes.append((found - theta) * np.exp(-worth * max(more - cost, 0.0)))
     return changes
 
 
@@ -90,8 +77,7 @@ def _fit_rival(problem: ServoProblem, z: Floats, given: dict[str, float]) -> tup
     narrow = replace(problem, servo=replace(servo, given={**servo.given, **given}, terms=terms))
     part = (1 - given.get(NAME, 0.0)) / max(1 - now.get(NAME, 0.0), 1 - TUNING.most_load) if NAME in given else 1.0
     start = np.array([now[name] * (part if name in TORQUES else 1.0) for name in narrow.servo.unknown])
-    place = np.append(narrow.coordinates(start)[: -TUNING.nuisance], z[-TUNING.nuisance :])
-    found = sharpen(narrow, narrow.refine(place, rough=True)[0])
+    found = sharpen(narrow, np.append(narrow.coordinates(start)[: -TUNING.nuisance], z[-TUNING.nuisance :]))
     values = {**narrow.list_values(found), **given}
     theta = np.array([values[name] for name in servo.unknown])
     return theta, found[-TUNING.nuisance :], measure_cost(narrow, found)

@@ -84,8 +84,6 @@ class ActuatorTuning:
     rival_parts: tuple[float, ...] = (0.25, 0.5, 1.0)
     rival_step: float = 0.1
     most_load: float = 0.9
-    #: A friction is added if the log is likelier by this with it [natural units].
-    friction_gain: float = 10.0
     #: Stribeck friction over Coulomb friction, and its speed over the typical speed, of a servo that has this friction.
     rival_stribeck: float = 0.5
     rival_speed: float = 0.2
