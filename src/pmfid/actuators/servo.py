@@ -60,7 +60,7 @@ class Servo:
     given : Mapping[str, float]
         Known parameters by name, in SI units. Without any of kp, inertia, gravity, torque_limit, coulomb or kd, the
         log determines torques only as multiples of kp. A given loop_delay says that the loop is known: the standard
-        errors then do not contain half a period of further delay.
+        errors then contain a tenth of a period of further delay, in place of a half.
     terms : Sequence[str]
         Parameters that are estimated in addition to inertia, viscous, coulomb, kp and delay.
     loop_period : float

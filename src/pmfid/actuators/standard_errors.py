@@ -64,13 +64,14 @@ def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list
     phases, fine, shifts = np.arange(TUNING.phases) / TUNING.phases, simulate(servo, theta), []
     for phase in phases:  # the steps of goals and positions may differ by any part of a step
         changes = simulate(servo, theta, phase, on=True) - simulate(servo, theta, phase)
-        shifts.append(now.shift(changes) / np.sqrt(2 * phases.size))
-        shifts.append(now.shift(simulate(servo, theta, 0.0, phase, on=True) - fine) / np.sqrt(2 * phases.size))
+        shifts.append(now.shift(changes) / np.sqrt(phases.size))
+        shifts.append(now.shift(simulate(servo, theta, 0.0, phase, on=True) - fine) / np.sqrt(phases.size))
     late = replace(
         servo, given={**servo.given, "loop_delay": servo.given.get("loop_delay", 0.0) + servo.loop_period / 2}
     )
-    if late.unknown == servo.unknown and "loop_delay" not in servo.given:
-        shifts.append(now.shift(simulate(late, theta) - fine))
+    share = TUNING.known_loop if "loop_delay" in servo.given else 1.0
+    if late.unknown == servo.unknown:
+        shifts.append(share * now.shift(simulate(late, theta) - fine))
     shifts.append(now.shift(replace(problem, counted=False, phase=TUNING.late_ticks).simulate(z) / step - fine))
     if not servo.has("kd") and "viscous" in servo.unknown:
         free = _free_torque(servo, theta)
@@ -79,10 +80,10 @@ def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list
             index = servo.unknown.index("torque_limit")
             shift[index] = now.shift(simulate(*_move_viscous(servo, theta)) - fine)[index]
         shifts.append(shift)
-    if "delay" in servo.unknown and "loop_delay" not in servo.given:
+    if "delay" in servo.unknown:
         index = servo.unknown.index("delay")
         tick = np.zeros_like(z)
-        tick[index] = servo.loop_period / np.sqrt(12) / max(theta[index], servo.loop_period * 1e-3)
+        tick[index] = share * servo.loop_period / np.sqrt(12) / max(theta[index], servo.loop_period * 1e-3)
         shifts.append(tick)
     return shifts
 

@@ -71,6 +71,8 @@ class ActuatorTuning:
     phases: int = 6
     #: Phase of the loop's ticks after a sample [ticks], whose effect is one standard error.
     late_ticks: float = 0.5
+    #: Part of the doubt in the loop's delay and in its ticks that is left if the loop is known.
+    known_loop: float = 0.2
     #: Part of the viscous friction that may be a gain kd of the loop.
     loop_share: float = 0.5
     #: Limit of a torque that is never reached [N m].
