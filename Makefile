@@ -7,7 +7,7 @@ PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
 .PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core test-lowest test-newest coverage spark kills broker-kills service-faults soak check format bench \
-    bench-compare study hostile firmware docs docs-pictures firmware-tools service-tools spark-tools golden images clean
+    bench-compare study hostile firmware browser docs docs-pictures firmware-tools service-tools spark-tools golden images clean
 
 # The versions of requirements-dev.txt, whose hashes pip verifies, then pmfid. An edit of Python counts at once, an edit
 # of C after `make`. pmfid is compiled to bytecode here, because some environments forbid later compilation.
@@ -94,6 +94,18 @@ service-tools: firmware-tools
 	  $$root timeout 170 env DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends \
 	    $(SERVICE_TOOLS) >/dev/null 2>&1 || echo "no service tools: their tests will skip"; \
 	fi
+
+# The page that identifies an axis inside a browser, build/browser/pmfid.html. Pyodide 0.27 has Python 3.12.
+PYTHON312 ?= python3.12
+BROWSER_TOOLS = clang lld wasi-libc npm
+browser:
+	@if [ -n "$(INSTALL_TOOLS)" ] && command -v apt-get >/dev/null; then \
+	  root=$$([ "$$(id -u)" = 0 ] || echo "sudo -n"); \
+	  $$root apt-get update -qq >/dev/null && $$root apt-get install -y -qq --no-install-recommends $(BROWSER_TOOLS); \
+	fi
+	$(PYTHON312) -m venv build/browser/tools
+	build/browser/tools/bin/pip install --quiet --no-deps --require-hashes -r requirements-build.txt
+	build/browser/tools/bin/python -m browser.build
 
 # Java runtime for the fleet's tests on Spark, which skip without it.
 spark-tools:

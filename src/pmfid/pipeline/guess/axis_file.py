@@ -22,7 +22,7 @@ from pmfid.records.outliers import wrap_of
 from pmfid.types import Floats
 from pmfid.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, gain, quantity
 
-__all__ = ["AxisGuess", "find_to_do", "guess"]
+__all__ = ["AxisGuess", "find_to_do", "guess", "guess_table"]
 
 #: Reader of an answer. A reader raises ValueError with the remedy for an answer that cannot be used.
 Reader = Callable[[str], float]
@@ -75,6 +75,11 @@ def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> Axis
         table = read_table(path)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
+    return guess_table(table, path, ask, output)
+
+
+def guess_table(table: Table, path: Path, ask: Ask | None = None, output: str | None = None) -> AxisGuess:
+    """Return the AXIS.toml that the table of the file `path` suggests. The arguments and errors are those of `guess`."""
     columns = numeric(table)
     if not columns:
         raise UsageError(f"{path}: no column has numbers that change; export the record with its values")

@@ -1,0 +1,1 @@
+"""The page for browsers: its build, and the parts that run in it."""

@@ -1,0 +1,163 @@
+"""The part of the page that runs in Python: read a log, suggest its columns, and identify the axis."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from pmfid.config.axis import Axis, read_axis
+from pmfid.errors import PmfidError, UsageError
+from pmfid.io.csv_text import LOOKED_AT, layout_of, split
+from pmfid.io.csv_text import _text as text_of
+from pmfid.io.reading import ENDINGS, READERS, format_of
+from pmfid.io.safety import readable, unpack_file
+from pmfid.io.tables import Table
+from pmfid.pipeline.conclusion import conclude
+from pmfid.pipeline.guess.axis_file import guess_table, read_duration, read_gain, read_travel
+from pmfid.pipeline.guess.columns import numeric
+from pmfid.pipeline.identify import identify, kind_of
+from pmfid.pipeline.kinds import Records, parameters_of
+from pmfid.pipeline.result import Result, findings_lines, parameter_header, parameter_rows
+
+#: Most points of a curve in the figure.
+POINTS = 1500
+#: Formats whose readers need nothing but NumPy and SciPy.
+FORMATS = (".csv", ".mat", ".npz", ".wpilog")
+log: dict[str, Any] = {}
+
+
+def open_log(name: str, data: Any, columns: Any = None) -> str:
+    """Read a log from its bytes, or take its `columns`. Returns its columns and an AXIS.toml as JSON."""
+    try:
+        table = _read(name, bytes(data.to_py())) if columns is None else _arrays(columns.to_py())
+        log.update(name=name, table=table)
+        log["names"] = list(numeric(table))
+    except PmfidError as error:
+        return json.dumps({"problem": f"{name}: {error}"})
+    return suggest()
+
+
+def suggest(output: str | None = None) -> str:
+    """Return the columns of the log and the AXIS.toml that they suggest, for a given column of the output."""
+    log["axis"] = {}
+    found = {"columns": log["names"], "rows": max((len(np.ravel(v)) for v in log["table"].values()), default=0)}
+    try:
+        log["axis"] = tomllib.loads(guess_table(log["table"], PurePath(log["name"]), None, output).text)  # type: ignore[arg-type]
+    except (UsageError, KeyError) as error:
+        found["problem"] = str(error)
+    return json.dumps(found | {"axis": log["axis"]})
+
+
+def _read(name: str, data: bytes) -> Table:
+    """Return the columns of a file. Raises UsageError for a format that the page cannot read."""
+    suffix = PurePath(name).suffix.lower()
+    kind = format_of(data) or ENDINGS.get(suffix, suffix)
+    if kind not in FORMATS:
+        raise UsageError(f"the page reads CSV, Parquet, MATLAB v5, NPZ and WPILOG, not {suffix or 'this'}; export as CSV")
+    if not data.strip():
+        raise UsageError("the file is empty; export the record again")
+    with readable(kind):
+        return _read_text(data) if kind == ".csv" else READERS[kind](data)
+
+
+def _read_text(data: bytes) -> Table:
+    """Return the columns of numbers of a text. The layout is that of `parse_csv`."""
+    lines = text_of(unpack_file(data)).decode().split("\n")
+    layout = layout_of(lines[:LOOKED_AT])
+    rows = [split(line, layout.separator) for line in lines[layout.first :] if line.strip() and line[0] not in "#%"]
+    rows = [row for row in rows if len(row) == len(layout.names)]
+    table: dict[str, object] = {}
+    for name, cells in zip(layout.names, zip(*rows, strict=True), strict=False):
+        with suppress(ValueError):  # a column of text
+            table[name] = np.array([float(cell.replace(",", ".") if layout.decimal == "," else cell) if cell else np.nan
+                                    for cell in cells])
+    return table
+
+
+def _arrays(columns: Mapping[str, Any]) -> Table:
+    return {name: np.array(values, np.float64) for name, values in columns.items()}
+
+
+def identify_log(answers: Any) -> str:
+    """Return the result with the answers of the form as JSON, or the problem in one sentence."""
+    try:
+        axis, text = _axis(answers.to_py())
+        kind = kind_of(axis)
+        data = kind.read_table(log["table"], axis)
+        return json.dumps(_describe(identify(data, axis), data, axis) | {"axis": text})
+    except (PmfidError, ValueError) as error:
+        return json.dumps({"problem": str(error)})
+
+
+def _axis(answers: dict[str, str]) -> tuple[Axis, str]:
+    """Return the configuration with the answers, and its text. Raises ValueError for an answer that cannot be used."""
+    sections: dict[str, dict[str, Any]] = {name: dict(part) for name, part in log["axis"].items()}
+    record, encoder, model, estimator = (sections.setdefault(name, {}) for name in ("record", "encoder", "model", "estimator"))
+    record |= {key: answers[key] for key in ("input", "output", "output_kind")}
+    for key in ("time", "dt"):
+        record.pop(key, None)
+        if answers[key]:
+            record[key] = read_duration(answers[key]) if key == "dt" else answers[key]
+    if not record.keys() & {"time", "dt"}:
+        raise ValueError("neither a time column nor a sample period is given: give one of them")
+    if len({answers["input"], answers["output"], answers["time"]}) < 3:
+        raise ValueError("force, position and time must be different columns: correct one of them")
+    encoder["resolution"] = _plain(answers["resolution"], read_travel)
+    size = answers["input_gain"].strip()
+    gain = _plain(size.removeprefix("-"), read_gain)
+    model["input_gain"] = gain if not size.startswith("-") else f"-{gain}" if isinstance(gain, str) else -gain
+    model.pop("axis", None)
+    if answers["axis"]:
+        model["axis"] = answers["axis"]
+    if answers["method"]:
+        estimator["method"] = answers["method"]
+    if answers["cutoff"].strip():
+        estimator["cutoff"] = read_duration(answers["cutoff"])
+    lines = (
+        f"[{name}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in part.items())
+        for name, part in sections.items() if part
+    )  # fmt: skip
+    return read_axis(sections), "\n".join(lines)  # type: ignore[arg-type]
+
+
+def _plain(text: str, read: Any) -> float | str:
+    """Return an answer as a number, or as the text with its unit. Raises ValueError for an answer that is neither."""
+    value = read(text)
+    return text.strip().replace(",", ".") if hasattr(value, "unit") else float(value)
+
+
+def _describe(result: Result, data: Records, axis: Axis) -> dict[str, Any]:
+    said = conclude(result)
+    return {
+        "sentence": said.sentence,
+        "action": said.action,
+        "status": result.status,
+        "names": result.names,
+        "theta": result.theta.tolist(),
+        "theta_std": result.theta_std.tolist(),
+        "header": parameter_header(result),
+        "rows": parameter_rows(result),
+        "findings": findings_lines(result, notes=False),
+        "notes": findings_lines(result, notes=True),
+        "figure": _curves(result, data, axis),
+    }
+
+
+def _curves(result: Result, data: Records, axis: Axis) -> dict[str, Any] | None:
+    """Return the measured and the simulated motion, or None if the model cannot be simulated."""
+    kind = kind_of(axis)
+    chosen = axis.estimator.model_copy(update={"cutoff": result.estimator.cutoff})
+    values = dict(zip(result.names, result.theta.tolist(), strict=True))
+    with suppress(UsageError, KeyError):
+        theta = np.array([values[name] for name in parameters_of(axis.model.make())[0]])
+        run = kind.free_runs(data, axis.model_copy(update={"estimator": chosen}), theta)[0]
+        every = slice(None, None, max(1, run.t.size // POINTS))
+        curves = {"t": run.t, "measured": run.measured, "simulated": run.simulated, "error": run.error}
+        return {"unit": kind.unit_of_output(axis)} | {name: part[every].tolist() for name, part in curves.items()}
+    return None
