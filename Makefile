@@ -96,8 +96,8 @@ service-tools: firmware-tools
 	fi
 
 # The page that identifies an axis inside a browser, build/browser/pmfid.html. Pyodide 0.27 has Python 3.12.
-PYTHON312 ?= python3.12
-BROWSER_TOOLS = clang lld wasi-libc npm
+PYTHON312 ?= $(firstword $(wildcard $(HOME)/.pyenv/versions/3.12.*/bin/python) python3.12)
+BROWSER_TOOLS = clang lld wasi-libc
 browser:
 	@if [ -n "$(INSTALL_TOOLS)" ] && command -v apt-get >/dev/null; then \
 	  root=$$([ "$$(id -u)" = 0 ] || echo "sudo -n"); \

@@ -10,6 +10,7 @@ import hashlib
 import importlib.util
 import io
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -50,7 +51,7 @@ KERNEL = (
 
 
 def run(*command: str | Path) -> None:
-    subprocess.run([str(part) for part in command], check=True, cwd=ROOT)
+    subprocess.run([str(part) for part in command], check=True, cwd=ROOT, env=os.environ | {"NODE_PATH": str(NPM)})
 
 
 def fetch_parts() -> dict[str, bytes]:
