@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from pathlib import PurePath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -48,7 +48,10 @@ def suggest(output: str | None = None) -> str:
     log["axis"] = {}
     found = {"columns": log["names"], "rows": max((len(np.ravel(v)) for v in log["table"].values()), default=0)}
     try:
-        log["axis"] = tomllib.loads(guess_table(log["table"], PurePath(log["name"]), None, output).text)  # type: ignore[arg-type]
+        text = guess_table(log["table"], Path(log["name"]), None, output).text
+        log["axis"] = tomllib.loads(text)
+        if log["axis"]["record"]["output_kind"] == "counts":
+            del log["axis"]["encoder"]["resolution"]  # which a log of counts cannot show
     except (UsageError, KeyError) as error:
         found["problem"] = str(error)
     return json.dumps(found | {"axis": log["axis"]})
@@ -56,7 +59,7 @@ def suggest(output: str | None = None) -> str:
 
 def _read(name: str, data: bytes) -> Table:
     """Return the columns of a file. Raises UsageError for a format that the page cannot read."""
-    suffix = PurePath(name).suffix.lower()
+    suffix = Path(name).suffix.lower()
     kind = format_of(data) or ENDINGS.get(suffix, suffix)
     if kind not in FORMATS:
         raise UsageError(f"the page reads CSV, Parquet, MATLAB v5, NPZ and WPILOG, not {suffix or 'this'}; export as CSV")
@@ -141,12 +144,17 @@ def _describe(result: Result, data: Records, axis: Axis) -> dict[str, Any]:
         "names": result.names,
         "theta": result.theta.tolist(),
         "theta_std": result.theta_std.tolist(),
-        "header": parameter_header(result),
-        "rows": parameter_rows(result),
+        "header": _put_unit_second(parameter_header(result)),
+        "rows": [_put_unit_second(row) for row in parameter_rows(result)],
         "findings": findings_lines(result, notes=False),
         "notes": findings_lines(result, notes=True),
         "figure": _curves(result, data, axis),
     }
+
+
+def _put_unit_second(row: Sequence[str]) -> list[str]:
+    """Return a row of the table with its unit next to the value, because a phone shows the first columns."""
+    return [*row[:2], row[-1], *row[2:-1]]
 
 
 def _curves(result: Result, data: Records, axis: Axis) -> dict[str, Any] | None:

@@ -5,7 +5,7 @@ import { compressors } from "hyparquet-compressors";
 const METHODS = ["iv", "output-error", "bcls", "known-step", "ls", "riv", "bcrls", "rknown-step", "rls"];
 const at = (id) => document.getElementById(id);
 const form = at("form"), field = form.elements;
-let worker, calls = 0;
+let worker, drawn = null, calls = 0;
 const waiting = new Map();
 
 /** Return the bytes that `write_text` of the build has put into the page. */
@@ -110,7 +110,8 @@ function show(answer) {
   }
   at("result").hidden = false;
   document.querySelector("figure").hidden = !answer.figure;
-  if (answer.figure) draw(answer.figure);
+  drawn = answer.figure;
+  if (drawn) draw(drawn);
   at("result").scrollIntoView({ block: "start" });
 }
 
@@ -160,4 +161,5 @@ for (const name of ["dragover", "dragleave", "drop"]) {
     if (name === "drop" && file && !at("file").disabled) openLog(file);
   });
 }
+window.addEventListener("resize", () => { if (drawn && !at("result").hidden) draw(drawn); });
 start().catch((error) => { at("state").textContent = `This browser cannot run the page: ${error.message}`; });

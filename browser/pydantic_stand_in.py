@@ -6,9 +6,9 @@ check here. Validators run, because units and kinds of axis come from them.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator, Mapping
-from types import ModuleType, SimpleNamespace
+from functools import partial
+from types import SimpleNamespace
 from typing import Any, NamedTuple, Self, get_args, get_type_hints
 
 PydanticUndefined = object()
@@ -41,7 +41,7 @@ def model_validator(mode: str) -> Callable[[Callable[[Any], Any]], Callable[[Any
     """Mark a method that runs on the complete object."""
 
     def mark(method: Callable[[Any], Any]) -> Callable[[Any], Any]:
-        method.runs_after = True  # type: ignore[attr-defined]
+        method.runs_after = True
         return method
 
     return mark
@@ -75,7 +75,7 @@ class BaseModel:
         """Return an object with the values of `raw`."""
         return cls(**raw)
 
-    def model_copy(self, update: Mapping[str, object] = {}) -> Self:
+    def model_copy(self, update: Mapping[str, object]) -> Self:
         """Return a copy with other values."""
         copy = object.__new__(type(self))
         copy.__dict__.update(self.__dict__ | update)
@@ -86,10 +86,17 @@ def _validated(kind: object, value: object) -> object:
     """Return a value after the validators of its type."""
     if isinstance(kind, type) and issubclass(kind, BaseModel):
         return value if isinstance(value, kind) else kind.model_validate(value)
-    if value is None:
-        return None
+    return None if value is None else _check_of(kind)(value)
+
+
+def _check_of(kind: object) -> Callable[[Any], Any]:
+    """Return the validators of a type as one function. Of an annotated type, each validator contains those before."""
+    check: Callable[[Any], Any] = lambda value: value  # noqa: E731
     for part in get_args(kind):
-        value = part.change(value) if isinstance(part, AfterValidator) else value
-        value = part.change(value, lambda same: same) if isinstance(part, WrapValidator) else value
-        value = _validated(part, value) if get_args(part) else value
-    return value
+        if isinstance(part, AfterValidator):
+            check = partial(lambda own, inner, value: own(inner(value)), part.change, check)
+        elif isinstance(part, WrapValidator):
+            check = partial(lambda own, inner, value: own(value, inner), part.change, check)
+        elif get_args(part):
+            check = partial(lambda own, inner, value: own(inner(value)), _check_of(part), check)
+    return check
