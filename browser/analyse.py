@@ -62,7 +62,9 @@ def _read(name: str, data: bytes) -> Table:
     suffix = Path(name).suffix.lower()
     kind = format_of(data) or ENDINGS.get(suffix, suffix)
     if kind not in FORMATS:
-        raise UsageError(f"the page reads CSV, Parquet, MATLAB v5, NPZ and WPILOG, not {suffix or 'this'}; export as CSV")
+        raise UsageError(
+            f"the page reads CSV, Parquet, MATLAB v5, NPZ and WPILOG, not {suffix or 'this'}; export as CSV"
+        )
     if not data.strip():
         raise UsageError("the file is empty; export the record again")
     with readable(kind):
@@ -78,8 +80,9 @@ def _read_text(data: bytes) -> Table:
     table: dict[str, object] = {}
     for name, cells in zip(layout.names, zip(*rows, strict=True), strict=False):
         with suppress(ValueError):  # a column of text
-            table[name] = np.array([float(cell.replace(",", ".") if layout.decimal == "," else cell) if cell else np.nan
-                                    for cell in cells])
+            table[name] = np.array(
+                [float(cell.replace(",", ".") if layout.decimal == "," else cell) if cell else np.nan for cell in cells]
+            )
     return table
 
 
@@ -101,7 +104,9 @@ def identify_log(answers: Any) -> str:
 def _axis(answers: dict[str, str]) -> tuple[Axis, str]:
     """Return the configuration with the answers, and its text. Raises ValueError for an answer that cannot be used."""
     sections: dict[str, dict[str, Any]] = {name: dict(part) for name, part in log["axis"].items()}
-    record, encoder, model, estimator = (sections.setdefault(name, {}) for name in ("record", "encoder", "model", "estimator"))
+    record, encoder, model, estimator = (
+        sections.setdefault(name, {}) for name in ("record", "encoder", "model", "estimator")
+    )
     record |= {key: answers[key] for key in ("input", "output", "output_kind")}
     for key in ("time", "dt"):
         record.pop(key, None)
@@ -118,6 +123,9 @@ def _axis(answers: dict[str, str]) -> tuple[Axis, str]:
     model.pop("axis", None)
     if answers["axis"]:
         model["axis"] = answers["axis"]
+    if answers["friction"]:
+        model["friction"] = answers["friction"]
+        model.pop("offset", None)  # the two directions contain it
     if answers["method"]:
         estimator["method"] = answers["method"]
     if answers["cutoff"].strip():

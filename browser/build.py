@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-import importlib.util
 import io
 import json
 import os
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -40,11 +40,23 @@ WHEELS = ("numpy", "scipy", "openblas")
 UNUSED = re.compile(r"scipy/(misc|cluster|odr|fftpack|datasets)/|.*/(tests|include)/")
 #: Packages of pmfid that need a server, a terminal, a compiler or Polars.
 LEFT_OUT = ("actuators", "cli", "design", "export", "fleet", "report", "service", "simulation", "stream", "testing")
-FLAGS = "-ffp-contract=off -fPIC -DNDEBUG -DNPY_NO_DEPRECATED_API=NPY_1_7_API_VERSION -w".split()
+FLAGS = ["-ffp-contract=off", "-fPIC", "-DNDEBUG", "-DNPY_NO_DEPRECATED_API=NPY_1_7_API_VERSION", "-w"]
 TARGET = ["--target=wasm32-unknown-emscripten", "-D__wasi__"]  # the headers of wasi-libc ask for the second
 HEADERS = "/usr/include/wasm32-wasi"
 KERNEL = (
-    *("encoder", "auxiliary", "verdicts", "linear", "network", "recursion", "step", "gap", "open", "state", "plausible"),
+    *(
+        "encoder",
+        "auxiliary",
+        "verdicts",
+        "linear",
+        "network",
+        "recursion",
+        "step",
+        "gap",
+        "open",
+        "state",
+        "plausible",
+    ),
     *("alarm", "edges/pmf_redge", "many/pmf_fits", "many/pmf_layout", "many/pmf_many", "many/pmf_scores"),
     "many/pmf_motions",
 )
@@ -84,7 +96,9 @@ def compile_modules(parts: dict[str, bytes]) -> dict[str, bytes]:
     work.mkdir(parents=True, exist_ok=True)
     include = _python_headers(parts["python_stdlib.zip"])
     numpy = OUT / "numpy"
-    zipfile.ZipFile(io.BytesIO(next(data for name, data in parts.items() if name.startswith("numpy")))).extractall(numpy)
+    zipfile.ZipFile(io.BytesIO(next(data for name, data in parts.items() if name.startswith("numpy")))).extractall(
+        numpy
+    )
     modules = ("_estimate", "_kernel64", "_stage")
     sources = [f"src/pmfid/{name}.pyx" for name in modules]
     run(sys.executable, "-m", "cython", "-3", "-I", "src", "-I", numpy, "--output-file", work, *sources)
@@ -93,7 +107,9 @@ def compile_modules(parts: dict[str, bytes]) -> dict[str, bytes]:
     common = ["clang", *TARGET, *FLAGS, *system, "-I", "csrc", "-I", str(include)]
     common += ["-I", str(numpy / "numpy/_core/include")]
     kernel = [name if "/" in name else f"pmf_{name}" for name in KERNEL]
-    jobs = [[*common, "-std=c99", "-O2", "-c", f"csrc/{name}.c", "-o", f"{work}/k_{Path(name).name}.o"] for name in kernel]
+    jobs = [
+        [*common, "-std=c99", "-O2", "-c", f"csrc/{name}.c", "-o", f"{work}/k_{Path(name).name}.o"] for name in kernel
+    ]
     for way in ("rls", "bcrls", "riv", "plain"):
         straight = ["-c", "csrc/many/pmf_straight.c", "-o", f"{work}/k_{way}.o"]
         jobs.append([*common, "-std=c99", "-O2", f"-DPMF_STRAIGHT={way}", *straight])
@@ -115,12 +131,11 @@ def _python_headers(stdlib: bytes) -> Path:
     shutil.copytree(sysconfig.get_path("include"), include, dirs_exist_ok=True)
     name = "_sysconfigdata__emscripten_wasm32-emscripten.py"
     (OUT / name).write_bytes(zipfile.ZipFile(io.BytesIO(stdlib)).read(name))
-    spec = importlib.util.spec_from_file_location("target", OUT / name)
-    assert spec and spec.loader
-    spec.loader.exec_module(target := importlib.util.module_from_spec(spec))
-    values = target.build_time_vars
+    values = runpy.run_path(str(OUT / name))["build_time_vars"]
     known = re.findall(r"^(?:/\* )?#(?:define|undef) (\w+)", (include / "pyconfig.h").read_text(), re.MULTILINE)
-    lines = [f"#define {key} {values[key]}" for key in known if values.get(key) not in (None, 0, "") and "PTHREAD" not in key]
+    lines = [
+        f"#define {key} {values[key]}" for key in known if values.get(key) not in (None, 0, "") and "PTHREAD" not in key
+    ]
     (include / "pyconfig.h").write_text("\n".join([*lines, "#define HAVE_PTHREAD_STUBS 1", ""]))  # as for WASI
     return include
 

@@ -60,7 +60,7 @@ async function work(sentence, task) {
     answer = { problem: `The page failed: ${error.message.trim().split("\n").pop()}` };
   }
   for (const button of document.querySelectorAll("button, #file")) button.disabled = false;
-  at("state").textContent = `Done in ${((performance.now() - began) / 1000).toFixed(1)} s.`;
+  at("state").textContent = answer.problem ? "No result." : `Done in ${((performance.now() - began) / 1000).toFixed(1)} s.`;
   if (answer.problem) {
     at("problem").textContent = answer.problem;
     at("problem").hidden = false;
@@ -69,6 +69,7 @@ async function work(sentence, task) {
 }
 
 async function openLog(file) {
+  form.reset();
   const answer = await work(`Reading ${file.name} ...`, async () => {
     const data = await file.arrayBuffer();
     if (new TextDecoder("latin1").decode(data.slice(0, 4)) !== "PAR1") return call("open_log", file.name, new Uint8Array(data));
@@ -129,7 +130,7 @@ function draw({ t, measured, simulated, error, unit }) {
     const x = (value) => left + (right - left) * (value - t[0]) / (t.at(-1) - t[0]), y = (value) => bottom - (bottom - top) * (value - low) / (high - low);
     make("path", { class: "frame", d: `M${left} ${top}V${bottom}H${right}` });
     make("text", { x: left, y: top - 8 }, `${label}${unit ? ` [${unit}]` : ""}`);
-    for (const [value, place] of [[low, bottom], [high, top + 10]]) make("text", { x: left - 6, y: place, "text-anchor": "end" }, Number(value.toPrecision(3)));
+    for (const [value, place] of [[low, bottom], [high, top + 10]]) make("text", { x: left - 6, y: place, "text-anchor": "end" }, value && Math.abs(value) < 1e-3 ? value.toExponential(1) : Number(value.toPrecision(3)));
     for (const [name, curve] of Object.entries(curves)) make("path", { class: name, d: curve.map((value, k) => `${k ? "L" : "M"}${x(t[k]).toFixed(1)} ${y(value).toFixed(1)}`).join("") });
   };
   svg.replaceChildren();
@@ -152,6 +153,7 @@ form.addEventListener("submit", async (event) => {
   window.answer = answer; // for tests
   if (!answer.problem) show(answer);
 });
+at("file").addEventListener("click", ({ target }) => { target.value = ""; }); // the same file again is a change
 at("file").addEventListener("change", ({ target }) => { if (target.files[0]) openLog(target.files[0]); });
 for (const name of ["dragover", "dragleave", "drop"]) {
   at("drop").addEventListener(name, (event) => {

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
+from inspect import get_annotations
 from types import SimpleNamespace
 from typing import Any, NamedTuple, Self, get_args, get_type_hints
 
@@ -32,9 +33,15 @@ class WrapValidator(NamedTuple):
     change: Callable[[Any, Callable[[Any], Any]], Any]
 
 
+class FieldInfo(SimpleNamespace):
+    """The facts of a field."""
+
+    __hash__ = object.__hash__  # Python 3.11 hashes the parts of a type
+
+
 def Field(default: object = PydanticUndefined, **facts: Any) -> Any:
     """Return the facts of a field."""
-    return SimpleNamespace(default=default, annotation=None, **facts)
+    return FieldInfo(default=default, **facts)
 
 
 def model_validator(mode: str) -> Callable[[Callable[[Any], Any]], Callable[[Any], Any]]:
@@ -54,9 +61,9 @@ class BaseModel:
 
     def __init_subclass__(cls) -> None:
         cls.model_fields = dict(getattr(cls, "model_fields", {}))
-        for name in cls.__dict__.get("__annotations__", {}):
+        for name in get_annotations(cls):
             given = cls.__dict__.get(name, PydanticUndefined)
-            cls.model_fields[name] = given if isinstance(given, SimpleNamespace) else Field(given)
+            cls.model_fields[name] = given if isinstance(given, FieldInfo) else Field(given)
 
     def __init__(self, **values: object) -> None:
         types = get_type_hints(type(self), include_extras=True)

@@ -10,7 +10,7 @@ async function start(parts) {
     const type = name.endsWith(".wasm") ? "application/wasm" : "application/octet-stream";
     return new Response(parts[name], { headers: { "Content-Type": type } });
   };
-  const pyodide = await loadPyodide({ indexURL: STORED, lockFileURL: STORED + "pyodide-lock.json" });
+  const pyodide = self.pyodide = await loadPyodide({ indexURL: STORED, lockFileURL: STORED + "pyodide-lock.json" });
   await pyodide.loadPackage(["numpy", "scipy"], { messageCallback: () => {} });
   pyodide.unpackArchive(parts["pmfid.zip"], "zip", { extractDir: "/pmfid" });
   pyodide.runPython("import sys; sys.path.insert(0, '/pmfid')");
