@@ -79,7 +79,7 @@ def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> Axis
 
 
 def guess_table(table: Table, path: Path, ask: Ask | None = None, output: str | None = None) -> AxisGuess:
-    """Return the AXIS.toml that the table of the file `path` suggests. The arguments and errors are those of `guess`."""
+    """Return the AXIS.toml that the table of a file suggests. The arguments and errors are those of `guess`."""
     columns = numeric(table)
     if not columns:
         raise UsageError(f"{path}: no column has numbers that change; export the record with its values")
