@@ -123,6 +123,9 @@ def _axis(answers: dict[str, str]) -> tuple[Axis, str]:
     model.pop("axis", None)
     if answers["axis"]:
         model["axis"] = answers["axis"]
+    encoder.pop("bits", None)
+    if answers["bits"]:
+        encoder["bits"] = int(answers["bits"])
     if answers["friction"]:
         model["friction"] = answers["friction"]
         model.pop("offset", None)  # the two directions contain it

@@ -96,6 +96,7 @@ function fill({ columns, axis: { record = {}, encoder = {}, model = {} } }) {
   field.output_kind.value = record.output_kind ?? "position";
   field.dt.value = record.dt ?? "";
   field.resolution.value = encoder.resolution ?? "";
+  field.bits.value = encoder.bits ?? "";
   field.input_gain.value = model.input_gain ?? 1;
   field.axis.value = model.axis ?? "";
   at("period").hidden = field.time.value !== "";

@@ -85,7 +85,7 @@ class BaseModel:
     def model_copy(self, update: Mapping[str, object]) -> Self:
         """Return a copy with other values."""
         copy = object.__new__(type(self))
-        copy.__dict__.update(self.__dict__ | update)
+        copy.__dict__.update({**self.__dict__, **update})
         return copy
 
 
