@@ -13,8 +13,7 @@ import numpy as np
 
 from pmfid.config.axis import Axis, read_axis
 from pmfid.errors import PmfidError, UsageError
-from pmfid.io.csv_text import LOOKED_AT, layout_of, split
-from pmfid.io.csv_text import _text as text_of
+from pmfid.io import csv_text
 from pmfid.io.reading import ENDINGS, READERS, format_of
 from pmfid.io.safety import readable, unpack_file
 from pmfid.io.tables import Table
@@ -29,11 +28,12 @@ from pmfid.pipeline.result import Result, findings_lines, parameter_header, para
 POINTS = 1500
 #: Formats whose readers need nothing but NumPy and SciPy.
 FORMATS = (".csv", ".mat", ".npz", ".wpilog")
-log: dict[str, Any] = {}
+log: dict[str, Any] = {"left_out": []}
 
 
 def open_log(name: str, data: Any, columns: Any = None) -> str:
     """Read a log from its bytes, or take its `columns`. Returns its columns and an AXIS.toml as JSON."""
+    log["left_out"] = []
     try:
         table = _read(name, bytes(data.to_py())) if columns is None else _arrays(columns.to_py())
         log.update(name=name, table=table)
@@ -46,7 +46,7 @@ def open_log(name: str, data: Any, columns: Any = None) -> str:
 def suggest(output: str | None = None) -> str:
     """Return the columns of the log and the AXIS.toml that they suggest, for a given column of the output."""
     log["axis"] = {}
-    found = {"columns": log["names"], "rows": max((len(np.ravel(v)) for v in log["table"].values()), default=0)}
+    found = {"columns": log["names"], "left_out": log["left_out"]}
     try:
         text = guess_table(log["table"], Path(log["name"]), None, output).text
         log["axis"] = tomllib.loads(text)
@@ -72,18 +72,30 @@ def _read(name: str, data: bytes) -> Table:
 
 
 def _read_text(data: bytes) -> Table:
-    """Return the columns of numbers of a text. The layout is that of `parse_csv`."""
-    lines = text_of(unpack_file(data)).decode().split("\n")
-    layout = layout_of(lines[:LOOKED_AT])
-    rows = [split(line, layout.separator) for line in lines[layout.first :] if line.strip() and line[0] not in "#%"]
-    rows = [row for row in rows if len(row) == len(layout.names)]
+    """Return the columns of numbers of a text, whose layout is that of `parse_csv`.
+
+    Raises UsageError for a row with too many fields. `log` takes a note on each column that has other text.
+    """
+    text = csv_text._text(unpack_file(data))
+    layout = csv_text.layout_of(text.decode().split("\n")[: csv_text.LOOKED_AT])
+    body = csv_text._strip_other_lines(text[csv_text._end_of_line(text, layout.first) :]).decode()
+    rows = [csv_text.split(line, layout.separator) for line in body.split("\n") if line.strip()]
+    width = len(layout.names)
+    for number, row in enumerate(rows, 1):
+        if len(row) > width:
+            raise UsageError(f"row {number} has {len(row)} fields, and the columns are {width}; correct this row")
+        row += [""] * (width - len(row))
     table: dict[str, object] = {}
-    for name, cells in zip(layout.names, zip(*rows, strict=True), strict=False):
-        with suppress(ValueError):  # a column of text
-            table[name] = np.array(
-                [float(cell.replace(",", ".") if layout.decimal == "," else cell) if cell else np.nan for cell in cells]
-            )
+    for name, cells in zip(layout.names, zip(*rows, strict=True), strict=True):
+        try:
+            table[name] = np.array([_number(cell, layout.decimal) for cell in cells])
+        except ValueError as error:
+            log["left_out"].append(f"{name} ({error})")
     return table
+
+
+def _number(cell: str, decimal: str) -> float:
+    return np.nan if cell in csv_text._MISSING else float(cell.replace(",", ".") if decimal == "," else cell)
 
 
 def _arrays(columns: Mapping[str, Any]) -> Table:

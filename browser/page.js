@@ -85,6 +85,7 @@ async function openLog(file) {
   });
   form.hidden = !answer.columns;
   if (answer.columns) fill(answer);
+  if (answer.left_out?.length) at("state").textContent += ` Left out, as not numeric: ${answer.left_out.join(", ")}.`;
 }
 
 function fill({ columns, axis: { record = {}, encoder = {}, model = {} } }) {

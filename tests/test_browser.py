@@ -17,9 +17,11 @@ import polars as pl
 import pytest
 import scipy.io
 
+from browser import analyse
 from browser.analyse import _read_text
 from browser.build import PAGE, ROOT, write_text
 from pmfid import BCRLS, RIV, RLS, Drive, Encoder, identify, quantize
+from pmfid.errors import UsageError
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.io.csv_text import parse_csv
 from pmfid.simulation import CART, prbs, simulate_drive
@@ -190,9 +192,15 @@ def test_the_page_asks_no_network_and_is_accessible(page: Any, tmp_path: Path) -
     assert PAGE.stat().st_size < 25e6
 
 
-def test_a_log_of_counts_asks_for_the_step(tmp_path: Path) -> None:
-    from browser import analyse
+def test_a_text_with_a_wrong_row_or_cell_says_so() -> None:
+    with pytest.raises(UsageError, match="row 2 has 3 fields"):
+        _read_text(b"t,u\n0,1\n1,2,3\n2,4\n3,5\n")
+    analyse.log["left_out"] = []
+    assert list(_read_text(b"t,u,mode\n0,1,auto\n1,2,auto\n2,4,hand\n")) == ["t", "u"]
+    assert "auto" in analyse.log["left_out"][0]
 
+
+def test_a_log_of_counts_asks_for_the_step(tmp_path: Path) -> None:
     u = prbs(1000, clock=14, amplitude=4.0, rng=np.random.default_rng(3))
     counts = quantize(simulate_drive(CART, u, 0.01).x, 2e-5)
     analyse.log.update(name="x.csv", table={"t": np.arange(1000) * 0.01, "u": u, "counts": counts}, names=["t"])
