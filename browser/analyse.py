@@ -18,7 +18,7 @@ from pmfid.io.reading import ENDINGS, READERS, format_of
 from pmfid.io.safety import readable, unpack_file
 from pmfid.io.tables import Table
 from pmfid.pipeline.conclusion import conclude
-from pmfid.pipeline.guess.axis_file import guess_table, read_duration, read_gain, read_travel
+from pmfid.pipeline.guess.axis_file import TO_DO, guess_table, read_duration, read_gain, read_travel
 from pmfid.pipeline.guess.columns import numeric
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.kinds import Records, parameters_of
@@ -28,6 +28,8 @@ from pmfid.pipeline.result import Result, findings_lines, parameter_header, para
 POINTS = 1500
 #: Formats whose readers need nothing but NumPy and SciPy.
 FORMATS = (".csv", ".mat", ".npz", ".wpilog")
+#: Keys that a person must answer if the log does not show them, because a neutral value would give a wrong mass.
+UNTOLD = ("resolution", "input_gain", "dt")
 log: dict[str, Any] = {"left_out": []}
 
 
@@ -46,12 +48,14 @@ def open_log(name: str, data: Any, columns: Any = None) -> str:
 def suggest(output: str | None = None) -> str:
     """Return the columns of the log and the AXIS.toml that they suggest, for a given column of the output."""
     log["axis"] = {}
-    found = {"columns": log["names"], "left_out": log["left_out"]}
+    found: dict[str, Any] = {"columns": log["names"], "left_out": log["left_out"]}
     try:
         text = guess_table(log["table"], Path(log["name"]), None, output).text
         log["axis"] = tomllib.loads(text)
-        if log["axis"]["record"]["output_kind"] == "counts":
-            del log["axis"]["encoder"]["resolution"]  # which a log of counts cannot show
+        for line in text.splitlines():
+            key = line.partition(" = ")[0]
+            if TO_DO in line and key in UNTOLD:
+                found[key] = next(part.pop(key) for part in log["axis"].values() if key in part)
     except (UsageError, KeyError) as error:
         found["problem"] = str(error)
     return json.dumps(found | {"axis": log["axis"]})

@@ -88,7 +88,7 @@ async function openLog(file) {
   if (answer.left_out?.length) at("state").textContent += ` Left out, as not numeric: ${answer.left_out.join(", ")}.`;
 }
 
-function fill({ columns, axis: { record = {}, encoder = {}, model = {} } }) {
+function fill({ columns, resolution, axis: { record = {}, encoder = {}, model = {} } }) {
   for (const name of ["input", "output", "time"]) {
     const none = name === "time" ? [new Option("no such column", "")] : [];
     field[name].replaceChildren(...none, ...columns.map((column) => new Option(column, column)));
@@ -98,7 +98,8 @@ function fill({ columns, axis: { record = {}, encoder = {}, model = {} } }) {
   field.dt.value = record.dt ?? "";
   field.resolution.value = encoder.resolution ?? "";
   field.bits.value = encoder.bits ?? "";
-  field.input_gain.value = model.input_gain ?? 1;
+  field.input_gain.value = model.input_gain ?? "";
+  field.resolution.placeholder = resolution && resolution !== 1 ? `${resolution} in the unit of the log: write m, mm or deg` : "0.01 mm, 0.1 deg or 2000 counts/rev";
   field.axis.value = model.axis ?? "";
   at("period").hidden = field.time.value !== "";
 }
