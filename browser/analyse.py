@@ -23,6 +23,7 @@ from pmfid.pipeline.guess.columns import numeric
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.kinds import Records, parameters_of
 from pmfid.pipeline.result import Result, findings_lines, parameter_header, parameter_rows
+from pmfid.units import OUTPUTS, column_unit
 
 #: Most points of a curve in the figure.
 POINTS = 1500
@@ -132,16 +133,13 @@ def _axis(answers: dict[str, str]) -> tuple[Axis, str]:
         raise ValueError("neither a time column nor a sample period is given: give one of them")
     if len({answers["input"], answers["output"], answers["time"]}) < 3:
         raise ValueError("force, position and time must be different columns: correct one of them")
-    encoder["resolution"] = _plain(answers["resolution"], read_travel)
+    _set_step(record, encoder, answers)
     size = answers["input_gain"].strip()
     gain = _plain(size.removeprefix("-"), read_gain)
     model["input_gain"] = gain if not size.startswith("-") else f"-{gain}" if isinstance(gain, str) else -gain
     model.pop("axis", None)
     if answers["axis"]:
         model["axis"] = answers["axis"]
-    encoder.pop("bits", None)
-    if answers["bits"]:
-        encoder["bits"] = int(answers["bits"])
     if answers["friction"]:
         model["friction"] = answers["friction"]
         model.pop("offset", None)  # the two directions contain it
@@ -154,6 +152,19 @@ def _axis(answers: dict[str, str]) -> tuple[Axis, str]:
         for name, part in sections.items() if part
     )  # fmt: skip
     return read_axis(sections), "\n".join(lines)  # type: ignore[arg-type]
+
+
+def _set_step(record: dict[str, Any], encoder: dict[str, Any], answers: dict[str, str]) -> None:
+    """Set the encoder, and the unit of a column without one. Raises ValueError for a step that is no travel."""
+    encoder["resolution"] = _plain(answers["resolution"], read_travel)
+    record.pop("output_unit", None)
+    unit = getattr(read_travel(answers["resolution"]), "unit", None)
+    whole = answers["output_kind"] != "position" or "count" in answers["resolution"]
+    if unit and not whole and column_unit(answers["output"], OUTPUTS) is None:
+        record["output_unit"] = unit.name  # the column has the unit of its step
+    encoder.pop("bits", None)
+    if answers["bits"]:
+        encoder["bits"] = int(answers["bits"])
 
 
 def _plain(text: str, read: Any) -> float | str:

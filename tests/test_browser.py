@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import polars as pl
@@ -192,6 +193,17 @@ def test_the_page_asks_no_network_and_is_accessible(page: Any, tmp_path: Path) -
         assert violations(page) == []
     assert [url for url in page.asked if not url.startswith(("file:", "blob:"))] == []
     assert PAGE.stat().st_size < 25e6
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("m", 1.0), ("mm", 1e3)])
+def test_a_column_without_a_unit_has_the_unit_of_its_step(unit: str, factor: float) -> None:
+    u = prbs(1500, clock=14, amplitude=4.0, rng=np.random.default_rng(8))
+    x = quantize(simulate_drive(CART, u, 0.01).x, 2e-5) * 2e-5 * factor
+    analyse.log.update(name="x.csv", table={"u": u, "x": x}, names=["u", "x"], axis={})
+    answers = dict.fromkeys(("time", "axis", "friction", "bits", "method", "cutoff"), "")
+    answers |= {"input": "u", "output": "x", "output_kind": "position", "dt": "0.01", "input_gain": "2"}
+    given = Mock(to_py=lambda: answers | {"resolution": f"{2e-5 * factor:g} {unit}"})
+    assert json.loads(analyse.identify_log(given))["theta"][0] == pytest.approx(CART.mass, rel=1e-3)
 
 
 def test_a_text_with_a_wrong_row_or_cell_says_so() -> None:
