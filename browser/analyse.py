@@ -125,12 +125,7 @@ def _axis(answers: dict[str, str]) -> tuple[Axis, str]:
         sections.setdefault(name, {}) for name in ("record", "encoder", "model", "estimator")
     )
     record |= {key: answers[key] for key in ("input", "output", "output_kind")}
-    for key in ("time", "dt"):
-        record.pop(key, None)
-        if answers[key]:
-            record[key] = read_duration(answers[key]) if key == "dt" else answers[key]
-    if not record.keys() & {"time", "dt"}:
-        raise ValueError("neither a time column nor a sample period is given: give one of them")
+    _set_clock(record, answers)
     if len({answers["input"], answers["output"], answers["time"]}) < 3:
         raise ValueError("force, position and time must be different columns: correct one of them")
     _set_step(record, encoder, answers)
@@ -152,6 +147,18 @@ def _axis(answers: dict[str, str]) -> tuple[Axis, str]:
         for name, part in sections.items() if part
     )  # fmt: skip
     return read_axis(sections), "\n".join(lines)  # type: ignore[arg-type]
+
+
+def _set_clock(record: dict[str, Any], answers: dict[str, str]) -> None:
+    """Set the time column or the sample period. Raises ValueError if neither is given."""
+    if answers["time"] != record.get("time"):
+        record.pop("time_unit", None)  # of the guessed column
+    for key in ("time", "dt"):
+        record.pop(key, None)
+        if answers[key]:
+            record[key] = read_duration(answers[key]) if key == "dt" else answers[key]
+    if not record.keys() & {"time", "dt"}:
+        raise ValueError("neither a time column nor a sample period is given: give one of them")
 
 
 def _set_step(record: dict[str, Any], encoder: dict[str, Any], answers: dict[str, str]) -> None:
