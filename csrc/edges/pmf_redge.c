@@ -16,7 +16,9 @@
 #define AWAY PMF_R(1.5) /* counts beyond the step of the count: the simulated motion is lost */
 #define AWAY_AFTER 3U /* samples without an edge */
 #define RECENT PMF_R(16.0) /* edges: memory of the surprise */
-#define COLOURED PMF_R(64.0) /* edges: memory of the correlation of innovations */
+#define COLOURED PMF_R(128.0) /* edges: memory of the correlation of innovations */
+#define BLOCK 16U /* edges */
+#define BLOCKS PMF_R(16.0) /* memory of the blocks */
 #define VARIANCES PMF_R(400.0) /* edges: memory of the variance of the lines */
 #define INSTANTS PMF_R(50.0) /* edges: memory of the variance of the instants */
 #define MOST_HEARD PMF_R(1e4)
@@ -36,7 +38,10 @@
 #define TREND PMF_R(0.3) /* correlation of innovations, of an alarm */
 #define SHRINK PMF_R(0.95) /* of the drift, from edge to edge without a trend */
 #define MOST_MOVES (6U * STEADY) /* moves of the reference, of which a right model needs three to six */
-#define COLOUR PMF_R(0.3) /* correlation of innovations from which on the model is wrong */
+#define COLOUR PMF_R(0.2) /* correlation of innovations from which on the model is wrong; chance makes 0.06 */
+#define COLOUR_OF_FEW PMF_R(5.0) /* the same, of one edge */
+#define FURTHER PMF_R(3.0) /* squared moves of blocks over those by chance, from which on the model is wrong */
+#define FURTHER_OF_FEW PMF_R(8.0) /* the same, of one block */
 #define JITTER PMF_R(1.6e-5) /* standard deviation of instants from which on the model is wrong [s], */
 #define UNEVENLY PMF_R(3e-3) /* and of places [counts] */
 #define UNEVEN PMF_R(6.4e-3) /* variance of the lines from which on the model is wrong [counts^2] */
@@ -108,17 +113,20 @@ static void compare(const pmf_redge_config_t *config, const pmf_redge_state_t *s
 /* Note size and correlation of the innovations. */
 static void note_surprise(pmf_redge_state_t *state, const pmf_edge_t *edge)
 {
-    real_t velocity = state->place_by[LATENESS], limit;
+    real_t velocity = state->place_by[LATENESS], limit, square;
     real_t one = PMF_R(1.0) / ((real_t)state->calm + PMF_R(1.0)), ratio = edge->value * edge->value / edge->variance;
     real_t both = edge->value * state->last / (PMF_R(0.5) * (edge->variance + state->last_variance));
     real_t gain = larger(one, PMF_R(1.0) / RECENT);
     state->surprise += gain * (smaller(ratio, PMF_R(100.0)) - state->surprise);
     state->size += gain * (edge->value * edge->value - state->size);
     both = smaller(larger(both, PMF_R(-9.0)), PMF_R(9.0));
+    square = edge->value * edge->value + state->last * state->last;
     limit = velocity * velocity * JITTER * JITTER + UNEVENLY * UNEVENLY;
     state->rough += gain * (edge->noise / limit - state->rough);
     state->trend += gain * (both - state->trend);
-    state->colour += larger(one, PMF_R(1.0) / COLOURED) * (both - state->colour);
+    if (square > PMF_R(0.0)) {
+        state->colour += larger(one, PMF_R(1.0) / COLOURED) * (PMF_R(2.0) * edge->value * state->last / square - state->colour);
+    }
     state->last = edge->value;
     state->last_variance = edge->variance;
     state->innovation = edge->value;
@@ -129,12 +137,37 @@ static void learn(pmf_redge_state_t *state, const pmf_edge_t *edge)
 {
     uint32_t i, j;
     for (i = 0; i < PMF_FOLLOWED; ++i) {
-        state->change[i] += edge->gain[i] * edge->value / edge->variance;
+        real_t move = edge->gain[i] * edge->value / edge->variance;
+        state->change[i] += move;
+        if (i >= FIRST) {
+            state->block_moved[i - FIRST] += move;
+            state->block_squares[i - FIRST] += move * move;
+        }
         for (j = 0; j <= i; ++j) {
             state->covariance[i][j] -= edge->gain[i] * edge->gain[j] / edge->variance;
             state->covariance[j][i] = state->covariance[i][j];
         }
     }
+}
+
+/* Note how much further the parameters moved in a block of edges than by corrections without a correlation. */
+static void note_block(pmf_redge_state_t *state)
+{
+    real_t gain = larger(PMF_R(1.0) / ((real_t)state->blocks + PMF_R(1.0)), PMF_R(1.0) / BLOCKS);
+    uint32_t i;
+    state->in_block += 1U;
+    if (state->in_block < BLOCK) {
+        return;
+    }
+    for (i = 0; i < PMF_BODY; ++i) {
+        real_t moved = state->block_moved[i] * state->block_moved[i];
+        if (moved > PMF_R(0.0)) {
+            state->further[i] += gain * (moved / state->block_squares[i] - state->further[i]);
+        }
+        state->block_moved[i] = state->block_squares[i] = PMF_R(0.0);
+    }
+    state->blocks += state->blocks < LAST_WINDOW ? 1U : 0U;
+    state->in_block = 0U;
 }
 
 /* Let the noise follow the innovations: the drift of a wrong model, or the variance of the instants. The covariance
@@ -336,6 +369,7 @@ static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *sta
     }
     note_surprise(state, &edge);
     learn(state, &edge);
+    note_block(state);
     learn_line(config, state, line, distance, &edge);
     state->edges += state->edges < LAST_WINDOW ? 1U : 0U;
     state->calm += state->calm < LAST_WINDOW ? 1U : 0U;
@@ -404,6 +438,18 @@ static void take_edge(const pmf_redge_config_t *config, pmf_redge_state_t *state
     state->since = PMF_R(0.0);
 }
 
+/* Return 1 if the innovations depend on each other: the right model leaves none that do. */
+static uint32_t is_correlated(const pmf_redge_state_t *state)
+{
+    real_t few = FURTHER_OF_FEW / ((real_t)state->blocks + PMF_R(1.0));
+    uint32_t i, found;
+    found = state->calm >= RECENT_EDGES && state->colour > COLOUR + COLOUR_OF_FEW / (real_t)state->calm ? 1U : 0U;
+    for (i = 0; i < PMF_BODY; ++i) {
+        found |= state->further[i] > FURTHER + few ? 1U : 0U;
+    }
+    return found;
+}
+
 /* Publish the parameters. Surprises and correlated innovations widen the variance, and so do errors of second order. */
 static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
 {
@@ -427,8 +473,8 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     }
     lateness = state->late - state->change[LATENESS];
     state->status |= lateness > LATEST || lateness < -LATEST ? PMF_DEAD_TIME : 0U;
-    if (state->unrest != 0U || state->moves > MOST_MOVES || (state->calm >= RECENT_EDGES && state->colour > COLOUR) ||
-        state->rough > PMF_R(1.0) || state->spread > UNEVEN) {
+    if (state->unrest != 0U || state->moves > MOST_MOVES || is_correlated(state) != 0U || state->rough > PMF_R(1.0) ||
+        state->spread > UNEVEN) {
         state->status |= PMF_UNMODELLED;
     }
 }
