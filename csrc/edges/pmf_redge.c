@@ -11,6 +11,9 @@
 #define LOST_AFTER 8U /* edges that are the same whole counts away, before the place moves */
 #define ASTRAY 12U /* edges in a row that are of another line, before an alarm */
 #define NARROWEST PMF_R(0.125) /* samples: edges further from the ends of their sample are taken */
+#define CREEP PMF_R(0.02) /* counts per sample: a slower axis has edges by noise, and its instants say nothing */
+#define OUTLIER PMF_R(25.0) /* squared innovation over its variance of an edge by noise, */
+#define USUAL PMF_R(9.0) /* and most of the edge before */
 #define CHANCE PMF_R(4.0) /* standard deviations of an instant */
 #define AGAINST 6U /* edges against the simulated motion, before it is given up */
 #define AWAY PMF_R(1.5) /* counts beyond the step of the count: the simulated motion is lost */
@@ -124,8 +127,9 @@ static void note_surprise(pmf_redge_state_t *state, const pmf_edge_t *edge)
     limit = velocity * velocity * JITTER * JITTER + UNEVENLY * UNEVENLY;
     state->rough += gain * (edge->noise / limit - state->rough);
     state->trend += gain * (both - state->trend);
-    if (square > PMF_R(0.0)) {
-        state->colour += larger(one, PMF_R(1.0) / COLOURED) * (PMF_R(2.0) * edge->value * state->last / square - state->colour);
+    if (square > PMF_R(0.0)) { /* from -1 to 1, whatever the size of the innovations */
+        real_t alike = PMF_R(2.0) * edge->value * state->last / square;
+        state->colour += larger(one, PMF_R(1.0) / COLOURED) * (alike - state->colour);
     }
     state->last = edge->value;
     state->last_variance = edge->variance;
@@ -328,6 +332,15 @@ static uint32_t is_chosen_by_chance(const pmf_redge_config_t *config, const pmf_
     return margin < limit && margin * margin < CHANCE * CHANCE * variance ? 1U : 0U;
 }
 
+/* Return 1 if the edge is far off and the one before was not: an edge of noise. A change makes several such edges. */
+static uint32_t is_alone(const pmf_redge_state_t *state, const pmf_edge_t *edge)
+{
+    return state->calm >= CALM && edge->value * edge->value > OUTLIER * edge->variance &&
+                   state->last * state->last < USUAL * state->last_variance
+               ? 1U
+               : 0U;
+}
+
 /* Return 1 if the errors of second order exceed the noise, and a new reference makes them smaller. */
 static uint32_t is_bent(const pmf_redge_state_t *state, const pmf_edge_t *edge)
 {
@@ -344,6 +357,7 @@ static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *sta
     pmf_line_t *line = line_of(config, state, lines, way);
     pmf_edge_t edge;
     real_t velocity = state->velocity + predict(state->velocity_by, state->change);
+    uint32_t alone;
     if (!((real_t)way * velocity > PMF_R(0.0))) { /* it turned: the last edge may be of another line */
         state->against += velocity == PMF_R(0.0) && absolute(distance) < NOT_A_STEP ? 0U : 1U; /* or chatters at rest */
         if (state->against >= AGAINST) {
@@ -352,7 +366,7 @@ static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *sta
         return;
     }
     state->against = state->away = 0U;
-    if (is_chosen_by_chance(config, state, velocity, age) != 0U) {
+    if (absolute(velocity) * config->dt < CREEP || is_chosen_by_chance(config, state, velocity, age) != 0U) {
         return;
     }
     state->place_by[LATENESS] = velocity;
@@ -367,7 +381,11 @@ static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *sta
         }
         return;
     }
+    alone = is_alone(state, &edge);
     note_surprise(state, &edge);
+    if (alone != 0U) {
+        return;
+    }
     learn(state, &edge);
     note_block(state);
     learn_line(config, state, line, distance, &edge);

@@ -74,6 +74,9 @@ class EdgeDifference(Difference):
 
     `margin` (m,) is the time between an edge and the nearest sample [s], and `age` (m,) the time to the next sample
     [s]. `scatter` is the standard deviation of the instants [s]. `moved` counts the corrected lines.
+
+    With `by_force`, the difference is that of the changes of velocity between edges. A random force makes these changes
+    independent, with variances in proportion to the time. The position itself is then a drift that no encoder explains.
     """
 
     at: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
@@ -86,6 +89,7 @@ class EdgeDifference(Difference):
     scatter: float = 0.0
     moved: int = 0
     samples: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, np.intp))
+    by_force: bool = False
 
     @property
     def rows(self) -> int:
@@ -94,6 +98,14 @@ class EdgeDifference(Difference):
     @property
     def explained(self) -> float:
         return 0.0
+
+    def filter_signal(self, signal: Floats) -> Floats:
+        if not self.by_force:
+            return super().filter_signal(signal)
+        instants = np.append(0.0, np.cumsum(self.intervals))[self.at]
+        step = np.maximum(np.diff(instants), TUNING.edges_apart * self.dt)
+        change = np.diff(np.diff(signal) / step)
+        return np.r_[0.0, 0.0, change / np.sqrt(step[1:] + step[:-1])]
 
     def observe(self, signal: Floats) -> Floats:
         white = self.whiten(self.filter_signal(signal[self.at] / self.resolution))
@@ -303,7 +315,9 @@ class EdgeFit(Following):
                 return self._conclude(*_settle(near, q), status, dropped)
         with suppress(NotIdentifiableError):
             if drifting:
-                found, leading = self._conclude(*drifting, status, 0), self.equation.leading
+                pushed = replace(drifting[0], pole=0.0, by_force=True)
+                found = self._conclude(pushed, least(pushed, drifting[1]), status, 0)
+                leading = self.equation.leading
                 if found[0].theta_std[leading] < found[0].theta[leading]:
                     return found
         return None
@@ -367,14 +381,14 @@ class EdgeFit(Following):
         correlated = block_scatter(moves * error[:, None]) / np.sum((moves * error[:, None]) ** 2, axis=0)
         steady = np.diagonal(covariance) < (TUNING.edges_exact * q[: len(self.names)]) ** 2
         unlikely = max(dropped / TUNING.edges_few, difference.moved / TUNING.edges_moved) > left.size
-        rough = unlikely or bool(difference.pole) or np.std(left) > TUNING.edges_rough
+        rough = unlikely or difference.by_force or np.std(left) > TUNING.edges_rough
         if rough or np.any((correlated > TUNING.edges_correlated) & ~steady):
             status |= int(Status.UNMODELLED)
         scale = difference.scale[: len(self.names)]
         relative = difference.measure_misfit(q)
         notes = [f"{dropped} edges that no motion explains were left out"] if dropped else []
-        if difference.pole:
-            notes.append("the position drifts away from the simulated motion: its changes between edges were fitted")
+        if difference.by_force:
+            notes.append("the position drifts away from the simulated motion: changes of velocity were fitted")
         if self.lines is not None and difference.spread > TUNING.edges_reported:
             notes.append(_describe_lines(difference, left, self.lines))
         covariance = covariance + np.diag((TUNING.edges_exact * q[: len(self.names)]) ** 2)
