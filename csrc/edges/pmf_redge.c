@@ -114,38 +114,36 @@ static void compare(const pmf_redge_config_t *config, const pmf_redge_state_t *s
 }
 
 /* Note size and correlation of the innovations. */
-static void note_surprise(pmf_redge_state_t *state, const pmf_edge_t *edge)
+static void note_surprise(const pmf_redge_config_t *config, pmf_redge_state_t *state, const pmf_edge_t *edge)
 {
-    real_t velocity = state->place_by[LATENESS], limit, square;
+    real_t velocity = state->place_by[LATENESS], limit, square, alike;
     real_t one = PMF_R(1.0) / ((real_t)state->calm + PMF_R(1.0)), ratio = edge->value * edge->value / edge->variance;
     real_t both = edge->value * state->last / (PMF_R(0.5) * (edge->variance + state->last_variance));
     real_t gain = larger(one, PMF_R(1.0) / RECENT);
     state->surprise += gain * (smaller(ratio, PMF_R(100.0)) - state->surprise);
     state->size += gain * (edge->value * edge->value - state->size);
     both = smaller(larger(both, PMF_R(-9.0)), PMF_R(9.0));
-    square = edge->value * edge->value + state->last * state->last;
     limit = velocity * velocity * JITTER * JITTER + UNEVENLY * UNEVENLY;
     state->rough += gain * (edge->noise / limit - state->rough);
     state->trend += gain * (both - state->trend);
-    if (square > PMF_R(0.0)) { /* from -1 to 1, whatever the size of the innovations */
-        real_t alike = PMF_R(2.0) * edge->value * state->last / square;
-        state->colour += larger(one, PMF_R(1.0) / COLOURED) * (alike - state->colour);
-    }
+    square = edge->value * edge->value + state->last * state->last + PMF_R(2.0) * config->finest * config->finest;
+    alike = PMF_R(2.0) * edge->value * state->last / square; /* from -1 to 1, whatever the size of the innovations */
+    state->colour += larger(one, PMF_R(1.0) / COLOURED) * (alike - state->colour);
     state->last = edge->value;
     state->last_variance = edge->variance;
     state->innovation = edge->value;
 }
 
 /* Correct the parameters by the innovation. */
-static void learn(pmf_redge_state_t *state, const pmf_edge_t *edge)
+static void learn(const pmf_redge_config_t *config, pmf_redge_state_t *state, const pmf_edge_t *edge)
 {
     uint32_t i, j;
     for (i = 0; i < PMF_FOLLOWED; ++i) {
-        real_t move = edge->gain[i] * edge->value / edge->variance;
+        real_t gain = edge->gain[i] / edge->variance, move = gain * edge->value;
         state->change[i] += move;
         if (i >= FIRST) {
             state->block_moved[i - FIRST] += move;
-            state->block_squares[i - FIRST] += move * move;
+            state->block_squares[i - FIRST] += move * move + gain * gain * config->finest * config->finest;
         }
         for (j = 0; j <= i; ++j) {
             state->covariance[i][j] -= edge->gain[i] * edge->gain[j] / edge->variance;
@@ -382,11 +380,11 @@ static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *sta
         return;
     }
     alone = is_alone(state, &edge);
-    note_surprise(state, &edge);
+    note_surprise(config, state, &edge);
     if (alone != 0U) {
         return;
     }
-    learn(state, &edge);
+    learn(config, state, &edge);
     note_block(state);
     learn_line(config, state, line, distance, &edge);
     state->edges += state->edges < LAST_WINDOW ? 1U : 0U;
