@@ -1,19 +1,20 @@
 """Edge times that are wrong, and machines that are not the model: what `REdge` reports without a status.
 
 Each row is a fault of the encoder or of the model, over all machines, motions and encoders. `flagged` are runs with a
-status at the end. `beyond 3 sd` are runs without a status in which a parameter is off by more than three standard errors.
-`worse` are cells of machine, motion and encoder in which the mass of the runs without a status is more than 1.2 times as
-far off as that of `riv` on the same counts (root mean square over the seeds), and by more than 3 standard errors in a run.
+status at the end. Beyond 3 and 5 sd are runs without a status in which a parameter is off by more standard errors.
+Worse than counts are cells of machine, motion and encoder: the mass of the runs without a status is more than 1.2 times
+as far off as the one of `riv` on the same counts (root mean square over the seeds).
 
-`python -m studies.edge_faults --seeds 5 [--held-back] [--off-line] [--only FAULT] [--cells]`. With `--off-line` the
-methods are `EdgeFit` and `interval`.
+`python -m studies.edge_faults --seeds 5 [--held-back] [--off-line] [--only FAULT]`. With `--off-line` the methods are
+`EdgeFit` and `interval`.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections import defaultdict
+from collections import Counter
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from itertools import product
 from typing import NamedTuple
 
@@ -133,67 +134,69 @@ def make_record(axis: Axis, fault: str, motion: str, increments: int, seed: int)
 
 
 def estimate(axis: Axis, resolution: float, increments: int, record: Record, off_line: bool) -> tuple[Floats, int]:
-    """Return errors (3, 3), and the status at the end: errors of edges in standard errors, those of edges and counts
-    relative to the parameters."""
-    model, encoder, cutoff = Drive(axis.drive.input_gain), Encoder(resolution), 0.2 / axis.dt
-    found, exact = np.full((3, 3), np.nan), truth(axis)
-    if off_line:
-        try:
-            fit = EdgeFit(model, encoder, axis.dt, cutoff, lines=increments, tick=TICK).fit(*record)
-            theta, std, status = fit.theta, fit.theta_std, int(fit.status)
-        except NotIdentifiableError:
-            return found, -1
-    else:
-        method = REdge(model, encoder, axis.dt, lines=increments, tick=TICK)
-        method.run(*record)
-        theta, std, status = method.theta, method.theta_std, method.status
-    found[:2] = (theta - exact) / std, theta / exact - 1
-    try:
+    """Return errors (3, 3), and the status at the end, or -1 without an estimate.
+
+    The rows are errors of the edges in standard errors and relative to the parameters, and those of the counts.
+    """
+    found, exact, status = np.full((3, 3), np.nan), truth(axis), -1
+    arguments = Drive(axis.drive.input_gain), Encoder(resolution, guard=False), axis.dt
+    cutoff = 0.2 / axis.dt
+    with suppress(NotIdentifiableError):
         if off_line:
-            found[2] = IntervalML(model, encoder, axis.dt, cutoff).fit(*record[:2]).theta / exact - 1
+            fit = EdgeFit(*arguments, cutoff, lines=increments, tick=TICK).fit(*record)
+            theta, std, status = fit.theta, fit.theta_std, int(fit.status)
         else:
-            found[2] = RIV(model, Encoder(resolution, guard=False), axis.dt, cutoff).run(*record[:2]).theta[-1] / exact - 1
-    except NotIdentifiableError:
-        pass
+            method = REdge(arguments[0], Encoder(resolution), axis.dt, lines=increments, tick=TICK)
+            method.run(*record)
+            theta, std, status = method.theta, method.theta_std, method.status
+        found[:2] = (theta - exact) / std, theta / exact - 1
+    with suppress(NotIdentifiableError):
+        if off_line:
+            found[2] = IntervalML(*arguments, cutoff).fit(*record[:2]).theta / exact - 1
+        else:
+            found[2] = RIV(*arguments, cutoff).run(*record[:2]).theta[-1] / exact - 1
     return found, status
 
 
-def measure(machines: Mapping[str, Axis], faults: tuple[str, ...], seeds: range, off_line: bool, cells: bool) -> None:
-    """Print a row for each fault, and with `cells` a line for each run without a status that is wrong."""
-    print("| fault | runs | flagged | words | beyond 3 sd | beyond 5 sd | worse than counts | mass error over counts |")
-    print("|---" * 8 + "|")
+class Tally:
+    """Counts of one fault: runs, runs with a status, runs beyond 3 and 5 standard errors without one, and cells that
+    are worse than counts."""
+
+    def __init__(self) -> None:
+        self.runs = self.flagged = 0
+        self.beyond = np.zeros(2, int)
+        self.words: Counter[str] = Counter()
+        self.worse: list[str] = []
+
+    def add_cell(self, name: str, runs: list[tuple[Floats, int]]) -> None:
+        """Add the runs of one machine, motion and encoder: errors (3, 3) and status of each."""
+        silent = np.array([found for found, status in runs if not status]).reshape(-1, 3, 3)
+        size = np.max(np.abs(silent[:, 0]), axis=1)
+        self.runs += len(runs)
+        self.flagged += len(runs) - len(silent)
+        self.beyond += [np.sum(size > 3), np.sum(size > 5)]
+        self.words.update(word for _, status in runs for word in status_names(max(status, 0)))
+        mass, counts = silent[:, :2, 0], np.array([found[2, 0] for found, _ in runs])
+        if mass.size and np.mean(mass[:, 1] ** 2) > 1.2**2 * np.nanmean(counts**2):
+            self.worse.append(name)
+
+    @property
+    def row(self) -> tuple[object, ...]:
+        words = ", ".join(f"{word} {times}" for word, times in sorted(self.words.items()))
+        return self.runs, self.flagged, words, *self.beyond, f"{len(self.worse)} {'; '.join(self.worse)}"
+
+
+def measure(machines: Mapping[str, Axis], faults: tuple[str, ...], seeds: range, off_line: bool) -> None:
+    """Print a row for each fault."""
+    print("| fault | runs | flagged | words | beyond 3 sd | beyond 5 sd | worse than counts |")
+    print("|---" * 7 + "|")
     for fault in faults:
-        flagged, beyond, worse, words, ratios, total = 0, np.zeros(2, int), [], defaultdict[str, int](int), [], 0
+        tally = Tally()
         for (name, axis), motion, increments in product(machines.items(), ("prbs", "stop-and-go"), INCREMENTS):
-            silent, counts = [], []
-            for seed in seeds:
-                resolution, record = make_record(axis, fault, motion, increments, seed)
-                found, status = estimate(axis, resolution, increments, record, off_line)
-                total += 1
-                counts.append(found[2, 0])
-                for word in status_names(max(status, 0)):
-                    words[word] += 1
-                if status:
-                    flagged += 1
-                    continue
-                silent.append(found)
-                size = np.max(np.abs(found[0]))
-                beyond += np.array([size > 3, size > 5])
-                if cells and size > 3:
-                    error = " ".join(f"{100 * value:.3g}" for value in found[1])
-                    bars = " ".join(f"{value:.1f}" for value in found[0])
-                    print(f"  {fault}, {name}, {motion}, {increments}, seed {seed}: {error} % are {bars} sd", flush=True)
-            if silent:
-                mass = np.array(silent)[:, :2, 0]
-                ratio = np.sqrt(np.mean(mass[:, 1] ** 2) / np.nanmean(np.square(counts)))
-                ratios.append(ratio)
-                if ratio > 1.2 and np.any(np.abs(mass[:, 0]) > 3):
-                    worse.append(f"{name} {motion} {increments}")
-        told = ", ".join(f"{word} {times}" for word, times in sorted(words.items()))
-        middle = f"{np.median(ratios):.2g}, at most {max(ratios):.2g}" if ratios else "-"
-        print(f"| {fault} | {total} | {flagged} | {told} | {beyond[0]} | {beyond[1]} | {len(worse)} | {middle} |", flush=True)
-        if cells and worse:
-            print(f"  worse: {'; '.join(worse)}")
+            records = [make_record(axis, fault, motion, increments, seed) for seed in seeds]
+            runs = [estimate(axis, resolution, increments, record, off_line) for resolution, record in records]
+            tally.add_cell(f"{name} {motion} {increments}", runs)
+        print(f"| {fault} | {' | '.join(map(str, tally.row))} |", flush=True)
 
 
 if __name__ == "__main__":
@@ -203,12 +206,10 @@ if __name__ == "__main__":
     parser.add_argument("--held-back", action="store_true")
     parser.add_argument("--off-line", action="store_true", help="EdgeFit and interval")
     parser.add_argument("--only", action="append", choices=(*FAULTS, *MODELS))
-    parser.add_argument("--cells", action="store_true", help="the runs that are wrong without a status")
     options = parser.parse_args()
     measure(
         HELD_BACK if options.held_back else MACHINES,
         tuple(options.only or (*FAULTS, *MODELS)),
         range(options.first, options.first + options.seeds),
         options.off_line,
-        options.cells,
     )
