@@ -105,7 +105,7 @@ class EdgeDifference(Difference):
         instants = np.append(0.0, np.cumsum(self.intervals))[self.at]
         step = np.maximum(np.diff(instants), TUNING.edges_apart * self.dt)
         change = np.diff(np.diff(signal) / step)
-        return np.r_[0.0, 0.0, change / np.sqrt(step[1:] + step[:-1])]
+        return np.concatenate((np.zeros(2), change / np.sqrt(step[1:] + step[:-1])))
 
     def observe(self, signal: Floats) -> Floats:
         white = self.whiten(self.filter_signal(signal[self.at] / self.resolution))
@@ -301,8 +301,7 @@ class EdgeFit(Following):
 
     def _pass_edges(self, u: Floats, counts: Counts, ages: ArrayLike) -> tuple[Fit, Adequacy] | None:
         """Return the estimate and its adequacy, or None if the simulated motion does not pass the edges."""
-        theta, status = self._start(u, counts)
-        difference, q = self._begin(theta, u, counts, ages)
+        difference, q, status = self._begin_nearer(u, counts, ages)
         drifting: tuple[EdgeDifference, Floats] | None = None
         with suppress(NotIdentifiableError):
             for part in TUNING.edges_slower:
@@ -335,11 +334,36 @@ class EdgeFit(Following):
             note = "the simulated motion does not pass the edges: the counts alone were used"
         else:
             edges, leading = found[0], self.equation.leading
-            if not fit.theta_std[leading] < edges.theta_std[leading]:
+            unsure = [one.theta_std[leading] / one.theta[leading] for one in (fit, edges)]
+            if not unsure[0] < unsure[1]:
                 return found
             status, scatter = edges.status, 100 * np.std(edges.residual) / self.encoder.resolution
             note = f"the edges scatter by {scatter:.2g} % of a step: the counts alone are surer and were used"
         return replace(fit, status=fit.status | status, notes=(note,)), None
+
+    def _begin_nearer(self, u: Floats, counts: Counts, ages: ArrayLike) -> tuple[EdgeDifference, Floats, int]:
+        """Return the difference, the start q (q,) and its status bits.
+
+        The start comes from the counts, or from positions interpolated between the edges, whichever motion is nearer to
+        the edges. Counts alone show no mass if the axis hardly moves by a count while it accelerates.
+        """
+        starts = (self._start(u, counts), self._start_between(u, counts, ages))
+        found = [(*self._begin(start[0], u, counts, ages), start[1]) for start in starts if start]
+        return min(found, key=lambda one: rms(one[0](one[1])))
+
+    def _start_between(self, u: Floats, counts: Counts, ages: ArrayLike) -> tuple[Floats, int] | None:
+        """Return the start from positions interpolated between the edges, or None if the positions show no start."""
+        steps, parts = self.steps_before(u.size), TUNING.edges_parts
+        t = np.append(0.0, np.cumsum(np.full(u.size - 1, self.dt) if steps is None else steps[1:]))
+        edges = read_edges(t, counts, ages)
+        if not edges.lines.size:
+            return None
+        between = np.rint(parts * np.interp(t, edges.instants, edges.lines)).astype(np.int64)
+        encoder = replace(self.encoder, resolution=self.encoder.resolution / parts)
+        try:
+            return like(EdgeFit, self, encoder=encoder)._start(u, between)
+        except NotIdentifiableError:
+            return None
 
     def _begin(self, theta: Floats, u: Floats, counts: Counts, ages: ArrayLike) -> tuple[EdgeDifference, Floats]:
         """Return the difference at the edges, not yet whitened, and the start value q (q,)."""
