@@ -33,6 +33,7 @@ from pmfid.simulation import (
     simulate_drive,
     stop_and_go,
 )
+from pmfid.simulation.encoder import sample_times
 from pmfid.status import status_names
 from pmfid.types import Counts, Floats
 from studies.machines import AXES, OTHERWISE, WRONG, Axis, truth
@@ -99,10 +100,12 @@ def move_axis(axis: Axis, machine: Machine, motion: str, resolution: float, rng:
         return prbs(axis.samples, clock=axis.clock, amplitude=axis.volt, rng=rng)
     stroke = axis.stroke * (1 + OTHERWISE * rng.uniform(-1, 1))
     reference = stop_and_go(axis.samples, axis.dt, stroke, axis.move, axis.dwell)
-    own = dict(axis.control) | {"resolution": resolution, "phase": resolution * rng.random()}
+    (kp, kd, u_max), phase = (axis.control[name] for name in ("kp", "kd", "u_max")), resolution * rng.random()
     if machine == Machine(machine.drive):
-        return position_control(machine.drive, reference, axis.dt, **own)[0].u
-    return control_machine(machine, reference, axis.dt, **own).u
+        return position_control(
+            machine.drive, reference, axis.dt, kp=kp, kd=kd, u_max=u_max, resolution=resolution, phase=phase
+        )[0].u
+    return control_machine(machine, reference, axis.dt, resolution, kp=kp, kd=kd, u_max=u_max, phase=phase).u
 
 
 def make_record(axis: Axis, fault: str, motion: str, increments: int, seed: int) -> tuple[float, Record]:
@@ -122,7 +125,7 @@ def make_record(axis: Axis, fault: str, motion: str, increments: int, seed: int)
     slow = np.abs(run.v) * axis.dt < 0.02 * resolution
     x = run.x + noise * resolution * slow * rng.standard_normal(run.x.size)
     lines = Lattice(resolution, resolution * rng.random(), off * resolution * rng.uniform(-1, 1, increments))
-    path = Trajectory(fine * np.arange(x.size), x, run.v)
+    path = Trajectory(sample_times(x.size, fine), x, run.v)
     record = Record(u, *read_edge_times(path, lines, FINE, TICK))
     if fault in LATE:
         record = delay(LATE[fault])(record, rng)

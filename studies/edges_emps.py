@@ -8,6 +8,7 @@ the phases of the encoder.
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -33,17 +34,17 @@ def compare(force: Floats, y: Floats, step: float, phase: float, friction: str) 
     """Return the relative errors (p,) of each method."""
     model = Drive(1.0, friction="directional") if friction == "directional" else Drive(1.0, offset=True)
     counts, ages = read_edge_times(Trajectory.sample(y, DT), Lattice(step, phase * step, np.zeros(1)), tick=TICK)
-    encoder, found = Encoder(step), {}
-    methods = {
-        "edges": lambda: EdgeFit(model, encoder, DT, CUTOFF, tick=TICK).fit(force, counts, ages),
-        "interval": lambda: IntervalML(model, encoder, DT, CUTOFF).fit(force, counts),
-        "iv": lambda: IV(model, encoder, DT, 0.2 * CUTOFF).fit(force, counts),
+    encoder = Encoder(step)
+    methods: dict[str, EdgeFit | IntervalML | IV] = {
+        "edges": EdgeFit(model, encoder, DT, CUTOFF, tick=TICK),
+        "interval": IntervalML(model, encoder, DT, CUTOFF),
+        "iv": IV(model, encoder, DT, 0.2 * CUTOFF),
     }
-    for name, fit in methods.items():
-        try:
-            found[name] = fit().theta / PUBLISHED[friction] - 1
-        except NotIdentifiableError:
-            found[name] = np.full(PUBLISHED[friction].size, np.nan)
+    found = {name: np.full(PUBLISHED[friction].size, np.nan) for name in methods}
+    for name, method in methods.items():
+        with suppress(NotIdentifiableError):
+            fit = method.fit(force, counts, ages) if isinstance(method, EdgeFit) else method.fit(force, counts)
+            found[name] = fit.theta / PUBLISHED[friction] - 1
     return found
 
 

@@ -129,6 +129,19 @@ def test_a_wrong_model_is_flagged() -> None:
     assert fit.status & Status.UNMODELLED
 
 
+def test_under_a_load_that_wanders_changes_of_velocity_are_fitted() -> None:
+    rng = np.random.default_rng(21)
+    u = prbs(2000, clock=10, amplitude=4.0, rng=rng)
+    walk = np.cumsum(rng.standard_normal(u.size * EVERY)) / np.sqrt(u.size * EVERY)
+    motion = simulate_drive(CART, np.repeat(u, EVERY) + 0.3 * CART.coulomb_friction / CART.input_gain * walk, DT)
+    counts, ages = capture_edges(motion, 0.0931 / 64, every=EVERY, tick=1e-6)
+    fit = EdgeFit(Drive(CART.input_gain), Encoder(0.0931 / 64), 0.01, 20.0, lines=64, tick=1e-6).fit(u, counts, ages)
+    assert fit.status & Status.UNMODELLED
+    assert "changes of velocity" in fit.notes[-1]
+    assert np.all(np.abs(fit.theta - TRUTH) < [0.002, 0.03, 0.03])
+    assert np.all(np.abs(fit.theta - TRUTH) < 3 * fit.theta_std)
+
+
 def test_ages_that_cannot_be_are_refused() -> None:
     u, counts, ages, encoder = swing(16)
     method = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16)
