@@ -121,15 +121,15 @@ def test_a_wrong_model_is_flagged() -> None:
     assert np.mean(track.status[1000:] != 0) > 0.5
 
 
-@pytest.mark.parametrize(("turn", "seed"), [(64, 3), (16, 3), (64, 7)])
-def test_friction_that_grows_with_the_square_of_the_speed_is_flagged(turn: int, seed: int) -> None:
-    u = prbs(3000, clock=40, amplitude=4.0, rng=np.random.default_rng(seed))
-    machine, step = Machine(HEAVY, quadratic=0.1 * HEAVY.viscous_friction), 0.4 / turn
+@pytest.mark.parametrize("seed", [3, 7])
+def test_friction_that_grows_with_the_square_of_the_speed_is_flagged(seed: int) -> None:
+    turn, u = 16, prbs(3000, clock=40, amplitude=4.0, rng=np.random.default_rng(seed))
+    machine, step = Machine(HEAVY, quadratic=0.01 * HEAVY.viscous_friction), 0.4 / turn
     motion = drive_machine(machine, np.repeat(u, EVERY), DT / EVERY, step, steps=2)
     path = Trajectory(DT / EVERY * np.arange(motion.x.size), motion.x, motion.v)
     counts, ages = read_edge_times(path, Lattice(step, 0.3 * step, np.zeros(turn)), EVERY, 1e-6)
     track = estimator_of(step, turn, HEAVY.input_gain).run(u, counts, ages)
-    assert np.mean(track.status[1000:] != 0) > 0.9
+    assert np.mean(track.status[1000:] != 0) > 0.95
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
@@ -142,13 +142,13 @@ def test_single_edges_that_are_far_off_teach_nothing(precision: str) -> None:
 
 
 def test_edges_by_noise_while_the_axis_creeps_teach_nothing() -> None:
-    rng = np.random.default_rng(13)
-    u, step = prbs(2000, clock=10, amplitude=4.0, rng=rng), 0.0931 / 512
-    motion = simulate_drive(CART, np.repeat(u * (np.arange(2000) % 100 < 60), EVERY), DT / EVERY)
+    rng, step = np.random.default_rng(4), 0.0931 / 512
+    u = prbs(3000, clock=10, amplitude=4.0, rng=rng)
+    motion = simulate_drive(CART, np.repeat(u, EVERY), DT / EVERY)
     slow = np.abs(motion.v) * DT < 0.02 * step
-    path = Trajectory(motion.t, motion.x + 0.05 * step * slow * rng.standard_normal(motion.x.size), motion.v)
+    path = Trajectory(motion.t, motion.x + 0.2 * step * slow * rng.standard_normal(motion.x.size), motion.v)
     counts, ages = read_edge_times(path, Lattice(step, 0.3 * step, np.zeros(512)), EVERY, 1e-6)
-    track = estimator_of(step, 512).run(motion.u[::EVERY], counts, ages)
+    track = estimator_of(step, 512).run(u, counts, ages)
     np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=1e-5)
     assert track.status[-1] == 0
 
