@@ -314,10 +314,9 @@ class EdgeFit(Following):
                 return self._conclude(*_settle(near, q), status, dropped)
         with suppress(NotIdentifiableError):
             if drifting:
-                pushed = replace(drifting[0], pole=0.0, by_force=True)
-                found = self._conclude(pushed, least(pushed, drifting[1]), status, 0)
-                leading = self.equation.leading
-                if found[0].theta_std[leading] < found[0].theta[leading]:
+                found, leading = self._conclude(*_fit_forces(*drifting), status, 0), self.equation.leading
+                follows = found[0].relative_error < TUNING.edges_followed
+                if follows and found[0].theta_std[leading] < found[0].theta[leading]:
                     return found
         return None
 
@@ -432,6 +431,15 @@ def _describe_lines(difference: EdgeDifference, left: Floats, lines: int) -> str
     away = np.where(count > 0, places - np.mean(places[count > 0]), 0.0)
     worst = int(np.argmax(np.abs(away)))
     return f"line {worst} of {lines} is off by {100 * away[worst]:+.2g} % of a step, the most of all"
+
+
+def _fit_forces(difference: EdgeDifference, q: Floats) -> tuple[EdgeDifference, Floats]:
+    """Return the difference of the changes of velocity and its least squares q (q,), with the motion amid the edges."""
+    pushed = replace(difference, pole=0.0, by_force=True)
+    q = least(pushed, q).copy()
+    if not pushed.equation.place_matters:
+        q[-2] += float(np.mean(pushed.left_at(q))) * pushed.resolution / pushed.scale[-2]
+    return pushed, q
 
 
 def _settle(difference: EdgeDifference, q: Floats) -> tuple[EdgeDifference, Floats]:

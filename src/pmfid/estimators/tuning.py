@@ -437,6 +437,8 @@ class EstimatorTuning:
     edges_exact: float = 1e-6
     #: Parts of a count in positions interpolated between edges.
     edges_parts: int = 64
+    #: Largest relative misfit of the velocity's changes of a motion that follows the edges.
+    edges_followed: float = 0.3
     #: Least time between two edges whose velocity counts in full, as part of the mean time between edges.
     edges_apart: float = 0.1
     #: An edge that is further from every line belongs to no line [counts].
