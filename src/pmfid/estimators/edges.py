@@ -346,7 +346,13 @@ class EdgeFit(Following):
         The start comes from the counts, or from positions interpolated between the edges, whichever motion is nearer to
         the edges. Counts alone show no mass if the axis hardly moves by a count while it accelerates.
         """
-        starts = (self._start(u, counts), self._start_between(u, counts, ages))
+        between = self._start_between(u, counts, ages)
+        try:
+            starts = (self._start(u, counts), between)
+        except NotIdentifiableError:
+            if between is None:
+                raise
+            starts = (between, None)
         found = [(*self._begin(start[0], u, counts, ages), start[1]) for start in starts if start]
         return min(found, key=lambda one: rms(one[0](one[1])))
 
