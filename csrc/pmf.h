@@ -123,6 +123,10 @@ enum {
 /* If the step varies, pauses are counted in ticks, which are fractions of a sample period. */
 enum { PMF_TICKS = 16 };
 
+#ifdef PMF_WITH_EDGES /* the recursion over edges takes the place of encoder, network and recursion */
+#include "pmf_redge_axis.h"
+#else
+
 typedef struct {
     scalar_t velocity_per_count; /* resolution / dt */
     scalar_t position_per_count; /* resolution */
@@ -648,6 +652,7 @@ real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32
 #define PMF_UNKNOWN PMF_R(1e30)
 /* Return the number of parameters of the estimate. */
 PMF_API uint32_t pmf_parameters(const pmf_config_t *config);
+#endif
 
 /* A saved state for a restart after a loss of power, with the identity of its configuration. Python's `get_state` gives
  * the same bytes. */

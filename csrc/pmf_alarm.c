@@ -22,7 +22,7 @@ int32_t pmf_alarm_step(const pmf_alarm_config_t *alarm, pmf_alarm_state_t *sums,
                        const pmf_state_t *state)
 {
     real_t variance = pmf_variance(config, state, alarm->parameter), apart, gain;
-    uint32_t trusted = (state->status & (uint32_t)UNTRUSTED) == 0U && variance < PMF_UNKNOWN ? 1U : 0U;
+    uint32_t trusted = (PMF_STATUS(state) & (uint32_t)UNTRUSTED) == 0U && variance < PMF_UNKNOWN ? 1U : 0U;
     sums->wait += sums->wait < alarm->interval ? 1U : 0U;
     if (trusted != 0U && sums->wait >= alarm->interval) {
         apart = pmf_estimate(config, state)->theta[alarm->parameter] - alarm->nominal;

@@ -9,6 +9,9 @@
 extern "C" {
 #endif
 
+/* Copy byte by byte, because an assignment need not copy the padding, which a checksum covers. */
+void pmf_copy(const void *from, void *to, uint32_t size);
+
 /* Choices that depend on the data, for one axis; many/pmf_lanes.h defines them for several axes at once. */
 #ifndef PMF_LANES
 typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
@@ -114,6 +117,11 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_RARE PMF_SELDOM
 #endif
 
+#ifdef PMF_WITH_EDGES
+#define PMF_STATUS(state) ((state)->edge.status)
+#else
+#define PMF_STATUS(state) ((state)->status)
+
 /* Source of the accepted value of an estimated dead time. */
 #define PMF_BELIEVES_NONE 0U /* the recursion, without a better source */
 #define PMF_BELIEVES_HELD 1U /* the last accepted value */
@@ -153,9 +161,6 @@ PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state);
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
 /* A saved state has zeros for values that each step computes before their use. */
 void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state);
-/* Copy byte by byte, because an assignment need not copy the padding, which a checksum covers. */
-void pmf_copy(const void *from, void *to, uint32_t size);
-
 /* The parts of a step; `signal` has PMF_SIGNALS entries. */
 PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
                                  whole_t count, truth_t suspicious, real_t *signal);
@@ -221,6 +226,7 @@ PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recurs
 #endif
 /* Run encoder, auxiliary model and network only, for batch methods. The columns are in state->network.column. */
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
+#endif
 
 #ifdef __cplusplus
 }

@@ -29,6 +29,9 @@ static uint32_t checksum(const pmf_saved_t *saved)
     return pmf_crc32(pmf_crc32(0U, head, (uint32_t)sizeof head), &saved->state, (uint32_t)sizeof saved->state);
 }
 
+#ifdef PMF_WITH_EDGES
+#define pmf_clear_computed(config, state) ((void)(config)) /* nothing: the next step needs every value */
+#else
 #if PMF_WITH_NETWORK
 /* Return whether all stages compute their nodes from nodes of the same step. */
 static uint32_t computes_nodes(const pmf_network_config_t *network)
@@ -81,6 +84,7 @@ void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state)
         pmf_clear(node, (models != 0U ? (uint32_t)PMF_AUXILIARY : (uint32_t)PMF_SIGNALS) * size);
     }
 }
+#endif
 
 void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t *saved)
 {

@@ -1,5 +1,6 @@
 /* The step of one sample through encoder, network and recursion. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_dead_time.h"
+#include "pmf_bytes.h"
 
 #define TAKE_OVER PMF_R(3.0) /* ratio of samples, or of variances, at which an estimate takes over */
 #define SHORT_BAR PMF_R(0.01) /* fraction of the mass as a small standard error */
@@ -7,31 +8,6 @@
 #define BURSTS PMF_R(2.0)
 /* Status bits of the instrumental recursion that remain with the estimate of the simpler method. */
 #define KEPT_ON_FALLBACK ((uint32_t)(PMF_RESET | PMF_UNMODELLED | PMF_FEEDBACK))
-
-#ifndef PMF_LANES
-PMF_API void pmf_clear(void *memory, uint32_t size)
-{
-    volatile unsigned char *byte =
-        (volatile unsigned char *)memory; /* without volatile, compilers call memset of the C library */
-    uint32_t i;
-    for (i = 0; i < size; ++i) {
-        byte[i] = 0;
-    }
-}
-#endif
-
-#if PMF_WHOLE
-void pmf_copy(const void *from, void *to, uint32_t size)
-{
-    const unsigned char *source = (const unsigned char *)from;
-    volatile unsigned char *target =
-        (volatile unsigned char *)to; /* without volatile, compilers call memcpy of the C library */
-    uint32_t i;
-    for (i = 0; i < size; ++i) {
-        target[i] = source[i];
-    }
-}
-#endif
 
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 {

@@ -510,7 +510,8 @@ static uint32_t is_sound(const pmf_redge_state_t *state)
 uint32_t pmf_redge_step(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines, scalar_t input,
                         uint32_t count, scalar_t age)
 {
-    integer_t change = (integer_t)(count - state->count);
+    uint32_t sign = config->sign, moved = (count - state->count) & (2U * sign - 1U); /* the counter may wrap */
+    integer_t change = (integer_t)((moved ^ sign) - sign);
     uint32_t invalid = input - input == PMF_R(0.0) ? 0U : PMF_INVALID_INPUT, far;
     if (state->begun == 0U) {
         state->begun = 1U;

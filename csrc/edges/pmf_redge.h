@@ -5,10 +5,10 @@
  * reference parameters, with its derivatives. The difference from each edge is linear in place, velocity and parameters
  * at the start of a window. At the end of a window the reference moves to the estimate. The first reference needs no
  * guess: docs/decisions/estimation.md. */
+#include "pmf.h" /* an export with edges includes this file from there */
+
 #ifndef PMF_REDGE_H
 #define PMF_REDGE_H
-
-#include "../pmf.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -27,6 +27,7 @@ typedef struct {
     scalar_t memory; /* time constant of forgetting [s], 0 for none */
     scalar_t finest; /* standard deviation of the best edge [counts], which the number format allows */
     uint32_t lines;
+    uint32_t sign; /* sign bit of a change of the counter, 2^(bits - 1) */
 } pmf_redge_config_t;
 
 /* Running sums of one line: information on its error, and what the parameters change. The caller owns `lines` of them.
@@ -83,6 +84,9 @@ void pmf_redge_init(const pmf_redge_config_t *config, pmf_redge_state_t *state, 
  * negative or not finite without an edge since the last sample. */
 uint32_t pmf_redge_step(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines, scalar_t input,
                         uint32_t count, scalar_t age);
+
+/* Return 1 if the numbers can be a state, 0 if no sample could have made them. */
+uint32_t pmf_redge_plausible(const pmf_redge_config_t *config, const pmf_redge_state_t *state, const pmf_line_t *lines);
 
 #ifdef __cplusplus
 }

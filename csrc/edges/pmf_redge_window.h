@@ -33,9 +33,9 @@ static real_t larger(real_t a, real_t b)
 /* Move the number of the present count's line. */
 static void turn_lines(const pmf_redge_config_t *config, pmf_redge_state_t *state, integer_t change)
 {
-    int64_t lines = (int64_t)config->lines, number;
+    integer_t lines = (integer_t)config->lines, number;
     if (lines != 0) {
-        number = ((int64_t)state->line_number + change) % lines;
+        number = ((integer_t)state->line_number + change) % lines;
         state->line_number = (uint32_t)(number < 0 ? number + lines : number);
     }
 }

@@ -8,7 +8,7 @@ cdef extern from "edges/pmf_redge.h":
         PMF_FOLLOWED
     ctypedef struct pmf_redge_config_t:
         real_t dt, resolution, input_gain, tick, memory, finest
-        uint32_t lines
+        uint32_t lines, sign
     ctypedef struct pmf_line_t:
         real_t weight
     ctypedef struct pmf_redge_state_t:
@@ -18,6 +18,7 @@ cdef extern from "edges/pmf_redge.h":
         real_t innovation
         uint32_t running, status
     void pmf_redge_init(const pmf_redge_config_t *, pmf_redge_state_t *, pmf_line_t *)
+    uint32_t pmf_redge_plausible(const pmf_redge_config_t *, const pmf_redge_state_t *, const pmf_line_t *)
     uint32_t pmf_redge_step(const pmf_redge_config_t *, pmf_redge_state_t *, pmf_line_t *, real_t, uint32_t, real_t)
 
 cdef class EdgeKernel:
@@ -33,10 +34,11 @@ cdef class EdgeKernel:
     cdef tuple names
 
     def __init__(self, tuple names not None, double dt, double resolution, double input_gain, double tick, double memory,
-                 uint32_t lines):
+                 uint32_t lines, uint32_t sign):
         self.names = names
         self.config.dt, self.config.resolution, self.config.input_gain = dt, resolution, input_gain
-        self.config.tick, self.config.memory, self.config.lines = tick, memory, lines
+        self.config.tick, self.config.memory = tick, memory
+        self.config.lines, self.config.sign = lines, sign
         self.config.finest = 3e-4 if sizeof(real_t) == 4 else 1e-6
         self.lines = np.zeros((max(lines, 1), sizeof(pmf_line_t)), np.uint8)
         self._lines = <pmf_line_t *> cnp.PyArray_DATA(self.lines)
@@ -55,11 +57,16 @@ cdef class EdgeKernel:
         return PyBytes_FromStringAndSize(<char *> &self.state, sizeof(pmf_redge_state_t)) + self.lines.tobytes()
 
     def set_raw_state(self, bytes data not None):
-        """Take the bytes of `raw_state`; raises ValueError for another number of bytes."""
+        """Take the bytes of `raw_state`; raises ValueError for other bytes, and keeps the present state."""
+        cdef const char *lines = <const char *> data + sizeof(pmf_redge_state_t)
+        cdef pmf_redge_state_t state
         if len(data) != sizeof(pmf_redge_state_t) + self.lines.size:
             raise ValueError(f"a state has {sizeof(pmf_redge_state_t) + self.lines.size} bytes, got {len(data)}")
-        memcpy(&self.state, <const char *> data, sizeof(pmf_redge_state_t))
-        memcpy(self._lines, <const char *> data + sizeof(pmf_redge_state_t), self.lines.size)
+        memcpy(&state, <const char *> data, sizeof(pmf_redge_state_t))
+        if not pmf_redge_plausible(&self.config, &state, <const pmf_line_t *> lines):
+            raise ValueError("the numbers are not a state of the recursion over edges")
+        self.state = state
+        memcpy(self._lines, lines, self.lines.size)
 
     cdef double _covariance(self, Py_ssize_t i, Py_ssize_t j) noexcept:
         """Return the covariance of two parameters, with their widened variances."""

@@ -14,20 +14,33 @@
 
 static pmf_state_t axis;
 
+#ifdef PMF_WITH_EDGES
+#define AGE_ARGUMENT , real_t age
+#define AGE(k) , sample[k].age
+#else
+#define AGE_ARGUMENT
+#define AGE(k)
+#endif
+typedef uint32_t step_t(const pmf_config_t *config, pmf_state_t *state, real_t u, uint32_t count AGE_ARGUMENT);
+
 /* The same call as pmf_step, with an empty body: its cost is subtracted. */
-__attribute__((noinline)) static uint32_t nothing(const pmf_config_t *config, pmf_state_t *state, real_t u, uint32_t count)
+__attribute__((noinline)) static uint32_t nothing(const pmf_config_t *config, pmf_state_t *state, real_t u,
+                                                  uint32_t count AGE_ARGUMENT)
 {
     (void)config;
     (void)state;
     (void)u;
+#ifdef PMF_WITH_EDGES
+    (void)age;
+#endif
     __asm__ volatile("" ::: "memory");
     return count;
 }
 
-static uint32_t ticks_of(uint32_t (*step)(const pmf_config_t *, pmf_state_t *, real_t, uint32_t), uint32_t k)
+static uint32_t ticks_of(step_t *step, uint32_t k)
 {
     uint32_t start = SYST_CVR;
-    (void)step(&EXPORT_CONFIG, &axis, sample[k].u, sample[k].count);
+    (void)step(&EXPORT_CONFIG, &axis, sample[k].u, sample[k].count AGE(k));
     return (start - SYST_CVR) & 0xFFFFFFU;
 }
 

@@ -13,7 +13,7 @@ DRIVE = """#include "{prefix}.h"
 int main(void);
 void _exit(int code);
 static {prefix}_t axis;
-volatile real_t input, mass;
+volatile real_t input, mass, age;
 volatile uint32_t counter;
 void _exit(int code)
 {{
@@ -25,7 +25,7 @@ int main(void)
 {{
     {prefix}_init(&axis);
     for (;;) {{
-        (void){prefix}_step(&axis, input, counter);
+        (void){prefix}_step(&axis, input, counter{age});
         mass = {prefix}_theta(&axis, 0U);
     }}
 }}
@@ -63,7 +63,8 @@ def instructions(folder: Path, prefix: str, target: Target, optimize: str = "-O3
 
 def flash(folder: Path, prefix: str, target: Target, optimize: str = "-O2") -> int:
     """Return the bytes that the linker keeps of the kernel's objects, with the libc functions that they need."""
-    (folder / "drive.c").write_text(DRIVE.format(prefix=prefix))
+    age = ", age" if "PMF_WITH_EDGES" in (folder / "pmf_sizes.h").read_text() else ""
+    (folder / "drive.c").write_text(DRIVE.format(prefix=prefix, age=age))
     sources = [*sorted(path.name for path in folder.glob("pmf_*.c")), f"{prefix}_config.c"]
     objects = []
     for name in [*sources, "drive.c"]:

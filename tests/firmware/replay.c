@@ -11,15 +11,25 @@ typedef struct {
 #if PMF_WITH_STEPS
     real_t step;
 #endif
+#ifdef PMF_WITH_EDGES
+    real_t age;
+#endif
     real_t u;
     uint32_t count;
 } input_t;
 
+#ifdef PMF_WITH_EDGES
+typedef struct {
+    uint32_t status;
+    real_t theta[PMF_BODY], variance[PMF_BODY], innovation;
+} output_t;
+#else
 typedef struct {
     uint32_t status;
     real_t theta[PMF_MAX_PARAMETERS], variance_factor[PMF_MAX_PARAMETERS], inflation[PMF_MAX_PARAMETERS];
     real_t innovation, innovation_variance;
 } output_t;
+#endif
 
 static pmf_state_t axis;
 static input_t input[BLOCK];
@@ -39,6 +49,18 @@ static void gap(size_t sample, uint32_t count)
 }
 #endif
 
+#ifdef PMF_WITH_EDGES
+static void step(const input_t *in, output_t *out)
+{
+    uint32_t i;
+    out->status = pmf_step(&EXPORT_CONFIG, &axis, in->u, in->count, in->age);
+    for (i = 0; i < PMF_BODY; ++i) {
+        out->theta[i] = pmf_estimate(&EXPORT_CONFIG, &axis)->theta[i];
+        out->variance[i] = pmf_variance(&EXPORT_CONFIG, &axis, i);
+    }
+    out->innovation = pmf_estimate(&EXPORT_CONFIG, &axis)->innovation;
+}
+#else
 static void step(const input_t *in, output_t *out)
 {
     const pmf_estimate_t *estimate;
@@ -56,6 +78,7 @@ static void step(const input_t *in, output_t *out)
     out->innovation = estimate->innovation;
     out->innovation_variance = estimate->innovation_variance;
 }
+#endif
 
 int main(int argc, char **argv)
 {

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,14 +19,13 @@ from pmfid.estimators.configuration import (
 )
 from pmfid.estimators.results import Track
 from pmfid.estimators.tuning import TUNING
+from pmfid.kernel.saved import load_edge_state, save_edge_state
 from pmfid.models.drive import Drive
-from pmfid.models.equation import ESTIMATE
+from pmfid.models.equation import ESTIMATE, Equation
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
     from pmfid._kernel64 import EdgeKernel
-
-_HEAD = struct.Struct("<III")  # identifies the configuration, size of the state, checksum of the state
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,7 @@ class REdge:
     model : Drive
         A drive with mass, viscous and Coulomb friction, and a known input gain.
     encoder : Encoder
-        Encoder with a counter of 32 bits.
+        Encoder with its resolution and the width of its counter.
     dt : float
         Sample period [s].
     lines : int, optional
@@ -87,7 +84,8 @@ class REdge:
     tick: float = field(default=0.0, kw_only=True)
     memory: float | None = field(default=None, kw_only=True)
     precision: str = field(default="float64", kw_only=True)
-    _kernel: EdgeKernel = field(init=False, repr=False, compare=False)
+    kernel: EdgeKernel = field(init=False, repr=False, compare=False)
+    method: ClassVar[str] = "redge"
 
     def __post_init__(self) -> None:
         check_positive("dt", self.dt, "it is the sample period in s")
@@ -97,7 +95,7 @@ class REdge:
             check_positive("memory", self.memory, "it is the time constant of forgetting in s, or None")
         if self.precision not in ("float64", "float32"):
             raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
-        object.__setattr__(self, "_kernel", self._new_kernel())
+        object.__setattr__(self, "kernel", self._new_kernel())
 
     def _check_model(self) -> None:
         plain = isinstance(self.model, Drive) and self.model.input_gain != ESTIMATE
@@ -105,10 +103,6 @@ class REdge:
             raise UsageError(
                 "REdge takes Drive(input_gain) with mass, viscous and Coulomb friction alone; use EdgeFit off-line for "
                 "further terms"
-            )
-        if self.encoder.bits != TUNING.edges_bits:
-            raise UsageError(
-                f"the counter of REdge has {TUNING.edges_bits} bits, got {self.encoder.bits}; unwrap the counts first"
             )
 
     def _new_kernel(self) -> EdgeKernel:
@@ -118,10 +112,20 @@ class REdge:
         gain = float(self.model.input_gain)
         memory = 0.0 if self.memory is None else self.memory
         settings = (self.dt, self.encoder.resolution, gain, self.tick, memory, int(self.lines or 0))
-        return cast("EdgeKernel", module.EdgeKernel(self.names, *settings))
+        return cast("EdgeKernel", module.EdgeKernel(self.names, *settings, 2 ** (self.encoder.bits - 1)))
 
     def __reduce__(self) -> tuple[object, ...]:
         return _resume, (type(self), configuration_of(self), self.get_state())
+
+    @property
+    def rate(self) -> float:
+        """Part of the information that is forgotten in a sample of motion, 0 without forgetting."""
+        return 0.0 if self.memory is None else self.dt / self.memory
+
+    @property
+    def equation(self) -> Equation:
+        """The equation of the model."""
+        return self.model.equation
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -136,7 +140,7 @@ class REdge:
     @property
     def estimate(self) -> Estimate:
         """The estimate after the last sample."""
-        return self._kernel.estimate()
+        return self.kernel.estimate()
 
     @property
     def theta(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -165,7 +169,7 @@ class REdge:
         age : float, optional
             Time from the last edge to now [s]; None or NaN without an edge since the last sample.
         """
-        return self._kernel.step(u, counts, np.nan if age is None else age)
+        return self.kernel.step(u, counts, np.nan if age is None else age)
 
     def run(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike) -> Track:
         """Take n samples, and return the estimate after each.
@@ -184,29 +188,20 @@ class REdge:
         given = np.ascontiguousarray(ages, np.float64)
         if given.shape != whole.shape:
             raise UsageError(f"ages must be an array (n,) as counts, got {given.shape} for {whole.shape}")
-        theta, variance, innovation, running, status = self._kernel.run(known, whole, given)
+        theta, variance, innovation, running, status = self.kernel.run(known, whole, given)
         return Track(self.names, self.units, theta, variance, np.zeros_like(theta), innovation, running, status)
 
     def reset(self) -> None:
         """Return to the state before the first sample."""
-        self._kernel.reset()
+        self.kernel.reset()
 
     def get_state(self) -> bytes:
-        """Return the state, for `set_state` of an estimator with the same configuration."""
-        state = self._kernel.raw_state()
-        return _HEAD.pack(zlib.crc32(self._kernel.raw_config()), len(state), zlib.crc32(state)) + state
+        """Return the state, as firmware with the same configuration saves it."""
+        return save_edge_state(self.kernel, self.precision)
 
     def set_state(self, state: bytes) -> None:
-        """Take the bytes of `get_state`. Raises UsageError for anything else."""
-        if not isinstance(state, bytes) or len(state) < _HEAD.size:
-            raise UsageError("a state is the bytes that get_state gave")
-        config, size, checksum = _HEAD.unpack_from(state)
-        body = state[_HEAD.size :]
-        if config != zlib.crc32(self._kernel.raw_config()) or size != len(body):
-            raise UsageError("the state is of another configuration; construct REdge with the same arguments")
-        if checksum != zlib.crc32(body):
-            raise UsageError("the state is damaged: its checksum does not fit")
-        self._kernel.set_raw_state(body)
+        """Take the bytes of `get_state`, or of such firmware. Raises UsageError for anything else."""
+        load_edge_state(self.kernel, self.precision, state)
 
 
 def _resume(cls: type[REdge], configuration: dict[str, object], state: bytes) -> REdge:

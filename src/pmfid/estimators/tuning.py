@@ -466,8 +466,6 @@ class EstimatorTuning:
     edges_correlated: float = 4.0
     #: On-line each line has 9 sums; this many lines are 5 MB.
     most_lines: int = 65536
-    #: Width of the counter on-line [bits].
-    edges_bits: int = 32
 
 
 TUNING = EstimatorTuning()

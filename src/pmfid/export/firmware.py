@@ -5,20 +5,21 @@ from __future__ import annotations
 import math
 import re
 import shutil
-import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import SupportsInt
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.configuration import check_arrays
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.kernel.saved import config_number, configuration, firmware_shape, recursions_of, shape_of, tight_state
+from pmfid.estimators.redge import REdge
+from pmfid.export import edges
+from pmfid.export.c_text import check_names, initializer, literal, remark
+from pmfid.export.samples import made_up_record, moving_part, record_run
+from pmfid.kernel.saved import config_number, configuration, firmware_shape, recursions_of, shape_of
 from pmfid.kernel.structures import (
     HEADERS,
     Structured,
@@ -29,178 +30,8 @@ from pmfid.kernel.structures import (
     structures,
 )
 
-INDENT = "    "
-
-
-def literal(number: SupportsInt) -> str:
-    """Return a number as a C constant. A float is hexadecimal, so that nothing is rounded.
-
-    Raises ValueError for a float that is not finite, because C99 has no constant for it.
-    """
-    if isinstance(number, np.floating):
-        if not np.isfinite(number):
-            raise ValueError(f"{number} has no C constant")
-        mantissa, _, exponent = float(number).hex().partition("p")
-        mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
-        return f"{mantissa}p{exponent}" + ("f" if number.dtype.itemsize == 4 else "")
-    return f"{int(number)}U" if isinstance(number, np.unsignedinteger) else str(int(number))
-
-
-def initializer(structure: Structured, level: int = 0) -> str:
-    """Return a structure, or an array of structures, as a braced initialiser with a comment for each field.
-
-    Fields are set by position and not by designators, so that C++17 also reads the initialiser.
-    """
-    inner = INDENT * (level + 1)
-    lines = [
-        f"{inner}{_value(structure[name], level + 1)}, /* {_remark(name, structure[name])} */"
-        for name in structure.dtype.names or ()
-    ]
-    return "{\n" + "\n".join(lines) + f"\n{INDENT * level}}}"
-
-
-def _remark(name: str, value: Structured) -> str:
-    scalar_float = value.ndim == 0 and value.dtype.kind == "f"
-    return f"{name} = {float(value):.9g}" if scalar_float else name
-
-
-def _value(value: Structured, level: int) -> str:
-    if value.ndim == 0:
-        return initializer(value, level) if value.dtype.names else literal(value[()])
-    if value.dtype.names:
-        return _rows([_flat(row) for row in value], level)
-    if value.ndim == 2:
-        return _rows([_flat(row) for row in value], level)
-    return _flat(value)
-
-
-def _rows(rows: list[str], level: int) -> str:
-    inner = INDENT * (level + 1)
-    return "{\n" + "".join(f"{inner}{row},\n" for row in rows) + f"{INDENT * level}}}"
-
-
-def _flat(row: Structured) -> str:
-    """Return the numbers of an array, or the fields of a small structure, in one line."""
-    values = [row[name] for name in row.dtype.names] if row.dtype.names else list(row)
-    return "{" + ", ".join(literal(value[()]) for value in values) + "}"
-
-
-#: Ends of the names that an export makes of its prefix for types.
-TYPES = ("_t", "_saved_t", "_alarm_t")
-#: Types of C99's library whose names end in one of the `TYPES`.
-_PLAIN_TYPES = """
-size ptrdiff wchar wint wctrans wctype mbstate time clock div ldiv lldiv fpos float double fenv fexcept imaxdiv
-sig_atomic va_list intptr uintptr intmax uintmax ssize off
-"""
-_WIDTHS = [
-    f"{sign}int{kind}{bits}" for sign in ("", "u") for kind in ("", "_least", "_fast") for bits in (8, 16, 32, 64)
-]
-C_TYPES = {f"{name}_t" for name in (*_PLAIN_TYPES.split(), *_WIDTHS)}
-#: Other names that an export makes of its prefix in capitals.
-TAKEN = {"H", "PARAMETERS", "ALARMS"}
-#: ASCII for the signs of units.
-PLAIN = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "Ω": "Ohm", "²": "2", "³": "3", "·": " ", "⋅": " "})
-
-
-def check_names(prefix: str, parameters: Sequence[str]) -> None:
-    """Raise UsageError if a prefix or the names of the parameters would not compile."""
-    if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix) or prefix.startswith("pmf"):
-        raise UsageError(
-            "prefix must be lower-case letters, digits and _, begin with a letter, but not with pmf, as all names in "
-            f"the C begin with it; got {prefix!r}, give another (--prefix)"
-        )
-    of_kernel = set(re.findall(r"\b\w+_t\b", "".join(map(header, HEADERS))))
-    clash = sorted({prefix + end for end in TYPES} & (C_TYPES | of_kernel))
-    if clash:
-        raise UsageError(
-            f"prefix {prefix!r} makes {clash[0]}, which C or the kernel has already; give another (--prefix)"
-        )
-    capitals = [name.upper() for name in parameters]
-    for name, capital in zip(parameters, capitals, strict=True):
-        if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-            raise UsageError(f"parameter {name!r} has letters that C has not; use a to z, digits and _ in its name")
-        if capital in TAKEN or capitals.count(capital) > 1:
-            raise UsageError(
-                f"parameter {name!r} gives {prefix.upper()}_{capital}, which the C has already; give it another name"
-            )
-
-
-def remark(text: str) -> str:
-    """Return a text for a comment in C: one line of ASCII that cannot end the comment."""
-    plain = re.sub(r"[^ -~]|[\\?]", ".", text.translate(PLAIN))  # a question mark begins trigraphs
-    return re.sub(r"\*(?=/)|/(?=\*)", ".", plain)
-
-
-SAMPLES = 800
-#: Number of samples between changes of the made-up input, and number of samples at rest.
-CLOCK, REST = 23, 150
-
-
-@dataclass(frozen=True)
-class Samples:
-    """Samples of the self-test.
-
-    `u` (n,) is the input, and `counts` (n,) are the values of the counter. `expected` (n,) is the CRC-32 of the state
-    after each sample. `theta` (p,) are the parameters after the last sample. `steps` (n,) are the times since the
-    previous sample [s], or None for an even clock.
-    """
-
-    u: NDArray[np.floating]
-    counts: NDArray[np.uint32]
-    expected: NDArray[np.uint32]
-    theta: NDArray[np.float64]
-    steps: NDArray[np.floating] | None = None
-
-
-def made_up_record(estimator: RecursiveEstimator) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Return input and counts (n,) of a plant that suits the axis. A body reverses and rests, and its counter wraps."""
-    u, axis = _input(SAMPLES), estimator
-    return u, axis.plant.made_up_counts(axis.equation, u, axis.dt, axis.cutoff, axis.encoder.resolution)
-
-
-def _input(samples: int) -> NDArray[np.float64]:
-    """Return levels between -1 and 1 from a shift register of five bits, with a stretch of zeros."""
-    register, levels = 0b10101, []
-    for _ in range(samples // CLOCK + 1):
-        register = register >> 1 | ((register ^ register >> 2) & 1) << 4
-        levels.append((register - 15.5) / 15.5)
-    u = np.repeat(levels, CLOCK)[:samples]
-    u[samples // 2 : samples // 2 + REST] = 0.0
-    return u
-
-
-def record_run(estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -> Samples:
-    """Run the estimator from its start over u (n,) and counts (n,), without a change of the estimator's state.
-
-    Raises UsageError for a record that is empty or not finite.
-    """
-    u, counts = check_arrays(u, counts)
-    if u.size == 0 or not np.all(np.isfinite(u)):
-        raise UsageError("the samples of the self-test must be finite, and at least one; take another record")
-    kernel = estimator.make_kernel(estimator.forgetting)
-    given = u.astype(kernel.dtype)
-    steps = None if estimator.steps is None else _made_up_steps(estimator.dt, u.size).astype(kernel.dtype)
-    shape = shape_of(configuration(kernel, estimator.precision))
-    expected = []
-    for value, count, step in zip(
-        given.tolist(), counts.tolist(), [None] * u.size if steps is None else steps.tolist(), strict=True
-    ):
-        estimate = kernel.step(value, count, step)
-        expected.append(zlib.crc32(tight_state(kernel, estimator.precision, shape).tobytes()))
-    return Samples(given, counts.astype(np.uint32), np.array(expected, np.uint32), estimate.theta, steps)
-
-
-def _made_up_steps(dt: float, samples: int) -> NDArray[np.float64]:
-    """Return steps (n,) between a half and one and a half sample periods."""
-    return np.asarray(dt * (0.5 + (7 * np.arange(samples) % 16) / 15))
-
-
-def moving_part(counts: NDArray[np.int64]) -> slice:
-    """Return the first SAMPLES samples of a record, from shortly before its first motion."""
-    moves = np.flatnonzero(np.diff(counts))
-    start = max(0, int(moves[0]) - 10) if moves.size else 0
-    return slice(start, start + SAMPLES)
-
+#: An estimator that runs on a drive.
+Exportable = RecursiveEstimator | REdge
 
 #: Logarithm of the likelihood ratio that raises an alarm. By chance, an alarm occurs about once in exp(10) = 22000
 #: intervals.
@@ -230,15 +61,16 @@ class ParameterAlarm:
         if not math.isfinite(self.nominal):
             raise UsageError(f"nominal of an alarm must be finite, got {self.nominal}")
 
-    def interval(self, estimator: RecursiveEstimator) -> int:
+    def interval(self, estimator: Exportable) -> int:
         """Return the number of samples between used estimates. Raises UsageError for an estimator that never
         forgets.
         """
-        if estimator.forgetting == 1:
+        rate = estimator.rate if isinstance(estimator, REdge) else 1 - estimator.forgetting
+        if rate == 0:
             raise UsageError("an alarm needs forgetting below 1: an estimate that remembers everything follows nothing")
-        return math.ceil(MEMORIES / (1 - estimator.forgetting))
+        return math.ceil(MEMORIES / rate)
 
-    def structure(self, estimator: RecursiveEstimator) -> Structured:
+    def structure(self, estimator: Exportable) -> Structured:
         """Return the `pmf_alarm_config_t`. Raises UsageError for a parameter that the estimator does not have."""
         if self.parameter not in estimator.names:
             raise UsageError(f"an alarm's parameter must be one of {list(estimator.names)}, got {self.parameter!r}")
@@ -272,11 +104,11 @@ BLOCKS = ("wire/pmf_block.c", "wire/pmf_block.h")
 
 
 def export_firmware(
-    estimator: Estimator,
+    estimator: Estimator | REdge,
     folder: str | Path,
     *,
     prefix: str = "axis",
-    record: tuple[ArrayLike, ArrayLike] | None = None,
+    record: tuple[ArrayLike, ...] | None = None,
     alarms: Sequence[ParameterAlarm] = (),
     blocks: bool = False,
 ) -> list[Path]:
@@ -286,12 +118,13 @@ def export_firmware(
 
     Parameters
     ----------
-    estimator : recursive estimator
+    estimator : recursive estimator or REdge
     folder : path
     prefix : str
         Prefix of all names, an identifier of C.
-    record : pair of array_like (n,), optional
-        Input and counts of the axis for the self-test. By default the self-test has a made-up motion.
+    record : arrays (n,), optional
+        Input and counts of the axis for the self-test, and the ages of edges for `REdge`. By default the self-test has
+        a made-up motion.
     alarms : sequence of ParameterAlarm
         Alarms on parameters of the estimate.
     blocks : bool
@@ -319,18 +152,22 @@ def export_firmware(
     >>> "main.c" in {file.name for file in files}
     True
     """
-    if not isinstance(estimator, RecursiveEstimator):
-        raise UsageError(f"{estimator.method} works on whole records; export rls, bcrls, rknown-step or riv")
+    if not isinstance(estimator, Exportable):
+        raise UsageError(f"{estimator.method} works on whole records; export rls, bcrls, rknown-step, riv or REdge")
     check_names(prefix, estimator.names)
     folder = Path(folder)
-    names = {template: file.replace("NAME", prefix) for template, file in FILES.items()}
-    patterns = [*COPIED, *(BLOCKS if blocks else ())]
+    over_edges = isinstance(estimator, REdge)
+    files = FILES if not over_edges else {edges.INSTEAD.get(name, name): file for name, file in FILES.items()}
+    names = {template: file.replace("NAME", prefix) for template, file in files.items()}
+    patterns = [*(edges.COPIED if over_edges else COPIED), *(BLOCKS if blocks else ())]
     copied = sorted(
         {path for pattern in patterns for path in source_files(pattern)} - {source_folder() / "pmf_sizes.h"}
     )
     _check_folder(folder, prefix, {*names.values(), *(path.name for path in copied)})
     texts = _render(
-        _context(estimator, prefix, record)
+        files,
+        _name_export(prefix)
+        | (edges.describe_edges(estimator, record) if isinstance(estimator, REdge) else _context(estimator, record))
         | {"sources": sorted(path.name for path in copied if path.suffix == ".c")}
         | {"alarms": alarms, "alarm_initializers": [initializer(alarm.structure(estimator), 1) for alarm in alarms]}
     )
@@ -357,7 +194,7 @@ def _check_folder(folder: Path, prefix: str, files: set[str]) -> None:
         raise UsageError(f"{folder} has other things in it, for example {others[0]}; give an empty folder")
 
 
-def _render(context: Mapping[str, object]) -> dict[str, str]:
+def _render(files: Collection[str], context: Mapping[str, object]) -> dict[str, str]:
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
@@ -365,14 +202,16 @@ def _render(context: Mapping[str, object]) -> dict[str, str]:
     )
     environment.globals["zip"] = zip
     environment.filters["remark"] = remark
-    return {template: environment.get_template(template).render(context) for template in FILES}
+    return {template: environment.get_template(template).render(context) for template in files}
 
 
-def _context(
-    estimator: RecursiveEstimator, prefix: str, record: tuple[ArrayLike, ArrayLike] | None
-) -> dict[str, object]:
+def _name_export(prefix: str) -> dict[str, object]:
     import pmfid
 
+    return {"version": pmfid.__version__, "prefix": prefix, "PREFIX": prefix.upper()}
+
+
+def _context(estimator: RecursiveEstimator, record: tuple[ArrayLike, ...] | None) -> dict[str, object]:
     kernel, precision = estimator.make_kernel(estimator.forgetting), estimator.precision
     config = configuration(kernel, precision)
     number = config_number(config, structures(shape_of(config), precision))
@@ -384,13 +223,11 @@ def _context(
         u, counts = np.asarray(record[0], np.float64), np.asarray(record[1], np.int64)
         part = moving_part(counts)
         samples = record_run(estimator, u[part], counts[part])
-    steps = [""] * samples.u.size if samples.steps is None else [f"{literal(step)}, " for step in samples.steps]
+    steps = [""] * samples.u.size if samples.timing is None else [f"{literal(step)}, " for step in samples.timing]
     rows = zip(steps, samples.u, samples.counts, samples.expected, strict=True)
     return {
-        "version": pmfid.__version__,
-        "prefix": prefix,
-        "PREFIX": prefix.upper(),
         "estimator": estimator,
+        "edges": False,
         "equation": estimator.equation.text,
         "macros": shape.macros(),
         "fixed": fixed_recursion(config),

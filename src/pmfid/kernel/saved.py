@@ -16,6 +16,7 @@ from pmfid.kernel.structures import (
     Structured,
     Structures,
     constants_of,
+    edge_structures,
     layout_number,
     resize_structure,
     structures,
@@ -23,7 +24,7 @@ from pmfid.kernel.structures import (
 )
 
 if TYPE_CHECKING:
-    from pmfid._kernel64 import Kernel, ManyKernel
+    from pmfid._kernel64 import EdgeKernel, Kernel, ManyKernel
 
 #: Smallest forgetting factor at which a float32 sum may be full, and the number of samples that such a sum holds.
 LONG_MEMORY, MOST_WEIGHT = 0.999999, 2**19
@@ -132,20 +133,50 @@ def save_state(kernel: Kernel, precision: str) -> bytes:
     config = configuration(kernel, precision)
     shape = shape_of(config)
     types = structures(shape, precision)
-    saved = _envelope(config, shape, precision)
-    saved["state"] = tight_state(kernel, precision, shape, kept=True)
-    saved["checksum"] = _checksum(saved.tobytes(), types)
-    return saved.tobytes()
+    return _write_saved(config, tight_state(kernel, precision, shape, kept=True), types)
 
 
 def load_state(kernel: Kernel, precision: str, data: bytes) -> None:
     """Restore the kernel's state from bytes of `save_state` or firmware. Raises UsageError for other bytes."""
+    config = configuration(kernel, precision)
+    state = _read_saved(config, data, structures(shape_of(config), precision))
+    own = structures(None, precision)["pmf_state_t"]
+    with _refused_in_one_sentence():
+        kernel.set_raw_state(resize_structure(state, own).tobytes())
+
+
+def edge_configuration(kernel: EdgeKernel, precision: str) -> Structured:
+    """Return the `pmf_redge_config_t` of a recursion over edges."""
+    return np.frombuffer(kernel.raw_config(), edge_structures(0, precision)["pmf_config_t"])[0]  # type: ignore[no-any-return]
+
+
+def save_edge_state(kernel: EdgeKernel, precision: str) -> bytes:
+    """Return the bytes of the `pmf_saved_t` that firmware with this recursion over edges would write."""
+    config = edge_configuration(kernel, precision)
+    types = edge_structures(int(config["lines"]), precision)
+    return _write_saved(config, np.frombuffer(kernel.raw_state(), types["pmf_state_t"])[0], types)
+
+
+def load_edge_state(kernel: EdgeKernel, precision: str, data: bytes) -> None:
+    """Restore a recursion over edges from bytes of `save_edge_state` or firmware. Raises UsageError for other bytes."""
+    config = edge_configuration(kernel, precision)
+    state = _read_saved(config, data, edge_structures(int(config["lines"]), precision))
+    with _refused_in_one_sentence():
+        kernel.set_raw_state(state.tobytes())
+
+
+def _write_saved(config: Structured, state: Structured, types: Structures) -> bytes:
+    saved = _envelope(config, types)
+    saved["state"] = state
+    saved["checksum"] = _checksum(saved.tobytes(), types)
+    return saved.tobytes()
+
+
+def _read_saved(config: Structured, data: bytes, types: Structures) -> Structured:
+    """Return the state in the bytes of a `pmf_saved_t`. Raises UsageError for bytes of another configuration."""
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
-    config = configuration(kernel, precision)
-    shape = shape_of(config)
-    types = structures(shape, precision)
-    expected = _envelope(config, shape, precision)
+    expected = _envelope(config, types)
     if len(data) != types["pmf_saved_t"].itemsize:
         raise UsageError(_FOREIGN)
     saved = np.frombuffer(data, types["pmf_saved_t"])[0]
@@ -153,9 +184,7 @@ def load_state(kernel: Kernel, precision: str, data: bytes) -> None:
         raise UsageError(_DAMAGED)
     if any(saved[name] != expected[name] for name in ("magic", "version", "layout", "size", "config")):
         raise UsageError(_FOREIGN)
-    own = structures(None, precision)["pmf_state_t"]
-    with _refused_in_one_sentence():
-        kernel.set_raw_state(resize_structure(saved["state"], own).tobytes())
+    return saved["state"]  # type: ignore[no-any-return]
 
 
 def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
@@ -234,9 +263,9 @@ _FOREIGN = (
 )
 
 
-def _envelope(config: Structured, shape: KernelSizes, precision: str) -> Structured:
+def _envelope(config: Structured, types: Structures) -> Structured:
     """Return a `pmf_saved_t` that identifies the configuration, without state and checksum."""
-    types, constants = structures(shape, precision), constants_of(shape)
+    constants = constants_of(None)
     saved = np.zeros((), types["pmf_saved_t"])
     saved["magic"], saved["version"] = constants["PMF_STATE_MAGIC"], constants["PMF_STATE_VERSION"]
     saved["layout"] = layout_number(types["pmf_state_t"])

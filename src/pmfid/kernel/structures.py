@@ -40,6 +40,8 @@ Field = tuple[str, np.dtype[np.generic], tuple[int, ...]]
 
 #: Firmware includes the first header, which has all structures. The kernel's sources share the second.
 HEADERS = ("pmf.h", "pmf_internal.h")
+#: An export with edges has the structures of these headers in place of those of the first.
+EDGE_HEADERS = ("edges/pmf_redge.h", "edges/pmf_redge_axis.h")
 
 
 @dataclass(frozen=True)
@@ -97,11 +99,24 @@ def header(name: str) -> str:
 @cache
 def structures(shape: KernelSizes | None, precision: str) -> Structures:
     """Return the NumPy type of each structure, in the layout of C. Without `shape` the module's sizes apply."""
-    constants = constants_of(shape)
+    return _types_in(header("pmf.h"), precision, constants_of(shape))
+
+
+@cache
+def edge_structures(lines: int, precision: str) -> Structures:
+    """Return the NumPy type of each structure of the recursion over edges with `lines` lines that repeat."""
+    text = "".join(map(header, EDGE_HEADERS))
+    constants = constants_in(text, {"PMF_MAX_LINES": max(lines, 1)})
+    saved = re.findall(r"typedef struct \{[^{}]*\}\s*pmf_(?:saved|alarm_config|alarm_state)_t;", header("pmf.h"))
+    types = _types_in(text + "".join(saved), precision, constants)
+    return types | {"pmf_config_t": types["pmf_redge_config_t"]}
+
+
+def _types_in(text: str, precision: str, constants: Mapping[str, int]) -> Structures:
     whole, integer, real = (np.dtype(name) for name in ("<u4", "<i4", "<f4" if precision == "float32" else "<f8"))
     types: Structures = {"uint32_t": whole, "whole_t": whole, "int32_t": integer, "integer_t": integer}
     types |= {"scalar_t": real, "real_t": real}
-    for body, name in re.findall(r"typedef struct \{(.*?)\}\s*(\w+);", header("pmf.h"), re.DOTALL):
+    for body, name in re.findall(r"typedef struct \{(.*?)\}\s*(\w+);", text, re.DOTALL):
         types[name] = np.dtype(_fields(_choose_lines(body, constants), types, constants), align=True)
     return types
 
@@ -139,15 +154,22 @@ def constants_of(shape: KernelSizes | None) -> dict[str, int]:
     """Return the integers that pmf_sizes.h and `HEADERS` define. Without `shape` the sizes are those of the module."""
     constants = {} if shape is None else shape.macros()
     for text in map(header, ("pmf_sizes.h", *HEADERS)):
-        for name, expression in re.findall(r"^#define (PMF_\w+) +(\S.*)$", text, re.MULTILINE):
-            with suppress(ValueError):  # a macro of the arithmetic is not an integer
-                constants.setdefault(name, value(expression, constants))
-        for body in re.findall(r"\benum \{(.*?)\}", text, re.DOTALL):
-            following = 0
-            for entry in filter(None, (part.strip() for part in body.split(","))):
-                name, _, expression = (part.strip() for part in entry.partition("="))
-                constants[name] = value(expression, constants) if expression else following
-                following = constants[name] + 1
+        constants = constants_in(text, constants)
+    return constants
+
+
+def constants_in(text: str, known: Mapping[str, int]) -> dict[str, int]:
+    """Return the integers that a header defines, in addition to the known ones."""
+    constants = dict(known)
+    for name, expression in re.findall(r"^#define (PMF_\w+) +(\S.*)$", text, re.MULTILINE):
+        with suppress(ValueError):  # a macro of the arithmetic is not an integer
+            constants.setdefault(name, value(expression, constants))
+    for body in re.findall(r"\benum \{(.*?)\}", text, re.DOTALL):
+        following = 0
+        for entry in filter(None, (part.strip() for part in body.split(","))):
+            name, _, expression = (part.strip() for part in entry.partition("="))
+            constants[name] = value(expression, constants) if expression else following
+            following = constants[name] + 1
     return constants
 
 

@@ -1,0 +1,32 @@
+/* Bytes of a structure. A program's kernel has one file that includes this file. SPDX-License-Identifier: Apache-2.0 */
+#ifndef PMF_BYTES_H
+#define PMF_BYTES_H
+
+#include "pmf_internal.h"
+
+#ifndef PMF_LANES
+PMF_API void pmf_clear(void *memory, uint32_t size)
+{
+    volatile unsigned char *byte =
+        (volatile unsigned char *)memory; /* without volatile, compilers call memset of the C library */
+    uint32_t i;
+    for (i = 0; i < size; ++i) {
+        byte[i] = 0;
+    }
+}
+#endif
+
+#if PMF_WHOLE
+void pmf_copy(const void *from, void *to, uint32_t size)
+{
+    const unsigned char *source = (const unsigned char *)from;
+    volatile unsigned char *target =
+        (volatile unsigned char *)to; /* without volatile, compilers call memcpy of the C library */
+    uint32_t i;
+    for (i = 0; i < size; ++i) {
+        target[i] = source[i];
+    }
+}
+#endif
+
+#endif
