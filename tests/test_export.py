@@ -18,7 +18,8 @@ import pmfid
 from pmfid.cli.main import main
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import OFF_LINE, RECURSIVE
-from pmfid.export.firmware import literal, record_run
+from pmfid.export.c_text import literal
+from pmfid.export.samples import record_run
 from pmfid.kernel.saved import configuration
 from pmfid.kernel.structures import structures
 from tests.conftest import EMPS, cart_run, long_unless, needs_emps

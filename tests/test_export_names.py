@@ -10,7 +10,7 @@ import pytest
 import pmfid
 from pmfid import Equation, EquationModel, Term
 from pmfid.errors import UsageError
-from pmfid.export.firmware import C_TYPES, remark
+from pmfid.export.c_text import C_TYPES, remark
 from tests.conftest import long_unless
 from tests.firmware.build import GCC, REQUIRED, WARNINGS, command
 

@@ -229,8 +229,6 @@ def test_wrong_arguments_are_refused() -> None:
         REdge(Drive(2.0), Encoder(1e-3), DT, tick=1.0)
     with pytest.raises(UsageError, match="memory must be positive"):
         REdge(Drive(2.0), Encoder(1e-3), DT, memory=-1.0)
-    with pytest.raises(UsageError, match="has 32 bits"):
-        REdge(Drive(2.0), Encoder(1e-3, bits=16), DT)
     with pytest.raises(UsageError, match="ages must be an array"):
         estimator_of(1e-3).run([1.0, 2.0], [0, 1], [0.1])
 
@@ -238,10 +236,10 @@ def test_wrong_arguments_are_refused() -> None:
 def test_foreign_and_damaged_states_are_refused() -> None:
     estimator = estimator_of(1e-3)
     state = estimator.get_state()
-    with pytest.raises(UsageError, match="another configuration"):
+    with pytest.raises(UsageError, match="not a state of this configuration"):
         estimator.set_state(estimator_of(2e-3).get_state())
     with pytest.raises(UsageError, match="damaged"):
         estimator.set_state(state[:-1] + b"\x01")
-    with pytest.raises(UsageError, match="bytes that get_state gave"):
+    with pytest.raises(UsageError, match="not a state of this configuration"):
         estimator.set_state(b"")
     assert estimator.get_state() == state

@@ -57,9 +57,8 @@ typedef struct {
 
 void pmf_redge_init(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines)
 {
-    static const pmf_redge_state_t none;
     uint32_t i;
-    *state = none;
+    pmf_clear(state, (uint32_t)sizeof *state);
     forget_lines(config, lines);
     for (i = 0; i < PMF_BODY; ++i) {
         state->variance[i] = PMF_UNKNOWN;
@@ -472,7 +471,7 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     real_t bend = SECOND * bend_of(state), colour = smaller(larger(state->colour, PMF_R(0.0)), PMF_R(0.9)), widened,
            lateness;
     uint32_t i;
-    state->status = state->running != 0U ? 0U : PMF_STARTING;
+    state->status = state->running != 0U ? 0U : (uint32_t)PMF_STARTING;
     if (state->running == 0U) {
         return;
     }
@@ -488,7 +487,7 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
             scale * scale * (widened * state->covariance[FIRST + i][FIRST + i] + error * error + least * least);
     }
     lateness = state->late - state->change[LATENESS];
-    state->status |= lateness > LATEST || lateness < -LATEST ? PMF_DEAD_TIME : 0U;
+    state->status |= lateness > LATEST || lateness < -LATEST ? (uint32_t)PMF_DEAD_TIME : 0U;
     if (state->unrest != 0U || state->moves > MOST_MOVES || is_correlated(state) != 0U || state->rough > PMF_R(1.0) ||
         state->spread > UNEVEN) {
         state->status |= PMF_UNMODELLED;
@@ -512,12 +511,12 @@ uint32_t pmf_redge_step(const pmf_redge_config_t *config, pmf_redge_state_t *sta
 {
     uint32_t sign = config->sign, moved = (count - state->count) & (2U * sign - 1U); /* the counter may wrap */
     integer_t change = (integer_t)((moved ^ sign) - sign);
-    uint32_t invalid = input - input == PMF_R(0.0) ? 0U : PMF_INVALID_INPUT, far;
+    uint32_t invalid = input - input == PMF_R(0.0) ? 0U : (uint32_t)PMF_INVALID_INPUT, far;
     if (state->begun == 0U) {
         state->begun = 1U;
         change = 0;
     }
-    far = change > MOST_CHANGE || change < -MOST_CHANGE ? PMF_COUNT_JUMP : 0U;
+    far = change > MOST_CHANGE || change < -MOST_CHANGE ? (uint32_t)PMF_COUNT_JUMP : 0U;
     state->count = count;
     if (far != 0U) {
         give_up(state);

@@ -63,16 +63,17 @@ static real_t variance_along(const pmf_redge_state_t *state, const real_t *by)
 
 static void forget_start(pmf_start_t *start)
 {
-    static const pmf_start_t none;
-    *start = none;
+    pmf_clear(start, (uint32_t)sizeof *start);
 }
 
 static void forget_lines(const pmf_redge_config_t *config, pmf_line_t *lines)
 {
-    static const pmf_line_t none;
-    uint32_t i;
+    uint32_t i, j;
     for (i = 0; i < config->lines; ++i) {
-        lines[i] = none;
+        lines[i].weight = lines[i].sum = PMF_R(0.0);
+        for (j = 0; j < PMF_FOLLOWED; ++j) {
+            lines[i].by[j] = PMF_R(0.0);
+        }
     }
 }
 

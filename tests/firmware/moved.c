@@ -4,7 +4,18 @@
 
 #include <stdio.h>
 
+#ifdef PMF_WITH_EDGES
+#define PARAMETERS PMF_BODY
+#define AGE , input.age
+#else
+#define PARAMETERS pmf_parameters(&EXPORT_CONFIG)
+#define AGE
+#endif
+
 typedef struct {
+#ifdef PMF_WITH_EDGES
+    real_t age;
+#endif
     real_t u;
     uint32_t count;
 } input_t;
@@ -43,8 +54,8 @@ int main(int argc, char **argv)
         return 3;
     }
     while (fread(&input, sizeof input, 1, in) == 1U) {
-        (void)pmf_step(&EXPORT_CONFIG, &axis, input.u, input.count);
-        (void)fwrite(pmf_estimate(&EXPORT_CONFIG, &axis)->theta, sizeof(real_t), pmf_parameters(&EXPORT_CONFIG), theta);
+        (void)pmf_step(&EXPORT_CONFIG, &axis, input.u, input.count AGE);
+        (void)fwrite(pmf_estimate(&EXPORT_CONFIG, &axis)->theta, sizeof(real_t), PARAMETERS, theta);
     }
     pmf_save(&EXPORT_CONFIG, &axis, &saved);
     (void)fwrite(&saved, sizeof saved, 1, out);

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.redge import REdge
 from pmfid.export.firmware import export_firmware
 from pmfid.kernel.saved import configuration, shape_of, tight_state
 from tests.firmware.build import HERE, Target, compiled, run
@@ -68,6 +69,27 @@ def expected(
     rows["theta"][:, :p], rows["factor"][:, :p], rows["inflation"][:, :p] = theta, factor, inflation
     rows["status"], rows["innovation"], rows["variance"] = status, innovation, variance
     return rows.tobytes() + tight_state(kernel, estimator.precision, shape).tobytes()
+
+
+def exported_edges(estimator: REdge, folder: Path, record: tuple[NDArray[Any], NDArray[Any], NDArray[Any]]) -> Path:
+    """Export a recursion over edges with in.bin and expected.bin of a record of input, counts and ages (n,)."""
+    export_firmware(estimator, folder, prefix=PREFIX)
+    real = np.dtype(np.float32 if estimator.precision == "float32" else np.float64)
+    samples = np.zeros(record[0].size, np.dtype([("age", real), ("u", real), ("count", np.uint32)], align=True))
+    with np.errstate(over="ignore"):
+        samples["u"], samples["age"] = record[0], record[2]
+    samples["count"] = record[1].astype(np.uint32)
+    (folder / "in.bin").write_bytes(samples.tobytes())
+    estimator.reset()
+    theta, variance, innovation, _, status = estimator.kernel.run(
+        samples["u"].astype(np.float64), record[1], samples["age"].astype(np.float64)
+    )
+    fields: list[Any] = [("status", np.uint32), ("theta", real, 3), ("variance", real, 3), ("innovation", real)]
+    rows = np.zeros(status.size, np.dtype(fields, align=True))
+    rows["status"], rows["theta"], rows["variance"], rows["innovation"] = status, theta, variance, innovation
+    (folder / "expected.bin").write_bytes(rows.tobytes() + estimator.kernel.raw_state())
+    estimator.reset()
+    return folder
 
 
 def difference(folder: Path, target: Target, optimize: str, *options: str) -> int | None:

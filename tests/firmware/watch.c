@@ -3,7 +3,16 @@
 
 #include <stdio.h>
 
+#ifdef PMF_WITH_EDGES
+#define AGE , in.age
+#else
+#define AGE
+#endif
+
 typedef struct {
+#ifdef PMF_WITH_EDGES
+    real_t age;
+#endif
     real_t u;
     uint32_t count;
 } input_t;
@@ -27,7 +36,7 @@ int main(int argc, char **argv)
     pmf_clear(&out, (uint32_t)sizeof out);
     axis_init(&axis);
     while (fread(&in, sizeof in, 1, from) == 1U) {
-        (void)axis_step(&axis, in.u, in.count);
+        (void)axis_step(&axis, in.u, in.count AGE);
         out.alarm = axis_watch(&axis, sums, 0U);
         out.up = sums[0].up;
         out.down = sums[0].down;

@@ -18,7 +18,7 @@ from pmfid.estimators import METHODS
 )
 @click.option("--precision", type=click.Choice(["float32", "float64"]), help="Arithmetic of the drive.")
 @click.option("--prefix", metavar="NAME", help="Begins all names in the C; default: the name of AXIS.toml.")
-@click.option("--method", type=click.Choice(METHODS), help="A recursive one; auto is riv here.")
+@click.option("--method", type=click.Choice(METHODS), help="A recursive one; auto is riv here, or redge with [encoder] edge_age.")
 @click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters.")
 @click.option("--forgetting", type=float, help="Weight of the past per sample, in (0, 1].")
 @click.option("--dt", type=float, metavar="S", help="Sample period of the drive, if AXIS.toml does not say.")
@@ -58,20 +58,21 @@ def export(
     name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())
     with progress("export"):
         from pmfid.config.axis import load_axis
+        from pmfid.estimators.recursive import RecursiveEstimator
         from pmfid.export.firmware import ParameterAlarm, export_firmware
         from pmfid.kernel.saved import LONG_MEMORY, MOST_WEIGHT
-        from pmfid.pipeline.export import check_exportable, drive_estimator
+        from pmfid.pipeline.export import check_exportable, drive_estimator, drive_samples
         from pmfid.records.record import read_record
 
         axis = load_axis(axis_file, changes | ({"encoder.guard": False} if no_guard else {}))
         check_exportable(axis)
         data = None if record is None else read_record(record, axis)
         estimator = drive_estimator(axis, data, dt, steps)
-        samples = None if data is None else (data.u, data.counts)
+        samples = None if data is None else drive_samples(estimator, data)
         watched = [ParameterAlarm(*alarm) for alarm in alarms]
         export_firmware(estimator, out, prefix=name, record=samples, alarms=watched, blocks=blocks)
     click.echo(f"{estimator.method}, {estimator.precision}, every {estimator.dt:.9g} s: {out / name}.h")
-    if estimator.precision == "float32" and estimator.forgetting >= LONG_MEMORY:
+    if isinstance(estimator, RecursiveEstimator) and estimator.precision == "float32" and estimator.forgetting >= LONG_MEMORY:
         click.echo(
             f"float32 with forgetting = {estimator.forgetting:.9g} remembers at most the last {MOST_WEIGHT} samples, "
             f"{MOST_WEIGHT * estimator.dt:.3g} s: its sums would take in no more; float64 forgets nothing"

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 
 from pmfid.config.axis import Axis, EstimatorConfig
 from pmfid.config.record import NO_ENCODER
+from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import memory_of
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.redge import REdge
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.estimators.sample_steps import GIVEN
+from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
 from pmfid.pipeline.drives import make_estimator
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.known import check_numbers_known
@@ -23,14 +28,17 @@ from pmfid.records.record import Record
 
 def drive_estimator(
     axis: Axis, record: Record | None = None, dt: float | None = None, steps: bool = False
-) -> RecursiveEstimator:
+) -> RecursiveEstimator | REdge:
     """Return the recursive estimator of a configuration for the raw counts of a counter.
 
     The record determines the sample period. If the configuration has no pre-filter zeros, the record determines the
     zeros. Without a record, dt [s] or [record] dt is the sample period, and the zeros are the method's default. If
-    `steps`, each sample comes with the time since the previous sample. Raises UsageError for an off-line method or a
-    missing sample period.
+    `steps`, each sample comes with the time since the previous sample. With [encoder] edge_age and the method "auto",
+    the estimator is `REdge`. Raises UsageError for an off-line method or a missing sample period.
     """
+    if takes_edges(axis):
+        check_exportable(axis)
+        return edge_estimator(axis, record or _no_record(axis, dt), steps)
     if record is not None:
         axis = kind_of(axis).prepare_axis(record, axis)
     config, model = check_exportable(axis), axis.model.make()
@@ -43,6 +51,34 @@ def drive_estimator(
     estimator = make_estimator(axis.model_copy(update={"estimator": config}), record)
     encoder = replace(estimator.encoder, bits=axis.encoder.bits or 32)
     return replace(estimator, encoder=encoder, steps=GIVEN if steps else None)  # type: ignore[return-value]
+
+
+def takes_edges(axis: Axis) -> bool:
+    """Return whether the on-line estimator of a configuration takes the ages of edges."""
+    return axis.encoder.edge_age is not None and axis.estimator.method == AUTO
+
+
+def edge_estimator(axis: Axis, record: Record, steps: bool = False) -> REdge:
+    """Return the on-line estimator of a configuration that takes the ages of edges, for the record's clock.
+
+    Raises UsageError for a model or a clock that this estimator does not take.
+    """
+    model, config = axis.model.make(), axis.estimator
+    if not isinstance(model, Drive) or model != Drive(model.input_gain) or model.input_gain == ESTIMATE or steps:
+        raise UsageError(
+            "with edge times, a drive finds mass, viscous and Coulomb friction, with a given input_gain and an even "
+            "clock; for other terms or clocks give the method riv, which takes the counts alone"
+        )
+    memory = memory_of(config.forgetting, record.dt)
+    return REdge(
+        model,
+        Encoder(record.resolution, bits=axis.encoder.bits or 32),
+        record.dt,
+        lines=axis.encoder.lines,
+        tick=axis.encoder.tick,
+        memory=None if math.isinf(memory) else memory,
+        precision=config.precision,
+    )
 
 
 def check_exportable(axis: Axis) -> EstimatorConfig:
@@ -64,6 +100,18 @@ def check_exportable(axis: Axis) -> EstimatorConfig:
         )
     kind.check_on_line(axis.model_copy(update={"estimator": config}))
     return config
+
+
+def drive_samples(estimator: RecursiveEstimator | REdge, record: Record) -> tuple[np.ndarray, ...]:
+    """Return input and counts (n,) of the self-test, and the ages of edges if the estimator takes them.
+
+    Raises UsageError if the record does not have the ages.
+    """
+    if not isinstance(estimator, REdge):
+        return record.u, record.counts
+    if record.ages is None:
+        raise UsageError(f"the ages of edges of {record.name} cannot be used; give another record, or none")
+    return record.u, record.counts, record.ages
 
 
 def _no_record(axis: Axis, dt: float | None) -> Record:
