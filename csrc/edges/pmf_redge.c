@@ -445,7 +445,7 @@ static void take_edge(const pmf_redge_config_t *config, pmf_redge_state_t *state
         travel = (real_t)change + line - state->last_line;
         mark_edge(config, &state->start, travel, way);
         state->edges += 1U;
-        if (state->start.marks > 2U && is_started(&state->start) != 0U) {
+        if (state->start.marks > 2U && (state->start.known != 0U || is_started(&state->start) != 0U)) {
             begin(config, state, lines, line, travel);
         }
     }
@@ -504,6 +504,17 @@ static uint32_t is_sound(const pmf_redge_state_t *state)
         sound &= state->covariance[i][i] > PMF_R(0.0) ? 1U : 0U;
     }
     return sum - sum == PMF_R(0.0) ? sound : 0U;
+}
+
+void pmf_redge_expect(const pmf_redge_config_t *config, pmf_redge_state_t *state, const real_t *theta)
+{
+    uint32_t i, unrest = state->unrest;
+    give_up(state);
+    state->unrest = unrest;
+    state->start.known = 1U;
+    for (i = 0; i < PMF_BODY; ++i) {
+        state->start.theta[i] = theta[i] * (i == COULOMB ? PMF_R(1.0) : config->resolution);
+    }
 }
 
 uint32_t pmf_redge_step(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines, scalar_t input,

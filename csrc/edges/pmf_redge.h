@@ -50,6 +50,7 @@ typedef struct {
     real_t square[PMF_BODY][PMF_BODY], own[PMF_BODY][PMF_BODY], own_target[PMF_BODY], energy, weight;
     real_t theta[PMF_BODY];
     uint32_t marks, ways, counted;
+    uint32_t known; /* 1: theta is given */
 } pmf_start_t;
 
 typedef struct {
@@ -84,6 +85,9 @@ void pmf_redge_init(const pmf_redge_config_t *config, pmf_redge_state_t *state, 
  * negative or not finite without an edge since the last sample. */
 uint32_t pmf_redge_step(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines, scalar_t input,
                         uint32_t count, scalar_t age);
+
+/* Begin again at the next edges, from given parameters in their units: the axis may have changed a little. */
+void pmf_redge_expect(const pmf_redge_config_t *config, pmf_redge_state_t *state, const real_t *theta);
 
 /* Return 1 if the numbers can be a state, 0 if no sample could have made them. */
 uint32_t pmf_redge_plausible(const pmf_redge_config_t *config, const pmf_redge_state_t *state, const pmf_line_t *lines);

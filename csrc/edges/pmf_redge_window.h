@@ -136,7 +136,7 @@ static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pm
 {
     const real_t *theta = state->start.theta;
     real_t slow = PMF_R(4e-4) * theta[MASS] / config->dt, fast = PMF_R(50.0) * theta[MASS] / config->dt;
-    real_t drift = state->drift;
+    real_t drift = state->drift, scatter = state->scatter, heard = state->heard;
     state->reference[MASS] = theta[MASS];
     state->reference[VISCOUS] = smaller(larger(theta[VISCOUS], slow), fast);
     state->reference[COULOMB] = larger(theta[COULOMB], PMF_R(1e-3) * absolute(config->input_gain * state->input));
@@ -147,8 +147,13 @@ static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pm
     begin_window(state);
     open_prior(state, state->velocity);
     state->drift = state->unrest > AGAIN ? drift : PMF_R(0.0);
-    state->spread = FIRST_SPREAD;
-    state->evidence = FIRST_EVIDENCE;
+    if (state->start.known != 0U && state->spread > PMF_R(0.0)) { /* the encoder is still the same */
+        state->scatter = scatter;
+        state->heard = heard;
+    } else {
+        state->spread = FIRST_SPREAD;
+        state->evidence = FIRST_EVIDENCE;
+    }
     state->window = state->edges > FIRST_WINDOW ? state->edges : FIRST_WINDOW;
     state->least = SHORTEST_WINDOW;
     state->running = 1U;

@@ -18,6 +18,7 @@ cdef extern from "edges/pmf_redge.h":
         real_t innovation
         uint32_t running, status
     void pmf_redge_init(const pmf_redge_config_t *, pmf_redge_state_t *, pmf_line_t *)
+    void pmf_redge_expect(const pmf_redge_config_t *, pmf_redge_state_t *, const real_t *)
     uint32_t pmf_redge_plausible(const pmf_redge_config_t *, const pmf_redge_state_t *, const pmf_line_t *)
     uint32_t pmf_redge_step(const pmf_redge_config_t *, pmf_redge_state_t *, pmf_line_t *, real_t, uint32_t, real_t)
 
@@ -47,6 +48,11 @@ cdef class EdgeKernel:
     def reset(self):
         """Return to the state before the first sample."""
         pmf_redge_init(&self.config, &self.state, self._lines)
+
+    def expect(self, double mass, double viscous, double coulomb):
+        """Begin again at the next edges, from given parameters."""
+        cdef real_t[PMF_BODY] theta = [mass, viscous, coulomb]
+        pmf_redge_expect(&self.config, &self.state, theta)
 
     def raw_config(self):
         """Return the bytes of the configuration."""

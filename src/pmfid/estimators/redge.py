@@ -195,6 +195,16 @@ class REdge:
         """Return to the state before the first sample."""
         self.kernel.reset()
 
+    def expect(self, theta: ArrayLike) -> None:
+        """Begin again at the next edges, from parameters theta (3,) that may be off by about 30 %.
+
+        Raises UsageError for parameters that are not positive and finite.
+        """
+        given = np.asarray(theta, np.float64)
+        if given.shape != (len(self.names),) or not np.all(np.isfinite(given) & (given > 0)):
+            raise UsageError(f"theta must be positive values of {list(self.names)}, got {theta!r}")
+        self.kernel.expect(*given.tolist())
+
     def get_state(self) -> bytes:
         """Return the state, as firmware with the same configuration saves it."""
         return save_edge_state(self.kernel, self.precision)

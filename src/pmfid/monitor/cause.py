@@ -92,6 +92,16 @@ def explain(
     return _scale_cause(Cause(called[which], 0.0, 0.0, 0.0, start, others), *size, theta, names, input_gain)
 
 
+def name_cause(evidence: ChangeEvidence, theta: Floats, names: Sequence[str], input_gain: float) -> Cause:
+    """Return the most likely single change of an estimate from theta (p,): of a parameter, or of the input gain."""
+    directions, called = np.vstack([np.eye(theta.size), theta]), [*names, INPUT_GAIN]
+    size, known, _ = _measure_along(evidence, theta, directions)
+    which = int(np.argmax(size**2 * known))
+    others = tuple(called[k] for k in np.flatnonzero(_possible(evidence, theta, directions)) if k != which)
+    cause = Cause(called[which], 0.0, 0.0, 0.0, 0, others)
+    return _scale_cause(cause, float(size[which]), float(known[which] ** -0.5), theta, names, input_gain)
+
+
 def _measure_along(evidence: ChangeEvidence, theta: Floats, directions: Floats) -> tuple[Floats, Floats, float]:
     """Return sizes (k,) and information (k,) of a change in a single direction, for each of the directions (k, p).
 

@@ -27,6 +27,16 @@ class MonitorTuning:
     #: Share of the earlier information that the estimator keeps at the first suspicion.
     axis_keep: float = 0.003
 
+    # edges
+    #: Least number of tests that a false alarm comes in.
+    edge_tests: float = 1e3
+    #: Relative error at the threshold above which no change shows, and least part of the reference at a restart.
+    edge_known: float = 0.2
+    edge_least: float = 1e-3
+    #: Times in units of `silent_time`: until a cause is named without this, and until an unsure value is the reference.
+    edge_confirmed: int = 2
+    edge_settled: int = 10
+
     # calibration
     #: Lengths of compared sums [blocks]. The longest is the window of the detectors.
     calibration_lengths: tuple[int, ...] = (1, 2, 4, 8, 16, 32)

@@ -1,0 +1,218 @@
+"""A monitor of one axis whose encoder gives the instants of its edges."""
+
+from __future__ import annotations
+
+import math
+import struct
+import zlib
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pmfid._estimate import Estimate
+from pmfid.errors import UsageError
+from pmfid.estimators.redge import REdge
+from pmfid.monitor.cause import Cause, ChangeEvidence, name_cause
+from pmfid.monitor.events import (
+    CANNOT_TELL,
+    SETTLING,
+    STARTING,
+    STATES,
+    SUSPICIOUS,
+    WATCHING,
+    Alarm,
+    Event,
+    Settled,
+    StateChange,
+    Watch,
+)
+from pmfid.monitor.tuning import TUNING
+from pmfid.status import Status
+from pmfid.types import Floats
+
+#: Magic number, version, checksum of the configuration, size, and checksum of what follows.
+HEAD = struct.Struct("<IIIII")
+MAGIC, VERSION = 0x45464D50, 1  # "PMFE"
+#: State, whether a suspicion is possible, samples, samples since the last edge and since the suspicion or alarm, last counts,
+#: statistic, and three numbers each of the reference, of the reference before, and of the last sound estimate.
+BODY = struct.Struct("<B?QQQqd3d3d3d")
+
+
+@dataclass
+class EdgeMonitor:
+    """A monitor that compares the estimate of `REdge` with a reference.
+
+    A parameter has changed if its deviation exceeds the tolerance by more standard errors than chance makes in the mean
+    time between false alarms. Estimates that are two memories apart count as independent, and errors as normal.
+    `REdge` opens its memory by itself after a change. The new value then becomes the reference.
+
+    Parameters
+    ----------
+    estimator : REdge
+        Estimator with a memory, before its first sample.
+    reference : array (3,)
+        Normal values of mass, viscous and Coulomb friction.
+    watch : Watch
+        Mean time between false alarms, and tolerance. The detector has no effect.
+
+    Raises
+    ------
+    UsageError
+        The estimator never forgets, or the reference has other parameters.
+    """
+
+    estimator: REdge
+    reference: Floats
+    watch: Watch = field(default_factory=Watch)
+
+    def __post_init__(self) -> None:
+        self.reference = np.array(self.reference, np.float64)
+        if self.estimator.memory is None:
+            raise UsageError("a monitor needs a memory: an estimate that remembers everything follows nothing")
+        if self.reference.shape != (3,) or not np.all(np.isfinite(self.reference) & (self.reference > 0)):
+            raise UsageError(f"reference must be positive values of {list(self.names)}, got {self.reference.tolist()}")
+        self.threshold = self._quantile()
+        self.state, self.samples, self.statistic = STARTING, 0, 0.0
+        self._before = self._base = self.reference
+        self._silent, self._since, self._counts, self._armed = 0, 0, 0, False
+
+    def _quantile(self) -> float:
+        """Return the standard errors that chance exceeds once in the mean time between false alarms."""
+        from scipy.stats import norm
+
+        tests = 3600 * self.watch.mtbf_hours / (2 * float(self.estimator.memory or 1.0)) * 2 * len(self.names)
+        return float(norm.isf(1 / max(tests, TUNING.edge_tests)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return self.estimator.names
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Units of the parameters."""
+        return self.estimator.units
+
+    @property
+    def _time(self) -> float:
+        return (self.samples - 1) * self.estimator.dt
+
+    def step(self, u: float, counts: int, age: float | None = None) -> tuple[Estimate, list[Event]]:
+        """Take one sample as `REdge.step` does, and return the estimate and the events."""
+        if not math.isfinite(u):
+            return self.estimator.estimate, self.skip(1)
+        estimate = self.estimator.step(u, counts, age)
+        self.samples += 1
+        moved = counts != self._counts
+        self._silent, self._counts = 0 if moved else self._silent + 1, counts
+        self._since += 1
+        return estimate, self._judge(estimate) if moved or self._silent == self._patience else []
+
+    def skip(self, samples: int) -> list[Event]:
+        """Skip lost samples, and return the events. The recursion finds the motion again."""
+        self.estimator.reset()
+        self.samples += samples
+        return [] if self.state == STARTING else self._enter(CANNOT_TELL, "samples are missing")
+
+    @property
+    def _patience(self) -> int:
+        return max(1, round(TUNING.silent_time / self.estimator.dt))
+
+    def _judge(self, estimate: Estimate) -> list[Event]:
+        """Return the events of an estimate after an edge or a long rest."""
+        if self.state in (SUSPICIOUS, SETTLING):
+            weigh = self._weigh if self.state == SUSPICIOUS else self._settle
+            return [] if self._silent or estimate.status & Status.STARTING else weigh(estimate)
+        if estimate.status & Status.STARTING:
+            return [] if self.state == STARTING else self._suspect()
+        if self._silent:
+            return self._enter(CANNOT_TELL, "standstill")
+        if estimate.status & Status.DISTORTED:
+            return self._suspect() if self._armed else []
+        theta, std = np.array(estimate.theta), np.array(estimate.theta_std)
+        relative, error = theta / self.reference - 1, std / self.reference
+        self.statistic = float(np.max((np.abs(relative) - self.watch.tolerance) / error))
+        if self.threshold * float(error.max()) > TUNING.edge_known:
+            return self._enter(CANNOT_TELL, "poor excitation")
+        if self.statistic > self.threshold:
+            return self._suspect()
+        self._base, self._armed = theta, True
+        return self._enter(WATCHING, "")
+
+    def _suspect(self) -> list[Event]:
+        """Let the estimator begin again at the last sound estimate, because the machine may have changed."""
+        self.estimator.expect(np.maximum(self._base, TUNING.edge_least * self.reference))
+        self._since, self._armed = 0, False
+        return self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet")
+
+    def _weigh(self, estimate: Estimate) -> list[Event]:
+        """Return an alarm if a change of a single parameter, or of the gain, is beyond the tolerance and chance.
+
+        The change ends the suspicion without an alarm if it is certainly within the tolerance.
+        """
+        evidence = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov))
+        cause = name_cause(evidence, self._base, self.names, float(self.estimator.model.input_gain))
+        std = np.array(estimate.theta_std)
+        relative, error = evidence.theta / self.reference - 1, self.threshold * std / self.reference
+        late = self._since >= TUNING.edge_confirmed * self._patience
+        size = abs(cause.relative) - self.watch.tolerance
+        self.statistic = size * abs(cause.change / cause.relative) / cause.std if cause.relative else 0.0
+        if self.statistic > self.threshold and (late or not cause.others):
+            return self._alarm(cause)
+        if np.all(np.abs(relative) + error < self.watch.tolerance) or (late and error.max() < TUNING.edge_known):
+            self._base = evidence.theta
+            return self._enter(WATCHING, "the deviation is within the tolerance")
+        return []
+
+    def _alarm(self, cause: Cause) -> list[Event]:
+        units = dict(zip(self.names, self.units, strict=True))
+        begun, self._before = self._time - self._since * self.estimator.dt, self.reference.copy()
+        numbers = cause.change, cause.std, cause.relative, self.statistic, self.threshold
+        alarm = Alarm(self._time, begun, cause.name, units.get(cause.name, ""), *numbers, cause.others or ())
+        self._since = 0
+        return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
+
+    def _settle(self, estimate: Estimate) -> list[Event]:
+        """Make the estimate the reference, once it is sure."""
+        theta, std = np.array(estimate.theta), np.array(estimate.theta_std)
+        sure = bool(np.all(self.threshold * std < 0.5 * self.watch.tolerance * np.abs(theta)))
+        if self._since < self._patience or not (sure or self._since >= TUNING.edge_settled * self._patience):
+            return []
+        self.reference = self._base = np.maximum(theta, TUNING.edge_least * self.reference)
+        return [Settled(self._time, theta, std, self._before), *self._enter(WATCHING, "")]
+
+    def _enter(self, state: str, reason: str) -> list[Event]:
+        if state == self.state:
+            return []
+        self.state = state
+        return [StateChange(self._time, state, reason)]
+
+    @property
+    def _number(self) -> int:
+        """Checksum of the configuration."""
+        return zlib.crc32(repr((self.estimator, self.watch)).encode())
+
+    def get_state(self) -> bytes:
+        """Return the state with a version and checksums, for `set_state` of a monitor with the same configuration."""
+        own = (STATES.index(self.state), self._armed, self.samples, self._silent, self._since, self._counts, self.statistic)
+        body = BODY.pack(*own, *self.reference, *self._before, *self._base) + self.estimator.get_state()
+        return HEAD.pack(MAGIC, VERSION, self._number, len(body), zlib.crc32(body)) + body
+
+    def set_state(self, state: bytes) -> None:
+        """Continue from a saved state. Raises UsageError, and changes nothing, for other bytes."""
+        if not isinstance(state, bytes) or len(state) < HEAD.size + BODY.size:
+            raise UsageError("a state is the bytes that get_state of such a monitor gave")
+        magic, version, number, size, checksum = HEAD.unpack_from(state)
+        body = state[HEAD.size :]
+        if (magic, version, number, size) != (MAGIC, VERSION, self._number, len(body)):
+            raise UsageError("the state is of another monitor or version; construct it with the same arguments")
+        if checksum != zlib.crc32(body):
+            raise UsageError("the state is damaged: its checksum does not fit; start from an older state, or from none")
+        place, armed, *counted, statistic = BODY.unpack_from(body)[:-9]
+        values = np.array(BODY.unpack_from(body)[-9:])
+        if place >= len(STATES) or not np.all(np.isfinite(values) & (values > 0)) or not math.isfinite(statistic):
+            raise UsageError("these numbers are no state of a monitor; start from an older state, or from none")
+        self.estimator.set_state(body[BODY.size :])
+        self.state, self._armed, self.statistic = STATES[place], armed, statistic
+        self.samples, self._silent, self._since, self._counts = counted
+        self.reference, self._before, self._base = values[:3], values[3:6], values[6:]
