@@ -5,29 +5,40 @@ counts without edges.
 
 `python -m studies.edges --seeds 5 [--held-back] [--on-line]`. With `--on-line`, `REdge` runs alone. The last line says
 how many of its errors without a status exceed 2, 3 and 5 standard errors.
+
+`python -m studies.edges --monitor --seeds 12 --hours 1` compares monitors on the same motions of the cart:
+`EdgeMonitor` with edges of a coarse encoder, and `Monitor` with `riv` and counts of a fine one.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 
 import numpy as np
 
-from pmfid import EdgeFit, Encoder, IntervalML, REdge
+from pmfid import Drive, EdgeFit, Encoder, IntervalML, REdge
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.motion import least
 from pmfid.estimators.tuning import TUNING
-from pmfid.simulation import capture_edges, simulate_drive
+from pmfid.monitor import Alarm, EdgeMonitor, Monitor, Watch
+from pmfid.monitor.events import Event
+from pmfid.simulation import CART, capture_edges, resolution_of, simulate_drive
+from pmfid.simulation.drive import Schedule
+from pmfid.simulation.scenarios import CART_DT
 from pmfid.types import Counts, Floats
+from studies.monitoring.axis import calibration, changing, make_riv, normal_work
+from studies.monitoring.detection import AFTER, BEFORE, CHANGES, changed
 from studies.uneven_clocks import HELD_BACK, MACHINES, MOTIONS, SAMPLES, Plant, make_plant, move
 
 INCREMENTS, FINE, TICK = (512, 64, 16), 20, 1e-6
 #: Largest distance of a line from its place, in steps, and mean lateness of an instant [s].
 FAULTS = ((0.0, 0.0), (0.01, 0.0), (0.03, 0.0), (0.1, 0.0), (0.01, 1e-5), (0.01, 5e-5))
+#: Encoders of the monitors with edges and with counts, and memory of the former [s].
+WATCHED, FINEST, MEMORY = (64, 16), 4096, 10.0
 #: Rows of the errors of one run: off-line, on-line, both in standard deviations, `interval`, and the bound.
 OFF_LINE, ON_LINE, OFF_LINE_STD, ON_LINE_STD, INTERVAL, BOUND = range(6)
 
@@ -115,6 +126,73 @@ def measure(machines: Mapping[str, tuple[str, float]], seeds: range, alone: bool
     print(f"on-line without a status: {beyond}")
 
 
+def watch_edges(u: Floats, schedule: Schedule, increments: int, fault: tuple[float, float], seed: int) -> list[Alarm]:
+    """Return the alarms of `EdgeMonitor` on the cart. `fault` is an entry of FAULTS."""
+    rng, resolution = np.random.default_rng([seed, 34]), resolution_of(increments)
+    motion, phase = simulate_drive(schedule, np.repeat(u, FINE), CART_DT / FINE), rng.random() * resolution
+    errors = fault[0] * resolution * rng.uniform(-1, 1, increments)
+    counts, ages = capture_edges(motion, resolution, phase, every=FINE, tick=TICK, line_errors=errors)
+    ages = np.clip(ages - fault[1] * rng.exponential(size=ages.size), 0.0, CART_DT)
+    estimator = REdge(Drive(CART.input_gain), Encoder(resolution), CART_DT, lines=increments, tick=TICK, memory=MEMORY)
+    watched = EdgeMonitor(estimator, np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction]))
+    events: list[Event] = []
+    for sample in zip(u.tolist(), counts.tolist(), ages.tolist(), strict=True):
+        events += watched.step(*sample)[1]
+    return [event for event in events if isinstance(event, Alarm)]
+
+
+def watch_counts(u: Floats, counts: Counts) -> list[Alarm]:
+    """Return the alarms of `Monitor` on the cart with the finest encoder."""
+    found = calibration(FINEST, Watch().mtbf_hours)
+    watched = Monitor(make_riv(FINEST, found.theta), found, Watch())
+    return [event for _, _, event in watched.run(u, counts).events if isinstance(event, Alarm)]
+
+
+def compare_monitors(seeds: range, hours: float) -> None:
+    """Print delays and causes of both monitors for each change, and false alarms in `hours` of normal work."""
+    print("| change | encoder | lines off [%] | late [us] | delay, median [s] | mean | most | right cause | early |")
+    print("|---" * 9 + "|")
+    for change, (name, factor) in CHANGES.items():
+        found: dict[str, list[tuple[float, bool, int]]] = {}
+        for seed in seeds:
+            when = BEFORE + 3.0 * float(np.random.default_rng([seed, 35]).random())
+            schedule = Schedule(((0.0, CART), (when, changed(name, factor))))
+            u, counts = changing(schedule, seed, FINEST, when + AFTER)
+            for key, alarms in watch_all(u, counts, schedule, seed, product(WATCHED, FAULTS)).items():
+                after = [alarm for alarm in alarms if alarm.time >= when]
+                right = bool(after) and after[0].parameter == name and not after[0].others
+                delay = after[0].time - when if after else np.inf
+                found.setdefault(key, []).append((delay, right, len(alarms) - len(after)))
+        for key, rows in found.items():
+            delays, rights, early = np.array(rows).T
+            times = " | ".join(f"{value:.2f}" for value in (np.median(delays), np.mean(delays), np.max(delays)))
+            print(f"| {change} | {key} | {times} | {rights.sum():.0f} of {len(rows)} | {early.sum():.0f} |", flush=True)
+    count_false_alarms(hours)
+
+
+def watch_all(
+    u: Floats, counts: Counts, schedule: Schedule, seed: int, cases: Iterable[tuple[int, tuple[float, float]]]
+) -> dict[str, list[Alarm]]:
+    """Return the alarms of both monitors by encoder, lines and lateness."""
+    alarms = {
+        f"{increments}, edges | {100 * off:g} | {1e6 * late:g}": watch_edges(u, schedule, increments, (off, late), seed)
+        for increments, (off, late) in cases
+    }
+    return alarms | {f"{FINEST}, counts | 0 | -": watch_counts(u, counts)}
+
+
+def count_false_alarms(hours: float) -> None:
+    """Print the false alarms of both monitors in runs of half an hour of normal work."""
+    totals: dict[str, int] = {}
+    for seed in range(round(2 * hours)):
+        u, counts = normal_work(5000 + seed, FINEST, 0.5)
+        cases = product(WATCHED[:1], FAULTS[1:])
+        for key, found in watch_all(u, counts, Schedule(((0.0, CART),)), seed, cases).items():
+            totals[key] = totals.get(key, 0) + len(found)
+    for key, number in totals.items():
+        print(f"normal work, {hours:g} h: | {key} | {number} false alarms", flush=True)
+
+
 def _format_errors(errors: Floats) -> str:
     """Return the root mean squares of relative errors (seeds, 3) in percent."""
     if np.all(np.isnan(errors)):
@@ -128,6 +206,11 @@ if __name__ == "__main__":
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--held-back", action="store_true")
     parser.add_argument("--on-line", action="store_true", help="REdge alone")
+    parser.add_argument("--monitor", action="store_true", help="compare monitors")
+    parser.add_argument("--hours", type=float, default=1.0, help="of normal work, with --monitor")
     options = parser.parse_args()
-    machines = HELD_BACK if options.held_back else MACHINES
-    measure(machines, range(options.first, options.first + options.seeds), options.on_line)
+    seeds = range(options.first, options.first + options.seeds)
+    if options.monitor:
+        compare_monitors(seeds, options.hours)
+    else:
+        measure(HELD_BACK if options.held_back else MACHINES, seeds, options.on_line)

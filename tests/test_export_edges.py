@@ -133,9 +133,7 @@ def test_an_alarm_follows_the_estimate_of_the_edges(tmp_path: Path) -> None:
     assert np.all(alarms[-300:] == 1)
 
 
-@pytest.mark.parametrize(
-    "target", [pytest.param(t, marks=needs(t), id=t.name) for t in (GCC, CXX)]
-)
+@pytest.mark.parametrize("target", [pytest.param(t, marks=needs(t), id=t.name) for t in (GCC, CXX)])
 def test_every_file_compiles_without_a_warning(target: Target, tmp_path: Path) -> None:
     pmfid.export_firmware(estimator_of(0.0058, precision="float32"), tmp_path)
     files = [*(path.name for path in tmp_path.glob("*.c")), "examples/main/main.c", "examples/selftest/selftest.c"]
@@ -180,6 +178,8 @@ def test_the_command_exports_edges_where_the_record_has_them(tmp_path: Path) -> 
     assert "the same bits" in selftest(tmp_path / "b", GCC).stdout
     done = CliRunner().invoke(main, [*arguments, str(tmp_path / "c"), "--dt", "0.01", "--steps"])
     assert (done.exit_code, "give the method riv" in done.stderr) == (2, True)
-    done = CliRunner().invoke(main, [*arguments, str(tmp_path / "d"), "--dt", "0.01", "--method", "riv", "--cutoff", "30"])
+    done = CliRunner().invoke(
+        main, [*arguments, str(tmp_path / "d"), "--dt", "0.01", "--method", "riv", "--cutoff", "30"]
+    )
     assert done.stderr == ""
     assert done.stdout.startswith("riv, "), "counts alone, as asked"

@@ -18,7 +18,9 @@ from pmfid.estimators import METHODS
 )
 @click.option("--precision", type=click.Choice(["float32", "float64"]), help="Arithmetic of the drive.")
 @click.option("--prefix", metavar="NAME", help="Begins all names in the C; default: the name of AXIS.toml.")
-@click.option("--method", type=click.Choice(METHODS), help="A recursive one; auto is riv here, or redge with [encoder] edge_age.")
+@click.option(
+    "--method", type=click.Choice(METHODS), help="A recursive one; auto is riv here, or redge with [encoder] edge_age."
+)
 @click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters.")
 @click.option("--forgetting", type=float, help="Weight of the past per sample, in (0, 1].")
 @click.option("--dt", type=float, metavar="S", help="Sample period of the drive, if AXIS.toml does not say.")
@@ -72,7 +74,11 @@ def export(
         watched = [ParameterAlarm(*alarm) for alarm in alarms]
         export_firmware(estimator, out, prefix=name, record=samples, alarms=watched, blocks=blocks)
     click.echo(f"{estimator.method}, {estimator.precision}, every {estimator.dt:.9g} s: {out / name}.h")
-    if isinstance(estimator, RecursiveEstimator) and estimator.precision == "float32" and estimator.forgetting >= LONG_MEMORY:
+    if (
+        isinstance(estimator, RecursiveEstimator)
+        and estimator.precision == "float32"
+        and estimator.forgetting >= LONG_MEMORY
+    ):
         click.echo(
             f"float32 with forgetting = {estimator.forgetting:.9g} remembers at most the last {MOST_WEIGHT} samples, "
             f"{MOST_WEIGHT * estimator.dt:.3g} s: its sums would take in no more; float64 forgets nothing"

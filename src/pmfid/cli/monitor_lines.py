@@ -12,17 +12,23 @@ def sentence(event: Notice) -> str:
 
 def _start(event: Notice) -> str:
     normal = ", ".join(f"{name} {value:.4g} {event['units'][name]}" for name, value in event["nominal"].items())
-    source = "from the cache" if event["cached"] else "now in the cache"
-    made = "drawn from the reference" if event["record_hours"] else "simulated"
     lines = [
         f"normal: {normal}",
-        f"{event['detector']}, tolerance {100 * event['tolerance']:g} %, threshold {event['threshold']:.4g}: a false "
-        f"alarm in {event['mtbf_hours']:g} h on average ({event['hours']:.3g} h of normal work {made}, {source}: "
-        f"{event['calibration']})",
+        f"{event.get('detector', 'edges')}, tolerance {100 * event['tolerance']:g} %, threshold "
+        f"{event['threshold']:.4g}: a false alarm in {event['mtbf_hours']:g} h on average{_describe_source(event)}",
         *(f"note: {note}" for note in event["notes"]),
         *([f"estimates: {event['out']}"] if event["out"] else []),
     ]
     return "\n".join(lines)
+
+
+def _describe_source(event: Notice) -> str:
+    """Return where the threshold comes from. That of edges follows from the normal distribution."""
+    if "calibration" not in event:
+        return ""
+    source = "from the cache" if event["cached"] else "now in the cache"
+    made = "drawn from the reference" if event["record_hours"] else "simulated"
+    return f" ({event['hours']:.3g} h of normal work {made}, {source}: {event['calibration']})"
 
 
 def _alarm(event: Notice) -> str:

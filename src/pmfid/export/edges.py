@@ -44,9 +44,7 @@ def make_up_edges(estimator: REdge) -> tuple[NDArray[np.float64], NDArray[np.int
     return u, counts - 100, ages  # the counter wraps
 
 
-def record_edges(
-    estimator: REdge, types: Structures, u: ArrayLike, counts: ArrayLike, ages: ArrayLike
-) -> Samples:
+def record_edges(estimator: REdge, types: Structures, u: ArrayLike, counts: ArrayLike, ages: ArrayLike) -> Samples:
     """Run an estimator with the same configuration from its start over u, counts and ages (n,).
 
     Raises UsageError for a record that is empty or has an input that is not finite.
@@ -66,9 +64,7 @@ def record_edges(
     return Samples(given, read.astype(np.uint32), np.array(expected, np.uint32), own.theta, times)
 
 
-def describe_edges(
-    estimator: REdge, record: tuple[ArrayLike, ArrayLike, ArrayLike] | None
-) -> dict[str, object]:
+def describe_edges(estimator: REdge, record: tuple[ArrayLike, ...] | None) -> dict[str, object]:
     """Return the values of the templates that depend on the estimator.
 
     `record` has input, counts and ages (n,) for the self-test.

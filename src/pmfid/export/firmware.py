@@ -169,7 +169,7 @@ def export_firmware(
         _name_export(prefix)
         | (edges.describe_edges(estimator, record) if isinstance(estimator, REdge) else _context(estimator, record))
         | {"sources": sorted(path.name for path in copied if path.suffix == ".c")}
-        | {"alarms": alarms, "alarm_initializers": [initializer(alarm.structure(estimator), 1) for alarm in alarms]}
+        | {"alarms": alarms, "alarm_initializers": [initializer(alarm.structure(estimator), 1) for alarm in alarms]},
     )
     contents = {file: texts[template].encode("ascii") for template, file in names.items()}
     folder.mkdir(parents=True, exist_ok=True)

@@ -15,6 +15,7 @@ from pmfid.lazy_imports import make_getattr
 if TYPE_CHECKING:
     from pmfid.monitor.calibration import Calibration as Calibration
     from pmfid.monitor.calibration import calibrate as calibrate
+    from pmfid.monitor.edges import EdgeMonitor as EdgeMonitor
     from pmfid.monitor.events import Alarm as Alarm
     from pmfid.monitor.events import FleetRows as FleetRows
     from pmfid.monitor.events import Outlier as Outlier
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "Alarm": "events",
     "Calibration": "calibration",
+    "EdgeMonitor": "edges",
     "FleetRows": "events",
     "Monitor": "monitor",
     "MonitorFleet": "fleet",

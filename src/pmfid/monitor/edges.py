@@ -33,8 +33,8 @@ from pmfid.types import Floats
 #: Magic number, version, checksum of the configuration, size, and checksum of what follows.
 HEAD = struct.Struct("<IIIII")
 MAGIC, VERSION = 0x45464D50, 1  # "PMFE"
-#: State, whether a suspicion is possible, samples, samples since the last edge and since the suspicion or alarm, last counts,
-#: statistic, and three numbers each of the reference, of the reference before, and of the last sound estimate.
+#: State, whether a suspicion is possible, samples, samples since the last edge and since the suspicion or alarm, last
+#: counts, statistic, and three numbers each of the reference, of the one before, and of the last sound estimate.
 BODY = struct.Struct("<B?QQQqd3d3d3d")
 
 
@@ -127,16 +127,19 @@ class EdgeMonitor:
             return [] if self.state == STARTING else self._suspect()
         if self._silent:
             return self._enter(CANNOT_TELL, "standstill")
-        if estimate.status & Status.DISTORTED:
-            return self._suspect() if self._armed else []
+        distorted = bool(estimate.status & Status.DISTORTED)
+        if distorted and self._armed:
+            return self._suspect()
         theta, std = np.array(estimate.theta), np.array(estimate.theta_std)
+        std *= TUNING.edge_doubt if distorted else 1.0
         relative, error = theta / self.reference - 1, std / self.reference
         self.statistic = float(np.max((np.abs(relative) - self.watch.tolerance) / error))
         if self.threshold * float(error.max()) > TUNING.edge_known:
             return self._enter(CANNOT_TELL, "poor excitation")
         if self.statistic > self.threshold:
             return self._suspect()
-        self._base, self._armed = theta, True
+        if not distorted:
+            self._base, self._armed = theta, True
         return self._enter(WATCHING, "")
 
     def _suspect(self) -> list[Event]:
@@ -167,7 +170,8 @@ class EdgeMonitor:
     def _alarm(self, cause: Cause) -> list[Event]:
         units = dict(zip(self.names, self.units, strict=True))
         begun, self._before = self._time - self._since * self.estimator.dt, self.reference.copy()
-        numbers = cause.change, cause.std, cause.relative, self.statistic, self.threshold
+        std = math.hypot(cause.std, cause.relative * cause.change)  # the estimate may still have errors of second order
+        numbers = cause.change, std, cause.relative, self.statistic, self.threshold
         alarm = Alarm(self._time, begun, cause.name, units.get(cause.name, ""), *numbers, cause.others or ())
         self._since = 0
         return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
@@ -194,7 +198,15 @@ class EdgeMonitor:
 
     def get_state(self) -> bytes:
         """Return the state with a version and checksums, for `set_state` of a monitor with the same configuration."""
-        own = (STATES.index(self.state), self._armed, self.samples, self._silent, self._since, self._counts, self.statistic)
+        own = (
+            STATES.index(self.state),
+            self._armed,
+            self.samples,
+            self._silent,
+            self._since,
+            self._counts,
+            self.statistic,
+        )
         body = BODY.pack(*own, *self.reference, *self._before, *self._base) + self.estimator.get_state()
         return HEAD.pack(MAGIC, VERSION, self._number, len(body), zlib.crc32(body)) + body
 

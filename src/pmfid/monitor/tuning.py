@@ -28,8 +28,9 @@ class MonitorTuning:
     axis_keep: float = 0.003
 
     # edges
-    #: Least number of tests that a false alarm comes in.
+    #: Least number of tests that a false alarm comes in, and factor on standard errors of a doubtful estimate.
     edge_tests: float = 1e3
+    edge_doubt: float = 3.0
     #: Relative error at the threshold above which no change shows, and least part of the reference at a restart.
     edge_known: float = 0.2
     edge_least: float = 1e-3

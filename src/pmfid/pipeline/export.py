@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 
 from pmfid.config.axis import Axis, EstimatorConfig
 from pmfid.config.record import NO_ENCODER
-from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import memory_of
@@ -18,9 +16,8 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.redge import REdge
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.estimators.sample_steps import GIVEN
-from pmfid.models.drive import Drive
-from pmfid.models.equation import ESTIMATE
 from pmfid.pipeline.drives import make_estimator
+from pmfid.pipeline.edges import edge_estimator, takes_edges
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.known import check_numbers_known
 from pmfid.records.record import Record
@@ -51,34 +48,6 @@ def drive_estimator(
     estimator = make_estimator(axis.model_copy(update={"estimator": config}), record)
     encoder = replace(estimator.encoder, bits=axis.encoder.bits or 32)
     return replace(estimator, encoder=encoder, steps=GIVEN if steps else None)  # type: ignore[return-value]
-
-
-def takes_edges(axis: Axis) -> bool:
-    """Return whether the on-line estimator of a configuration takes the ages of edges."""
-    return axis.encoder.edge_age is not None and axis.estimator.method == AUTO
-
-
-def edge_estimator(axis: Axis, record: Record, steps: bool = False) -> REdge:
-    """Return the on-line estimator of a configuration that takes the ages of edges, for the record's clock.
-
-    Raises UsageError for a model or a clock that this estimator does not take.
-    """
-    model, config = axis.model.make(), axis.estimator
-    if not isinstance(model, Drive) or model != Drive(model.input_gain) or model.input_gain == ESTIMATE or steps:
-        raise UsageError(
-            "with edge times, a drive finds mass, viscous and Coulomb friction, with a given input_gain and an even "
-            "clock; for other terms or clocks give the method riv, which takes the counts alone"
-        )
-    memory = memory_of(config.forgetting, record.dt)
-    return REdge(
-        model,
-        Encoder(record.resolution, bits=axis.encoder.bits or 32),
-        record.dt,
-        lines=axis.encoder.lines,
-        tick=axis.encoder.tick,
-        memory=None if math.isinf(memory) else memory,
-        precision=config.precision,
-    )
 
 
 def check_exportable(axis: Axis) -> EstimatorConfig:

@@ -12,9 +12,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from pmfid.estimators.redge import REdge
 from pmfid.models.axes import LINEAR, Units
 from pmfid.monitor.calibration import Calibration, Tail
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, STARTING, SUSPICIOUS, WATCHING
+from pmfid.pipeline.edges import EdgeSetup
 from pmfid.pipeline.monitored.run import MonitoredRun, Notice, RunHistory
 from pmfid.pipeline.monitored.setup import Setup
 from pmfid.report.figures import (
@@ -186,18 +188,18 @@ def calibration_figure(tails: Mapping[str, Tail], used: str, mtbf_hours: float) 
     return figure
 
 
-def write_monitored(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory) -> None:
+def write_monitored(path: Path, name: str, setup: Setup | EdgeSetup, run: MonitoredRun, history: RunHistory) -> None:
     """Write one self-contained HTML file on a run. Raises OSError if the file cannot be written."""
     sections = [_verdict(setup, run)]
     if len(history.rows) > 1:
         sections.append(
             Section("The run", _run_text(history, setup), svg=svg(run_figure(run_data(setup, run, history))))
         )
-    sections.append(_calibration(setup))
+    sections.append(_calibration(setup) if isinstance(setup, Setup) else _describe_threshold(setup))
     write_report(path, f"{name}: {_headline(run)}", sections)
 
 
-def run_data(setup: Setup, run: MonitoredRun, history: RunHistory) -> RunData:
+def run_data(setup: Setup | EdgeSetup, run: MonitoredRun, history: RunHistory) -> RunData:
     """Return the columns that the figure shows."""
     time, u, counts, theta, std, innovation, status, state = zip(*history.rows, strict=True)
     estimator = setup.monitor.estimator
@@ -234,7 +236,7 @@ def _headline(run: MonitoredRun) -> str:
     return what + (f", and {more} more alarm{'s' * (more > 1)}" if more else "")
 
 
-def _verdict(setup: Setup, run: MonitoredRun) -> Section:
+def _verdict(setup: Setup | EdgeSetup, run: MonitoredRun) -> Section:
     lines = [f"{run.samples} samples, {run.samples * setup.monitor.estimator.dt:.1f} s."]
     if run.bad_lines or run.repeated_lines:
         lines.append(f"{run.bad_lines} lines could not be used, {run.repeated_lines} came again or too late.")
@@ -270,10 +272,11 @@ def _alarm_row(run: MonitoredRun, alarm: Notice) -> list[str]:
     ]
 
 
-def _run_text(history: RunHistory, setup: Setup) -> str:
+def _run_text(history: RunHistory, setup: Setup | EdgeSetup) -> str:
     estimator = setup.monitor.estimator
+    rate = estimator.rate if isinstance(estimator, REdge) else 1 - estimator.forgetting
     text = (
-        f"Estimates by {estimator.method}, memory {estimator.dt / (1 - estimator.forgetting):.3g} s, with two standard "
+        f"Estimates by {estimator.method}, memory {estimator.dt / rate:.3g} s, with two standard "
         "deviations; orange lines: alarms; dotted: when the change began to show."
     )
     return text + (f" One row of {history.stride} is shown." if history.stride > 1 else "")
@@ -282,6 +285,15 @@ def _run_text(history: RunHistory, setup: Setup) -> str:
 def _describe_hours(calibration: Calibration) -> str:
     hours = calibration.record_hours
     return f"drawn from the {hours:.2g} h of the reference record" if hours else "simulated"
+
+
+def _describe_threshold(setup: EdgeSetup) -> Section:
+    monitor = setup.monitor
+    text = (
+        f"A deviation is an alarm beyond {100 * monitor.watch.tolerance:g} % and {monitor.threshold:.3g} standard "
+        f"errors, which chance exceeds once in {monitor.watch.mtbf_hours:g} h."
+    )
+    return Section("Threshold", text)
 
 
 def _calibration(setup: Setup) -> Section:

@@ -10,6 +10,7 @@ from pmfid._estimate import Estimate
 from pmfid.errors import UsageError
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.estimators.known import Seen
+from pmfid.monitor.edges import EdgeMonitor
 from pmfid.monitor.events import Event, Outlier, Settled, StateChange
 from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.monitored.rows import Nowhere, RowSink
@@ -17,6 +18,8 @@ from pmfid.pipeline.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sam
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
+#: A monitor, of counts or of edges.
+Monitored = Monitor | EdgeMonitor
 #: A notice for JSON, with texts, numbers and tables by key.
 Notice = dict[str, Any]
 Tell = Callable[[Notice], None]
@@ -84,14 +87,14 @@ class MonitoredRun:
         return {**{name: getattr(self, name) for name in names}, "alarms": len(self.alarms)}
 
 
-def header(monitor: Monitor) -> list[str]:
+def header(monitor: Monitored) -> list[str]:
     """Return the column names of the estimates."""
     names = monitor.names
     return ["t", *names, *(f"{name}_std" for name in names), "innovation", "status", "state"]
 
 
 def watch(
-    found: Iterable[Found], monitor: Monitor, sink: RowSink, tell: Tell, observers: Sequence[Observer] = ()
+    found: Iterable[Found], monitor: Monitored, sink: RowSink, tell: Tell, observers: Sequence[Observer] = ()
 ) -> MonitoredRun:
     """Run the monitor over the samples. `tell` gets each event as an object for JSON, with the times of the samples.
 
@@ -110,12 +113,16 @@ def watch(
 
 
 def _step(
-    sample: Sample, monitor: Monitor, run: MonitoredRun, sink: RowSink, tell: Tell, observers: Sequence[Observer]
+    sample: Sample, monitor: Monitored, run: MonitoredRun, sink: RowSink, tell: Tell, observers: Sequence[Observer]
 ) -> None:
     events = _count_interruption(sample, monitor, run, tell) if sample.missing or sample.jump else []
-    estimate, now = monitor.step(sample.u, sample.counts)
+    reported: Estimate | Seen
+    if isinstance(monitor, EdgeMonitor):
+        reported, now = monitor.step(sample.u, sample.counts, sample.age)
+    else:
+        estimate, now = monitor.step(sample.u, sample.counts)
+        reported = monitor.apply_known(estimate)
     run.samples += 1
-    reported = monitor.apply_known(estimate)
     if not isinstance(sink, Nowhere):
         sink.write(_row(sample.time, reported, monitor.state))
     for observe in observers:
@@ -140,14 +147,14 @@ def _count_skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
         tell({"event": line.kind, "time": line.time, "problem": line.problem})
 
 
-def _count_interruption(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell) -> list[Event]:
+def _count_interruption(sample: Sample, monitor: Monitored, run: MonitoredRun, tell: Tell) -> list[Event]:
     """Count and report a gap or a clock that was set, and pass it to the monitor."""
     if sample.missing:
         run.gaps += 1
         run.missing += sample.missing
         if run.gaps <= TUNING.most_notices:
             tell({"event": "gap", "time": sample.time, "missing": sample.missing})
-        if sample.missing <= monitor.longest:
+        if isinstance(monitor, Monitor) and sample.missing <= monitor.longest:
             return monitor.fill_gap(sample.missing, sample.u, sample.counts)
         return monitor.skip(sample.missing)
     run.clock_jumps += 1

@@ -29,6 +29,7 @@ from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Scale
 from pmfid.pipeline.drives import make_estimator
+from pmfid.pipeline.edges import EdgeSetup, set_up_edges, takes_edges
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.known import finds_gain, known_of, set_gain, try_both_signs
 from pmfid.pipeline.tuning import TUNING
@@ -146,7 +147,10 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     UsageError if both reference and record are missing, or if the nominal values are missing. Raises
     NotIdentifiableError if the reference cannot identify the nominal values.
     """
-    config, notes = axis.monitor, []
+    config, notes = (
+        axis.monitor,
+        ["the ages of edges are not used here: give pmfid monitor a record"] * takes_edges(axis),
+    )
     check_monitored(axis)
     normal = None if config.reference is None else read_record(folder / config.reference, axis)
     source = normal or record
@@ -173,6 +177,15 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     notes += calibration_notes(calibration, config.detector, config.mtbf_hours)
     watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
     return Setup(Monitor(estimator, calibration, watch, known), nominal, calibration, path, cached, tuple(notes))
+
+
+def set_up_record(
+    axis: Axis, folder: Path, record: Record | None, progress: Callable[[float], None] | None = None
+) -> Setup | EdgeSetup:
+    """Return the monitor as `set_up`, or that of edges for a record with the ages of edges."""
+    if record is not None and record.ages is not None and takes_edges(axis):
+        return set_up_edges(axis, folder, record)
+    return set_up(axis, folder, record, progress)
 
 
 def calibration_notes(calibration: Calibration, detector: str, mtbf_hours: float) -> list[str]:

@@ -82,7 +82,8 @@ def record_samples(record: Record, stop: Stop) -> Iterator[Sample]:
     for k in range(record.u.size):
         if stop.requested:
             return
-        yield Sample(k * record.dt, float(record.u[k]), int(record.counts[k]))
+        age = math.nan if record.ages is None else float(record.ages[k])
+        yield Sample(k * record.dt, float(record.u[k]), int(record.counts[k]), age=age)
 
 
 def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterator[Found]:

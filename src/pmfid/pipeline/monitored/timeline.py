@@ -123,7 +123,8 @@ class Sample:
     """A sample on the regular grid.
 
     `time` is in s. `u` is NaN if the sample is lost, and `counts` then holds the last counts. `missing` is the number
-    of missing samples just before. `jump` is the change of the clock just before [s].
+    of missing samples just before. `jump` is the change of the clock just before [s]. `age` is the time from the last
+    edge to the sample [s], NaN without an edge or without ages.
     """
 
     time: float
@@ -131,6 +132,7 @@ class Sample:
     counts: int
     missing: int = 0
     jump: float = 0.0
+    age: float = math.nan
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,115 @@
+"""The on-line estimator and the monitor of a configuration whose encoder gives the ages of its edges."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pmfid.config.axis import Axis
+from pmfid.encoder import Encoder
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.auto import AUTO
+from pmfid.estimators.base import memory_of
+from pmfid.estimators.instruments import initial_vector
+from pmfid.estimators.redge import REdge
+from pmfid.models.drive import Drive
+from pmfid.models.equation import ESTIMATE
+from pmfid.monitor.edges import EdgeMonitor
+from pmfid.monitor.events import Watch
+from pmfid.pipeline.tuning import TUNING
+from pmfid.records.record import Record, read_record
+from pmfid.status import Status
+from pmfid.types import Floats
+
+
+def takes_edges(axis: Axis) -> bool:
+    """Return whether the on-line estimator of a configuration takes the ages of edges."""
+    return axis.encoder.edge_age is not None and axis.estimator.method == AUTO
+
+
+def edge_estimator(axis: Axis, record: Record, steps: bool = False) -> REdge:
+    """Return the on-line estimator of a configuration that takes the ages of edges, for the record's clock.
+
+    Raises UsageError for a model or a clock that this estimator does not take.
+    """
+    model, config = axis.model.make(), axis.estimator
+    if not isinstance(model, Drive) or model != Drive(model.input_gain) or model.input_gain == ESTIMATE or steps:
+        raise UsageError(
+            "with edge times, a drive finds mass, viscous and Coulomb friction, with a given input_gain and an even "
+            "clock; for other terms or clocks give the method riv, which takes the counts alone"
+        )
+    memory = memory_of(config.forgetting, record.dt)
+    return REdge(
+        model,
+        Encoder(record.resolution, bits=axis.encoder.bits or 32),
+        record.dt,
+        lines=axis.encoder.lines,
+        tick=axis.encoder.tick,
+        memory=None if math.isinf(memory) else memory,
+        precision=config.precision,
+    )
+
+
+@dataclass(frozen=True)
+class EdgeSetup:
+    """A monitor of edges at its start, with the normal parameters (3,) and texts for the user."""
+
+    monitor: EdgeMonitor
+    nominal: Floats
+    notes: tuple[str, ...] = ()
+
+    @property
+    def reported(self) -> Floats:
+        """The nominal values (3,)."""
+        return self.nominal
+
+    def describe_start(self) -> dict[str, object]:
+        """Return the settings of a monitored axis for `--json`."""
+        monitor = self.monitor
+        return {
+            "event": "start",
+            "method": monitor.estimator.method,
+            "nominal": dict(zip(monitor.names, self.nominal.tolist(), strict=True)),
+            "units": dict(zip(monitor.names, monitor.units, strict=True)),
+            "mtbf_hours": monitor.watch.mtbf_hours,
+            "tolerance": monitor.watch.tolerance,
+            "threshold": monitor.threshold,
+            "notes": list(self.notes),
+        }
+
+
+def set_up_edges(axis: Axis, folder: Path, record: Record) -> EdgeSetup:
+    """Return the monitor of AXIS.toml in `folder` for a record with the ages of edges.
+
+    The normal parameters are those of [monitor] nominal, or of the reference record by the same estimator. Raises
+    UsageError without either, and NotIdentifiableError if the reference does not give the parameters.
+    """
+    config, estimator = axis.monitor, edge_estimator(axis, record)
+    watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
+    if config.nominal is not None:
+        nominal = initial_vector(config.nominal, estimator.names)
+    elif config.reference is not None:
+        nominal = _learn_normal(axis, read_record(folder / config.reference, axis))
+    else:
+        raise UsageError(
+            '[monitor] reference is missing: name a record of normal work, for example reference = "normal.csv", or '
+            "give the nominal values"
+        )
+    following = replace(estimator, memory=estimator.memory or TUNING.default_memory)
+    return EdgeSetup(EdgeMonitor(following, nominal, watch), nominal)
+
+
+def _learn_normal(axis: Axis, normal: Record) -> Floats:
+    if normal.ages is None:
+        raise UsageError(f"the ages of edges of {normal.name} cannot be used; take another reference")
+    estimator = replace(edge_estimator(axis, normal), memory=None)
+    estimator.run(normal.u, normal.counts, normal.ages)
+    if estimator.status & (Status.STARTING | Status.DISTORTED):
+        raise NotIdentifiableError(
+            f"the edges of {normal.name} do not give mass and friction: {Status(estimator.status)!r}; take a reference "
+            "with more motion, or give [monitor] nominal"
+        )
+    return np.asarray(estimator.theta)

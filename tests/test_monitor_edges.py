@@ -1,0 +1,169 @@
+"""The monitor of edges: changes, their causes, saved states, and the command."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from pmfid import Drive, Encoder, REdge, UsageError
+from pmfid.cli.main import main
+from pmfid.monitor import Alarm, EdgeMonitor, Settled, Watch
+from pmfid.monitor.events import Event, StateChange
+from pmfid.simulation import CART, Schedule, capture_edges, resolution_of, simulate_drive
+from studies.monitoring.axis import changing
+from tests.test_redge import DT, EVERY, TRUTH
+
+TURN, WHEN, SECONDS = 64, 12.0, 24.0
+
+
+def changed_run(name: str, factor: float, seed: int = 3, rest: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return input, counts and ages of the cart, whose parameter `name` changes at WHEN, with `rest` samples at rest."""
+    schedule = Schedule(((0.0, CART), (WHEN, replace(CART, **{name: factor * getattr(CART, name)}))))
+    u = np.r_[changing(schedule, seed, 4096, SECONDS)[0], np.zeros(rest)]
+    step, rng = resolution_of(TURN), np.random.default_rng(seed)
+    motion = simulate_drive(schedule, np.repeat(u, EVERY), DT / EVERY)
+    errors = 0.01 * step * rng.uniform(-1, 1, TURN)
+    return u, *capture_edges(motion, step, 0.4 * step, every=EVERY, tick=1e-6, line_errors=errors)
+
+
+def make_monitor(memory: float | None = 10.0, precision: str = "float64", **options: object) -> EdgeMonitor:
+    encoder = Encoder(resolution_of(TURN))
+    estimator = REdge(Drive(2.0), encoder, DT, lines=TURN, tick=1e-6, memory=memory, precision=precision)
+    return EdgeMonitor(estimator, TRUTH, Watch(**options))
+
+
+def watch(monitor: EdgeMonitor, record: tuple[np.ndarray, ...]) -> list[Event]:
+    return [event for row in zip(*(part.tolist() for part in record), strict=True) for event in monitor.step(*row)[1]]
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "precision"),
+    [
+        ("mass", 1.1, "float64"),
+        ("mass", 0.7, "float32"),
+        ("viscous_friction", 1.1, "float64"),
+        ("coulomb_friction", 1.3, "float32"),
+        ("input_gain", 0.9, "float64"),
+    ],
+)
+def test_a_change_has_an_alarm_with_its_cause_and_size(name: str, factor: float, precision: str) -> None:
+    monitor = make_monitor(precision=precision)
+    events = watch(monitor, changed_run(name, factor))
+    (alarm,) = (event for event in events if isinstance(event, Alarm))
+    assert (alarm.parameter, alarm.others) == (name, ())
+    assert WHEN < alarm.changed_at < alarm.time < WHEN + 2.5
+    size = (factor - 1) * getattr(CART, name)
+    assert abs(alarm.change - size) < 3 * alarm.std
+    assert alarm.std < 0.5 * abs(size)
+    settled = next(event for event in events if isinstance(event, Settled))
+    assert np.array_equal(settled.before, TRUTH)
+    expected = (
+        TRUTH / factor
+        if name == "input_gain"
+        else [getattr(CART, n) * (factor if n == name else 1) for n in monitor.names]
+    )
+    np.testing.assert_allclose(settled.theta, expected, rtol=5e-3)
+    assert monitor.state == "watching"
+
+
+def test_a_change_within_the_tolerance_is_none() -> None:
+    monitor = make_monitor(tolerance=0.05)
+    events = watch(monitor, changed_run("mass", 1.03))
+    assert not any(isinstance(event, Alarm) for event in events)
+    assert monitor.state == "watching"
+
+
+def test_rest_and_lost_samples_raise_no_alarm() -> None:
+    u, counts, ages = changed_run("mass", 1.0, rest=1000)
+    monitor = make_monitor()
+    assert not any(isinstance(event, Alarm) for event in watch(monitor, (u, counts, ages)))
+    assert monitor.state == "cannot tell"
+    monitor.skip(500)
+    assert monitor.samples == u.size + 500
+    assert monitor.state == "cannot tell"
+    events = watch(monitor, (u, counts - counts[0] + counts[-1], ages))
+    assert not any(isinstance(event, Alarm) for event in events)
+    states = [event.state for event in events if isinstance(event, StateChange)]
+    assert ("watching" in states, states[-1]) == (True, "cannot tell")
+
+
+def test_a_monitor_goes_on_from_its_saved_state() -> None:
+    record = changed_run("mass", 1.1)
+    for cut in (200, 1230, 1300, 1900):
+        whole, resumed = make_monitor(), make_monitor()
+        watch(whole, tuple(part[:cut] for part in record))
+        resumed.set_state(whole.get_state())
+        rest = tuple(part[cut:] for part in record)
+        assert repr(watch(resumed, rest)) == repr(watch(whole, rest))
+        assert resumed.get_state() == whole.get_state()
+
+
+def test_other_states_and_arguments_are_refused() -> None:
+    monitor = make_monitor()
+    state = monitor.get_state()
+    with pytest.raises(UsageError, match="another monitor or version"):
+        make_monitor(tolerance=0.1).set_state(state)
+    with pytest.raises(UsageError, match="another monitor or version"):
+        monitor.set_state(state[:4] + b"\x02" + state[5:])
+    with pytest.raises(UsageError, match="damaged"):
+        monitor.set_state(state[:-1] + bytes([state[-1] ^ 1]))
+    with pytest.raises(UsageError, match="get_state"):
+        monitor.set_state(b"")
+    with pytest.raises(UsageError, match="needs a memory"):
+        make_monitor(memory=None)
+    with pytest.raises(UsageError, match="reference must be positive"):
+        EdgeMonitor(monitor.estimator, np.array([1.0, 0.0, 1.0]))
+    assert monitor.get_state() == state
+
+
+AXIS = """
+[record]
+input = "u"
+output = "n"
+output_kind = "counts"
+time = "t"
+[encoder]
+resolution = %r
+edge_age = "age"
+lines = 64
+tick = 1e-6
+[model]
+kind = "drive"
+input_gain = 2.0
+[monitor]
+%s
+"""
+
+
+def write_record(path: Path, record: tuple[np.ndarray, ...]) -> None:
+    rows = (
+        f"{DT * k:.2f},{u!r},{n},{'' if np.isnan(age) else repr(age)}\n"
+        for k, (u, n, age) in enumerate(zip(*(part.tolist() for part in record), strict=True))
+    )
+    path.write_text("t,u,n,age\n" + "".join(rows))
+
+
+def test_the_command_watches_the_edges_of_a_record(tmp_path: Path) -> None:
+    write_record(tmp_path / "run.csv", changed_run("mass", 1.1))
+    write_record(tmp_path / "normal.csv", changed_run("mass", 1.0, seed=4))
+    for key in (
+        'reference = "normal.csv"',
+        "nominal = { mass = 1.07, viscous_friction = 12.8, coulomb_friction = 0.8 }",
+    ):
+        (tmp_path / "axis.toml").write_text(AXIS % (resolution_of(TURN), key))
+        arguments = ["monitor", str(tmp_path / "run.csv"), "--config", str(tmp_path / "axis.toml")]
+        done = CliRunner().invoke(main, [*arguments, "--json", "--report", str(tmp_path / "page.html")])
+        assert done.exit_code == 0, done.stderr
+        events = [json.loads(line) for line in done.stdout.splitlines()]
+        (alarm,) = (event for event in events if event["event"] == "alarm")
+        assert (alarm["parameter"], alarm["direction"]) == ("mass", "up")
+        assert (events[0]["method"], events[0]["nominal"]["mass"]) == ("redge", pytest.approx(1.07, rel=1e-3))
+    assert "standard errors" in (tmp_path / "page.html").read_text()
+    assert "ALARM  mass +" in CliRunner().invoke(main, arguments).stdout
+    (tmp_path / "axis.toml").write_text(AXIS % (resolution_of(TURN), ""))
+    assert "[monitor] reference is missing" in CliRunner().invoke(main, arguments).stderr
