@@ -21,6 +21,12 @@ from pmfid.kernel.structures import EDGE_HEADERS, Structures, edge_structures, h
 COPIED = ("pmf.h", "pmf_internal.h", "pmf_bytes.h", "pmf_state.c", "pmf_alarm.c", "edges/*.[ch]", "LICENSE")
 #: Templates in place of those of the other exports.
 INSTEAD = {"main.c.j2": "edges_main.c.j2", "sketch.ino.j2": "edges_sketch.ino.j2"}
+#: Files in addition to those of the other exports, by template.
+FURTHER = {
+    "edges_zephyr.c.j2": "examples/zephyr/src/main.c",
+    "edges_zephyr.cmake.j2": "examples/zephyr/CMakeLists.txt",
+    "edges_zephyr.conf.j2": "examples/zephyr/prj.conf",
+}
 #: Age of a sample without an edge.
 NO_EDGE = -1.0
 #: Instants of the made-up motion in a sample, and its time constant [samples].

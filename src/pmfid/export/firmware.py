@@ -157,7 +157,9 @@ def export_firmware(
     check_names(prefix, estimator.names)
     folder = Path(folder)
     over_edges = isinstance(estimator, REdge)
-    files = FILES if not over_edges else {edges.INSTEAD.get(name, name): file for name, file in FILES.items()}
+    files = FILES
+    if over_edges:
+        files = {edges.INSTEAD.get(name, name): file for name, file in FILES.items()} | edges.FURTHER
     names = {template: file.replace("NAME", prefix) for template, file in files.items()}
     patterns = [*(edges.COPIED if over_edges else COPIED), *(BLOCKS if blocks else ())]
     copied = sorted(
