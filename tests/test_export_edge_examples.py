@@ -68,7 +68,7 @@ def build(folder: Path, program: str, target: Target, *options: str) -> Path:
     if target.board:
         done = command([kernel, *target.options, "-O2", "-c", str(HERE / "startup.c"), "-o", "startup.obj"], folder)
         board = ["startup.obj", "--specs=rdimon.specs", f"-T{HERE / 'mps2.ld'}"]
-    objects = sorted(path.name for path in folder.glob("pmf_*.o")) + ["axis_config.o"]
+    objects = [*sorted(path.name for path in folder.glob("pmf_*.o")), "axis_config.o"]
     words = [target.compiler, *options, *target.options, *WARNINGS, "-O2", "-I.", "-Iaxis", f"-I{PLATFORMS}"]
     done = command([*words, "-c", program, "-o", "program.obj"], folder)
     assert done.returncode == 0, done.stderr

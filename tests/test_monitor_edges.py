@@ -22,7 +22,7 @@ TURN, WHEN, SECONDS = 64, 12.0, 24.0
 
 
 def changed_run(name: str, factor: float, seed: int = 3, rest: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return input, counts and ages of the cart, whose parameter `name` changes at WHEN, with `rest` samples at rest."""
+    """Return input, counts and ages of the cart, whose parameter `name` changes at WHEN, and `rest` samples of rest."""
     schedule = Schedule(((0.0, CART), (WHEN, replace(CART, **{name: factor * getattr(CART, name)}))))
     u = np.r_[changing(schedule, seed, 4096, SECONDS)[0], np.zeros(rest)]
     step, rng = resolution_of(TURN), np.random.default_rng(seed)

@@ -311,6 +311,10 @@ class EstimatorTuning:
     counts_per_sample: float = 40.0
     viscous_part: float = 0.6
     coulomb_part: float = 0.3
+    #: Example motion with edges: counts per sample at full speed, time constant [samples], and instants in a sample.
+    edges_per_sample: float = 3.0
+    edges_slow: float = 10.0
+    edges_instants: int = 20
     #: Counts of the example linear process for an input of one.
     process_counts: float = 500.0
 

@@ -12,6 +12,7 @@ from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.errors import UsageError
 from pmfid.estimators.configuration import check_arrays
 from pmfid.estimators.redge import REdge
+from pmfid.estimators.tuning import TUNING
 from pmfid.export.c_text import initializer, literal
 from pmfid.export.samples import Samples, make_up_input, moving_part
 from pmfid.kernel.saved import config_number, edge_configuration
@@ -27,26 +28,21 @@ FURTHER = {
     "edges_zephyr.cmake.j2": "examples/zephyr/CMakeLists.txt",
     "edges_zephyr.conf.j2": "examples/zephyr/prj.conf",
 }
-#: Age of a sample without an edge.
-NO_EDGE = -1.0
-#: Instants of the made-up motion in a sample, and its time constant [samples].
-FINE, SLOW = 20, 10.0
-#: Speed [counts/sample] at full input, and Coulomb friction as a part of the largest force.
-FASTEST, COULOMB = 3.0, 0.15
 
 
 def make_up_edges(estimator: REdge) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
     """Return input, counts and ages (n,) of a body that reverses and rests."""
     from pmfid._kernel64 import simulate
 
-    u, dt, gain = make_up_input(), estimator.dt, float(estimator.model.input_gain)
-    step, fine = estimator.encoder.resolution, estimator.dt / FINE
-    viscous = abs(gain) * dt / (FASTEST * step)
-    body = [viscous * SLOW * dt, viscous, viscous, COULOMB * abs(gain), COULOMB * abs(gain), 0.0, 0.0]
-    velocity, *_ = simulate(body, gain, fine, np.repeat(u, FINE))
+    u, dt, gain, parts = make_up_input(), estimator.dt, float(estimator.model.input_gain), TUNING.edges_instants
+    step, fine = estimator.encoder.resolution, dt / parts
+    viscous = TUNING.viscous_part * abs(gain) * dt / (TUNING.edges_per_sample * step)
+    coulomb = TUNING.coulomb_part * abs(gain)
+    body = [viscous * TUNING.edges_slow * dt, viscous, viscous, coulomb, coulomb, 0.0, 0.0]
+    velocity, *_ = simulate(body, gain, fine, np.repeat(u, parts))
     place = np.concatenate([[0.0], np.cumsum(np.asarray(velocity)[:-1])]) * fine
     path, lines = Trajectory.sample(place, fine), Lattice(step, 0.3 * step, np.zeros(1))
-    counts, ages = read_edge_times(path, lines, FINE, estimator.tick)
+    counts, ages = read_edge_times(path, lines, parts, estimator.tick)
     return u, counts - 100, ages  # the counter wraps
 
 
@@ -61,7 +57,7 @@ def record_edges(estimator: REdge, types: Structures, u: ArrayLike, counts: Arra
     if inputs.size == 0 or not np.all(np.isfinite(inputs)):
         raise UsageError("the samples of the self-test must be finite, and at least one; take another record")
     real = types["pmf_line_t"]["weight"]
-    given, times = inputs.astype(real), np.nan_to_num(np.asarray(ages, real), nan=NO_EDGE)
+    given, times = inputs.astype(real), np.nan_to_num(np.asarray(ages, real), nan=-1.0)
     own = REdge(**configuration_of(estimator))  # type: ignore[arg-type]
     expected = []
     for value, count, age in zip(given.tolist(), read.tolist(), times.tolist(), strict=True):

@@ -30,9 +30,9 @@ from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Floats
 
-#: Magic number, version, checksum of the configuration, size, and checksum of what follows.
-HEAD = struct.Struct("<IIIII")
-MAGIC, VERSION = 0x45464D50, 1  # "PMFE"
+#: Name with version, checksum of the configuration, size, and checksum of what follows.
+HEAD = struct.Struct("<8sIII")
+VERSION = b"PMFE\0\0\0\1"
 #: State, whether a suspicion is possible, samples, samples since the last edge and since the suspicion or alarm, last
 #: counts, statistic, and three numbers each of the reference, of the one before, and of the last sound estimate.
 BODY = struct.Struct("<B?QQQqd3d3d3d")
@@ -208,15 +208,15 @@ class EdgeMonitor:
             self.statistic,
         )
         body = BODY.pack(*own, *self.reference, *self._before, *self._base) + self.estimator.get_state()
-        return HEAD.pack(MAGIC, VERSION, self._number, len(body), zlib.crc32(body)) + body
+        return HEAD.pack(VERSION, self._number, len(body), zlib.crc32(body)) + body
 
     def set_state(self, state: bytes) -> None:
         """Continue from a saved state. Raises UsageError, and changes nothing, for other bytes."""
         if not isinstance(state, bytes) or len(state) < HEAD.size + BODY.size:
             raise UsageError("a state is the bytes that get_state of such a monitor gave")
-        magic, version, number, size, checksum = HEAD.unpack_from(state)
+        version, number, size, checksum = HEAD.unpack_from(state)
         body = state[HEAD.size :]
-        if (magic, version, number, size) != (MAGIC, VERSION, self._number, len(body)):
+        if (version, number, size) != (VERSION, self._number, len(body)):
             raise UsageError("the state is of another monitor or version; construct it with the same arguments")
         if checksum != zlib.crc32(body):
             raise UsageError("the state is damaged: its checksum does not fit; start from an older state, or from none")
