@@ -14,20 +14,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid import Drive, Encoder
+from pmfid import Drive, Encoder, REdge
 from pmfid.config.axis import load_axis
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import RECURSIVE
 from pmfid.kernel.saved import configuration, shape_of
-from pmfid.kernel.structures import structures
+from pmfid.kernel.structures import edge_structures, structures
 from pmfid.records.record import read_record
+from pmfid.simulation import CART, capture_edges, resolution_of, simulate_drive
 from pmfid.simulation.scenarios import CART_DT, make_scenario
 from tests.conftest import EMPS
 from tests.firmware.build import CLANG, GCC, M4F, M7
 from tests.firmware.footprint import cost
-from tests.firmware.replay import PREFIX, difference, exported
+from tests.firmware.replay import PREFIX, difference, exported, exported_edges
 
 SAMPLES = 100_000
+#: Samples with edges, and instants of their motion in a sample.
+EDGE_SAMPLES, FINE = 20_000, 20
 RUNS = [(GCC, level) for level in ("-O0", "-O2", "-O3")] + [(CLANG, level) for level in ("-O0", "-O2", "-O3")]
 RUNS += [(M4F, "-O2"), (M4F, "-O3"), (M7, "-O2"), (M7, "-O3")]
 AXIS = Path(__file__).parents[2] / "examples" / "emps.toml"
@@ -72,6 +75,29 @@ def estimators() -> Iterator[tuple[str, RecursiveEstimator, NDArray[np.float64],
                 yield name, estimator, u, counts
 
 
+def edge_estimators() -> Iterator[tuple[REdge, tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]]]:
+    """Yield the recursion over edges, and input, counts and ages of the cart."""
+    u = make_scenario("prbs", seed=0, increments=256, duration=EDGE_SAMPLES * CART_DT).motion.u
+    motion = simulate_drive(CART, np.repeat(u, FINE), CART_DT / FINE)
+    for lines in (16, 64):
+        step = resolution_of(lines)
+        counts, ages = capture_edges(motion, step, 0.3 * step, every=FINE, tick=1e-6)
+        for precision in ("float32", "float64"):
+            encoder = Encoder(step)
+            yield (
+                REdge(Drive(2.0), encoder, CART_DT, lines=lines, tick=1e-6, memory=10.0, precision=precision),
+                (u, counts, ages),
+            )
+
+
+def edge_cost_row(name: str, estimator: REdge, folder: Path) -> str:
+    measured = cost(folder, PREFIX)
+    sizes = edge_structures(int(estimator.lines or 0), estimator.precision)
+    ram, saved = sizes["pmf_state_t"].itemsize, sizes["pmf_saved_t"].itemsize
+    values = (measured.flash, ram, saved, measured.stack, measured.mean, measured.most)
+    return f"| {name} | {estimator.precision} | " + " | ".join(map(str, values)) + " |"
+
+
 def page() -> str:
     bits = ["| record | samples | method | precision | compared | different |", "|---|---:|---|---|---:|---:|"]
     costs = [
@@ -93,6 +119,14 @@ def page() -> str:
             with tempfile.TemporaryDirectory() as folder:
                 exported(bare, Path(folder), u, counts)
                 costs.append(cost_row(bare, Path(folder)))
+    for estimator, record in edge_estimators():
+        with tempfile.TemporaryDirectory() as folder:
+            exported_edges(estimator, Path(folder), record)
+            wrong = sum(difference(Path(folder), *run) is not None for run in RUNS)
+            name = f"{estimator.method}, {estimator.lines} lines"
+            bits.append(f"| edges | {record[0].size} | {name} | {estimator.precision} | {len(RUNS)} | {wrong} |")
+            costs.append(edge_cost_row(name, estimator, Path(folder)))
+            print(f"{bits[-1]}\n{costs[-1]}", flush=True)
     names = ", ".join(f"{target.name} {level}" for target, level in RUNS)
     return PAGE.format(compilers=compilers(), footprint="\n".join(costs), bits="\n".join(bits), runs=names)
 

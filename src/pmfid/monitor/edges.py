@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -148,18 +148,26 @@ class EdgeMonitor:
         self._since, self._armed = 0, False
         return self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet")
 
+    @property
+    def _gain(self) -> float:
+        return float(self.estimator.model.input_gain)
+
     def _weigh(self, estimate: Estimate) -> list[Event]:
         """Return an alarm if a change of a single parameter, or of the gain, is beyond the tolerance and chance.
 
-        The change ends the suspicion without an alarm if it is certainly within the tolerance.
+        A change that is certainly within the tolerance ends the suspicion without an alarm. Until the recursion moves its
+        reference, the estimate has errors of second order, which can hide the cause.
         """
-        evidence = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov))
-        cause = name_cause(evidence, self._base, self.names, float(self.estimator.model.input_gain))
+        evidence, gain = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov)), self._gain
+        moved = evidence.theta - self._base
+        bend = min(float(np.max(np.abs(moved / self._base))), TUNING.edge_bend)
+        doubtful = replace(evidence, covariance=evidence.covariance + np.diag((bend * moved) ** 2))
+        cause, sure = (name_cause(one, self._base, self.names, gain) for one in (doubtful, evidence))
         std = np.array(estimate.theta_std)
         relative, error = evidence.theta / self.reference - 1, self.threshold * std / self.reference
         late = self._since >= TUNING.edge_confirmed * self._patience
-        size = abs(cause.relative) - self.watch.tolerance
-        self.statistic = size * abs(cause.change / cause.relative) / cause.std if cause.relative else 0.0
+        size = abs(sure.relative) - self.watch.tolerance
+        self.statistic = size * abs(sure.change / sure.relative) / sure.std if sure.relative else 0.0
         if self.statistic > self.threshold and (late or not cause.others):
             return self._alarm(cause)
         if np.all(np.abs(relative) + error < self.watch.tolerance) or (late and error.max() < TUNING.edge_known):

@@ -34,6 +34,8 @@ class MonitorTuning:
     #: Relative error at the threshold above which no change shows, and least part of the reference at a restart.
     edge_known: float = 0.2
     edge_least: float = 1e-3
+    #: Largest error of second order of an early estimate, relative to the change.
+    edge_bend: float = 0.2
     #: Times in units of `silent_time`: until a cause is named without this, and until an unsure value is the reference.
     edge_confirmed: int = 2
     edge_settled: int = 10
