@@ -155,8 +155,8 @@ class EdgeMonitor:
     def _weigh(self, estimate: Estimate) -> list[Event]:
         """Return an alarm if a change of a single parameter, or of the gain, is beyond the tolerance and chance.
 
-        A change that is certainly within the tolerance ends the suspicion without an alarm. Until the recursion moves its
-        reference, the estimate has errors of second order, which can hide the cause.
+        A change that is certainly within the tolerance ends the suspicion without an alarm. Until the recursion moves
+        its reference, the estimate has errors of second order, which can hide the cause.
         """
         evidence, gain = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov)), self._gain
         moved = evidence.theta - self._base
