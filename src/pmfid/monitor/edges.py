@@ -59,6 +59,24 @@ class EdgeMonitor:
     ------
     UsageError
         The estimator never forgets, or the reference has other parameters.
+
+    Examples
+    --------
+    A cart is loaded after 10 s.
+
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, REdge
+    >>> from pmfid.monitor import Alarm, EdgeMonitor
+    >>> from pmfid.simulation import CART, capture_edges, change_parameters, prbs, simulate_drive
+    >>> u = prbs(2000, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> motion = simulate_drive(change_parameters(CART, at=10.0, mass=1.44), np.repeat(u, 10), 1e-3)
+    >>> counts, ages = capture_edges(motion, 0.0015, every=10, tick=1e-6)
+    >>> estimator = REdge(Drive(CART.input_gain), Encoder(0.0015), 0.01, lines=64, tick=1e-6, memory=10.0)
+    >>> monitor = EdgeMonitor(estimator, np.array([1.07, 12.8, 0.8]))
+    >>> samples = zip(u.tolist(), counts.tolist(), ages.tolist(), strict=True)
+    >>> events = [event for sample in samples for event in monitor.step(*sample)[1]]
+    >>> [event.parameter for event in events if isinstance(event, Alarm)]
+    ['mass']
     """
 
     estimator: REdge
