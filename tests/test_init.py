@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Callable
 from functools import cache
@@ -20,6 +21,7 @@ from pmfid.pipeline.guess.axis_file import Reader, guess, read_duration, read_ga
 from pmfid.pipeline.guess.columns import step_of
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.identify import kind_of
+from pmfid.records.record import read_record
 from pmfid.simulation import CART, Scenario, make_scenario
 from pmfid.units import Unit
 from tests.conftest import unjudged
@@ -203,6 +205,34 @@ def test_lengths_in_counts_and_of_no_unit_are_said(tmp_path: Path) -> None:
     assert units == {"mass": "N s2/count", "viscous_friction": "N s/count", "coulomb_friction": "N"}
     (line,) = (line for line in guess(saved("nameless", tmp_path)).text.splitlines() if line.startswith("resolution"))
     assert "TO DO: taken to be in m or rad, else write" in line
+    assert 'mm" here and output_unit = "mm" in [record], or "deg" in both' in line
+
+
+def test_a_resolution_in_another_unit_than_its_column_is_refused_with_the_unit(tmp_path: Path) -> None:
+    path = saved("nameless", tmp_path)
+    rows = pl.read_csv(path)
+    written = guess(path).text
+    number = float(re.search(r"^resolution = ([\d.e-]+)", written, re.MULTILINE)[1])  # type: ignore[index]
+    axis = re.sub(r"^resolution = [\d.e-]+", f'resolution = "{1000 * number:.9g} mm"', written, flags=re.MULTILINE)
+    output = tomllib.loads(axis)["record"]["output"]
+    rows.with_columns(pl.col(output) * 1000).write_csv(path)
+    (tmp_path / "mm.toml").write_text(axis, encoding="utf-8")
+    with pytest.raises(UsageError, match='output_unit = "mm"'):
+        read_record(path, load_axis(tmp_path / "mm.toml"))
+    (tmp_path / "mm.toml").write_text(axis.replace("[record]", '[record]\noutput_unit = "mm"', 1), encoding="utf-8")
+    counts = read_record(path, load_axis(tmp_path / "mm.toml")).counts
+    assert np.ptp(counts) == round(float(np.ptp(rows[output].to_numpy())) / number)
+
+
+def test_a_time_that_starts_again_is_refused_with_its_row(tmp_path: Path) -> None:
+    path = saved("nameless", tmp_path)
+    rows = pl.read_csv(path)
+    name = tomllib.loads(guess(path).text)["record"]["time"]
+    half = rows.height // 2
+    wrong = rows.with_columns(pl.col(name) - (pl.int_range(pl.len()) >= half) * 3 * rows[name][half])
+    wrong.rename({name: "time"}).write_csv(path)
+    with pytest.raises(UsageError, match=f"falls after row {half}"):
+        guess(path)
 
 
 def _swing(n: int, dt: float, gravity: float, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:

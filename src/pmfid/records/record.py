@@ -25,7 +25,7 @@ from pmfid.records.resampling import OwnSamples, Resampled, resample_uneven
 from pmfid.records.topics import join_topics
 from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
-from pmfid.units import OUTPUTS, column_unit
+from pmfid.units import OUTPUTS, Quantity, column_unit
 
 if TYPE_CHECKING:
     from pmfid.config.axis import Axis
@@ -110,6 +110,22 @@ def _check_counts(columns: Mapping[str, Floats], config: RecordConfig) -> None:
             f"the output column {config.output!r} has fractions, but the input column {config.input!r} has whole "
             "numbers as counts have: exchange input and output"
         ) from None
+
+
+def _check_step_unit(axis: Axis, output: Floats) -> None:
+    """Raise UsageError for a position column without a unit whose steps are the number of a resolution with a unit."""
+    step, config = axis.encoder.resolution, axis.record
+    if not isinstance(step, Quantity) or step.unit.plain or step.unit.name not in OUTPUTS:
+        return
+    if config.output_kind != "position" or config.output_unit or column_unit(config.output, OUTPUTS):
+        return
+    steps, number = np.abs(np.diff(output[np.isfinite(output)])), float(step) / step.unit.factor
+    least = float(np.min(steps[steps > 1e-6 * number], initial=np.inf))
+    if abs(least / number - 1) < 1e-3:
+        raise UsageError(
+            f"the steps of the output column {config.output!r} are {number:g}, as [encoder] resolution is in "
+            f'{step.unit.name}: give [record] output_unit = "{step.unit.name}"'
+        )
 
 
 def _whole(output: Floats) -> Counts:
@@ -315,6 +331,7 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     columns, topic_notes = join_topics(columns)
     if config.output_kind == "counts":  # resampling rounds the counts of an uneven clock
         _check_counts(columns, config)
+    _check_step_unit(axis, columns["output"])
     mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
     columns, found, clock_notes = _resample(axis, columns, units.y, mask)
     if found is not None:  # the rows to leave out are gaps now

@@ -1,4 +1,4 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
 """A drive whose friction is not Coulomb and viscous, by Runge-Kutta of fourth order with fixed steps.
 
     m v' = input_gain u(t - dead_time) + noise - offset - held(x) - sign(v) friction(|v|, sign(v), x)

@@ -1,4 +1,4 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
 """The drive with Coulomb friction, solved from event to event without a time step or an integration error.
 
     m v' = force - d v - F_c sign(v),    force = input_gain u - offset, constant over a sample;

@@ -1,4 +1,4 @@
-# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
 """A servo under position commands: the loop samples the position, the body moves exactly between two ticks.
 
     torque = clip(kp (goal(t - delay) - y) - kd w, -limit, limit),    y: position at t - loop_delay, w: its velocity

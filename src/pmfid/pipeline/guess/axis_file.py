@@ -151,6 +151,12 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
     values = values if written else columns.get(name, values)
     mean, grid = even_grid(values)
     step = mean if grid else _mean_step(np.diff(values))
+    if not step > 0:
+        row = int(np.argmax(np.diff(values) < 0)) + 1
+        raise UsageError(
+            f"the time {name!r} falls after row {row} and over the record: keep those rows, or rename a column "
+            "that is no time"
+        )
     if written or named_unit(name):
         return (name, "", ""), step * (1.0 if written else UNITS[named_unit(name) or "s"])
     fitting = [
@@ -192,7 +198,8 @@ def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask 
     reason = "the smallest step of the column" if found else "the column has no steps: as fine as its numbers"
     unit = column_unit(pair.output, OUTPUTS)
     if unit is None:
-        reason = f'{TO_DO}taken to be in m or rad, else write "{step:.9g} mm" or "{step:.9g} deg"; {reason}'
+        other = f'write "{step:.9g} mm" here and output_unit = "mm" in [record], or "deg" in both'
+        reason = f"{TO_DO}taken to be in m or rad, else {other}; {reason}"
     if pair.kind == "velocity":
         step, reason = step * dt * (unit.factor if unit else 1.0), f"{reason}, times the sample period"
         unit = None if unit is None or unit.plain else Unit("rad" if "ang" in unit.of else "m", "travel", 0.0)
