@@ -31,9 +31,10 @@ def test_outputs_are_those_of_the_file(often: bool) -> None:
 
 
 def _close(before: list[str], now: tuple[str, ...], method: str) -> bool:
-    """Compare as text; for an off-line method, allow the rounding of a library's order of addition."""
+    """Compare as text. Allow the rounding of a library's order of addition for methods that use its linear algebra."""
     if before == list(now):
         return True
     values = [np.array(" ".join(part).split(), float) for part in (before, now)]
     tolerance = 100 * 10.0**-DIGITS_OFF_LINE
-    return not method.startswith("r") and method != "bcrls" and np.allclose(*values, rtol=tolerance, atol=tolerance)
+    exact = method == "bcrls" or (method.startswith("r") and method != "rknown-step")
+    return not exact and np.allclose(*values, rtol=tolerance, atol=tolerance)

@@ -69,7 +69,9 @@ def test_the_step_that_was_is_taken_where_stamps_are_true(tmp_path: Path, clock:
     assert result.status == ()
 
 
-@pytest.mark.parametrize("clock", ["bursts", "in turn", pytest.param("host", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "clock", ["in turn", *(pytest.param(clock, marks=pytest.mark.long) for clock in ("bursts", "host"))]
+)
 def test_gaps_between_uneven_steps_stay_gaps(tmp_path: Path, clock: str) -> None:
     time, u, counts = run(clock)
     kept = np.ones(SAMPLES, bool)

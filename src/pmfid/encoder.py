@@ -172,19 +172,22 @@ def tracker_gains(tracking_index: float) -> dict[str, float]:
     The position is in counts, the velocity in counts per sample (Kalata 1984). The smoother's gains carry an innovation
     back to the velocities one and two samples earlier (Rauch, Tung and Striebel 1965).
     """
-    A = np.array([[1.0, 1.0], [0.0, 1.0]])
-    B = np.array([0.5, 1.0])
-    predicted = np.eye(2)
+    # Plain numbers, because a BLAS rounds by the kind of processor, and these gains decide the bits of estimates.
+    noise, (xx, xv, vv) = tracking_index**2, (1.0, 0.0, 1.0)  # the predicted covariance
     for _ in range(200):  # the Riccati recursion contracts by a constant factor, so the result after 200 steps is exact
-        gain = predicted[:, 0] / (predicted[0, 0] + 1.0)
-        filtered = predicted - np.outer(gain, predicted[0])
-        predicted = A @ filtered @ A.T + tracking_index**2 * np.outer(B, B)
-    back = filtered @ A.T @ np.linalg.inv(predicted)
+        position, velocity = xx / (xx + 1.0), xv / (xx + 1.0)
+        f_xx, f_xv, f_vv = xx - position * xx, xv - position * xv, vv - velocity * xv
+        carried = f_xv + f_vv
+        xx, xv, vv = f_xx + f_xv + carried + 0.25 * noise, carried + 0.5 * noise, f_vv + noise
+    size = xx * vv - xv * xv
+    to_x = ((f_xx + f_xv) * vv - f_xv * xv) / size, (f_xv * xx - (f_xx + f_xv) * xv) / size
+    to_v = (carried * vv - f_vv * xv) / size, (f_vv * xx - carried * xv) / size
+    back = to_x[0] * position + to_x[1] * velocity, to_v[0] * position + to_v[1] * velocity
     return {
-        "position_gain": float(gain[0]),
-        "velocity_gain": float(gain[1]),
-        "smooth_end": float((back @ gain)[1]),
-        "smooth_start": float((back @ back @ gain)[1]),
+        "position_gain": position,
+        "velocity_gain": velocity,
+        "smooth_end": back[1],
+        "smooth_start": to_v[0] * back[0] + to_v[1] * back[1],
     }
 
 

@@ -388,7 +388,7 @@ def test_an_alarm_says_what_to_do_and_its_parameter_stands_first(browser: Any) -
         at_axis(page, there, "spindle-b")
         assert "Check brakes, guides, seals and belt tension for rubbing." in page.inner_text(".card.alarm")
         assert re.search(r"Changed at \S.*\. Noticed at \S.*\.", page.inner_text(".card.alarm"))
-        assert "is 1.7 times the limit, which normal work rarely reaches" in page.inner_text(".card.alarm")
+        assert "is 1.7 times what an alarm needs" in page.inner_text(".card.alarm")
         assert page.inner_text(".value-card >> nth=0").startswith("coulomb friction")
         assert page.inner_text(".chart-title >> nth=0") == "coulomb friction"
 

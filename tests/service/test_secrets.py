@@ -204,7 +204,7 @@ PATHS = (
 @pytest.mark.skipif(PASSWD is None, reason="mosquitto_passwd is not installed")
 @needs_broker
 @pytest.mark.usefixtures("stopped_brokers")
-@pytest.mark.parametrize("form", [json_line, line], ids=["json", "text"])
+@pytest.mark.parametrize("form", [pytest.param(json_line, marks=pytest.mark.long), line], ids=["json", "text"])
 def test_no_secret_comes_out_anywhere(
     folder: Path,  # noqa: F811
     running: Running,

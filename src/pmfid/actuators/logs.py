@@ -88,7 +88,7 @@ def _find_time(table: Table) -> str:
         for name in table:
             if re.fullmatch(rf"(.*[/.])?{word}([\s_.]?[\[(]?(s|sec|ms|us|µs|ns)[\])]?)?", name.lower()):
                 return name
-    raise UsageError("no column is the time: name it with --time")
+    raise UsageError("no time column was recognised: name the column with --time")
 
 
 def _time_factor(name: str) -> float:

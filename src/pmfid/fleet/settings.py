@@ -64,8 +64,8 @@ def record_at(table: Table, axis: Axis) -> Record:
     record = record_of(table, axis.model_copy(update={"record": own}))
     if record.there is not None and record.there.mean() < 1 - TUNING.most_missing:
         raise UsageError(
-            f"{1 - record.there.mean():.0%} of the samples are missing on the grid of {record.dt:.6g} s that fits most"
-            ": the sample period changes within, or the logger loses as much"
+            f"on the best grid, of {record.dt:.6g} s, {1 - record.there.mean():.0%} of the samples are missing: "
+            "the sample period changes within the record, or the logger loses that many samples"
         )
     return replace(record, dt=float(f"{record.dt:.6g}"))
 

@@ -364,7 +364,7 @@ def open_folder(checkpoint: Path, out: Path, settings: StreamSettings) -> Iterat
     belongs to another stream, to other settings or to a running stream, or cannot be created.
     """
     if checkpoint.resolve() == out.resolve():
-        raise UsageError(f"{out}: is the checkpoint; give a folder of its own for --out")
+        raise UsageError(f"{out} is the checkpoint's folder; give --out another folder")
     if _read(checkpoint / SETTINGS) is None and _holds(checkpoint, LOCK):
         raise UsageError(f"{checkpoint}: is no checkpoint of pmfid fleet stream; give a new or empty folder")
     with closing(hold(checkpoint, "--checkpoint", "another stream")):

@@ -146,7 +146,7 @@ def identify(
         return run(experiments, axis_of(model, encoder, experiments[0].period, {**settings}))
     pairs = _pairs(u) if y is None else [(cast(ArrayLike, u), y)]
     if not pairs or dt is None or encoder is None:
-        raise UsageError(f"a {model.kind} is identified from u and counts (n,) with dt and encoder; give all of them")
+        raise UsageError(f"{model.kind} needs u, counts, dt and encoder: pass all four, u and counts as arrays (n,)")
     own = axis_of(model, encoder, dt, {**settings})
     place_matters = own.model.make().equation.place_matters
     return run(join_records([_record(*pair, own) for pair in pairs], place_matters), own)

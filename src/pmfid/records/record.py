@@ -107,8 +107,8 @@ def _check_counts(columns: Mapping[str, Floats], config: RecordConfig) -> None:
         if np.unique(u[: TUNING.record_distinct]).size <= TUNING.most_whole or np.any(u != np.rint(u)):
             raise
         raise UsageError(
-            f"the output column {config.output!r} has fractions, but the input column {config.input!r} has whole "
-            "numbers as counts have: exchange input and output"
+            f"the output column {config.output!r} has fractions, but the input column {config.input!r} has only "
+            "whole numbers, like encoder counts: exchange input and output"
         ) from None
 
 

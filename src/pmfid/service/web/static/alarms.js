@@ -35,7 +35,7 @@ export const sinceOf = (alarm) => `${alarm.silent ? "" : `Changed at ${moment(al
 
 // How sure an alarm is.
 const sureOf = (alarm) =>
-  `The evidence for a change is ${number(alarm.statistic / alarm.threshold, 2)} times the limit, which normal work rarely reaches ` +
+  `The evidence is ${number(alarm.statistic / alarm.threshold, 2)} times what an alarm needs. Normal work alone reaches an alarm once in mtbf_hours ` +
   `(statistic ${number(alarm.statistic, 3)}, limit ${number(alarm.threshold, 3)}).`;
 
 function settledOf(alarm) {
