@@ -169,7 +169,7 @@ def test_a_changed_configuration_is_refused_with_a_remedy(tmp_path: Path) -> Non
         begun(tmp_path, settings, out="else")
     with pytest.raises(UsageError, match="is no checkpoint"):
         begun(tmp_path, settings, checkpoint="else")
-    with pytest.raises(UsageError, match="of its own"):
+    with pytest.raises(UsageError, match="another folder"):
         begun(tmp_path, settings, out="checkpoint")
     assert [path.name for path in (tmp_path / "else").iterdir()] == ["a.txt"]
 

@@ -92,7 +92,7 @@ def test_a_slow_axis_says_that_it_is_slow(tmp_path: Path) -> None:
 
 def test_a_name_that_the_numbers_contradict_is_refused(tmp_path: Path) -> None:
     path = logged(tmp_path, "t_us", 0.01)
-    with pytest.raises(UsageError, match=r'"s" \(0\.01 s\) .*, or "us" if that is right'):
+    with pytest.raises(UsageError, match=r'"s" \(0\.01 s\) .*, or "us" to confirm'):
         read_record(path, axis_of(tmp_path, "t_us"))
     assert read_record(path, axis_of(tmp_path, "t_us", 'time_unit = "s"')).dt == pytest.approx(0.01)
 

@@ -237,8 +237,8 @@ def _check_unit(
     ]
     ways = " or ".join(f'"{unit}" ({step * UNITS[unit]:g} s)' for unit in others)
     raise UsageError(
-        f"the time column {config.time!r} has steps of {step:g}. In {taken} the sample period is {step * factor:g} s, "
-        f"unusual for an axis. Give [record] time_unit = {ways + ', or ' if ways else ''}"
+        f"the time column {config.time!r} has steps of {step:g}: in {taken} the sample period is {step * factor:g} s, "
+        f"unusual for an axis; give [record] time_unit = {ways + ', or ' if ways else ''}"
         f'"{taken}" to confirm'
     )
 
