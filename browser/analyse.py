@@ -81,9 +81,9 @@ def _read_text(data: bytes) -> Table:
 
     Raises UsageError for a row with too many fields. `log` takes a note on each column that has other text.
     """
-    text = csv_text._text(unpack_file(data))
+    text = csv_text.decode_text(unpack_file(data))
     layout = csv_text.layout_of(text.decode().split("\n")[: csv_text.LOOKED_AT])
-    body = csv_text._strip_other_lines(text[csv_text._end_of_line(text, layout.first) :]).decode()
+    body = csv_text.strip_other_lines(text[csv_text.find_end_of_line(text, layout.first) :]).decode()
     rows = [csv_text.split(line, layout.separator) for line in body.split("\n") if line.strip()]
     width = len(layout.names)
     for number, row in enumerate(rows, 1):
@@ -100,7 +100,7 @@ def _read_text(data: bytes) -> Table:
 
 
 def _number(cell: str, decimal: str) -> float:
-    return np.nan if cell in csv_text._MISSING else float(cell.replace(",", ".") if decimal == "," else cell)
+    return np.nan if cell in csv_text.MISSING else float(cell.replace(",", ".") if decimal == "," else cell)
 
 
 def _arrays(columns: Mapping[str, Any]) -> Table:

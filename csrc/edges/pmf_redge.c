@@ -19,8 +19,8 @@
 #define AWAY PMF_R(1.5) /* counts beyond the step of the count: the simulated motion is lost */
 #define AWAY_AFTER 3U /* samples without an edge */
 #define RECENT PMF_R(16.0) /* edges: memory of the surprise */
-#define COLOURED PMF_R(64.0) /* edges: memory of the correlation of innovations, */
-#define ALIKE PMF_R(128.0) /* and of their likeness */
+#define COLOURED PMF_R(64.0) /* edges: memory of the covariance of successive innovations, */
+#define CORRELATED PMF_R(128.0) /* and of their correlation */
 #define BLOCK 16U /* edges */
 #define BLOCKS PMF_R(16.0) /* memory of the blocks */
 #define VARIANCES PMF_R(400.0) /* edges: memory of the variance of the lines */
@@ -42,9 +42,9 @@
 #define TREND PMF_R(0.3) /* correlation of innovations, of an alarm */
 #define SHRINK PMF_R(0.95) /* of the drift, from edge to edge without a trend */
 #define MOST_MOVES (6U * STEADY) /* moves of the reference, of which a right model needs three to six */
-#define COLOUR PMF_R(0.3) /* correlation of innovations from which on the model is wrong */
-#define LIKENESS PMF_R(0.2) /* likeness of innovations from which on the model is wrong; chance makes 0.06 */
-#define LIKENESS_OF_FEW PMF_R(5.0) /* the same, of one edge */
+#define COLOUR PMF_R(0.3) /* covariance over the variance from which on the model is wrong */
+#define CORRELATION PMF_R(0.2) /* correlation from which on the model is wrong; chance makes 0.06 */
+#define CORRELATION_OF_FEW PMF_R(5.0) /* the same, of one edge */
 #define FURTHER PMF_R(3.0) /* squared moves of blocks over those by chance, from which on the model is wrong */
 #define FURTHER_OF_FEW PMF_R(8.0) /* the same, of one block */
 #define JITTER PMF_R(1.6e-5) /* standard deviation of instants from which on the model is wrong [s], */
@@ -130,7 +130,7 @@ static void note_surprise(const pmf_redge_config_t *config, pmf_redge_state_t *s
     square = edge->value * edge->value + state->last * state->last + PMF_R(2.0) * config->finest * config->finest;
     alike = PMF_R(2.0) * edge->value * state->last / square; /* from -1 to 1, whatever the size of the innovations */
     state->colour += larger(one, PMF_R(1.0) / COLOURED) * (both - state->colour); /* sees a change at once */
-    state->likeness += larger(one, PMF_R(1.0) / ALIKE) * (alike - state->likeness);
+    state->correlation += larger(one, PMF_R(1.0) / CORRELATED) * (alike - state->correlation);
     state->last = edge->value;
     state->last_variance = edge->variance;
     state->innovation = edge->value;
@@ -461,8 +461,8 @@ static uint32_t is_correlated(const pmf_redge_state_t *state)
 {
     real_t few = FURTHER_OF_FEW / ((real_t)state->blocks + PMF_R(1.0));
     uint32_t i, found;
-    found = state->calm >= RECENT_EDGES &&
-                    (state->colour > COLOUR || state->likeness > LIKENESS + LIKENESS_OF_FEW / (real_t)state->calm)
+    found = state->calm >= RECENT_EDGES && (state->colour > COLOUR ||
+                                            state->correlation > CORRELATION + CORRELATION_OF_FEW / (real_t)state->calm)
                 ? 1U
                 : 0U;
     for (i = 0; i < PMF_BODY; ++i) {

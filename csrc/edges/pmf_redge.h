@@ -68,7 +68,7 @@ typedef struct {
     real_t evidence; /* errors of lines that their variance follows from */
     real_t block_moved[PMF_BODY], block_squares[PMF_BODY]; /* of the parameters in the present block */
     real_t further[PMF_BODY]; /* squared moves of blocks over the sums of squared corrections */
-    real_t surprise, colour, likeness, trend, rough, last, last_variance, size; /* of the innovations */
+    real_t surprise, colour, correlation, trend, rough, last, last_variance, size; /* of the innovations */
     real_t input, since, window_time,
         last_line; /* last input; time since the last edge and in this window; that edge's line */
     pmf_start_t start;

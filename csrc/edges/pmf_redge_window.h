@@ -124,7 +124,7 @@ static void open_prior(pmf_redge_state_t *state, real_t velocity)
     state->covariance[LATENESS][LATENESS] = LATE * LATE;
     state->covariance[SPEED][SPEED] = PRIOR * velocity * velocity + PMF_R(1e-6);
     state->surprise = state->scatter = state->heard = PMF_R(1.0);
-    state->colour = state->likeness = state->trend = state->rough = state->last = state->size = PMF_R(0.0);
+    state->colour = state->correlation = state->trend = state->rough = state->last = state->size = PMF_R(0.0);
     state->last_variance = PMF_R(1.0);
     state->calm = state->lost = state->astray = state->against = state->away = 0U;
     state->drift = PMF_R(0.0);

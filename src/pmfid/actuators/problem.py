@@ -137,7 +137,7 @@ class ServoProblem:
         for _ in range(TUNING.first_evaluations if rough else TUNING.evaluations):
             if slope is None:
                 slope, age = self.jacobian(z, forward=True), 0
-            step = np.clip(_step(slope, residual, damping), -self._longest, self._longest)
+            step = np.clip(_solve_damped(slope, residual, damping), -self._longest, self._longest)
             moved = self.residual(z + step)
             gain, change = 1 - float(moved @ moved) / max(float(residual @ residual), 1e-300), moved - residual
             if gain > 0:
@@ -166,7 +166,7 @@ class ServoProblem:
         return np.append(z[: -TUNING.nuisance], start)
 
 
-def _step(slope: Floats, residual: Floats, damping: float) -> Floats:
+def _solve_damped(slope: Floats, residual: Floats, damping: float) -> Floats:
     """Return the damped step (q,) of a least squares problem with derivatives (n, q)."""
     size = np.maximum(np.linalg.norm(slope, axis=0), 1e-300)
     scaled = slope / size

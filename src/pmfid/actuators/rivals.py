@@ -17,7 +17,7 @@ from pmfid.actuators.servo import TORQUES
 from pmfid.actuators.tuning import TUNING
 from pmfid.types import Floats
 
-NAME = "load_friction"
+LOAD_FRICTION = "load_friction"
 
 
 def choose_likeliest(problem: ServoProblem, z: Floats) -> Floats:
@@ -55,7 +55,7 @@ def _list_absent(problem: ServoProblem, z: Floats) -> list[dict[str, float]]:
     """Return typical values of each friction that the model does not have."""
     coulomb = problem.list_values(z).get("coulomb", problem.servo.given.get("coulomb", 0.0))
     frictions: list[dict[str, float]] = [
-        {NAME: TUNING.rival_step},
+        {LOAD_FRICTION: TUNING.rival_step},
         {"stribeck": TUNING.rival_stribeck * coulomb, "stribeck_speed": TUNING.rival_speed * problem.speed},
     ]
     return [given for given in frictions if not any(problem.servo.has(name) for name in given)]
@@ -63,11 +63,11 @@ def _list_absent(problem: ServoProblem, z: Floats) -> list[dict[str, float]]:
 
 def _fit_rivals(problem: ServoProblem, z: Floats) -> list[tuple[Floats, Floats, float]]:
     """Return the parameters (p,), the start (2,) and the cost of servos with another load-dependent friction."""
-    now = problem.list_values(z).get(NAME)
+    now = problem.list_values(z).get(LOAD_FRICTION)
     if now is None:
         return []
     steps = [now * part if part < 1 else now + max(now, TUNING.rival_step) for part in TUNING.rival_parts]
-    return [_fit_rival(problem, z, {NAME: friction}) for friction in steps if friction < TUNING.most_load]
+    return [_fit_rival(problem, z, {LOAD_FRICTION: friction}) for friction in steps if friction < TUNING.most_load]
 
 
 def _fit_rival(problem: ServoProblem, z: Floats, given: dict[str, float]) -> tuple[Floats, Floats, float]:
@@ -75,7 +75,9 @@ def _fit_rival(problem: ServoProblem, z: Floats, given: dict[str, float]) -> tup
     servo, now = problem.servo, problem.list_values(z)
     terms = tuple(name for name in servo.terms if name not in given)
     narrow = replace(problem, servo=replace(servo, given={**servo.given, **given}, terms=terms))
-    part = (1 - given.get(NAME, 0.0)) / max(1 - now.get(NAME, 0.0), 1 - TUNING.most_load) if NAME in given else 1.0
+    part = 1.0
+    if LOAD_FRICTION in given:
+        part = (1 - given[LOAD_FRICTION]) / max(1 - now.get(LOAD_FRICTION, 0.0), 1 - TUNING.most_load)
     start = np.array([now[name] * (part if name in TORQUES else 1.0) for name in narrow.servo.unknown])
     found = sharpen(narrow, np.append(narrow.coordinates(start)[: -TUNING.nuisance], z[-TUNING.nuisance :]))
     values = {**narrow.list_values(found), **given}

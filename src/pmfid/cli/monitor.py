@@ -153,10 +153,7 @@ class _Teller:
 
     def start(self, setup: Setup | EdgeSetup, out: Path | None) -> None:
         """Print the settings of the run, and the file of the estimates."""
-        from pmfid.pipeline.monitored.setup import Setup, start_object
-
-        described = start_object(setup) if isinstance(setup, Setup) else setup.describe_start()
-        self({**described, "out": None if out is None else str(out)})
+        self({**setup.describe_start(), "out": None if out is None else str(out)})
 
     def end(self, run: MonitoredRun, sink: RowSink) -> None:
         """Print the totals. The number of skipped lines goes to standard error, where a user sees it."""

@@ -229,7 +229,7 @@ def _fit_line(line: list[str], fields: Sequence[str]) -> list[str]:
 #: First bytes of zlib, bzip2, xz and ZIP.
 _PACKED = (b"x\x01", b"x\x9c", b"x\xda", b"BZh9", b"\xfd7zXZ", b"PK\x03\x04")
 _MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
-_MISSING = ["", "NA", "N/A", "null", "NULL", "None", "-"]
+MISSING = ["", "NA", "N/A", "null", "NULL", "None", "-"]
 _COMMENT = re.compile(rb"(?m)^[ \t]*(#|%|//).*(\n|\Z)")
 #: Smallest percentage of zeros at every second byte of a UTF-16 text, and number of examined first bytes.
 _WIDE, _FIRST = 30, 2000
@@ -240,11 +240,12 @@ def parse_csv(data: bytes, stated: Stated = NOTHING) -> NotedTable:
 
     Raises UsageError for packed files other than gzip and zstd, and for a file that is no text or no table.
     """
-    text = _text(unpack_file(data))
-    head = text[: _end_of_line(text, LOOKED_AT)].decode("utf-8")
+    text = decode_text(unpack_file(data))
+    head = text[: find_end_of_line(text, LOOKED_AT)].decode("utf-8")
     layout = layout_of(head.splitlines(), stated)
     cut = () if text.endswith(b"\n") else (_describe_cut(text, layout),)
-    return NotedTable(_columns(text[_end_of_line(text, layout.first) :], layout), (*layout.notes, *filter(None, cut)))
+    body = text[find_end_of_line(text, layout.first) :]
+    return NotedTable(_columns(body, layout), (*layout.notes, *filter(None, cut)))
 
 
 def _describe_cut(text: bytes, layout: Layout) -> str:
@@ -257,7 +258,7 @@ def _describe_cut(text: bytes, layout: Layout) -> str:
     return "the last line of the file ends early: the file is cut, and its last row may be wrong"
 
 
-def _text(data: bytes) -> bytes:
+def decode_text(data: bytes) -> bytes:
     """Return the text as UTF-8 with line feeds. Raises UsageError for a file that is no text."""
     if data.startswith(_PACKED):  # polars would unpack a file of any size
         raise UsageError("a packed file; unpack it first, and mind how large it becomes")
@@ -283,7 +284,7 @@ def _detect_encoding(data: bytes) -> str | None:
     return None
 
 
-def _end_of_line(text: bytes, lines: int) -> int:
+def find_end_of_line(text: bytes, lines: int) -> int:
     """Return the position at which the first `lines` lines end."""
     place = 0
     for _ in range(lines):
@@ -297,7 +298,7 @@ def _end_of_line(text: bytes, lines: int) -> int:
 def _columns(body: bytes, layout: Layout) -> dict[str, object]:
     import polars as pl
 
-    body = _strip_other_lines(body)
+    body = strip_other_lines(body)
     if not body or body.isspace():
         return {name: pl.Series(name, [], dtype=pl.String) for name in layout.names}
     if layout.separator == " ":
@@ -305,7 +306,7 @@ def _columns(body: bytes, layout: Layout) -> dict[str, object]:
     return named_columns(_frame(body, layout), layout)
 
 
-def _strip_other_lines(body: bytes) -> bytes:
+def strip_other_lines(body: bytes) -> bytes:
     """Return only the lines of data. The text is copied only if it has other lines."""
     if any(mark in body for mark in (b"#", b"%", b"//")):
         body = _COMMENT.sub(b"", body)
@@ -326,7 +327,7 @@ def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
             separator=layout.separator,
             has_header=False,
             schema=kinds,  # polars' own names begin with column_0 or column_1
-            null_values=_MISSING,
+            null_values=MISSING,
             decimal_comma=layout.decimal == "," and bool(numbers),
         )
 

@@ -30,7 +30,7 @@ def takes_edges(axis: Axis) -> bool:
     return axis.encoder.edge_age is not None and axis.estimator.method == AUTO
 
 
-def edge_estimator(axis: Axis, record: Record, steps: bool = False) -> REdge:
+def make_edge_estimator(axis: Axis, record: Record, steps: bool = False) -> REdge:
     """Return the on-line estimator of a configuration that takes the ages of edges, for the record's clock.
 
     Raises UsageError for a model or a clock that this estimator does not take.
@@ -87,7 +87,7 @@ def set_up_edges(axis: Axis, folder: Path, record: Record) -> EdgeSetup:
     The normal parameters are those of [monitor] nominal, or of the reference record by the same estimator. Raises
     UsageError without either, and NotIdentifiableError if the reference does not give the parameters.
     """
-    config, estimator = axis.monitor, edge_estimator(axis, record)
+    config, estimator = axis.monitor, make_edge_estimator(axis, record)
     watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
     if config.nominal is not None:
         nominal = initial_vector(config.nominal, estimator.names)
@@ -105,7 +105,7 @@ def set_up_edges(axis: Axis, folder: Path, record: Record) -> EdgeSetup:
 def _learn_normal(axis: Axis, normal: Record) -> Floats:
     if normal.ages is None:
         raise UsageError(f"the ages of edges of {normal.name} cannot be used; take another reference")
-    estimator = replace(edge_estimator(axis, normal), memory=None)
+    estimator = replace(make_edge_estimator(axis, normal), memory=None)
     estimator.run(normal.u, normal.counts, normal.ages)
     if estimator.status & (Status.STARTING | Status.DISTORTED):
         raise NotIdentifiableError(

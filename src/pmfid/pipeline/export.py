@@ -17,7 +17,7 @@ from pmfid.estimators.redge import REdge
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.estimators.sample_steps import GIVEN
 from pmfid.pipeline.drives import make_estimator
-from pmfid.pipeline.edges import edge_estimator, takes_edges
+from pmfid.pipeline.edges import make_edge_estimator, takes_edges
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.known import check_numbers_known
 from pmfid.records.record import Record
@@ -35,7 +35,7 @@ def drive_estimator(
     """
     if takes_edges(axis):
         check_exportable(axis)
-        return edge_estimator(axis, record or _no_record(axis, dt), steps)
+        return make_edge_estimator(axis, record or _no_record(axis, dt), steps)
     if record is not None:
         axis = kind_of(axis).prepare_axis(record, axis)
     config, model = check_exportable(axis), axis.model.make()

@@ -18,6 +18,14 @@ from pmfid.io.reading import read_table
 from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, notes_of, times, whole_name
 from pmfid.linear.experiment import Experiment
 from pmfid.records.clock import PlacedRows, left_out, named_unit, place_rows, time_factor
+from pmfid.records.column_checks import (
+    check_counts,
+    check_lengths,
+    check_not_empty,
+    check_position,
+    check_step_unit,
+    round_counts,
+)
 from pmfid.records.edge_ages import Coarser, make_edge_ages, read_edge_ages
 from pmfid.records.gaps import describe_missing, fill_gaps, is_held
 from pmfid.records.repeats import drop_stale_rows
@@ -25,7 +33,6 @@ from pmfid.records.resampling import OwnSamples, Resampled, resample_uneven
 from pmfid.records.topics import join_topics
 from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
-from pmfid.units import OUTPUTS, Quantity, column_unit
 
 if TYPE_CHECKING:
     from pmfid.config.axis import Axis
@@ -72,75 +79,13 @@ def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
     bits = axis.encoder.bits
     if axis.record.output_kind != "counts":
         if axis.record.output_kind == "position":
-            _check_position(output, axis)
+            check_position(output, axis)
         # In binary, a decimal multiple of the resolution is often slightly too small, and a bare floor would lose a
         # whole count. Therefore the floor has a small tolerance.
         counts = floor_counts(output, axis.encoder.resolution, 1e-6)
         return counts, ("bits is ignored, the output is a position",) if bits is not None else ()
-    counts = _whole(output)
+    counts = round_counts(output)
     return (counts, ()) if bits is None else _unwrap(counts, bits)
-
-
-def _check_position(output: Floats, axis: Axis) -> None:
-    """Raise UsageError if a position with a resolution below 1 has only whole numbers, because such a column holds
-    counts.
-    """
-    whole = (
-        np.array_equal(output, np.rint(output)) and np.unique(output[: TUNING.record_distinct]).size > TUNING.most_whole
-    )
-    named = axis.record.output_unit or column_unit(axis.record.output, OUTPUTS)
-    if whole and not named and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
-        raise UsageError(
-            f"the column {axis.record.output!r} has nothing but whole numbers, and is taken for a position in steps of "
-            f'{axis.encoder.resolution:g}: give output_kind = "counts", or a resolution of 1 for a position in '
-            "whole units"
-        )
-
-
-def _check_counts(columns: Mapping[str, Floats], config: RecordConfig) -> None:
-    """Raise UsageError for a column of counts that has fractions, and say so if the input has whole numbers instead."""
-    there = np.isfinite(columns["output"])
-    try:
-        _whole(columns["output"] if np.all(there) else columns["output"][there])
-    except UsageError:
-        u = columns["input"][np.isfinite(columns["input"])]
-        if np.unique(u[: TUNING.record_distinct]).size <= TUNING.most_whole or np.any(u != np.rint(u)):
-            raise
-        raise UsageError(
-            f"the output column {config.output!r} has fractions, but the input column {config.input!r} has only "
-            "whole numbers, like encoder counts: exchange input and output"
-        ) from None
-
-
-def _check_step_unit(axis: Axis, output: Floats) -> None:
-    """Raise UsageError for a position column without a unit whose steps are the number of a resolution with a unit."""
-    step, config = axis.encoder.resolution, axis.record
-    if not isinstance(step, Quantity) or step.unit.plain or step.unit.name not in OUTPUTS:
-        return
-    if config.output_kind != "position" or config.output_unit or column_unit(config.output, OUTPUTS):
-        return
-    steps, number = np.abs(np.diff(output[np.isfinite(output)])), float(step) / step.unit.factor
-    least = float(np.min(steps[steps > 1e-6 * number], initial=np.inf))
-    if abs(least / number - 1) < 1e-3:
-        raise UsageError(
-            f"the steps of the output column {config.output!r} are {number:g}, as [encoder] resolution is in "
-            f'{step.unit.name}: give [record] output_unit = "{step.unit.name}"'
-        )
-
-
-def _whole(output: Floats) -> Counts:
-    rounded, most = np.rint(output), TUNING.max_count
-    if np.array_equal(rounded, output) and -most < np.min(output, initial=0) and np.max(output, initial=0) < most:
-        return rounded.astype(np.int64)
-    off = np.subtract(output, rounded)
-    bad = np.flatnonzero((np.abs(off, out=off) > 1e-6) | (output >= most) | (output <= -most))
-    del off  # the mask of a long record takes much memory
-    if len(bad):
-        raise UsageError(
-            f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
-            f'set output_kind = "position" if the column is a position, or export without a sign between thousands'
-        )
-    return rounded.astype(np.int64)
 
 
 def floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
@@ -166,7 +111,7 @@ def unwrap_counts(output: Floats, bits: int | None) -> Floats:
         return output
     unwrapped, there = output.copy(), np.isfinite(output)
     if np.any(there):
-        unwrapped[there] = _unwrap(_whole(np.where(there, output, 0.0))[there], bits)[0]
+        unwrapped[there] = _unwrap(round_counts(np.where(there, output, 0.0))[there], bits)[0]
     return unwrapped
 
 
@@ -238,7 +183,7 @@ def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
     """Return the experiment in a table of columns that `axis.record` names."""
     config, table, columns = _columns(axis.record, table)
     keys = {"input": config.input, "output": config.output, "time": config.time, "reference": config.reference}
-    _check_lengths(columns, keys)
+    check_lengths(columns, keys)
     scale, _ = _input_scale(table, config.input_scale)
     y, t = columns["output"], columns.get("time")
     t = None if t is None else t * _stated_factor(config)
@@ -322,16 +267,16 @@ def _stated_factor(config: RecordConfig) -> float:
 def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Record:
     config, table, columns = _columns(axis.record.model_copy(update={"reference": None}), table)
     keys = {"input": config.input, "output": config.output, "time": config.time}
-    _check_lengths(columns, keys)
+    check_lengths(columns, keys)
     for key, values in columns.items():
-        _check_not_empty(f"{key} column {keys[key]!r}", values)
+        check_not_empty(f"{key} column {keys[key]!r}", values)
     scale, scale_notes = _input_scale(table, config.input_scale)
     units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
     columns["input"] = _subtract_known(table, axis, columns["input"], scale * units.u)
     columns, topic_notes = join_topics(columns)
     if config.output_kind == "counts":  # resampling rounds the counts of an uneven clock
-        _check_counts(columns, config)
-    _check_step_unit(axis, columns["output"])
+        check_counts(columns, config)
+    check_step_unit(axis, columns["output"])
     mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
     columns, found, clock_notes = _resample(axis, columns, units.y, mask)
     if found is not None:  # the rows to leave out are gaps now
@@ -451,7 +396,7 @@ def _resample(
     if np.any(out):
         columns = columns | {key: np.where(out, np.nan, columns[key]) for key in ("input", "output")}
     if config.output_kind == "position":
-        _check_position(columns["output"], axis)  # the check needs the values of the file
+        check_position(columns["output"], axis)  # the check needs the values of the file
     wraps = 0
     if config.output_kind == "counts" and encoder.bits is not None:
         columns = columns | {"output": unwrap_counts(columns["output"], encoder.bits)}
@@ -504,22 +449,6 @@ def _rows(
             f"{TUNING.min_samples} are needed; leave out less, or record longer"
         )
     return rows, (*notes, *rows.notes)
-
-
-def _check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]) -> None:
-    lengths = {keys[key]: len(values) for key, values in columns.items()}
-    if len(set(lengths.values())) > 1:
-        raise UsageError(f"the columns differ in length: {lengths}; save them over the same samples")
-    n = len(columns["input"])
-    if n < TUNING.min_samples:
-        raise UsageError(
-            f"the record has {n} sample{'s' * (n != 1)}, at least {TUNING.min_samples} are needed; record longer"
-        )
-
-
-def _check_not_empty(label: str, values: Floats) -> None:
-    if not (np.isfinite(values[0]) or np.any(np.isfinite(values))):
-        raise UsageError(f"{label} is empty: missing, NaN or infinite in every row; name another column, or record it")
 
 
 def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ...]]:

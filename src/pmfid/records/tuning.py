@@ -164,6 +164,10 @@ class RecordTuning:
     # record
     #: Largest distance of a velocity from a multiple of a step, relative to the step.
     record_whole: float = 1e-3
+    #: Differences of a column below this part of its step come from its binary rounding. A column has the step of a
+    #: resolution if both agree to three digits, which logs have at least.
+    record_rounding: float = 1e-6
+    record_step_digits: float = 1e-3
     # Limit of counts, because neighbouring integers beyond 2**53 share one float64 and a count would be silently wrong.
     max_count: float = 2.0**53
     #: Number of rows that are tested for counts. A column holds counts if all tested numbers are whole and more than

@@ -139,6 +139,25 @@ class Setup:
         further = len(self.monitor.names) - len(self.monitor.estimator.names)
         return np.concatenate([self.nominal, [self.monitor.estimator.equation.input_gain] * further])
 
+    def describe_start(self) -> dict[str, object]:
+        """Return the settings of a monitored axis for `--json`."""
+        monitor = self.monitor
+        return {
+            "event": "start",
+            "method": monitor.estimator.method,
+            "nominal": dict(zip(monitor.names, self.reported.tolist(), strict=True)),
+            "units": dict(zip(monitor.names, monitor.units, strict=True)),
+            "detector": monitor.watch.detector,
+            "mtbf_hours": monitor.watch.mtbf_hours,
+            "tolerance": monitor.watch.tolerance,
+            "threshold": monitor.threshold,
+            "hours": self.calibration.hours,
+            "record_hours": self.calibration.record_hours,
+            "calibration": str(self.path),
+            "cached": self.cached,
+            "notes": list(self.notes),
+        }
+
 
 def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[float], None] | None = None) -> Setup:
     """Return the monitor of AXIS.toml in `folder` for a record, or for a pipe if `record` is None.
@@ -279,23 +298,3 @@ def _nominal(
         return initial_vector({name: value for name, value in given.items() if name in names or known is None}, names)
     except UsageError:
         raise UsageError(f"[monitor] nominal must name {list(names)}, got {list(given)}") from None
-
-
-def start_object(setup: Setup) -> dict[str, object]:
-    """Return the settings of a monitored axis for `--json`."""
-    monitor = setup.monitor
-    return {
-        "event": "start",
-        "method": monitor.estimator.method,
-        "nominal": dict(zip(monitor.names, setup.reported.tolist(), strict=True)),
-        "units": dict(zip(monitor.names, monitor.units, strict=True)),
-        "detector": monitor.watch.detector,
-        "mtbf_hours": monitor.watch.mtbf_hours,
-        "tolerance": monitor.watch.tolerance,
-        "threshold": monitor.threshold,
-        "hours": setup.calibration.hours,
-        "record_hours": setup.calibration.record_hours,
-        "calibration": str(setup.path),
-        "cached": setup.cached,
-        "notes": list(setup.notes),
-    }

@@ -1,0 +1,98 @@
+"""Checks of the columns of a record: their lengths, their kind, and their unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pmfid.config.record import RecordConfig
+from pmfid.errors import UsageError
+from pmfid.records.tuning import TUNING
+from pmfid.types import Counts, Floats
+from pmfid.units import OUTPUTS, Quantity, column_unit
+
+if TYPE_CHECKING:
+    from pmfid.config.axis import Axis
+
+
+def check_position(output: Floats, axis: Axis) -> None:
+    """Raise UsageError if a position with a resolution below 1 has only whole numbers, because such a column holds
+    counts.
+    """
+    whole = (
+        np.array_equal(output, np.rint(output)) and np.unique(output[: TUNING.record_distinct]).size > TUNING.most_whole
+    )
+    named = axis.record.output_unit or column_unit(axis.record.output, OUTPUTS)
+    if whole and not named and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
+        raise UsageError(
+            f"the column {axis.record.output!r} has nothing but whole numbers, and is taken for a position in steps of "
+            f'{axis.encoder.resolution:g}: give output_kind = "counts", or a resolution of 1 for a position in '
+            "whole units"
+        )
+
+
+def check_counts(columns: Mapping[str, Floats], config: RecordConfig) -> None:
+    """Raise UsageError for a column of counts that has fractions, and say so if the input has whole numbers instead."""
+    there = np.isfinite(columns["output"])
+    try:
+        round_counts(columns["output"] if np.all(there) else columns["output"][there])
+    except UsageError:
+        u = columns["input"][np.isfinite(columns["input"])]
+        if np.unique(u[: TUNING.record_distinct]).size <= TUNING.most_whole or np.any(u != np.rint(u)):
+            raise
+        raise UsageError(
+            f"the output column {config.output!r} has fractions, but the input column {config.input!r} has only "
+            "whole numbers, like encoder counts: exchange input and output"
+        ) from None
+
+
+def check_step_unit(axis: Axis, output: Floats) -> None:
+    """Raise UsageError for a position column without a unit whose steps are the number of a resolution with a unit."""
+    step, config = axis.encoder.resolution, axis.record
+    if not isinstance(step, Quantity) or step.unit.plain or step.unit.name not in OUTPUTS:
+        return
+    if config.output_kind != "position" or config.output_unit or column_unit(config.output, OUTPUTS):
+        return
+    steps, number = np.abs(np.diff(output[np.isfinite(output)])), float(step) / step.unit.factor
+    least = float(np.min(steps[steps > TUNING.record_rounding * number], initial=np.inf))
+    if abs(least / number - 1) < TUNING.record_step_digits:
+        raise UsageError(
+            f"the steps of the output column {config.output!r} are {number:g}, as [encoder] resolution is in "
+            f'{step.unit.name}: give [record] output_unit = "{step.unit.name}"'
+        )
+
+
+def round_counts(output: Floats) -> Counts:
+    """Return counts (n,) as integers. Raises UsageError for fractions and beyond 2**53 counts."""
+    rounded, most = np.rint(output), TUNING.max_count
+    if np.array_equal(rounded, output) and -most < np.min(output, initial=0) and np.max(output, initial=0) < most:
+        return rounded.astype(np.int64)
+    off = np.subtract(output, rounded)
+    bad = np.flatnonzero((np.abs(off, out=off) > 1e-6) | (output >= most) | (output <= -most))
+    del off  # the mask of a long record takes much memory
+    if len(bad):
+        raise UsageError(
+            f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
+            f'set output_kind = "position" if the column is a position, or export without a sign between thousands'
+        )
+    return rounded.astype(np.int64)
+
+
+def check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None]) -> None:
+    """Raise UsageError for columns that differ in length, and for too few samples."""
+    lengths = {keys[key]: len(values) for key, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        raise UsageError(f"the columns differ in length: {lengths}; save them over the same samples")
+    n = len(columns["input"])
+    if n < TUNING.min_samples:
+        raise UsageError(
+            f"the record has {n} sample{'s' * (n != 1)}, at least {TUNING.min_samples} are needed; record longer"
+        )
+
+
+def check_not_empty(label: str, values: Floats) -> None:
+    """Raise UsageError for a column (n,) without a number."""
+    if not (np.isfinite(values[0]) or np.any(np.isfinite(values))):
+        raise UsageError(f"{label} is empty: missing, NaN or infinite in every row; name another column, or record it")
