@@ -49,9 +49,7 @@ def _remark(name: str, value: Structured) -> str:
 def _value(value: Structured, level: int) -> str:
     if value.ndim == 0:
         return initializer(value, level) if value.dtype.names else literal(value[()])
-    if value.dtype.names:
-        return _rows([_flat(row) for row in value], level)
-    if value.ndim == 2:
+    if value.dtype.names or value.ndim == 2:
         return _rows([_flat(row) for row in value], level)
     return _flat(value)
 
