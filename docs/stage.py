@@ -17,7 +17,8 @@ from pathlib import Path
 import click
 
 from docs.blocks import ROOT, run_blocks
-from docs.words import PICTURES, draw_word
+from docs.word_estimates import ESTIMATES, SAMPLES, draw_estimates, draw_samples
+from docs.words import PICTURES, draw_log
 from pmfid.cli.main import main as program
 from pmfid.config.explain import ReferenceEntry, entries
 from pmfid.diagnostics.matter import FLAGS, OF_LOG, OF_MODEL
@@ -79,10 +80,11 @@ def explain_words(words: list[str], folder: Path) -> str:
         more = (
             f"\n\n[Records and figures](status/{word}.md)" if (folder / "howto/status" / f"{word}.md").exists() else ""
         )
-        if word in PICTURES:
-            (folder / "howto/status").mkdir(parents=True, exist_ok=True)
-            draw_word(word).savefig(folder / f"howto/status/{word}.png", dpi=150)
-            more += f"\n\n![A good log, and a log with the word {word}](status/{word}.png)"
+        for drawn, draw in ((PICTURES, draw_log), (SAMPLES, draw_samples), (ESTIMATES, draw_estimates)):
+            if word in drawn:
+                (folder / "howto/status").mkdir(parents=True, exist_ok=True)
+                draw(word).savefig(folder / f"howto/status/{word}.png", dpi=150)
+                more += f"\n\n![A good record, and one with the word {word}](status/{word}.png)"
         weight = f"\n\n*{weigh_word(word)}*" if weigh_word(word) else ""
         sections.append(f"### {word}\n\n{write_meaning(known[word])}{weight}{more}\n")
     return "\n".join(sections)

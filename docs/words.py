@@ -1,14 +1,9 @@
-"""Pictures of status words of the log: a good log next to one that raises the word.
-
-`python -m docs.words FOLDER` writes all of them.
-"""
+"""Pictures of status words of the log: a good log next to one that raises the word."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -45,6 +40,7 @@ PICTURES: Mapping[str, Picture] = MappingProxyType(
         "command": Picture("set point as input", begin=0.5),
         "little_motion": Picture("too little motion"),
         "rate_low": Picture("sample rate too low"),
+        "rate_high": Picture("sample rate too high"),
     }
 )
 
@@ -55,7 +51,7 @@ def make_logs(picture: Picture) -> tuple[Logged, Logged]:
     return logged(bad.run, bad.run.u, bad.run.counts), bad
 
 
-def draw_word(word: str) -> Figure:
+def draw_log(word: str) -> Figure:
     """Draw input and output of a good log and of a log that raises the word, at the same times."""
     picture = PICTURES[word]
     logs = make_logs(picture)
@@ -76,14 +72,3 @@ def _draw_signal(axis: Axes, signal: NDArray[np.float64], duration: float, pictu
     time = np.arange(signal.size) * duration / signal.size
     shown = (picture.begin <= time) & (time <= picture.end)
     axis.step(time[shown], signal[shown], where="post", color=color, lw=1, marker="." if shown.sum() < 60 else "")
-
-
-def main(folder: Path) -> None:
-    """Write the pictures of all words into a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for word in PICTURES:
-        draw_word(word).savefig(folder / f"{word}.png", dpi=120)
-
-
-if __name__ == "__main__":
-    main(Path(sys.argv[1]))

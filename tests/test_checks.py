@@ -72,14 +72,14 @@ def plainly(record: Record, axis: Axis) -> Result | NotIdentifiableError:
 # --- found ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("fault", SEEN)
+@pytest.mark.parametrize("fault", long_unless("input of another clock".__ne__, SEEN))
 def test_the_fault_is_named_with_its_remedy(fault: str) -> None:
     found = found_in(fault)
     assert FAULTS[fault][1] & {finding.code for finding in found}
     assert all(finding.remedy for finding in found)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", long_unless((0, 1).__contains__, range(6)))
 def test_a_clean_log_has_no_fault(seed: int) -> None:
     log = clean(seed, AXES)
     assert check_record(log.record(), log.configuration) == ()
@@ -141,6 +141,7 @@ def test_python_says_what_the_command_says() -> None:
     assert found[0].text == found_in("reversed sign")[0].text
 
 
+@pytest.mark.long
 def test_an_input_that_acts_late_is_said_as_of_the_estimate() -> None:
     log = log_of(JUDGED)
     late = [finding for finding in found_in(JUDGED) if finding.code == "dead_time"]
@@ -174,7 +175,7 @@ def test_a_check_takes_what_identify_takes(tmp_path: Path) -> None:
         pmfid.check(frame)
 
 
-@pytest.mark.parametrize("seed", [3, 18])
+@pytest.mark.parametrize("seed", long_unless((3).__eq__, [3, 18]))
 def test_a_clean_log_of_the_right_model_ends_with_0(seed: int, tmp_path: Path) -> None:
     log = clean(seed, AXES)
     assert "nothing" in log.run.label

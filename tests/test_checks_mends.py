@@ -16,6 +16,7 @@ from pmfid.pipeline.checks.readings import convert_velocity
 from pmfid.pipeline.checks.view import long_stops, sudden
 from pmfid.records.outliers import repair_record
 from studies.check_logs import ALL, Logged, clean, faulty, limited
+from tests.conftest import long_unless
 from tests.test_checks import written
 
 
@@ -23,7 +24,7 @@ def found_in(log: Logged) -> tuple[str, ...]:
     return codes(check_record(log.record(), log.configuration))
 
 
-@pytest.mark.parametrize("seed", [3006, 3019])
+@pytest.mark.parametrize("seed", long_unless((3006).__eq__, [3006, 3019]))
 def test_a_velocity_is_read_as_it_stands(seed: int) -> None:
     # At 3006 the axis rests between moves, so that the mend of positions removes its steps; at 3019 the input has two
     # levels.
@@ -95,6 +96,7 @@ def test_what_the_log_cuts_off_is_distinguished_from_the_limit_of_the_drive() ->
     assert [(one.code, one.severity) for one in found] == [("saturated", "note")]
 
 
+@pytest.mark.long
 def test_a_note_ends_no_search_and_is_no_fault(tmp_path: Path) -> None:
     assert found_in(faulty("sample rate too low", 5002)) == ("rate_low",)
     log = limited(5044, {"slide": ALL["slide"]})
