@@ -7,7 +7,7 @@ PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
 .PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core test-lowest test-newest coverage spark kills broker-kills service-faults soak check format bench \
-    bench-compare study hostile firmware browser docs docs-pictures firmware-tools service-tools spark-tools golden images clean
+    bench-compare study hostile firmware browser test-browser docs docs-pictures firmware-tools service-tools spark-tools golden images clean
 
 # The versions of requirements-dev.txt, whose hashes pip verifies, then pmfid. An edit of Python counts at once, an edit
 # of C after `make`. pmfid is compiled to bytecode here, because some environments forbid later compilation.
@@ -106,6 +106,10 @@ browser:
 	$(PYTHON312) -m venv build/browser/tools
 	build/browser/tools/bin/pip install --quiet --no-deps --require-hashes -r requirements-build.txt
 	build/browser/tools/bin/python -m browser.build
+
+# The page in Chromium on logs in five formats, next to the desktop's results.
+test-browser: browser .venv/tools service-tools
+	$(PYTEST) -m "long or not long" tests/test_browser.py
 
 # Java runtime for the fleet's tests on Spark, which skip without it.
 spark-tools:
