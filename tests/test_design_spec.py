@@ -87,7 +87,7 @@ def test_a_wrong_value_is_one_line(overrides: dict[str, object], message: str) -
         ({"motion__end": -0.1, "limits__position": [-1.0, 1.0]}, "directions never lead"),
         ({"limits__position": [0.4, 0.0]}, "lower < upper"),
         ({"motion__directions": [1, -1]}, "40 intervals"),
-        ({"prior__offset": 1.0}, r"\[prior\] offset is not unknown"),
+        ({"prior__offset": 1.0}, r"\[prior\] offset is none of the unknown"),
         ({"drive__offset": 0.0, "experiment__unknown": ["mass", "offset"]}, "scaled"),
     ],
 )

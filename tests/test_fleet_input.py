@@ -240,7 +240,7 @@ def test_what_is_no_data_is_named(lake: History, file: str, code: str, said: str
 
 def test_one_call_at_a_time_has_a_folder(logs: list[pl.DataFrame], config: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    with closing(Store(out)), pytest.raises(UsageError, match="another call works in"):
+    with closing(Store(out)), pytest.raises(UsageError, match="another call already uses"):
         estimated(logs[0], config, out)
     assert estimated(logs[0], config, out).axes.height == 1
     assert estimated(logs[0], config, out).reused == 1

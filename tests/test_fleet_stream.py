@@ -178,7 +178,7 @@ def test_one_stream_at_a_time_has_a_checkpoint(tmp_path: Path) -> None:
     settings = StreamSettings("digest", 4, 0.5, 1.0, "blocks")
     with (
         open_folder(tmp_path / "checkpoint", tmp_path / "out", settings),
-        pytest.raises(UsageError, match="another stream works in"),
+        pytest.raises(UsageError, match="another stream already uses"),
     ):
         begun(tmp_path, settings)
     begun(tmp_path, settings)

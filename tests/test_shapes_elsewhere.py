@@ -19,7 +19,7 @@ class Posed:
 
 
 def test_a_design_says_that_it_cannot() -> None:
-    with pytest.raises(pmfid.UsageError, match="a design for stribeck_friction is not there yet; leave that out"):
+    with pytest.raises(pmfid.UsageError, match="a design for stribeck_friction is not supported yet; leave that out"):
         check_parameters(Posed())  # type: ignore[arg-type]
 
 

@@ -298,7 +298,7 @@ def test_a_checkpoint_is_taken_up_and_has_what_changed_alone(tmp_path: Path) -> 
     fleet.remove(handles[[5]])
     assert fleet.checkpoint({"read": [1, 2]}, sync=False) == 0
     before = states(fleet)
-    with pytest.raises(pmfid.UsageError, match="folder: another process works in"):
+    with pytest.raises(pmfid.UsageError, match="folder: another process already uses"):
         opened(tmp_path)
     fleet.close()
     again = kept(pmfid.ShardedFleet(tmp_path, [make(pmfid.RIV), BCRLS], shard=1000))

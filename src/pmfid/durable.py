@@ -188,7 +188,7 @@ def hold(folder: Path, setting: str, other: str) -> IO[bytes]:
         raise UsageError(f"{setting}: {folder}: {error.strerror}; choose a folder that can be locked") from None
     if not free:
         held.close()
-        raise UsageError(f"{setting}: {other} works in {folder}; end that, or choose another folder")
+        raise UsageError(f"{setting}: {other} already uses {folder}; stop it, or choose another folder")
     return held
 
 

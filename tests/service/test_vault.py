@@ -105,7 +105,7 @@ def test_with_neither_the_service_starts_again(tmp_path: Path) -> None:
 
 def test_a_folder_has_one_service(tmp_path: Path) -> None:
     first = Vault(tmp_path)
-    with pytest.raises(UsageError, match="another service works in"):
+    with pytest.raises(UsageError, match="another service already uses"):
         Vault(tmp_path)
     first.close()
     Vault(tmp_path).close()

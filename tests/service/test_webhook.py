@@ -175,7 +175,7 @@ def test_certificates_are_verified(tmp_path: Path) -> None:
         ("http://[::1", None, "none of http:// or https://"),
         ("https://exa mple.org", None, "none of http:// or https://"),
         ("https://example.org/\r\nX-Bad: 1", None, "none of http:// or https://"),
-        ("https://me:hidden@example.org", None, "holds a user"),
+        ("https://me:hidden@example.org", None, "contains a user name"),
         ("http://example.org", TOKEN, "not sent to another machine by http"),
         ("https://example.org", f"{TOKEN}\r\nX-Bad: 1", "no line of plain text"),
         ("https://example.org", "", "empty"),

@@ -165,7 +165,10 @@ class ModelConfig(FileSection):
             raise ValueError('unknown and known are for kind = "equation"; add that, or drop them')
         own = set(keys_of(Drive)) - {"dead_time", "lag"} & self.model_fields_set
         if self.kind == "equation" and own:
-            raise ValueError(f'{", ".join(sorted(own))} is for kind = "drive"; write it as a term of unknown or known')
+            raise ValueError(
+                f'{", ".join(sorted(own))} belongs to kind = "drive"; write it as a term in the list "unknown" '
+                f'or "known"'
+            )
         self._check_transfer_function()
         try:
             self.make()

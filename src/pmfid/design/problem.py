@@ -40,7 +40,7 @@ NOT_YET = {"spring": "a load on a spring", "dead_time": "an input that acts late
 def check_drive(drive: Drive) -> None:
     for key, what in NOT_YET.items():
         if getattr(drive, key):
-            raise UsageError(f"a design for {what} is not there yet; leave {key} out")
+            raise UsageError(f"a design for {what} is not supported yet; leave {key} out")
     if drive.input_gain == ESTIMATE:
         raise UsageError(
             "a design needs the gain of the input: give input_gain as a number, such as pmfid identify finds with a "
@@ -48,7 +48,7 @@ def check_drive(drive: Drive) -> None:
         )
     shaped = ", ".join(str(term.name) for term in drive.equation.shaped)
     if shaped:
-        raise UsageError(f"a design for {shaped} is not there yet; leave that out")
+        raise UsageError(f"a design for {shaped} is not supported yet; leave that out")
 
 
 def check_parameters(problem: Problem) -> None:

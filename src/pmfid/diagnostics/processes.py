@@ -428,9 +428,8 @@ def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks
     if not checks.depends:
         offset = "" if "offset" in estimator.names else "give offset = true in [model] where it has a constant, "
         raise NotIdentifiableError(
-            f"the output hardly depends on the input ({estimator.method}): chance alone explains as much of it. "
-            f"Check the columns, the dead time and for outliers, {offset}excite the process more, or use fewer poles "
-            "and zeros"
+            f"the input explains the output no better than chance does ({estimator.method}): check columns, dead time "
+            f"and outliers, {offset}excite the process more, or use fewer poles and zeros"
         )
 
 

@@ -194,8 +194,8 @@ class Estimator:
             raise UsageError(f"model must be a Drive, a TransferFunction or an EquationModel, got {self.model!r}")
         if getattr(self.model, "input_gain", None) == ESTIMATE:
             raise UsageError(
-                "an estimator alone cannot find the input_gain, which takes a force that is known: use pmfid.identify "
-                'with given = {"mass": 1.25}. Or write Drive(input_gain=1.0, ...) and look at its estimates through '
+                'an estimator needs a number as input_gain: use pmfid.identify with given = {"mass": 1.25}, or write '
+                "Drive(input_gain=1.0, ...) and combine its estimates with "
                 'pmfid.Known(estimator, given={"mass": 1.25}, find_gain=True)'
             )
         if not isinstance(self.encoder, Encoder):

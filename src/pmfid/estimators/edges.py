@@ -456,7 +456,7 @@ def _settle(difference: EdgeDifference, q: Floats) -> tuple[EdgeDifference, Floa
     for _ in range(TUNING.edges_passes):
         difference = difference.with_variances(q).drop_truncated(q)
         if difference.rows <= q.size:
-            raise NotIdentifiableError("too few edges are away from the samples: record a longer motion")
+            raise NotIdentifiableError("too few edges lie far enough from the sample instants: record a longer motion")
         difference = difference.with_variances(q)
         q = least(difference, q)
     return difference, q

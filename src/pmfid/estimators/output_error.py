@@ -409,8 +409,8 @@ def _check_window(window: object, dt: float) -> None:
     usable = isinstance(window, Real) and TUNING.search_fewest * dt <= float(window) < math.inf
     if isinstance(window, bool) or not usable:
         raise UsageError(
-            f"window must be a time of at least {TUNING.search_fewest} samples, {TUNING.search_fewest * dt:g} "
-            f"s, or {AUTO_WINDOW!r}, got {window!r}"
+            f"window must be at least {TUNING.search_fewest * dt:g} s ({TUNING.search_fewest} samples), "
+            f"or {AUTO_WINDOW!r}, got {window!r}"
         )
 
 

@@ -248,7 +248,8 @@ class Runner(Generic[E]):
         """Return axes that start from the present state. `Fleet` describes the arguments and errors."""
         if self._configuration["steps"] is not None:
             raise UsageError(
-                "many axes at once take an even clock: run each by itself, or make the estimator without steps"
+                "many axes at once need evenly spaced samples: run each axis by itself, or make the estimator "
+                "without the argument steps"
             )
         return SideBySide(self.kernel, self.precision, self.names, self.units, axes, workers)
 

@@ -111,8 +111,8 @@ def _take_shards(listing: Listing, folder: Path, groups: Mapping[bytes, ShardGro
     for number, listed in enumerate(listing.shards):
         if listed.identity not in known:
             raise UsageError(
-                f"{folder} has axes of a configuration that is none of the {len(groups)} estimators given; give all "
-                "with which axes were added, as in ShardedFleet(folder, [estimator]), or choose another folder"
+                f"{folder} has axes whose configuration matches none of the {len(groups)} estimators given; give every "
+                "estimator that added axes, as in ShardedFleet(folder, [estimator]), or choose another folder"
             )
         shards.append(Shard(known[listed.identity], number, listing.size))
 

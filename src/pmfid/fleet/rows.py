@@ -156,8 +156,8 @@ class Aside:
             return _Laid(path, target.axes, {}, error)
         except OSError as error:
             raise UsageError(
-                f"{self._folder.parent}: {error.strerror or error}; {name} mixes its axes row by row, so its rows are "
-                f"put aside there, {self._kind.itemsize} bytes each: make room, or choose another folder"
+                f"{self._folder.parent}: {error.strerror or error}; the rows of {name} mix its axes, and "
+                f"sorting them there needs {self._kind.itemsize} bytes a row: make room, or choose another folder"
             ) from None
         return _Laid(path, target.axes, places)
 

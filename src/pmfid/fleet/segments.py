@@ -324,7 +324,8 @@ def _stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
     ]
     if not found:
         raise UsageError(
-            f"{record.u.size} samples without a gap are too few: an estimate takes {quarter * record.dt:.3g} s of them"
+            f"{record.u.size} samples without a gap are too few: record at least {quarter * record.dt:.3g} s "
+            f"without one"
         )
     return found
 

@@ -99,7 +99,9 @@ def check_folder(folder: Path) -> None:
     except FileNotFoundError:
         return
     except NotADirectoryError:
-        raise UsageError(f"{folder}: is a file, or lies in one; give a folder for the history") from None
+        raise UsageError(
+            f"{folder}: this path is a file, or a part of it is one; give a folder for the history"
+        ) from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
         raise UsageError(f"{folder}: {reason}; choose a folder that can be written") from None

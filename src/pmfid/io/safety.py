@@ -69,7 +69,8 @@ def check_unpacked(size: int, packed: int, what: str) -> None:
     """Raise UsageError if `packed` bytes may not unpack to `size` bytes."""
     if size > most_of(packed):
         raise UsageError(
-            f"{what} takes {size / 1e6:.0f} MB or more out of a file of {packed / 1e6:.2g} MB; decimate or cut the "
+            f"{what} needs {size / 1e6:.0f} MB or more when a file of {packed / 1e6:.2g} MB is unpacked; "
+            f"decimate or cut the "
             "record"
         )
 

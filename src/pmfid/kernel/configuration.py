@@ -96,7 +96,8 @@ def network_values(stages: Stages, columns: Columns, parameters: int, rates: Rat
         )
     if len(rates[1]) >= sizes["PMF_MAX_RATES"]:
         raise ValueError(
-            f"the stages follow a step in {len(rates[1])} ways, the kernel holds {sizes['PMF_MAX_RATES'] - 1}; "
+            f"the stages have {len(rates[1])} different step responses, and the kernel holds only "
+            f"{sizes['PMF_MAX_RATES'] - 1}; "
             "give fewer prefilter_zeros"
         )
     return {

@@ -106,7 +106,7 @@ class Term:
         if self.signal == "place" and self.shape.of_speed:
             raise UsageError(f"{self.shape.reads} depends on the speed: its signal is friction, not place")
         if self.name is None or self.coefficient != 1.0:
-            raise UsageError(f"a term of {self.signal} is unknown, with the coefficient 1; give it a name")
+            raise UsageError(f"the term of {self.signal} is unknown; give it a name, and leave its coefficient out")
 
     @property
     def facts(self) -> SignalFacts:
@@ -196,7 +196,10 @@ class Equation:
         elif not any(term.signal == "input" for term in self.known):
             raise UsageError("one known term must be the input: without it nothing gives the unknown ones their scale")
         if not any(term.noisy for term in self.unknown) and not self.only_simulated:
-            raise UsageError("one unknown term must be a derivative of the output, as of a mass or a viscous friction")
+            raise UsageError(
+                "no unknown term is a derivative of the output; add one, such as the term of a mass or of "
+                "viscous friction"
+            )
         free = tuple((f"{term.name}_speed".replace("_friction", ""), self.motion.speed) for term in self._free)
         lag = ((LAG, "s"),) if self.lag == ESTIMATE else ()
         object.__setattr__(self, "further", tuple(dict.fromkeys((*lag, *self.further, *free))))
@@ -216,7 +219,7 @@ class Equation:
         """Return the term of an unknown dead time, unless the equation already contains that term."""
         late = [term for term in self.unknown if (term.signal, term.derivative) == ("input", 1)]
         if late and self.dead_time != ESTIMATE:
-            raise UsageError('the derivative of the input is the term of a dead time: write dead_time = "estimate"')
+            raise UsageError('a derivative of the input stands for a dead time: write dead_time = "estimate"')
         if late or self.dead_time != ESTIMATE:
             return ()
         gains = [term.coefficient for term in self.known if (term.signal, term.derivative) == ("input", 0)]

@@ -404,7 +404,9 @@ def _model(model: Model) -> dict[str, object]:
     equation = model.equation
     late, lag = equation.dead_time, equation.lag
     if equation != Equation(equation.unknown, equation.known, dead_time=late, lag=lag):
-        raise UsageError("an equation with delay, only_simulated or further is that of a TransferFunction: give one")
+        raise UsageError(
+            "delay, only_simulated and further belong to a TransferFunction: give model = TransferFunction(...)"
+        )
     free = equation.at_once.unknown  # the unknown terms without the dead time
     unknown, known = ([asdict(term) for term in side] for side in (free, equation.known))
     for term in known:  # the coefficient of a known term is a number, without name, unit or form

@@ -214,7 +214,10 @@ def _prior(prior: PriorSpec, names: tuple[str, ...]) -> np.ndarray | None:
     stds = {name: std for name, std in prior.model_dump().items() if std is not None}
     others = [name for name in stds if name not in names]
     if others:
-        raise UsageError(f"[prior] {others[0]} is not unknown: [experiment] names {', '.join(names)}; leave it out")
+        raise UsageError(
+            f"[prior] {others[0]} is none of the unknown parameters, which are {', '.join(names)}: leave "
+            f"{others[0]} out"
+        )
     return np.diag([stds[name] ** -2.0 if name in stds else 0.0 for name in names]) if stds else None
 
 

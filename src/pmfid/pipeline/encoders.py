@@ -125,7 +125,9 @@ def compare_encoders(
     if not isinstance(kind, Drives):
         raise UsageError('encoders are compared for a machine: give [model] kind = "drive"')
     if not (0 < wanted < 1 and 0 <= line_error < 0.5):
-        raise UsageError("the wanted uncertainty is above 0 and below 100 %, and lines are off by less than 50 %")
+        raise UsageError(
+            "the wanted uncertainty must be above 0 and below 100 %, and the error of the lines below 50 %"
+        )
     check_numbers_known(axis, "a comparison of encoders")
     record = replace(unbroken(record), own=None, ages=None)
     axis = kind.prepare_axis(record, axis)

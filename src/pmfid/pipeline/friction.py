@@ -115,11 +115,11 @@ def _estimate_curve(
     if axis.estimator.cutoff is not None:
         check_sampling(axis, dt)
     if others := [key for key in POSITION_KEYS if getattr(model, key)]:
-        raise UsageError(f"a friction curve with {', '.join(others)} is not there yet; record a motion without it")
+        raise UsageError(f"a friction curve with {', '.join(others)} is not supported yet; record a motion without it")
     if model.lag:
         raise UsageError(
-            "a friction curve with a lag is not there yet, it would be wrong by many standard errors: give [model] "
-            "dead_time of the same time, or record a motion that is slow compared with it"
+            "a friction curve with a lag is not supported, because it would be wrong by many standard errors: give the "
+            "time of the lag as [model] dead_time, or record a slower motion"
         )
     if model.dead_time == ESTIMATE:
         raise UsageError("a friction curve needs the dead time: pmfid identify finds it; write it into [model]")

@@ -107,7 +107,9 @@ def read_stored(path: Path) -> Stored:
     """
     try:
         if path.stat().st_size > TUNING.stored_largest:
-            raise UsageError(f"{path}: more than {TUNING.stored_largest} bytes are no result; {REMEDY}")
+            raise UsageError(
+                f"{path}: the file has more than {TUNING.stored_largest} bytes, too many for a result; {REMEDY}"
+            )
         raw = json.loads(path.read_text(encoding="utf-8-sig"), parse_constant=_no_number)
         found = _File.model_validate(raw)
     except OSError as error:

@@ -59,7 +59,7 @@ def check_step_unit(axis: Axis, output: Floats) -> None:
     least = float(np.min(steps[steps > TUNING.record_rounding * number], initial=np.inf))
     if abs(least / number - 1) < TUNING.record_step_digits:
         raise UsageError(
-            f"the steps of the output column {config.output!r} are {number:g}, as [encoder] resolution is in "
+            f"the output column {config.output!r} has steps of {number:g}, the number of [encoder] resolution in "
             f'{step.unit.name}: give [record] output_unit = "{step.unit.name}"'
         )
 

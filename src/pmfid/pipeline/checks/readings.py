@@ -224,7 +224,7 @@ def no_motion(log: CheckedLog) -> Iterator[Finding]:
     travel = int(np.ptp(log.record.counts))
     if travel == 0:
         sentence = f"the axis does not move: the output column {log.axis.record.output!r} never changes"
-        yield Finding("little_motion", sentence, "record a motion, and check that this is the encoder", "wrong")
+        yield Finding("little_motion", sentence, "record a motion, and check that this column is the encoder", "wrong")
         return
     if not np.any(log.record.u):
         sentence = "the input is zero while the axis moves"

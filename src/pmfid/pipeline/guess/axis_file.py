@@ -318,7 +318,7 @@ def read_gain(text: str, usual: Unit | None = None) -> float:
     if isinstance(value, Quantity) and usual is not None:
         own, per = value.unit.of.partition("/")[::2]
         if usual.of not in ("", own) or usual.name.partition("/")[2] not in ("", SI[per]):
-            raise ValueError(f"{text!r} does not fit these columns, whose gain is in {usual.name}")
+            raise ValueError(f"{text!r} does not fit these columns: give the gain in {usual.name}")
     return value
 
 

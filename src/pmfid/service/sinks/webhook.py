@@ -39,9 +39,13 @@ def check_address(url: str, secret: str | None, label: str) -> SplitResult:
     except ValueError:
         parts, host = SplitResult("", "", "", "", ""), None
     if parts.scheme not in ("http", "https") or not host or not url.isascii() or not url.isprintable() or " " in url:
-        raise UsageError(f"{label}: the address is none of http:// or https://; give one as https://example.org/alarms")
+        raise UsageError(
+            f"{label}: the address does not start with http:// or https://; give one such as https://example.org/alarms"
+        )
     if parts.username is not None:
-        raise UsageError(f"{label}: the address holds a user; give a header by secret_env or secret_file in its place")
+        raise UsageError(
+            f"{label}: the address contains a user name; leave it out, and give a header with secret_env or secret_file"
+        )
     if secret is not None and not (secret.isascii() and secret.isprintable() and secret):
         raise UsageError(f"{label}: the secret is empty, or no line of plain text; correct it")
     if secret is not None and parts.scheme == "http" and not is_here(host):

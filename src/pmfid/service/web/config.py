@@ -60,8 +60,8 @@ class PageConfig(FileSection):
             raise UsageError(f"{where}; set allow_remote = true if that is meant, or use {HERE}")
         if not (self.token_env or self.token_file):
             raise UsageError(
-                f"{where}, which asks for a token that you choose; name the file that holds it, as "
-                'token_file = "page.token", or a variable with token_env'
+                f"{where}, so the page needs a token of your choice; name its file, as "
+                'token_file = "page.token", or its environment variable, with token_env'
             )
         if self.address in ("0.0.0.0", "::", "") and not self.hosts:
             raise UsageError(
