@@ -35,7 +35,7 @@ class REdge:
     Parameters
     ----------
     model : Drive
-        A drive with mass, viscous and Coulomb friction, and a known input gain.
+        A drive with mass, viscous and Coulomb friction, and a known input gain. It may have an offset.
     encoder : Encoder
         Encoder with its resolution and the width of its counter.
     dt : float
@@ -98,11 +98,10 @@ class REdge:
         object.__setattr__(self, "kernel", self._new_kernel())
 
     def _check_model(self) -> None:
-        plain = isinstance(self.model, Drive) and self.model.input_gain != ESTIMATE
-        if not plain or self.model != Drive(self.model.input_gain):
+        if not is_plain(self.model):
             raise UsageError(
-                "REdge takes Drive(input_gain) with mass, viscous and Coulomb friction alone; use EdgeFit off-line for "
-                "further terms"
+                "REdge takes a Drive with a given input_gain, mass, viscous and Coulomb friction, and an offset; use "
+                "EdgeFit off-line for further terms"
             )
 
     def _new_kernel(self) -> EdgeKernel:
@@ -196,14 +195,14 @@ class REdge:
         self.kernel.reset()
 
     def expect(self, theta: ArrayLike) -> None:
-        """Begin again at the next edges, from parameters theta (3,) that may be off by about 30 %.
+        """Begin again at the next edges, from parameters theta (p,) that may be off by about 30 %.
 
-        Raises UsageError for parameters that are not positive and finite.
+        Raises UsageError for parameters that are not finite. All but the offset must be positive.
         """
-        given = np.asarray(theta, np.float64)
-        if given.shape != (len(self.names),) or not np.all(np.isfinite(given) & (given > 0)):
-            raise UsageError(f"theta must be positive values of {list(self.names)}, got {theta!r}")
-        self.kernel.expect(*given.tolist())
+        given = np.ascontiguousarray(theta, np.float64)
+        if given.shape != (len(self.names),) or not np.all(np.isfinite(given)) or not np.all(given[:3] > 0):
+            raise UsageError(f"theta must be finite, and positive but for an offset, {list(self.names)}, got {theta!r}")
+        self.kernel.expect(given)
 
     def get_state(self) -> bytes:
         """Return the state, as firmware with the same configuration saves it."""
@@ -212,6 +211,13 @@ class REdge:
     def set_state(self, state: bytes) -> None:
         """Take the bytes of `get_state`, or of such firmware. Raises UsageError for anything else."""
         load_edge_state(self.kernel, self.precision, state)
+
+
+def is_plain(model: object) -> bool:
+    """Return whether a model is a drive with the terms of the recursion over edges and a known input gain."""
+    if not isinstance(model, Drive) or model.input_gain == ESTIMATE:
+        return False
+    return model == Drive(model.input_gain, offset=model.offset, axis=model.axis)
 
 
 def _resume(cls: type[REdge], configuration: dict[str, object], state: bytes) -> REdge:
