@@ -448,7 +448,8 @@ static void take_edge(const pmf_redge_config_t *config, pmf_redge_state_t *state
         travel = (real_t)change + line - state->last_line;
         mark_edge(config, &state->start, travel, way);
         state->edges += 1U;
-        if (state->start.marks > 2U && (state->start.known != 0U || is_started(&state->start, config->parameters) != 0U)) {
+        if (state->start.marks > 2U &&
+            (state->start.known != 0U || is_started(&state->start, config->parameters) != 0U)) {
             begin(config, state, lines, line, travel);
         }
     }
@@ -481,8 +482,8 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     if (state->running == 0U) {
         return;
     }
-    widened =
-        contradiction_of(config, state) * larger(state->surprise, PMF_R(1.0)) * (PMF_R(1.0) + colour) / (PMF_R(1.0) - colour);
+    widened = contradiction_of(config, state) * larger(state->surprise, PMF_R(1.0)) * (PMF_R(1.0) + colour) /
+              (PMF_R(1.0) - colour);
     widened *= PMF_R(1.0) + DOUBT / state->heard;
     for (i = 0; i < PMF_BODY; ++i) {
         real_t per = i < COULOMB ? config->resolution : PMF_R(1.0), scale = unit_of(state->reference, i) / per;

@@ -1,5 +1,5 @@
-/* Mass, viscous and Coulomb friction of an axis, and a constant force, on-line, from the instants of the encoder's edges.
- * SPDX-License-Identifier: Apache-2.0
+/* Mass, viscous and Coulomb friction of an axis, and a constant force, on-line, from the instants of the encoder's
+ * edges. SPDX-License-Identifier: Apache-2.0
  *
  * At an edge the position is known as well as the line is cut. A body that only the input moves is simulated at
  * reference parameters, with its derivatives. The difference from each edge is linear in place, velocity and parameters

@@ -54,8 +54,8 @@ static void add_exactly(real_t *sum, real_t *rest, real_t part)
     *rest = part - (*sum - before);
 }
 
-/* Return the force of a relative change of one: the parameter itself. An offset may be zero, and is relative to the size
- * of the constant forces. */
+/* Return the force of a relative change of one: the parameter itself. An offset may be zero, and is relative to the
+ * size of the constant forces. */
 static real_t unit_of(const real_t *reference, uint32_t i)
 {
 #if PMF_BODY > 3

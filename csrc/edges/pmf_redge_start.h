@@ -4,8 +4,8 @@
  * The second divided difference of the place over three edges of one way is linear in the parameters: it is the mean
  * acceleration with a triangular weight. The same difference of the double integral of the input, and of the integral
  * of the place, has the same weight. So mass x difference of place = difference of input - viscous x difference of the
- * integral of the place - half of the friction and of the offset. The input is the instrument of the mass, since a line's error is in the
- * difference of the place. */
+ * integral of the place - half of the friction and of the offset. The input is the instrument of the mass, since a
+ * line's error is in the difference of the place. */
 #ifndef PMF_REDGE_START_H
 #define PMF_REDGE_START_H
 
@@ -201,8 +201,7 @@ static uint32_t is_started(pmf_start_t *start, uint32_t n)
     real_t inverse[PMF_BODY][PMF_BODY], noise, power, column[PMF_BODY];
     uint32_t i, j, known;
     if (start->weight < FEWEST || start->ways < FEWEST_WAYS ||
-        solve(start->cross[0], PMF_BODY, n, start->target, start->theta) == 0U ||
-        !(start->theta[MASS] > PMF_R(0.0))) {
+        solve(start->cross[0], PMF_BODY, n, start->target, start->theta) == 0U || !(start->theta[MASS] > PMF_R(0.0))) {
         return 0U;
     }
     noise = start->energy;

@@ -62,6 +62,8 @@ class REdge:
     motion, the status has `Status.STARTING`. Large or correlated innovations set `Status.UNMODELLED`, also for a time
     after a change. Instants that are late by more than 0.1 ms set `Status.DEAD_TIME`.
 
+    With an offset F, Coulomb friction C may differ between the directions: C + F forward, and C - F backward.
+
     A sample with several edges gives the age of the last one. All instants may come late by a common time.
 
     Examples

@@ -54,7 +54,7 @@ def make_edge_estimator(axis: Axis, record: Record, steps: bool = False) -> REdg
 
 @dataclass(frozen=True)
 class EdgeSetup:
-    """A monitor of edges at its start, with the normal parameters (3,) and texts for the user."""
+    """A monitor of edges at its start, with the normal parameters (p,) and texts for the user."""
 
     monitor: EdgeMonitor
     nominal: Floats
@@ -62,7 +62,7 @@ class EdgeSetup:
 
     @property
     def reported(self) -> Floats:
-        """The nominal values (3,)."""
+        """The nominal values (p,)."""
         return self.nominal
 
     def describe_start(self) -> dict[str, object]:
