@@ -15,6 +15,7 @@ import argparse
 from collections import Counter
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from itertools import product
 from typing import NamedTuple
 
@@ -87,11 +88,17 @@ def miscount(record: Record, rng: np.random.Generator) -> Record:
     return record._replace(counts=counts)
 
 
+WEIGHT = 6.0  # of a hanging axis, over Coulomb friction
 #: Fault of the encoder: largest distance of a line from its place [steps], noise of the place at rest [steps].
 LINES: Mapping[str, tuple[float, float]] = {"lines off by 10 %": (0.1, 0.0), "chatter": (OFF, 0.03)}
 LATE = {"10 us late": 1e-5, "50 us late": 5e-5}
-FAULTS = ("nothing", *LATE, *LINES, "missed and doubled", "saturated")
+FAULTS = ("nothing", "weight", *LATE, *LINES, "missed and doubled", "saturated")
 MODELS = (*(name for name in WRONG if name != "nothing"), "wandering load")
+
+
+def hang(axis: Axis) -> Axis:
+    """Return the axis with a weight. The input holds the weight in addition to its motion."""
+    return replace(axis, drive=replace(axis.drive, offset=WEIGHT * axis.drive.coulomb_friction))
 
 
 def move_axis(axis: Axis, machine: Machine, motion: str, resolution: float, rng: np.random.Generator) -> Floats:
@@ -112,14 +119,15 @@ def make_record(axis: Axis, fault: str, motion: str, increments: int, seed: int)
     """Return the travel per count and the record of one run."""
     rng = np.random.default_rng([seed, 71])
     resolution = axis.resolution * 4096 / increments
-    machine = WRONG[fault](axis) if fault in WRONG else Machine(axis.drive)
-    u = move_axis(axis, machine, motion, resolution, rng)
+    level = replace(axis, drive=replace(axis.drive, offset=0.0))
+    machine = WRONG[fault](level) if fault in WRONG else Machine(level.drive)
+    u = move_axis(level, machine, motion, resolution, rng) + axis.drive.offset / axis.drive.input_gain
     acting = np.repeat(u, FINE)
     if fault == "wandering load":
         walk = np.cumsum(rng.standard_normal(acting.size)) / np.sqrt(acting.size)
         acting = acting + 0.3 * axis.drive.coulomb_friction / axis.drive.input_gain * walk
     fine = axis.dt / FINE
-    moved = simulate_drive(axis.drive, acting, fine) if machine == Machine(axis.drive) else None
+    moved = simulate_drive(axis.drive, acting, fine) if machine == Machine(level.drive) else None
     run = moved or drive_machine(machine, acting, fine, resolution, steps=2)
     off, noise = LINES.get(fault, (OFF, 0.0))
     slow = np.abs(run.v) * axis.dt < 0.02 * resolution
@@ -137,12 +145,14 @@ def make_record(axis: Axis, fault: str, motion: str, increments: int, seed: int)
 
 
 def estimate(axis: Axis, resolution: float, increments: int, record: Record, off_line: bool) -> tuple[Floats, int]:
-    """Return errors (3, 3), and the status at the end, or -1 without an estimate.
+    """Return errors (3, p), and the status at the end, or -1 without an estimate.
 
     The rows are errors of the edges in standard errors and relative to the parameters, and those of the counts.
     """
-    found, exact, status = np.full((3, 3), np.nan), truth(axis), -1
-    arguments = Drive(axis.drive.input_gain), Encoder(resolution, guard=False), axis.dt
+    weight, status = axis.drive.offset, -1
+    exact = np.append(truth(axis), [weight] if weight else [])
+    found = np.full((3, exact.size), np.nan)
+    arguments = Drive(axis.drive.input_gain, offset=bool(weight)), Encoder(resolution, guard=False), axis.dt
     cutoff = 0.2 / axis.dt
     with suppress(NotIdentifiableError):
         if off_line:
@@ -172,8 +182,8 @@ class Tally:
         self.worse: list[str] = []
 
     def add_cell(self, name: str, runs: list[tuple[Floats, int]]) -> None:
-        """Add the runs of one machine, motion and encoder: errors (3, 3) and status of each."""
-        silent = np.array([found for found, status in runs if not status]).reshape(-1, 3, 3)
+        """Add the runs of one machine, motion and encoder: errors (3, p) and status of each."""
+        silent = np.array([found for found, status in runs if not status]).reshape(-1, *runs[0][0].shape)
         size = np.max(np.abs(silent[:, 0]), axis=1)
         self.runs += len(runs)
         self.flagged += len(runs) - len(silent)
@@ -196,6 +206,7 @@ def measure(machines: Mapping[str, Axis], faults: tuple[str, ...], seeds: range,
     for fault in faults:
         tally = Tally()
         for (name, axis), motion, increments in product(machines.items(), ("prbs", "stop-and-go"), INCREMENTS):
+            axis = hang(axis) if fault == "weight" else axis
             records = [make_record(axis, fault, motion, increments, seed) for seed in seeds]
             runs = [estimate(axis, resolution, increments, record, off_line) for resolution, record in records]
             tally.add_cell(f"{name} {motion} {increments}", runs)

@@ -57,6 +57,17 @@ def test_exported_code_computes_the_bits_of_python(
 
 
 @needs(GCC)
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_an_export_with_an_offset_has_the_bits_of_python(precision: str, tmp_path: Path) -> None:
+    (u, counts, ages), step = hostile(16)
+    model = pmfid.Drive(2.0, offset=True)
+    estimator = pmfid.REdge(model, pmfid.Encoder(step), DT, lines=16, tick=1e-6, memory=8.0, precision=precision)
+    folder = exported_edges(estimator, tmp_path, (u + 0.3, counts, ages))
+    assert difference(folder, GCC, "-O2", *WARNINGS) is None
+    assert estimator.run(u + 0.3, counts, ages).theta.shape == (u.size, 4)
+
+
+@needs(GCC)
 @pytest.mark.parametrize("lines", [None, 16])
 def test_a_counter_of_few_bits_may_wrap(lines: int | None, tmp_path: Path) -> None:
     """The travel of the motion exceeds the range of the counter."""

@@ -71,6 +71,30 @@ def test_a_change_has_an_alarm_with_its_cause_and_size(name: str, factor: float,
     assert monitor.state == "watching"
 
 
+@pytest.mark.parametrize(("weight", "name", "change"), [(0.0, "offset", 0.5), (-5.0, "mass", 0.25)])
+def test_of_a_loaded_axis_the_load_and_the_mass_are_told_apart(weight: float, name: str, change: float) -> None:
+    """The offset is relative to Coulomb friction if it is smaller."""
+    loaded = replace(CART, offset=weight)
+    after = replace(loaded, **{name: getattr(loaded, name) + change})
+    schedule, step = Schedule(((0.0, loaded), (WHEN, after))), resolution_of(TURN)
+    u = changing(Schedule(((0.0, CART), (WHEN, replace(after, offset=0.0)))), 3, 4096, SECONDS)[0] + weight / 2.0
+    record = u, *capture_edges(simulate_drive(schedule, np.repeat(u, EVERY), DT / EVERY), step, every=EVERY, tick=1e-6)
+    plain = make_monitor()
+    monitor = replace(
+        plain,
+        estimator=replace(plain.estimator, model=Drive(2.0, offset=True)),
+        reference=np.array([*TRUTH, weight]),
+    )
+    events = watch(monitor, record)
+    (alarm,) = (event for event in events if isinstance(event, Alarm))
+    assert (alarm.parameter, alarm.others) == (name, ())
+    assert abs(alarm.change - change) < 3 * alarm.std
+    assert alarm.relative == pytest.approx(alarm.change / (0.8 if name == "offset" else 1.07), rel=1e-3)
+    other = replace(monitor, estimator=replace(monitor.estimator))
+    other.set_state(monitor.get_state())
+    assert np.array_equal(other.reference, monitor.reference)
+
+
 def test_a_change_within_the_tolerance_is_none() -> None:
     monitor = make_monitor(tolerance=0.05)
     events = watch(monitor, changed_run("mass", 1.03))
@@ -116,7 +140,7 @@ def test_other_states_and_arguments_are_refused() -> None:
         monitor.set_state(b"")
     with pytest.raises(UsageError, match="needs a memory"):
         make_monitor(memory=None)
-    with pytest.raises(UsageError, match="reference must be positive"):
+    with pytest.raises(UsageError, match="reference must be values"):
         EdgeMonitor(monitor.estimator, np.array([1.0, 0.0, 1.0]))
     assert monitor.get_state() == state
 

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ HOSTILE = (0.0, np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-40)
 def swing(turn: int = 16, samples: int = 2000, off: float = 0.0, seed: int = 11, drive: DriveParameters = CART):
     """Return input, counts and ages of a drive on a wheel with `turn` lines, and the resolution."""
     rng = np.random.default_rng(seed)
-    u = prbs(samples, clock=10 if drive.mass < 10 else 40, amplitude=4.0, rng=rng)
+    u = prbs(samples, clock=10 if drive.mass < 10 else 40, amplitude=4.0, rng=rng) + drive.offset / drive.input_gain
     motion = simulate_drive(drive, np.repeat(u, EVERY), DT / EVERY)
     step = (0.0931 if drive.mass < 10 else 0.4) / turn
     errors = off * step * rng.uniform(-1.0, 1.0, turn)
@@ -58,6 +59,30 @@ def test_lines_that_are_far_off_are_within_the_standard_errors(turn: int, seed: 
     truth = [HEAVY.mass, HEAVY.viscous_friction, HEAVY.coulomb_friction]
     assert np.all(np.abs(track.theta[-1] - truth) < 4 * track.theta_std[-1])
     assert track.theta_std[-1, 0] < 1e-4 * HEAVY.mass
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.3, -9.0])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_a_constant_force_is_found(weight: float, precision: str) -> None:
+    """Of an axis whose weight is nothing, less than its friction, and far more than its friction."""
+    drive = replace(CART, offset=weight)
+    u, counts, ages, step = swing(16, off=0.01, drive=drive)
+    estimator = REdge(Drive(2.0, offset=True), Encoder(step), DT, lines=16, tick=1e-6, precision=precision)
+    track = estimator.run(u, counts, ages)
+    error = track.theta[-1] - [*TRUTH, weight]
+    assert np.all(np.abs(error) < (3e-5 if precision == "float64" else 2e-3) * np.maximum(np.abs([*TRUTH, weight]), 1))
+    assert np.all(np.abs(error) < 4 * track.theta_std[-1])
+    assert track.status[-1] == 0
+    resumed = pickle.loads(pickle.dumps(estimator))
+    assert np.array_equal(resumed.theta, estimator.theta)
+
+
+def test_an_axis_without_a_weight_has_the_estimate_of_a_model_without_one() -> None:
+    u, counts, ages, step = swing(16, off=0.01)
+    plain = estimator_of(step).run(u, counts, ages).theta[-1]
+    offset = REdge(Drive(2.0, offset=True), Encoder(step), DT, lines=16, tick=1e-6).run(u, counts, ages).theta[-1]
+    np.testing.assert_allclose(offset[:3], plain, rtol=1e-6)
+    assert abs(offset[3]) < 1e-5
 
 
 def test_lines_that_do_not_repeat_are_noise() -> None:
@@ -218,7 +243,7 @@ def test_counter_that_overflows_goes_on() -> None:
 
 def test_wrong_arguments_are_refused() -> None:
     with pytest.raises(UsageError, match="use EdgeFit off-line"):
-        REdge(Drive(2.0, offset=True), Encoder(1e-3), DT)
+        REdge(Drive(2.0, spring=True), Encoder(1e-3), DT)
     with pytest.raises(UsageError, match="use EdgeFit off-line"):
         REdge(Drive("estimate"), Encoder(1e-3), DT)
     with pytest.raises(UsageError, match="lines must be a whole number"):

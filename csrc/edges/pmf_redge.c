@@ -290,7 +290,7 @@ static void take_alarm(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     }
     end_window(config, state, lines);
     if (again == 0U) {
-        open_prior(state, state->velocity);
+        open_prior(config, state, state->velocity);
     }
     state->scatter = scatter;
     state->drift = again != 0U ? drift : PMF_R(0.0);
@@ -428,7 +428,7 @@ static void pass(const pmf_redge_config_t *config, pmf_redge_state_t *state, rea
     pmf_start_t *start = &state->start;
     state->since += time;
     if (state->running != 0U) {
-        move_body(state, config->input_gain * input, time);
+        move_body(state, force_of(state, config->input_gain * input), time);
     } else {
         start->pushed += time * (start->push + PMF_R(0.5) * input * time);
         start->push += input * time;
@@ -448,7 +448,8 @@ static void take_edge(const pmf_redge_config_t *config, pmf_redge_state_t *state
         travel = (real_t)change + line - state->last_line;
         mark_edge(config, &state->start, travel, way);
         state->edges += 1U;
-        if (state->start.marks > 2U && (state->start.known != 0U || is_started(&state->start) != 0U)) {
+        if (state->start.marks > 2U &&
+            (state->start.known != 0U || is_started(&state->start, config->parameters) != 0U)) {
             begin(config, state, lines, line, travel);
         }
     }
@@ -481,17 +482,20 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     if (state->running == 0U) {
         return;
     }
-    widened =
-        contradiction_of(state) * larger(state->surprise, PMF_R(1.0)) * (PMF_R(1.0) + colour) / (PMF_R(1.0) - colour);
+    widened = contradiction_of(config, state) * larger(state->surprise, PMF_R(1.0)) * (PMF_R(1.0) + colour) /
+              (PMF_R(1.0) - colour);
     widened *= PMF_R(1.0) + DOUBT / state->heard;
     for (i = 0; i < PMF_BODY; ++i) {
-        real_t scale = state->reference[i] / (i == COULOMB ? PMF_R(1.0) : config->resolution);
+        real_t per = i < COULOMB ? config->resolution : PMF_R(1.0), scale = unit_of(state->reference, i) / per;
         real_t error = bend * state->change[FIRST + i],
                least = EXACT * config->finest * (PMF_R(1.0) + absolute(state->change[FIRST + i]));
         state->theta[i] = scale * (PMF_R(1.0) + state->change[FIRST + i]);
         state->variance[i] =
             scale * scale * (widened * state->covariance[FIRST + i][FIRST + i] + error * error + least * least);
     }
+#if PMF_BODY > 3
+    state->theta[OFFSET] = state->reference[OFFSET] + unit_of(state->reference, OFFSET) * state->change[FIRST + OFFSET];
+#endif
     lateness = state->late - state->change[LATENESS];
     state->status |= lateness > LATEST || lateness < -LATEST ? (uint32_t)PMF_DEAD_TIME : 0U;
     if (state->unrest != 0U || state->moves > MOST_MOVES || is_correlated(state) != 0U || state->rough > PMF_R(1.0) ||
@@ -501,13 +505,13 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
 }
 
 /* Return 1 if every number that the next sample depends on is one. */
-static uint32_t is_sound(const pmf_redge_state_t *state)
+static uint32_t is_sound(const pmf_redge_config_t *config, const pmf_redge_state_t *state)
 {
     real_t sum = state->place + state->velocity + state->spread + state->scatter;
     uint32_t i, sound = 1U;
     for (i = 0; i < PMF_FOLLOWED; ++i) {
         sum += state->change[i] + state->place_by[i] + state->velocity_by[i];
-        sound &= state->covariance[i][i] > PMF_R(0.0) ? 1U : 0U;
+        sound &= i >= FIRST + config->parameters || state->covariance[i][i] > PMF_R(0.0) ? 1U : 0U;
     }
     return sum - sum == PMF_R(0.0) ? sound : 0U;
 }
@@ -518,8 +522,8 @@ void pmf_redge_expect(const pmf_redge_config_t *config, pmf_redge_state_t *state
     give_up(state);
     state->unrest = unrest;
     state->start.known = 1U;
-    for (i = 0; i < PMF_BODY; ++i) {
-        state->start.theta[i] = theta[i] * (i == COULOMB ? PMF_R(1.0) : config->resolution);
+    for (i = 0; i < config->parameters; ++i) {
+        state->start.theta[i] = theta[i] * (i < COULOMB ? config->resolution : PMF_R(1.0));
     }
 }
 
@@ -556,7 +560,7 @@ uint32_t pmf_redge_step(const pmf_redge_config_t *config, pmf_redge_state_t *sta
             follow_silence(state);
         }
     }
-    if (state->running != 0U && is_sound(state) == 0U) {
+    if (state->running != 0U && is_sound(config, state) == 0U) {
         give_up(state);
     }
     state->input = invalid != 0U ? state->input : input;

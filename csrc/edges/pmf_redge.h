@@ -1,5 +1,5 @@
-/* Mass, viscous and Coulomb friction of an axis, on-line, from the instants of the encoder's edges.
- * SPDX-License-Identifier: Apache-2.0
+/* Mass, viscous and Coulomb friction of an axis, and a constant force, on-line, from the instants of the encoder's
+ * edges. SPDX-License-Identifier: Apache-2.0
  *
  * At an edge the position is known as well as the line is cut. A body that only the input moves is simulated at
  * reference parameters, with its derivatives. The difference from each edge is linear in place, velocity and parameters
@@ -14,7 +14,9 @@
 extern "C" {
 #endif
 
-#define PMF_BODY 3 /* mass, viscous friction, Coulomb friction */
+#ifndef PMF_BODY
+#define PMF_BODY 4 /* most parameters: mass, viscous friction, Coulomb friction, offset; an export has its own */
+#endif
 #define PMF_FOLLOWED (3 + PMF_BODY) /* place and velocity at the start of the window, lateness, and the body */
 #define PMF_MARKS 17 /* edges of one way that are kept for the start */
 
@@ -28,6 +30,7 @@ typedef struct {
     scalar_t finest; /* standard deviation of the best edge [counts], which the number format allows */
     uint32_t lines;
     uint32_t sign; /* sign bit of a change of the counter, 2^(bits - 1) */
+    uint32_t parameters; /* 3, or 4 with an offset */
 } pmf_redge_config_t;
 
 /* Running sums of one line: information on its error, and what the parameters change. The caller owns `lines` of them.

@@ -12,6 +12,7 @@
 #define MASS 0U
 #define VISCOUS 1U
 #define COULOMB 2U
+#define OFFSET 3U
 #define TERMS 14U /* of the series, at most half a time constant long: below the last digit of a double */
 #define LONGEST PMF_R(0.5) /* piece of a motion [time constants] */
 #define MOST_PIECES 256U
@@ -51,6 +52,29 @@ static void add_exactly(real_t *sum, real_t *rest, real_t part)
     part += *rest;
     *sum = before + part;
     *rest = part - (*sum - before);
+}
+
+/* Return the force of a relative change of one: the parameter itself. An offset may be zero, and is relative to the
+ * size of the constant forces. */
+static real_t unit_of(const real_t *reference, uint32_t i)
+{
+#if PMF_BODY > 3
+    if (i == OFFSET) {
+        return reference[COULOMB] + absolute(reference[OFFSET]);
+    }
+#endif
+    return reference[i];
+}
+
+/* Return the force of the input that is left to move the body. */
+static real_t force_of(const pmf_redge_state_t *state, real_t force)
+{
+#if PMF_BODY > 3
+    return force - state->reference[OFFSET];
+#else
+    (void)state;
+    return force;
+#endif
 }
 
 /* Return the direction of the motion, or of the motion that the force begins, and 0 at rest. */
@@ -98,6 +122,10 @@ static void move_piece(pmf_redge_state_t *state, real_t acceleration, real_t tim
     by_place[VISCOUS] = -viscous * (state->velocity * twice + acceleration * further);
     by_velocity[COULOMB] = -way * at[COULOMB] / at[MASS] * once;
     by_place[COULOMB] = -way * at[COULOMB] / at[MASS] * twice;
+#if PMF_BODY > 3
+    by_velocity[OFFSET] = -unit_of(at, OFFSET) / at[MASS] * once;
+    by_place[OFFSET] = -unit_of(at, OFFSET) / at[MASS] * twice;
+#endif
     for (i = 0; i < PMF_FOLLOWED; ++i) {
         state->place_by[i] += once * state->velocity_by[i];
         state->velocity_by[i] *= decay.kept;

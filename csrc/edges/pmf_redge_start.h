@@ -4,8 +4,8 @@
  * The second divided difference of the place over three edges of one way is linear in the parameters: it is the mean
  * acceleration with a triangular weight. The same difference of the double integral of the input, and of the integral
  * of the place, has the same weight. So mass x difference of place = difference of input - viscous x difference of the
- * integral of the place - half of the friction. The input is the instrument of the mass, since a line's error is in the
- * difference of the place. */
+ * integral of the place - half of the friction and of the offset. The input is the instrument of the mass, since a
+ * line's error is in the difference of the place. */
 #ifndef PMF_REDGE_START_H
 #define PMF_REDGE_START_H
 
@@ -59,6 +59,9 @@ static void add_triple(const pmf_redge_config_t *config, pmf_start_t *start, con
     phi[MASS] = divide_twice(mark, mark[0]->line, mark[1]->line, mark[2]->line);
     phi[VISCOUS] = zeta[VISCOUS] = divide_twice(mark, mark[0]->placed, mark[1]->placed, mark[2]->placed);
     phi[COULOMB] = zeta[COULOMB] = PMF_R(0.5) * start->way;
+#if PMF_BODY > 3
+    phi[OFFSET] = zeta[OFFSET] = PMF_R(0.5);
+#endif
     zeta[MASS] = target;
     for (i = 0; i < PMF_BODY; ++i) {
         for (j = 0; j < PMF_BODY; ++j) {
@@ -178,50 +181,50 @@ static uint32_t solve(const real_t *matrix, uint32_t width, uint32_t n, const re
     return 1U;
 }
 
-/* Return the variance of parameter i, of instrumental variables. */
-static real_t variance_of(const pmf_start_t *start, real_t inverse[PMF_BODY][PMF_BODY], real_t noise, uint32_t i)
+/* Return the variance of parameter i of n, of instrumental variables. */
+static real_t variance_of(const pmf_start_t *start, real_t inverse[PMF_BODY][PMF_BODY], uint32_t n, real_t noise,
+                          uint32_t i)
 {
     real_t sum = PMF_R(0.0);
     uint32_t j, k;
-    for (j = 0; j < PMF_BODY; ++j) {
-        for (k = 0; k < PMF_BODY; ++k) {
+    for (j = 0; j < n; ++j) {
+        for (k = 0; k < n; ++k) {
             sum += inverse[i][j] * start->square[j][k] * inverse[i][k];
         }
     }
     return sum * noise * OVERLAP;
 }
 
-/* Solve for the parameters; return 1 if each force is known well enough to begin with. */
-static uint32_t is_started(pmf_start_t *start)
+/* Solve for n parameters; return 1 if each force is known well enough to begin with. */
+static uint32_t is_started(pmf_start_t *start, uint32_t n)
 {
     real_t inverse[PMF_BODY][PMF_BODY], noise, power, column[PMF_BODY];
     uint32_t i, j, known;
     if (start->weight < FEWEST || start->ways < FEWEST_WAYS ||
-        solve(start->cross[0], PMF_BODY, PMF_BODY, start->target, start->theta) == 0U ||
-        !(start->theta[MASS] > PMF_R(0.0))) {
+        solve(start->cross[0], PMF_BODY, n, start->target, start->theta) == 0U || !(start->theta[MASS] > PMF_R(0.0))) {
         return 0U;
     }
     noise = start->energy;
-    for (i = 0; i < PMF_BODY; ++i) {
-        real_t unit[PMF_BODY] = {PMF_R(0.0), PMF_R(0.0), PMF_R(0.0)};
+    for (i = 0; i < n; ++i) {
+        real_t unit[PMF_BODY] = {PMF_R(0.0)};
         noise -= PMF_R(2.0) * start->theta[i] * start->own_target[i];
-        for (j = 0; j < PMF_BODY; ++j) {
+        for (j = 0; j < n; ++j) {
             noise += start->theta[i] * start->theta[j] * start->own[i][j];
         }
         unit[i] = PMF_R(1.0);
-        if (solve(start->cross[0], PMF_BODY, PMF_BODY, unit, column) == 0U) {
+        if (solve(start->cross[0], PMF_BODY, n, unit, column) == 0U) {
             return 0U;
         }
-        for (j = 0; j < PMF_BODY; ++j) {
+        for (j = 0; j < n; ++j) {
             inverse[j][i] = column[j];
         }
     }
     power = start->energy / start->weight;
     noise = (noise > PMF_R(0.0) ? noise : PMF_R(0.0)) / start->weight + ROUNDING * power;
-    known = variance_of(start, inverse, noise, MASS) < UNSURE * start->theta[MASS] * start->theta[MASS] ? 1U : 0U;
-    for (i = 0; i < PMF_BODY; ++i) {
+    known = variance_of(start, inverse, n, noise, MASS) < UNSURE * start->theta[MASS] * start->theta[MASS] ? 1U : 0U;
+    for (i = 0; i < n; ++i) {
         real_t force = start->own[i][i] / start->weight;
-        known &= variance_of(start, inverse, noise, i) * force < UNSURE * power ? 1U : 0U;
+        known &= variance_of(start, inverse, n, noise, i) * force < UNSURE * power ? 1U : 0U;
     }
     return known;
 }

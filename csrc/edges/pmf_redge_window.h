@@ -14,6 +14,7 @@
 #define FIRST_EVIDENCE PMF_R(2.0) /* lines that this variance counts for */
 #define SECOND PMF_R(3.0) /* error of the second order, relative to the product of two relative changes */
 #define LIKELY PMF_R(2.0) /* standard deviations by which a parameter may change in a window */
+#define FARTHEST PMF_R(4.0) /* move of the offset at the end of a window, relative to the constant forces */
 #define FRICTION PMF_R(0.3) /* part of the relative change of Coulomb friction that makes an error of second order */
 #define LATE PMF_R(5e-5) /* instants come late by about this time [s]; it is no alarm */
 #define STEADY 1000U /* edges that make up for a move of the reference */
@@ -111,14 +112,14 @@ static void give_up(pmf_redge_state_t *state)
     note_unrest(state);
 }
 
-static void open_prior(pmf_redge_state_t *state, real_t velocity)
+static void open_prior(const pmf_redge_config_t *config, pmf_redge_state_t *state, real_t velocity)
 {
     uint32_t i, j;
     for (i = 0; i < PMF_FOLLOWED; ++i) {
         for (j = 0; j < PMF_FOLLOWED; ++j) {
             state->covariance[i][j] = PMF_R(0.0);
         }
-        state->covariance[i][i] = state->opened[i] = PRIOR;
+        state->covariance[i][i] = state->opened[i] = i < FIRST + config->parameters ? PRIOR : PMF_R(0.0);
     }
     state->covariance[PLACE][PLACE] = ANYWHERE;
     state->covariance[LATENESS][LATENESS] = LATE * LATE;
@@ -140,12 +141,15 @@ static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pm
     state->reference[MASS] = theta[MASS];
     state->reference[VISCOUS] = smaller(larger(theta[VISCOUS], slow), fast);
     state->reference[COULOMB] = larger(theta[COULOMB], PMF_R(1e-3) * absolute(config->input_gain * state->input));
+#if PMF_BODY > 3
+    state->reference[OFFSET] = theta[OFFSET];
+#endif
     state->place = place;
     state->velocity = travel / state->since;
     state->place_rest = state->velocity_rest = PMF_R(0.0);
     forget_lines(config, lines);
     begin_window(state);
-    open_prior(state, state->velocity);
+    open_prior(config, state, state->velocity);
     state->drift = state->unrest > AGAIN ? drift : PMF_R(0.0);
     if (state->start.known != 0U && state->spread > PMF_R(0.0)) { /* the encoder is still the same */
         state->scatter = scatter;
@@ -169,11 +173,11 @@ static real_t bend_of(const pmf_redge_state_t *state)
 
 /* Return the factor by which variances at the start of this window were too small for what the parameters changed
  * since, at least 1. */
-static real_t contradiction_of(const pmf_redge_state_t *state)
+static real_t contradiction_of(const pmf_redge_config_t *config, const pmf_redge_state_t *state)
 {
     real_t most = PMF_R(1.0);
     uint32_t i;
-    for (i = FIRST; i < PMF_FOLLOWED; ++i) {
+    for (i = FIRST; i < FIRST + config->parameters; ++i) {
         real_t gained = larger(state->opened[i] - state->covariance[i][i], PMF_R(0.1) * state->opened[i]);
         most = larger(most, state->change[i] * state->change[i] / (LIKELY * LIKELY * gained));
     }
@@ -195,25 +199,32 @@ static void admit_bend(pmf_redge_state_t *state)
 /* Move the reference to the estimate within limits; `ratio` is old over new. */
 static void move_reference(pmf_redge_state_t *state, real_t *ratio)
 {
-    static const scalar_t least[PMF_BODY] = {PMF_SCALAR(0.5), PMF_SCALAR(0.1), PMF_SCALAR(0.1)};
-    static const scalar_t most[PMF_BODY] = {PMF_SCALAR(2.0), PMF_SCALAR(5.0), PMF_SCALAR(5.0)};
+    static const scalar_t least[3] = {PMF_SCALAR(0.5), PMF_SCALAR(0.1), PMF_SCALAR(0.1)};
+    static const scalar_t most[3] = {PMF_SCALAR(2.0), PMF_SCALAR(5.0), PMF_SCALAR(5.0)};
+#if PMF_BODY > 3
+    real_t unit = unit_of(state->reference, OFFSET);
+#endif
     uint32_t i;
     state->place_by[LATENESS] = PMF_R(0.0); /* it moves the instants and not the axis */
     state->place += predict(state->place_by, state->change);
     state->velocity += predict(state->velocity_by, state->change);
     ratio[0] = PMF_R(1.0);
-    for (i = 0; i < PMF_BODY; ++i) {
+    for (i = 0; i < 3U; ++i) {
         real_t factor = PMF_R(1.0) + state->change[FIRST + i];
         factor = smaller(larger(factor, least[i]), most[i]);
         ratio[FIRST - LATENESS + i] = PMF_R(1.0) / factor;
         state->reference[i] *= factor;
     }
+#if PMF_BODY > 3
+    state->reference[OFFSET] += unit * smaller(larger(state->change[FIRST + OFFSET], -FARTHEST), FARTHEST);
+    ratio[FIRST - LATENESS + OFFSET] = unit / unit_of(state->reference, OFFSET);
+#endif
 }
 
 /* End the window: its information on the parameters stays, and the reference moves to the estimate. */
 static void end_window(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines)
 {
-    real_t doubt = contradiction_of(state), with_velocity[PMF_FOLLOWED], ratio[CARRIED], own;
+    real_t doubt = contradiction_of(config, state), with_velocity[PMF_FOLLOWED], ratio[CARRIED], own;
     uint32_t i, j;
     admit_bend(state);
     for (i = 0; i < PMF_FOLLOWED; ++i) {

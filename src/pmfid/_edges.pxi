@@ -8,7 +8,7 @@ cdef extern from "edges/pmf_redge.h":
         PMF_FOLLOWED
     ctypedef struct pmf_redge_config_t:
         real_t dt, resolution, input_gain, tick, memory, finest
-        uint32_t lines, sign
+        uint32_t lines, sign, parameters
     ctypedef struct pmf_line_t:
         real_t weight
     ctypedef struct pmf_redge_state_t:
@@ -25,7 +25,7 @@ cdef extern from "edges/pmf_redge.h":
 cdef class EdgeKernel:
     """The recursion over edges with its state, and the sums of its lines.
 
-    names: of mass, viscous and Coulomb friction. The other arguments are the fields of `pmf_redge_config_t`.
+    names: of mass, viscous and Coulomb friction, and the offset if there is one. The other arguments are the fields of `pmf_redge_config_t`.
     """
 
     cdef pmf_redge_config_t config
@@ -39,7 +39,7 @@ cdef class EdgeKernel:
         self.names = names
         self.config.dt, self.config.resolution, self.config.input_gain = dt, resolution, input_gain
         self.config.tick, self.config.memory = tick, memory
-        self.config.lines, self.config.sign = lines, sign
+        self.config.lines, self.config.sign, self.config.parameters = lines, sign, len(names)
         self.config.finest = 3e-4 if sizeof(real_t) == 4 else 1e-6
         self.lines = np.zeros((max(lines, 1), sizeof(pmf_line_t)), np.uint8)
         self._lines = <pmf_line_t *> cnp.PyArray_DATA(self.lines)
@@ -49,10 +49,13 @@ cdef class EdgeKernel:
         """Return to the state before the first sample."""
         pmf_redge_init(&self.config, &self.state, self._lines)
 
-    def expect(self, double mass, double viscous, double coulomb):
-        """Begin again at the next edges, from given parameters."""
-        cdef real_t[PMF_BODY] theta = [mass, viscous, coulomb]
-        pmf_redge_expect(&self.config, &self.state, theta)
+    def expect(self, const double[::1] theta not None):
+        """Begin again at the next edges, from given parameters (p,)."""
+        cdef real_t[PMF_BODY] given
+        cdef Py_ssize_t i
+        for i in range(self.config.parameters):
+            given[i] = theta[i]
+        pmf_redge_expect(&self.config, &self.state, given)
 
     def raw_config(self):
         """Return the bytes of the configuration."""
@@ -89,11 +92,12 @@ cdef class EdgeKernel:
         """Return the present estimate."""
         cdef Estimate estimate = Estimate.__new__(Estimate)
         cdef Py_ssize_t i, j
-        estimate._n, estimate._names = PMF_BODY, self.names
-        for i in range(PMF_BODY):
+        cdef Py_ssize_t n = self.config.parameters
+        estimate._n, estimate._names = n, self.names
+        for i in range(n):
             estimate._theta[i], estimate._diagonal[i] = self.state.theta[i], self.state.variance[i]
-            for j in range(PMF_BODY):
-                estimate._factor[i * PMF_BODY + j] = self._covariance(i, j)
+            for j in range(n):
+                estimate._factor[i * n + j] = self._covariance(i, j)
         estimate.innovation = self.state.innovation
         estimate.innovation_variance = 1.0 if self.state.running else 0.0
         estimate.status = self.state.status
@@ -106,9 +110,9 @@ cdef class EdgeKernel:
         return self.estimate()
 
     def run(self, const double[::1] u, const int64_t[::1] counts, const double[::1] ages):
-        """Take n samples; return theta and variances (n, 3), innovations, their variances and status bits (n,)."""
-        cdef Py_ssize_t n = u.shape[0], k, i
-        theta, variance = np.empty((n, PMF_BODY)), np.empty((n, PMF_BODY))
+        """Take n samples; return theta and variances (n, p), innovations, their variances and status bits (n,)."""
+        cdef Py_ssize_t n = u.shape[0], p = self.config.parameters, k, i
+        theta, variance = np.empty((n, p)), np.empty((n, p))
         innovation, known, status = np.empty(n), np.empty(n), np.empty(n, np.uint32)
         cdef double[:, ::1] thetas = theta, variances = variance
         cdef double[::1] innovations = innovation, knowns = known
@@ -117,6 +121,6 @@ cdef class EdgeKernel:
             bits[k] = pmf_redge_step(&self.config, &self.state, self._lines, <real_t> u[k],
                                      <uint32_t> <uint64_t> counts[k], <real_t> ages[k])
             innovations[k], knowns[k] = self.state.innovation, 1.0 if self.state.running else 0.0
-            for i in range(PMF_BODY):
+            for i in range(p):
                 thetas[k, i], variances[k, i] = self.state.theta[i], self.state.variance[i]
         return theta, variance, innovation, known, status

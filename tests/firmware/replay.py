@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.redge import REdge
 from pmfid.export.firmware import export_firmware
-from pmfid.kernel.saved import configuration, shape_of, tight_state
+from pmfid.kernel.saved import configuration, shape_of, tight_edge_state, tight_state
 from tests.firmware.build import HERE, Target, compiled, run
 
 PREFIX = "axis"
@@ -84,10 +84,11 @@ def exported_edges(estimator: REdge, folder: Path, record: tuple[NDArray[Any], N
     theta, variance, innovation, _, status = estimator.kernel.run(
         samples["u"].astype(np.float64), record[1], samples["age"].astype(np.float64)
     )
-    fields: list[Any] = [("status", np.uint32), ("theta", real, 3), ("variance", real, 3), ("innovation", real)]
+    p, last = theta.shape[1], tight_edge_state(estimator.kernel, estimator.precision)
+    fields: list[Any] = [("status", np.uint32), ("theta", real, p), ("variance", real, p), ("innovation", real)]
     rows = np.zeros(status.size, np.dtype(fields, align=True))
     rows["status"], rows["theta"], rows["variance"], rows["innovation"] = status, theta, variance, innovation
-    (folder / "expected.bin").write_bytes(rows.tobytes() + estimator.kernel.raw_state())
+    (folder / "expected.bin").write_bytes(rows.tobytes() + last.tobytes())
     estimator.reset()
     return folder
 

@@ -92,7 +92,7 @@ def edge_estimators() -> Iterator[tuple[REdge, tuple[NDArray[np.float64], NDArra
 
 def edge_cost_row(name: str, estimator: REdge, folder: Path) -> str:
     measured = cost(folder, PREFIX)
-    sizes = edge_structures(int(estimator.lines or 0), estimator.precision)
+    sizes = edge_structures(int(estimator.lines or 0), estimator.precision, len(estimator.names))
     ram, saved = sizes["pmf_state_t"].itemsize, sizes["pmf_saved_t"].itemsize
     values = (measured.flash, ram, saved, measured.stack, measured.mean, measured.most)
     return f"| {name} | {estimator.precision} | " + " | ".join(map(str, values)) + " |"

@@ -35,7 +35,7 @@ class REdge:
     Parameters
     ----------
     model : Drive
-        A drive with mass, viscous and Coulomb friction, and a known input gain.
+        A drive with mass, viscous and Coulomb friction, and a known input gain. It may have an offset.
     encoder : Encoder
         Encoder with its resolution and the width of its counter.
     dt : float
@@ -61,6 +61,8 @@ class REdge:
     machine is noticed by the innovations, and the recursion restarts. Until the first estimate, and after a loss of the
     motion, the status has `Status.STARTING`. Large or correlated innovations set `Status.UNMODELLED`, also for a time
     after a change. Instants that are late by more than 0.1 ms set `Status.DEAD_TIME`.
+
+    With an offset F, Coulomb friction C may differ between the directions: C + F forward, and C - F backward.
 
     A sample with several edges gives the age of the last one. All instants may come late by a common time.
 
@@ -98,11 +100,10 @@ class REdge:
         object.__setattr__(self, "kernel", self._new_kernel())
 
     def _check_model(self) -> None:
-        plain = isinstance(self.model, Drive) and self.model.input_gain != ESTIMATE
-        if not plain or self.model != Drive(self.model.input_gain):
+        if not is_plain(self.model):
             raise UsageError(
-                "REdge takes Drive(input_gain) with mass, viscous and Coulomb friction alone; use EdgeFit off-line for "
-                "further terms"
+                "REdge takes a Drive with a given input_gain, mass, viscous and Coulomb friction, and an offset; use "
+                "EdgeFit off-line for further terms"
             )
 
     def _new_kernel(self) -> EdgeKernel:
@@ -196,14 +197,14 @@ class REdge:
         self.kernel.reset()
 
     def expect(self, theta: ArrayLike) -> None:
-        """Begin again at the next edges, from parameters theta (3,) that may be off by about 30 %.
+        """Begin again at the next edges, from parameters theta (p,) that may be off by about 30 %.
 
-        Raises UsageError for parameters that are not positive and finite.
+        Raises UsageError for parameters that are not finite. All but the offset must be positive.
         """
-        given = np.asarray(theta, np.float64)
-        if given.shape != (len(self.names),) or not np.all(np.isfinite(given) & (given > 0)):
-            raise UsageError(f"theta must be positive values of {list(self.names)}, got {theta!r}")
-        self.kernel.expect(*given.tolist())
+        given = np.ascontiguousarray(theta, np.float64)
+        if given.shape != (len(self.names),) or not np.all(np.isfinite(given)) or not np.all(given[:3] > 0):
+            raise UsageError(f"theta must be finite, and positive but for an offset, {list(self.names)}, got {theta!r}")
+        self.kernel.expect(given)
 
     def get_state(self) -> bytes:
         """Return the state, as firmware with the same configuration saves it."""
@@ -212,6 +213,13 @@ class REdge:
     def set_state(self, state: bytes) -> None:
         """Take the bytes of `get_state`, or of such firmware. Raises UsageError for anything else."""
         load_edge_state(self.kernel, self.precision, state)
+
+
+def is_plain(model: object) -> bool:
+    """Return whether a model is a drive with the terms of the recursion over edges and a known input gain."""
+    if not isinstance(model, Drive) or model.input_gain == ESTIMATE:
+        return False
+    return model == Drive(model.input_gain, offset=model.offset, axis=model.axis)
 
 
 def _resume(cls: type[REdge], configuration: dict[str, object], state: bytes) -> REdge:

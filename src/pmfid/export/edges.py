@@ -15,8 +15,8 @@ from pmfid.estimators.redge import REdge
 from pmfid.estimators.tuning import TUNING
 from pmfid.export.c_text import initializer, literal
 from pmfid.export.samples import Samples, make_up_input, moving_part
-from pmfid.kernel.saved import config_number, edge_configuration
-from pmfid.kernel.structures import EDGE_HEADERS, Structures, edge_structures, header, layout_number
+from pmfid.kernel.saved import config_number, edge_configuration, tight_edge_state, tight_edge_structures
+from pmfid.kernel.structures import EDGE_HEADERS, Structures, header, layout_number
 
 #: Patterns of the copied sources, and those of the other exports among them.
 COPIED = ("pmf.h", "pmf_internal.h", "pmf_bytes.h", "pmf_state.c", "pmf_alarm.c", "edges/*.[ch]", "LICENSE")
@@ -62,7 +62,7 @@ def record_edges(estimator: REdge, types: Structures, u: ArrayLike, counts: Arra
     expected = []
     for value, count, age in zip(given.tolist(), read.tolist(), times.tolist(), strict=True):
         own.step(value, count, age)
-        expected.append(zlib.crc32(own.kernel.raw_state()))
+        expected.append(zlib.crc32(tight_edge_state(own.kernel, own.precision).tobytes()))
     return Samples(given, read.astype(np.uint32), np.array(expected, np.uint32), own.theta, times)
 
 
@@ -72,7 +72,7 @@ def describe_edges(estimator: REdge, record: tuple[ArrayLike, ...] | None) -> di
     `record` has input, counts and ages (n,) for the self-test.
     """
     config = edge_configuration(estimator.kernel, estimator.precision)
-    types = edge_structures(int(config["lines"]), estimator.precision)
+    types = tight_edge_structures(config, estimator.precision)
     if record is None:
         samples = record_edges(estimator, types, *make_up_edges(estimator))
     else:
@@ -85,7 +85,11 @@ def describe_edges(estimator: REdge, record: tuple[ArrayLike, ...] | None) -> di
         "edges": True,
         "tick": estimator.tick or 1e-6,
         "equation": estimator.model.equation.text,
-        "macros": {"PMF_WITH_EDGES": 1, "PMF_MAX_LINES": max(1, int(config["lines"]))},
+        "macros": {
+            "PMF_WITH_EDGES": 1,
+            "PMF_MAX_LINES": max(1, int(config["lines"])),
+            "PMF_BODY": int(config["parameters"]),
+        },
         "config_number": config_number(config, types),
         "layout": layout_number(types["pmf_state_t"]),
         "functions": sorted(set(re.findall(r"\b(pmf_\w+)\(", sources))),

@@ -150,19 +150,32 @@ def edge_configuration(kernel: EdgeKernel, precision: str) -> Structured:
     return np.frombuffer(kernel.raw_config(), edge_structures(0, precision)["pmf_config_t"])[0]  # type: ignore[no-any-return]
 
 
+def tight_edge_structures(config: Structured, precision: str) -> Structures:
+    """Return the structures of firmware with this configuration of a recursion over edges."""
+    return edge_structures(int(config["lines"]), precision, int(config["parameters"]))
+
+
+def tight_edge_state(kernel: EdgeKernel, precision: str) -> Structured:
+    """Return the state of a recursion over edges in the layout of firmware."""
+    config = edge_configuration(kernel, precision)
+    own = edge_structures(int(config["lines"]), precision)["pmf_state_t"]
+    tight = tight_edge_structures(config, precision)["pmf_state_t"]
+    return resize_structure(np.frombuffer(kernel.raw_state(), own)[0], tight)
+
+
 def save_edge_state(kernel: EdgeKernel, precision: str) -> bytes:
     """Return the bytes of the `pmf_saved_t` that firmware with this recursion over edges would write."""
     config = edge_configuration(kernel, precision)
-    types = edge_structures(int(config["lines"]), precision)
-    return _write_saved(config, np.frombuffer(kernel.raw_state(), types["pmf_state_t"])[0], types)
+    return _write_saved(config, tight_edge_state(kernel, precision), tight_edge_structures(config, precision))
 
 
 def load_edge_state(kernel: EdgeKernel, precision: str, data: bytes) -> None:
     """Restore a recursion over edges from bytes of `save_edge_state` or firmware. Raises UsageError for other bytes."""
     config = edge_configuration(kernel, precision)
-    state = _read_saved(config, data, edge_structures(int(config["lines"]), precision))
+    state = _read_saved(config, data, tight_edge_structures(config, precision))
+    own = edge_structures(int(config["lines"]), precision)["pmf_state_t"]
     with _refused_in_one_sentence():
-        kernel.set_raw_state(state.tobytes())
+        kernel.set_raw_state(resize_structure(state, own).tobytes())
 
 
 def _write_saved(config: Structured, state: Structured, types: Structures) -> bytes:

@@ -103,10 +103,14 @@ def structures(shape: KernelSizes | None, precision: str) -> Structures:
 
 
 @cache
-def edge_structures(lines: int, precision: str) -> Structures:
-    """Return the NumPy type of each structure of the recursion over edges with `lines` lines that repeat."""
+def edge_structures(lines: int, precision: str, parameters: int | None = None) -> Structures:
+    """Return the NumPy type of each structure of the recursion over edges with `lines` lines that repeat.
+
+    The layout is that of an export with `parameters` unknowns, or of the module without them.
+    """
     text = "".join(map(header, EDGE_HEADERS))
-    constants = constants_in(text, {"PMF_MAX_LINES": max(lines, 1)})
+    own = {} if parameters is None else {"PMF_BODY": parameters}
+    constants = constants_in(text, {"PMF_MAX_LINES": max(lines, 1)} | own)
     saved = re.findall(r"typedef struct \{[^{}]*\}\s*pmf_(?:saved|alarm_config|alarm_state)_t;", header("pmf.h"))
     types = _types_in(text + "".join(saved), precision, constants)
     return types | {"pmf_config_t": types["pmf_redge_config_t"]}

@@ -28,14 +28,14 @@ from pmfid.monitor.events import (
 )
 from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
 
 #: Name with version, checksum of the configuration, size, and checksum of what follows.
 HEAD = struct.Struct("<8sIII")
-VERSION = b"PMFE\0\0\0\1"
+VERSION = b"PMFE\0\0\0\2"
 #: State, whether a suspicion is possible, samples, samples since the last edge and since the suspicion or alarm, last
-#: counts, statistic, and three numbers each of the reference, of the one before, and of the last sound estimate.
-BODY = struct.Struct("<B?QQQqd3d3d3d")
+#: counts, and statistic. The parameters of the reference, of the one before, and of the last sound estimate follow.
+BODY = struct.Struct("<B?QQQqd")
 
 
 @dataclass
@@ -50,8 +50,8 @@ class EdgeMonitor:
     ----------
     estimator : REdge
         Estimator with a memory, before its first sample.
-    reference : array (3,)
-        Normal values of mass, viscous and Coulomb friction.
+    reference : array (p,)
+        Normal values of mass, viscous and Coulomb friction, and of the offset if the model has one.
     watch : Watch
         Mean time between false alarms, and tolerance. The detector has no effect.
 
@@ -87,8 +87,11 @@ class EdgeMonitor:
         self.reference = np.array(self.reference, np.float64)
         if self.estimator.memory is None:
             raise UsageError("a monitor needs a memory: an estimate that remembers everything follows nothing")
-        if self.reference.shape != (3,) or not np.all(np.isfinite(self.reference) & (self.reference > 0)):
-            raise UsageError(f"reference must be positive values of {list(self.names)}, got {self.reference.tolist()}")
+        if self.reference.shape != (len(self.names),) or not self._are_parameters(self.reference):
+            raise UsageError(
+                f"reference must be values of {list(self.names)}, positive but for an offset, got "
+                f"{self.reference.tolist()}"
+            )
         self.threshold = self._quantile()
         self.state, self.samples, self.statistic = STARTING, 0, 0.0
         self._before = self._base = self.reference
@@ -110,6 +113,26 @@ class EdgeMonitor:
     def units(self) -> tuple[str, ...]:
         """Units of the parameters."""
         return self.estimator.units
+
+    @property
+    def _signed(self) -> Flags:
+        """Whether each parameter (p,) may be zero or negative, as the offset may."""
+        return np.array([name == "offset" for name in self.names])
+
+    def _are_parameters(self, values: Floats) -> bool:
+        """Return whether values (..., p) are finite, and positive except for the offset."""
+        return bool(np.all(np.isfinite(values) & ((values > 0) | self._signed)))
+
+    def _sizes_of(self, values: Floats) -> Floats:
+        """Return what changes of parameters (p,) are relative to: themselves, and at least Coulomb friction for the
+        offset, which may be zero."""
+        sizes = np.abs(values)
+        friction = sizes[self.names.index("coulomb_friction")]
+        return np.where(self._signed, np.maximum(sizes, friction), sizes)
+
+    def _bound(self, values: Floats) -> Floats:
+        """Return parameters (p,) that are positive except for the offset."""
+        return np.where(self._signed, values, np.maximum(values, TUNING.edge_least * self.reference))
 
     @property
     def _time(self) -> float:
@@ -150,7 +173,8 @@ class EdgeMonitor:
             return self._suspect()
         theta, std = np.array(estimate.theta), np.array(estimate.theta_std)
         std *= TUNING.edge_doubt if distorted else 1.0
-        relative, error = theta / self.reference - 1, std / self.reference
+        sizes = self._sizes_of(self.reference)
+        relative, error = (theta - self.reference) / sizes, std / sizes
         self.statistic = float(np.max((np.abs(relative) - self.watch.tolerance) / error))
         if self.threshold * float(error.max()) > TUNING.edge_known:
             return self._enter(CANNOT_TELL, "poor excitation")
@@ -162,7 +186,7 @@ class EdgeMonitor:
 
     def _suspect(self) -> list[Event]:
         """Let the estimator begin again at the last sound estimate, because the machine may have changed."""
-        self.estimator.expect(np.maximum(self._base, TUNING.edge_least * self.reference))
+        self.estimator.expect(self._bound(self._base))
         self._since, self._armed = 0, False
         return self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet")
 
@@ -176,13 +200,14 @@ class EdgeMonitor:
         A change that is certainly within the tolerance ends the suspicion without an alarm. Until the recursion moves
         its reference, the estimate has errors of second order, which can hide the cause.
         """
-        evidence, gain = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov)), self._gain
+        evidence = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov))
         moved = evidence.theta - self._base
-        bend = min(float(np.max(np.abs(moved / self._base))), TUNING.edge_bend)
+        bend = min(float(np.max(np.abs(moved) / self._sizes_of(self._base))), TUNING.edge_bend)
         doubtful = replace(evidence, covariance=evidence.covariance + np.diag((bend * moved) ** 2))
-        cause, sure = (name_cause(one, self._base, self.names, gain) for one in (doubtful, evidence))
-        std = np.array(estimate.theta_std)
-        relative, error = evidence.theta / self.reference - 1, self.threshold * std / self.reference
+        cause, sure = (self._name_cause(one) for one in (doubtful, evidence))
+        sizes = self._sizes_of(self.reference)
+        relative = (evidence.theta - self.reference) / sizes
+        error = self.threshold * np.array(estimate.theta_std) / sizes
         late = self._since >= TUNING.edge_confirmed * self._patience
         size = abs(sure.relative) - self.watch.tolerance
         self.statistic = size * abs(sure.change / sure.relative) / sure.std if sure.relative else 0.0
@@ -192,6 +217,12 @@ class EdgeMonitor:
             self._base = evidence.theta
             return self._enter(WATCHING, "the deviation is within the tolerance")
         return []
+
+    def _name_cause(self, evidence: ChangeEvidence) -> Cause:
+        cause = name_cause(evidence, self._base, self.names, self._gain)
+        if cause.name not in self.names:
+            return cause
+        return replace(cause, relative=cause.change / float(self._sizes_of(self._base)[self.names.index(cause.name)]))
 
     def _alarm(self, cause: Cause) -> list[Event]:
         units = dict(zip(self.names, self.units, strict=True))
@@ -205,10 +236,10 @@ class EdgeMonitor:
     def _settle(self, estimate: Estimate) -> list[Event]:
         """Make the estimate the reference, once it is sure."""
         theta, std = np.array(estimate.theta), np.array(estimate.theta_std)
-        sure = bool(np.all(self.threshold * std < 0.5 * self.watch.tolerance * np.abs(theta)))
+        sure = bool(np.all(self.threshold * std < 0.5 * self.watch.tolerance * self._sizes_of(theta)))
         if self._since < self._patience or not (sure or self._since >= TUNING.edge_settled * self._patience):
             return []
-        self.reference = self._base = np.maximum(theta, TUNING.edge_least * self.reference)
+        self.reference = self._base = self._bound(theta)
         return [Settled(self._time, theta, std, self._before), *self._enter(WATCHING, "")]
 
     def _enter(self, state: str, reason: str) -> list[Event]:
@@ -233,12 +264,14 @@ class EdgeMonitor:
             self._counts,
             self.statistic,
         )
-        body = BODY.pack(*own, *self.reference, *self._before, *self._base) + self.estimator.get_state()
+        values = np.concatenate([self.reference, self._before, self._base])
+        body = BODY.pack(*own) + values.tobytes() + self.estimator.get_state()
         return HEAD.pack(VERSION, self._number, len(body), zlib.crc32(body)) + body
 
     def set_state(self, state: bytes) -> None:
         """Continue from a saved state. Raises UsageError, and changes nothing, for other bytes."""
-        if not isinstance(state, bytes) or len(state) < HEAD.size + BODY.size:
+        values = 3 * self.reference.nbytes
+        if not isinstance(state, bytes) or len(state) < HEAD.size + BODY.size + values:
             raise UsageError("a state is the bytes that get_state of such a monitor gave")
         version, number, size, checksum = HEAD.unpack_from(state)
         body = state[HEAD.size :]
@@ -246,11 +279,11 @@ class EdgeMonitor:
             raise UsageError("the state is of another monitor or version; construct it with the same arguments")
         if checksum != zlib.crc32(body):
             raise UsageError("the state is damaged: its checksum does not fit; start from an older state, or from none")
-        place, armed, *counted, statistic = BODY.unpack_from(body)[:-9]
-        values = np.array(BODY.unpack_from(body)[-9:])
-        if place >= len(STATES) or not np.all(np.isfinite(values) & (values > 0)) or not math.isfinite(statistic):
+        place, armed, *counted, statistic = BODY.unpack_from(body)
+        known = np.frombuffer(body, np.float64, values // 8, BODY.size).reshape(3, -1).copy()
+        if place >= len(STATES) or not self._are_parameters(known) or not math.isfinite(statistic):
             raise UsageError("these numbers are no state of a monitor; start from an older state, or from none")
-        self.estimator.set_state(body[BODY.size :])
+        self.estimator.set_state(body[BODY.size + values :])
         self.state, self._armed, self.statistic = STATES[place], armed, statistic
         self.samples, self._silent, self._since, self._counts = counted
-        self.reference, self._before, self._base = values[:3], values[3:6], values[6:]
+        self.reference, self._before, self._base = known

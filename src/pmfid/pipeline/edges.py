@@ -14,9 +14,8 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import memory_of
 from pmfid.estimators.instruments import initial_vector
-from pmfid.estimators.redge import REdge
+from pmfid.estimators.redge import REdge, is_plain
 from pmfid.models.drive import Drive
-from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.edges import EdgeMonitor
 from pmfid.monitor.events import Watch
 from pmfid.pipeline.tuning import TUNING
@@ -36,10 +35,10 @@ def make_edge_estimator(axis: Axis, record: Record, steps: bool = False) -> REdg
     Raises UsageError for a model or a clock that this estimator does not take.
     """
     model, config = axis.model.make(), axis.estimator
-    if not isinstance(model, Drive) or model != Drive(model.input_gain) or model.input_gain == ESTIMATE or steps:
+    if steps or not isinstance(model, Drive) or not is_plain(model):
         raise UsageError(
-            "with edge times, a drive finds mass, viscous and Coulomb friction, with a given input_gain and an even "
-            "clock; for other terms or clocks give the method riv, which takes the counts alone"
+            "with edge times, a drive finds mass, viscous and Coulomb friction, and an offset, with a given input_gain "
+            "and an even clock; for other terms or clocks give the method riv, which takes the counts alone"
         )
     memory = memory_of(config.forgetting, record.dt)
     return REdge(
@@ -55,7 +54,7 @@ def make_edge_estimator(axis: Axis, record: Record, steps: bool = False) -> REdg
 
 @dataclass(frozen=True)
 class EdgeSetup:
-    """A monitor of edges at its start, with the normal parameters (3,) and texts for the user."""
+    """A monitor of edges at its start, with the normal parameters (p,) and texts for the user."""
 
     monitor: EdgeMonitor
     nominal: Floats
@@ -63,7 +62,7 @@ class EdgeSetup:
 
     @property
     def reported(self) -> Floats:
-        """The nominal values (3,)."""
+        """The nominal values (p,)."""
         return self.nominal
 
     def describe_start(self) -> dict[str, object]:
