@@ -106,13 +106,13 @@ def test_a_monitor_goes_on_from_its_saved_state() -> None:
 def test_other_states_and_arguments_are_refused() -> None:
     monitor = make_monitor()
     state = monitor.get_state()
-    with pytest.raises(UsageError, match="another monitor or version"):
+    with pytest.raises(UsageError, match="not the state of such a monitor"):
         make_monitor(tolerance=0.1).set_state(state)
-    with pytest.raises(UsageError, match="another monitor or version"):
-        monitor.set_state(state[:4] + b"\x02" + state[5:])
+    with pytest.raises(UsageError, match="not the state of such a monitor"):
+        monitor.set_state(state + state)
     with pytest.raises(UsageError, match="damaged"):
         monitor.set_state(state[:-1] + bytes([state[-1] ^ 1]))
-    with pytest.raises(UsageError, match="get_state"):
+    with pytest.raises(UsageError, match="not the state of such a monitor"):
         monitor.set_state(b"")
     with pytest.raises(UsageError, match="needs a memory"):
         make_monitor(memory=None)
