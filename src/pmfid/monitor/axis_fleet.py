@@ -154,7 +154,8 @@ class AxisFleet(ABC, Generic[M, S]):
         self._all = self._read(state)
 
     def _read(self, state: bytes) -> S:
-        return self._scratch.check_states(read(state, self._first, self._source.configuration_number))
+        found: S = self._scratch.check_states(read(state, self._first, self._source.configuration_number))
+        return found
 
 
 def slices(size: int, most: int) -> Iterator[slice]:

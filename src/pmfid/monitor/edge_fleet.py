@@ -65,6 +65,10 @@ class EdgeFleet(AxisFleet[EdgeMonitor, EdgeStates]):
         source = self._source
         return EdgeMonitor(replace(source.estimator), source.reference, copy(source.watch))
 
+    def samples(self) -> Places:
+        """`EdgeMonitor.samples` of each axis, (axes,)."""
+        return self._all.whole[:, SAMPLES].copy()
+
     def run(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike, ages: ArrayLike) -> FleetRows:
         """Take the next n samples u, counts, ages (k, n) of the axes `index` (k,), each at most once.
 
@@ -75,11 +79,11 @@ class EdgeFleet(AxisFleet[EdgeMonitor, EdgeStates]):
         instants = np.ascontiguousarray(numbers("ages", ages), np.float64)
         if instants.shape != inputs.shape:
             raise UsageError(f"ages must be {inputs.shape} as u, got {instants.shape}")
-        rows = FleetRows.empty(*inputs.shape, len(self.names))
+        rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
         for group in slices(len(inputs), TUNING.fleet_group):
             for time in slices(inputs.shape[1], TUNING.fleet_piece):
-                piece = inputs[group, time], read_counts[group, time], instants[group, time]
-                self._run(places[group], *map(np.ascontiguousarray, piece), rows, (group, time))
+                part = group, time
+                self._run(places[group], inputs[part], read_counts[part], instants[part], rows, part)
         rows.events.sort(key=lambda one: one[:2])
         return rows
 
@@ -88,7 +92,7 @@ class EdgeFleet(AxisFleet[EdgeMonitor, EdgeStates]):
     ) -> None:
         """Run a piece of a group of axes. The quiet axes run together, all other axes one by one."""
         states = self._all.take_rows(index)
-        found = FleetRows.empty(*u.shape, len(self.names))
+        found = FleetRows.empty(u.shape[0], u.shape[1], len(self.names))
         kept = np.isfinite(u).all(axis=1) & np.isin(states.state, (_STARTING, _WATCHING, _CANNOT_TELL))
         kept &= self._run_quiet(states, u, counts, ages, found)
         self._all.put(index[kept], states.take_rows(np.flatnonzero(kept)))
@@ -99,10 +103,9 @@ class EdgeFleet(AxisFleet[EdgeMonitor, EdgeStates]):
 
     def _run_quiet(self, states: EdgeStates, u: Floats, counts: Counts, ages: Floats, rows: FleetRows) -> Flags:
         """Step axes as if all stayed quiet, and return whether each axis did, (k,). Otherwise its results are void."""
-        finite = np.where(np.isfinite(u), u, 0.0)
-        theta, variance, innovation, known, status = self._scratch.estimator.kernel.run_many(
-            states.recursion, finite, counts, ages
-        )
+        given = np.ascontiguousarray(u), np.ascontiguousarray(counts), np.ascontiguousarray(ages)
+        found = self._scratch.estimator.kernel.run_many(states.recursion, *given)
+        theta, variance, innovation, known, status = found
         rows.theta[:], rows.innovation[:], rows.status[:] = theta, innovation, status
         bars(variance, known, np.zeros_like(variance), rows.std)
         rows.state[:] = states.state[:, None]
