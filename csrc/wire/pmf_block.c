@@ -50,7 +50,8 @@ uint32_t pmf_block(const pmf_block_t *block, uint8_t *out, uint32_t room)
     while (letters <= PMF_BLOCK_NAME && block->axis[letters] != '\0') {
         ++letters;
     }
-    if (letters - 1U >= PMF_BLOCK_NAME || n - 1U >= PMF_BLOCK_SAMPLES || room < PMF_BLOCK_SIZE(letters, n) + 4U * edges * n) {
+    if (letters - 1U >= PMF_BLOCK_NAME || n - 1U >= PMF_BLOCK_SAMPLES ||
+        room < PMF_BLOCK_SIZE(letters, n) + 4U * edges * n) {
         return 0U;
     }
     next = put(next, 0x42464d50U, 4U); /* "PMFB" */

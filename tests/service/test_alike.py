@@ -31,7 +31,16 @@ def _bytes(ages: np.ndarray | None) -> bytes | None:
 
 def said(found: list[Block | Unusable]) -> list[tuple[object, ...]]:
     return [
-        (one.axis, one.epoch, one.first, repr(one.time), one.dt, one.u.tobytes(), one.counts.tobytes(), _bytes(one.ages))
+        (
+            one.axis,
+            one.epoch,
+            one.first,
+            repr(one.time),
+            one.dt,
+            one.u.tobytes(),
+            one.counts.tobytes(),
+            _bytes(one.ages),
+        )
         if isinstance(one, Block)
         else (one.reason, one.problem, one.axis)
         for one in found

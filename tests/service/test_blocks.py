@@ -38,7 +38,14 @@ def same(one: object, other: Block) -> bool:
     u, counts = np.array_equal(one.u, other.u, equal_nan=True), np.array_equal(one.counts, other.counts)
     ages = (one.ages is None) == (other.ages is None)
     ages = ages and (one.ages is None or np.array_equal(one.ages, np.asarray(other.ages), equal_nan=True))
-    return scalars[0] == scalars[1] and u and counts and ages and one.u.dtype == np.float64 and one.counts.dtype == np.int64
+    return (
+        scalars[0] == scalars[1]
+        and u
+        and counts
+        and ages
+        and one.u.dtype == np.float64
+        and one.counts.dtype == np.int64
+    )
 
 
 def reasons(data: bytes) -> list[str]:
@@ -88,7 +95,9 @@ def test_a_block_is_as_short_as_loses_nothing_and_at_most_so_long() -> None:
         len(encode(replace(block(), u=np.full(3, u), counts=np.full(3, c)))) for u in (0.5, 0.1) for c in (5, 2**40)
     ]
     assert sizes == [44 + 8 + 24, 44 + 8 + 36, 44 + 8 + 36, 44 + 8 + 48]
-    longest = replace(block(n=MOST_SAMPLES), axis="a" * 64, counts=np.full(MOST_SAMPLES, 2**40), ages=np.full(MOST_SAMPLES, 0.1))
+    longest = replace(
+        block(n=MOST_SAMPLES), axis="a" * 64, counts=np.full(MOST_SAMPLES, 2**40), ages=np.full(MOST_SAMPLES, 0.1)
+    )
     assert len(encode(longest)) == MOST_BYTES
 
 

@@ -123,7 +123,9 @@ class EdgeFleet(AxisFleet[EdgeMonitor, EdgeStates]):
         sound = judged & ~distorted & at[_WATCHING]
         armed = np.logical_or.accumulate(np.column_stack([states.armed, sound]), axis=1)
         weighed = ~starting & moved & ~(distorted & armed[:, :-1])
-        statistic, doubtful = monitor.weigh_deviations(rows.theta, rows.std, distorted, states.values[:, REFERENCE, None])
+        statistic, doubtful = monitor.weigh_deviations(
+            rows.theta, rows.std, distorted, states.values[:, REFERENCE, None]
+        )
         with np.errstate(invalid="ignore"):
             calm = weighed & ~doubtful & (statistic <= monitor.threshold)
         rest = ~starting & ~moved

@@ -33,6 +33,7 @@ from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
+
 @dataclass
 class EdgeStates(RowArrays):
     """The states of some axes with edge times.
@@ -197,9 +198,7 @@ class EdgeMonitor:
             self._base, self._armed = theta, True
         return self._enter(WATCHING, "")
 
-    def weigh_deviations(
-        self, theta: Floats, std: Floats, distorted: Flags, reference: Floats
-    ) -> tuple[Floats, Flags]:
+    def weigh_deviations(self, theta: Floats, std: Floats, distorted: Flags, reference: Floats) -> tuple[Floats, Flags]:
         """Return the statistic of estimates (..., p), and whether each is too uncertain to tell a change, (...,).
 
         `distorted` (...,) widens the standard errors. The largest deviation beyond the tolerance is the statistic.

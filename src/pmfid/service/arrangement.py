@@ -70,7 +70,11 @@ class Configurations:
                 self.tell({"event": "calibration", "config": path.name, "part": part})
 
         made = prepare(path, self.record, progress, axis)
-        what = {"event": "configuration", "config": path.name, "cached": isinstance(made.setup, EdgeSetup) or made.setup.cached}
+        what = {
+            "event": "configuration",
+            "config": path.name,
+            "cached": isinstance(made.setup, EdgeSetup) or made.setup.cached,
+        }
         self.tell({**what, "notes": list(made.setup.notes)})
         return made
 

@@ -24,8 +24,8 @@ class Block:
     `axis` is the name. The sender raises `epoch` when its numbers restart, for example after a restart of the drive.
     `first` >= 0 is the number of the first sample. `time` is the time of the first sample by the sender's clock [s],
     NaN without a clock. `dt` is the sender's sample period [s]. `u` (n,) is the input in the unit of the model, NaN for
-    a lost sample, and `counts` is (n,). `ages` (n,) is the time from the last edge of the encoder to the sample [s], NaN
-    without an edge, or None if the sender does not know it.
+    a lost sample, and `counts` is (n,). `ages` (n,) is the time from the last edge of the encoder to the sample [s],
+    NaN without an edge, or None if the sender does not know it.
     """
 
     axis: str

@@ -23,9 +23,9 @@ from pmfid.types import Counts, Flags, Floats
 class Batch:
     """Samples of k axes that are stepped together.
 
-    `index` (k,) has the numbers of the axes, each once. `u` and `counts` are (k, n), and `ages` are (k, n) or None. `time`, `offset` and `turn` (k,)
-    are as in `SamplePiece`, and `received` is (k,). `pieces` has k pieces, or none for blocks of a table. No sample is
-    missing before the blocks of a table, and their samples have no times of their own.
+    `index` (k,) has the numbers of the axes, each once. `u` and `counts` are (k, n), and `ages` are (k, n) or None.
+    `time`, `offset` and `turn` (k,) are as in `SamplePiece`, and `received` is (k,). `pieces` has k pieces, or none for
+    blocks of a table. No sample is missing before the blocks of a table, and their samples have no times of their own.
     """
 
     index: NDArray[np.int64]

@@ -49,8 +49,8 @@ def wanted_columns(axis: Axis) -> tuple[str, ...]:
 class Reading:
     """A reader that converts the values of input, output, time and age to a `Line`.
 
-    `names` are those of `wanted_columns`, which may have units. The name of the time may be missing. Raises UsageError if a unit contradicts the
-    configuration, or if the configuration cannot be read one sample at a time.
+    `names` are those of `wanted_columns`, which may have units. The name of the time may be missing. Raises UsageError
+    if a unit contradicts the configuration, or if the configuration cannot be read one sample at a time.
     """
 
     def __init__(self, axis: Axis, names: tuple[str, ...]) -> None:

@@ -109,8 +109,8 @@ BAD, REPEATED, COMMENT = "bad line", "repeated line", "comment"
 class Line:
     """The values of a line.
 
-    `time` [s] is NaN without a time. An unusable `u` is NaN, and `problem` is then the reason. `age` is the time from the
-    last edge of the encoder to the sample [s], NaN without an edge.
+    `time` [s] is NaN without a time. An unusable `u` is NaN, and `problem` is then the reason. `age` is the time from
+    the last edge of the encoder to the sample [s], NaN without an edge.
     """
 
     time: float
