@@ -26,7 +26,7 @@ import numpy as np
 import polars as pl
 
 from pmfid.simulation import CART, CART_DT, Schedule
-from pmfid.stream.blocks import MAGIC, VERSION, block_type
+from pmfid.stream.blocks import MAGIC, PLAIN, block_type
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import write_axis
 
@@ -81,7 +81,7 @@ class Gateway:
         """Write the file of a second; readers see the whole file or none."""
         rows = np.zeros(len(self._names), self._form)
         part = self._which[:, None], self._begin[:, None] + np.arange(second * BLOCK, (second + 1) * BLOCK)
-        rows["magic"], rows["version"], rows["samples"], rows["letters"] = MAGIC, VERSION, BLOCK, 10
+        rows["magic"], rows["version"], rows["samples"], rows["letters"] = MAGIC, PLAIN, BLOCK, 10
         rows["first"], rows["time"], rows["dt"] = second * BLOCK, second * BLOCK * CART_DT, CART_DT
         rows["name"], rows["u"], rows["counts"] = self._names, self._u[part], self._counts[part]
         size, data = self._form.itemsize, bytearray(rows.tobytes())

@@ -552,6 +552,7 @@ uint32_t pmf_redge_step(const pmf_redge_config_t *config, pmf_redge_state_t *sta
         take_edge(config, state, lines, change, age);
         pass(config, state, config->dt - before);
     } else {
+        invalid |= change != 0 ? (uint32_t)PMF_INVALID_INPUT : 0U; /* an edge without its instant */
         pass(config, state, config->dt);
         state->place -= (real_t)change;
         state->last_line -= (real_t)change;
@@ -563,7 +564,7 @@ uint32_t pmf_redge_step(const pmf_redge_config_t *config, pmf_redge_state_t *sta
     if (state->running != 0U && is_sound(config, state) == 0U) {
         give_up(state);
     }
-    state->input = invalid != 0U ? state->input : input;
+    state->input = input - input == PMF_R(0.0) ? input : state->input;
     publish(config, state);
     state->status |= invalid | far;
     return state->status;

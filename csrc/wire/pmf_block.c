@@ -45,15 +45,17 @@ static uint32_t checksum(const uint8_t *from, const uint8_t *end)
 uint32_t pmf_block(const pmf_block_t *block, uint8_t *out, uint32_t room)
 {
     uint8_t *next = out;
-    uint32_t letters = 0U, i, n = block->samples;
-    narrow_t u;
+    uint32_t letters = 0U, i, n = block->samples, edges = block->ages != 0 ? 1U : 0U;
+    narrow_t narrow;
     while (letters <= PMF_BLOCK_NAME && block->axis[letters] != '\0') {
         ++letters;
     }
-    if (letters - 1U >= PMF_BLOCK_NAME || n - 1U >= PMF_BLOCK_SAMPLES || room < PMF_BLOCK_SIZE(letters, n)) {
+    if (letters - 1U >= PMF_BLOCK_NAME || n - 1U >= PMF_BLOCK_SAMPLES ||
+        room < PMF_BLOCK_SIZE(letters, n) + 4U * edges * n) {
         return 0U;
     }
-    next = put(next, 0x0142464d50U, 6U); /* "PMFB", version 1, no flags: float32 and int32 */
+    next = put(next, 0x42464d50U, 4U); /* "PMFB" */
+    next = put(next, 1U + edges, 2U); /* version 1 or 2, no flags: float32 and int32 */
     next = put(put(next, n, 2U), block->epoch, 4U);
     next = put(put(next, letters, 4U), block->first, 8U);
     next = put_number(put_number(next, block->time), block->dt);
@@ -61,11 +63,15 @@ uint32_t pmf_block(const pmf_block_t *block, uint8_t *out, uint32_t room)
         next = put(next, i < letters ? (uint8_t)block->axis[i] : 0U, 1U);
     }
     for (i = 0U; i < n; ++i) {
-        u.number = block->u[i];
-        next = put(next, u.bits, 4U);
+        narrow.number = block->u[i];
+        next = put(next, narrow.bits, 4U);
     }
     for (i = 0U; i < n; ++i) {
         next = put(next, (uint32_t)block->counts[i], 4U);
+    }
+    for (i = 0U; i < edges * n; ++i) {
+        narrow.number = block->ages[i];
+        next = put(next, narrow.bits, 4U);
     }
     return (uint32_t)(put(next, checksum(out, next), 4U) - out);
 }

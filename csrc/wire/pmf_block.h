@@ -14,8 +14,9 @@ extern "C" {
 
 #define PMF_BLOCK_SAMPLES 1024U /* largest number of samples in a block */
 #define PMF_BLOCK_NAME 64U /* largest number of bytes in a name */
-/* Size of a block in bytes. */
+/* Size of a block in bytes, without and with the ages of edges. */
 #define PMF_BLOCK_SIZE(letters, samples) (44U + ((((uint32_t)(letters)) + 7U) & ~7U) + 8U * (uint32_t)(samples))
+#define PMF_BLOCK_EDGES_SIZE(letters, samples) (PMF_BLOCK_SIZE(letters, samples) + 4U * (uint32_t)(samples))
 
 typedef struct {
     const char *axis; /* name of the axis, UTF-8 */
@@ -26,6 +27,7 @@ typedef struct {
     uint32_t samples; /* number of samples, 1 to PMF_BLOCK_SAMPLES */
     const float *u; /* inputs; NaN marks a lost input */
     const int32_t *counts; /* counts; a counter of 32 bits that wraps is sent unchanged */
+    const float *ages; /* times from the last edge to the sample [s], NaN without an edge; null: there are none */
 } pmf_block_t;
 
 /* Write a block into `room` bytes at `out`. Returns the size of the block, or 0 if the block does not fit or has wrong

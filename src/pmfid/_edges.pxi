@@ -20,7 +20,35 @@ cdef extern from "edges/pmf_redge.h":
     void pmf_redge_init(const pmf_redge_config_t *, pmf_redge_state_t *, pmf_line_t *)
     void pmf_redge_expect(const pmf_redge_config_t *, pmf_redge_state_t *, const real_t *)
     uint32_t pmf_redge_plausible(const pmf_redge_config_t *, const pmf_redge_state_t *, const pmf_line_t *)
-    uint32_t pmf_redge_step(const pmf_redge_config_t *, pmf_redge_state_t *, pmf_line_t *, real_t, uint32_t, real_t)
+    uint32_t pmf_redge_step(const pmf_redge_config_t *, pmf_redge_state_t *, pmf_line_t *, real_t, uint32_t, real_t) nogil
+
+cdef class EdgeResults:
+    """Results of n samples of k axes: theta and variances (k, n, p), innovations, variances and status bits (k, n)."""
+
+    cdef readonly tuple arrays
+    cdef Py_ssize_t samples, parameters
+    cdef double[:, :, ::1] theta, variance
+    cdef double[:, ::1] innovation, known
+    cdef uint32_t[:, ::1] status
+
+    def __init__(self, Py_ssize_t axes, Py_ssize_t samples, Py_ssize_t parameters):
+        self.samples, self.parameters = samples, parameters
+        shape = axes, samples
+        self.arrays = (np.empty((*shape, parameters)), np.empty((*shape, parameters)), np.empty(shape), np.empty(shape),
+                       np.empty(shape, np.uint32))
+        self.theta, self.variance, self.innovation, self.known, self.status = self.arrays
+
+cdef void _run_edges(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines, const double *u,
+                     const int64_t *counts, const double *ages, EdgeResults results, Py_ssize_t axis) noexcept nogil:
+    """Take the samples of an axis, and write its results."""
+    cdef Py_ssize_t k, i
+    for k in range(results.samples):
+        results.status[axis, k] = pmf_redge_step(config, state, lines, <real_t> u[k], <uint32_t> <uint64_t> counts[k],
+                                                 <real_t> ages[k])
+        results.innovation[axis, k] = state.innovation
+        results.known[axis, k] = 1.0 if state.running else 0.0
+        for i in range(results.parameters):
+            results.theta[axis, k, i], results.variance[axis, k, i] = state.theta[i], state.variance[i]
 
 cdef class EdgeKernel:
     """The recursion over edges with its state, and the sums of its lines.
@@ -111,16 +139,27 @@ cdef class EdgeKernel:
 
     def run(self, const double[::1] u, const int64_t[::1] counts, const double[::1] ages):
         """Take n samples; return theta and variances (n, p), innovations, their variances and status bits (n,)."""
-        cdef Py_ssize_t n = u.shape[0], p = self.config.parameters, k, i
-        theta, variance = np.empty((n, p)), np.empty((n, p))
-        innovation, known, status = np.empty(n), np.empty(n), np.empty(n, np.uint32)
-        cdef double[:, ::1] thetas = theta, variances = variance
-        cdef double[::1] innovations = innovation, knowns = known
-        cdef uint32_t[::1] bits = status
-        for k in range(n):
-            bits[k] = pmf_redge_step(&self.config, &self.state, self._lines, <real_t> u[k],
-                                     <uint32_t> <uint64_t> counts[k], <real_t> ages[k])
-            innovations[k], knowns[k] = self.state.innovation, 1.0 if self.state.running else 0.0
-            for i in range(p):
-                thetas[k, i], variances[k, i] = self.state.theta[i], self.state.variance[i]
-        return theta, variance, innovation, known, status
+        cdef EdgeResults results = EdgeResults(1, u.shape[0], self.config.parameters)
+        if u.shape[0]:
+            _run_edges(&self.config, &self.state, self._lines, &u[0], &counts[0], &ages[0], results, 0)
+        return tuple(array[0] for array in results.arrays)
+
+    def run_many(self, unsigned char[:, ::1] states not None, const double[:, ::1] u, const int64_t[:, ::1] counts,
+                 const double[:, ::1] ages):
+        """Take n samples of k axes with this configuration, one axis after the other, without the interpreter lock.
+
+        states (k, bytes) are those of `raw_state`, and change in place. Return the arrays of `run` with k rows. Raises
+        ValueError for states of another size.
+        """
+        cdef Py_ssize_t axis, size = sizeof(pmf_redge_state_t) + self.lines.size
+        cdef EdgeResults results = EdgeResults(u.shape[0], u.shape[1], self.config.parameters)
+        if states.shape[1] != size:
+            raise ValueError(f"a state has {size} bytes, got {states.shape[1]}")
+        if not u.shape[1]:
+            return results.arrays
+        with nogil:
+            for axis in range(u.shape[0]):
+                _run_edges(&self.config, <pmf_redge_state_t *> &states[axis, 0],
+                           <pmf_line_t *> (&states[axis, 0] + sizeof(pmf_redge_state_t)), &u[axis, 0], &counts[axis, 0],
+                           &ages[axis, 0], results, axis)
+        return results.arrays

@@ -142,3 +142,12 @@ class EdgeKernel:
     ) -> tuple[
         NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint32]
     ]: ...
+    def run_many(
+        self,
+        states: NDArray[np.uint8],
+        u: NDArray[np.float64],
+        counts: NDArray[np.int64],
+        ages: NDArray[np.float64],
+    ) -> tuple[
+        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint32]
+    ]: ...

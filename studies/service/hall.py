@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from paho.mqtt.enums import CallbackAPIVersion
 
 from pmfid.monitor.fleet import MonitorFleet
+from pmfid.monitor.monitor import Monitor
 from pmfid.simulation import make_scenario
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block
@@ -138,7 +139,9 @@ class Hall:
         """Count the rows of the page after sample `since`, and those with another bit than `pmfid monitor`. `axes` are
         the numbers of the compared axes; None means all unchanged axes."""
         others = [k for k in range(self.axes) if k not in self.struck] if axes is None else list(axes)
-        fleet = MonitorFleet(prepare(self.folder / "cell.toml").setup.monitor, len(others))
+        monitor = prepare(self.folder / "cell.toml").setup.monitor
+        assert isinstance(monitor, Monitor)
+        fleet = MonitorFleet(monitor, len(others))
         places = np.array(others)[:, None] * APART + np.arange(self.at)
         expected = fleet.run(np.arange(len(others)), self.u[places], self.counts[places]).theta
         found = differ = 0

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from pmfid.simulation import make_scenario
 from pmfid.simulation.scenarios import axis_toml, write_csv
-from pmfid.stream.blocks import MAGIC, VERSION, block_type
+from pmfid.stream.blocks import MAGIC, PLAIN, block_type
 
 #: Sample period of the machines [s], and samples of a block.
 DT, SAMPLES = 0.01, 50
@@ -73,7 +73,7 @@ class Machines:
         run = make_scenario("moves", seed=2, duration=seconds + axes * APART * DT)
         self.u, self.counts = run.motion.u.astype("<f4"), run.counts.astype("<i4")
         self.blocks = np.zeros(axes, BLOCK)
-        self.blocks["magic"], self.blocks["version"], self.blocks["samples"] = MAGIC, VERSION, SAMPLES
+        self.blocks["magic"], self.blocks["version"], self.blocks["samples"] = MAGIC, PLAIN, SAMPLES
         self.blocks["name"] = [NAME.format(k).encode() for k in range(axes)]
         self.blocks["letters"], self.blocks["dt"] = len(NAME.format(0)), DT
 

@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import Any
 
 from pmfid.monitor.events import STATES
-from pmfid.monitor.fleet import MonitorFleet
 from pmfid.pipeline.monitored.run import watch
 from pmfid.pipeline.monitored.timeline import Sample
-from pmfid.stream.groups import Prepared
+from pmfid.stream.groups import Prepared, make_fleet
 from pmfid.stream.outcome import EstimateRows, Notice
 
 #: Bits of theta, std, innovation, status and state.
@@ -75,7 +74,9 @@ class _Sink:
 
 def monitored(prepared: Prepared, samples: Iterable[Sample]) -> tuple[list[Bits], list[dict[str, Any]]]:
     """Return rows and events of `pmfid monitor` for the samples."""
-    monitor = MonitorFleet(prepared.setup.monitor, 1).monitor(0)
+    fleet = make_fleet(prepared.setup.monitor)
+    fleet.add(1)
+    monitor = fleet.monitor(0)
     sink, reported = _Sink(len(monitor.names)), list[dict[str, Any]]()
     watch(samples, monitor, sink, reported.append)
     return sink.rows, reported

@@ -36,13 +36,14 @@ from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog
 from pmfid.service.sources.file import FileSource, Player
-from pmfid.simulation import CART, CART_DT, Schedule
+from pmfid.simulation import CART_DT
 from pmfid.stream.checkpoint import Saved, Snapshot, Vault, read_snapshot
-from pmfid.stream.delivery import Delivery, Item, Lines, Mark
+from pmfid.stream.delivery import Block, Delivery, Item, Lines, Mark
 from pmfid.stream.groups import prepare
 from pmfid.stream.outcome import EstimateRows, Notice
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import write_axis
+from tests.edge_axes import cart_edges, heavier, write_edge_axis, write_record
 from tests.service.orders import made
 
 #: All crash points, in the order in which a block passes them.
@@ -66,19 +67,33 @@ class Work:
 
 def work_of(seed: int, seconds: float, folder: Path) -> Work:
     """Return the motions of three axes; the motion of x2 is a record in the folder."""
-    heavier = Schedule(((0.0, CART), (seconds / 2, replace(CART, mass=1.3 * CART.mass))))
-    motions = [changing(heavier, 5 * seed + k, INCREMENTS, seconds) for k in range(3)]
+    motions = [changing(heavier(seconds / 2), 5 * seed + k, INCREMENTS, seconds) for k in range(3)]
     blocks = [replace(b, axis="x1", dt=CART_DT) for b in made(*motions[0], random.Random(seed), WINDOW).arrived]
     u, counts = motions[1]
     rows = (f"{k * CART_DT:.2f},{a!r},{b}" for k, (a, b) in enumerate(zip(u.tolist(), counts.tolist(), strict=True)))
     (folder / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
     lines = [Line(k * CART_DT, float(a), int(b)) for k, (a, b) in enumerate(zip(*motions[2], strict=True)) if k != 333]
+    return Work(_mix(blocks, lines))
+
+
+def edge_work_of(seed: int, seconds: float, folder: Path) -> Work:
+    """Return the work of axes with the ages of edges."""
+    motions = [cart_edges(heavier(seconds / 2), 5 * seed + k, seconds) for k in range(3)]
+    u, counts, ages = motions[0]
+    sending = made(u, counts, random.Random(seed), WINDOW, ages=ages)
+    write_record(folder / "run.csv", motions[1])
+    rows = enumerate(zip(*(part.tolist() for part in motions[2]), strict=True))
+    lines = [Line(k * CART_DT, a, b, age=age) for k, (a, b, age) in rows if k != 333]
+    return Work(_mix([replace(b, axis="x1", dt=CART_DT) for b in sending.arrived], lines))
+
+
+def _mix(blocks: Sequence[Block], lines: Sequence[Line]) -> tuple[Item, ...]:
     some = [Lines("x3", lines[k : k + 20]) for k in range(0, len(lines), 20)]
     share = max(1, len(blocks) // len(some))
     items: list[Item] = []
     for k, own in enumerate(some):
         items += [own, *blocks[k * share : (k + 1) * share]]
-    return Work((*items, *blocks[len(some) * share :]))
+    return (*items, *blocks[len(some) * share :])
 
 
 class Broker(SourceSection):
@@ -312,7 +327,9 @@ def assert_same(killed: Plant, whole: Plant) -> int:
     return again
 
 
-def campaign(axis: Path, folder: Path, kills: int, a_round: int, seconds: float, seed: int = 0) -> Round:
+def campaign(
+    axis: Path, folder: Path, kills: int, a_round: int, seconds: float, seed: int = 0, edges: bool = False
+) -> Round:
     """Compare runs with kills, in rounds of `a_round` kills with separate data, to a run without kills."""
     total, rng = Round(), random.Random(seed)
     prepared = prepare(axis)
@@ -324,7 +341,7 @@ def campaign(axis: Path, folder: Path, kills: int, a_round: int, seconds: float,
             for name in ("killed", "whole"):
                 place = folder / f"{name}-{seed}"
                 place.mkdir()
-                WORK[seed, seconds] = work_of(seed, seconds, place)
+                WORK[seed, seconds] = (edge_work_of if edges else work_of)(seed, seconds, place)
                 RECORDS[place / "run.csv"] = read_record(place / "run.csv", prepared.axis)
                 pair.append(plant_of(place, axis, seed, seconds))
             done = kill_round(pair[0], min(a_round, kills - total.kills), rng, log, 0.6)
@@ -346,13 +363,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--round", type=int, default=60)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--edges", action="store_true", help="axes with the ages of edges")
     given = parser.parse_args(arguments)
     setup.simulated_hours = lambda hours: HOURS
     with tempfile.TemporaryDirectory() as name, suppress(KeyboardInterrupt):
         folder = Path(name)
         os.environ["PMFID_CACHE"] = str(folder / "cache")
-        write_axis(folder, 60.0)
-        total = campaign(folder / "axis.toml", folder, given.kills, given.round, given.seconds, given.seed)
+        (write_edge_axis if given.edges else write_axis)(folder, 60.0)
+        axis = folder / "axis.toml"
+        total = campaign(axis, folder, given.kills, given.round, given.seconds, given.seed, given.edges)
     print(f"{total.kills} kills, {total.ended} rounds whose data ended before: every state and row as without kills")
     for point, times in sorted(total.at.items()):
         print(f"{times:6d}  {point}")

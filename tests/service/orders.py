@@ -25,13 +25,15 @@ class Sending:
     """Blocks of one axis as sent and as they arrive.
 
     `sent` are the blocks in order without the lost ones, each with its place on the axis of all samples. `arrived` are
-    the blocks in order of arrival. `expected` are the samples of the sorted data without duplicates.
+    the blocks in order of arrival. `expected` are the samples of the sorted data without duplicates, and `ages` their
+    ages of edges, if there are any.
     """
 
     sent: tuple[tuple[int, Block], ...]
     arrived: tuple[Block, ...]
     expected: tuple[Expected, ...]
     window: int
+    ages: tuple[float, ...] = ()
 
     def shuffled(self, random: Random) -> list[Block]:
         """Return the same blocks in another order within the window."""
@@ -45,21 +47,31 @@ def _shuffled(sent: Sequence[tuple[int, Block]], window: int, random: Random) ->
     return [block for _, block in sorted(keyed, key=lambda pair: pair[0])]
 
 
-def made(u: Floats, counts: Counts, random: Random, window: int, loss: float = 0.15, restart: float = 0.05) -> Sending:
+def made(
+    u: Floats,
+    counts: Counts,
+    random: Random,
+    window: int,
+    loss: float = 0.15,
+    restart: float = 0.05,
+    ages: Floats | None = None,
+) -> Sending:
     """Cut samples (n,) into blocks, of which some are lost.
 
     At times the sender restarts: with a gap that its clock shows, or with another clock.
     """
-    sent, expected = list[tuple[int, Block]](), list[Expected]()
+    sent, expected, old = list[tuple[int, Block]](), list[Expected](), list[float]()
     place, first, epoch, time, lead, apart, fresh = 0, random.randrange(50), 0, 100.0, 0, True, True
     while place < counts.size:
         n = min(random.randint(1, LONGEST), counts.size - place)
         here = slice(place, place + n)
-        block = Block("x", epoch, first, time, DT, u[here], counts[here])
+        own = None if ages is None else ages[here]
+        block = Block("x", epoch, first, time, DT, u[here], counts[here], own)
         if not fresh and random.random() < loss:
             lead += n
         else:
             sent.append((place, block))
+            old += [] if own is None else own.tolist()
             rows = zip(u[here].tolist(), counts[here].tolist(), strict=True)
             for k, (a, b) in enumerate(rows):
                 expected.append((lead if k == 0 else 0, apart and k == 0 and lead != 0, a, b, time + k * DT))
@@ -69,7 +81,7 @@ def made(u: Floats, counts: Counts, random: Random, window: int, loss: float = 0
             missing = random.choice([UNKNOWN_GAP, random.randint(20, 300)])
             epoch, first, fresh, apart, lead = epoch + random.randint(1, 3), random.randrange(9), True, True, missing
             time = random.choice([-50.0, time + 4000.0]) if missing == UNKNOWN_GAP else time + missing * DT
-    return Sending(tuple(sent), tuple(_shuffled(sent, window, random)), tuple(expected), window)
+    return Sending(tuple(sent), tuple(_shuffled(sent, window, random)), tuple(expected), window, tuple(old))
 
 
 def sending_of(seed: int, window: int, samples: int = 600) -> Sending:

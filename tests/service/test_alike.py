@@ -15,28 +15,43 @@ from pmfid.stream.delivery import Block, Unusable
 SIZE = 7
 
 
-def block(k: int, wide: bool = False, name: str = "axis-{:02d}") -> Block:
+def block(k: int, wide: bool = False, name: str = "axis-{:02d}", edges: bool = False) -> Block:
     rng = np.random.default_rng(k)
     u = rng.normal(size=SIZE).astype(np.float32).astype(float) + (1e-12 if wide else 0.0)
     u[k % SIZE] = math.nan
     counts = rng.integers(-(2**40) if wide else -99, 2**40 if wide else 99, SIZE)
     time = math.nan if k % 3 == 0 else 0.25 * k
-    return Block(name.format(k), k, 10 * k, time, 0.01, u, counts)
+    ages = np.where(np.isnan(u), u, 1e-3 * abs(u) if wide else 2.0**-10) if edges else None
+    return Block(name.format(k), k, 10 * k, time, 0.01, u, counts, ages)
+
+
+def _bytes(ages: np.ndarray | None) -> bytes | None:
+    return None if ages is None else ages.tobytes()
 
 
 def said(found: list[Block | Unusable]) -> list[tuple[object, ...]]:
     return [
-        (one.axis, one.epoch, one.first, repr(one.time), one.dt, one.u.tobytes(), one.counts.tobytes())
+        (
+            one.axis,
+            one.epoch,
+            one.first,
+            repr(one.time),
+            one.dt,
+            one.u.tobytes(),
+            one.counts.tobytes(),
+            _bytes(one.ages),
+        )
         if isinstance(one, Block)
         else (one.reason, one.problem, one.axis)
         for one in found
     ]
 
 
+@pytest.mark.parametrize("edges", [False, True])
 @pytest.mark.parametrize("wide", [False, True])
 @pytest.mark.parametrize("name", ["axis-{:02d}", "ä{}-long-name-of-an-axis-0123456789"])
-def test_many_blocks_say_what_each_says(wide: bool, name: str) -> None:
-    parts = [encode(block(k % 9 + 1, wide, name)) for k in range(30)]
+def test_many_blocks_say_what_each_says(wide: bool, name: str, edges: bool) -> None:
+    parts = [encode(block(k % 9 + 1, wide, name, edges)) for k in range(30)]
     found = read_alike_blocks(b"".join(parts))
     assert found is not None
     assert said([*found.blocks()]) == said([one for part in parts for one in decode(part)])
@@ -52,7 +67,8 @@ def sealed(part: bytes, place: int, value: bytes) -> bytes:
 @pytest.mark.parametrize(
     ("place", "value"),
     [
-        (4, b"\x02"),  # another version
+        (4, b"\x03"),  # another version
+        (4, b"\x02"),  # a version with more columns
         (16, b"\xff" * 8),  # a number beyond 2**53
         (24, struct.pack("<d", math.inf)),  # an infinite time
         (32, struct.pack("<d", -0.01)),  # a negative sample period

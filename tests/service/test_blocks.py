@@ -36,7 +36,16 @@ def same(one: object, other: Block) -> bool:
         return False
     scalars = [(b.axis, b.epoch, b.first, str(b.time), b.dt) for b in (one, other)]
     u, counts = np.array_equal(one.u, other.u, equal_nan=True), np.array_equal(one.counts, other.counts)
-    return scalars[0] == scalars[1] and u and counts and one.u.dtype == np.float64 and one.counts.dtype == np.int64
+    ages = (one.ages is None) == (other.ages is None)
+    ages = ages and (one.ages is None or np.array_equal(one.ages, np.asarray(other.ages), equal_nan=True))
+    return (
+        scalars[0] == scalars[1]
+        and u
+        and counts
+        and ages
+        and one.u.dtype == np.float64
+        and one.counts.dtype == np.int64
+    )
 
 
 def reasons(data: bytes) -> list[str]:
@@ -53,8 +62,15 @@ samples = st.lists(
 )
 names = st.text(st.characters(exclude_categories=("C", "Z")), min_size=1, max_size=16)
 any_block = st.builds(
-    lambda name, epoch, first, time, dt, values: Block(
-        name, epoch, first, time, dt, np.array([u for u, _ in values]), np.array([c for _, c in values], np.int64)
+    lambda name, epoch, first, time, dt, values, age: Block(
+        name,
+        epoch,
+        first,
+        time,
+        dt,
+        np.array([u for u, _ in values]),
+        np.array([c for _, c in values], np.int64),
+        None if age is None else np.resize([age, 0.1], len(values)),
     ),
     names,
     st.integers(0, 2**32 - 1),
@@ -62,6 +78,7 @@ any_block = st.builds(
     st.floats(-1e29, 1e29) | st.just(NAN),
     st.floats(1e-9, 1e9),
     samples,
+    st.none() | st.floats() | st.floats(width=32),
 )
 
 
@@ -78,7 +95,9 @@ def test_a_block_is_as_short_as_loses_nothing_and_at_most_so_long() -> None:
         len(encode(replace(block(), u=np.full(3, u), counts=np.full(3, c)))) for u in (0.5, 0.1) for c in (5, 2**40)
     ]
     assert sizes == [44 + 8 + 24, 44 + 8 + 36, 44 + 8 + 36, 44 + 8 + 48]
-    longest = replace(block(n=MOST_SAMPLES), axis="a" * 64, counts=np.full(MOST_SAMPLES, 2**40))
+    longest = replace(
+        block(n=MOST_SAMPLES), axis="a" * 64, counts=np.full(MOST_SAMPLES, 2**40), ages=np.full(MOST_SAMPLES, 0.1)
+    )
     assert len(encode(longest)) == MOST_BYTES
 
 
@@ -116,7 +135,7 @@ def changed(at: int, new: bytes) -> bytes:
     ("bad", "reason"),
     [
         (changed(0, b"X"), "magic"),
-        (changed(4, b"\x02"), "version"),
+        (changed(4, b"\x03"), "version"),
         (changed(5, b"\x04"), "length"),
         (changed(6, b"\x00\x00"), "length"),
         (changed(6, b"\x01\x04"), "length"),
@@ -231,15 +250,16 @@ PROGRAM = """\
 
 int main(void)
 {
-    static uint8_t out[PMF_BLOCK_SIZE(PMF_BLOCK_NAME, PMF_BLOCK_SAMPLES)];
-    static float u[PMF_BLOCK_SAMPLES];
+    static uint8_t out[PMF_BLOCK_EDGES_SIZE(PMF_BLOCK_NAME, PMF_BLOCK_SAMPLES)];
+    static float u[PMF_BLOCK_SAMPLES], ages[PMF_BLOCK_SAMPLES];
     static int32_t counts[PMF_BLOCK_SAMPLES];
     char name[80];
-    pmf_block_t block = {name, 4000000000U, 9007199254730000U, 1.7e9, 0.00025, 0U, u, counts};
+    pmf_block_t block = {name, 4000000000U, 9007199254730000U, 1.7e9, 0.00025, 0U, u, counts, 0};
     uint32_t sizes[] = {1U, 2U, 50U, 1024U}, letters[] = {1U, 7U, 8U, 64U}, i, k, size;
     for (i = 0U; i < PMF_BLOCK_SAMPLES; ++i) {
         u[i] = (float)i * 0.37f - 100.0f;
         counts[i] = (int32_t)(i * 40503U * 65536U + i);
+        ages[i] = (float)i * 1e-7f;
     }
     memset(name, 'a', sizeof name);
     for (k = 0U; k < 4U; ++k) {
@@ -250,6 +270,13 @@ int main(void)
             return 1;
         }
         fwrite(out, 1U, size, stdout);
+        block.ages = ages;
+        size = pmf_block(&block, out, (uint32_t)sizeof out);
+        if (size != PMF_BLOCK_EDGES_SIZE(letters[k], sizes[k]) || pmf_block(&block, out, size - 1U) != 0U) {
+            return 1;
+        }
+        fwrite(out, 1U, size, stdout);
+        block.ages = 0;
         name[letters[k]] = 'a';
     }
     block.samples = PMF_BLOCK_SAMPLES + 1U;
@@ -278,11 +305,12 @@ def test_the_drive_writes_the_bytes_of_python(tmp_path: Path) -> None:
     i = np.arange(MOST_SAMPLES)
     u = i.astype(np.float32) * np.float32(0.37) - np.float32(100)
     counts = (i * 40503 * 65536 + i).astype(np.uint32).astype(np.int32)
+    ages = (i.astype(np.float32) * np.float32(1e-7)).astype(float)
+    values = 4_000_000_000, 9007199254730000, 1.7e9, 0.00025
     expected = [
-        Block(
-            "a" * m, 4_000_000_000, 9007199254730000, 1.7e9, 0.00025, u[:n].astype(float), counts[:n].astype(np.int64)
-        )
+        Block("a" * m, *values, u[:n].astype(float), counts[:n].astype(np.int64), own)
         for m, n in ((1, 1), (7, 2), (8, 50), (64, 1024))
+        for own in (None, ages[:n])
     ]
     assert run.stdout == b"".join(map(encode, expected))
     assert all(map(same, decode(run.stdout), expected))

@@ -19,6 +19,7 @@ import polars as pl
 from pmfid.errors import UsageError, whole_number
 from pmfid.fleet.plan import Places, RowProblem, RowShard, Survey, content, join_surveys, survey_part
 from pmfid.fleet.rows import Aside, RecordPiece, ShardRows, find_mixed_parts, pieces_of, read_rows, rows_of
+from pmfid.fleet.edge_segments import solve_edges
 from pmfid.fleet.segments import Segments, solve
 from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import Part, SourceColumns
@@ -124,7 +125,8 @@ class Work:
         return self._solve(*rows_of(frame, self.columns))
 
     def _solve(self, rows: ShardRows, problems: tuple[RowProblem, ...]) -> Segments:
-        found = solve(pieces_of(rows, self.columns, self.length), self.settings)
+        solve_all = solve if self.columns.age is None else solve_edges
+        found = solve_all(pieces_of(rows, self.columns, self.length), self.settings)
         return Segments(found.rows, (*problems, *found.problems))
 
 

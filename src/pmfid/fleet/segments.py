@@ -27,7 +27,7 @@ from pmfid.estimators.uncertainty import block_scatter
 from pmfid.fleet.plan import RowProblem
 from pmfid.fleet.rows import RecordPiece
 from pmfid.fleet.series import BACKWARD, FORWARD, LOOKED_AT, MOVED, ONE_SIZE, UNUSABLE
-from pmfid.fleet.settings import Settings, quarter_of, record_at
+from pmfid.fleet.settings import Settings, quarter_of, record_at, recursive
 from pmfid.fleet.tuning import TUNING
 from pmfid.models.equation import VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.models.shapes import Square
@@ -311,7 +311,7 @@ def _stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
     """Return the stretches of a piece. Raises UsageError for a piece that is no record, or too short for an
     estimate."""
     record = record_at(piece.table, settings.axis)
-    quarter, settled = quarter_of(settings, record.dt), settings.estimator.settle_samples
+    quarter, settled = quarter_of(settings, record.dt), recursive(settings.estimator).settle_samples
     span = round(settings.span / record.dt)
     filled = None if record.there is None else ~record.there
     shares = (

@@ -13,11 +13,13 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.redge import REdge
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.fleet.series import UNUSABLE
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
 from pmfid.pipeline.drives import make_estimator, match_kind
+from pmfid.pipeline.edges import make_edge_estimator, takes_edges
 from pmfid.pipeline.known import finds_gain
 from pmfid.records.record import Record, record_of
 from pmfid.status import Status
@@ -33,7 +35,7 @@ class Settings:
     """
 
     axis: Axis
-    estimator: RecursiveEstimator
+    estimator: RecursiveEstimator | REdge
     segment: float
     span: float
 
@@ -43,10 +45,11 @@ class Settings:
         Raises UsageError if the pole of the filters does not fit the axis.
         """
         check_sampling(self.axis, dt)
-        if dt == self.estimator.dt and resolution == self.estimator.encoder.resolution:
-            return self.estimator
-        encoder = replace(self.estimator.encoder, resolution=resolution)
-        return replace(self.estimator, dt=dt, encoder=encoder, forgetting=forgetting_of(self.segment, dt))
+        estimator = recursive(self.estimator)
+        if dt == estimator.dt and resolution == estimator.encoder.resolution:
+            return estimator
+        encoder = replace(estimator.encoder, resolution=resolution)
+        return replace(estimator, dt=dt, encoder=encoder, forgetting=forgetting_of(self.segment, dt))
 
 
 def forgetting_of(segment: float, dt: float) -> float:
@@ -74,7 +77,7 @@ def record_at(table: Table, axis: Axis) -> Record:
 class Chosen:
     """A choice by records of the fleet.
 
-    The choice consists of the filters' pole [rad/s] and the pre-filters' zeros [1/s]. `dt` is the sample period [s],
+    The choice consists of the filters' pole [rad/s], 0 without filters, and the pre-filters' zeros [1/s]. `dt` is the sample period [s],
     and `resolution` the resolution of the records.
     """
 
@@ -97,15 +100,18 @@ def choose_method(axis: Axis) -> Axis:
     return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": method})})
 
 
-def make_settings(axis: Axis, chosen: Chosen, most: float, segment: float | None) -> Settings:
+def make_settings(given: Axis, chosen: Chosen, most: float, segment: float | None) -> Settings:
     """Make the settings of a history from the choice of filters.
 
     `most` is the largest duration of a segment [s]. `segment` is its length [s]. By default the length fits the memory
     of [estimator] forgetting, or the filters. Raises UsageError for segments that are too short for the filters.
     """
-    config = choose_method(axis).estimator.model_copy(update={"cutoff": chosen.cutoff, "prefilter_zeros": chosen.zeros})
-    axis = axis.model_copy(update={"estimator": config})
+    config = choose_method(given).estimator.model_copy(update={"cutoff": chosen.cutoff, "prefilter_zeros": chosen.zeros})
     nothing = Record(np.zeros(0), np.zeros(0, np.int64), chosen.dt, chosen.resolution, (), "")
+    if takes_edges(given):
+        length = min(TUNING.settings_segments[0] if segment is None else segment, most)
+        return Settings(given, replace(make_edge_estimator(given, nothing), memory=None), length, length)
+    axis = given.model_copy(update={"estimator": config})
     estimator = recursive(make_estimator(axis, nothing))
     settled = estimator.settle_samples * chosen.dt
     if segment is None:
@@ -124,7 +130,7 @@ def make_settings(axis: Axis, chosen: Chosen, most: float, segment: float | None
     return Settings(axis, estimator, segment, max(segment, min(TUNING.settings_span * segment, most)))
 
 
-def recursive(estimator: Estimator) -> RecursiveEstimator:
+def recursive(estimator: Estimator | REdge) -> RecursiveEstimator:
     """Return the estimator. Raises UsageError for an off-line method."""
     if not isinstance(estimator, RecursiveEstimator):
         raise UsageError(f"{estimator.method} is an off-line method; use riv or bcrls")
@@ -136,17 +142,19 @@ def quarter_of(settings: Settings, dt: float) -> int:
     return max(1, math.floor(settings.segment / dt / 4))
 
 
-def choose(axis: Axis, tables: Iterable[Table]) -> Chosen:
+def choose(given: Axis, tables: Iterable[Table]) -> Chosen:
     """Choose the pole and zeros with which most segments of some records have an estimate.
 
     Among equal choices, the choice with the smallest standard errors wins. The tables belong to different axes. Raises
     UsageError for a method that is not recursive. If no pole fits, the error of the first table is raised.
     """
-    axis = choose_method(axis)
+    axis = choose_method(given)
     records, refused = _records(axis, tables)
     if not records:
         raise refused or UsageError("no axis has rows; check --axis and the columns of [record]")
     first = records[0]
+    if takes_edges(given):
+        return Chosen(0.0, None, first.dt, first.resolution)
     poles = (
         [axis.estimator.cutoff] if axis.estimator.cutoff else [1 / (many * first.dt) for many in TUNING.settings_tried]
     )

@@ -34,7 +34,7 @@ from pmfid.stream.outcome import Counters, EstimateRows, Notice
 from pmfid.stream.tuning import TUNING as STREAM_TUNING
 
 if TYPE_CHECKING:
-    from pmfid.monitor.monitor import Monitor
+    from pmfid.pipeline.monitored.run import Monitored
     from pmfid.stream.groups import Pace, Prepared
 
 
@@ -247,7 +247,7 @@ class States:
         return found
 
     @classmethod
-    def from_monitors(cls, monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> States:
+    def from_monitors(cls, monitors: Mapping[str, Monitored], prepared: Prepared, pace: Pace) -> States:
         """Return the states of axes with their own monitors, or with an estimator whose state comes from firmware.
 
         Monitoring of a firmware axis restarts, because firmware has no monitor. Raises UsageError for monitors of
@@ -290,7 +290,7 @@ class States:
                 raise UsageError(f"there is no axis {name!r} in these states{did_you_mean(name, known)}")
         return list(names) or known
 
-    def monitor(self, axis: str, prepared: Prepared, pace: Pace) -> Monitor:
+    def monitor(self, axis: str, prepared: Prepared, pace: Pace) -> Monitored:
         """Return a monitor that continues from the state of an axis. Raises UsageError for an unknown axis."""
         self.only([axis])
         group = next(group for group in self.groups if axis in group.axes)

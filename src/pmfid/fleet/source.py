@@ -19,6 +19,7 @@ from pmfid.io.arrow import FILE as ARROW
 from pmfid.io.reading import ENDINGS, READERS, read_table
 from pmfid.io.safety import readable, require_extra
 from pmfid.io.tables import LONGEST_CELL, table_of
+from pmfid.pipeline.edges import takes_edges
 from pmfid.records.clock import UNITS, time_factor
 from pmfid.records.tuning import TUNING as RECORD_TUNING
 
@@ -168,7 +169,7 @@ def other_unit(first: float, last: float, factor: float) -> str:
 
 
 #: Names of the columns of every frame that leaves this module.
-AXIS, TIME, INPUT, OUTPUT, MASK, TYPE = "axis", "time", "input", "output", "mask", "type"
+AXIS, TIME, INPUT, OUTPUT, MASK, TYPE, AGE = "axis", "time", "input", "output", "mask", "type", "edge age"
 #: Name of a part that is no file.
 FRAME = "the frame"
 _DATES = ", or as dates of ISO 8601 (UTC without an offset)"
@@ -178,7 +179,7 @@ _NOTHING = "__HIVE_DEFAULT_PARTITION__"
 
 @dataclass(frozen=True)
 class SourceColumns:
-    """Names of the data's columns for axis, time, input and output, and optionally for mask and type.
+    """Names of the data's columns for axis, time, input and output, and optionally for mask, type and ages of edges.
 
     `factor` is the number of seconds per unit of a numeric time.
     """
@@ -190,6 +191,7 @@ class SourceColumns:
     mask: str | None = None
     type: str | None = None
     factor: float = 1.0
+    age: str | None = None
 
     @classmethod
     def from_axis(cls, axis: Axis, by: str, kind: str | None = None) -> SourceColumns:
@@ -209,18 +211,20 @@ class SourceColumns:
             raise UsageError(
                 "[record] exclude is of one record; of a fleet leave out rows by a column, mask, or drop it"
             )
-        return cls(by, record.time, record.input, record.output, record.mask, kind, time_factor(record))
+        age = axis.encoder.edge_age if takes_edges(axis) else None
+        return cls(by, record.time, record.input, record.output, record.mask, kind, time_factor(record), age)
 
     @property
     def carried(self) -> list[str]:
         """Own names of the columns that an estimate needs."""
-        return [AXIS, TIME, INPUT, OUTPUT, *([MASK] if self.mask else [])]
+        return [AXIS, TIME, INPUT, OUTPUT, *([MASK] if self.mask else []), *([AGE] if self.age else [])]
 
     @property
     def named(self) -> dict[str, str]:
         """Map from the own names of the columns to the names in the data."""
         pairs = {AXIS: self.axis, TIME: self.time, INPUT: self.input, OUTPUT: self.output}
-        return pairs | {own: name for own, name in ((MASK, self.mask), (TYPE, self.type)) if name is not None}
+        others = (MASK, self.mask), (TYPE, self.type), (AGE, self.age)
+        return pairs | {own: name for own, name in others if name is not None}
 
 
 @dataclass(frozen=True)

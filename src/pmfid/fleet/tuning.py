@@ -91,6 +91,9 @@ class FleetTuning:
     segments_level: float = 0.98
     #: Largest number of samples in a batch [axes times samples].
     segments_batch: int = 2**22
+    #: Step of the time, in median steps, at which a row with an edge may be missing, and least number of samples.
+    edges_apart: float = 1.5
+    edges_least: int = 100
     #: One segment in `one_of` of a piece has a second look.
     one_of: int = 16
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-import struct
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from pmfid._estimate import Estimate
 from pmfid.errors import UsageError
@@ -26,16 +27,53 @@ from pmfid.monitor.events import (
     StateChange,
     Watch,
 )
+from pmfid.monitor.saved import IMPLAUSIBLE, MOST, read, row_type_of, write_states
+from pmfid.monitor.scores import RowArrays
 from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
-#: Name with version, checksum of the configuration, size, and checksum of what follows.
-HEAD = struct.Struct("<8sIII")
-VERSION = b"PMFE\0\0\0\2"
-#: State, whether a suspicion is possible, samples, samples since the last edge and since the suspicion or alarm, last
-#: counts, and statistic. The parameters of the reference, of the one before, and of the last sound estimate follow.
-BODY = struct.Struct("<B?QQQqd")
+
+@dataclass
+class EdgeStates(RowArrays):
+    """The states of some axes with edge times.
+
+    `state` (k,) is the number of the state, and `armed` (k,) is true if a suspicion is possible. `whole` (k, 4) has the
+    samples so far, the samples since the last edge and since the last suspicion or alarm, and the last counts.
+    `statistic` is (k,). `values` (k, 3, p) has the reference, the one before, and the last sound estimate. `recursion`
+    (k, bytes) is the state of the estimator.
+    """
+
+    state: NDArray[np.uint8]
+    armed: Flags
+    whole: NDArray[np.int64]
+    statistic: Floats
+    values: Floats
+    recursion: NDArray[np.uint8]
+
+    @property
+    def axes(self) -> int:
+        return len(self.state)
+
+    def arrays(self) -> Iterator[NDArray[np.generic]]:
+        """Yield all arrays."""
+        return (array for _, array in self.parts())
+
+    def row_type(self) -> np.dtype[np.void]:
+        """Return the data type of one axis."""
+        return row_type_of(self.parts())
+
+    def are_possible(self) -> bool:
+        """Return whether samples can have made these numbers, except the parameters and those of the recursion."""
+        fine = np.all(np.isfinite(self.statistic))
+        counted = self.whole[:, :COUNTS]
+        return bool(fine and np.all(self.state < len(STATES)) and np.all((counted >= 0) & (counted <= MOST)))
+
+
+#: Columns of `EdgeStates.whole`.
+SAMPLES, SILENT, SINCE, COUNTS = range(4)
+#: Rows of `EdgeStates.values`.
+REFERENCE, BEFORE, BASE = range(3)
 
 
 @dataclass
@@ -124,10 +162,10 @@ class EdgeMonitor:
         return bool(np.all(np.isfinite(values) & ((values > 0) | self._signed)))
 
     def _sizes_of(self, values: Floats) -> Floats:
-        """Return what changes of parameters (p,) are relative to: themselves, and at least Coulomb friction for the
+        """Return what changes of parameters (..., p) are relative to: themselves, and at least Coulomb friction for the
         offset, which may be zero."""
         sizes = np.abs(values)
-        friction = sizes[self.names.index("coulomb_friction")]
+        friction = sizes[..., self.names.index("coulomb_friction"), None]
         return np.where(self._signed, np.maximum(sizes, friction), sizes)
 
     def _bound(self, values: Floats) -> Floats:
@@ -147,7 +185,7 @@ class EdgeMonitor:
         moved = counts != self._counts
         self._silent, self._counts = 0 if moved else self._silent + 1, counts
         self._since += 1
-        return estimate, self._judge(estimate) if moved or self._silent == self._patience else []
+        return estimate, self._judge(estimate) if moved or self._silent == self.patience else []
 
     def skip(self, samples: int) -> list[Event]:
         """Skip lost samples, and return the events. The recursion finds the motion again."""
@@ -156,7 +194,8 @@ class EdgeMonitor:
         return [] if self.state == STARTING else self._enter(CANNOT_TELL, "samples are missing")
 
     @property
-    def _patience(self) -> int:
+    def patience(self) -> int:
+        """Samples without an edge after which the axis rests."""
         return max(1, round(TUNING.silent_time / self.estimator.dt))
 
     def _judge(self, estimate: Estimate) -> list[Event]:
@@ -172,17 +211,25 @@ class EdgeMonitor:
         if distorted and self._armed:
             return self._suspect()
         theta, std = np.array(estimate.theta), np.array(estimate.theta_std)
-        std *= TUNING.edge_doubt if distorted else 1.0
-        sizes = self._sizes_of(self.reference)
-        relative, error = (theta - self.reference) / sizes, std / sizes
-        self.statistic = float(np.max((np.abs(relative) - self.watch.tolerance) / error))
-        if self.threshold * float(error.max()) > TUNING.edge_known:
+        statistic, doubtful = self.weigh_deviations(theta, std, np.array(distorted), self.reference)
+        self.statistic = float(statistic)
+        if doubtful:
             return self._enter(CANNOT_TELL, "poor excitation")
         if self.statistic > self.threshold:
             return self._suspect()
         if not distorted:
             self._base, self._armed = theta, True
         return self._enter(WATCHING, "")
+
+    def weigh_deviations(self, theta: Floats, std: Floats, distorted: Flags, reference: Floats) -> tuple[Floats, Flags]:
+        """Return the statistic of estimates (..., p), and whether each is too uncertain to tell a change, (...,).
+
+        `distorted` (...,) widens the standard errors. The largest deviation beyond the tolerance is the statistic.
+        """
+        sizes = self._sizes_of(reference)
+        error = std * np.where(distorted, TUNING.edge_doubt, 1.0)[..., None] / sizes
+        statistic = np.max((np.abs(theta - reference) / sizes - self.watch.tolerance) / error, axis=-1)
+        return statistic, self.threshold * error.max(axis=-1) > TUNING.edge_known
 
     def _suspect(self) -> list[Event]:
         """Let the estimator begin again at the last sound estimate, because the machine may have changed."""
@@ -208,7 +255,7 @@ class EdgeMonitor:
         sizes = self._sizes_of(self.reference)
         relative = (evidence.theta - self.reference) / sizes
         error = self.threshold * np.array(estimate.theta_std) / sizes
-        late = self._since >= TUNING.edge_confirmed * self._patience
+        late = self._since >= TUNING.edge_confirmed * self.patience
         size = abs(sure.relative) - self.watch.tolerance
         self.statistic = size * abs(sure.change / sure.relative) / sure.std if sure.relative else 0.0
         if self.statistic > self.threshold and (late or not cause.others):
@@ -237,7 +284,7 @@ class EdgeMonitor:
         """Make the estimate the reference, once it is sure."""
         theta, std = np.array(estimate.theta), np.array(estimate.theta_std)
         sure = bool(np.all(self.threshold * std < 0.5 * self.watch.tolerance * self._sizes_of(theta)))
-        if self._since < self._patience or not (sure or self._since >= TUNING.edge_settled * self._patience):
+        if self._since < self.patience or not (sure or self._since >= TUNING.edge_settled * self.patience):
             return []
         self.reference = self._base = self._bound(theta)
         return [Settled(self._time, theta, std, self._before), *self._enter(WATCHING, "")]
@@ -248,42 +295,69 @@ class EdgeMonitor:
         self.state = state
         return [StateChange(self._time, state, reason)]
 
+    def refer(self, theta: ArrayLike | None = None) -> list[Event]:
+        """Make theta (p,) the reference, and return the events. None takes the present estimate.
+
+        The events are the new reference, and a change of state if the axis was suspicious or settling. Raises
+        UsageError, and changes nothing, if no estimate exists or if a machine cannot have the parameters.
+        """
+        estimate = self.estimator.estimate
+        if theta is None and estimate.status & Status.STARTING:
+            raise UsageError("there is no estimate yet that could be the reference: let the axis move first")
+        wanted = np.array(estimate.theta if theta is None else theta, np.float64)
+        if wanted.shape != self.reference.shape or not self._are_parameters(wanted):
+            raise UsageError(f"these are no parameters of a machine: {wanted.tolist()}; give {list(self.names)}")
+        std = np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
+        before, self.reference, self._base = self.reference, wanted, wanted
+        busy = self.state in (SUSPICIOUS, SETTLING)
+        told = self._enter(WATCHING, "a new reference was given") if busy else []
+        return [Settled(self._time, wanted, std, before), *told]
+
     @property
-    def _number(self) -> int:
+    def configuration_number(self) -> int:
         """Checksum of the configuration."""
         return zlib.crc32(repr((self.estimator, self.watch)).encode())
 
+    def pack_state(self) -> EdgeStates:
+        """Return the state as arrays of one row."""
+        return EdgeStates(
+            np.array([STATES.index(self.state)], np.uint8),
+            np.array([self._armed]),
+            np.array([[self.samples, self._silent, self._since, self._counts]], np.int64),
+            np.array([self.statistic]),
+            np.stack([self.reference, self._before, self._base])[None],
+            np.frombuffer(self.estimator.kernel.raw_state(), np.uint8)[None],
+        )
+
+    def go_on(self, saved: EdgeStates, axis: int) -> None:
+        """Continue from the state of an axis, whose numbers are possible."""
+        self.estimator.kernel.set_raw_state(saved.recursion[axis].tobytes())
+        self.state, self._armed = STATES[saved.state[axis]], bool(saved.armed[axis])
+        self.samples, self._silent, self._since, self._counts = saved.whole[axis].tolist()
+        self.statistic = float(saved.statistic[axis])
+        self.reference, self._before, self._base = saved.values[axis].copy()
+
+    def check_states(self, saved: EdgeStates) -> EdgeStates:
+        """Return saved states of this configuration. Raises UsageError for numbers that no sample could have made."""
+        kernel = self.estimator.kernel
+        before, possible = kernel.raw_state(), saved.are_possible() and self._are_parameters(saved.values)
+        try:
+            for row in saved.recursion if possible else ():
+                kernel.set_raw_state(row.tobytes())
+        except ValueError:
+            possible = False
+        kernel.set_raw_state(before)
+        if not possible:
+            raise UsageError(IMPLAUSIBLE)
+        return saved
+
     def get_state(self) -> bytes:
         """Return the state with a version and checksums, for `set_state` of a monitor with the same configuration."""
-        own = (
-            STATES.index(self.state),
-            self._armed,
-            self.samples,
-            self._silent,
-            self._since,
-            self._counts,
-            self.statistic,
-        )
-        values = np.concatenate([self.reference, self._before, self._base])
-        body = BODY.pack(*own) + values.tobytes() + self.estimator.get_state()
-        return HEAD.pack(VERSION, self._number, len(body), zlib.crc32(body)) + body
+        return write_states(self.pack_state(), self.configuration_number)
 
     def set_state(self, state: bytes) -> None:
         """Continue from a saved state. Raises UsageError, and changes nothing, for other bytes."""
-        values = 3 * self.reference.nbytes
-        if not isinstance(state, bytes) or len(state) < HEAD.size + BODY.size + values:
-            raise UsageError("a state is the bytes that get_state of such a monitor gave")
-        version, number, size, checksum = HEAD.unpack_from(state)
-        body = state[HEAD.size :]
-        if (version, number, size) != (VERSION, self._number, len(body)):
-            raise UsageError("the state is of another monitor or version; construct it with the same arguments")
-        if checksum != zlib.crc32(body):
-            raise UsageError("the state is damaged: its checksum does not fit; start from an older state, or from none")
-        place, armed, *counted, statistic = BODY.unpack_from(body)
-        known = np.frombuffer(body, np.float64, values // 8, BODY.size).reshape(3, -1).copy()
-        if place >= len(STATES) or not self._are_parameters(known) or not math.isfinite(statistic):
-            raise UsageError("these numbers are no state of a monitor; start from an older state, or from none")
-        self.estimator.set_state(body[BODY.size + values :])
-        self.state, self._armed, self.statistic = STATES[place], armed, statistic
-        self.samples, self._silent, self._since, self._counts = counted
-        self.reference, self._before, self._base = known
+        found = self.check_states(read(state, self.pack_state(), self.configuration_number))
+        if found.axes != 1:
+            raise UsageError(f"these bytes are the states of {found.axes} axes; a monitor is of one")
+        self.go_on(found, 0)

@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from copy import copy
 from functools import partial
-from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid._stage import bars, follow_many, last_flags
-from pmfid.errors import UsageError, whole_number
-from pmfid.estimators.configuration import configuration_of, construct_estimator, integer_counts, numbers
+from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.axis import REASONS
+from pmfid.monitor.axis_fleet import AxisFleet, slices
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, Event, FleetRows, Outlier, StateChange
 from pmfid.monitor.monitor import ANY_OUTLIER, Monitor, outliers
-from pmfid.monitor.saved import AxisStates, check_states, make_parts, read, write_states
+from pmfid.monitor.saved import AxisStates
 from pmfid.monitor.scores import Sampled, Watched
 from pmfid.monitor.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats, Places
@@ -102,10 +101,7 @@ class Quiet:
             rows.events.append((k, place, StateChange(time, STATES[wanted[k, block]], REASONS[reason[k, block]])))
 
 
-T = TypeVar("T")
-
-
-class MonitorFleet:
+class MonitorFleet(AxisFleet[Monitor, AxisStates]):
     """Many axes watched with the configuration and calibration of one monitor.
 
     Each axis has its own state. The results have the same bits as the results of a single `Monitor`.
@@ -143,17 +139,14 @@ class MonitorFleet:
     """
 
     def __init__(self, monitor: Monitor, axes: int) -> None:
-        axes = whole_number("axes", axes, 0, "it is the number of axes")
-        self._source, self._first = monitor, monitor.pack_state()
-        self.dt, self.names, self.units = monitor.estimator.dt, monitor.names, monitor.units
-        self._all = self._first.repeat_rows(axes)
-        self._scratch = _like(monitor)  # computes the axes that are not quiet, one after the other
+        super().__init__(monitor, axes)
+        self.dt = monitor.estimator.dt
         self._quiet = Quiet(self._scratch)
 
-    @property
-    def axes(self) -> int:
-        """Number of axes."""
-        return self._all.axes
+    def _copy_monitor(self) -> Monitor:
+        source = self._source
+        estimator = construct_estimator(type(source.estimator), configuration_of(source.estimator))
+        return Monitor(estimator, source.calibration, copy(source.watch), source.known)
 
     def run(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> FleetRows:
         """Take the next n samples u, counts (k, n) of the axes `index` (k,), each at most once.
@@ -163,8 +156,8 @@ class MonitorFleet:
         """
         places, inputs, read_counts = self._check_arrays(index, u, counts)
         rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
-        for group in _slices(len(inputs), TUNING.fleet_group):
-            for time in _slices(inputs.shape[1], TUNING.fleet_piece):
+        for group in slices(len(inputs), TUNING.fleet_group):
+            for time in slices(inputs.shape[1], TUNING.fleet_piece):
                 self._run(places[group], inputs[group, time], read_counts[group, time], rows, (group, time))
         rows.events.sort(key=lambda one: one[:2])
         return rows
@@ -214,41 +207,6 @@ class MonitorFleet:
             every.sampled.put(index[kept], sampled if kept.all() else sampled.take_rows(np.flatnonzero(kept)))
         return kept
 
-    def _with(self, axis: int, action: Callable[[Monitor], T]) -> T:
-        """Apply an action to the monitor of an axis, store the monitor's new state, and return the action's result."""
-        self._scratch.go_on(self._all, axis)
-        found = action(self._scratch)
-        self._all.put(slice(axis, axis + 1), self._scratch.pack_state())
-        return found
-
-    def _check_arrays(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> tuple[Places, Floats, Counts]:
-        places = self._places(index)
-        inputs = np.ascontiguousarray(numbers("u", u), np.float64)
-        read_counts = np.ascontiguousarray(integer_counts(counts), np.int64)
-        if inputs.ndim != 2 or inputs.shape != read_counts.shape or len(inputs) != places.size:
-            raise UsageError(
-                f"u and counts must be ({places.size}, n), a row for each axis; got {inputs.shape} and "
-                f"{read_counts.shape}"
-            )
-        return places, inputs, read_counts
-
-    def _places(self, index: ArrayLike) -> NDArray[np.int64]:
-        places = np.asarray(index)
-        if places.ndim != 1 or (places.size and places.dtype.kind not in "iu"):
-            raise UsageError(f"index must be numbers of axes (k,), got {places.dtype} {places.shape}")
-        if places.size and not (places.min() >= 0 and places.max() < self.axes):
-            raise UsageError(f"there are {self.axes} axes, from 0 on; got {places.min()} to {places.max()}")
-        if not (np.diff(places) > 0).all() and not np.diff(np.sort(places)).all():
-            raise UsageError("an axis comes twice in index: its samples follow one another, in two calls")
-        return places.astype(np.int64)
-
-    def _place(self, axis: int) -> int:
-        return int(self._places([axis])[0])
-
-    def skip(self, axis: int, samples: int) -> list[Event]:
-        """Call `Monitor.skip` for one axis."""
-        return self._with(self._place(axis), lambda monitor: monitor.skip(samples))
-
     @property
     def longest(self) -> int:
         """The common value of `Monitor.longest`."""
@@ -261,16 +219,6 @@ class MonitorFleet:
     def rebase(self, axis: int, counts: int) -> None:
         """Call `Monitor.rebase` for one axis."""
         self._with(self._place(axis), lambda monitor: monitor.rebase(counts))
-
-    def refer(self, axis: int, theta: ArrayLike | None = None) -> list[Event]:
-        """Call `Monitor.refer` for one axis."""
-        return self._with(self._place(axis), lambda monitor: monitor.refer(theta))
-
-    def monitor(self, axis: int) -> Monitor:
-        """Return a new monitor in the state of an axis."""
-        single = _like(self._source)
-        single.go_on(self._all, self._place(axis))
-        return single
 
     def samples(self) -> NDArray[np.int64]:
         """`Monitor.samples` of each axis, (axes,)."""
@@ -287,63 +235,3 @@ class MonitorFleet:
     def references(self) -> Floats:
         """`Monitor.reference` of each axis, (axes, p)."""
         return self._all.watched.theta.copy()
-
-    def add(self, count: int = 1) -> range:
-        """Add `count` axes in the start state of the fleet, and return their numbers."""
-        before = self.axes
-        more = whole_number("count", count, 0, "it is a number of axes")
-        self._all = self._all.join_rows(self._first.repeat_rows(more))
-        return range(before, self.axes)
-
-    def join(self, state: bytes) -> range:
-        """Append the axes of saved states, and return their numbers. Raises UsageError as `set_state` does."""
-        before = self.axes
-        self._all = self._all.join_rows(self._read(state))
-        return range(before, self.axes)
-
-    def remove(self, index: ArrayLike) -> NDArray[np.int64]:
-        """Remove axes, and return the new numbers (axes before,) of all axes, -1 for the removed ones.
-
-        The remaining axes keep their order. Raises UsageError for an axis that does not exist or comes twice.
-        """
-        kept, moved = np.ones(self.axes, np.bool_), np.full(self.axes, -1, np.int64)
-        kept[self._places(index)] = False
-        moved[kept] = np.arange(kept.sum())
-        self._all = self._all.take_rows(np.flatnonzero(kept))
-        return moved
-
-    def get_state(self) -> bytes:
-        """Return the states of all axes, with a version and checksums.
-
-        `set_state` of a fleet with the same configuration continues from these states.
-        """
-        return write_states(self._all, self._source.configuration_number)
-
-    def unsealed_state(self) -> list[memoryview]:
-        """Return the states of all axes in pieces, without the checksum.
-
-        Most pieces are the arrays themselves. The checksum takes longer than a copy. `pmfid.monitor.saved.seal_parts`
-        adds the checksum to a copy, in any thread.
-        """
-        return make_parts(self._all, self._source.configuration_number)
-
-    def set_state(self, state: bytes) -> None:
-        """Continue from saved states of the same number of axes.
-
-        Raises UsageError, and changes nothing, for states of another configuration, damaged states and impossible
-        numbers.
-        """
-        self._all = self._read(state)
-
-    def _read(self, state: bytes) -> AxisStates:
-        return check_states(self._scratch, read(state, self._first, self._source.configuration_number))
-
-
-def _like(source: Monitor) -> Monitor:
-    """Return a new monitor with the configuration of another one."""
-    estimator = construct_estimator(type(source.estimator), configuration_of(source.estimator))
-    return Monitor(estimator, source.calibration, copy(source.watch), source.known)
-
-
-def _slices(size: int, most: int) -> Iterator[slice]:
-    return (slice(start, min(start + most, size)) for start in range(0, size, most))

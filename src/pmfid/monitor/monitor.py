@@ -334,6 +334,10 @@ class Monitor(WatchedAxis, Presentable):
             many.hold(states[row])
             many.load(kernel, 0)
 
+    def check_states(self, saved: AxisStates) -> AxisStates:
+        """Return saved states of this configuration. Raises UsageError for numbers that no sample could have made."""
+        return check_states(self, saved)
+
     def get_state(self) -> bytes:
         """Return the state with a version and checksums.
 
@@ -351,7 +355,7 @@ class Monitor(WatchedAxis, Presentable):
         Raises UsageError, and changes nothing, for a state of another configuration, a damaged state, and numbers that
         no sample could have made.
         """
-        found = check_states(self, read(state, self.pack_state(), self.configuration_number))
+        found = self.check_states(read(state, self.pack_state(), self.configuration_number))
         if found.axes != 1:
             raise UsageError(f"these bytes are the states of {found.axes} axes; a monitor is of one")
         self.go_on(found, 0)

@@ -7,9 +7,9 @@ numbers must be finite. The kernels check their own states.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,22 @@ IMPLAUSIBLE = (
 )
 
 
+class StateRows(Protocol):
+    """The saved states of some axes, as arrays with a row for each axis."""
+
+    @property
+    def axes(self) -> int: ...
+    def arrays(self) -> Iterator[NDArray[np.generic]]: ...
+    def row_type(self) -> np.dtype[np.void]: ...
+    def take_rows(self, index: Places | slice) -> Self: ...
+    def put(self, index: Places | slice, other: Self) -> None: ...
+    def repeat_rows(self, times: int) -> Self: ...
+    def join_rows(self, other: Self) -> Self: ...
+
+
+Rows = TypeVar("Rows", bound=StateRows)
+
+
 @dataclass
 class AxisStates:
     """The states of some axes."""
@@ -65,8 +81,7 @@ class AxisStates:
 
     def row_type(self) -> np.dtype[np.void]:
         """Return the data type of one axis."""
-        named = [one for part in self._parts for one in part.parts(saved_only=True)]
-        return np.dtype([(f"{k} {name}", array.dtype, array.shape[1:]) for k, (name, array) in enumerate(named)])
+        return row_type_of(one for part in self._parts for one in part.parts(saved_only=True))
 
     def take_rows(self, index: Places | slice) -> AxisStates:
         """Return some axes, as copies for an array of numbers and as views for a slice."""
@@ -88,12 +103,17 @@ class AxisStates:
         return AxisStates(*parts, self.disturbed.join_rows(other.disturbed))
 
 
-def write_states(saved: AxisStates, config: int) -> bytes:
+def row_type_of(named: Iterable[tuple[str, NDArray[np.generic]]]) -> np.dtype[np.void]:
+    """Return the data type of one axis in arrays with names."""
+    return np.dtype([(f"{k} {name}", array.dtype, array.shape[1:]) for k, (name, array) in enumerate(named)])
+
+
+def write_states(saved: StateRows, config: int) -> bytes:
     """Return the bytes of all axes. `config` is the checksum of the configuration."""
     return b"".join(seal_parts(make_parts(saved, config)))
 
 
-def make_parts(saved: AxisStates, config: int) -> list[memoryview]:
+def make_parts(saved: StateRows, config: int) -> list[memoryview]:
     """Return the saved bytes in parts, without the checksum. All parts but the first are the arrays themselves."""
     parts = [np.ascontiguousarray(array).reshape(-1).view(np.uint8).data for array in saved.arrays()]
     return [memoryview(_head(saved, config, saved.axes).tobytes()), *parts]
@@ -109,7 +129,7 @@ def seal_parts(parts: Sequence[memoryview]) -> list[memoryview]:
     return [memoryview(head.tobytes()), *parts[1:]]
 
 
-def read(data: bytes, like: AxisStates, config: int) -> AxisStates:
+def read(data: bytes, like: Rows, config: int) -> Rows:
     """Read bytes of `write_states` for any number of axes with the layout of `like`.
 
     Raises UsageError for all other bytes. `check_states` checks the numbers.
@@ -132,7 +152,7 @@ def read(data: bytes, like: AxisStates, config: int) -> AxisStates:
     return found
 
 
-def _head(saved: AxisStates, config: int, axes: int) -> NDArray[np.void]:
+def _head(saved: StateRows, config: int, axes: int) -> NDArray[np.void]:
     head = np.zeros((), HEAD)
     row = saved.row_type()
     head["magic"], head["version"], head["config"] = MAGIC, VERSION, config

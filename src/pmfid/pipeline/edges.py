@@ -80,23 +80,30 @@ class EdgeSetup:
         }
 
 
-def set_up_edges(axis: Axis, folder: Path, record: Record) -> EdgeSetup:
-    """Return the monitor of AXIS.toml in `folder` for a record with the ages of edges.
+def set_up_edges(axis: Axis, folder: Path, record: Record | None) -> EdgeSetup:
+    """Return the monitor of AXIS.toml in `folder` for a record with the ages of edges, or for a pipe if it is None.
 
-    The normal parameters are those of [monitor] nominal, or of the reference record by the same estimator. Raises
-    UsageError without either, and NotIdentifiableError if the reference does not give the parameters.
+    The normal parameters are those of [monitor] nominal, or of the reference record by the same estimator. A pipe has
+    the sample period of the reference. Raises UsageError without either, and NotIdentifiableError if the reference does
+    not give the parameters.
     """
-    config, estimator = axis.monitor, make_edge_estimator(axis, record)
-    watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
+    config = axis.monitor
+    normal = None if config.reference is None else read_record(folder / config.reference, axis)
+    source = record or normal
+    if source is None or (normal is None and config.nominal is None):
+        raise UsageError(
+            '[monitor] reference is missing: name a record of normal work, for example reference = "normal.csv"'
+            + ("" if record is None else ", or give the nominal values")
+        )
+    if normal is not None and abs(source.dt / normal.dt - 1) > 1e-3:
+        raise UsageError(
+            f"the record has dt = {source.dt:g} s, the reference {normal.dt:g} s; take a reference with the same"
+        )
+    estimator, watch = make_edge_estimator(axis, source), Watch(config.detector, config.mtbf_hours, config.tolerance)
     if config.nominal is not None:
         nominal = initial_vector(config.nominal, estimator.names)
-    elif config.reference is not None:
-        nominal = _learn_normal(axis, read_record(folder / config.reference, axis))
-    else:
-        raise UsageError(
-            '[monitor] reference is missing: name a record of normal work, for example reference = "normal.csv", or '
-            "give the nominal values"
-        )
+    elif normal is not None:
+        nominal = _learn_normal(axis, normal)
     following = replace(estimator, memory=estimator.memory or TUNING.default_memory)
     return EdgeSetup(EdgeMonitor(following, nominal, watch), nominal)
 

@@ -38,6 +38,11 @@ def make_edge_ages(
     return ages, (f"the record has {np.count_nonzero(np.isfinite(ages))} edges of steps of {coarse.step:g}",)
 
 
+def age_factor(name: str) -> float:
+    """Return the seconds per unit of the ages in a column with this name, which may have a unit. By default 1."""
+    return UNITS[named_unit(name) or "s"]
+
+
 def read_edge_ages(
     table: Table, encoder: EncoderConfig, rows: NDArray[np.intp], obstacle: str
 ) -> tuple[Floats | None, tuple[str, ...]]:
@@ -53,4 +58,4 @@ def read_edge_ages(
     ages = column(table, "edge_age", name)
     if obstacle:
         return None, (f"the ages of edges in {name!r} are not used, because {obstacle}",)
-    return np.asarray(ages[rows] * UNITS[named_unit(name) or "s"]), ()
+    return np.asarray(ages[rows] * age_factor(name)), ()

@@ -12,6 +12,7 @@ from time import monotonic, time
 
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import PmfidError
+from pmfid.pipeline.edges import EdgeSetup
 from pmfid.records.record import Record
 from pmfid.service.context import Tell
 from pmfid.service.tuning import TUNING
@@ -69,7 +70,11 @@ class Configurations:
                 self.tell({"event": "calibration", "config": path.name, "part": part})
 
         made = prepare(path, self.record, progress, axis)
-        what = {"event": "configuration", "config": path.name, "cached": made.setup.cached}
+        what = {
+            "event": "configuration",
+            "config": path.name,
+            "cached": isinstance(made.setup, EdgeSetup) or made.setup.cached,
+        }
         self.tell({**what, "notes": list(made.setup.notes)})
         return made
 

@@ -7,40 +7,48 @@ import struct
 import zlib
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.lines import MAX_COUNT, MOST_TIME
 from pmfid.stream.delivery import Block, Table, Unusable
 from pmfid.types import Counts, Flags, Floats
 
-MAGIC, VERSION = b"PMFB", 1
+#: Blocks of version 1 have u and counts, blocks of version 2 also the ages of edges.
+MAGIC, PLAIN, WITH_AGES = b"PMFB", 1, 2
 MOST_SAMPLES, LONGEST_NAME = 1024, 64
 #: An epoch has 32 bits. Above the largest number of samples, neighbouring integers are one double, as in JSON.
 MOST_EPOCH, MOST_NUMBER = 2**32, 2**53
-#: Flags that u are float64 instead of float32, and counts int64 instead of int32.
-WIDE_U, WIDE_COUNTS = 1, 2
+#: Flags that u are float64 instead of float32, counts int64 instead of int32, and ages float64 instead of float32.
+WIDE_U, WIDE_COUNTS, WIDE_AGES = 1, 2, 4
 U, COUNTS = (np.dtype("<f4"), np.dtype("<f8")), (np.dtype("<i4"), np.dtype("<i8"))
+#: Number of the possible flags in each version.
+FLAGS = {PLAIN: WIDE_AGES, WITH_AGES: 2 * WIDE_AGES}
 #: Magic, version, flags, samples, epoch, bytes of the name, first, time, dt. `block_type` has all fields by name.
 HEADER = struct.Struct("<4sBBHIB3xQdd")
 CRC = struct.Struct("<I")
 #: Size of the longest block in bytes.
-MOST_BYTES = HEADER.size + LONGEST_NAME + 16 * MOST_SAMPLES + CRC.size
+MOST_BYTES = HEADER.size + LONGEST_NAME + 24 * MOST_SAMPLES + CRC.size
 
 
 @lru_cache(64)
-def block_type(flags: int, samples: int, letters: int) -> np.dtype[np.void]:
+def block_type(flags: int, samples: int, letters: int, version: int = PLAIN) -> np.dtype[np.void]:
     """Return the data type of a whole block, with its fields by name.
 
     `letters` is the number of bytes in the name. The caller checks all numbers against the limits of this module.
     """
+    ages = [("ages", U[flags // WIDE_AGES], (samples,))] if version == WITH_AGES else []
     return np.dtype(
         [
             *(("magic", "S4"), ("version", "u1"), ("flags", "u1"), ("samples", "<u2"), ("epoch", "<u4")),
             *(("letters", "u1"), ("zero", "V3"), ("first", "<u8"), ("time", "<f8"), ("dt", "<f8")),
             *(("name", f"S{letters}"), ("rest", f"V{-letters % 8}")),
-            *(("u", U[flags & WIDE_U], (samples,)), ("counts", COUNTS[flags >> 1], (samples,)), ("crc", "<u4")),
+            *(("u", U[flags & WIDE_U], (samples,)), ("counts", COUNTS[flags // WIDE_COUNTS % 2], (samples,))),
+            *ages,
+            ("crc", "<u4"),
         ]
     )
 
@@ -58,9 +66,9 @@ def read_alike_blocks(data: bytes) -> Table | None:
     if len(data) < HEADER.size or not data.startswith(MAGIC):
         return None
     _, version, flags, samples, _, letters, *_ = HEADER.unpack_from(data)
-    if not (version == VERSION and 0 < samples <= MOST_SAMPLES and 0 < letters <= LONGEST_NAME and flags < 4):
+    if not (0 < samples <= MOST_SAMPLES and 0 < letters <= LONGEST_NAME and flags < FLAGS.get(version, 0)):
         return None
-    form = block_type(flags, samples, letters)
+    form = block_type(flags, samples, letters, version)
     if len(data) % form.itemsize or len(data) < FEWEST * form.itemsize:
         return None
     rows, steps = np.frombuffer(data, form), (form.itemsize,)
@@ -76,7 +84,8 @@ def read_alike_blocks(data: bytes) -> Table | None:
     # The copies are aligned, and do not keep the whole message in memory.
     epoch, first, counts = (rows[key].astype(np.int64) for key in ("epoch", "first", "counts"))
     time, dt, u = (rows[key].astype(np.float64) for key in ("time", "dt", "u"))
-    return Table(names, epoch, first, time, dt, u, counts)
+    ages = rows["ages"].astype(np.float64) if version == WITH_AGES else None
+    return Table(names, epoch, first, time, dt, u, counts, ages)
 
 
 @lru_cache(64)
@@ -127,20 +136,27 @@ def encode(block: Block) -> bytes:
     u, counts = np.asarray(block.u, np.float64), np.asarray(block.counts, np.int64)
     if not (0 < u.size <= MOST_SAMPLES and u.shape == counts.shape == (u.size,)):
         raise UsageError(f"a block has 1 to {MOST_SAMPLES} u and as many counts, got {u.shape} and {counts.shape}")
+    ages = None if block.ages is None else np.asarray(block.ages, np.float64)
+    if ages is not None and ages.shape != u.shape:
+        raise UsageError(f"a block has as many ages as u, got {ages.shape} and {u.shape}")
     name = block.axis.encode("utf-8", "replace")
     refused = problem_of(block, u, counts)
     if refused is not None:
         raise UsageError(f"a receiver would refuse this block: {refused.problem}")
-    with np.errstate(over="ignore"):  # values beyond float32 are sent as float64
-        single, short = u.astype(U[0]), counts.astype(COUNTS[0])
-    wide_u, wide_counts = not ((single == u) | np.isnan(u)).all(), not (short == counts).all()
-    flags = WIDE_U * wide_u | WIDE_COUNTS * wide_counts
-    sizes = (MAGIC, VERSION, flags, u.size, block.epoch, len(name))
-    header = HEADER.pack(*sizes, block.first, block.time, block.dt)
-    u_bytes = (u.astype(U[1]) if wide_u else single).tobytes()
-    counts_bytes = (counts.astype(COUNTS[1]) if wide_counts else short).tobytes()
-    body = header + name + bytes(-len(name) % 8) + u_bytes + counts_bytes
+    columns = [_shorten(u, U, WIDE_U), _shorten(counts, COUNTS, WIDE_COUNTS)]
+    columns += [] if ages is None else [_shorten(ages, U, WIDE_AGES)]
+    sizes = (MAGIC, PLAIN if ages is None else WITH_AGES, sum(flag for flag, _ in columns), u.size, block.epoch)
+    header = HEADER.pack(*sizes, len(name), block.first, block.time, block.dt)
+    body = b"".join([header, name, bytes(-len(name) % 8), *(text for _, text in columns)])
     return body + CRC.pack(zlib.crc32(body))
+
+
+def _shorten(values: NDArray[Any], kinds: tuple[np.dtype[Any], np.dtype[Any]], flag: int) -> tuple[int, bytes]:
+    """Return the bytes of values in the shortest type without a loss, and the flag if it is the longer one, or 0."""
+    with np.errstate(over="ignore"):  # values beyond float32 are sent as float64
+        short = values.astype(kinds[0])
+    whole = ((short == values) | (values != values)).all()
+    return (0, short.tobytes()) if whole else (flag, values.astype(kinds[1]).tobytes())
 
 
 def items(data: bytes) -> list[Table] | list[Block | Unusable]:
@@ -223,15 +239,16 @@ def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unus
     if place + HEADER.size > len(data):
         return 0, None
     _, version, flags, n, epoch, letters, first, time, dt = HEADER.unpack_from(data, place)
-    if version != VERSION:
-        return 0, Unusable("version", f"a block of version {version}, not {VERSION}")
-    if not (0 < n <= MOST_SAMPLES and 0 < letters <= LONGEST_NAME and flags < 4):
+    if version not in FLAGS:
+        return 0, Unusable("version", f"a block of version {version}, not {PLAIN} or {WITH_AGES}")
+    if not (0 < n <= MOST_SAMPLES and 0 < letters <= LONGEST_NAME and flags < FLAGS[version]):
         return 0, Unusable("length", f"a block of {n} samples, {letters} bytes of name and flags {flags}")
     name_at = place + HEADER.size
     u_at = name_at + letters + -letters % 8
-    u_type, counts_type = U[flags & WIDE_U], COUNTS[flags >> 1]
+    u_type, counts_type, ages_type = U[flags & WIDE_U], COUNTS[flags // WIDE_COUNTS % 2], U[flags // WIDE_AGES]
     counts_at = u_at + n * u_type.itemsize
-    crc_at = counts_at + n * counts_type.itemsize
+    ages_at = counts_at + n * counts_type.itemsize
+    crc_at = ages_at + n * ages_type.itemsize * (version == WITH_AGES)
     end = crc_at + CRC.size
     if end > len(data):
         return 0, None
@@ -244,7 +261,8 @@ def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unus
     # The copies are aligned, and do not keep the whole message in memory.
     u = np.frombuffer(data, u_type, n, u_at).astype(np.float64)
     counts = np.frombuffer(data, counts_type, n, counts_at).astype(np.int64)
-    block = Block(name, epoch, first, time, dt, u, counts)
+    ages = np.frombuffer(data, ages_type, n, ages_at).astype(np.float64) if version == WITH_AGES else None
+    block = Block(name, epoch, first, time, dt, u, counts, ages)
     return end, problem_of(block, u, counts, bool(flags & WIDE_COUNTS)) or block
 
 

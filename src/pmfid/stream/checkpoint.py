@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from pmfid.durable import CheckpointFolder
 from pmfid.errors import UsageError
-from pmfid.monitor.fleet import MonitorFleet
-from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.saved import seal_parts
+from pmfid.pipeline.monitored.run import Monitored
 from pmfid.stream.delivery import Block, Mark
 from pmfid.stream.engine import StreamEngine
-from pmfid.stream.groups import Group, Pace, Prepared, Seat
+from pmfid.stream.groups import Group, Pace, Prepared, Seat, make_fleet
 from pmfid.stream.outcome import AlarmRecord, Counters, Notice
 
 _LENGTH = struct.Struct("<Q")
@@ -32,7 +31,8 @@ SEAT = np.dtype(
 )
 #: Fields of SEAT that are columns of `Positions`.
 _COLUMNS = tuple(name for name in SEAT.names or () if name not in ("seat", "notices"))
-#: Head of each block that waits for earlier blocks. The samples of the block follow, u as float64, counts as int64.
+#: Head of each block that waits for earlier blocks. The samples of the block follow, u as float64, counts
+#: as int64, and in a group with edge times the ages as float64.
 HELD = np.dtype(
     [("seat", "<i8"), ("epoch", "<i8"), ("first", "<i8"), ("time", "<f8"), ("dt", "<f8"), ("samples", "<i8")]
 )
@@ -162,22 +162,32 @@ def _pack_held(group: Group) -> bytes:
     waiting = np.flatnonzero(group.positions.waits).tolist()
     pairs = [(index, block) for index in waiting for block in group.seats[index].order.held]
     heads = [(index, b.epoch, b.first, b.time, b.dt, b.counts.size) for index, b in pairs]
-    return _write_held([np.array(heads, HELD)], [block.u for _, block in pairs], [block.counts for _, block in pairs])
+    ages = [block.ages for _, block in pairs if group.takes_ages and block.ages is not None]
+    u, counts = [block.u for _, block in pairs], [block.counts for _, block in pairs]
+    return _write_held([np.array(heads, HELD)], u, counts, ages)
 
 
-def _write_held(heads: Sequence[np.ndarray], u: Sequence[np.ndarray], counts: Sequence[np.ndarray]) -> bytes:
-    """Return waiting blocks as bytes, with their number, their heads, all u and all counts. No blocks give no bytes."""
+def _write_held(
+    heads: Sequence[np.ndarray], u: Sequence[np.ndarray], counts: Sequence[np.ndarray], ages: Sequence[np.ndarray]
+) -> bytes:
+    """Return waiting blocks as bytes: their number, their heads, all u, all counts, and ages if there are any.
+
+    No blocks give no bytes.
+    """
     number = sum(map(len, heads))
-    whole = (np.concatenate(parts).astype(kind) for parts, kind in ((heads, HELD), (u, "<f8"), (counts, "<i8")))
+    kinds = ((heads, HELD), (u, "<f8"), (counts, "<i8"), (ages, "<f8"))
+    whole = (np.concatenate(parts).astype(kind) for parts, kind in kinds if parts)
     return b"".join([_LENGTH.pack(number), *(part.tobytes() for part in whole)]) if number else b""
 
 
-def _read_held(held: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the heads, all u and all counts of waiting blocks."""
+def _read_held(held: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+    """Return the heads, all u, all counts and the ages of waiting blocks. Without ages, the last is None."""
     (number,) = _LENGTH.unpack_from(held)
     heads = np.frombuffer(held, HELD, number, _LENGTH.size)
     samples, place = int(heads["samples"].sum()), _LENGTH.size + heads.nbytes
-    return heads, np.frombuffer(held, "<f8", samples, place), np.frombuffer(held, "<i8", samples, place + 8 * samples)
+    u, counts = np.frombuffer(held, "<f8", samples, place), np.frombuffer(held, "<i8", samples, place + 8 * samples)
+    place += 16 * samples
+    return heads, u, counts, np.frombuffer(held, "<f8", samples, place) if len(held) > place else None
 
 
 @dataclass(frozen=True)
@@ -278,10 +288,11 @@ def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:
 def _restore_held(seats: Sequence[Seat], held: bytes) -> None:
     if not held:
         return
-    (heads, u, counts), start = _read_held(held), 0
+    (heads, u, counts, ages), start = _read_held(held), 0
     for index, epoch, first, begun, dt, n in heads.tolist():
         seat, here = seats[index], slice(start, start + n)
-        seat.order.hold(len(seat.order.held), Block(seat.name, epoch, first, begun, dt, u[here], counts[here]))
+        own = None if ages is None else ages[here]
+        seat.order.hold(len(seat.order.held), Block(seat.name, epoch, first, begun, dt, u[here], counts[here], own))
         start += n
 
 
@@ -293,7 +304,7 @@ def join_groups(groups: Sequence[Saved], prepared: Prepared) -> Saved:
     axes = tuple(name for group in groups for name in group.axes)
     if len(set(axes)) < len(axes):
         raise ValueError("an axis comes twice")
-    fleet = MonitorFleet(prepared.setup.monitor, 0)
+    fleet = make_fleet(prepared.setup.monitor)
     starts = [0, *np.cumsum([len(group.axes) for group in groups]).tolist()]
     try:
         for group in groups:
@@ -312,7 +323,8 @@ def _join_held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
     heads = [one.copy() for one, *_ in parts]
     for own, (*_, start) in zip(heads, parts, strict=True):
         own["seat"] += start
-    return _write_held(heads, [u for _, u, _, _ in parts], [counts for _, _, counts, _ in parts])
+    ages = [own for _, _, _, own, _ in parts if own is not None]
+    return _write_held(heads, [u for _, u, _, _, _ in parts], [counts for _, _, counts, _, _ in parts], ages)
 
 
 def body_of(
@@ -331,13 +343,13 @@ def body_of(
     return b"".join(snapshot(engine))
 
 
-def body_from(monitors: Mapping[str, Monitor], prepared: Prepared, pace: Pace) -> bytes:
+def body_from(monitors: Mapping[str, Monitored], prepared: Prepared, pace: Pace) -> bytes:
     """Return the body of a checkpoint from which axes continue with these monitors.
 
     Any first number that arrives for an axis follows the axis' last sample. Raises ValueError for monitors of another
     configuration.
     """
-    fleet, group = MonitorFleet(prepared.setup.monitor, 0), Group(prepared, pace)
+    fleet, group = make_fleet(prepared.setup.monitor), Group(prepared, pace)
     try:
         for monitor in monitors.values():
             fleet.join(monitor.get_state())

@@ -24,7 +24,8 @@ class Block:
     `axis` is the name. The sender raises `epoch` when its numbers restart, for example after a restart of the drive.
     `first` >= 0 is the number of the first sample. `time` is the time of the first sample by the sender's clock [s],
     NaN without a clock. `dt` is the sender's sample period [s]. `u` (n,) is the input in the unit of the model, NaN for
-    a lost sample, and `counts` is (n,).
+    a lost sample, and `counts` is (n,). `ages` (n,) is the time from the last edge of the encoder to the sample [s],
+    NaN without an edge, or None if the sender does not know it.
     """
 
     axis: str
@@ -34,6 +35,7 @@ class Block:
     dt: float
     u: Floats
     counts: Counts
+    ages: Floats | None = None
 
     @property
     def end(self) -> int:
@@ -46,11 +48,18 @@ def join_arrays(parts: Sequence[object], *names: str) -> list[NDArray[Any]]:
     return [np.concatenate([getattr(part, name) for part in parts]) for name in names]
 
 
+def join_ages(ages: Sequence[Floats | None]) -> Floats | None:
+    """Return the joined ages of parts, or None if the parts have none."""
+    known = [one for one in ages if one is not None]
+    return np.concatenate(known) if known else None
+
+
 @dataclass(frozen=True)
 class Table:
     """Blocks of one length as one item, with a row for each block in the sender's order.
 
-    `axes` has the names. `epoch`, `first`, `time` and `dt` (k,) are as in `Block`. `u` and `counts` are (k, n), n > 0.
+    `axes` has the names. `epoch`, `first`, `time` and `dt` (k,) are as in `Block`. `u`, `counts` and `ages` are (k, n),
+    n > 0, where `ages` may be None.
     """
 
     axes: tuple[str, ...]
@@ -60,20 +69,26 @@ class Table:
     dt: Floats
     u: Floats
     counts: Counts
+    ages: Floats | None = None
+
+    @property
+    def form(self) -> tuple[int, bool]:
+        """Samples in a block, and whether the blocks have ages. Tables of one form can be joined."""
+        return self.counts.shape[1], self.ages is not None
 
     @classmethod
     def join(cls, tables: Sequence[Table]) -> Table:
-        """Join tables with blocks of one length into one table."""
+        """Join tables of one form into one table."""
         if len(tables) == 1:
             return tables[0]
-        return cls(
-            tuple(chain.from_iterable(table.axes for table in tables)),
-            *join_arrays(tables, "epoch", "first", "time", "dt", "u", "counts"),
-        )
+        axes, ages = tuple(chain.from_iterable(table.axes for table in tables)), [table.ages for table in tables]
+        epoch, first, time, dt, u, counts = join_arrays(tables, "epoch", "first", "time", "dt", "u", "counts")
+        return cls(axes, epoch, first, time, dt, u, counts, join_ages(ages))
 
     def block(self, row: int) -> Block:
         numbers = int(self.epoch[row]), int(self.first[row]), float(self.time[row]), float(self.dt[row])
-        return Block(self.axes[row], *numbers, self.u[row], self.counts[row])
+        ages = None if self.ages is None else self.ages[row]
+        return Block(self.axes[row], *numbers, self.u[row], self.counts[row], ages)
 
     def blocks(self) -> list[Block]:
         return [self.block(row) for row in range(len(self.axes))]

@@ -17,15 +17,20 @@ from numpy.typing import NDArray
 
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
-from pmfid.monitor.events import Event
+from pmfid.monitor.edge_fleet import EdgeFleet
+from pmfid.monitor.events import Event, FleetRows
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.pipeline.monitored.setup import Setup, set_up
+from pmfid.monitor.monitor import Monitor
+from pmfid.pipeline.edges import EdgeSetup
+from pmfid.pipeline.monitored.run import Monitored
+from pmfid.pipeline.monitored.setup import Setup, set_up_record
 from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Line, Metronome, Sample, Saved, Timeline
 from pmfid.records.record import Record
 from pmfid.stream.delivery import Lines
 from pmfid.stream.order import UNKNOWN_GAP, ItemReport, Order, PositionRow, Positions, SamplePiece
 from pmfid.stream.outcome import Kindred
 from pmfid.stream.tuning import TUNING
+from pmfid.types import Counts, Floats
 
 _LINE = struct.Struct("<ddq")
 
@@ -128,7 +133,7 @@ class Timed:
             return []
         last = samples[-1]
         verdict.refused -= 1
-        return [Sample(last.time, last.u, last.counts, 0, math.inf)]
+        return [Sample(last.time, last.u, last.counts, 0, math.inf, last.age)]
 
     def save_state(self) -> Saved:
         """Return the state for JSON with NaN and infinity."""
@@ -139,7 +144,7 @@ class Timed:
             "doubtful": self._doubtful,
             "recent": list(self._recent),
             "latest": self._latest,
-            "held": [[line.time, line.u, line.counts, line.problem] for line in self._held],
+            "held": [line.as_list() for line in self._held],
             "grid": self._grid.save_state(),
         }
 
@@ -177,8 +182,8 @@ def _piece(samples: list[Sample], received: float, turn: int) -> list[SamplePiec
         return []
     lead = samples[0].missing or (UNKNOWN_GAP if samples[0].jump else 0)
     u, counts = np.array([s.u for s in samples]), np.array([s.counts for s in samples], np.int64)
-    times = np.array([s.time for s in samples])
-    return [SamplePiece(lead, False, u, counts, math.nan, 0, received, turn, times)]
+    times, ages = np.array([s.time for s in samples]), np.array([s.age for s in samples])
+    return [SamplePiece(lead, False, u, counts, math.nan, 0, received, turn, times, ages)]
 
 
 @dataclass(frozen=True)
@@ -190,7 +195,7 @@ class Prepared:
 
     path: Path
     axis: Axis
-    setup: Setup
+    setup: Setup | EdgeSetup
     digest: str
 
     @property
@@ -207,9 +212,15 @@ def prepare(
     read. Raises UsageError or NotIdentifiableError as `set_up` does.
     """
     axis = load_axis(path) if given is None else given
-    setup = set_up(axis, path.parent, record, progress)
-    digest = sha256(f"{axis.model_dump_json(warnings=False)} {setup.path.name} {setup.nominal.tolist()}".encode())
+    setup = set_up_record(axis, path.parent, record, progress)
+    calibration = setup.path.name if isinstance(setup, Setup) else setup.monitor.estimator.method
+    digest = sha256(f"{axis.model_dump_json(warnings=False)} {calibration} {setup.nominal.tolist()}".encode())
     return Prepared(path, axis, setup, digest.hexdigest())
+
+
+def make_fleet(monitor: Monitored) -> MonitorFleet | EdgeFleet:
+    """Return a fleet without axes, with the configuration of a monitor."""
+    return MonitorFleet(monitor, 0) if isinstance(monitor, Monitor) else EdgeFleet(monitor, 0)
 
 
 @dataclass(frozen=True)
@@ -291,9 +302,20 @@ class Group:
 
     def __post_init__(self) -> None:
         self.dt = self.prepared.dt
-        self.fleet = MonitorFleet(self.prepared.setup.monitor, 0)
+        self.fleet = make_fleet(self.prepared.setup.monitor)
         self.stride = max(1, round(self.pace.every / self.dt))
         self.kindred = self._build_kindred()
+
+    @property
+    def takes_ages(self) -> bool:
+        """Whether the monitors need the ages of edges."""
+        return isinstance(self.fleet, EdgeFleet)
+
+    def run(self, index: NDArray[np.int64], u: Floats, counts: Counts, ages: Floats | None) -> FleetRows:
+        """Step the next n samples u, counts, ages (k, n) of the axes `index` (k,)."""
+        if isinstance(self.fleet, MonitorFleet):
+            return self.fleet.run(index, u, counts)
+        return self.fleet.run(index, u, counts, np.full(u.shape, np.nan) if ages is None else ages)
 
     def add(self, names: Iterable[str]) -> None:
         """Add axes without a history."""

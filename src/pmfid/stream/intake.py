@@ -21,8 +21,15 @@ from pmfid.types import Flags
 Seating = list[tuple[Group, NDArray[np.int64]]]
 
 
-#: Consecutive tables with blocks of one length, and the deliveries of the tables.
+#: Consecutive tables of one form, and the deliveries of the tables.
 Tables = list[tuple[Table, Delivery]]
+
+
+#: Problem of blocks of version 1 for an axis with edge times.
+WITHOUT_AGES = (
+    "{!r} has [encoder] edge_age, and its blocks have no ages of edges; send blocks of version 2 with ages, or leave "
+    "edge_age out"
+)
 
 
 @dataclass
@@ -120,7 +127,7 @@ class Intake:
         ordered, tables = Ordered(), Tables()
         for delivery in deliveries:
             for item in delivery.items:
-                if not isinstance(item, Table) or (tables and tables[0][0].counts.shape[1] != item.counts.shape[1]):
+                if not isinstance(item, Table) or (tables and tables[0][0].form != item.form):
                     self._settle(tables, ordered)
                     tables = []
                 if isinstance(item, Table):
@@ -153,12 +160,15 @@ class Intake:
         self._turn += size
         rest = np.ones(size, np.bool_)
         for group, index in seating:
+            if group.takes_ages and table.ages is None:
+                continue  # each block is refused
             taken = take_expected(group.positions, group.dt, index, table)
             if taken.any():
                 rows = slice(None) if taken.all() else np.flatnonzero(taken)
                 at, offset = index[rows], np.zeros(np.count_nonzero(taken), np.int64)
                 u, counts, time = table.u[rows], table.counts[rows], table.time[rows]
-                ordered.put(group, Batch(at, u, counts, time, offset, turns[rows], received[rows]))
+                ages = table.ages[rows] if group.takes_ages and table.ages is not None else None
+                ordered.put(group, Batch(at, u, counts, ages, time, offset, turns[rows], received[rows]))
                 rest &= ~taken
         left = np.flatnonzero(rest).tolist()
         deliveries = [delivery for one, delivery in tables for _ in one.axes] if left else []
@@ -186,6 +196,9 @@ class Intake:
         pieces = list[SamplePiece]()
         try:
             if isinstance(item, Block):
+                if seat.group.takes_ages and item.ages is None:
+                    self._refuse(delivery.source, Unusable("ages", WITHOUT_AGES.format(item.axis), item.axis))
+                    return
                 verdict = seat.order.take(item, delivery.received, turn, pieces)
             else:
                 timed = any(line.time == line.time for line in item.lines)

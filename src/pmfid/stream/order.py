@@ -184,7 +184,7 @@ class SamplePiece(NamedTuple):
     `lead` is the number of samples missing before the first one, or UNKNOWN_GAP. `apart` is true if the sender and its
     counter restarted, so that the samples on both sides share nothing. `time` is the time of sample `-offset` [s], or
     NaN. `received` is `time.monotonic()`. `turn` is the number of the item since the start, which orders events.
-    `times` (n,) has the times of the samples if the samples have times of their own.
+    `times` (n,) has the times of the samples if the samples have times of their own. `ages` (n,) is as in `Block`.
     """
 
     lead: int
@@ -196,6 +196,7 @@ class SamplePiece(NamedTuple):
     received: float
     turn: int
     times: Floats | None = None
+    ages: Floats | None = None
 
 
 @dataclass
@@ -251,7 +252,7 @@ class Order:
         next_one = block.epoch == self.epoch and block.first == self.expected and not self._held
         if next_one and block.counts.size and period_fits(block.dt, self.dt):
             self.expected = block.end
-            pieces.append(SamplePiece(0, False, block.u, block.counts, block.time, 0, received, turn))
+            pieces.append(SamplePiece(0, False, block.u, block.counts, block.time, 0, received, turn, None, block.ages))
             event = self.clock.look(block.first, self.expected, block.time)
             return None if event is None else ItemReport(events=[event])
         return self._sort_block(block, received, turn, pieces)
@@ -374,8 +375,9 @@ class Order:
         if (event := self.clock.look(block.first, block.end, block.time)) and not apart:
             verdict.events.append(event)
         self.expected = block.end
-        u, counts = (block.u[known:], block.counts[known:]) if known else (block.u, block.counts)
-        pieces.append(SamplePiece(0 if fresh else lead, apart, u, counts, block.time, known, received, turn))
+        u, counts, ages = block.u[known:], block.counts[known:], None if block.ages is None else block.ages[known:]
+        lead = 0 if fresh else lead
+        pieces.append(SamplePiece(lead, apart, u, counts, block.time, known, received, turn, None, ages))
 
     def _begin(self, block: Block, fresh: bool, verdict: ItemReport) -> None:
         """Begin a higher epoch, or the first one."""

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.monitor.events import Event, FleetRows
+from pmfid.monitor.fleet import MonitorFleet
 from pmfid.pipeline.monitored.run import event_object
-from pmfid.stream.delivery import join_arrays
+from pmfid.stream.delivery import join_ages, join_arrays
 from pmfid.stream.groups import Group, Seat
 from pmfid.stream.order import SamplePiece
 from pmfid.stream.outcome import EstimateRows
@@ -22,14 +23,15 @@ from pmfid.types import Counts, Flags, Floats
 class Batch:
     """Samples of k axes that are stepped together.
 
-    `index` (k,) has the numbers of the axes, each once. `u` and `counts` are (k, n). `time`, `offset` and `turn` (k,)
-    are as in `SamplePiece`, and `received` is (k,). `pieces` has k pieces, or none for blocks of a table. No sample is
-    missing before the blocks of a table, and their samples have no times of their own.
+    `index` (k,) has the numbers of the axes, each once. `u` and `counts` are (k, n), and `ages` are (k, n) or None.
+    `time`, `offset` and `turn` (k,) are as in `SamplePiece`, and `received` is (k,). `pieces` has k pieces, or none for
+    blocks of a table. No sample is missing before the blocks of a table, and their samples have no times of their own.
     """
 
     index: NDArray[np.int64]
     u: Floats
     counts: Counts
+    ages: Floats | None
     time: Floats
     offset: NDArray[np.int64]
     turn: NDArray[np.int64]
@@ -43,6 +45,7 @@ class Batch:
             np.array([seat.index for seat, _ in pairs], np.int64),
             np.stack([piece.u for piece in pieces]),
             np.stack([piece.counts for piece in pieces]),
+            _stack_ages(pieces),
             np.array([piece.time for piece in pieces], np.float64),
             np.array([piece.offset for piece in pieces], np.int64),
             np.array([piece.turn for piece in pieces], np.int64),
@@ -57,7 +60,13 @@ class Batch:
             return parts[0]
         index, u, counts, time = join_arrays(parts, "index", "u", "counts", "time")
         offset, turn, received = join_arrays(parts, "offset", "turn", "received")
-        return cls(index, u, counts, time, offset, turn, received)
+        return cls(index, u, counts, join_ages([part.ages for part in parts]), time, offset, turn, received)
+
+
+def _stack_ages(pieces: Sequence[SamplePiece]) -> Floats | None:
+    """Return the ages (k, n) of pieces of one length, or None if a piece has none."""
+    ages = [piece.ages for piece in pieces if piece.ages is not None]
+    return np.stack(ages) if len(ages) == len(pieces) else None
 
 
 @dataclass
@@ -145,7 +154,7 @@ def _run(group: Group, batch: Batch, followed: frozenset[str], done: Stepped) ->
     ]
     index, n = batch.index, batch.counts.shape[1]
     start = group.numbers[index]
-    rows = group.fleet.run(index, batch.u, batch.counts)
+    rows = group.run(index, batch.u, batch.counts, batch.ages)
     group.numbers[index] += n
     done.samples += batch.counts.size
     done.lost += int(np.count_nonzero(~np.isfinite(batch.u)))
@@ -161,9 +170,10 @@ def _report_interruption(group: Group, index: int, piece: SamplePiece) -> list[E
     """Report missing samples to the monitor, even if their number is unknown, as `pmfid monitor` does."""
     missing = max(1, piece.lead)
     group.numbers[index] += missing
-    if 0 < piece.lead <= group.fleet.longest and not piece.apart:
-        return group.fleet.fill_gap(index, missing, float(piece.u[0]), int(piece.counts[0]))
-    return group.fleet.skip(index, missing)
+    fleet = group.fleet
+    if isinstance(fleet, MonitorFleet) and 0 < piece.lead <= fleet.longest and not piece.apart:
+        return fleet.fill_gap(index, missing, float(piece.u[0]), int(piece.counts[0]))
+    return fleet.skip(index, missing)
 
 
 def _build_event(group: Group, batch: Batch, row: int, k: int, start: int, event: Event) -> FoundEvent:

@@ -18,7 +18,7 @@ from pmfid.fleet.data import TRIED, Engine, Work, check_columns, first_table
 from pmfid.fleet.plan import FIRST, LAST, LOST, ROWS, RowShard, Survey, count_rows, mixture, survey_of
 from pmfid.fleet.rows import ShardTable
 from pmfid.fleet.segments import Segments
-from pmfid.fleet.source import AXIS, FRAME, INPUT, MASK, OUTPUT, TIME, TYPE, Part, SourceColumns
+from pmfid.fleet.source import AGE, AXIS, FRAME, INPUT, MASK, OUTPUT, TIME, TYPE, Part, SourceColumns
 from pmfid.fleet.spark.engine import (
     NUMBER,
     RETURNED,
@@ -78,7 +78,8 @@ class SparkRows:
             )
         self._whole, self._columns = cast("DataFrame", frame), columns
         mask, kind = (MASK if columns.mask else None), (TYPE if columns.type else None)
-        self._own = SourceColumns(AXIS, TIME, INPUT, OUTPUT, mask, kind, columns.factor)
+        age = AGE if columns.age else None
+        self._own = SourceColumns(AXIS, TIME, INPUT, OUTPUT, mask, kind, columns.factor, age)
 
     @property
     def engine(self) -> str:

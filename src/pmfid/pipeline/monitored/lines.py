@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from typing import TypeGuard
 
@@ -13,9 +13,11 @@ from pmfid.config.record import Sections, conversion
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.io.csv_text import SEPARATORS, are_units, split
 from pmfid.io.tables import whole_name
+from pmfid.pipeline.edges import takes_edges
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import time_factor
+from pmfid.records.edge_ages import age_factor
 
 __all__ = ["MAX_COUNT", "MOST_TIME", "FieldReader", "Reading", "check_streamed"]
 
@@ -38,11 +40,17 @@ def check_streamed(axis: Axis) -> None:
         raise UsageError("a pipe needs counts, or positions that do not wrap: unwrap or integrate the output before")
 
 
-class Reading:
-    """A reader that converts the values of input, output and time to a `Line`.
+def wanted_columns(axis: Axis) -> tuple[str, ...]:
+    """Return the columns of input, output, time if there is one, and the age of the last edge if it is used."""
+    config, age = axis.record, axis.encoder.edge_age if takes_edges(axis) else None
+    return (config.input, config.output, *([config.time] if config.time else []), *([age] if age else []))
 
-    `names` are the names of their columns, which may have units. Raises UsageError if a unit contradicts the
-    configuration, or if the configuration cannot be read one sample at a time.
+
+class Reading:
+    """A reader that converts the values of input, output, time and age to a `Line`.
+
+    `names` are those of `wanted_columns`, which may have units. The name of the time may be missing. Raises UsageError
+    if a unit contradicts the configuration, or if the configuration cannot be read one sample at a time.
     """
 
     def __init__(self, axis: Axis, names: tuple[str, ...]) -> None:
@@ -51,7 +59,9 @@ class Reading:
         units = conversion(Sections(config, axis.encoder, axis.model), *names[:2])
         self._scale = float(config.input_scale) * units.u
         self._step = axis.encoder.resolution / units.y if config.output_kind == "position" else None
-        self._unit = time_factor(config.model_copy(update={"time": names[2] if len(names) == 3 else None}))
+        self._age = age_factor(names[-1]) if takes_edges(axis) else None
+        timed = len(names) == (3 if self._age is None else 4)
+        self._unit = time_factor(config.model_copy(update={"time": names[2] if timed else None}))
 
     def time(self, value: Value) -> float:
         """Return a time stamp [s]. Dates and times of day ignore the unit of [record].
@@ -66,8 +76,10 @@ class Reading:
             raise ValueError("a time that is not finite, or beyond all clocks")
         return time
 
-    def line(self, u: Value, output: Value, time: float = math.nan) -> Line:
+    def line(self, u: Value, output: Value, time: float = math.nan, age: object = math.nan) -> Line:
         """Return the line of values at a time [s], where NaN stands for no time.
+
+        An `age` that is not a number is none, because the estimator flags an edge without its age.
 
         If a line with a time has an invalid value, the line stores the problem. Without a time, an invalid value raises
         ValueError or OverflowError.
@@ -76,11 +88,17 @@ class Reading:
             scaled, place = self._scale * float(u), float(output)
             if not (math.isfinite(scaled) and math.isfinite(place)):
                 raise ValueError("a value that is not finite")
-            return Line(time, scaled, self._count(place))
+            return Line(time, scaled, self._count(place), age=self._read_age(age))
         except (ValueError, OverflowError) as error:
             if math.isnan(time):
                 raise
             return Line(time, math.nan, 0, str(error))
+
+    def _read_age(self, age: object) -> float:
+        try:
+            return math.nan if self._age is None or not _is_value(age) else self._age * float(age)
+        except ValueError:
+            return math.nan
 
     def _count(self, value: float) -> int:
         """Return the count of an output. A position slightly below a step belongs to that step, as in a record."""
@@ -98,9 +116,8 @@ class FieldReader:
     """
 
     def __init__(self, axis: Axis) -> None:
-        config = axis.record
-        self._wanted = (config.input, config.output, *([config.time] if config.time else []))
-        self._axis = axis
+        self._wanted, self._axis = wanted_columns(axis), axis
+        self._timed, self._edges = bool(axis.record.time), takes_edges(axis)
         self._readings = {self._wanted: Reading(axis, self._wanted)}
 
     def __call__(self, fields: Mapping[str, object], stamp: float = math.nan) -> Line:
@@ -125,16 +142,16 @@ class FieldReader:
             yield self({name: column[k] if isinstance(column, list) else column for name, column in used.items()})
 
     def _line(self, fields: Mapping[str, object], stamp: float) -> Line:
-        names = tuple(whole_name(fields, name) for name in self._wanted)
-        timed = len(names) == 3
+        names, timed = tuple(whole_name(fields, name) for name in self._wanted), self._timed
         stamped = timed and names[2] not in fields and abs(stamp) < MOST_TIME
-        reading = self._reading(names[:2] if stamped else names)
+        reading = self._reading((*names[:2], *names[3:]) if stamped else names)
         time = stamp if stamped else reading.time(_value(fields, names[2])) if timed else math.nan
         try:
-            line = reading.line(_value(fields, names[0]), _value(fields, names[1]), time)
+            age = fields.get(names[-1]) if self._edges else None
+            line = reading.line(_value(fields, names[0]), _value(fields, names[1]), time, age)
         except (ValueError, OverflowError) as error:
             line = Line(time, math.nan, 0, str(error))
-        return Line(line.time, line.u, line.counts, line.problem[: TUNING.most_letters])
+        return replace(line, problem=line.problem[: TUNING.most_letters]) if line.problem else line
 
     def _reading(self, names: tuple[str, ...]) -> Reading:
         if names not in self._readings:
@@ -182,7 +199,7 @@ class _Header:
 
 
 class LineParser:
-    """A parser that reads u, counts and, if [record] names it, the time from lines of text.
+    """A parser that reads u, counts, and the time and the age of an edge, if they are used, from lines of text.
 
     The lines may have the separators and decimal signs of files. `header` is the first line. Raises UsageError if the
     header does not have a column of [record].
@@ -190,8 +207,8 @@ class LineParser:
 
     def __init__(self, header: bytes, axis: Axis) -> None:
         check_streamed(axis)
-        config, self._axis = axis.record, axis
-        self._wanted = [config.input, config.output] + ([config.time] if config.time else [])
+        self._axis, self._wanted = axis, list(wanted_columns(axis))
+        self._timed, self._edges = bool(axis.record.time), takes_edges(axis)
         self._read_header(_likeliest(_text(header), self._wanted))
 
     def _read_header(self, header: _Header) -> None:
@@ -243,8 +260,8 @@ class LineParser:
         return found if separator == "," and plain else [cell.replace(",", ".") for cell in found]
 
     def _values(self, cells: list[str]) -> Line:
-        time = self._reading.time(cells[2]) if len(cells) == 3 else math.nan
-        return self._reading.line(cells[0], cells[1], time)
+        time = self._reading.time(cells[2]) if self._timed else math.nan
+        return self._reading.line(cells[0], cells[1], time, cells[-1] if self._edges else None)
 
 
 def is_comment(line: bytes) -> bool:

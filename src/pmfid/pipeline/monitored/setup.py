@@ -166,10 +166,7 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     UsageError if both reference and record are missing, or if the nominal values are missing. Raises
     NotIdentifiableError if the reference cannot identify the nominal values.
     """
-    config, notes = (
-        axis.monitor,
-        ["the ages of edges are not used here: give pmfid monitor a record"] * takes_edges(axis),
-    )
+    config, notes = axis.monitor, list[str]()
     check_monitored(axis)
     normal = None if config.reference is None else read_record(folder / config.reference, axis)
     source = normal or record
@@ -201,8 +198,10 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
 def set_up_record(
     axis: Axis, folder: Path, record: Record | None, progress: Callable[[float], None] | None = None
 ) -> Setup | EdgeSetup:
-    """Return the monitor as `set_up`, or that of edges for a record with the ages of edges."""
-    if record is not None and record.ages is not None and takes_edges(axis):
+    """Return the monitor as `set_up`, or that of edges if the configuration, and the record if there is one, has
+    their ages.
+    """
+    if takes_edges(axis) and (record is None or record.ages is not None):
         return set_up_edges(axis, folder, record)
     return set_up(axis, folder, record, progress)
 

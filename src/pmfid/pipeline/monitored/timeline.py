@@ -109,13 +109,19 @@ BAD, REPEATED, COMMENT = "bad line", "repeated line", "comment"
 class Line:
     """The values of a line.
 
-    `time` [s] is NaN without a time. An unusable `u` is NaN, and `problem` is then the reason.
+    `time` [s] is NaN without a time. An unusable `u` is NaN, and `problem` is then the reason. `age` is the time from
+    the last edge of the encoder to the sample [s], NaN without an edge.
     """
 
     time: float
     u: float
     counts: int
     problem: str = ""
+    age: float = field(default=math.nan, compare=False)  # NaN is not equal to itself
+
+    def as_list(self) -> list[float | int | str]:
+        """Return the arguments of a line for JSON."""
+        return [self.time, self.u, self.counts, self.problem, self.age]
 
 
 @dataclass(frozen=True)
@@ -172,7 +178,7 @@ class Metronome:
         if line.problem:
             return [Skipped(time, BAD, line.problem), Sample(time, math.nan, self._counts)]
         self._counts = line.counts
-        return [Sample(time, line.u, line.counts)]
+        return [Sample(time, line.u, line.counts, age=line.age)]
 
     def end(self) -> list[Found]:
         """Return nothing, because no lines are held."""
@@ -207,7 +213,7 @@ class Timeline:
             "strays": self._strays,
             "counts": self._counts,
             "period": self._period.save_state(),
-            **{name: [[x.time, x.u, x.counts, x.problem] for x in some] for name, some in lines.items()},
+            **{name: [line.as_list() for line in some] for name, some in lines.items()},
         }
 
     def restore(self, saved: Saved) -> None:
@@ -273,7 +279,7 @@ class Timeline:
             return [Skipped(line.time, BAD, line.problem), lost]
         self._counts = line.counts
         self._recent.append(line)
-        return [Sample(line.time, line.u, line.counts, missing, jump)]
+        return [Sample(line.time, line.u, line.counts, missing, jump, line.age)]
 
     def _irregular(self, line: Line) -> list[Found]:
         """Hold a line until further lines confirm its time."""

@@ -102,7 +102,8 @@ class Player:
             if self.speed and self._stop.wait(max(0.0, begun + end * record.dt / self.speed - time.monotonic())):
                 return
             u, counts = record.u[first:end], record.counts[first:end]
-            block = Block(self.axis, epoch, first, math.nan, record.dt, u, counts)
+            ages = None if record.ages is None else record.ages[first:end]
+            block = Block(self.axis, epoch, first, math.nan, record.dt, u, counts, ages)
             position: Mark = {"version": version, "epoch": epoch, "sample": end}
             if self._stop.is_set() or not take(Delivery(self.name, (block,), None, position, time.monotonic())):
                 return

@@ -30,15 +30,17 @@ if TYPE_CHECKING:
 
 @dataclass
 class _Axis:
-    """Samples u, counts (n,) that wait for their block.
+    """Samples u, counts and ages (n,) that wait for their block.
 
-    `first` is the number of the first sample, and `time` its time [s].
+    `first` is the number of the first sample, and `time` its time [s]. `edges` is true once ages were given.
     """
 
     first: int = 0
     time: float = math.nan
     u: Floats = field(default_factory=lambda: np.zeros(0))
     counts: Counts = field(default_factory=lambda: np.zeros(0, np.int64))
+    ages: Floats = field(default_factory=lambda: np.zeros(0))
+    edges: bool = False
 
 
 @dataclass
@@ -58,22 +60,29 @@ class Numbering:
         if not 1 <= self.samples <= MOST_SAMPLES:
             raise UsageError(f"a block has 1 to {MOST_SAMPLES} samples, got {self.samples}; give another number")
 
-    def add(self, axis: str, u: ArrayLike, counts: ArrayLike, time: float) -> list[bytes]:
-        """Add samples u, counts (n,), or a single sample, and return the full blocks.
+    def add(
+        self, axis: str, u: ArrayLike, counts: ArrayLike, time: float, ages: ArrayLike | None = None
+    ) -> list[bytes]:
+        """Add samples u, counts, ages (n,), or a single sample, and return the full blocks.
 
-        The samples follow the last ones. `time` is the time of the first sample [s], or NaN. Raises UsageError for
-        values that no block takes.
+        The samples follow the last ones. `time` is the time of the first sample [s], or NaN. `ages` are as in
+        `Sender.add`. Raises UsageError for values that no block takes.
         """
         u, counts = np.atleast_1d(np.asarray(u, np.float64)), np.atleast_1d(np.asarray(counts, np.int64))
         if u.ndim != 1 or u.shape != counts.shape:
             raise UsageError(f"u and counts are not of one length: {u.shape} and {counts.shape}")
+        given = np.full(u.shape, np.nan) if ages is None else np.atleast_1d(np.asarray(ages, np.float64))
+        if given.shape != u.shape:
+            raise UsageError(f"u and ages are not of one length: {u.shape} and {given.shape}")
         block = Block(axis, self.epoch, 0, time, self.dt, u, counts)
         if u.size and (problem := problem_of(block, u, counts)) is not None:
             raise UsageError(f"a receiver would refuse these samples: {problem.problem}")
         waiting = self._axes.setdefault(axis, _Axis())
         if not waiting.u.size:
             waiting.time = time
+        waiting.edges |= ages is not None
         waiting.u, waiting.counts = np.append(waiting.u, u), np.append(waiting.counts, counts)
+        waiting.ages = np.append(waiting.ages, given)
         return list(self._blocks(axis, waiting, whole=True))
 
     def skip(self, axis: str, samples: int) -> list[bytes]:
@@ -96,12 +105,13 @@ class Numbering:
         u, counts, begin = waiting.u, waiting.counts, 0
         while u.size - begin >= (self.samples if whole else 1):
             part = slice(begin, begin + self.samples)
-            block = Block(axis, self.epoch, waiting.first, waiting.time, self.dt, u[part], counts[part])
+            ages = waiting.ages[part] if waiting.edges else None
+            block = Block(axis, self.epoch, waiting.first, waiting.time, self.dt, u[part], counts[part], ages)
             begin = begin + block.counts.size
             waiting.first += block.counts.size
             waiting.time += block.counts.size * self.dt
             yield encode(block)
-        waiting.u, waiting.counts = u[begin:], counts[begin:]
+        waiting.u, waiting.counts, waiting.ages = u[begin:], counts[begin:], waiting.ages[begin:]
 
 
 @dataclass
@@ -249,13 +259,22 @@ class Sender:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def add(self, axis: str, u: ArrayLike, counts: ArrayLike, time: float = math.nan) -> None:
+    def add(
+        self,
+        axis: str,
+        u: ArrayLike,
+        counts: ArrayLike,
+        time: float = math.nan,
+        *,
+        ages: ArrayLike | None = None,
+    ) -> None:
         """Add the next samples u, counts (n,) of an axis, or a single sample.
 
-        `time` is the time of the first sample [s], or NaN. Raises UsageError for values that no block takes.
+        `time` is the time of the first sample [s], or NaN. `ages` (n,) is the time from the last edge of the encoder to
+        the sample [s], NaN without an edge. Raises UsageError for values that no block takes.
         """
         with self._lock:
-            self._wait(self._numbering.add(axis, u, counts, time))
+            self._wait(self._numbering.add(axis, u, counts, time, ages))
 
     def skip(self, axis: str, samples: int) -> None:
         """Leave out the numbers of samples of an axis that were lost before they reached the sender."""

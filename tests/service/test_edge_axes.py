@@ -1,0 +1,195 @@
+"""Axes with the ages of edges in the service: the bits of `pmfid monitor`, every form of input, and wrong input."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from random import Random
+
+import numpy as np
+import pytest
+
+from pmfid import Status
+from pmfid.errors import UsageError
+from pmfid.pipeline.monitored.lines import LineParser
+from pmfid.pipeline.monitored.timeline import Line, Sample
+from pmfid.service.arrangement import arrange_groups
+from pmfid.service.wire.messages import Messages, Readers
+from pmfid.service.wire.sender import Numbering
+from pmfid.simulation import CART_DT
+from pmfid.stream.blocks import decode, encode
+from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.delivery import Block, Delivery, Item, Lines, Unusable
+from pmfid.stream.engine import StreamEngine
+from pmfid.stream.groups import Pace, Prepared, prepare
+from pmfid.stream.order import UNKNOWN_GAP
+from pmfid.stream.outcome import Counters
+from tests.edge_axes import Motion, cart_edges, heavier, write_edge_axis
+from tests.service.collected import Collected, monitored
+from tests.service.orders import made
+
+WINDOW = 60
+
+
+@pytest.fixture(scope="module")
+def edge_axis(tmp_path_factory: pytest.TempPathFactory) -> Prepared:
+    folder = tmp_path_factory.mktemp("edges")
+    write_edge_axis(folder)
+    return prepare(folder / "axis.toml")
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    return cart_edges(heavier(9.0), 7, 16.0)
+
+
+def run(prepared: Prepared, deliveries: list[list[Item]], restarts: int = 0) -> Collected:
+    """Return the outcome of deliveries to the axes x1 and x2, with restarts from a checkpoint spread over them."""
+    outlet, names = Collected(), ("x1", "x2")
+    engine = StreamEngine(Counters(), [outlet])
+    engine.set_groups(arrange_groups([], dict.fromkeys(names, prepared), Pace(WINDOW * CART_DT, 0.0))[0])
+    for k, items in enumerate(deliveries):
+        engine.process([Delivery("source", items)])
+        if restarts and k % (len(deliveries) // restarts) == 1:
+            found = read_snapshot(b"".join(snapshot(engine)))
+            engine = StreamEngine(Counters(), [outlet])
+            found.restore(engine)
+            engine.set_groups([one.restore_group(prepared, Pace(WINDOW * CART_DT, 0.0)) for one in found.groups])
+    engine.tick(0.0)
+    return outlet
+
+
+@pytest.mark.parametrize("restarts", [0, 9])
+def test_rows_and_alarms_are_those_of_the_monitor(edge_axis: Prepared, motion: Motion, restarts: int) -> None:
+    u, counts, ages = motion
+    sending = made(u, counts, Random(3), WINDOW, 0.03, 0.0, ages)
+    deliveries: list[list[Item]] = [[replace(block, axis="x1", dt=CART_DT)] for block in sending.arrived]
+    outlet = run(edge_axis, deliveries, restarts)
+    samples = [
+        Sample(time, u, n, max(0, lead), 1.0 if lead == UNKNOWN_GAP else 0.0, age)
+        for (lead, _, u, n, time), age in zip(sending.expected, sending.ages, strict=True)
+    ]
+    rows, told = monitored(edge_axis, samples)
+    found = [bits for _, bits in outlet.of("x1")]
+    assert len(found) > len(rows) - 6 * WINDOW
+    assert found == rows[: len(found)]
+    alarms = outlet.events("x1", "alarm")
+    assert [one["parameter"] for one in alarms] == [one["parameter"] for one in told if one["event"] == "alarm"]
+    assert alarms[0]["parameter"] == "mass"
+
+
+def texts(motion: Motion, form: str) -> bytes:
+    """Return the first samples of x1 in a form of text; a missing age is a missing field or null."""
+    rows = list(enumerate(zip(*(part[:400].tolist() for part in motion), strict=True)))
+    if form == "line":
+        fields = (f"u={u!r},n={n}i" + ("" if math.isnan(age) else f",age={age!r}") for _, (u, n, age) in rows)
+        return "\n".join(f"x1 {own},t={CART_DT * k!r}" for k, own in enumerate(fields)).encode()
+    given = [
+        {"axis": "x1", "t": CART_DT * k, "u": u, "n": n, "age": None if math.isnan(age) else age}
+        for k, (u, n, age) in rows
+    ]
+    if form == "columns":
+        columns = {key: [row[key] for row in given] for key in ("t", "u", "n", "age")}
+        return json.dumps({"axis": "x1", **columns}).encode()
+    return json.dumps(given).encode()
+
+
+@pytest.mark.parametrize("form", ["json", "columns", "line", "csv", "block"])
+def test_every_form_of_input_gives_the_same_rows(edge_axis: Prepared, motion: Motion, form: str) -> None:
+    config = edge_axis.axis
+    if form == "csv":
+        parser = LineParser(b"t,u,n,age", config)
+        lines = texts(motion, "line").decode().split("\n")
+        cells = zip(*(part[:400].tolist() for part in motion), strict=True)
+        rows = [f"{CART_DT * k!r},{u!r},{n},{'' if math.isnan(a) else repr(a)}" for k, (u, n, a) in enumerate(cells)]
+        assert len(rows) == len(lines)
+        items: list[Item] = [Lines("x1", [line for row in rows if (line := parser(row.encode())) is not None])]
+    elif form == "block":
+        numbering = Numbering(CART_DT, 1, 50)
+        items = [*decode(b"".join(numbering.add("x1", *(part[:400] for part in motion[:2]), 0.0, motion[2][:400])))]
+    else:
+        items = list(Messages(Readers({"x1": config}.get)).items(texts(motion, form)))
+    found = [bits for _, bits in run(edge_axis, [items]).of("x1")]
+    samples = [
+        Sample(CART_DT * k, *map(float, row[:1]), int(row[1]), age=float(row[2]))
+        for k, row in enumerate(zip(*(part[:400].tolist() for part in motion), strict=True))
+    ]
+    assert len(found) >= 330  # lines wait for older ones
+    assert found == monitored(edge_axis, samples)[0][: len(found)]
+
+
+def test_units_of_ages_and_columns_that_are_missing(edge_axis: Prepared) -> None:
+    line = LineParser(b"t,u,n,age [us]", edge_axis.axis)(b"0.01,1.0,5,2500")
+    assert line is not None
+    assert line.age == pytest.approx(2.5e-3)
+    with pytest.raises(UsageError, match="no column 'age'"):
+        LineParser(b"t,u,n", edge_axis.axis)
+
+
+def test_wrong_ages_are_a_status_and_no_crash(edge_axis: Prepared, motion: Motion) -> None:
+    u, counts, ages = (part[:800].copy() for part in motion)
+    moved = np.flatnonzero(np.diff(counts) != 0)[200:320:10] + 1
+    wrong = [-1e-3, math.inf, -math.inf, math.nan, 1e300, 5e-324 + 0.011, -0.1, 1.0, 1e9, -1e300, 0.0101, 2.0]
+    ages[moved] = wrong
+    messages = b"".join(Numbering(CART_DT, 1, 50).add("x1", u, counts, 0.0, ages))
+    table = dict(run(edge_axis, [[*decode(messages)]]).of("x1"))
+    flagged = [number - 1 for number, bits in sorted(table.items()) if bits[3] & Status.INVALID_INPUT]
+    assert flagged == moved.tolist()
+    theta = np.frombuffer(table[800][0])
+    np.testing.assert_allclose(theta, [1.07, 12.8, 0.8], rtol=5e-3)
+
+
+@pytest.mark.parametrize("text", ["abc", "", "true", "[1]", '"x"', "1e999", "-5", "NaN"])
+def test_an_age_that_is_no_number_costs_no_sample(edge_axis: Prepared, text: str) -> None:
+    value = text if text and text not in ("abc",) else f'"{text}"'
+    data = f'{{"axis": "x1", "t": 0.01, "u": 1.0, "n": 5, "age": {value}}}'.encode()
+    (found,) = Messages(Readers({"x1": edge_axis.axis}.get)).items(data)
+    assert isinstance(found, Lines | Unusable)
+    if isinstance(found, Lines) and "[" not in text:
+        (line,) = found.lines
+        assert (line.u, line.counts, line.problem) == (1.0, 5, "")
+
+
+def test_blocks_without_ages_are_refused_in_one_sentence(edge_axis: Prepared, motion: Motion) -> None:
+    plain = [encode(Block(name, 0, 0, 0.0, CART_DT, *(part[:40] for part in motion[:2]))) for name in ("x1", "x2") * 4]
+    outlet, said = Collected(), list[dict[str, object]]()
+    engine = StreamEngine(Counters(), [outlet])
+    engine.set_groups(arrange_groups([], dict.fromkeys(("x1", "x2"), edge_axis), Pace())[0])
+    engine.tell = lambda what, axis="": said.append(what)  # type: ignore[method-assign]
+    items = list(Messages(Readers({}.get)).items(b"".join(plain)))
+    engine.process([Delivery("hall", items)])
+    assert not outlet.rows_of
+    assert [one["reason"] for one in said] == ["ages"]
+    assert "version 2" in str(said[0]["problem"])
+    assert engine.counters.values()["pmfid_unusable_total", (("reason", "ages"), ("source", "hall"))] == 8
+
+
+def test_an_axis_of_counts_takes_blocks_with_ages(prepared: Prepared, motion: Motion) -> None:
+    parts = [Block("x1", 0, k, math.nan, CART_DT, *(part[k : k + 40] for part in motion)) for k in range(0, 400, 40)]
+    mixed = [block if k % 2 else replace(block, ages=None) for k, block in enumerate(parts)]
+    plain = [replace(block, ages=None) for block in parts]
+    assert run(prepared, [list(mixed)]).of("x1") == run(prepared, [list(plain)]).of("x1")
+    waiting = [[block] for block in (*mixed[:3], mixed[4], mixed[3], *mixed[5:])]
+    assert run(prepared, waiting, 4).of("x1") == run(prepared, [list(plain)]).of("x1")
+
+
+def test_a_checkpoint_from_before_ages_is_read() -> None:
+    assert Line(*[1.0, 2.0, 3, ""]) == Line(1.0, 2.0, 3, "", 0.5)
+
+
+def test_the_monitor_takes_ages_from_a_pipe(tmp_path: Path, motion: Motion) -> None:
+    from click.testing import CliRunner
+
+    from pmfid.cli.main import main
+    from tests.edge_axes import write_record
+
+    write_edge_axis(tmp_path)
+    write_record(tmp_path / "run.csv", motion)
+    arguments = ["monitor", "-", "--config", str(tmp_path / "axis.toml"), "--json"]
+    done = CliRunner().invoke(main, arguments, input=(tmp_path / "run.csv").read_bytes())
+    assert done.exit_code == 0, done.stderr
+    events = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [one["parameter"] for one in events if one["event"] == "alarm"] == ["mass"]
+    assert events[0]["method"] == "redge"

@@ -1,0 +1,112 @@
+"""A fleet of axes with edge times: the bits of single monitors, saved states, and input that is wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pmfid import Status, UsageError
+from pmfid.monitor import EdgeFleet, EdgeMonitor
+from pmfid.monitor.events import STATES, Alarm, Event, FleetRows
+from tests.test_monitor_edges import changed_run, make_monitor
+
+#: Runs of four axes: a change, normal work with a rest, lost samples, and instants that are wrong.
+AXES = 4
+
+
+@pytest.fixture(scope="module")
+def runs() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return u, counts and ages (AXES, n)."""
+    rests = changed_run("mass", 1.0, seed=4, rest=400)
+    singles = [changed_run("mass", 1.1), rests, changed_run("coulomb_friction", 1.3, seed=5), rests]
+    u, counts, ages = (np.stack([part[-2400:] for part in parts]) for parts in zip(*singles, strict=True))
+    u[2, 400] = u[2, 900:905] = np.nan
+    ages[3, 500:1500:7] = np.resize([-1.0, np.inf, 1e300, 0.5], ages[3, 500:1500:7].size)
+    return u, counts, ages
+
+
+def batches(runs: tuple[np.ndarray, ...], size: int) -> Iterator[tuple[np.ndarray, ...]]:
+    for start in range(0, runs[0].shape[1], size):
+        yield tuple(np.ascontiguousarray(part[:, start : start + size]) for part in runs)
+
+
+def run_singly(monitor: EdgeMonitor, run: tuple[np.ndarray, ...]) -> tuple[FleetRows, list[Event]]:
+    found, events = FleetRows.empty(1, run[0].size, 3), []
+    for k, sample in enumerate(zip(*(part.tolist() for part in run), strict=True)):
+        estimate, told = monitor.step(*sample)
+        found.theta[0, k], found.std[0, k], found.status[0, k] = estimate.theta, estimate.theta_std, estimate.status
+        found.innovation[0, k], found.state[0, k] = estimate.innovation, STATES.index(monitor.state)
+        events += told
+    return found, events
+
+
+@pytest.mark.parametrize(("precision", "size"), [("float64", 50), ("float32", 333)])
+def test_a_fleet_has_the_bits_of_single_monitors(runs: tuple[np.ndarray, ...], precision: str, size: int) -> None:
+    fleet = EdgeFleet(make_monitor(precision=precision), AXES)
+    found, events = [], [[] for _ in range(AXES)]
+    for part in batches(runs, size):
+        found.append(fleet.run(np.arange(AXES), *part))
+        for row, _, event in found[-1].events:
+            events[row].append(event)
+    for axis in range(AXES):
+        monitor = make_monitor(precision=precision)
+        expected, told = run_singly(monitor, tuple(part[axis] for part in runs))
+        for name in ("theta", "std", "status", "innovation", "state"):
+            own = np.concatenate([getattr(rows, name)[axis] for rows in found])
+            np.testing.assert_array_equal(own, getattr(expected, name)[0], err_msg=f"{name} of axis {axis}")
+        assert repr(events[axis]) == repr(told)
+        assert fleet.monitor(axis).get_state() == monitor.get_state()
+    assert [any(isinstance(event, Alarm) for event in own) for own in events] == [True, False, True, False]
+
+
+def test_wrong_ages_are_a_status_and_wrong_estimates_are_none(runs: tuple[np.ndarray, ...]) -> None:
+    rows = EdgeFleet(make_monitor(), AXES).run(np.arange(AXES), *runs)
+    wrong = (rows.status[3] & Status.INVALID_INPUT) != 0
+    moved = np.diff(runs[1][3], prepend=runs[1][3][0]) != 0
+    np.testing.assert_array_equal(wrong, moved & ~((runs[2][3] >= 0) & (runs[2][3] <= 0.01)))
+    np.testing.assert_allclose(rows.theta[3, -1], rows.theta[1, -1], rtol=3e-3)
+    assert not (rows.status[1] & Status.INVALID_INPUT).any()
+
+
+def test_a_fleet_goes_on_from_its_saved_states(runs: tuple[np.ndarray, ...]) -> None:
+    first, second = (tuple(part[:, cut] for part in runs) for cut in (slice(0, 1205), slice(1205, None)))
+    fleet, resumed = EdgeFleet(make_monitor(), AXES), EdgeFleet(make_monitor(), 0)
+    fleet.run(np.arange(AXES), *first)
+    assert list(resumed.join(fleet.get_state())) == list(range(AXES))
+    fleet.remove([0])
+    expected = fleet.run([0, 1, 2], *(part[1:] for part in second))
+    assert list(resumed.remove([0])) == [-1, 0, 1, 2]
+    order = np.array([2, 0, 1])
+    found = resumed.run(order, *(part[1:][order] for part in second))
+    np.testing.assert_array_equal(found.theta, expected.theta[order])
+    assert resumed.get_state() == fleet.get_state()
+    assert resumed.refer(0)[0].theta.tolist() == expected.theta[0, -1].tolist()
+
+
+def test_other_arrays_and_states_are_refused(runs: tuple[np.ndarray, ...]) -> None:
+    fleet = EdgeFleet(make_monitor(), 1)
+    state = fleet.get_state()
+    with pytest.raises(UsageError, match="ages must be"):
+        fleet.run([0], runs[0][:1], runs[1][:1], runs[2][:1, 1:])
+    with pytest.raises(UsageError, match="no estimate yet"):
+        fleet.refer(0)
+    with pytest.raises(UsageError, match="not the state of such a monitor"):
+        EdgeFleet(make_monitor(tolerance=0.3), 1).set_state(state)
+    with pytest.raises(UsageError, match="damaged"):
+        fleet.set_state(state[:-9] + b"x" + state[-8:])
+    monitor = make_monitor()
+    monitor.statistic = np.nan
+    with pytest.raises(UsageError, match="no state of a monitor"):
+        fleet.set_state(monitor.get_state())
+    assert fleet.get_state() == state
+
+
+def test_the_copy_of_a_fleet_keeps_its_monitor(runs: tuple[np.ndarray, ...]) -> None:
+    monitor = make_monitor()
+    before = monitor.get_state()
+    EdgeFleet(monitor, 1).run([0], *(part[:1, :300] for part in runs))
+    assert monitor.get_state() == before
+    assert replace(monitor.estimator) == monitor.estimator
