@@ -16,7 +16,13 @@ LOOP = 1e-3
 
 @dataclass(frozen=True)
 class TrueServo:
-    """A servo under position commands, in SI units. `phase` in [0, 1) is that of the ticks of the loop."""
+    """A servo under position commands, in SI units. `phase` in [0, 1) is that of the ticks of the loop.
+
+    The last seven are effects that the package's model does not have. `asymmetry` is a part of the viscous friction,
+    `ripple` a part of the Coulomb friction that turns with the position `waves` times a turn, and `cogging` a torque
+    that does so. `root` is a friction at 1 rad/s that grows with the root of the speed. A friction with `bristle` needs
+    this way [rad] to turn round. The encoder has `backlash` [rad].
+    """
 
     inertia: float
     viscous: float
@@ -31,6 +37,13 @@ class TrueServo:
     stribeck_speed: float = 1.0
     load_friction: float = 0.0
     phase: float = 0.0
+    asymmetry: float = 0.0
+    ripple: float = 0.0
+    cogging: float = 0.0
+    waves: float = 1.0
+    root: float = 0.0
+    bristle: float = 0.0
+    backlash: float = 0.0
 
     def find_delay(self, t: Floats, goal: Floats) -> float:
         """Return the mean time [s] from a command to the tick at which the command acts."""
@@ -51,21 +64,27 @@ def simulate_servos(servos: Sequence[TrueServo], t: Floats, goals: Sequence[Floa
     rate = np.maximum(own["viscous"] / own["inertia"] * STEP, 1e-12)
     left, gain = np.exp(-rate), -np.expm1(-rate) / rate * STEP / own["inertia"]
     first = np.round(own["phase"] * every).astype(int)
-    x, v, torque, before = (np.zeros(len(servos)) for _ in range(4))
+    x, v, torque, before, shown, slip = (np.zeros(len(servos)) for _ in range(6))
+    soft, bristle, play = own["bristle"] > 0, np.maximum(own["bristle"], 1e-12), 0.5 * own["backlash"]
     out = np.empty((count, len(servos)))
     for k in range(count):
-        out[k], tick = x, (k + first) % every == 0
-        seen = own["resolution"] * np.rint(x / own["resolution"])
+        shown, tick = np.clip(shown, x - play, x + play), (k + first) % every == 0
+        out[k] = shown
+        seen = own["resolution"] * np.rint(shown / own["resolution"])
         wanted = own["kp"] * (held[k] - seen) - own["kd"] * (seen - before) / LOOP
         torque = np.where(tick, np.clip(wanted, -own["torque_limit"], own["torque_limit"]), torque)
-        before = np.where(tick, seen, before)
+        before, wave, speed = np.where(tick, seen, before), np.sin(own["waves"] * x), np.abs(v)
         load = own["gravity"] * np.sin(x)
-        force, transmitted = torque - load, np.abs(torque + load)  # the gearbox has the motor on one side
-        friction = own["coulomb"] + own["load_friction"] * transmitted
-        friction = friction + own["stribeck"] * np.exp(-np.abs(v) / own["stribeck_speed"])
+        transmitted = np.abs(torque + load)  # the gearbox has the motor on one side
+        dry = own["coulomb"] * (1 + own["ripple"] * wave)
+        force = torque - load - own["cogging"] * wave - own["asymmetry"] * own["viscous"] * speed
+        force = force - np.where(soft, dry * slip / bristle, 0.0)
+        friction = np.where(soft, 0.0, dry) + own["load_friction"] * transmitted + own["root"] * np.sqrt(speed)
+        friction = friction + own["stribeck"] * np.exp(-speed / own["stribeck_speed"])
         moved, stop = left * v + gain * force, gain * friction
         moved = np.where(np.abs(moved) > stop, moved - np.copysign(stop, moved), 0.0)
-        x, v = x + 0.5 * STEP * (v + moved), moved
+        way = 0.5 * STEP * (v + moved)
+        x, v, slip = x + way, moved, np.clip(slip + way, -bristle, bristle)
     return [
         servo.resolution * np.rint(np.interp(t, now, out[:, j]) / servo.resolution) for j, servo in enumerate(servos)
     ]

@@ -96,6 +96,16 @@ def test_known_gravity_gives_the_gain() -> None:
     check_estimates(fit, 0.05)
 
 
+def test_a_known_force_gives_the_gain() -> None:
+    t, goal, position = make_log(seed=2, kd=0.0)
+    force = TRUTH["gravity"] * np.sin(position)
+    fit = fit_servo(Servo(STEP, given={"kd": 0.0}), t, goal, position, force=force, search=False)
+    assert fit.servo.unknown == ("inertia", "viscous", "coulomb", "kp", "delay")
+    check_estimates(fit, 0.05)
+    with pytest.raises(UsageError, match="the known force is zero"):
+        fit_servo(Servo(STEP), t, goal, position, force=0 * force)
+
+
 def test_without_any_torque_all_torques_are_multiples_of_the_gain() -> None:
     fit = fit_servo(Servo(STEP), *make_log(seed=3, gravity=0.0, kd=0.0))
     assert fit.names[:3] == ("inertia/kp", "viscous/kp", "coulomb/kp")

@@ -58,6 +58,17 @@ def test_every_joint_of_a_log_has_an_estimate_or_a_reason(arm: Path, tmp_path: P
     assert "hardly moves" in page
 
 
+def test_a_known_force_is_of_the_joint_that_its_pattern_names(tmp_path: Path) -> None:
+    t, goal, position = make_log(seed=2, kd=0.0)
+    columns = {"t": t, "goal_1": goal, "position_1": position, "gravity_1": TRUTH["gravity"] * np.sin(position)}
+    pl.DataFrame({**columns, "goal_2": 0 * t, "position_2": 0 * t}).write_csv(tmp_path / "arm.csv")
+    words = (tmp_path / "arm.csv", "--bits", 12, "--given", "kd=0", "--no-search", "--json")
+    found = json.loads(call(*words, "--known-force", "gravity_*").stdout)["joints"]["1"]["parameters"]["kp"]
+    assert found["value"] == pytest.approx(TRUTH["kp"], rel=0.02)
+    refused = call(*words, "--known-force", "gravity_1")
+    assert (refused.exit_code, "put a star" in refused.stderr) == (2, True)
+
+
 def test_the_terminal_shows_one_table_and_the_status_of_each_joint(arm: Path) -> None:
     result = call(arm, "--bits", 12, "--no-search")
     assert result.exit_code == 0

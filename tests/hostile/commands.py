@@ -138,7 +138,7 @@ def _actuators(rng: Rng, folder: Path) -> Case:
     chosen = options(
         rng, 0.5, goal=["u", "u*", "*"], position=["y", "counts", "*"], unit=["counts", "deg"], bits=["12"]
     )
-    chosen += options(rng, 0.3, given=["kp=8", "kp=-1", "1.kp=2"], term=["gravity", "x"], resolution=["0.001"])
+    chosen += options(rng, 0.3, given=["kp=8", "kp=-1", "1.kp=2"], term=["gravity", "x"], known_force=["y", "u*", "x"])
     chosen += [*_out(rng, 0.03), *_flags(rng, 0.6, "--json"), *_flags(rng, 0.7, "--no-search")]
     return Case(("actuators", name, *chosen), files)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
 from pmfid.actuators.rivals import choose_likeliest
-from pmfid.actuators.rounding import measure_correlation, measure_cost, sharpen
+from pmfid.actuators.rounding import find_scatter, measure_correlation, measure_cost, measure_persistence, sharpen
 from pmfid.actuators.servo import PARTNERS, SIGNED, UNITS, Servo
 from pmfid.actuators.standard_errors import standard_errors
 from pmfid.actuators.starts import find_start
@@ -118,7 +118,9 @@ class ServoFit(Presentable):
         return plain_dict(content)
 
 
-def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search: bool = True) -> ServoFit:
+def fit_servo(
+    servo: Servo, t: Floats, goal: Floats, position: Floats, *, force: Floats | None = None, search: bool = True
+) -> ServoFit:
     """Estimate the parameters of a servo from its commands and positions.
 
     The closed loop is simulated under the commands, and least squares fit the simulated position to the measured one.
@@ -131,6 +133,9 @@ def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search
         What is known.
     t, goal, position : array_like
         Times [s], commands [rad] and measured positions [rad], (n,). The steps of the time may vary.
+    force : array_like, optional
+        Known torque (n,) [N m] that the motor supplies in addition to the model, such as the gravity and coupling of a
+        robot's other joints. The torque determines kp.
     search : bool
         Whether terms that the log shows are added to the model.
 
@@ -150,8 +155,8 @@ def fit_servo(servo: Servo, t: Floats, goal: Floats, position: Floats, *, search
     --------
     See `ServoFit`.
     """
-    times, goals, positions = _check(servo, t, goal, position)
-    problem = ServoProblem(servo, times, goals, positions)
+    columns = {"t": t, "goal": goal, "position": position, **({} if force is None else {"force": force})}
+    problem = ServoProblem(replace(servo, known_force=force is not None), **_check(servo, columns))
     z, added = find_start(problem), list[str]()
     head = problem.head()
     if search and head.t.size < TUNING.short_head * problem.t.size:  # most terms show in a part of a long log
@@ -185,10 +190,16 @@ def _search_terms(
             break
         problem, z, cost, name = better
         names.append(name)
-        if name == "torque_limit" and problem.is_contradicted(z):  # the start without a limit was far off
+        if name == "torque_limit" and _measure_doubt(problem, z) > TUNING.doubted:  # the start without a limit was far off
             fresh, less = problem.refine(find_start(problem))
             z, cost = (fresh, less) if less < cost else (z, cost)
     return problem, z, cost, names
+
+
+def _measure_doubt(problem: ServoProblem, z: Floats) -> float:
+    """Return the scatter over the least scatter of any model, if it persists between samples, and 0 if not."""
+    deviation = problem.residual(z) / problem.servo.resolution
+    return measure_persistence(deviation, find_scatter(deviation)) / TUNING.least_scatter
 
 
 def _sharpen(problem: ServoProblem, z: Floats) -> tuple[ServoProblem, Floats]:
@@ -201,21 +212,24 @@ def _sharpen(problem: ServoProblem, z: Floats) -> tuple[ServoProblem, Floats]:
     return (counted, found) if likelier else (problem, z)
 
 
-def _check(servo: Servo, t: Floats, goal: Floats, position: Floats) -> list[Floats]:
-    """Return the arrays of a log as floats. Raises for arrays that no fit can use."""
-    arrays = [np.ascontiguousarray(values, dtype=float) for values in (t, goal, position)]
+def _check(servo: Servo, columns: Mapping[str, Floats]) -> dict[str, Floats]:
+    """Return the columns of a log as floats. Raises for columns that no fit can use."""
+    found = {name: np.ascontiguousarray(values, dtype=float) for name, values in columns.items()}
+    arrays = list(found.values())
     if any(values.ndim != 1 or values.size != arrays[0].size for values in arrays):
-        raise UsageError("t, goal and position must be one-dimensional and equally long: use the columns of one table")
+        raise UsageError(f"{', '.join(found)} must be one-dimensional and equally long: use the columns of one table")
     if arrays[0].size < TUNING.samples_each * (len(servo.unknown) + TUNING.nuisance):
         raise UsageError(f"{arrays[0].size} samples are too few for {len(servo.unknown)} parameters: use a longer log")
-    for name, values in zip(("t", "goal", "position"), arrays, strict=True):
+    for name, values in found.items():
         if not np.isfinite(values).all():
             raise UsageError(f"{name} is not finite in row {int(np.argmin(np.isfinite(values)))}: leave such rows out")
     if not (np.diff(arrays[0]) > 0).all():
         raise UsageError(f"t does not rise after row {int(np.argmin(np.diff(arrays[0]) > 0))}: sort the rows by time")
     if np.ptp(arrays[1]) < 3 * servo.resolution or np.ptp(arrays[2]) < 3 * servo.resolution:
         raise NotIdentifiableError("the servo hardly moves: command steps or sines of many encoder steps")
-    return arrays
+    if "force" in found and not found["force"].any():
+        raise UsageError("the known force is zero: leave it out, or check its column")
+    return found
 
 
 # --- terms ------------------------------------------------------------------------------------------------------------
@@ -224,7 +238,7 @@ def _check(servo: Servo, t: Floats, goal: Floats, position: Floats) -> list[Floa
 def _widen(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, Floats]:
     """Return the problem with a further term, and coordinates with a small value of this term."""
     servo = replace(problem.servo, terms=(*problem.servo.terms, name))
-    wider = ServoProblem(servo, problem.t, problem.goal, problem.position)
+    wider = replace(problem, servo=servo)
     now = problem.list_values(z)
     torque, small = problem.torque(now.get("kp")), TRIALS[name]
     fresh = {
@@ -236,7 +250,7 @@ def _widen(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, F
         "gravity_angle": 0.0,
     }
     if name == "torque_limit":
-        torques = problem.servo.run(problem.theta(z), problem.t, problem.goal, float(problem.position[0]))[1]
+        torques = problem.run(z)[1]
         fresh[name] = small * float(np.abs(torques).max())
     theta = np.array([now[word] if word in now else fresh.get(word, small * torque) for word in servo.unknown])
     return wider, np.append(wider.coordinates(theta)[: -TUNING.nuisance], z[-TUNING.nuisance :])
@@ -314,7 +328,7 @@ def _refine_narrower(
 ) -> tuple[ServoProblem, Floats, float]:
     """Return the problem without a term, the coordinates of its minimum, and the minimum [rad2]."""
     servo = replace(problem.servo, terms=tuple(word for word in problem.servo.terms if word != name))
-    narrow = ServoProblem(servo, problem.t, problem.goal, problem.position)
+    narrow = replace(problem, servo=servo)
     now = problem.list_values(z)
     start = narrow.coordinates(np.array([now[word] for word in servo.unknown]))
     return (narrow, *narrow.refine(np.append(start[: -TUNING.nuisance], z[-TUNING.nuisance :]), rough=rough))
@@ -339,20 +353,22 @@ def _independent(residual: Floats) -> float:
 
 def _conclude(problem: ServoProblem, z: Floats, std: Floats, added: tuple[str, ...]) -> ServoFit:
     servo, residual, theta = problem.servo, problem.residual(z), problem.theta(z)
-    _, _, limited = servo.run(theta, problem.t, problem.goal, float(problem.position[0]))
+    limited = problem.run(z)[2]
     rms = float(np.sqrt(np.mean(residual**2)))
-    findings = _find(servo, theta, std, rms, measure_correlation(residual), limited, added)
+    findings = _find(servo, theta, std, rms, _measure_doubt(problem, z), limited, added)
     return ServoFit(servo, theta, std, residual + problem.position, rms, limited, added, tuple(sort_findings(findings)))
 
 
 def _find(
-    servo: Servo, theta: Floats, std: Floats, rms: float, correlation: float, limited: float, added: tuple[str, ...]
+    servo: Servo, theta: Floats, std: Floats, rms: float, doubt: float, limited: float, added: tuple[str, ...]
 ) -> list[Finding]:
     findings, deviation = [], rms / servo.resolution
-    sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
-    if deviation > TUNING.contradicted / math.sqrt(12) and correlation > TUNING.correlated:
+    if doubt > TUNING.doubted:
+        more = doubt * TUNING.least_scatter
+        sentence = f"in addition to rounding, the simulated motion deviates by {more:.2g} encoder steps for some samples"
         findings.append(Finding("unmodelled", sentence, "name a further term, or move one joint at a time"))
     elif deviation > TUNING.noisy / math.sqrt(12):
+        sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
         # Stamps that jitter hide the inertia of a smooth motion in the delay.
         remedy = "stamp each sample when the position is read, and command steps as well"
         findings.append(Finding("unmodelled", sentence, remedy))

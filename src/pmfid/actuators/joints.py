@@ -84,7 +84,7 @@ def fit_joints(
     for number, log in enumerate(logs):
         own = {key: value for key, value in given.items() if "." not in key}
         own |= {key.rpartition(".")[2]: value for key, value in given.items() if key.rpartition(".")[0] == log.name}
-        servo = Servo(log.resolution, {**log.given, **own}, terms, loop_period)
+        servo = Servo(log.resolution, {**log.given, **own}, terms, loop_period, log.force is not None)
         found.append(_fit_joint(log, logs, servo, search))
         tell((number + 1) / len(logs))
     return found
@@ -93,6 +93,6 @@ def fit_joints(
 def _fit_joint(log: JointLog, others: Sequence[JointLog], servo: Servo, search: bool) -> FittedJoint:
     try:
         check_joint(log, others)
-        return FittedJoint(log, fit_servo(servo, log.t, log.goal, log.position, search=search))
+        return FittedJoint(log, fit_servo(servo, log.t, log.goal, log.position, force=log.force, search=search))
     except PmfidError as error:
         return FittedJoint(log, None, str(error))

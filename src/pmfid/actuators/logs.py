@@ -33,7 +33,7 @@ class JointLog:
     """Times [s], goals [rad] and positions [rad] of one joint, (n,).
 
     `resolution` is the step of the encoder [rad], `given` holds parameters that the file states, and `notes` are
-    sentences on the reading.
+    sentences on the reading. `force` (n,) [N m] is a known torque that the motor supplies in addition to the model.
     """
 
     name: str
@@ -43,6 +43,7 @@ class JointLog:
     resolution: float
     given: Mapping[str, float] = field(default_factory=dict)
     notes: Sequence[str] = ()
+    force: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -51,7 +52,8 @@ class LogLayout:
 
     `time` is a column, `goal` and `position` are columns or patterns with one star, which stands for the joint.
     `unit` is one of `ANGLES`, `resolution` is the step of the encoder [rad], and `episode` is one of a
-    data set of LeRobot. `goal_unit` is the unit of the goals alone.
+    data set of LeRobot. `goal_unit` is the unit of the goals alone. `known_force` are columns or patterns of torques
+    [N m] that the motor supplies in addition to the model.
     """
 
     time: str | None = None
@@ -61,6 +63,7 @@ class LogLayout:
     resolution: float | None = None
     episode: int | None = None
     goal_unit: str | None = None
+    known_force: Sequence[str] = ()
 
 
 def read_joints(path: Path, layout: LogLayout) -> list[JointLog]:
@@ -77,7 +80,9 @@ def read_joints(path: Path, layout: LogLayout) -> list[JointLog]:
             f"no joint has a goal and a position: the columns are {', '.join(list(table)[:30]) or 'none'}; name them, "
             "as with --goal 'goal_*' --position 'position_*'"
         )
-    return [_make_joint(robot, t, joint, goals[joint], positions[joint], layout) for joint in joints]
+    forces = [_find_forces(table, pattern, joints) for pattern in layout.known_force]
+    own = {joint: [found[joint] for found in forces if joint in found] for joint in joints}
+    return [_make_joint(robot, t, joint, (goals[joint], positions[joint]), own[joint], layout) for joint in joints]
 
 
 # --- names of columns -------------------------------------------------------------------------------------------------
@@ -119,6 +124,19 @@ def _find_columns(table: Table, pattern: str | None, words: Sequence[str], other
     return {}
 
 
+def _find_forces(table: Table, pattern: str, joints: Sequence[str]) -> dict[str, str]:
+    """Return the column of a known torque by joint. Raises UsageError for a column of no joint."""
+    found = _find_columns(table, pattern, (), ())
+    if "*" not in pattern and len(joints) == 1:
+        return dict(zip(joints, found.values(), strict=True))
+    if not any(joint in joints for joint in found):
+        raise UsageError(
+            f"--known-force {pattern!r} is of no joint: put a star in place of the joint's name, as in 'gravity_*'; "
+            f"the joints are {', '.join(joints)}"
+        )
+    return found
+
+
 def _cut(name: str, word: str) -> str | None:
     """Return the name without a word and without a unit, or None if the word is not a part of it."""
     plain = re.sub(r"\s*[\[(][^\])]*[\])]$", "", name)
@@ -139,12 +157,15 @@ def _own_unit(name: str) -> str | None:
 # --- values -----------------------------------------------------------------------------------------------------------
 
 
-def _make_joint(robot: RobotTable, t: Floats, joint: str, goal: str, position: str, layout: LogLayout) -> JointLog:
+def _make_joint(
+    robot: RobotTable, t: Floats, joint: str, names: tuple[str, str], known: Sequence[str], layout: LogLayout
+) -> JointLog:
     label = f"joint {joint}" if joint else "the joint"
-    values = [column(robot.columns, "goal", goal), column(robot.columns, "position", position)]
-    if any(own.size != t.size for own in values):
-        raise UsageError(f"{label}: time, goal and position differ in length: export one table")
-    there = np.isfinite(t) & np.isfinite(values[0]) & np.isfinite(values[1])
+    values = [column(robot.columns, what, name) for what, name in zip(("goal", "position"), names, strict=True)]
+    forces = [column(robot.columns, "known_force", name) for name in known]
+    if any(own.size != t.size for own in (*values, *forces)):
+        raise UsageError(f"{label}: the columns of time, goal and position differ in length: export one table")
+    there = np.isfinite([t, *values, *forces]).all(axis=0)
     if robot.unitless and layout.unit is None:
         raise UsageError("a data set of LeRobot does not state its unit: give --unit deg, or rad")
     notes = [*robot.notes, *(f"{key} is {value:.4g} by the file" for key, value in robot.given.items())]
@@ -154,7 +175,7 @@ def _make_joint(robot: RobotTable, t: Floats, joint: str, goal: str, position: s
     notes += [f"{np.sum(~fresh)} rows with the stamp of the row before are left out"] if not fresh.all() else []
     rows = rows[fresh]
     scaled, resolution = [], layout.resolution
-    for name, own, said in zip((goal, position), values, (layout.goal_unit or layout.unit, layout.unit), strict=True):
+    for name, own, said in zip(names, values, (layout.goal_unit or layout.unit, layout.unit), strict=True):
         unit = said or _own_unit(name) or "rad"
         if unit == "counts" and resolution is None:
             raise UsageError(f"column {name!r} is in counts: give the encoder's step with --bits or --resolution")
@@ -165,7 +186,8 @@ def _make_joint(robot: RobotTable, t: Floats, joint: str, goal: str, position: s
     if layout.resolution is None:
         notes.append(f"the encoder's step is {step:.4g} rad by the positions")
     since = t[rows] - (t[rows[0]] if rows.size else 0.0)
-    return JointLog(joint or "joint", since, scaled[0], scaled[1], step, robot.given, notes)
+    force = np.sum(forces, axis=0)[rows] if forces else None
+    return JointLog(joint or "joint", since, scaled[0], scaled[1], step, robot.given, notes, force)
 
 
 def find_step(position: Floats) -> float | None:

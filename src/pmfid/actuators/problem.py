@@ -14,7 +14,7 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True)
 class ServoProblem:
-    """The residuals of a servo on a log. `t`, `goal` and `position` (n,) are in s and rad.
+    """The residuals of a servo on a log. `t`, `goal` and `position` (n,) are in s and rad, `force` (n,) in N m.
 
     Coordinates z (p + 2,) are the logarithms of positive parameters, signed parameters over their scale, the start
     position over the encoder's step, and the start velocity over `speed`. A loop that is `counted` sees the position in
@@ -27,6 +27,7 @@ class ServoProblem:
     position: Floats
     counted: bool = False
     phase: float = 0.0
+    force: Floats | None = None
 
     @cached_property
     def positive(self) -> np.ndarray:
@@ -78,14 +79,21 @@ class ServoProblem:
         """Simulated position (n,) [rad]."""
         start, velocity = float(self.position[0]) + float(z[-2]) * self.servo.resolution, float(z[-1]) * self.speed
         if not self.phase:
-            return self.servo.simulate(self.theta(z), self.t, self.goal, start, velocity, quantised=self.counted)
+            return self.servo.simulate(
+                self.theta(z), self.t, self.goal, start, velocity, quantised=self.counted, force=self.force
+            )
         from scipy.interpolate import CubicSpline  # slow to import
 
         servo, theta = self._start_earlier(self.theta(z))
         ticks, goal = self._ticks
-        return np.asarray(
-            CubicSpline(ticks, servo.simulate(theta, ticks, goal, start, velocity, quantised=self.counted))(self.t)
-        )
+        force = None if self.force is None else np.interp(ticks, self.t, self.force)
+        moved = servo.simulate(theta, ticks, goal, start, velocity, quantised=self.counted, force=force)
+        return np.asarray(CubicSpline(ticks, moved)(self.t))
+
+    def run(self, z: Floats) -> tuple[Floats, Floats, float]:
+        """Simulated position (n,) [rad], torque (n,) [N m], and the part of the time at which the torque is limited."""
+        start, velocity = float(self.position[0]) + float(z[-2]) * self.servo.resolution, float(z[-1]) * self.speed
+        return self.servo.run(self.theta(z), self.t, self.goal, start, velocity, force=self.force)
 
     @cached_property
     def _ticks(self) -> tuple[Floats, Floats]:
@@ -158,7 +166,8 @@ class ServoProblem:
         first = float(self.t[moving[0]]) - 0.2 if moving.size else float(self.t[0])
         use = (self.t >= first) & (self.t <= first + TUNING.start_time)
         t, goal, position = (np.ascontiguousarray(part[use]) for part in (self.t, self.goal, self.position))
-        return ServoProblem(self.servo, t, goal, position)
+        force = None if self.force is None else np.ascontiguousarray(self.force[use])
+        return ServoProblem(self.servo, t, goal, position, force=force)
 
     def place_start(self, z: Floats, head: ServoProblem) -> Floats:
         """Coordinates (p + 2,) of this log, from those of its first part."""

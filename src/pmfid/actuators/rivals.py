@@ -54,10 +54,9 @@ def compute_rival_changes(problem: ServoProblem, z: Floats) -> list[Floats]:
 def _list_absent(problem: ServoProblem, z: Floats) -> list[dict[str, float]]:
     """Return typical values of each friction that the model does not have."""
     coulomb = problem.list_values(z).get("coulomb", problem.servo.given.get("coulomb", 0.0))
-    frictions: list[dict[str, float]] = [
-        {LOAD_FRICTION: TUNING.rival_step},
-        {"stribeck": TUNING.rival_stribeck * coulomb, "stribeck_speed": TUNING.rival_speed * problem.speed},
-    ]
+    frictions: list[dict[str, float]] = [{LOAD_FRICTION: TUNING.rival_step}]
+    for share, speed in TUNING.rival_stribecks:
+        frictions.append({"stribeck": share * coulomb, "stribeck_speed": speed * problem.speed})
     return [given for given in frictions if not any(problem.servo.has(name) for name in given)]
 
 

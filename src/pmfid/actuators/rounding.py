@@ -27,12 +27,8 @@ class RoundedFit:
 
     @property
     def misfit(self) -> float:
-        """Factor of the standard errors for unmodelled effects: the scatter, if it persists between samples.
-
-        The effects move the estimate as well, and in proportion to the scatter.
-        """
-        persists = measure_correlation(self.deviation) > TUNING.correlated
-        return max(self.scatter / TUNING.least_scatter, 1.0) if persists else 1.0
+        """Factor of the standard errors for unmodelled effects, which move the estimate in proportion to the scatter."""
+        return max(measure_persistence(self.deviation, self.scatter) / TUNING.least_scatter, 1.0)
 
     @property
     def curvature(self) -> Floats:
@@ -60,6 +56,11 @@ def measure_correlation(residual: Floats) -> float:
     """Return the correlation of a residual (n,) from one sample to the next, within [0, 0.999]."""
     centred = residual - residual.mean()
     return float(np.clip(centred[1:] @ centred[:-1] / max(centred @ centred, 1e-300), 0.0, 0.999))
+
+
+def measure_persistence(deviation: Floats, scatter: float) -> float:
+    """Return the scatter [steps] if deviations (n,) [steps] persist from one sample to the next, and 0 if not."""
+    return scatter if measure_correlation(deviation) > TUNING.correlated else 0.0
 
 
 def compute_cost(deviation: Floats, scatter: float) -> float:
@@ -103,6 +104,17 @@ def solve_scaled(matrix: Floats, right: Floats) -> Floats:
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = np.linalg.pinv(matrix / np.outer(scale, scale), rcond=1e-10, hermitian=True)
     return np.asarray((scaled @ (right.T / scale).T).T / scale).T
+
+
+def invert_curvature(curvature: Floats) -> Floats:
+    """Invert a symmetric matrix (p, p). A direction that the log hardly shows keeps a very large variance.
+
+    A coordinate without any effect has the variance 0.
+    """
+    scale = np.sqrt(np.maximum(np.diag(curvature), 1e-300))
+    size, axes = np.linalg.eigh(curvature / np.outer(scale, scale))
+    inverse = (axes / np.maximum(size, TUNING.least_information * size[-1])) @ axes.T
+    return np.asarray(np.where(np.diag(curvature) > 0, 1 / scale, 0.0) * (inverse / scale).T)
 
 
 def evaluate_rounded(problem: ServoProblem, z: Floats) -> RoundedFit:

@@ -65,6 +65,8 @@ class Servo:
         Parameters that are estimated in addition to inertia, viscous, coulomb, kp and delay.
     loop_period : float
         Longest time between two ticks of the position loop [s].
+    known_force : bool
+        Whether the log has a torque in N m that the motor supplies in addition to the model. It determines kp.
 
     Raises
     ------
@@ -83,6 +85,7 @@ class Servo:
     given: Mapping[str, float] = field(default_factory=dict)
     terms: Sequence[str] = ()
     loop_period: float = 1e-3
+    known_force: bool = False
 
     def __post_init__(self) -> None:
         for name, value in (("resolution", self.resolution), ("loop_period", self.loop_period)):
@@ -104,7 +107,7 @@ class Servo:
     @cached_property
     def relative(self) -> bool:
         """Whether torques are known as multiples of `kp` only."""
-        return not any(self.given.get(name, 0.0) for name in SCALES)
+        return not self.known_force and not any(self.given.get(name, 0.0) for name in SCALES)
 
     @cached_property
     def unknown(self) -> tuple[str, ...]:
@@ -130,7 +133,15 @@ class Servo:
         return np.array([full.get(name, 0.0) for name in UNITS])
 
     def simulate(
-        self, theta: Floats, t: Floats, goal: Floats, start: float, velocity: float = 0.0, *, quantised: bool = False
+        self,
+        theta: Floats,
+        t: Floats,
+        goal: Floats,
+        start: float,
+        velocity: float = 0.0,
+        *,
+        quantised: bool = False,
+        force: Floats | None = None,
     ) -> Floats:
         """Simulate the position (n,) [rad] at the times `t` (n,) [s] under the goal (n,) [rad].
 
@@ -144,6 +155,8 @@ class Servo:
             Position [rad] and velocity [rad/s] at the first time.
         quantised : bool
             Whether the loop sees the position in steps of the encoder.
+        force : ndarray, optional
+            Torque (n,) [N m] that the motor supplies in addition to the model, linear between the times.
 
         Returns
         -------
@@ -165,11 +178,19 @@ class Servo:
         >>> round(float(position[-1]), 2)
         0.5
         """
-        return self.run(theta, t, goal, start, velocity, quantised=quantised)[0]
+        return self.run(theta, t, goal, start, velocity, quantised=quantised, force=force)[0]
 
     def run(
-        self, theta: Floats, t: Floats, goal: Floats, start: float, velocity: float = 0.0, *, quantised: bool = False
+        self,
+        theta: Floats,
+        t: Floats,
+        goal: Floats,
+        start: float,
+        velocity: float = 0.0,
+        *,
+        quantised: bool = False,
+        force: Floats | None = None,
     ) -> tuple[Floats, Floats, float]:
         """Return position (n,) [rad], torque (n,) [N m], and the part of the time at which the torque is limited."""
         step = self.resolution if quantised else 0.0
-        return simulate_servo(t, goal, self.values(theta), self.loop_period, step, start, velocity)
+        return simulate_servo(t, goal, self.values(theta), self.loop_period, step, start, velocity, force)

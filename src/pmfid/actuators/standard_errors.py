@@ -8,7 +8,7 @@ import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
 from pmfid.actuators.rivals import compute_rival_changes
-from pmfid.actuators.rounding import RoundedFit, evaluate_rounded, solve_scaled
+from pmfid.actuators.rounding import RoundedFit, evaluate_rounded, invert_curvature
 from pmfid.actuators.servo import SIGNED, Servo
 from pmfid.actuators.tuning import TUNING
 from pmfid.types import Floats
@@ -16,11 +16,8 @@ from pmfid.types import Floats
 
 def standard_errors(problem: ServoProblem, z: Floats) -> Floats:
     """Return the standard errors (p,) at the estimate `z`, in the units of the parameters."""
-    theta = problem.theta(z)
-    slope = np.where(problem.positive, theta, problem.scale)
-    std = np.sqrt(np.diag(_covariance(problem, z)))[: -TUNING.nuisance] * slope
-    small = _error_at_zero(problem, z, theta)
-    variance = np.square(np.where(np.isnan(small), std, small))
+    now, slope = _lift_zeros(problem, z)
+    variance = np.diag(_covariance(problem, z, now, slope))[: -TUNING.nuisance] * np.square(slope)
     for change in compute_rival_changes(problem, z):  # the curvature of the likelihood already knows near rivals
         moved = np.square(change)
         share = np.max(1 - variance / np.maximum(moved, 1e-300))
@@ -28,11 +25,26 @@ def standard_errors(problem: ServoProblem, z: Floats) -> Floats:
     return np.asarray(np.sqrt(variance))
 
 
-def _covariance(problem: ServoProblem, z: Floats) -> Floats:
+def _lift_zeros(problem: ServoProblem, z: Floats) -> tuple[RoundedFit, Floats]:
+    """Return the likelihood at coordinates (p + 2,), and the size (p,) of a unit of each coordinate.
+
+    The logarithm of a parameter that ended at zero has no effect. Such a coordinate becomes the parameter itself.
+    """
+    now, theta = evaluate_rounded(problem, z), problem.theta(z)
+    jacobian, slope = now.jacobian.copy(), np.where(problem.positive, theta, problem.scale)
+    for index, name in enumerate(problem.servo.unknown):
+        if name not in SIGNED and np.linalg.norm(jacobian[:, index]) < TUNING.no_effect:
+            slope[index], moved = _unit(problem, z, name), z.copy()
+            moved[index] = np.log(theta[index] + TUNING.lift * slope[index])
+            change = problem.residual(moved) / problem.servo.resolution - now.deviation
+            jacobian[:, index] = change / TUNING.lift
+    return replace(now, jacobian=jacobian), slope
+
+
+def _covariance(problem: ServoProblem, z: Floats, now: RoundedFit, slope: Floats) -> Floats:
     """Return the covariance of the coordinates (p + 2, p + 2): scores of blocks, and neglected parts of the loop."""
-    now = evaluate_rounded(problem, z)
-    n, count = now.jacobian.shape
-    white = solve_scaled(now.curvature, np.eye(count))
+    n = problem.t.size
+    white = invert_curvature(now.curvature)
     time = float(problem.t[-1] - problem.t[0])
     blocks = int(np.clip(time / TUNING.shortest_block, 2, TUNING.blocks))
     edges = np.linspace(0, n, blocks + 1).astype(int)
@@ -42,12 +54,12 @@ def _covariance(problem: ServoProblem, z: Floats) -> Floats:
     # The larger of both for each coordinate, with the correlations of the blocks.
     factor = np.sqrt(np.maximum(np.diag(white) / np.maximum(np.diag(spread), 1e-300), 1.0))
     covariance = now.misfit**2 * spread * np.outer(factor, factor)
-    for shift in _neglected_shifts(problem, z, now):
+    for shift in _neglected_shifts(problem, z, now, slope):
         covariance = covariance + now.misfit**2 * np.outer(shift, shift)
     return np.asarray(covariance)
 
 
-def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list[Floats]:
+def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit, slope: Floats) -> list[Floats]:
     """Return what the neglected parts of the loop shift the coordinates by: list of (p + 2,).
 
     These parts are half a period of delay in the loop, the encoder's step in the loop, the phase of the ticks, and the
@@ -59,7 +71,7 @@ def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list
     def simulate(other: Servo, values: Floats, own: float = 0.0, grid: float = 0.0, *, on: bool = False) -> Floats:
         """Return the position [steps], from `own` steps after the start, on counts that are `grid` steps earlier."""
         goal, first = problem.goal + grid * step, start + (own + grid) * step
-        return other.simulate(values, problem.t, goal, first, velocity, quantised=on) / step - grid
+        return other.simulate(values, problem.t, goal, first, velocity, quantised=on, force=problem.force) / step - grid
 
     phases, fine, shifts = np.arange(TUNING.phases) / TUNING.phases, simulate(servo, theta), []
     for phase in phases:  # the steps of goals and positions may differ by any part of a step
@@ -83,7 +95,7 @@ def _neglected_shifts(problem: ServoProblem, z: Floats, now: RoundedFit) -> list
     if "delay" in servo.unknown:
         index = servo.unknown.index("delay")
         tick = np.zeros_like(z)
-        tick[index] = share * servo.loop_period / np.sqrt(12) / max(theta[index], servo.loop_period * 1e-3)
+        tick[index] = share * servo.loop_period / np.sqrt(12) / max(slope[index], servo.loop_period * 1e-3)
         shifts.append(tick)
     return shifts
 
@@ -104,28 +116,6 @@ def _move_viscous(servo: Servo, theta: Floats) -> tuple[Servo, Floats]:
     values[index] *= 1 - TUNING.loop_share
     scale = {"kp": 1.0} if servo.relative else {}
     return replace(servo, given={**servo.given, **scale, "kd": TUNING.loop_share * float(theta[index])}), values
-
-
-def _error_at_zero(problem: ServoProblem, z: Floats, theta: Floats) -> Floats:
-    """Return standard errors (p,) of positive parameters that ended at zero, and NaN for all others.
-
-    The logarithm of such a parameter has no derivative. The standard error is that of the parameter itself.
-    """
-    out = np.full(theta.size, np.nan)
-    residual, base = problem.residual(z), problem.jacobian(z)
-    for index, name in enumerate(problem.servo.unknown):
-        if name in SIGNED or np.linalg.norm(base[:, index]) > problem.servo.resolution * 1e-3:
-            continue
-        width = 1e-3 * _unit(problem, z, name)
-        moved = z.copy()
-        moved[index] = np.log(theta[index] + width)
-        column = (problem.residual(moved) - residual) / width
-        others = np.delete(base, index, axis=1)
-        column = column - others @ np.linalg.lstsq(others, column, rcond=None)[0]
-        variance = max(float(np.mean(residual**2)), problem.servo.resolution**2 / 12)
-        information = float(column @ column)
-        out[index] = np.sqrt(variance / information) if information > 0 else np.inf
-    return out
 
 
 def _unit(problem: ServoProblem, z: Floats, name: str) -> float:

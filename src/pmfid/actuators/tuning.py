@@ -61,6 +61,8 @@ class ActuatorTuning:
     newton_steps: int = 15
     newton_ridge: float = 1e-2
     newton_gain: float = 1e-2
+    #: Least information on a direction of the coordinates, as a part of the largest one. Rounding errors hide less.
+    least_information: float = 1e-10
     #: The loop sees counts if its log is likelier by this [natural units].
     counted_gain: float = 10.0
     #: Least scatter [encoder steps] of the position before rounding. It stands for what any model neglects.
@@ -77,6 +79,9 @@ class ActuatorTuning:
     loop_share: float = 0.5
     #: Limit of a torque that is never reached [N m].
     no_limit: float = 1e12
+    #: A coordinate with derivatives below this [steps] has no effect, and the part of a clear value to which it is lifted.
+    no_effect: float = 1e-3
+    lift: float = 1e-3
     #: Blocks of the record whose scores give the standard errors, and the shortest block [s].
     blocks: int = 40
     shortest_block: float = 0.25
@@ -86,9 +91,9 @@ class ActuatorTuning:
     rival_parts: tuple[float, ...] = (0.25, 0.5, 1.0)
     rival_step: float = 0.1
     most_load: float = 0.9
-    #: Stribeck friction over Coulomb friction, and its speed over the typical speed, of a servo that has this friction.
-    rival_stribeck: float = 0.5
-    rival_speed: float = 0.2
+    #: Stribeck friction over Coulomb friction, and its speed over the typical speed, of servos that have this friction.
+    #: The second one stands for all frictions that bend slowly.
+    rival_stribecks: tuple[tuple[float, float], ...] = ((0.5, 0.2), (0.3, 2.0))
     # terms
     #: A term is added if it explains this part of the squared residual, beyond this many standard deviations.
     explains: float = 0.03
@@ -103,10 +108,12 @@ class ActuatorTuning:
     #: Number of terms that are refined to find the best one, if the residual contradicts the model.
     tried: int = 3
     # findings
-    #: The residual contradicts the model from this multiple of the encoder's rounding on, if it is correlated this much
-    #: from one sample to the next.
+    #: The residual contradicts the model from this multiple of the encoder's rounding on.
     contradicted: float = 1.5
+    #: A residual persists if it is correlated this much from one sample to the next. The model is then doubted from this
+    #: multiple of the least scatter on.
     correlated: float = 0.3
+    doubted: float = 1.7
     #: The residual contradicts the model from this multiple of the rounding on, also if it is not correlated.
     noisy: float = 3.0
     #: A parameter is open from this relative standard error on.

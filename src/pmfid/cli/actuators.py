@@ -32,6 +32,13 @@ if TYPE_CHECKING:
     metavar="NAME=VALUE",
     help="Known parameter in SI, as kp=8, or shoulder.kp=8 of one joint.",
 )
+@click.option(
+    "--known-force",
+    "known_forces",
+    multiple=True,
+    metavar="PATTERN",
+    help="Columns of torques in N m that are no terms of the model, such as 'gravity_*' of a robot.",
+)
 @click.option("--term", "terms", multiple=True, metavar="NAME", help="Further parameter, as gravity or torque_limit.")
 @click.option("--loop-period", type=float, default=1e-3, show_default=True, metavar="S", help="Period of the loop.")
 @click.option("--search/--no-search", default=True, show_default=True, help="Add terms that the log shows.")
@@ -50,6 +57,7 @@ def actuators(
     bits: int | None,
     resolution: float | None,
     given: tuple[str, ...],
+    known_forces: tuple[str, ...],
     terms: tuple[str, ...],
     loop_period: float,
     search: bool,
@@ -74,7 +82,7 @@ def actuators(
         step = 2 * math.pi / 2**bits if bits is not None else resolution
         if step is not None and not (math.isfinite(step) and step > 0):
             raise UsageError(f"--resolution must be positive and finite, got {step}: give it in rad")
-        logs = read_joints(log, LogLayout(time, goal, position, unit, step, episode, goal_unit))
+        logs = read_joints(log, LogLayout(time, goal, position, unit, step, episode, goal_unit, known_forces))
         found = fit_joints(logs, _read_given(given), terms, loop_period, search=search, tell=tell)
         if all(joint.fit is None for joint in found):
             raise NotIdentifiableError("; ".join(f"{joint.log.name}: {joint.refused}" for joint in found))

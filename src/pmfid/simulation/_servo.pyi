@@ -4,5 +4,12 @@ from numpy.typing import NDArray
 _Floats = NDArray[np.float64]
 
 def simulate_servo(
-    t: _Floats, goal: _Floats, values: _Floats, period: float, resolution: float, x0: float, v0: float
+    t: _Floats,
+    goal: _Floats,
+    values: _Floats,
+    period: float,
+    resolution: float,
+    x0: float,
+    v0: float,
+    force: _Floats | None = None,
 ) -> tuple[_Floats, _Floats, float]: ...

@@ -2,8 +2,8 @@
 """A servo under position commands: the loop samples the position, the body moves exactly between two ticks.
 
     torque = clip(kp (goal(t - delay) - y) - kd w, -limit, limit),    y: position at t - loop_delay, w: its velocity
-    inertia v' = torque - offset - gravity sin(x - angle) - viscous v - quadratic v |v| - friction sign(v)
-    friction = coulomb + stribeck exp(-|v| / stribeck_speed) + load_friction |torque + offset + gravity sin(x - angle)|
+    inertia v' = torque - force(t) - offset - gravity sin(x - angle) - viscous v - quadratic v |v| - friction sign(v)
+    friction = coulomb + stribeck exp(-|v| / stribeck_speed) + load_friction |torque + force(t) + offset + gravity sin(x - angle)|
 
 Friction and gravity are constant between two ticks. This module checks lengths, the callers check the values.
 """
@@ -81,20 +81,25 @@ cdef inline double mean_torque(const double *t, const double *goal, Py_ssize_t n
 
 
 def simulate_servo(cnp.ndarray[double, mode="c"] t not None, cnp.ndarray[double, mode="c"] goal not None,
-                   cnp.ndarray[double, mode="c"] values not None, double period, double resolution, double x0, double v0):
+                   cnp.ndarray[double, mode="c"] values not None, double period, double resolution, double x0, double v0,
+                   cnp.ndarray[double, mode="c"] force=None):
     """Simulate a servo whose goal (n,) [rad] is held from each time t (n,) [s] to the next.
 
     `values` (15,) are the parameters in the order of `Servo`, `period` is the longest time between two ticks [s], and
-    `resolution` the step of the encoder within the loop [rad], 0 for none. Returns the positions and the torques (n,)
+    `resolution` the step of the encoder within the loop [rad], 0 for none. `force` (n,) [N m] is a torque against the motor
+    at t, linear in between. Returns the positions and the torques (n,)
     at t, and the part of all ticks at which the torque is limited.
     """
     cdef Py_ssize_t n = t.shape[0], k, j, parts, at = 0, ticks = 0, limited = 0
     if n < 2 or goal.shape[0] != n or values.shape[0] != 15:
         raise ValueError(f"t, goal must have the same length of at least 2, got {n}, {goal.shape[0]}; "
                          f"values must be 15, got {values.shape[0]}")
+    if force is not None and force.shape[0] != n:
+        raise ValueError(f"force must be as long as t, {n}, got {force.shape[0]}")
     out = np.empty(n), np.empty(n)
     cdef cnp.ndarray[double, mode="c"] x = out[0]
     cdef cnp.ndarray[double, mode="c"] torque = out[1]
+    cdef const double *loads = <const double *>cnp.PyArray_DATA(force) if force is not None else NULL
     cdef Servo p = (<Servo *>cnp.PyArray_DATA(values))[0]
     cdef const double *times = <const double *>cnp.PyArray_DATA(t)
     cdef const double *goals = <const double *>cnp.PyArray_DATA(goal)
@@ -130,6 +135,8 @@ def simulate_servo(cnp.ndarray[double, mode="c"] t not None, cnp.ndarray[double,
                 limited += fabs(push) >= p.torque_limit
                 speed = fabs(state.v)
                 load = p.offset + p.gravity * sin(state.x + 0.5 * h * state.v - p.gravity_angle)
+                if loads != NULL:
+                    load += loads[k] + (loads[k + 1] - loads[k]) * (j + 0.5) / parts
                 friction = p.coulomb + p.load_friction * fabs(push + load)
                 if p.stribeck != 0.0:
                     friction += p.stribeck * exp(-speed / p.stribeck_speed)
