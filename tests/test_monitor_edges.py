@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ from pmfid import Drive, Encoder, REdge, UsageError
 from pmfid.cli.main import main
 from pmfid.monitor import Alarm, EdgeMonitor, Settled, Watch
 from pmfid.monitor.events import Event, StateChange
-from pmfid.simulation import CART, resolution_of
-from tests.edge_axes import AXIS, TURN, Motion, cart_edges, heavier, write_record
+from pmfid.simulation import CART, Schedule, capture_edges, resolution_of, simulate_drive
+from studies.monitoring.axis import changing
+from tests.edge_axes import AXIS, EVERY, TURN, Motion, cart_edges, heavier, write_record
 from tests.test_redge import DT, TRUTH
 
 WHEN, SECONDS = 12.0, 24.0
