@@ -8,7 +8,7 @@ from pathlib import Path
 
 from rich.console import Console
 
-from examples.demo.report import comparison, demo_table, write_demo
+from examples.demo.report import demo_table, edge_comparison, write_demo
 from examples.demo.run import run_demo
 from pmfid.report.figures import save_png
 
@@ -24,7 +24,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     write_demo(chosen.out, result)
     if chosen.images is not None:
         chosen.images.mkdir(parents=True, exist_ok=True)
-        save_png(comparison(result), chosen.images / "demo.png")
+        save_png(edge_comparison(result), chosen.images / "demo.png")
     Console().print(demo_table(result))
     print(f"\nreport: {chosen.out / 'report.html'}\nrecord: {chosen.out / 'cart.csv'}")
     print(f"its AXIS.toml: {chosen.out / 'cart.toml'}; change a value there and run")

@@ -14,6 +14,8 @@ from examples.demo.run import (
     CUTOFF,
     FORGETTING,
     INCREMENTS,
+    LINE_ERROR,
+    LINES,
     METHODS,
     ORDER,
     PLAUSIBLE_MASS,
@@ -134,6 +136,13 @@ def comparison(result: DemoResult, methods: Sequence[str] = tuple(METHODS)) -> F
     return comparison_figure(result.t, panels, "mass", result.truth["mass"])
 
 
+def edge_comparison(result: DemoResult) -> Figure:
+    """Return the figure of the mass by 16 increments with edge times, and by counts alone."""
+    from pmfid.report.figures import comparison_figure
+
+    return comparison_figure(result.t, {"Mass while the load changes": result.edges}, "mass", result.truth["mass"])
+
+
 def write_demo(out: Path, result: DemoResult) -> None:
     """Write report.html, cart.csv (one record) and its AXIS.toml, cart.toml, into the folder `out`.
 
@@ -160,6 +169,7 @@ def _sections(result: DemoResult) -> list[Section]:
         Section("What happened", what_happened(result), overview(result), svg(comparison(result, ["RIV"])), first=True),
         Section("What one sees", "\n\n".join(findings(result))),
         Section("Errors", _method_text(result), table=table),
+        Section("Edge times", _edge_text(result), svg=svg(edge_comparison(result))),
         Section("The mass by each method", svg=svg(comparison(result))),
         Section(
             f"All parameters, RIV with {coarse} increments",
@@ -178,6 +188,13 @@ def _method_text(result: DemoResult) -> str:
         f"{PLAUSIBLE_MASS[1]:g} kg after the first {START_UP:g} s.\n\n"
         f"All methods: order {ORDER}, cutoff {CUTOFF:g} rad/s, forgetting {FORGETTING:g}, a sample every "
         f"{1000 * result.scenarios[RECORD].dt:g} ms. Input: random binary voltage of 3 V."
+    )
+
+
+def _edge_text(result: DemoResult) -> str:
+    return (
+        f"A timer captures when the last edge of an encoder of {LINES} increments came. REdge follows the mass by "
+        f"these times. Its lines are off by up to {100 * LINE_ERROR:g} % of an increment. RIV takes counts alone."
     )
 
 

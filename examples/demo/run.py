@@ -13,9 +13,10 @@ from pmfid.errors import UsageError
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.plants import default_zeros
 from pmfid.estimators.recursive import BCRLS, RLS, RecursiveEstimator
+from pmfid.estimators.redge import REdge
 from pmfid.estimators.results import Track
 from pmfid.models.drive import Drive
-from pmfid.simulation import CART, Scenario, make_scenario
+from pmfid.simulation import CART, Scenario, capture_edges, make_scenario, resolution_of, simulate_drive
 from pmfid.types import Flags, Floats
 
 INCREMENTS = (4096, 1024, 512, 256)
@@ -23,6 +24,9 @@ RECORD = 4096  # the written record, which examples/cart.toml reads
 CUTOFF = 50.0  # [rad/s]: a filter time constant of two samples
 ORDER = 2
 FORGETTING = 0.99
+LINES, LINE_ERROR = 16, 0.01  # the encoder with edge times; its lines are off by up to this part of an increment
+FINE = 20  # steps of the simulation per sample, for the instants of edges
+TICK = 1e-6  # [s], of the timer
 WINDOW = 5.0  # [s], over which errors are averaged
 BAND = 0.05  # of the new mass; an estimate follows the step when it stays within this band
 PLAUSIBLE_MASS = (0.8, 1.7)  # [kg]
@@ -90,6 +94,7 @@ class DemoRow:
 class DemoResult:
     """Records by increments per turn, tracks by method and increments, and a row for each combination.
 
+    `edges` holds the tracks of an encoder of 16 increments, with and without edge times, and a track of 4096 counts.
     `t` holds the times of the samples (n,) [s]. `truth` holds the true parameters by name, each (n,). The mass changes
     at `step_time` [s].
     """
@@ -100,6 +105,7 @@ class DemoResult:
     step_time: float
     scenarios: Mapping[int, Scenario]
     tracks: Mapping[str, Mapping[int, Track]]
+    edges: Mapping[str, Track]
     rows: tuple[DemoRow, ...]
 
     def rows_of(self, method: str) -> list[DemoRow]:
@@ -125,7 +131,24 @@ def run_demo(seed: int = 0, duration: float = 30.0) -> DemoResult:
     record = scenarios[RECORD]
     t, truth = record.motion.t, _truth(record)
     rows = tuple(_row(n, method, t, truth, tracks[method][n]) for n in INCREMENTS for method in METHODS)
-    return DemoResult(seed, t, truth, record.schedule.changes[1][0], scenarios, tracks, rows)
+    edges = _edge_tracks(record, seed, tracks["RIV"][RECORD])
+    return DemoResult(seed, t, truth, record.schedule.changes[1][0], scenarios, tracks, edges, rows)
+
+
+def _edge_tracks(scenario: Scenario, seed: int, fine: Track) -> dict[str, Track]:
+    """Return the estimates from an encoder of few lines in the same motion, by counts and by edge times, and `fine`."""
+    u, dt, step = scenario.motion.u, scenario.dt, resolution_of(LINES)
+    motion = simulate_drive(scenario.schedule, np.repeat(u, FINE), dt / FINE)
+    errors = LINE_ERROR * step * np.random.default_rng(seed).uniform(-1, 1, LINES)
+    counts, ages = capture_edges(motion, step, every=FINE, tick=TICK, line_errors=errors)
+    drive, encoder, memory = Drive(CART.input_gain), Encoder(step), dt / (1 - FORGETTING)
+    coarse = RIV(drive, encoder, dt, CUTOFF, order=ORDER, forgetting=FORGETTING)
+    edges = REdge(drive, encoder, dt, lines=LINES, tick=TICK, memory=memory)
+    return {
+        f"{LINES} increments, counts alone": coarse.run(u, counts),
+        f"{RECORD} increments, counts alone": fine,
+        f"{LINES} increments with edge times": edges.run(u, counts, ages),
+    }
 
 
 def _track(method: str, scenario: Scenario) -> Track:
