@@ -632,7 +632,7 @@ def _widths_near(difference: Difference, error: Floats, step: Floats) -> Floats 
     """
     if rms(error) > TUNING.output_error_hopeless * difference.explained:
         return TUNING.quotient_step
-    return np.asarray(np.clip(np.abs(step), TUNING.likelihood_quotient, TUNING.quotient_step))
+    return np.asarray(np.clip(np.abs(step), TUNING.least_quotient, TUNING.quotient_step))
 
 
 def _damped_steps(
