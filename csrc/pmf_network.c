@@ -16,19 +16,6 @@ static real_t mean_square(pmf_network_state_t *state)
     state->cubes = RECENT * state->cubes + step * step * step;
     return state->cubes / state->time;
 }
-
-/* Step a stage, which is a trapezoidal rule with a cancelled zero, a delay, or a value of the auxiliary model. `memory`
- * has the source of the preceding step. */
-#define FOLLOW(k, from, b0, b1, gain, keep) STEPPED(k, from, (gain) * ((b0) * w + (b1) * memory[k]) + (keep) * *y)
-#define CANCELLED(k, from, b0, gain, keep) STEPPED(k, from, (gain) * ((b0) * w) + (keep) * *y)
-#define DELAYED(k, from) STEPPED(k, from, memory[k])
-#define WRITTEN(k, from) memory[k] = node[from];
-#define STEPPED(k, from, value)                               \
-    {                                                         \
-        real_t w = node[from], *y = &node[PMF_SIGNALS + (k)]; \
-        *y = value;                                           \
-        memory[k] = w;                                        \
-    }
 #endif
 
 #define DELAY(k, from)                       \
@@ -44,7 +31,22 @@ static real_t mean_square(pmf_network_state_t *state)
 #endif
 
 #if !PMF_WITH_NETWORK && PMF_STEPS
-/* Straight code with the constants of an export, whose rates are variables. */
+/* Straight code with the constants of an export, whose rates are variables. A stage is a trapezoidal rule, perhaps with
+ * a cancelled zero, a delay, or a value of the auxiliary model. `last` is the source's preceding value: was##i of an
+ * earlier stage i, or the memory of a signal. */
+#define STEPPED(k, value)                    \
+    real_t was##k = node[PMF_SIGNALS + (k)]; \
+    node[PMF_SIGNALS + (k)] = value;         \
+    (void)was##k;
+#define FOLLOW(k, from, last, b0, b1, gain, keep) \
+    STEPPED(k, (gain) * ((b0) * node[from] + (b1) * (last)) + (keep) * was##k)
+#define CANCELLED(k, from, b0, gain, keep) STEPPED(k, (gain) * ((b0) * node[from]) + (keep) * was##k)
+#define DELAYED(k, last) STEPPED(k, last)
+#define WRITTEN(k)               \
+    real_t was##k = memory[k];   \
+    REMEMBER(k, PMF_SIGNALS + k) \
+    (void)was##k;
+#define REMEMBER(k, from) memory[k] = node[from];
 #define RATE(i, half, step, effect)                                               \
     real_t h##i = (half) * (step), inverse##i = PMF_R(1.0) / (PMF_R(1.0) + h##i); \
     real_t keep##i = (PMF_R(1.0) - h##i) * inverse##i, gain##i = (effect) * inverse##i;
@@ -58,7 +60,8 @@ PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_st
     (void)now;
     (void)before;
     (void)square;
-    PMF_STAGES(FOLLOW, CANCELLED, DELAYED, WRITTEN)
+    (void)memory;
+    PMF_STAGES(FOLLOW, CANCELLED, DELAYED, WRITTEN, REMEMBER)
     PMF_COLUMNS(COLUMN, TAP)
 }
 #elif !PMF_WITH_NETWORK
@@ -103,13 +106,15 @@ PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_st
 }
 #else
 #if PMF_STEPS
-/* Apply the trapezoidal rule over a step, with h as the pole times half the step. */
+/* Apply the trapezoidal rule over a step, with h as the pole times half the step. A stage whose source is an earlier
+ * stage takes the source's preceding value from its node. The memory is for signals and for values of the auxiliary
+ * model. */
 static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t *state)
 {
     const pmf_rates_t *rates = &config->rates;
     const pmf_stage_t *stage = config->stage;
-    real_t keep[PMF_MAX_RATES], gain[PMF_MAX_RATES], square = mean_square(state);
-    real_t *node = state->node, *memory = state->memory;
+    real_t keep[PMF_MAX_RATES], gain[PMF_MAX_RATES], was[PMF_MAX_STAGES], square = mean_square(state);
+    real_t *node = &state->node[PMF_SIGNALS];
     uint32_t i;
     for (i = 0; i < config->n_rates; ++i) {
         real_t step = rates->now[i] * state->ratio + rates->before[i] * state->ratio_before;
@@ -118,15 +123,23 @@ static void follow_steps(const pmf_network_config_t *config, pmf_network_state_t
         gain[i] = (rates->gain[i] + rates->growth[i] * step + rates->square[i] * square) * inverse;
     }
     for (i = 0; i < config->n_stages; ++i, ++stage) {
-        uint32_t from = stage->source, rate = stage->rate;
-        if (rate != 0U && stage->b1 != PMF_SCALAR(0.0)) {
-            FOLLOW(i, from, stage->b0, stage->b1, gain[rate], keep[rate])
-        } else if (rate != 0U) {
-            CANCELLED(i, from, stage->b0, gain[rate], keep[rate])
+        uint32_t rate = stage->rate;
+        real_t now = state->node[stage->source], last = state->memory[i];
+        was[i] = node[i];
+        if (stage->source >= PMF_SIGNALS) {
+            last = was[stage->source - PMF_SIGNALS];
         } else if (stage->b1 != PMF_SCALAR(0.0)) {
-            DELAYED(i, from)
-        } else {
-            WRITTEN(i, from)
+            state->memory[i] = now;
+        }
+        if (rate != 0U && stage->b1 != PMF_SCALAR(0.0)) {
+            node[i] = gain[rate] * (stage->b0 * now + stage->b1 * last) + keep[rate] * was[i];
+        } else if (rate != 0U) {
+            node[i] = gain[rate] * (stage->b0 * now) + keep[rate] * was[i];
+        } else if (stage->b1 != PMF_SCALAR(0.0)) {
+            node[i] = last;
+        } else { /* the auxiliary model has written the node */
+            was[i] = state->memory[i];
+            state->memory[i] = node[i];
         }
     }
 }

@@ -485,10 +485,15 @@ class Difference:
 
     def jacobian(self, q: Floats, width: float = TUNING.quotient_step, first: int = 0) -> Floats:
         """Return the derivatives by q[first:] in columns, as central differences that respect the lower bounds."""
+        trials, apart = self.spread_trials(q, width, first)
+        return divide_sides(self.differences(trials), apart)
+
+    def spread_trials(self, q: Floats, width: float, first: int = 0) -> tuple[Floats, Floats]:
+        """Return places (2 k, q) on both sides of q (q,) along each of the last k directions, and their distances (k,)
+        from each other."""
         steps = width * np.eye(q.size)[first:]
         low = np.maximum(q - steps, self.lower)
-        above, below = np.split(self.differences(np.concatenate([q + steps, low])), 2)
-        return np.asarray(((above - below) / np.sum(q + steps - low, axis=1)[:, None]).T)
+        return np.concatenate([q + steps, low]), np.sum(q + steps - low, axis=1)
 
     def forward_jacobian(self, q: Floats, e: Floats, widths: Floats | float = TUNING.quotient_step) -> Floats:
         """Return the derivatives by q (q,) in columns, as forward differences from the difference e (n,) at q.
@@ -557,6 +562,12 @@ class Difference:
         return lower
 
 
+def divide_sides(found: Floats, apart: Floats) -> Floats:
+    """Return the central differences (n, k) of values `found` (2 k, n) at `spread_trials`, which are `apart` (k,)."""
+    above, below = np.split(found, 2)
+    return np.asarray(((above - below) / apart[:, None]).T)
+
+
 def first_speed(y: Floats | NDArray[np.int64], dt: Intervals, cutoff: float, resolution: float) -> float:
     """Return the start velocity [unit of y per s] of a position y (n,).
 
@@ -593,7 +604,8 @@ def least(difference: Difference, q: Floats, tolerances: Sequence[float] | None 
 
 def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Floats, bool]:
     """Return q (q,) after damped Gauss-Newton steps, and whether they converged (Levenberg 1944, Marquardt 1963). The
-    steps have converged if the sum of squares falls by less than `tolerance` times itself, or if no step lowers it."""
+    steps have converged if the sum of squares falls by less than `tolerance` times itself. They have also converged if
+    no step lowers it, or if a step that does not lower it should have lowered it by less."""
     with np.errstate(over="ignore", invalid="ignore"):  # a step that is too long is undone
         error, damping = difference(q), TUNING.first_damping
         jacobian = difference.forward_jacobian(q, error)
@@ -616,7 +628,8 @@ def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Float
                     widths = _widths_near(difference, error, step)
                     jacobian = difference.forward_jacobian(q, error, widths)
                     break
-                if damping > TUNING.max_damping or gain == 0:
+                promised = cost - rms(error + jacobian @ (trial - q)) ** 2 * error.size
+                if damping > TUNING.max_damping or gain == 0 or promised <= tolerance * cost:
                     return q, True
             else:
                 damping, together = 10 * damping, difference.side_by_side
@@ -632,7 +645,7 @@ def _widths_near(difference: Difference, error: Floats, step: Floats) -> Floats 
     """
     if rms(error) > TUNING.output_error_hopeless * difference.explained:
         return TUNING.quotient_step
-    return np.asarray(np.clip(np.abs(step), TUNING.likelihood_quotient, TUNING.quotient_step))
+    return np.asarray(np.clip(np.abs(step), TUNING.least_quotient, TUNING.quotient_step))
 
 
 def _damped_steps(
@@ -660,8 +673,11 @@ def bounded_step(hessian: Floats, gradient: Floats, above: Flags) -> Floats:
     free = above | (gradient < 0)
     step, own, slope = np.zeros(gradient.size), hessian[np.ix_(free, free)], gradient[free]
     if slope.size > TUNING.dense_columns:
-        with suppress(np.linalg.LinAlgError):
-            step[free] = np.linalg.solve(own, slope)
+        from scipy.sparse import csc_array  # the import is slow, and only windows need it
+        from scipy.sparse.linalg import splu
+
+        with suppress(RuntimeError):  # raised for a singular matrix
+            step[free] = splu(csc_array(own)).solve(slope)
             return step
     step[free] = np.linalg.lstsq(own, slope)[0]
     return step

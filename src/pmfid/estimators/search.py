@@ -12,7 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.motion import WHITE, Difference, first_speed, least, rms
+from pmfid.estimators.motion import (
+    WHITE,
+    Difference,
+    divide_sides,
+    first_speed,
+    least,
+    rms,
+    simulate_motions,
+    sum_travel,
+)
 from pmfid.estimators.tuning import TUNING
 from pmfid.models.equation import Equation
 from pmfid.types import Floats
@@ -181,7 +190,29 @@ class Windows(Difference):
         return np.split(values, ends[:-1] * (values.shape[-1] // int(ends[-1])), axis=-1)
 
     def differences(self, qs: Floats) -> Floats:
-        return np.concatenate([part.differences(own) for part, own in self.split_windows(qs)], axis=1)
+        return np.concatenate(self.try_windows(np.array([own for _, own in self.split_windows(qs)])), axis=1)
+
+    def try_windows(self, owns: Floats) -> list[Floats]:
+        """Return the differences (m, n) of each window at m rows of its own q, for `owns` (windows, m, p + 2).
+
+        If the input acts at once and the clock is even, motions of many windows are simulated side by side.
+        """
+        if self.breaks or self.uneven is not None or self.equation.dead_time or self.equation.lag:
+            return [part.differences(own) for part, own in zip(self.pieces, owns, strict=True)]
+        found = dict[int, Floats]()
+        for parts in {part.parts for part in self.pieces}:
+            alike = [k for k, part in enumerate(self.pieces) if part.parts == parts]
+            size = owns.shape[1] * max(self.pieces[k].y.size for k in alike)
+            together = max(1, TUNING.samples_together // size)
+            for group in (alike[begin : begin + together] for begin in range(0, len(alike), together)):
+                pieces = [self.pieces[k] for k in group]
+                found |= zip(group, _differ_together(pieces, owns[group]), strict=True)
+        return [found[k] for k in range(len(self.pieces))]
+
+    def jacobians(self, q: Floats, width: float = TUNING.quotient_step) -> list[Floats]:
+        """Return the derivatives (n, p + 2) of each window by its own part of q (q,)."""
+        trials, apart = zip(*(part.spread_trials(own, width) for part, own in self.split_windows(q)), strict=True)
+        return [divide_sides(found, own) for found, own in zip(self.try_windows(np.array(trials)), apart, strict=True)]
 
     def motions(self, qs: Floats, forces: Floats | None = None) -> tuple[Floats, Floats]:
         own = [None] * len(self.pieces) if forces is None else self._split_rows(forces)
@@ -200,11 +231,13 @@ class Windows(Difference):
         return joined
 
     def jacobian(self, q: Floats, width: float = TUNING.quotient_step, first: int = 0) -> Floats:
-        return self._join_slopes([part.jacobian(own, width) for part, own in self.split_windows(q)])[:, first:]
+        return self._join_slopes(self.jacobians(q, width))[:, first:]
 
     def forward_jacobian(self, q: Floats, e: Floats, widths: Floats | float = TUNING.quotient_step) -> Floats:
-        rows = zip(self.split_windows(q), self._split_rows(e), self.split_windows(widths + 0 * q), strict=True)
-        return self._join_slopes([part.forward_jacobian(own, left, wide) for (part, own), left, (_, wide) in rows])
+        own, wide = (np.array([own for _, own in self.split_windows(values)]) for values in (q, widths + 0 * q))
+        found = self.try_windows(own[:, None, :] + wide[:, None, :] * np.eye(own.shape[1]))
+        rows = zip(found, self._split_rows(e), wide, strict=True)
+        return self._join_slopes([np.asarray((values - left).T / width) for values, left, width in rows])
 
     def remove_nuisance(self, columns: Floats, nuisance: Floats, root: Floats | None = None) -> Floats:
         roots = [None] * len(self.pieces) if root is None else self._split_rows(root)
@@ -257,6 +290,21 @@ class Windows(Difference):
     def size_of_motion(self) -> float:
         """Root mean square [counts] about the mean of each window, which a start cannot follow."""
         return rms(np.concatenate([part.y - np.mean(part.y) for part in self.pieces]) / self.resolution)
+
+
+def _differ_together(pieces: Sequence[Difference], owns: Floats) -> list[Floats]:
+    """Return the differences (m, n) of windows with equal parts at `owns` (windows, m, p + 2), all simulated at once.
+    The input of each window is its force on top of none."""
+    first, (count, m, width), n = pieces[0], owns.shape, max(part.y.size for part in pieces)
+    inputs = np.zeros((count, n))
+    for row, part in zip(inputs, pieces, strict=True):
+        row[: part.u.size] = part.u
+    values = owns.reshape(-1, width) * first.scale
+    starts = values[:, :-3:-1] - np.array([0.0, first.slack])
+    thetas, on_top = values[:, :-2], np.repeat(inputs, m, axis=0)
+    velocity, _ = simulate_motions(first.equation, thetas, first.dt, np.zeros(n), starts, first.parts, None, on_top)
+    position = (values[:, -2:-1] + sum_travel(velocity, first.dt)).reshape(count, m, n)
+    return [part.observe(part.y - own[:, : part.y.size]) for part, own in zip(pieces, position, strict=True)]
 
 
 def is_lost(difference: Difference, q: Floats) -> bool:
@@ -356,9 +404,8 @@ class _Slope:
     moves: Floats
 
 
-def _slope(part: Difference, q: Floats, error: Floats) -> _Slope:
-    """Linearise one window with the difference `error` (n,) at q."""
-    jacobian = part.jacobian(q)
+def _slope(part: Difference, jacobian: Floats, error: Floats) -> _Slope:
+    """Linearise one window with the difference `error` (n,) and its derivatives `jacobian` (n, p + 2)."""
     effects, nuisance = np.column_stack([error, jacobian[:, :-2]]), jacobian[:, -2:]
     prior = np.array([[0.0, 1 / part.start_velocity_std]])
     targets = np.r_[WHITE * effects, np.zeros((1, effects.shape[1]))]
@@ -376,7 +423,7 @@ def descend(
     reach the sum of squares `enough` ends early.
     """
     low, p, damping = windows.lower, windows.parameters, 1e-3
-    errors = [part(own) for part, own in windows.split_windows(q)]
+    errors = [found[0] for found in windows.try_windows(np.array([[own] for _, own in windows.split_windows(q)]))]
     costs, slopes = [sum(map(_cost, errors))], _slopes(windows, q, errors)
     while len(costs) <= TUNING.max_steps and not (enough and _is_too_slow(costs, enough)):
         theta = np.maximum(q[:p] + _step(slopes, damping, q[:p] <= low[:p]), low[:p])
@@ -405,8 +452,7 @@ def _is_too_slow(costs: Sequence[float], enough: float) -> bool:
 
 
 def _slopes(windows: Windows, q: Floats, errors: Sequence[Floats]) -> list[_Slope]:
-    rows = zip(windows.split_windows(q), errors, strict=True)
-    return [_slope(part, own, error) for (part, own), error in rows]
+    return [_slope(*row) for row in zip(windows.pieces, windows.jacobians(q), errors, strict=True)]
 
 
 def _move_starts(windows: Windows, q: Floats, theta: Floats, slopes: Sequence[_Slope]) -> tuple[Floats, list[Floats]]:
@@ -415,14 +461,15 @@ def _move_starts(windows: Windows, q: Floats, theta: Floats, slopes: Sequence[_S
     Each start moves as the linear model says, or stays. A start within stiction moves nothing until it moves much, and
     one such window must not stop all others.
     """
-    places, errors, change = [], list[Floats](), theta - q[: theta.size]
-    for (part, own), slope in zip(windows.split_windows(q), slopes, strict=True):
+    trials, change = list[Floats](), theta - q[: theta.size]
+    for (_, own), slope in zip(windows.split_windows(q), slopes, strict=True):
         along = slope.moves @ change
-        trials = np.tile(np.r_[theta, own[-2:]], (3, 1))
-        trials[:, -2:] -= np.array([slope.start + along, along, 0.0 * along])
-        found = part.differences(trials)
+        moved = own[-2:] - np.array([slope.start + along, along, 0.0 * along])
+        trials.append(np.column_stack([np.tile(theta, (3, 1)), moved]))
+    places, errors = list[Floats](), list[Floats]()
+    for own, found in zip(trials, windows.try_windows(np.array(trials)), strict=True):
         best = int(np.argmin([_cost(error) for error in found]))
-        places.append(trials[best, -2:])
+        places.append(own[best, -2:])
         errors.append(found[best])
     return np.concatenate([theta, *places]), errors
 

@@ -248,6 +248,8 @@ class EstimatorTuning:
     max_evaluations: int = 200
     #: Number of motions that vector lanes compute in about the time of one.
     trials_together: int = 8
+    #: Most samples of motions that are simulated at once, which bounds the memory.
+    samples_together: int = 1_000_000
     #: A step below this part of a standard error ends an iteration.
     settled_step: float = 0.01
     #: Damping of the first step, and the largest damping. A step with more damping moves nothing.

@@ -23,6 +23,7 @@ from pmfid.kernel.saved import config_number, configuration, firmware_shape, rec
 from pmfid.kernel.structures import (
     HEADERS,
     Structured,
+    constants_of,
     header,
     layout_number,
     resize_structure,
@@ -264,17 +265,21 @@ def list_stages(network: Structured) -> str:
 
 
 def list_stepped_stages(network: Structured) -> str:
-    """Return the stages of a varying step, whose gain and memory follow their rate."""
-    listed = list[str]()
+    """Return the stages of a varying step, whose gain and memory follow their rate. The memory keeps the preceding
+    value of a signal. That of an earlier stage is a variable."""
+    listed, first = list[str](), constants_of(None)["PMF_SIGNALS"]
     for k, stage in enumerate(network["stage"][: int(network["n_stages"])]):
-        place, rate = f"{k}, {int(stage['source'])}", int(stage["rate"])
+        source, rate = int(stage["source"]), int(stage["rate"])
         b0, b1 = (literal(stage[name][()]) for name in ("b0", "b1"))
+        last = f"memory[{k}]" if source < first else f"was{source - first}"
         if rate and stage["b1"]:
-            listed.append(f"FOLLOW({place}, {b0}, {b1}, gain{rate}, keep{rate})")
+            listed.append(f"FOLLOW({k}, {source}, {last}, {b0}, {b1}, gain{rate}, keep{rate})")
         elif rate:
-            listed.append(f"CANCELLED({place}, {b0}, gain{rate}, keep{rate})")
+            listed.append(f"CANCELLED({k}, {source}, {b0}, gain{rate}, keep{rate})")
         else:
-            listed.append(f"{'DELAYED' if stage['b1'] else 'WRITTEN'}({place})")
+            listed.append(f"DELAYED({k}, {last})" if stage["b1"] else f"WRITTEN({k})")
+        if source < first and stage["b1"]:
+            listed.append(f"REMEMBER({k}, {source})")
     return " ".join(listed)
 
 

@@ -103,7 +103,11 @@ def network_values(stages: Stages, columns: Columns, parameters: int, rates: Rat
     return {
         "n_stages": len(stages),
         "n_columns": len(columns),
-        "stage": [(*stage, rate) for stage, rate in zip(stages, rates[0] or [0] * len(stages), strict=True)],
+        # with a varying step, a is unused: 0 marks states whose memories are those of signals alone
+        "stage": [
+            (source, 0.0 if rates[1] else a, b0, b1, rate)
+            for (source, a, b0, b1), rate in zip(stages, rates[0] or [0] * len(stages), strict=True)
+        ],
         "tap_end": np.cumsum([len(column) for column in columns]),
         "tap": taps,
         "n_rates": len(rates[1]) + 1 if rates[1] else 0,
