@@ -42,8 +42,8 @@ def test_a_sample_at_a_whole_tick_is_read_at_this_tick() -> None:
     dt, tick = 0.00667, 1e-6
     times = dt * np.arange(3000)
     path = Trajectory(times, times, np.ones(3000))
-    _, ages = read_edge_times(path, Lattice(0.01, 0.0, np.zeros(1)), tick=tick)
-    late = ages - times % 0.01
+    _, ages = read_edge_times(path, Lattice(0.01, 0.000305, np.zeros(1)), tick=tick)
+    late = ages - (times + 0.000305) % 0.01
     assert np.nanmin(late) > -1e-10
     assert np.nanmax(late) < 1.0001 * tick
 
