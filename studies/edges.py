@@ -141,7 +141,7 @@ def summarize(cells: Mapping[tuple[float, float], list[tuple[int, Floats]]]) -> 
             mass = [(increments, one[:, (row, INTERVAL, BOUND), 0]) for increments, one in found]
             mass = [(increments, one[np.all(np.isfinite(one[:, :2]), axis=1)]) for increments, one in mass]
             coarse = [one for increments, one in mass if increments <= COARSE and len(one) > 1]
-            gain = [np.std(one[:, 1]) / np.std(one[:, 0]) for one in coarse] or [np.nan]
+            gain = [float(np.std(one[:, 1]) / np.std(one[:, 0])) for one in coarse] or [np.nan]
             bias = max([abs(np.mean(one[:, 0])) for one in coarse], default=np.nan)
             share = [np.sqrt(np.mean(one[:, 2] ** 2) / np.mean(one[:, 0] ** 2)) for _, one in mass if len(one) > 1]
             values = [np.min(gain), np.median(gain), 100 * bias]
