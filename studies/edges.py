@@ -3,8 +3,10 @@
 The bound is that of Cramer and Rao for the edges, with known variances of lines and instants. `interval` takes the same
 counts without edges.
 
-`python -m studies.edges --seeds 5 [--held-back] [--on-line]`. With `--on-line`, `REdge` runs alone. The last line says
-how many of its errors without a status exceed 2, 3 and 5 standard errors.
+`python -m studies.edges --seeds 5 [--held-back] [--on-line] [--machine NAME] [--faults 3]`. With `--on-line`, `REdge`
+runs alone. A table of all cells follows. Its gain says how many times smaller the standard deviation of the mass is
+than from counts. The efficiency is the bound over the root mean square error. The last line says how many of the errors
+of `REdge` without a status exceed 2, 3 and 5 standard errors.
 
 `python -m studies.edges --monitor --seeds 12 --hours 1` compares monitors on the same motions of the cart:
 `EdgeMonitor` with edges of a coarse encoder, and `Monitor` with `riv` and counts of a fine one.
@@ -26,15 +28,18 @@ from pmfid.estimators.motion import least
 from pmfid.estimators.tuning import TUNING
 from pmfid.monitor import Alarm, EdgeMonitor, Monitor, Watch
 from pmfid.monitor.events import Event
-from pmfid.simulation import CART, capture_edges, resolution_of, simulate_drive
+from pmfid.simulation import CART, Machine, capture_edges, resolution_of, simulate_drive
 from pmfid.simulation.drive import Schedule
 from pmfid.simulation.scenarios import CART_DT
+from pmfid.status import Status
 from pmfid.types import Counts, Floats
+from studies.edge_faults import FINE, HELD_BACK, INCREMENTS, MACHINES, TICK, move_axis
+from studies.machines import Axis, truth
 from studies.monitoring.axis import calibration, changing, make_riv, normal_work
 from studies.monitoring.detection import AFTER, BEFORE, CHANGES, changed
-from studies.uneven_clocks import HELD_BACK, MACHINES, MOTIONS, SAMPLES, Plant, make_plant, move
 
-INCREMENTS, FINE, TICK = (512, 64, 16), 20, 1e-6
+MOTIONS = ("prbs", "stop-and-go")
+COARSE = 64  # most increments of the cells that the table of all cells compares to counts
 #: Largest distance of a line from its place, in steps, and mean lateness of an instant [s].
 FAULTS = ((0.0, 0.0), (0.01, 0.0), (0.03, 0.0), (0.1, 0.0), (0.01, 1e-5), (0.01, 5e-5))
 #: Encoders of the monitors with edges and with counts, and memory of the former [s].
@@ -59,12 +64,12 @@ def bound_errors(method: EdgeFit, truth: Floats, record: tuple[Floats, Counts, F
 
 
 def make_record(
-    plant: Plant, motion: str, increments: int, off: float, late: float, seed: int
+    axis: Axis, motion: str, increments: int, off: float, late: float, seed: int
 ) -> tuple[float, tuple[Floats, Counts, Floats]]:
     """Return the travel per count, and input, counts and ages of one run."""
-    axis, rng = plant.axis, np.random.default_rng([seed, 33])
+    rng = np.random.default_rng([seed, 33])
     resolution = axis.resolution * 4096 / increments
-    u, _ = move(plant, motion, resolution, np.full(SAMPLES, axis.dt), seed)
+    u = move_axis(axis, Machine(axis.drive), motion, resolution, rng)
     motion_of = simulate_drive(axis.drive, np.repeat(u, FINE), axis.dt / FINE)
     errors = off * resolution * rng.uniform(-1, 1, increments)
     phase = rng.random() * resolution
@@ -73,46 +78,46 @@ def make_record(
 
 
 def run_once(
-    plant: Plant, motion: str, increments: int, off: float, late: float, seed: int, alone: bool
-) -> tuple[Floats, bool]:
-    """Return errors (6, 3), and whether `REdge` has a status at the end.
+    axis: Axis, motion: str, increments: int, off: float, late: float, seed: int, alone: bool
+) -> tuple[Floats, int]:
+    """Return errors (6, 3), and the status of `REdge` at the end.
 
     Errors and bound are relative to the parameters, and NaN if a method refuses the record or `REdge` runs `alone`.
     """
-    axis, found = plant.axis, np.full((6, 3), np.nan)
-    resolution, record = make_record(plant, motion, increments, off, late, seed)
+    found, exact, model = np.full((6, 3), np.nan), truth(axis), Drive(axis.drive.input_gain)
+    resolution, record = make_record(axis, motion, increments, off, late, seed)
     cutoff, encoder = 0.2 / axis.dt, Encoder(resolution)
-    on_line = REdge(plant.model, encoder, axis.dt, lines=increments, tick=TICK)
-    error = on_line.run(*record).theta[-1] - plant.truth
-    found[[ON_LINE, ON_LINE_STD]] = error / plant.truth, error / on_line.theta_std
+    on_line = REdge(model, encoder, axis.dt, lines=increments, tick=TICK)
+    error = on_line.run(*record).theta[-1] - exact
+    if not on_line.status & Status.STARTING:
+        found[[ON_LINE, ON_LINE_STD]] = error / exact, error / on_line.theta_std
     if alone:
-        return found, on_line.status != 0
-    method = EdgeFit(plant.model, encoder, axis.dt, cutoff, lines=increments, tick=TICK)
+        return found, on_line.status
+    method = EdgeFit(model, encoder, axis.dt, cutoff, lines=increments, tick=TICK)
     with suppress(NotIdentifiableError):
         fit = method.fit(*record)
-        error = fit.theta - plant.truth
-        found[[OFF_LINE, OFF_LINE_STD]] = error / plant.truth, error / fit.theta_std
+        error = fit.theta - exact
+        found[[OFF_LINE, OFF_LINE_STD]] = error / exact, error / fit.theta_std
     with suppress(NotIdentifiableError):
-        found[INTERVAL] = IntervalML(plant.model, encoder, axis.dt, cutoff).fit(*record[:2]).theta / plant.truth - 1
+        found[INTERVAL] = IntervalML(model, encoder, axis.dt, cutoff).fit(*record[:2]).theta / exact - 1
     if not late:
         with suppress(NotIdentifiableError):
-            found[BOUND] = bound_errors(method, plant.truth, record, off) / plant.truth
-    return found, on_line.status != 0
+            found[BOUND] = bound_errors(method, exact, record, off) / exact
+    return found, on_line.status
 
 
-def measure(machines: Mapping[str, tuple[str, float]], seeds: range, alone: bool) -> None:
+def measure(machines: Mapping[str, Axis], faults: int, seeds: range, alone: bool) -> None:
     """Print a row for each machine, motion, encoder and fault: root mean square errors over the seeds."""
     head = "off-line [%] | within 2 sd [%] | on-line [%] | within 2 sd [%] | status | bound [%] | interval [%]"
     print(f"| machine | motion | increments | lines off [%] | late [us] | {head} |")
     print("|---" * 12 + "|")
     silent: list[Floats] = []
-    for name, bench in machines.items():
-        if bench[1]:
-            continue  # of a pendulum `move` has no simulation that is fine enough
-        plant = make_plant(*bench)
-        for motion, increments, (off, late) in product(MOTIONS, INCREMENTS, FAULTS):
-            runs = [run_once(plant, motion, increments, off, late, seed, alone) for seed in seeds]
+    cells: dict[tuple[float, float], list[tuple[int, Floats]]] = {}
+    for name, axis in machines.items():
+        for motion, increments, (off, late) in product(MOTIONS, INCREMENTS, FAULTS[:faults]):
+            runs = [run_once(axis, motion, increments, off, late, seed, alone) for seed in seeds]
             found = np.array([one for one, _ in runs])
+            cells.setdefault((off, late), []).append((increments, found))
             silent += [one[ON_LINE_STD] for one, status in runs if not status]
             within = 100 * np.mean(np.abs(found[:, [OFF_LINE_STD, ON_LINE_STD]]) < 2, axis=(0, 2))
             off_line, on_line, bound, interval = (
@@ -120,10 +125,30 @@ def measure(machines: Mapping[str, tuple[str, float]], seeds: range, alone: bool
             )
             cell = [name, motion, increments, f"{100 * off:g}", f"{1e6 * late:g}"]
             cell += [off_line, f"{within[0]:.0f}", on_line, f"{within[1]:.0f}"]
-            cell += [sum(status for _, status in runs), bound, interval]
+            cell += [sum(status != 0 for _, status in runs), bound, interval]
             print(f"| {' | '.join(map(str, cell))} |", flush=True)
+    summarize(cells)
     beyond = ", ".join(f"{100 * np.mean(np.abs(silent) > most):.2g} % beyond {most} sd" for most in (2, 3, 5))
     print(f"on-line without a status: {beyond}")
+
+
+def summarize(cells: Mapping[tuple[float, float], list[tuple[int, Floats]]]) -> None:
+    """Print gain over counts, bias and efficiency of the mass for each fault and method, from errors (seeds, 6, 3)."""
+    print("| lines off [%] | late [us] | method | gain, least | median | bias, most [%] | efficiency, mean | least |")
+    print("|---" * 8 + "|")
+    for (off, late), found in cells.items():
+        for method, row in (("off-line", OFF_LINE), ("on-line", ON_LINE)):
+            mass = [(increments, one[:, (row, INTERVAL, BOUND), 0]) for increments, one in found]
+            mass = [(increments, one[np.all(np.isfinite(one[:, :2]), axis=1)]) for increments, one in mass]
+            coarse = [one for increments, one in mass if increments <= COARSE and len(one) > 1]
+            gain = [float(np.std(one[:, 1]) / np.std(one[:, 0])) for one in coarse] or [np.nan]
+            bias = max([abs(np.mean(one[:, 0])) for one in coarse], default=np.nan)
+            share = [np.sqrt(np.mean(one[:, 2] ** 2) / np.mean(one[:, 0] ** 2)) for _, one in mass if len(one) > 1]
+            values = [np.min(gain), np.median(gain), 100 * bias]
+            values += [np.exp(np.mean(np.log(share))), np.min(share)] if share else [np.nan, np.nan]
+            print(
+                f"| {100 * off:g} | {1e6 * late:g} | {method} | {' | '.join(f'{x:.2g}' for x in values)} |", flush=True
+            )
 
 
 def watch_edges(u: Floats, schedule: Schedule, increments: int, fault: tuple[float, float], seed: int) -> list[Alarm]:
@@ -205,6 +230,8 @@ if __name__ == "__main__":
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--held-back", action="store_true")
+    parser.add_argument("--machine", choices=(*MACHINES, *HELD_BACK), help="this machine alone")
+    parser.add_argument("--faults", type=int, default=len(FAULTS), help="the first ones of FAULTS")
     parser.add_argument("--on-line", action="store_true", help="REdge alone")
     parser.add_argument("--monitor", action="store_true", help="compare monitors")
     parser.add_argument("--hours", type=float, default=1.0, help="of normal work, with --monitor")
@@ -213,4 +240,7 @@ if __name__ == "__main__":
     if options.monitor:
         compare_monitors(seeds, options.hours)
     else:
-        measure(HELD_BACK if options.held_back else MACHINES, seeds, options.on_line)
+        machines = HELD_BACK if options.held_back else MACHINES
+        if options.machine:
+            machines = {options.machine: {**MACHINES, **HELD_BACK}[options.machine]}
+        measure(machines, options.faults, seeds, options.on_line)

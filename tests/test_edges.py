@@ -8,6 +8,7 @@ import pytest
 
 from pmfid import Drive, EdgeFit, Encoder, IntervalML, NotIdentifiableError, Status, UsageError
 from pmfid.config.axis import load_axis
+from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.records.edge_ages import Coarser
 from pmfid.simulation import CART, capture_edges, prbs, quantize, simulate_drive
@@ -34,6 +35,17 @@ def test_ages_agree_with_the_formula() -> None:
     assert moved.size > 40
     expected = [k * EVERY * DT - find_instant(counts[k] * RESOLUTION) for k in moved]
     np.testing.assert_allclose(ages[moved], expected, rtol=0.0, atol=1e-9)
+
+
+def test_a_sample_at_a_whole_tick_is_read_at_this_tick() -> None:
+    """The product of sample number and period may be a rounding below it."""
+    dt, tick = 0.00667, 1e-6
+    times = dt * np.arange(3000)
+    path = Trajectory(times, times, np.ones(3000))
+    _, ages = read_edge_times(path, Lattice(0.01, 0.000305, np.zeros(1)), tick=tick)
+    late = ages - (times + 0.000305) % 0.01
+    assert np.nanmin(late) > -1e-10
+    assert np.nanmax(late) < 1.0001 * tick
 
 
 def test_way_back_passes_the_same_lines() -> None:

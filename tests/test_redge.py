@@ -10,6 +10,7 @@ import pytest
 from pmfid import Drive, EdgeFit, Encoder, REdge, Status, UsageError
 from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.simulation import CART, DriveParameters, Machine, capture_edges, drive_machine, prbs, simulate_drive
+from studies.edge_faults import HELD_BACK, make_record
 
 DT, EVERY = 0.01, 10
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
@@ -155,6 +156,15 @@ def test_friction_that_grows_with_the_square_of_the_speed_is_flagged(seed: int) 
     counts, ages = read_edge_times(path, Lattice(step, 0.3 * step, np.zeros(turn)), EVERY, 1e-6)
     track = estimator_of(step, turn, HEAVY.input_gain).run(u, counts, ages)
     assert np.mean(track.status[1000:] != 0) > 0.95
+
+
+@pytest.mark.parametrize(("fault", "status"), [("nothing", 0), ("Stribeck 30 %", Status.UNMODELLED)])
+def test_friction_that_is_larger_at_low_speed_is_flagged(fault: str, status: int) -> None:
+    """Its moves are fast, so that the mass is off by less than 0.001 %, but by 40 standard errors."""
+    spindle = HELD_BACK["spindle"]
+    step, record = make_record(spindle, fault, "stop-and-go", 16, 31)
+    estimator = REdge(Drive(spindle.drive.input_gain), Encoder(step), spindle.dt, lines=16, tick=1e-6)
+    assert estimator.run(*record).status[-1] == status
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])

@@ -127,6 +127,8 @@ static void open_prior(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     state->surprise = state->scatter = state->heard = PMF_R(1.0);
     state->colour = state->correlation = state->trend = state->rough = state->last = state->size = PMF_R(0.0);
     state->last_variance = PMF_R(1.0);
+    state->turned = state->turned_known = state->turned_squares = state->heading = PMF_R(0.0);
+    state->turns = 0U;
     state->calm = state->lost = state->astray = state->against = state->away = 0U;
     state->drift = PMF_R(0.0);
 }

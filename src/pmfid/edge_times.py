@@ -70,7 +70,8 @@ def read_edge_times(path: Trajectory, lines: Lattice, every: int = 1, tick: floa
     in_sample = latest > np.concatenate(([-np.inf], now[:-1]))
     ages = np.full(samples.size, np.nan)
     if tick:
-        now, latest = (tick * np.floor(t / tick) for t in (now, latest))
+        whole = (1.0 + 4.0 * np.finfo(np.float64).eps) / tick  # a sample at a whole tick is not a rounding before it
+        now, latest = (tick * np.floor(t * whole) for t in (now, latest))
     ages[in_sample] = now[in_sample] - latest[in_sample]
     return counts[samples], ages
 

@@ -1,0 +1,138 @@
+/* Signs of a wrong model, or of another machine, in the innovations. Only pmf_redge.c includes this file.
+ * SPDX-License-Identifier: Apache-2.0 */
+#ifndef PMF_REDGE_SIGNS_H
+#define PMF_REDGE_SIGNS_H
+
+#include "pmf_redge_innovation.h"
+
+#define OUTLIER PMF_R(25.0) /* squared innovation over its variance of an edge by noise, */
+#define USUAL PMF_R(9.0) /* and most of the edge before */
+#define RECENT PMF_R(16.0) /* edges: memory of the surprise */
+#define COLOURED PMF_R(64.0) /* edges: memory of the covariance of successive innovations, */
+#define CORRELATED PMF_R(128.0) /* and of their correlation */
+#define BLOCK 16U /* edges */
+#define BLOCKS PMF_R(16.0) /* memory of the blocks */
+#define MOST_SIZE PMF_R(100.0) /* mean squared innovation [counts^2] that an alarm takes for true */
+#define ALARM PMF_R(6.0) /* mean squared innovation over its variance: another machine, or another model */
+#define VISIBLE PMF_R(4e-4) /* smaller mean squared innovations [counts^2] are no alarm */
+#define RECENT_EDGES 24U /* edges after an alarm before the correlation is known */
+#define CALM 8U /* edges before an alarm */
+#define TREND PMF_R(0.3) /* correlation of innovations, of an alarm */
+#define COLOUR PMF_R(0.3) /* covariance over the variance from which on the model is wrong */
+#define CORRELATION PMF_R(0.2) /* correlation from which on the model is wrong; chance makes 0.06 */
+#define CORRELATION_OF_FEW PMF_R(5.0) /* the same, of one edge */
+#define FURTHER PMF_R(3.0) /* squared moves of blocks over those by chance, from which on the model is wrong */
+#define FURTHER_OF_FEW PMF_R(8.0) /* the same, of one block */
+#define TURNS PMF_R(32.0) /* reversals: memory of the first innovations after them */
+#define TURN_OUTLIER PMF_R(16.0) /* squared innovation over its variance, above which an innovation counts less */
+#define TURN_TREND PMF_R(25.0) /* squared mean of these over its variance, from which on the model is wrong */
+#define TURN_SQUARES PMF_R(3.0) /* their mean square, from which on the model is wrong, */
+#define TURN_SQUARES_OF_FEW PMF_R(8.0) /* and the same, of one reversal */
+#define JITTER PMF_R(1.6e-5) /* standard deviation of instants from which on the model is wrong [s], */
+#define UNEVENLY PMF_R(3e-3) /* and of places [counts] */
+
+/* Note the first innovation after a reversal. Friction that is another at low speed moves all of these edges the same
+ * way, relative to the motion. */
+static void note_turn(pmf_redge_state_t *state, const pmf_edge_t *edge, real_t way)
+{
+    real_t square = edge->value * edge->value / edge->variance, kept = PMF_R(1.0) - PMF_R(1.0) / TURNS;
+    real_t gain = larger(PMF_R(1.0) / ((real_t)state->turns + PMF_R(1.0)), PMF_R(1.0) / TURNS);
+    real_t heading = state->heading;
+    state->heading = way;
+    if (heading * way >= PMF_R(0.0)) {
+        return;
+    }
+    square = smaller(square, MOST_SIZE);
+    state->turned_squares += gain * (square - state->turned_squares);
+    state->turned = kept * state->turned +
+                    way * edge->value / edge->variance * (square > TURN_OUTLIER ? TURN_OUTLIER / square : PMF_R(1.0));
+    state->turned_known = kept * kept * state->turned_known + PMF_R(1.0) / edge->variance;
+    state->turns += state->turns < LAST_WINDOW ? 1U : 0U;
+}
+
+/* Return the squared mean of the first innovations after reversals over its variance. */
+static real_t turn_trend(const pmf_redge_state_t *state)
+{
+    return state->turns == 0U ? PMF_R(0.0) : state->turned * state->turned / state->turned_known;
+}
+
+/* Note size and correlation of the innovations. */
+static void note_surprise(const pmf_redge_config_t *config, pmf_redge_state_t *state, const pmf_edge_t *edge)
+{
+    real_t velocity = state->place_by[LATENESS], limit, square, alike;
+    real_t one = PMF_R(1.0) / ((real_t)state->calm + PMF_R(1.0)), ratio = edge->value * edge->value / edge->variance;
+    real_t both = edge->value * state->last / (PMF_R(0.5) * (edge->variance + state->last_variance));
+    real_t gain = larger(one, PMF_R(1.0) / RECENT);
+    state->surprise += gain * (smaller(ratio, PMF_R(100.0)) - state->surprise);
+    state->size += gain * (edge->value * edge->value - state->size);
+    both = smaller(larger(both, PMF_R(-9.0)), PMF_R(9.0));
+    limit = velocity * velocity * JITTER * JITTER + UNEVENLY * UNEVENLY;
+    state->rough += gain * (edge->noise / limit - state->rough);
+    state->trend += gain * (both - state->trend);
+    square = edge->value * edge->value + state->last * state->last + PMF_R(2.0) * config->finest * config->finest;
+    alike = PMF_R(2.0) * edge->value * state->last / square; /* from -1 to 1, whatever the size of the innovations */
+    state->colour += larger(one, PMF_R(1.0) / COLOURED) * (both - state->colour); /* sees a change at once */
+    state->correlation += larger(one, PMF_R(1.0) / CORRELATED) * (alike - state->correlation);
+    state->last = edge->value;
+    state->last_variance = edge->variance;
+    state->innovation = edge->value;
+}
+
+/* Note how much further the parameters moved in a block of edges than by corrections without a correlation. */
+static void note_block(pmf_redge_state_t *state)
+{
+    real_t gain = larger(PMF_R(1.0) / ((real_t)state->blocks + PMF_R(1.0)), PMF_R(1.0) / BLOCKS);
+    uint32_t i;
+    state->in_block += 1U;
+    if (state->in_block < BLOCK) {
+        return;
+    }
+    for (i = 0; i < PMF_BODY; ++i) {
+        real_t moved = state->block_moved[i] * state->block_moved[i];
+        if (moved > PMF_R(0.0)) {
+            state->further[i] += gain * (moved / state->block_squares[i] - state->further[i]);
+        }
+        state->block_moved[i] = state->block_squares[i] = PMF_R(0.0);
+    }
+    state->blocks += state->blocks < LAST_WINDOW ? 1U : 0U;
+    state->in_block = 0U;
+}
+
+/* Return 1 if the innovations are too large and are no noise: noise has no trend. */
+static uint32_t is_alarm(const pmf_redge_state_t *state)
+{
+    real_t late = state->velocity * LATE;
+    return state->calm >= CALM && state->surprise > ALARM && state->trend > TREND * state->surprise &&
+                   state->size > VISIBLE + late * late
+               ? 1U
+               : 0U;
+}
+
+/* Return 1 if the edge is far off and the one before was not: an edge of noise. A change makes several such edges. */
+static uint32_t is_alone(const pmf_redge_state_t *state, const pmf_edge_t *edge)
+{
+    return state->calm >= CALM && edge->value * edge->value > OUTLIER * edge->variance &&
+                   state->last * state->last < USUAL * state->last_variance
+               ? 1U
+               : 0U;
+}
+
+/* Return 1 if the innovations depend on each other: the right model leaves none that do. */
+static uint32_t is_correlated(const pmf_redge_state_t *state)
+{
+    real_t few;
+    uint32_t i, found;
+    found = state->calm >= RECENT_EDGES && (state->colour > COLOUR ||
+                                            state->correlation > CORRELATION + CORRELATION_OF_FEW / (real_t)state->calm)
+                ? 1U
+                : 0U;
+    few = TURN_SQUARES_OF_FEW / ((real_t)state->turns + PMF_R(1.0));
+    found |= state->turned_squares > TURN_SQUARES + few || turn_trend(state) > TURN_TREND ? 1U : 0U;
+    few = FURTHER_OF_FEW / ((real_t)state->blocks + PMF_R(1.0));
+    for (i = 0; i < PMF_BODY; ++i) {
+        found |= state->further[i] > FURTHER + few ? 1U : 0U;
+    }
+    return found;
+}
+
+#endif
