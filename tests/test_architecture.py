@@ -124,6 +124,7 @@ PUBLIC = [
     "friction_curve",
     "identify",
     "quantize",
+    "sample_edges",
     "search_terms",
     "validate",
 ]

@@ -49,7 +49,8 @@ def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
         row = int(np.argmax(wrong))
         raise UsageError(
             f"the age in row {row + 1} is {given[row]:g} s, and the sample is {step[row]:g} s after the one before: "
-            "an age is the time from the last edge to the sample, NaN without an edge since the sample before"
+            "an age is the time from the last edge to the sample, NaN without an edge since the sample before; the "
+            "name of a column has its unit, as age_us or age_ticks, unless that is s"
         )
     change = np.diff(counts, prepend=counts[:1])
     there = np.isfinite(given) & (change != 0)
