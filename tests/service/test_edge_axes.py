@@ -71,12 +71,12 @@ def test_rows_and_alarms_are_those_of_the_monitor(edge_axis: Prepared, motion: M
         Sample(time, u, n, max(0, lead), 1.0 if lead == UNKNOWN_GAP else 0.0, age)
         for (lead, _, u, n, time), age in zip(sending.expected, sending.ages, strict=True)
     ]
-    rows, told = monitored(edge_axis, samples)
+    rows, reported = monitored(edge_axis, samples)
     found = [bits for _, bits in outlet.of("x1")]
     assert len(found) > len(rows) - 6 * WINDOW
     assert found == rows[: len(found)]
     alarms = outlet.events("x1", "alarm")
-    assert [one["parameter"] for one in alarms] == [one["parameter"] for one in told if one["event"] == "alarm"]
+    assert [one["parameter"] for one in alarms] == [one["parameter"] for one in reported if one["event"] == "alarm"]
     assert alarms[0]["parameter"] == "mass"
 
 

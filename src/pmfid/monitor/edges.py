@@ -279,8 +279,8 @@ class EdgeMonitor:
         std = np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
         before, self.reference, self._base = self.reference, wanted, wanted
         busy = self.state in (SUSPICIOUS, SETTLING)
-        told = self._enter(WATCHING, "a new reference was given") if busy else []
-        return [Settled(self._time, wanted, std, before), *told]
+        changes = self._enter(WATCHING, "a new reference was given") if busy else []
+        return [Settled(self._time, wanted, std, before), *changes]
 
     @property
     def configuration_number(self) -> int:
