@@ -8,6 +8,7 @@ import pytest
 
 from pmfid import Drive, EdgeFit, Encoder, IntervalML, NotIdentifiableError, Status, UsageError, sample_edges
 from pmfid.config.axis import load_axis
+from pmfid.estimators.edges import read_edges
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.records.edge_ages import Coarser
 from pmfid.records.record import read_record
@@ -141,6 +142,16 @@ def test_under_a_load_that_wanders_changes_of_velocity_are_fitted() -> None:
     assert "changes of velocity" in fit.notes[-1]
     assert np.all(np.abs(fit.theta - TRUTH) < [0.002, 0.03, 0.03])
     assert np.all(np.abs(fit.theta - TRUTH) < 3 * fit.theta_std)
+
+
+def test_a_timer_may_go_on_without_an_edge() -> None:
+    counts = np.array([3, 3, 4, 4, 4, 3])
+    found, plain = (
+        read_edges(0.01 * np.arange(6), counts, ages)
+        for ages in ([0.05, 0.06, 0.004, 0.014, -1.0, 0.002], [np.nan, np.nan, 0.004, np.nan, np.nan, 0.002])
+    )
+    assert np.array_equal(found.instants, plain.instants)
+    assert found.lines.tolist() == plain.lines.tolist() == [4, 4]
 
 
 def test_ages_that_cannot_be_are_refused() -> None:
