@@ -35,9 +35,9 @@ class Edges:
 def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
     """Return the edges of `counts` (n,) at the times t (n,) [s].
 
-    `ages` (n,) [s] do not count in samples without an edge, where a timer may go on. An axis that turns between two samples may leave an edge without
-    a change of the counts. Such an edge has an unknown line, and the function leaves the edge out. Raises UsageError
-    for ages that do not fit the counts.
+    `ages` (n,) [s] do not count in samples without an edge, where a timer may go on. An axis that turns between two
+    samples may leave an edge without a change of the counts. Such an edge has an unknown line, and the function leaves
+    the edge out. Raises UsageError for ages that do not fit the counts.
     """
     given = np.asarray(ages, np.float64)
     if given.shape != counts.shape:
