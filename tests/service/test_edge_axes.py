@@ -176,8 +176,9 @@ def test_an_axis_of_counts_takes_blocks_with_ages(prepared: Prepared, motion: Mo
     assert run(prepared, waiting, 4).of("x1") == run(prepared, [list(plain)]).of("x1")
 
 
-def test_a_checkpoint_from_before_ages_is_read() -> None:
-    assert Line(*[1.0, 2.0, 3, ""]) == Line(1.0, 2.0, 3, "", 0.5)
+def test_lines_without_ages_are_kept_as_before_ages() -> None:
+    assert Line(1.0, 2.0, 3).as_list() == [1.0, 2.0, 3, ""]
+    assert Line(*Line(1.0, 2.0, 3, "", 0.5).as_list()).age == 0.5
 
 
 def test_the_monitor_takes_ages_from_a_pipe(tmp_path: Path, motion: Motion) -> None:
