@@ -53,7 +53,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "kernel": {"errors", "pmfid", "_kernel32", "_kernel64"},
     "models": GROUND,
     "encoder": GROUND,
-    "edge_times": {"types"},
+    "edge_times": {"errors", "types"},
     "filters": FILTERS,
     "linear": {"errors", "types", "presentation", "_stage", "deprecation"},
     "io": {"errors", "types"},
@@ -124,6 +124,7 @@ PUBLIC = [
     "friction_curve",
     "identify",
     "quantize",
+    "sample_edges",
     "search_terms",
     "validate",
 ]

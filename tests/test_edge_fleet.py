@@ -36,10 +36,10 @@ def batches(runs: tuple[np.ndarray, ...], size: int) -> Iterator[tuple[np.ndarra
 def run_singly(monitor: EdgeMonitor, run: tuple[np.ndarray, ...]) -> tuple[FleetRows, list[Event]]:
     found, events = FleetRows.empty(1, run[0].size, 3), []
     for k, sample in enumerate(zip(*(part.tolist() for part in run), strict=True)):
-        estimate, told = monitor.step(*sample)
+        estimate, reported = monitor.step(*sample)
         found.theta[0, k], found.std[0, k], found.status[0, k] = estimate.theta, estimate.theta_std, estimate.status
         found.innovation[0, k], found.state[0, k] = estimate.innovation, STATES.index(monitor.state)
-        events += told
+        events += reported
     return found, events
 
 
@@ -53,11 +53,11 @@ def test_a_fleet_has_the_bits_of_single_monitors(runs: tuple[np.ndarray, ...], p
             events[row].append(event)
     for axis in range(AXES):
         monitor = make_monitor(precision=precision)
-        expected, told = run_singly(monitor, tuple(part[axis] for part in runs))
+        expected, reported = run_singly(monitor, tuple(part[axis] for part in runs))
         for name in ("theta", "std", "status", "innovation", "state"):
             own = np.concatenate([getattr(rows, name)[axis] for rows in found])
             np.testing.assert_array_equal(own, getattr(expected, name)[0], err_msg=f"{name} of axis {axis}")
-        assert repr(events[axis]) == repr(told)
+        assert repr(events[axis]) == repr(reported)
         assert fleet.monitor(axis).get_state() == monitor.get_state()
     assert [any(isinstance(event, Alarm) for event in own) for own in events] == [True, False, True, False]
 

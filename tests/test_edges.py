@@ -6,11 +6,13 @@ import numpy as np
 import polars as pl
 import pytest
 
-from pmfid import Drive, EdgeFit, Encoder, IntervalML, NotIdentifiableError, Status, UsageError
+from pmfid import Drive, EdgeFit, Encoder, IntervalML, NotIdentifiableError, Status, UsageError, sample_edges
 from pmfid.config.axis import load_axis
 from pmfid.edge_times import Lattice, Trajectory, read_edge_times
+from pmfid.estimators.edges import read_edges
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.records.edge_ages import Coarser
+from pmfid.records.record import read_record
 from pmfid.simulation import CART, capture_edges, prbs, quantize, simulate_drive
 
 DT, EVERY, RESOLUTION = 1e-3, 10, 1e-4
@@ -154,6 +156,16 @@ def test_under_a_load_that_wanders_changes_of_velocity_are_fitted() -> None:
     assert np.all(np.abs(fit.theta - TRUTH) < 3 * fit.theta_std)
 
 
+def test_a_timer_may_go_on_without_an_edge() -> None:
+    counts = np.array([3, 3, 4, 4, 4, 3])
+    found, plain = (
+        read_edges(0.01 * np.arange(6), counts, ages)
+        for ages in ([0.05, 0.06, 0.004, 0.014, -1.0, 0.002], [np.nan, np.nan, 0.004, np.nan, np.nan, 0.002])
+    )
+    assert np.array_equal(found.instants, plain.instants)
+    assert found.lines.tolist() == plain.lines.tolist() == [4, 4]
+
+
 def test_ages_that_cannot_be_are_refused() -> None:
     u, counts, ages, encoder = swing(16)
     method = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16)
@@ -224,3 +236,58 @@ def test_a_missed_and_a_doubled_edge_cost_nothing() -> None:
         counts[k:] += times * np.sign(counts[k] - counts[k - 1])
     fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16, tick=1e-6).fit(u, counts, ages)
     np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-5)
+
+
+def test_a_list_of_edges_gives_the_columns_of_a_capture() -> None:
+    u = np.repeat(prbs(300, clock=10, amplitude=4.0, rng=np.random.default_rng(2)), EVERY)
+    counts, ages = capture_edges(simulate_drive(CART, u, DT), 0.0058, every=EVERY)
+    (moved,) = np.nonzero(np.isfinite(ages))
+    assert np.all(np.abs(np.diff(counts)) <= 1)
+    found, old = sample_edges(moved * EVERY * DT - ages[moved], counts[moved], EVERY * DT, counts.size)
+    assert np.array_equal(found[moved[0] :], counts[moved[0] :])
+    np.testing.assert_allclose(old, ages, atol=1e-12)
+    later = sample_edges(moved * EVERY * DT - ages[moved], counts[moved], EVERY * DT, 50, start=100 * EVERY * DT)
+    np.testing.assert_allclose(later[1][1:], ages[101:150], atol=1e-12)
+    several = sample_edges([0.001, 0.002, 0.003], [1, 2, 3], 0.01, 2)
+    assert (several[0].tolist(), several[1][1]) == ([1, 3], pytest.approx(0.007))
+
+
+@pytest.mark.parametrize(
+    ("instants", "counts", "words"),
+    [
+        ([], [], "lists"),
+        ([0.1], [1, 2], "lists"),
+        ([0.2, 0.1], [1, 2], "sort the edges"),
+        ([0.2, np.nan], [1, 2], "edge 1 is not finite"),
+    ],
+)
+def test_wrong_lists_of_edges_are_refused(instants: list[float], counts: list[int], words: str) -> None:
+    with pytest.raises(UsageError, match=words):
+        sample_edges(instants, counts, 0.01, 3)
+
+
+def test_ages_in_ticks_need_the_period_of_the_timer(tmp_path: Path) -> None:
+    u = np.repeat(prbs(300, clock=10, amplitude=4.0, rng=np.random.default_rng(2)), EVERY)
+    counts, ages = capture_edges(simulate_drive(CART, u, DT), 0.0058, every=EVERY, tick=1e-6)
+    text = """[record]
+input = "u"
+output = "n"
+output_kind = "counts"
+dt = 0.01
+[encoder]
+resolution = 0.0058
+edge_age = "age"
+%s
+[model]
+kind = "drive"
+input_gain = 2.0
+"""
+    table = pl.DataFrame({"u": u[::EVERY], "n": counts, "age [ticks]": np.round(1e6 * ages)})
+    table.write_csv(tmp_path / "run.csv")
+    (tmp_path / "axis.toml").write_text(text % "tick = 1e-6")
+    record = read_record(tmp_path / "run.csv", load_axis(tmp_path / "axis.toml"))
+    assert record.ages is not None
+    np.testing.assert_allclose(record.ages, ages, atol=1e-12)
+    (tmp_path / "axis.toml").write_text(text % "")
+    with pytest.raises(UsageError, match="give the period of the timer"):
+        read_record(tmp_path / "run.csv", load_axis(tmp_path / "axis.toml"))

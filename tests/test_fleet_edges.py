@@ -24,7 +24,9 @@ def rows(name: str, schedule: Schedule, seed: int) -> pl.DataFrame:
     u, counts, ages = cart_edges(schedule, seed, SECONDS)
     age_us = [None if np.isnan(age) else 1e6 * age for age in ages.tolist()]
     time = BEGUN + CART_DT * np.arange(u.size)
-    return pl.DataFrame({"machine": name, "t": time, "u": u, "n": counts, "age_us": pl.Series(age_us, dtype=pl.Float64)})
+    return pl.DataFrame(
+        {"machine": name, "t": time, "u": u, "n": counts, "age_us": pl.Series(age_us, dtype=pl.Float64)}
+    )
 
 
 @pytest.fixture(scope="module")

@@ -91,6 +91,20 @@ def test_of_a_loaded_axis_the_load_and_the_mass_are_told_apart(weight: float, na
     assert np.array_equal(other.reference, monitor.reference)
 
 
+@pytest.mark.parametrize("factor", [1.0, 1.1])
+def test_a_gap_is_no_suspicion_and_hides_no_change(factor: float) -> None:
+    record, missing = changed_run("mass", factor), slice(1180, 1220)
+    monitor = make_monitor()
+    watch(monitor, tuple(part[: missing.start] for part in record))
+    events = monitor.skip(missing.stop - missing.start)
+    events += watch(monitor, tuple(part[missing.stop :] for part in record))
+    alarms = [event for event in events if isinstance(event, Alarm)]
+    assert [alarm.parameter for alarm in alarms] == (["mass"] if factor > 1 else [])
+    assert all(abs(alarm.relative - 0.1) < 3 * alarm.relative * alarm.std / alarm.change for alarm in alarms)
+    suspected = any(isinstance(event, StateChange) and event.state == "suspicious" for event in events)
+    assert (suspected, monitor.state) == (factor > 1, "watching")
+
+
 def test_a_change_within_the_tolerance_is_none() -> None:
     monitor = make_monitor(tolerance=0.05)
     events = watch(monitor, changed_run("mass", 1.03))

@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from pmfid import fleet as fleet
     from pmfid._estimate import Estimate as Estimate
     from pmfid.config.keys import AxisKeys as AxisKeys
+    from pmfid.edge_times import sample_edges as sample_edges
     from pmfid.encoder import Encoder as Encoder
     from pmfid.encoder import quantize as quantize
     from pmfid.errors import NotIdentifiableError as NotIdentifiableError
@@ -105,6 +106,7 @@ _PUBLIC = {
     "export_firmware": "pmfid.export.firmware",
     "identify": "pmfid.pipeline.arrays",
     "quantize": "pmfid.encoder",
+    "sample_edges": "pmfid.edge_times",
     "search_terms": "pmfid.pipeline.arrays",
     "TermSearch": "pmfid.pipeline.terms",
     "validate": "pmfid.pipeline.arrays",

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from pmfid.errors import UsageError
 from pmfid.types import Counts, Floats
 
 
@@ -54,6 +55,60 @@ class Lattice:
         counts -= x < self.place(counts)
         counts += x >= self.place(counts + 1)
         return counts
+
+
+def sample_edges(
+    instants: ArrayLike, counts: ArrayLike, dt: float, samples: int, start: float = 0.0
+) -> tuple[Counts, Floats]:
+    """Turn a list of edges into the counts and the age of the last edge of each sample.
+
+    Parameters
+    ----------
+    instants : array_like (m,)
+        Rising instants of the edges [s], as a timer captures them.
+    counts : array_like (m,)
+        Counts after each edge.
+    dt : float
+        Sample period [s].
+    samples : int
+        Number of samples n.
+    start : float
+        Instant of the first sample [s], by the same clock.
+
+    Returns
+    -------
+    counts, ages : ndarray (n,)
+        Counts of each sample, and the time from the last edge to it [s], NaN without an edge since the sample before.
+        Samples before the first edge have its counts.
+
+    Raises
+    ------
+    UsageError
+        The lists are empty or differ in length, or the instants are not finite and rising.
+
+    Examples
+    --------
+    >>> from pmfid import sample_edges
+    >>> counts, ages = sample_edges([0.004, 0.013, 0.018], [5, 6, 7], dt=0.01, samples=4)
+    >>> counts.tolist(), ages.round(3).tolist()
+    ([5, 5, 7, 7], [nan, 0.006, 0.002, nan])
+    """
+    t, known = np.asarray(instants, np.float64), np.asarray(counts, np.int64)
+    if t.ndim != 1 or t.shape != known.shape or not t.size:
+        raise UsageError(f"instants and counts must be lists (m,) of the same edges, got {t.shape} and {known.shape}")
+    wrong = ~np.isfinite(t) | (np.diff(t, prepend=-np.inf) < 0)
+    if np.any(wrong):
+        row = int(np.argmax(wrong))
+        raise UsageError(
+            f"the instant {t[row]:g} s of edge {row} is not finite and after the one before; sort the edges"
+        )
+    now = start + dt * np.arange(samples)
+    last = np.searchsorted(t, now, "right") - 1
+    fresh = np.diff(last, prepend=-1) > 0
+    fresh[:1] &= last[:1] >= 0
+    ages = np.where(fresh, now - t[np.maximum(last, 0)], np.nan)
+    ages[:1] = np.where(ages[:1] <= dt, ages[:1], np.nan)
+    return known[np.maximum(last, 0)], ages
 
 
 def read_edge_times(path: Trajectory, lines: Lattice, every: int = 1, tick: float = 0.0) -> tuple[Counts, Floats]:

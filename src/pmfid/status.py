@@ -62,7 +62,8 @@ _WORDS: dict[Status, tuple[str, str, str]] = {
     Status.INVALID_INPUT: (
         "an input was not finite, or far beyond all others, and was left out",
         "check what writes the input",
-        "The last input counts in its place, unless the counts answer to it, or it stays.",
+        "The last input counts in its place, unless the counts answer to it, or it stays. With edge times also: the "
+        "counts moved without a valid age of the edge, which then counts without its instant.",
     ),
     Status.COUNT_JUMP: (
         "the counts jumped as no motion does, or further than max_speed allows: left out",

@@ -13,6 +13,7 @@ import pytest
 
 from pmfid import Status
 from pmfid.errors import UsageError
+from pmfid.fleet.shards import States, StreamPlan, StreamShard
 from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.pipeline.monitored.timeline import Line, Sample
 from pmfid.service.arrangement import arrange_groups
@@ -71,12 +72,12 @@ def test_rows_and_alarms_are_those_of_the_monitor(edge_axis: Prepared, motion: M
         Sample(time, u, n, max(0, lead), 1.0 if lead == UNKNOWN_GAP else 0.0, age)
         for (lead, _, u, n, time), age in zip(sending.expected, sending.ages, strict=True)
     ]
-    rows, told = monitored(edge_axis, samples)
+    rows, reported = monitored(edge_axis, samples)
     found = [bits for _, bits in outlet.of("x1")]
     assert len(found) > len(rows) - 6 * WINDOW
     assert found == rows[: len(found)]
     alarms = outlet.events("x1", "alarm")
-    assert [one["parameter"] for one in alarms] == [one["parameter"] for one in told if one["event"] == "alarm"]
+    assert [one["parameter"] for one in alarms] == [one["parameter"] for one in reported if one["event"] == "alarm"]
     assert alarms[0]["parameter"] == "mass"
 
 
@@ -175,8 +176,9 @@ def test_an_axis_of_counts_takes_blocks_with_ages(prepared: Prepared, motion: Mo
     assert run(prepared, waiting, 4).of("x1") == run(prepared, [list(plain)]).of("x1")
 
 
-def test_a_checkpoint_from_before_ages_is_read() -> None:
-    assert Line(*[1.0, 2.0, 3, ""]) == Line(1.0, 2.0, 3, "", 0.5)
+def test_lines_without_ages_are_kept_as_before_ages() -> None:
+    assert Line(1.0, 2.0, 3).as_list() == [1.0, 2.0, 3, ""]
+    assert Line(*Line(1.0, 2.0, 3, "", 0.5).as_list()).age == 0.5
 
 
 def test_the_monitor_takes_ages_from_a_pipe(tmp_path: Path, motion: Motion) -> None:
@@ -193,3 +195,20 @@ def test_the_monitor_takes_ages_from_a_pipe(tmp_path: Path, motion: Motion) -> N
     events = [json.loads(line) for line in done.stdout.splitlines()]
     assert [one["parameter"] for one in events if one["event"] == "alarm"] == ["mass"]
     assert events[0]["method"] == "redge"
+
+
+def test_shards_of_a_stream_keep_the_states(edge_axis: Prepared, motion: Motion) -> None:
+    plan = StreamPlan(edge_axis, Pace(0.0, 0.0), 1)
+    numbering, body, rows = Numbering(CART_DT, 1, 50), None, list[np.ndarray]()
+    for k in range(0, 1200, 400):
+        shard = StreamShard(plan, 0, body)
+        shard.take(numbering.add("x1", *(part[k : k + 400] for part in motion[:2]), math.nan, motion[2][k : k + 400]))
+        rows += [found.theta for found in shard.outcomes.estimates]
+        body = shard.save_state()
+    samples = [
+        Sample(CART_DT * k, u, n, age=age)
+        for k, (u, n, age) in enumerate(zip(*(part[:1200].tolist() for part in motion), strict=True))
+    ]
+    assert np.concatenate(rows).tobytes() == b"".join(bits[0] for bits in monitored(edge_axis, samples)[0])
+    monitor = States.from_bodies({0: body or b""}, edge_axis.digest).monitor("x1", edge_axis, Pace())
+    assert monitor.samples == 1200

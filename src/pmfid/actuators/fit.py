@@ -190,7 +190,9 @@ def _search_terms(
             break
         problem, z, cost, name = better
         names.append(name)
-        if name == "torque_limit" and _measure_doubt(problem, z) > TUNING.doubted:  # the start without a limit was far off
+        if (
+            name == "torque_limit" and _measure_doubt(problem, z) > TUNING.doubted
+        ):  # the start without a limit was far off
             fresh, less = problem.refine(find_start(problem))
             z, cost = (fresh, less) if less < cost else (z, cost)
     return problem, z, cost, names
@@ -365,7 +367,9 @@ def _find(
     findings, deviation = [], rms / servo.resolution
     if doubt > TUNING.doubted:
         more = doubt * TUNING.least_scatter
-        sentence = f"in addition to rounding, the simulated motion deviates by {more:.2g} encoder steps for some samples"
+        sentence = (
+            f"in addition to rounding, the simulated motion deviates by {more:.2g} encoder steps for some samples"
+        )
         findings.append(Finding("unmodelled", sentence, "name a further term, or move one joint at a time"))
     elif deviation > TUNING.noisy / math.sqrt(12):
         sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"

@@ -35,24 +35,23 @@ class Edges:
 def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
     """Return the edges of `counts` (n,) at the times t (n,) [s].
 
-    `ages` (n,) [s] are NaN in samples without an edge. An axis that turns between two samples may leave an edge without
-    a change of the counts. Such an edge has an unknown line, and the function leaves the edge out. Raises UsageError
-    for ages that do not fit the counts.
+    `ages` (n,) [s] do not count in samples without an edge, where a timer may go on. An axis that turns between two
+    samples may leave an edge without a change of the counts. Such an edge has an unknown line, and the function leaves
+    the edge out. Raises UsageError for ages that do not fit the counts.
     """
     given = np.asarray(ages, np.float64)
     if given.shape != counts.shape:
         raise UsageError(f"ages must be an array (n,) as counts, got {given.shape} for {counts.shape}")
-    step = np.diff(t, prepend=t[0])
-    wrong = np.isfinite(given) & ~((given >= 0) & (given <= step * (1 + TUNING.edges_late)))
-    wrong[0] = False
+    step, change = np.diff(t, prepend=t[0]), np.diff(counts, prepend=counts[:1])
+    there = np.isfinite(given) & (change != 0)
+    wrong = there & ~((given >= 0) & (given <= step * (1 + TUNING.edges_late)))
     if np.any(wrong):
         row = int(np.argmax(wrong))
         raise UsageError(
             f"the age in row {row + 1} is {given[row]:g} s, and the sample is {step[row]:g} s after the one before: "
-            "an age is the time from the last edge to the sample, NaN without an edge since the sample before"
+            "an age is the time from the last edge to the sample, and empty or NaN where it is unknown; the name of a "
+            "column has its unit, as age_us or age_ticks, unless that is s"
         )
-    change = np.diff(counts, prepend=counts[:1])
-    there = np.isfinite(given) & (change != 0)
     lines = np.where(change > 0, counts, counts + 1)
     return Edges((t - given)[there], lines[there])
 

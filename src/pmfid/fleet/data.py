@@ -17,9 +17,9 @@ from typing import ClassVar, Protocol, TypeVar
 import polars as pl
 
 from pmfid.errors import UsageError, whole_number
+from pmfid.fleet.edge_segments import solve_edges
 from pmfid.fleet.plan import Places, RowProblem, RowShard, Survey, content, join_surveys, survey_part
 from pmfid.fleet.rows import Aside, RecordPiece, ShardRows, find_mixed_parts, pieces_of, read_rows, rows_of
-from pmfid.fleet.edge_segments import solve_edges
 from pmfid.fleet.segments import Segments, solve
 from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import Part, SourceColumns

@@ -35,7 +35,7 @@ class EdgeStretch:
 
 
 def solve_edges(pieces: Iterable[RecordPiece], settings: Settings) -> Segments:
-    """Return the segments of pieces, each estimated anew. A piece that is no record is a problem of its axis."""
+    """Return the segments of pieces, each estimated on its own. A piece that is no record is a problem of its axis."""
     problems = list[RowProblem]()
     groups: dict[tuple[float, float, int], list[EdgeStretch]] = defaultdict(list)
     for piece in pieces:

@@ -77,8 +77,8 @@ def record_at(table: Table, axis: Axis) -> Record:
 class Chosen:
     """A choice by records of the fleet.
 
-    The choice consists of the filters' pole [rad/s], 0 without filters, and the pre-filters' zeros [1/s]. `dt` is the sample period [s],
-    and `resolution` the resolution of the records.
+    The choice consists of the filters' pole [rad/s], 0 without filters, and the pre-filters' zeros [1/s]. `dt` is the
+    sample period [s], and `resolution` the resolution of the records.
     """
 
     cutoff: float
@@ -106,7 +106,9 @@ def make_settings(given: Axis, chosen: Chosen, most: float, segment: float | Non
     `most` is the largest duration of a segment [s]. `segment` is its length [s]. By default the length fits the memory
     of [estimator] forgetting, or the filters. Raises UsageError for segments that are too short for the filters.
     """
-    config = choose_method(given).estimator.model_copy(update={"cutoff": chosen.cutoff, "prefilter_zeros": chosen.zeros})
+    config = choose_method(given).estimator.model_copy(
+        update={"cutoff": chosen.cutoff, "prefilter_zeros": chosen.zeros}
+    )
     nothing = Record(np.zeros(0), np.zeros(0, np.int64), chosen.dt, chosen.resolution, (), "")
     if takes_edges(given):
         length = min(TUNING.settings_segments[0] if segment is None else segment, most)

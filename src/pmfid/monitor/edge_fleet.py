@@ -129,7 +129,8 @@ class EdgeFleet(AxisFleet[EdgeMonitor, EdgeStates]):
         with np.errstate(invalid="ignore"):
             calm = weighed & ~doubtful & (statistic <= monitor.threshold)
         rest = ~starting & ~moved
-        quiet = np.where(at[_STARTING], starting, np.where(at[_WATCHING], calm, rest | (weighed & doubtful)))
+        unsure = rest | (weighed & doubtful) | (starting & ~armed[:, :-1])
+        quiet = np.where(at[_STARTING], starting, np.where(at[_WATCHING], calm, unsure))
         self._note(states, counts, rows.theta, (weighed & judged, statistic), sound, silent[:, -1])
         states.armed[:] = armed[:, -1]
         return np.asarray(np.all(quiet | ~judged, axis=1))

@@ -188,10 +188,18 @@ class EdgeMonitor:
         return estimate, self._judge(estimate) if moved or self._silent == self.patience else []
 
     def skip(self, samples: int) -> list[Event]:
-        """Skip lost samples, and return the events. The recursion finds the motion again."""
+        """Skip lost samples, and return the events. The recursion begins again at the last sound estimate."""
         self.estimator.reset()
         self.samples += samples
-        return [] if self.state == STARTING else self._enter(CANNOT_TELL, "samples are missing")
+        if self.state == STARTING:
+            return []
+        self._expect_base()
+        return self._enter(CANNOT_TELL, "samples are missing")
+
+    def _expect_base(self) -> None:
+        """Let the estimator begin again at the last sound estimate."""
+        self.estimator.expect(self._bound(self._base))
+        self._armed = False
 
     @property
     def patience(self) -> int:
@@ -204,7 +212,8 @@ class EdgeMonitor:
             weigh = self._weigh if self.state == SUSPICIOUS else self._settle
             return [] if self._silent or estimate.status & Status.STARTING else weigh(estimate)
         if estimate.status & Status.STARTING:
-            return [] if self.state == STARTING else self._suspect()
+            waits = self.state == STARTING or (self.state == CANNOT_TELL and not self._armed)  # after lost samples
+            return [] if waits else self._suspect()
         if self._silent:
             return self._enter(CANNOT_TELL, "standstill")
         distorted = bool(estimate.status & Status.DISTORTED)
@@ -232,9 +241,9 @@ class EdgeMonitor:
         return statistic, self.threshold * error.max(axis=-1) > TUNING.edge_known
 
     def _suspect(self) -> list[Event]:
-        """Let the estimator begin again at the last sound estimate, because the machine may have changed."""
-        self.estimator.expect(self._bound(self._base))
-        self._since, self._armed = 0, False
+        """Look for a change from the last sound estimate on."""
+        self._expect_base()
+        self._since = 0
         return self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet")
 
     @property
@@ -310,8 +319,8 @@ class EdgeMonitor:
         std = np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
         before, self.reference, self._base = self.reference, wanted, wanted
         busy = self.state in (SUSPICIOUS, SETTLING)
-        told = self._enter(WATCHING, "a new reference was given") if busy else []
-        return [Settled(self._time, wanted, std, before), *told]
+        changes = self._enter(WATCHING, "a new reference was given") if busy else []
+        return [Settled(self._time, wanted, std, before), *changes]
 
     @property
     def configuration_number(self) -> int:

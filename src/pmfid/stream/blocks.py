@@ -18,12 +18,14 @@ from pmfid.stream.delivery import Block, Table, Unusable
 from pmfid.types import Counts, Flags, Floats
 
 #: Blocks of version 1 have u and counts, blocks of version 2 also the ages of edges.
-MAGIC, PLAIN, WITH_AGES = b"PMFB", 1, 2
+MAGIC, PLAIN = b"PMFB", 1
+WITH_AGES = PLAIN + 1
 MOST_SAMPLES, LONGEST_NAME = 1024, 64
 #: An epoch has 32 bits. Above the largest number of samples, neighbouring integers are one double, as in JSON.
 MOST_EPOCH, MOST_NUMBER = 2**32, 2**53
 #: Flags that u are float64 instead of float32, counts int64 instead of int32, and ages float64 instead of float32.
-WIDE_U, WIDE_COUNTS, WIDE_AGES = 1, 2, 4
+WIDE_U, WIDE_COUNTS = 1, 2
+WIDE_AGES = 2 * WIDE_COUNTS
 U, COUNTS = (np.dtype("<f4"), np.dtype("<f8")), (np.dtype("<i4"), np.dtype("<i8"))
 #: Number of the possible flags in each version.
 FLAGS = {PLAIN: WIDE_AGES, WITH_AGES: 2 * WIDE_AGES}

@@ -59,7 +59,7 @@ class Reading:
         units = conversion(Sections(config, axis.encoder, axis.model), *names[:2])
         self._scale = float(config.input_scale) * units.u
         self._step = axis.encoder.resolution / units.y if config.output_kind == "position" else None
-        self._age = age_factor(names[-1]) if takes_edges(axis) else None
+        self._age = age_factor(names[-1], axis.encoder.tick) if takes_edges(axis) else None
         timed = len(names) == (3 if self._age is None else 4)
         self._unit = time_factor(config.model_copy(update={"time": names[2] if timed else None}))
 

@@ -120,8 +120,8 @@ class Line:
     age: float = field(default=math.nan, compare=False)  # NaN is not equal to itself
 
     def as_list(self) -> list[float | int | str]:
-        """Return the arguments of a line for JSON."""
-        return [self.time, self.u, self.counts, self.problem, self.age]
+        """Return the arguments of a line for JSON, as before ages unless the line has one."""
+        return [self.time, self.u, self.counts, self.problem, *([] if math.isnan(self.age) else [self.age])]
 
 
 @dataclass(frozen=True)
