@@ -267,7 +267,7 @@ def test_a_max_speed_below_the_motion_is_named(tmp_path: Path, cart: Cart) -> No
 def test_out_where_a_file_is_in_the_way(tmp_path: Path, cart: Cart) -> None:
     (tmp_path / "file").write_text("")
     assert "is a file" in usage(run(cart.csv, "--json", "--out", str(tmp_path / "file")))
-    assert "Not a directory; choose another place" in bad(cart.csv, "--out", str(tmp_path / "file" / "below"))
+    assert "Not a directory; choose another file or folder" in bad(cart.csv, "--out", str(tmp_path / "file" / "below"))
 
 
 @pytest.mark.parametrize("name", ["report.html", "result.json", "track.parquet"])
@@ -285,7 +285,7 @@ def test_out_without_permission(tmp_path: Path, cart: Cart, monkeypatch: pytest.
 
     monkeypatch.setattr(Path, "mkdir", refused)
     place = str(tmp_path / "out")
-    assert f"{place}: Permission denied; choose another place" in bad(cart.csv, "--out", place)
+    assert f"{place}: Permission denied; choose another file or folder" in bad(cart.csv, "--out", place)
 
 
 # --- records that cannot identify the parameters --------------------------------------------------------------------
@@ -439,7 +439,7 @@ def test_the_json_object_has_its_keys_and_types(cart: Cart) -> None:
 def test_a_resolution_in_words_is_no_resolution(cart: Cart) -> None:
     result = CliRunner().invoke(main, ["identify", str(cart.csv), "--config", "axis.toml", "--resolution", "coarse"])
     assert result.exit_code == 2
-    assert "'coarse' is not a number, with a unit or without, as 0.001 or \"0.01 mm\"" in result.stderr
+    assert "'coarse' is not a number; write 0.001 or \"0.01 mm\"" in result.stderr
 
 
 def test_options_go_before_the_configuration(cart: Cart) -> None:

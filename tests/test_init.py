@@ -145,7 +145,7 @@ def test_the_command_never_writes_over_a_file(tmp_path: Path) -> None:
     before = place.read_bytes()
     again = CliRunner().invoke(main, command)
     assert (again.exit_code, place.read_bytes()) == (2, before)
-    assert "is there already" in again.stderr
+    assert "already exists" in again.stderr
 
 
 def test_a_record_without_two_columns_is_refused(tmp_path: Path) -> None:
