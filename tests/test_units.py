@@ -176,7 +176,7 @@ def test_a_name_that_the_configuration_contradicts_is_refused(tmp_path: Path) ->
         read_record(path, axis("pos_mm", record_output_kind="counts"))
     with pytest.raises(UsageError, match='output_kind = "velocity"'):
         read_record(logged(tmp_path, "v [mm/s]"), axis("v [mm/s]"))
-    with pytest.raises(UsageError, match=r"resolution in deg is of a rotary axis, .* in N/V of a linear one"):
+    with pytest.raises(UsageError, match=r"resolution in deg belongs to a rotary axis, .* in N/V to a linear one"):
         axis("y", resolution="0.01 deg", input_gain="2 N/V")
 
 
@@ -201,7 +201,7 @@ def test_a_row_of_units_tells_a_rotary_axis(tmp_path: Path) -> None:
     assert identify(record, plain).names[0] == "inertia"
     with pytest.raises(UsageError, match=r'write .model. axis = "rotary", and inertia in place of a known mass'):
         kind_of(plain).prepare_axis(record, axis("y", estimator_given={"mass": 1.0}, model_input_gain="estimate"))
-    with pytest.raises(UsageError, match=r'axis = "linear" of a linear one'):
+    with pytest.raises(UsageError, match=r'axis = "linear" to a linear one'):
         read_record(tmp_path / "run.csv", axis("y", model_axis="linear"))
 
 
