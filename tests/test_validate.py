@@ -167,7 +167,7 @@ def test_negative_friction_is_simulated_as_none_and_said() -> None:
     run = run_of(6)
     found = drive_run(method(), np.array([0.45, 3.1, -0.2]), run.u, run.counts, "run")
     none = drive_run(method(), np.array([0.45, 3.1, 0.0]), run.u, run.counts, "run")
-    assert found.notes == ("coulomb_friction below zero, simulated as zero",)
+    assert found.notes == ("coulomb_friction is below zero, and is simulated as zero",)
     assert found.rmse == pytest.approx(none.rmse, rel=1e-6)
 
 
