@@ -156,7 +156,7 @@ def edited(column: str, row: int, value: float) -> Change:
         (
             edited("t", 1001, 9.98),
             "time does not increase strictly: row 1001",
-            "keep the rows up to 1000 or those from 1001 on",
+            "keep the rows up to 1000 or from 1001 on",
         ),
         (lambda frame: frame.head(0), "the record has 0 samples", "record longer"),
         (lambda frame: frame.head(1), "the record has 1 sample,", "record longer"),
@@ -185,7 +185,9 @@ def test_empty_and_truncated_files(tmp_path: Path, cart: Cart, kind: str) -> Non
 
 def test_record_missing_or_a_directory_or_of_unknown_type(tmp_path: Path, cart: Cart) -> None:
     assert "No such file or directory; give the path of a data file" in bad(tmp_path / "absent.csv")
-    assert "a folder with one log is a record, this one has none; give the path of a file" in bad(tmp_path)
+    assert "a folder that serves as a record has one log, but this one has none; give the path of a file" in bad(
+        tmp_path
+    )
     other = tmp_path / "run.docx"
     other.write_bytes(cart.csv.read_bytes())
     assert f"use one of {', '.join(SUFFIXES)}" in bad(other)
@@ -446,7 +448,7 @@ def test_options_go_before_the_configuration(cart: Cart) -> None:
     options = ("--method", "ls", "--cutoff", "30", "--order", "3", "--quantize", "91e-6")
     printed = good(cart.csv, *options)
     assert printed["method"] == "ls"
-    assert "position quantised again with a step of 9.1e-05" in printed["notes"]
+    assert "the position is quantised again with a step of 9.1e-05" in printed["notes"]
     assert values(printed)["mass"] != values(good(cart.csv, "--method", "ls"))["mass"]
     doubled = good(cart.csv, "--resolution", str(2 * CART_RESOLUTION))
     assert values(doubled)["mass"] == pytest.approx(CART.mass / 2, rel=0.02)

@@ -106,7 +106,9 @@ def test_epochs_in_ns_keep_their_digits_and_missing_numbers_are_missing() -> Non
 
 def test_what_is_no_frame_is_refused(axis: Path) -> None:
     for wrong in (pl.LazyFrame(COLUMNS), 7, [1, 2]):
-        with pytest.raises(UsageError, match="a record is a frame of pandas, Polars or Arrow, a dict of arrays or"):
+        with pytest.raises(
+            UsageError, match="a record must be a frame of pandas, Polars or Arrow, a dict of arrays or"
+        ):
             pmfid.identify(wrong, axis=axis)
     with pytest.raises(UsageError, match="axis says everything but the record"):
         pmfid.identify(frames()["dict"], axis=axis, dt=0.01)

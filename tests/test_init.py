@@ -278,7 +278,7 @@ def test_two_topics_in_one_table_are_one_record(tmp_path: Path) -> None:
     record = kind_of(axis).read([tmp_path / "log.csv"], axis)
     assert (axis.record.input, record.dt) == ("/cmd/force", pytest.approx(0.01))
     assert record.u[:-1] == pytest.approx(0.8 * u[: record.u.size - 1] + 0.2 * u[1 : record.u.size], abs=1e-6)
-    assert any("rows of their own" in note for note in record.notes)
+    assert any("separate rows" in note for note in record.notes)
 
 
 def test_a_joint_is_named_and_a_few_digits_are_no_encoder(tmp_path: Path) -> None:

@@ -229,7 +229,7 @@ def test_differences_of_counts_add_up_to_the_counts(tmp_path: Path) -> None:
     pl.DataFrame({"u": RUN.u, "v": v}).write_csv(tmp_path / "run.csv")
     moving = axis("v", record_output_kind="velocity")
     record = same(read_record(tmp_path / "run.csv", moving))
-    assert any("change of counts, which are added up" in note for note in record.notes)
+    assert any("change of the counts, and the position is their sum" in note for note in record.notes)
 
 
 def test_a_velocity_that_is_no_change_of_counts_is_integrated(tmp_path: Path) -> None:
