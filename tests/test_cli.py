@@ -202,7 +202,7 @@ def test_record_missing_or_a_directory_or_of_unknown_type(tmp_path: Path, cart: 
         (("--resolution", "0"), "[encoder] resolution = 0.0 (given as an option)", "give the unit of y per count"),
         (("--resolution", "-1e-3"), "resolution = -0.001 (given as an option)", "give the unit of y per count"),
         (("--resolution", "nan"), "resolution = nan", "give the unit of y per count"),
-        (("--resolution", "0.01 parsec"), "'parsec' is no unit here", "known are m, cm, mm"),
+        (("--resolution", "0.01 parsec"), "'parsec' is not a known unit", "use one of m, cm, mm"),
         (("--cutoff", "0"), "[estimator] cutoff = 0.0", "give the pole of the filter chain in rad/s"),
         (("--cutoff", "201"), "[estimator] cutoff = 201 rad/s is too high for dt = 0.01 s", "at most 2/dt = 200 rad/s"),
         (("--order", "1"), "[estimator] order = 1", "give the number of filter stages, 2 to 6"),

@@ -120,7 +120,7 @@ def test_missing_parts_are_named(tmp_path: Path) -> None:
     for part in ("[drive] mass is missing", "[encoder] is missing", "[motion] is missing"):
         assert part in str(error.value)
     path.write_text(EXAMPLE.read_text().replace("resolution = 22.75e-6", ""))
-    with pytest.raises(UsageError, match="neither resolution nor noise_std"):
+    with pytest.raises(UsageError, match="resolution and noise_std are both missing"):
         load_spec(path)
     with pytest.raises(UsageError, match=r"give a SPEC\.toml"):
         load_spec(tmp_path / "nowhere.toml")

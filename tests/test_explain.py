@@ -128,8 +128,8 @@ def test_what_is_unknown_is_refused_with_what_it_may_mean() -> None:
     result = CliRunner().invoke(main, ["explain", "record.timeunit"])
     assert result.exit_code == 2
     assert result.stderr == (
-        "pmfid: no key or word is called 'record.timeunit'; did you mean 'record.time_unit'?; pmfid explain without a key "
-        "lists them all\n"
+        "pmfid: no key or word is called 'record.timeunit'; did you mean 'record.time_unit'?; pmfid explain without a "
+        "key lists them all\n"
     )
     with pytest.raises(UsageError, match="no key or word is called ''"):
         find("")

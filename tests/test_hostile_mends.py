@@ -170,7 +170,7 @@ def test_more_than_anybody_waits_for_is_refused(tmp_path: Path) -> None:
 def test_a_limit_that_limits_nothing_is_refused(tmp_path: Path) -> None:
     lines = Path(__file__).parents[1].joinpath("examples", "cart_design.toml").read_text()
     (tmp_path / "spec.toml").write_text(lines.replace("input = 3.0 ", "input = 1e308"))
-    with pytest.raises(UsageError, match=r"\[limits\]: input = 1e\+308 limits nothing; leave it out"):
+    with pytest.raises(UsageError, match=r"\[limits\]: input = 1e\+308 limits nothing; leave the limit out"):
         load_spec(tmp_path / "spec.toml")
 
 

@@ -204,7 +204,7 @@ def test_lengths_in_counts_and_of_no_unit_are_said(tmp_path: Path) -> None:
     units = {name: own["unit"] for name, own in json.loads(result.stdout)["parameters"].items()}
     assert units == {"mass": "N s2/count", "viscous_friction": "N s/count", "coulomb_friction": "N"}
     (line,) = (line for line in guess(saved("nameless", tmp_path)).text.splitlines() if line.startswith("resolution"))
-    assert "TO DO: taken to be in m or rad, else write" in line
+    assert "TO DO: assumed to be in m or rad; otherwise write" in line
     assert 'mm" here and output_unit = "mm" in [record], or "deg" in both' in line
 
 

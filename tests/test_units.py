@@ -114,12 +114,12 @@ def test_numbers_with_units() -> None:
     assert gain("0.35 N m/A") == pytest.approx(0.35)
     assert gain("0.5 mNm/mA") == pytest.approx(0.5)
     assert gain("0.12 N m/%") == pytest.approx(12.0)
-    with pytest.raises(ValueError, match="'parsec' is no unit here; known are m, "):
+    with pytest.raises(ValueError, match="'parsec' is not a known unit; use one of m, "):
         quantity("1 parsec")
-    with pytest.raises(ValueError, match=r'known are m, .* these per s or min, and "counts/rev"') as refused:
+    with pytest.raises(ValueError, match=r'use one of m, .* these per s or min, or "counts/rev"') as refused:
         quantity("0 counts/rev")
     assert len(str(refused.value)) < 200
-    with pytest.raises(ValueError, match="'A/N' is no force or torque per unit of input"):
+    with pytest.raises(ValueError, match="'A/N' is not a force or torque per unit of input"):
         gain("2 A/N")
 
 

@@ -93,7 +93,7 @@ def _read_given(texts: tuple[str, ...]) -> dict[str, float]:
         try:
             given[name.strip()] = float(value)
         except ValueError:
-            raise UsageError(f"--given {text!r} is not NAME=NUMBER: write for example kp=8") from None
+            raise UsageError(f"--given {text!r} is not NAME=NUMBER: write kp=8") from None
     return given
 
 
