@@ -479,9 +479,8 @@ def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> 
     """Judge the chosen model, as `pmfid identify` judges an estimate."""
     trial = chosen.trial
     if chosen.fit is None:
-        return (
-            Finding("uncertain", "this record gives no error bars for the chosen model", "excite the axis more")
-        ), True
+        sentence = "this record gives no error bars for the chosen model"
+        return (Finding("uncertain", sentence, "excite the axis more"),), True
     record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
     asked = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
     said = verdict(*asked, weigh(known_shapes(trial.best)), tolerance)
