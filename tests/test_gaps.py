@@ -282,4 +282,4 @@ def test_a_row_right_after_another_costs_no_record() -> None:
     rows = place_rows(time, np.ones(301, bool), np.zeros(301, bool), config, np.zeros(301))
     assert rows.dt == pytest.approx(DT, rel=1e-3)
     assert rows.rows.size == 300
-    assert "1 row comes less than 0.3 of a period after another row, and left out" in rows.notes
+    assert "1 row comes less than 0.3 of a period after another row: left out" in rows.notes

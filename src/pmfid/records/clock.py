@@ -440,7 +440,7 @@ def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp],
     if not 0 < count <= max(1, TUNING.clock_rare * rows.size) or even_grid(stamps)[1]:
         return rows, ()
     note = "rows come" if count > 1 else "row comes"
-    when = f"less than {TUNING.clock_early:g} of a period after another row, and left out"
+    when = f"less than {TUNING.clock_early:g} of a period after another row: left out"
     return rows[~early], (f"{count} {note} {when}",)
 
 
