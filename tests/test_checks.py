@@ -169,7 +169,7 @@ def test_a_check_takes_what_identify_takes(tmp_path: Path) -> None:
     said = [pmfid.check(one, axis=how) for one in (frame, record, str(record)) for how in (axis, log.configuration)]
     assert {found[0].code for found in said} == {"reversed"}
     assert len({found[0].text for found in said}) == 1
-    with pytest.raises(UsageError, match="leave out y, model, dt and encoder"):
+    with pytest.raises(UsageError, match="axis already describes y, model, dt and encoder"):
         pmfid.check(frame, axis=axis, dt=0.01)
     with pytest.raises(UsageError, match="or a frame and axis"):
         pmfid.check(frame)

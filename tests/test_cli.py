@@ -156,7 +156,7 @@ def edited(column: str, row: int, value: float) -> Change:
         (
             edited("t", 1001, 9.98),
             "time does not increase strictly: row 1001",
-            "keep the rows up to 1000 or those from 1001 on",
+            "keep the rows up to 1000 or from 1001 on",
         ),
         (lambda frame: frame.head(0), "the record has 0 samples", "record longer"),
         (lambda frame: frame.head(1), "the record has 1 sample,", "record longer"),
@@ -185,7 +185,9 @@ def test_empty_and_truncated_files(tmp_path: Path, cart: Cart, kind: str) -> Non
 
 def test_record_missing_or_a_directory_or_of_unknown_type(tmp_path: Path, cart: Cart) -> None:
     assert "No such file or directory; give the path of a data file" in bad(tmp_path / "absent.csv")
-    assert "a folder with one log is a record, this one has none; give the path of a file" in bad(tmp_path)
+    assert "a folder that serves as a record has one log, but this one has none; give the path of a file" in bad(
+        tmp_path
+    )
     other = tmp_path / "run.docx"
     other.write_bytes(cart.csv.read_bytes())
     assert f"use one of {', '.join(SUFFIXES)}" in bad(other)
@@ -200,7 +202,7 @@ def test_record_missing_or_a_directory_or_of_unknown_type(tmp_path: Path, cart: 
         (("--resolution", "0"), "[encoder] resolution = 0.0 (given as an option)", "give the unit of y per count"),
         (("--resolution", "-1e-3"), "resolution = -0.001 (given as an option)", "give the unit of y per count"),
         (("--resolution", "nan"), "resolution = nan", "give the unit of y per count"),
-        (("--resolution", "0.01 parsec"), "'parsec' is no unit here", "known are m, cm, mm"),
+        (("--resolution", "0.01 parsec"), "'parsec' is not a known unit", "use one of m, cm, mm"),
         (("--cutoff", "0"), "[estimator] cutoff = 0.0", "give the pole of the filter chain in rad/s"),
         (("--cutoff", "201"), "[estimator] cutoff = 201 rad/s is too high for dt = 0.01 s", "at most 2/dt = 200 rad/s"),
         (("--order", "1"), "[estimator] order = 1", "give the number of filter stages, 2 to 6"),
@@ -267,7 +269,7 @@ def test_a_max_speed_below_the_motion_is_named(tmp_path: Path, cart: Cart) -> No
 def test_out_where_a_file_is_in_the_way(tmp_path: Path, cart: Cart) -> None:
     (tmp_path / "file").write_text("")
     assert "is a file" in usage(run(cart.csv, "--json", "--out", str(tmp_path / "file")))
-    assert "Not a directory; choose another place" in bad(cart.csv, "--out", str(tmp_path / "file" / "below"))
+    assert "Not a directory; choose another file or folder" in bad(cart.csv, "--out", str(tmp_path / "file" / "below"))
 
 
 @pytest.mark.parametrize("name", ["report.html", "result.json", "track.parquet"])
@@ -285,7 +287,7 @@ def test_out_without_permission(tmp_path: Path, cart: Cart, monkeypatch: pytest.
 
     monkeypatch.setattr(Path, "mkdir", refused)
     place = str(tmp_path / "out")
-    assert f"{place}: Permission denied; choose another place" in bad(cart.csv, "--out", place)
+    assert f"{place}: Permission denied; choose another file or folder" in bad(cart.csv, "--out", place)
 
 
 # --- records that cannot identify the parameters --------------------------------------------------------------------
@@ -439,14 +441,14 @@ def test_the_json_object_has_its_keys_and_types(cart: Cart) -> None:
 def test_a_resolution_in_words_is_no_resolution(cart: Cart) -> None:
     result = CliRunner().invoke(main, ["identify", str(cart.csv), "--config", "axis.toml", "--resolution", "coarse"])
     assert result.exit_code == 2
-    assert "'coarse' is not a number, with a unit or without, as 0.001 or \"0.01 mm\"" in result.stderr
+    assert "'coarse' is not a number; write 0.001 or \"0.01 mm\"" in result.stderr
 
 
 def test_options_go_before_the_configuration(cart: Cart) -> None:
     options = ("--method", "ls", "--cutoff", "30", "--order", "3", "--quantize", "91e-6")
     printed = good(cart.csv, *options)
     assert printed["method"] == "ls"
-    assert "position quantised again with a step of 9.1e-05" in printed["notes"]
+    assert "the position is quantised again with a step of 9.1e-05" in printed["notes"]
     assert values(printed)["mass"] != values(good(cart.csv, "--method", "ls"))["mass"]
     doubled = good(cart.csv, "--resolution", str(2 * CART_RESOLUTION))
     assert values(doubled)["mass"] == pytest.approx(CART.mass / 2, rel=0.02)

@@ -52,7 +52,7 @@ def test_no_setting_of_the_estimator_is_needed(name: str) -> None:
     """The axes range from 2.6e-5 kg m2 every millisecond to 500 kg every 20 ms."""
     error, result = identified(REAL[name], "prbs", method="iv")
     assert abs(error[0]) < 5e-3
-    assert any("was chosen by this record" in note for note in result.notes)
+    assert any("was chosen for this record" in note for note in result.notes)
     assert 1 / (result.estimator.cutoff * result.estimator.dt) == pytest.approx(
         min(TUNING.cutoff_tried, key=lambda k: abs(k * result.estimator.cutoff * result.estimator.dt - 1))
     )

@@ -98,7 +98,7 @@ def test_the_table_shows_design_and_standard_inputs(folder: tuple[Path, str]) ->
     assert motion["t"].to_list() == pytest.approx(np.linspace(0, 2, 41))
     assert (out / "trapezoid.csv").exists()
     page = (out / "report.html").read_text(encoding="utf-8")
-    for heading in ("What it is worth", "Input and motion", "Information gathered over time", "Confidence ellipses"):
+    for heading in ("Value of the design", "Input and motion", "Information gathered over time", "Confidence ellipses"):
         assert heading in page
     assert page.count("<svg") == 3
     assert "http" not in page
@@ -125,7 +125,7 @@ def test_the_report_has_the_encoders_own_deviations_where_there_is_one(tmp_path:
     for path, there in ((EXAMPLE, True), (noisy, False)):
         run("design", path, "--unknown", "mass", *FEW, "--out", tmp_path / "out")
         page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-        assert ("through this encoder" in page) == there
+        assert ("with this encoder" in page) == there
 
 
 def test_the_trap_of_no_least_speed_is_reported(tmp_path: Path) -> None:

@@ -132,7 +132,7 @@ def test_a_later_design_is_for_what_is_known_by_then() -> None:
     assert after < before
     assert redesign(NOISY, [run(TRUTH)], {"mass": 1.0}).next is None
     tight = replace(NOISY, horizon=0.8)
-    with pytest.raises(InfeasibleError, match=r"the runs say mass = 2\.2.*with that no input"):
+    with pytest.raises(InfeasibleError, match=r"the runs give mass = 2\.2.*with these values no input"):
         redesign(tight, [run({"mass": 2.2})], {})
     first = redesign(NOISY, [], {}, starts=3)
     assert first.next is not None

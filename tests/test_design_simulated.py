@@ -68,7 +68,7 @@ def test_a_design_with_a_least_speed_survives(best: Design) -> None:
     assert (
         appraise(replace(best, problem=known(CASE))).warnings == ()
     )  # the parameters that the counts allow show a better design
-    assert "comes to rest on a machine a little heavier" in found.warnings[0]
+    assert "A slightly heavier axis comes to rest" in found.warnings[0]
     assert found.gain["trapezoid"] > 4.5
     assert found.gain["minimum_time"] >= 1 - 1e-6
 

@@ -207,7 +207,7 @@ def test_limits_that_must_be_relaxed_together_are_named() -> None:
 
 
 def test_an_input_without_a_bound_is_named() -> None:
-    with pytest.raises(pmfid.UsageError, match="without a bound"):
+    with pytest.raises(pmfid.UsageError, match="do not bound the input"):
         solve(replace(case(), limits=Limits(), end=(None, None)), starts=1)
 
 

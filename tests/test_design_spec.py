@@ -81,7 +81,7 @@ def test_a_wrong_value_is_one_line(overrides: dict[str, object], message: str) -
         ({"experiment__unknown": ["weight"]}, "'weight' is no parameter"),
         ({"experiment__unknown": ["mass", "mass"]}, "different"),
         ({"motion__end": 0.5}, "outside the position limit"),
-        ({"robust__mass": 0.2, "motion__directions": [1] * 30 + [0] * 10}, "leave out the scenarios"),
+        ({"robust__mass": 0.2, "motion__directions": [1] * 30 + [0] * 10}, "leave the scenarios"),
         ({"motion__start_velocity": -0.1}, "start velocity -0.1 is against the direction 1"),
         ({"motion__end_velocity": -0.1}, "end velocity -0.1 is against the direction 1"),
         ({"motion__end": -0.1, "limits__position": [-1.0, 1.0]}, "directions never lead"),
@@ -120,7 +120,7 @@ def test_missing_parts_are_named(tmp_path: Path) -> None:
     for part in ("[drive] mass is missing", "[encoder] is missing", "[motion] is missing"):
         assert part in str(error.value)
     path.write_text(EXAMPLE.read_text().replace("resolution = 22.75e-6", ""))
-    with pytest.raises(UsageError, match="neither resolution nor noise_std"):
+    with pytest.raises(UsageError, match="resolution and noise_std are both missing"):
         load_spec(path)
     with pytest.raises(UsageError, match=r"give a SPEC\.toml"):
         load_spec(tmp_path / "nowhere.toml")

@@ -73,7 +73,7 @@ def named(record: Record, axis: Axis) -> str:
 
 MISTAKES = {
     "reversed": "the output has the opposite sign of the input",
-    "velocity": "the output column 'y' is a velocity and no position",
+    "velocity": "the output column 'y' is a velocity, not a position",
     "exchanged": "input and output are exchanged",
     "wrapped": "the output column 'y' wraps at",
 }

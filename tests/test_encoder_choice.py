@@ -67,7 +67,7 @@ def test_edges_of_a_coarse_encoder_give_what_its_counts_cannot(fine: Path) -> No
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        (("--edges", "0.01", "--quantize", "0.01"), "give one of them"),
+        (("--edges", "0.01", "--quantize", "0.01"), "give only one of them"),
         (("--edges", "0.01", "--method", "iv"), "drop --method iv"),
         (("--edges", "1e-9"), "edges = 1e-09 must be .* give a larger step"),
     ],

@@ -116,7 +116,7 @@ def test_the_command_says_it_in_the_terminal() -> None:
     text = said("record.time_unit")
     assert text.startswith("[record] time_unit: the unit of the time column")
     assert 'type: "s" or "ms"' in text
-    assert "move more, or use a longer memory" in said("poor_excitation")
+    assert "move the axis more, or use a longer memory" in said("poor_excitation")
     assert said("encoder").count("\n") == len([name for name in KEYS if name.startswith("encoder.")])
     assert sum(not line.startswith(" ") for line in said().splitlines()) == len(entries())
     assert max(map(len, said().splitlines())) <= 200
@@ -128,10 +128,10 @@ def test_what_is_unknown_is_refused_with_what_it_may_mean() -> None:
     result = CliRunner().invoke(main, ["explain", "record.timeunit"])
     assert result.exit_code == 2
     assert result.stderr == (
-        "pmfid: there is nothing called 'record.timeunit'; did you mean 'record.time_unit'?; pmfid explain alone lists "
-        "all keys and words\n"
+        "pmfid: no key or word is called 'record.timeunit'; did you mean 'record.time_unit'?; pmfid explain without a "
+        "key lists them all\n"
     )
-    with pytest.raises(UsageError, match="nothing called ''"):
+    with pytest.raises(UsageError, match="no key or word is called ''"):
         find("")
 
 

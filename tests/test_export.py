@@ -307,7 +307,7 @@ def test_the_command_exports_a_transfer_function_that_has_counts(tmp_path: Path)
     assert result.stdout.startswith("rsrivc, ")
     (tmp_path / "axis.toml").write_text(text.replace("[record]", '[record]\nhold = "foh"'))
     result = CliRunner().invoke(main, [*arguments, "--method", "rsrivc"])
-    assert (result.exit_code, "takes a held input" in result.stderr) == (2, True)
+    assert (result.exit_code, "needs a held input" in result.stderr) == (2, True)
 
 
 @needs(GCC)

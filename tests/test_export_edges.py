@@ -188,7 +188,7 @@ def test_the_command_exports_edges_where_the_record_has_them(tmp_path: Path) -> 
     assert (done.exit_code, done.stderr) == (0, "")
     assert "the same bits" in selftest(tmp_path / "b", GCC).stdout
     done = CliRunner().invoke(main, [*arguments, str(tmp_path / "c"), "--dt", "0.01", "--steps"])
-    assert (done.exit_code, "give the method riv" in done.stderr) == (2, True)
+    assert (done.exit_code, 'set method = "riv"' in done.stderr) == (2, True)
     done = CliRunner().invoke(
         main, [*arguments, str(tmp_path / "d"), "--dt", "0.01", "--method", "riv", "--cutoff", "30"]
     )

@@ -366,7 +366,7 @@ def test_the_report_draws_any_name_and_has_the_trends(plain: History, tmp_path: 
     write_fleet(tmp_path, found, "lake")
     page = (tmp_path / "fleet.html").read_text()
     assert "<b>" not in page
-    assert "Trend of those that move" in page
+    assert "Trend of the axes that move" in page
     assert "\x1b" not in str(found)
     quiet = plain.axes.filter(~pl.col("named"))
     apart = quiet["mass_slope"] / quiet["mass_slope_std"]

@@ -79,7 +79,7 @@ def test_fields_and_rows_of_an_array(tmp_path: Path) -> None:
 
 def test_objects_are_never_unpickled(tmp_path: Path) -> None:
     np.savez(tmp_path / "run.npz", u=np.array([{}, 1], dtype=object))
-    with pytest.raises(UsageError, match="an array of objects is not read: save numbers"):
+    with pytest.raises(UsageError, match="an array of objects cannot be read: save arrays"):
         read_table(tmp_path / "run.npz")
 
 
@@ -148,7 +148,7 @@ def test_messages_that_nobody_knows_are_refused(tmp_path: Path) -> None:
         channel = writer.register_channel("/run", "protobuf", writer.register_schema("Row", "protobuf", b""))
         writer.add_message(channel, 0, b"\x08", 0)
         writer.finish()
-    with pytest.raises(UsageError, match="messages in 'protobuf' are not read, those in JSON and of ROS 2 are"):
+    with pytest.raises(UsageError, match="messages in 'protobuf' cannot be read; convert the file to JSON"):
         read_table(tmp_path / "run.mcap")
 
 
@@ -171,7 +171,8 @@ def test_signals_with_clocks_of_their_own_stand_side_by_side(tmp_path: Path) -> 
     (tmp_path / "run.wpilog").write_bytes(log)
     record = read(tmp_path / "run.wpilog", input="drive/u", output="drive/y", time="time")
     np.testing.assert_array_equal(record.u, held)
-    assert record.notes == ("drive/u has stamps of its own: its last value is taken at those of the output",)
+    note = "drive/u has its own time stamps: at each stamp of the output, the last value of drive/u counts"
+    assert record.notes == (note,)
     record = read(tmp_path / "run.wpilog", input="late", output="drive/y", time="time")
     same(record)
     assert record.notes == ()

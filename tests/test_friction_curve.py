@@ -170,7 +170,7 @@ def test_feedback_is_said() -> None:
     ("model", "said"),
     [
         (pmfid.Drive(2.0, spring=True), "with spring"),
-        (pmfid.Drive(2.0, dead_time="estimate"), "needs the dead time"),
+        (pmfid.Drive(2.0, dead_time="estimate"), "needs a number as dead time"),
         (pmfid.Drive(2.0, gravity=True), "with gravity"),
         (pmfid.Drive(2.0, lag=0.003), "with a lag"),
         (pmfid.Drive(2.0, lag="estimate"), "with a lag"),

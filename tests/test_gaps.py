@@ -143,7 +143,7 @@ def test_three_records_are_one_estimate() -> None:
 def test_several_records_where_the_place_matters_are_refused() -> None:
     runs = [run(100, seed) for seed in range(2)]
     spring = {**SETTINGS, "model": Drive(STAGE.input_gain, spring=True)}
-    with pytest.raises(UsageError, match="the start of each is not known"):
+    with pytest.raises(UsageError, match="several records with unknown start positions"):
         identify(runs, **spring)
 
 
@@ -203,7 +203,7 @@ def test_a_row_that_repeats_is_left_out(tmp_path: Path) -> None:
     record = kind_of(axis()).read([path], axis())
     np.testing.assert_array_equal(record.counts, counts)
     assert record.there is None
-    assert "2 rows repeat the row before, time and all: they are left out" in record.notes
+    assert "2 rows repeat the row before with its time and are left out" in record.notes
 
 
 def test_stamps_that_scatter_and_lines_that_are_missing(tmp_path: Path) -> None:
@@ -249,7 +249,7 @@ def test_what_looks_at_one_motion_takes_the_part_without_gaps_that_moves_most_an
     u[[20, 21, 90]] = np.nan
     part = unbroken(replace(whole, u=u))
     assert part.counts.tolist() == list(range(22, 90))
-    assert part.notes == ("only the part without gaps that moves most is used here: 68 of 200 samples",)
+    assert part.notes == ("this method uses only the part without gaps that moves most: 68 of 200 samples",)
 
 
 def test_a_start_after_a_gap_is_found_though_the_axis_moves_otherwise_there() -> None:
@@ -282,4 +282,4 @@ def test_a_row_right_after_another_costs_no_record() -> None:
     rows = place_rows(time, np.ones(301, bool), np.zeros(301, bool), config, np.zeros(301))
     assert rows.dt == pytest.approx(DT, rel=1e-3)
     assert rows.rows.size == 300
-    assert "1 row comes less than 0.3 of a period after another: left out" in rows.notes
+    assert "1 row comes less than 0.3 of a period after another row: left out" in rows.notes

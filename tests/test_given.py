@@ -543,7 +543,7 @@ def test_what_has_no_such_map_says_what_to_do(folder: Path) -> None:
         ("given = { mass = 4 }", "given = { maas = 4 }", "did you mean 'mass'"),
         ("given = { mass = 4 }", "given = { mass = [4, 1] }", "valid number"),
         ("[6, 3.0]", "[6]", "a mean and a standard deviation"),
-        ('"estimate"', '"guess"', '"estimate" to find it'),
+        ('"estimate"', '"guess"', 'or "estimate"'),
         (
             "given = { mass = 4 }\nprior = { coulomb_friction = [6, 3.0] }\n",
             "",

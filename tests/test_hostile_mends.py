@@ -96,7 +96,7 @@ def test_two_columns_of_one_name_are_refused_in_a_pipe(tmp_path: Path) -> None:
 def test_a_logger_that_started_again_is_cut_there() -> None:
     time = np.r_[np.arange(300), np.arange(200)] * 0.01
     config = RecordConfig(input="u", output="y", time="t")
-    with pytest.raises(UsageError, match="keep the rows up to 300 or those from 301 on") as caught:
+    with pytest.raises(UsageError, match="keep the rows up to 300 or from 301 on") as caught:
         sample_period(time, config)
     assert "row 301" in str(caught.value)
     for part in (time[:300], time[300:]):
@@ -170,7 +170,7 @@ def test_more_than_anybody_waits_for_is_refused(tmp_path: Path) -> None:
 def test_a_limit_that_limits_nothing_is_refused(tmp_path: Path) -> None:
     lines = Path(__file__).parents[1].joinpath("examples", "cart_design.toml").read_text()
     (tmp_path / "spec.toml").write_text(lines.replace("input = 3.0 ", "input = 1e308"))
-    with pytest.raises(UsageError, match=r"\[limits\]: input = 1e\+308 limits nothing; leave it out"):
+    with pytest.raises(UsageError, match=r"\[limits\]: input = 1e\+308 limits nothing; leave the limit out"):
         load_spec(tmp_path / "spec.toml")
 
 

@@ -145,7 +145,7 @@ def test_the_command_never_writes_over_a_file(tmp_path: Path) -> None:
     before = place.read_bytes()
     again = CliRunner().invoke(main, command)
     assert (again.exit_code, place.read_bytes()) == (2, before)
-    assert "is there already" in again.stderr
+    assert "already exists" in again.stderr
 
 
 def test_a_record_without_two_columns_is_refused(tmp_path: Path) -> None:
@@ -204,7 +204,7 @@ def test_lengths_in_counts_and_of_no_unit_are_said(tmp_path: Path) -> None:
     units = {name: own["unit"] for name, own in json.loads(result.stdout)["parameters"].items()}
     assert units == {"mass": "N s2/count", "viscous_friction": "N s/count", "coulomb_friction": "N"}
     (line,) = (line for line in guess(saved("nameless", tmp_path)).text.splitlines() if line.startswith("resolution"))
-    assert "TO DO: taken to be in m or rad, else write" in line
+    assert "TO DO: assumed to be in m or rad; otherwise write" in line
     assert 'mm" here and output_unit = "mm" in [record], or "deg" in both' in line
 
 
@@ -278,7 +278,7 @@ def test_two_topics_in_one_table_are_one_record(tmp_path: Path) -> None:
     record = kind_of(axis).read([tmp_path / "log.csv"], axis)
     assert (axis.record.input, record.dt) == ("/cmd/force", pytest.approx(0.01))
     assert record.u[:-1] == pytest.approx(0.8 * u[: record.u.size - 1] + 0.2 * u[1 : record.u.size], abs=1e-6)
-    assert any("rows of their own" in note for note in record.notes)
+    assert any("separate rows" in note for note in record.notes)
 
 
 def test_a_joint_is_named_and_a_few_digits_are_no_encoder(tmp_path: Path) -> None:

@@ -252,7 +252,7 @@ def test_every_axis_has_a_label_with_its_unit() -> None:
 
 def test_a_coarse_encoder_in_the_loop_is_named_as_a_cause() -> None:
     result = clean(increments=128)
-    remark = "Look at a record in open loop"
+    remark = "Record an open-loop motion"
     assert remark not in sentences(result)["Residual over velocity and position"]
     looped = replace(result, findings=(Finding("feedback", "the input follows"),))
     assert remark in sentences(looped)["Residual over velocity and position"]

@@ -139,7 +139,7 @@ def test_a_full_disk_does_not_end_the_watch(folder: Path, kind: str) -> None:
     table = pl.read_csv(out) if kind == "csv" else pl.read_parquet(out)
     assert 50 < table.height == N - last["rows_lost"]
     assert process.returncode == 2
-    assert f"{last['rows_lost']} rows could not be written" in error
+    assert f"{last['rows_lost']} rows are missing in" in error
 
 
 def test_a_device_without_room(folder: Path) -> None:
@@ -149,7 +149,7 @@ def test_a_device_without_room(folder: Path) -> None:
     assert json.loads(text.splitlines()[-1])["rows_lost"] == N + 1  # one of them is the header
     assert "No space left on device" in text
     assert process.returncode == 2
-    assert "rows could not be written" in error
+    assert "rows are missing in" in error
 
 
 def test_events_that_find_no_room_do_not_end_the_watch(folder: Path) -> None:

@@ -352,7 +352,7 @@ def test_estimates_in_another_kind_of_file_are_refused(folder: Path) -> None:
 @pytest.mark.parametrize("option", ["--out", "--report"])
 def test_a_place_that_is_not_there_is_reported_before_the_run(folder: Path, option: str) -> None:
     text = invoke(folder, option, str(folder / "nowhere" / "x.csv"), code=2)
-    assert "there is no folder" in text
+    assert "does not exist" in text
     assert "normal:" not in text
 
 

@@ -352,11 +352,11 @@ def test_order_command(records, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("--method", "interval"), "not for a transfer function"),
+        (("--method", "interval"), "does not suit a transfer function"),
         (("--method", "known-step"), "give \\[encoder\\] resolution"),
         (("--m", "3"), "m must be a whole number"),
         (("--n", "9"), "n must be a whole number"),
-        (("--quantize", "0.1"), "quantize and edges are for a drive"),
+        (("--quantize", "0.1"), "quantize and edges need a drive"),
     ],
 )
 def test_wrong_use(records, arguments, text):

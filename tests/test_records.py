@@ -114,7 +114,7 @@ def test_quantize_floors_the_position_to_the_coarser_step(tmp_path: Path) -> Non
     record = read_record(csv(tmp_path), make_axis(), Coarser(4e-3))
     np.testing.assert_array_equal(record.counts, columns()["counts"] // 4)
     assert record.resolution == 4e-3
-    assert record.notes == ("position quantised again with a step of 0.004",)
+    assert record.notes == ("the position is quantised again with a step of 0.004",)
 
 
 def test_quantize_of_counts_goes_through_the_unwrapped_position(tmp_path: Path) -> None:
@@ -182,7 +182,9 @@ def test_an_ambiguous_wrap_is_noted(tmp_path: Path) -> None:
 
 
 def test_bits_without_counts_is_noted(tmp_path: Path) -> None:
-    assert read_record(csv(tmp_path), make_axis(encoder_bits=8)).notes == ("bits is ignored, the output is a position",)
+    assert read_record(csv(tmp_path), make_axis(encoder_bits=8)).notes == (
+        "bits is ignored, because the output is a position",
+    )
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -309,7 +311,9 @@ def test_missing_file_and_directory(tmp_path: Path) -> None:
     assert "cannot read the record: No such file or directory" in message(tmp_path / "absent.csv")
     folder = tmp_path / "folder.csv"
     folder.mkdir()
-    assert "a folder with one log is a record, this one has none; give the path of a file" in message(folder)
+    assert "a folder that serves as a record has one log, but this one has none; give the path of a file" in message(
+        folder
+    )
 
 
 def at(path: Path, offset: int, value: int) -> None:
@@ -531,7 +535,7 @@ def test_input_scale_variable_missing_or_in_a_csv(tmp_path: Path) -> None:
     assert "input_scale = 'gian': there is no such column" in text
     assert "did you mean 'gain'?" in text
     text = message(csv(tmp_path), make_axis(record_input_scale="y"))
-    assert text == "[record] input_scale = 'y' is a column and no scalar variable; give a number"
+    assert text == "[record] input_scale = 'y' is a column, not a scalar variable; give a number"
 
 
 def test_no_motion_and_constant_input_are_no_errors(tmp_path: Path) -> None:

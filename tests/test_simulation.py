@@ -355,7 +355,7 @@ RNG = np.random.default_rng(0)
         (lambda: multisine(9, 0.1, [5.0], 1.0, RNG), r"\(0, 5\) Hz.* got 5; leave it out"),
         (lambda: s_curve(9, 0.1, 0.2, 0.0), "move_time .* got 0.0; give the time"),
         (lambda: stop_and_go(9, 0.1, 0.2, 1.0, -0.1), "dwell_time .* got -0.1; give the pause"),
-        (lambda: position_control(CART, [1.0], 0.1, **{**CONTROL, "kp": -1.0}), "kp .* got -1.0; reverse"),
+        (lambda: position_control(CART, [1.0], 0.1, **{**CONTROL, "kp": -1.0}), "kp .* got -1.0; for a reversed"),
         (lambda: position_control(CART, [1.0], 0.1, **{**CONTROL, "u_max": 0.0}), "u_max .* got 0.0; give"),
         (
             lambda: position_control(CART, [1.0], 0.1, **{**CONTROL, "resolution": 1e-300}, phase=1.0),

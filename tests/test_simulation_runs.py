@@ -178,7 +178,7 @@ def test_list_names_every_scenario() -> None:
         ([], "give a scenario and --out RUN.csv"),
         (["prbs"], "give a scenario and --out RUN.csv"),
         (["stop-and-goo", "--out", "x.csv"], "unknown scenario 'stop-and-goo'; did you mean 'stop-and-go'?"),
-        (["prbs", "--out", "x.parquet"], "the record is written as CSV, got 'x.parquet'; name it x.csv"),
+        (["prbs", "--out", "x.parquet"], "the record is written as CSV, not as 'x.parquet'; name it x.csv"),
         (["prbs", "--out", "x.csv", "--missed", "1"], r"missed must be in [0, 1), got 1.0"),
         (["prbs", "--out", "x.csv", "--duration", "0"], "duration must be finite and > 0.01"),
         (["prbs", "--out", "x.csv", "--duration", "nan"], "duration must be finite and > 0.01"),

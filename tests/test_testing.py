@@ -280,7 +280,7 @@ def _fails(check) -> bool:
 
 @pytest.mark.parametrize("thing", [DRIVE, Estimator(*SETTINGS), None])
 def test_what_is_no_estimator_is_refused(thing) -> None:
-    with pytest.raises(pmfid.UsageError, match="takes an Estimator that has fit"):
+    with pytest.raises(pmfid.UsageError, match="needs an Estimator with fit"):
         check_estimator(thing)
 
 

@@ -119,7 +119,7 @@ def test_a_pipe_has_the_unit_of_the_record(tmp_path: Path) -> None:
 def test_a_unit_without_a_column_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "axis.toml"
     path.write_text('[record]\ninput = "u"\noutput = "y"\ndt = 0.01\ntime_unit = "ms"\n')
-    with pytest.raises(UsageError, match="time_unit is that of the time column; name it"):
+    with pytest.raises(UsageError, match="time_unit needs a time column; name the column"):
         load_axis(path)
 
 

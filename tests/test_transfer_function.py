@@ -382,7 +382,7 @@ def test_text_is_no_number():
     drive, encoder = pmfid.Drive(2.0), pmfid.Encoder(1e-5)
     for make, text in (
         (lambda: pmfid.Drive("a"), "input_gain must be finite"),
-        (lambda: pmfid.Encoder("a"), "no length or angle"),
+        (lambda: pmfid.Encoder("a"), "not a length or angle"),
         (lambda: pmfid.Encoder(1.0, bits="a"), "bits must be a whole number"),
         (lambda: pmfid.Encoder(1.0, bits=2.5), "bits must be a whole number"),
         (lambda: pmfid.RLS(drive, encoder, 0.01, 50.0, forgetting="a"), "forgetting must be in"),

@@ -114,12 +114,12 @@ def test_numbers_with_units() -> None:
     assert gain("0.35 N m/A") == pytest.approx(0.35)
     assert gain("0.5 mNm/mA") == pytest.approx(0.5)
     assert gain("0.12 N m/%") == pytest.approx(12.0)
-    with pytest.raises(ValueError, match="'parsec' is no unit here; known are m, "):
+    with pytest.raises(ValueError, match="'parsec' is not a known unit; use one of m, "):
         quantity("1 parsec")
-    with pytest.raises(ValueError, match=r'known are m, .* these per s or min, and "counts/rev"') as refused:
+    with pytest.raises(ValueError, match=r'use one of m, .* these per s or min, or "counts/rev"') as refused:
         quantity("0 counts/rev")
     assert len(str(refused.value)) < 200
-    with pytest.raises(ValueError, match="'A/N' is no force or torque per unit of input"):
+    with pytest.raises(ValueError, match="'A/N' is not a force or torque per unit of input"):
         gain("2 A/N")
 
 
@@ -176,7 +176,7 @@ def test_a_name_that_the_configuration_contradicts_is_refused(tmp_path: Path) ->
         read_record(path, axis("pos_mm", record_output_kind="counts"))
     with pytest.raises(UsageError, match='output_kind = "velocity"'):
         read_record(logged(tmp_path, "v [mm/s]"), axis("v [mm/s]"))
-    with pytest.raises(UsageError, match=r"resolution in deg is of a rotary axis, .* in N/V of a linear one"):
+    with pytest.raises(UsageError, match=r"resolution in deg belongs to a rotary axis, .* in N/V to a linear one"):
         axis("y", resolution="0.01 deg", input_gain="2 N/V")
 
 
@@ -201,7 +201,7 @@ def test_a_row_of_units_tells_a_rotary_axis(tmp_path: Path) -> None:
     assert identify(record, plain).names[0] == "inertia"
     with pytest.raises(UsageError, match=r'write .model. axis = "rotary", and inertia in place of a known mass'):
         kind_of(plain).prepare_axis(record, axis("y", estimator_given={"mass": 1.0}, model_input_gain="estimate"))
-    with pytest.raises(UsageError, match=r'axis = "linear" of a linear one'):
+    with pytest.raises(UsageError, match=r'axis = "linear" to a linear one'):
         read_record(tmp_path / "run.csv", axis("y", model_axis="linear"))
 
 
@@ -229,7 +229,7 @@ def test_differences_of_counts_add_up_to_the_counts(tmp_path: Path) -> None:
     pl.DataFrame({"u": RUN.u, "v": v}).write_csv(tmp_path / "run.csv")
     moving = axis("v", record_output_kind="velocity")
     record = same(read_record(tmp_path / "run.csv", moving))
-    assert any("change of counts, which are added up" in note for note in record.notes)
+    assert any("change of the counts, and the position is their sum" in note for note in record.notes)
 
 
 def test_a_velocity_that_is_no_change_of_counts_is_integrated(tmp_path: Path) -> None:

@@ -167,7 +167,7 @@ def test_negative_friction_is_simulated_as_none_and_said() -> None:
     run = run_of(6)
     found = drive_run(method(), np.array([0.45, 3.1, -0.2]), run.u, run.counts, "run")
     none = drive_run(method(), np.array([0.45, 3.1, 0.0]), run.u, run.counts, "run")
-    assert found.notes == ("coulomb_friction below zero, simulated as zero",)
+    assert found.notes == ("coulomb_friction is below zero, and is simulated as zero",)
     assert found.rmse == pytest.approx(none.rmse, rel=1e-6)
 
 
@@ -242,8 +242,8 @@ HOSTILE: dict[str, tuple[object, str]] = {
     "wrong kind": (changed(model="transfer_function"), 'kind = "transfer_function"'),
     "one lacks": (changed(parameters={"mass": {"value": 1.0}}), "has no viscous_friction, coulomb_friction"),
     "one too many": (changed(parameters=GOOD["parameters"] | {"offset": {"value": 1.0}}), "has offset"),
-    "other unit": (parameter(unit="g"), "mass is in 'g' there and in 'kg'"),
-    "other gain": (changed(input_gain=3.0), "input_gain = 3, and [model] has 1.5"),
+    "other unit": (parameter(unit="g"), "mass is in 'g' in the result, but in 'kg'"),
+    "other gain": (changed(input_gain=3.0), "input_gain = 3, but [model] has 1.5"),
     "no text": (changed(equation=3), "equation: it should be a valid string"),
     "a page for an equation": (changed(equation="\x1b[31m x \n" * 9999), "and [model] says mass x''"),
     "no mass": (parameter(value=0.0), "mass = 0"),
@@ -275,7 +275,7 @@ def test_what_no_name_of_a_parameter_tells_must_be_the_same(tmp_path: Path, then
     assert called(files(tmp_path / "same", found, before)).exit_code == 0
     result = called(files(tmp_path / "other", found, after))
     assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
-    assert "and [model] says" in result.stderr
+    assert "but [model] has" in result.stderr
 
 
 def test_a_result_that_is_not_there(tmp_path: Path) -> None:
@@ -299,7 +299,7 @@ def test_a_dead_time_that_was_known_is_the_same(tmp_path: Path) -> None:
     assert called(files(tmp_path, content, toml)).exit_code == 0
     result = called(files(tmp_path, content | {"dead_time": 0.03}, toml))
     assert result.exit_code == 2
-    assert "dead_time = 0.03, and [model] has 0.01" in result.stderr
+    assert "dead_time = 0.03, but [model] has 0.01" in result.stderr
 
 
 def test_an_equation_that_nothing_simulates(tmp_path: Path) -> None:
@@ -307,7 +307,7 @@ def test_an_equation_that_nothing_simulates(tmp_path: Path) -> None:
     toml = TOML.replace("input_gain = 1.5", f'kind = "equation"\nunknown = [{terms}]')
     result = called(files(tmp_path, changed(model="equation"), toml))
     assert result.exit_code == 2
-    assert "impossible for this equation" in result.stderr
+    assert "cannot simulate this equation" in result.stderr
 
 
 @pytest.mark.parametrize("still", ["axis", "input"])

@@ -82,13 +82,15 @@ class Encoder:
     def _check(self) -> None:
         _positive("resolution", self.resolution, "unit of position per count, as on the data sheet")
         if not 1e-30 < self.resolution < 1e30:
-            raise UsageError(f"resolution is {self.resolution:g} per count: no encoder has that; check the unit")
+            raise UsageError(
+                f"resolution is {self.resolution:g} per count is impossible for an encoder; check the unit"
+            )
         _positive("standstill_time", self.standstill_time, "s")
         if self.max_speed is not None:
             _positive("max_speed", self.max_speed, "unit/s, or leave it out")
         if not isinstance(self.bits, Integral) or not 1 <= self.bits <= 32:
             raise UsageError(
-                f"bits must be a whole number from 1 to 32, got {self.bits!r}; it is the width of the counter"
+                f"bits must be a whole number from 1 to 32, got {self.bits!r}; give the width of the counter"
             )
 
     def kernel_config(self, dt: float) -> dict[str, float]:
@@ -204,7 +206,7 @@ def _read_quantity(name: str, value: object, of: tuple[str, ...]) -> object:
         raise UsageError(f"{name} = {value!r}: {error}") from None
     if not isinstance(read, Quantity) or read.unit.of not in of:
         raise UsageError(
-            f'{name} = {value!r} is no {" or ".join(of)}; give a number with its unit, as "{EXAMPLES[name]}"'
+            f'{name} = {value!r} is not a {" or ".join(of)}; give a number with its unit, such as "{EXAMPLES[name]}"'
         )
     return read
 

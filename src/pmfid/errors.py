@@ -85,7 +85,7 @@ def place_of(name: str, names: Sequence[str]) -> int:
     """
     if name not in names:
         listed = ", ".join(names)
-        raise UnknownParameterError(f"there is no parameter {name!r}; there are {listed}{did_you_mean(name, names)}")
+        raise UnknownParameterError(f"there is no parameter {name!r}; use one of {listed}{did_you_mean(name, names)}")
     return list(names).index(name)
 
 

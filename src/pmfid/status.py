@@ -48,51 +48,53 @@ class Status(IntFlag):
 #: The texts of each bit: the state, the remedy, and a detail that only `pmfid explain` and the report show.
 _WORDS: dict[Status, tuple[str, str, str]] = {
     Status.STARTING: ("no estimate yet", "wait for motion that excites every parameter", ""),
-    Status.SETTLING: ("the filters still remember their start or a gap: samples are not used yet", "", ""),
+    Status.SETTLING: ("the filters still remember their start or a gap, so samples do not count yet", "", ""),
     Status.POOR_EXCITATION: (
-        "too little information on some parameter within the memory",
-        "move more, or use a longer memory",
+        "the motion within the memory says too little about some parameter",
+        "move the axis more, or use a longer memory",
         "",
     ),
     Status.COMPENSATION_HELD: (
-        "the pre-filtered input says too little to compensate the bias, which is held",
+        "the pre-filtered input says too little to compensate the bias, so the last compensation stays",
         "try other prefilter_zeros",
         "",
     ),
     Status.INVALID_INPUT: (
         "an input was not finite, or far beyond all others, and was left out",
         "check what writes the input",
-        "The last input counts in its place, unless the counts answer to it, or it stays. With edge times also: the "
-        "counts moved without a valid age of the edge, which then counts without its instant.",
+        "The previous input counts instead, unless the counts respond to the new input or the new input stays. With "
+        "edge times, the word also marks counts that moved without a valid age of the edge. Such an edge counts "
+        "without its instant.",
     ),
     Status.COUNT_JUMP: (
-        "the counts jumped as no motion does, or further than max_speed allows: left out",
+        "the counts jumped as no motion does, or further than max_speed allows; the sample was left out",
         "check the wiring and the counter's bits",
         "A counter that was set to another value jumps as well, and needs no remedy.",
     ),
-    Status.STANDSTILL: ("no counts within standstill_time: the axis is taken to be at rest", "", ""),
-    Status.RESET: ("a number left the range of the format: the estimator started again", "", ""),
+    Status.STANDSTILL: ("the counts did not change within standstill_time, so the axis counts as at rest", "", ""),
+    Status.RESET: ("a number left the range of its format, so the estimator started again", "", ""),
     Status.FALLBACK: (
-        "the simulated motion does not follow the plant: this is the estimate of the simpler method",
+        "the simulated motion does not follow the plant, so the estimate comes from the simpler method",
         "",
         "",
     ),
     Status.UNMODELLED: (
-        "the equation is off by more than the encoder's step explains",
-        "search the missing term with pmfid terms",
-        "Unmodelled friction, load or delay, a parameter that changes, or samples in bursts; no error bar covers it.",
+        "the error of the equation is larger than the encoder's step explains",
+        "search for the missing term with pmfid terms",
+        "Causes are unmodelled friction, load or delay, a parameter that changes, or samples in bursts. No error "
+        "bar covers this error.",
     ),
     Status.FEEDBACK: (
         "the input follows what the equation leaves unexplained, as under position control",
         "record an open-loop motion, which is free of this bias",
-        "Biases beyond the error bars are possible; the coarser the encoder, the larger they are.",
+        "Biases beyond the error bars are possible, and grow with the step of the encoder.",
     ),
     Status.DEAD_TIME: (
         "the plant moves later than the model",
         'set dead_time = "estimate"',
-        "The input acts late, or friction at low speed differs from the model; the error bars do not cover it. If that "
-        "key is set, the dead time is not known yet, or not believed. Livelier motion shows it, best steps in open "
-        "loop; or find it off-line, and give it.",
+        "The input acts late, or friction at low speed differs from the model; the error bars do not cover this. If "
+        'dead_time is already "estimate", the dead time is not known yet, or not plausible. Steps in open loop show '
+        "the dead time best; or find the dead time off-line, and give its value.",
     ),
 }
 _FINDINGS = {

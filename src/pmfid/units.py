@@ -153,7 +153,7 @@ def quantity(value: object) -> object:
     if unit is None or (each and not number > 0):
         known = ", ".join(name for name in OUTPUTS if "/" not in name)
         raise ValueError(
-            f'{name or "nothing"!r} is no unit here; known are {known}, these per s or min, and "counts/rev"'
+            f'{name or "nothing"!r} is not a known unit; use one of {known}, one of these per s or min, or "counts/rev"'
         )
     return Quantity(1 / number if each else number, unit)
 
@@ -168,7 +168,9 @@ def gain(value: object) -> object:
     above, stroke, below = found.group(2).partition("/")
     force, per = unit_named(above, INPUTS), unit_named(below.strip(" ()"), INPUTS) if stroke else INPUTS["1"]
     if force is None or per is None or force.of not in ("force", "torque"):
-        raise ValueError(f'{found.group(2)!r} is no force or torque per unit of input, as "N/V" or "N m/A" are')
+        raise ValueError(
+            f'{found.group(2)!r} is not a force or torque per unit of input; write one such as "N/V" or "N m/A"'
+        )
     return Quantity(
         float(found.group(1)), Unit(f"{force.name}/{per.name}", f"{force.of}/{per.of}", force.factor / per.factor)
     )
@@ -179,5 +181,5 @@ def known_unit(text: str, table: dict[str, Unit]) -> str:
     unit = unit_named(text, table)
     if unit is None:
         usual = ", ".join(name for name, unit in table.items() if unit.plain or name in _USUAL)
-        raise ValueError(f"{text!r} is no unit here{did_you_mean(text, table)}; usual are {usual}")
+        raise ValueError(f"{text!r} is not a known unit{did_you_mean(text, table)}; use for example {usual}")
     return unit.name

@@ -17,20 +17,18 @@ if TYPE_CHECKING:
 
 @click.command(short_help="Identify the servos in a log of position commands.")
 @click.argument("log", type=click.Path(path_type=Path))
-@click.option("--goal", metavar="PATTERN", help="Columns of the commands, such as 'goal_*': the star is the joint.")
+@click.option("--goal", metavar="PATTERN", help="Columns of the commands, such as 'goal_*'; * is the joint.")
 @click.option("--position", metavar="PATTERN", help="Columns of the measured positions, such as 'position_*'.")
 @click.option("--time", metavar="NAME", help="Column of the time.")
 @click.option("--unit", type=click.Choice(["rad", "deg", "counts"]), help="Unit of goals and positions.")
-@click.option(
-    "--goal-unit", type=click.Choice(["rad", "deg", "counts"]), help="Unit of the goals, if it is another one."
-)
-@click.option("--bits", type=click.IntRange(4, 32), help="Bits of the encoder per turn. Default: by the positions.")
+@click.option("--goal-unit", type=click.Choice(["rad", "deg", "counts"]), help="Unit of the goals, if not --unit.")
+@click.option("--bits", type=click.IntRange(4, 32), help="Bits of the encoder per turn; default: estimated.")
 @click.option("--resolution", type=float, metavar="RAD", help="Step of the encoder, in place of --bits.")
 @click.option(
     "--given",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Known parameter in SI, as kp=8, or shoulder.kp=8 of one joint.",
+    help="Known parameter in SI units: kp=8, or for one joint shoulder.kp=8.",
 )
 @click.option(
     "--known-force",
@@ -39,13 +37,13 @@ if TYPE_CHECKING:
     metavar="PATTERN",
     help="Columns of torques in N m that are no terms of the model, such as 'gravity_*' of a robot.",
 )
-@click.option("--term", "terms", multiple=True, metavar="NAME", help="Further parameter, as gravity or torque_limit.")
-@click.option("--loop-period", type=float, default=1e-3, show_default=True, metavar="S", help="Period of the loop.")
+@click.option("--term", "terms", multiple=True, metavar="NAME", help="Further parameter, such as gravity.")
+@click.option("--loop-period", type=float, default=1e-3, show_default=True, metavar="S", help="Loop period [s].")
 @click.option("--search/--no-search", default=True, show_default=True, help="Add terms that the log shows.")
 @click.option(
     "--episode", type=click.IntRange(0), metavar="N", help="Episode of a LeRobot data set. Default: a long one."
 )
-@folder_option("Write actuators.html, actuators.json and models for MuJoCo, URDF, Isaac, BAM and WPILib there.")
+@folder_option("Write a report, JSON and models for MuJoCo, URDF, Isaac, BAM and WPILib into this folder.")
 @JSON
 def actuators(
     log: Path,
@@ -78,7 +76,7 @@ def actuators(
         from pmfid.actuators.logs import LogLayout, read_joints
 
         if bits is not None and resolution is not None:
-            raise UsageError("--bits and --resolution are one thing: give one of them")
+            raise UsageError("--bits and --resolution both give the encoder's step: give only one of them")
         step = 2 * math.pi / 2**bits if bits is not None else resolution
         if step is not None and not (math.isfinite(step) and step > 0):
             raise UsageError(f"--resolution must be positive and finite, got {step}: give it in rad")
@@ -103,7 +101,7 @@ def _read_given(texts: tuple[str, ...]) -> dict[str, float]:
         try:
             given[name.strip()] = float(value)
         except ValueError:
-            raise UsageError(f"--given {text!r} is no NAME=VALUE with a number: write kp=8") from None
+            raise UsageError(f"--given {text!r} is not NAME=NUMBER: write kp=8") from None
     return given
 
 

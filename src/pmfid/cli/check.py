@@ -14,7 +14,7 @@ EXIT_FOUND, EXIT_WRONG = 1, 3
 
 @click.command(short_help="Say what is wrong with a log, before anything is estimated.")
 @RECORDS
-@config_option("What the record holds, the encoder, the model.")
+@config_option("The columns of the record, the encoder and the model.")
 @JSON
 @click.pass_context
 def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: bool) -> None:

@@ -16,34 +16,34 @@ if TYPE_CHECKING:
     from pmfid.pipeline.designs import Spec
 
 SPEC = click.argument("spec", type=click.Path(path_type=Path), metavar="SPEC.toml")
-UNKNOWN = click.option("--unknown", multiple=True, metavar="NAME", help="A parameter to be found; may be repeated.")
-CRITERION = click.option("--criterion", metavar="NAME", help="trace, D, A, E, ME or c.")
+UNKNOWN = click.option("--unknown", multiple=True, metavar="NAME", help="A parameter to estimate; may be repeated.")
+CRITERION = click.option("--criterion", metavar="NAME", help="What to optimise: trace, D, A, E, ME or c.")
 STARTS = click.option("--starts", type=int, metavar="N", help="Random starts of the search.")
-SEED = click.option("--seed", type=int, metavar="N", help="Of the random starts, and of a simulation.")
+SEED = click.option("--seed", type=int, metavar="N", help="Seed of the random starts and of the simulation.")
 OUT = click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
-    help="Write report.html, design.json, and t, u, x, v as design.csv there.",
+    help="Write report.html, design.json, and t, u, x, v as design.csv into this folder.",
 )
 RUNS = click.argument("records", nargs=-1, type=click.Path(path_type=Path), metavar="[RECORD]...")
 WANT = click.option(
-    "--want", multiple=True, metavar="NAME=STD", help="Stop at this standard deviation, in its unit; may be repeated."
+    "--want", multiple=True, metavar="NAME=STD", help="Stop at this standard deviation; may be repeated."
 )
 TRUTH = click.option(
     "--truth",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Simulate all rounds on an axis with this parameter, the others nominal; may be repeated.",
+    help="Simulate all rounds on an axis with this true value, the others nominal; may be repeated.",
 )
 ROUNDS = click.option(
-    "--rounds", type=click.IntRange(min=1), default=10, show_default=True, help="The most to simulate."
+    "--rounds", type=click.IntRange(min=1), default=10, show_default=True, help="Most rounds to simulate."
 )
 #: Key of SPEC.toml for each option.
 KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": "search.seed"}
 
 
-@click.command(short_help="Find the input that tells most within an axis' limits, or the next one after runs.")
+@click.command(short_help="Find the most informative input within the limits of an axis, or the next one after runs.")
 @SPEC
 @RUNS
 @WANT
@@ -59,7 +59,7 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
     default=5.0,
     show_default=True,
     metavar="S",
-    help="Seconds of the processor at most for a proof of how near the optimum is; 0 for none.",
+    help="Most seconds of processor time to prove how near the optimum is; 0: no proof.",
 )
 @OUT
 @JSON

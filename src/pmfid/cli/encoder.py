@@ -19,16 +19,16 @@ if TYPE_CHECKING:
 @click.option(
     "--want", type=float, default=1.0, show_default=True, metavar="PERCENT", help="Wanted standard deviation."
 )
-@click.option("--parameter", metavar="NAME", help="The parameter; default: the mass or inertia.")
+@click.option("--parameter", metavar="NAME", help="The parameter that must be known; default: the mass or inertia.")
 @click.option(
     "--line-error",
     type=float,
     default=1.0,
     show_default=True,
     metavar="PERCENT",
-    help="Largest distance of a line of the encoder from its place, in percent of a step.",
+    help="Largest error of the encoder's lines, in percent of a step.",
 )
-@folder_option("Write encoder.html and encoder.json there.")
+@folder_option("Write encoder.html and encoder.json into this folder.")
 @JSON
 def encoder(
     record: Path,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @click.command(short_help="Say what a key of AXIS.toml or a status means.")
 @click.argument("key", nargs=-1)
-@click.option("--plant", is_flag=True, help="All keys of PLANT.toml, which pmfid serve reads.")
+@click.option("--plant", is_flag=True, help="Explain the keys of PLANT.toml, which pmfid serve reads.")
 @click.option("--page", "as_page", is_flag=True, help="Print the page of all keys, in Markdown.")
 @JSON
 def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> None:

@@ -14,16 +14,18 @@ from pmfid.estimators import METHODS
 @click.command(short_help="Write the estimator of AXIS.toml as C99 for a drive.")
 @click.argument("axis_file", metavar="AXIS.toml", type=click.Path(path_type=Path))
 @click.option(
-    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Where the C goes."
+    "--out", required=True, type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Folder for the C."
 )
-@click.option("--precision", type=click.Choice(["float32", "float64"]), help="Arithmetic of the drive.")
-@click.option("--prefix", metavar="NAME", help="Begins all names in the C; default: the name of AXIS.toml.")
 @click.option(
-    "--method", type=click.Choice(METHODS), help="A recursive one; auto is riv here, or redge with [encoder] edge_age."
+    "--precision", type=click.Choice(["float32", "float64"]), help="Precision of the arithmetic on the drive."
+)
+@click.option("--prefix", metavar="NAME", help="Prefix of all names in the C code; default: the name of AXIS.toml.")
+@click.option(
+    "--method", type=click.Choice(METHODS), help="Recursive method; auto: riv, or redge with [encoder] edge_age."
 )
 @click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters.")
 @click.option("--forgetting", type=float, help="Weight of the past per sample, in (0, 1].")
-@click.option("--dt", type=float, metavar="S", help="Sample period of the drive, if AXIS.toml does not say.")
+@click.option("--dt", type=float, metavar="S", help="Sample period of the drive, if AXIS.toml does not give it.")
 @click.option(
     "--record",
     type=click.Path(path_type=Path),
@@ -35,11 +37,11 @@ from pmfid.estimators import METHODS
     type=(str, float, float),
     multiple=True,
     metavar="PARAMETER NOMINAL SHIFT",
-    help="An alarm where a parameter leaves its nominal value by such a shift; may be given several times.",
+    help="Add an alarm for a parameter that leaves its nominal value by this shift; may be repeated.",
 )
-@click.option("--blocks", is_flag=True, help="With pmf_block.c, which makes blocks of samples for pmfid serve.")
-@click.option("--steps", is_flag=True, help="Each sample comes with the time since the last one.")
-@click.option("--no-guard", is_flag=True, help="Let every sample in: smaller, but a glitch spoils the estimate.")
+@click.option("--blocks", is_flag=True, help="Add pmf_block.c, which makes blocks of samples for pmfid serve.")
+@click.option("--steps", is_flag=True, help="Pass the time since the last sample to every call, for uneven sampling.")
+@click.option("--no-guard", is_flag=True, help="Leave out the guard: smaller, but a glitch spoils the estimate.")
 def export(
     axis_file: Path,
     out: Path,
@@ -80,7 +82,7 @@ def export(
         and estimator.forgetting >= LONG_MEMORY
     ):
         click.echo(
-            f"float32 with forgetting = {estimator.forgetting:.9g} remembers at most the last {MOST_WEIGHT} samples, "
-            f"{MOST_WEIGHT * estimator.dt:.3g} s: its sums would take in no more; float64 forgets nothing"
+            f"float32 with forgetting = {estimator.forgetting:.9g} remembers at most the last {MOST_WEIGHT} samples "
+            f"({MOST_WEIGHT * estimator.dt:.3g} s), because larger sums would lose digits; float64 forgets nothing"
         )
     click.echo(f"the same bits? make -C {out} selftest && {out / 'selftest'}")

@@ -17,29 +17,27 @@ if TYPE_CHECKING:
 
 FOLDER = click.Path(path_type=Path, file_okay=False)
 MASTER = click.option(
-    "--master", metavar="URL", help='Of Spark, as "local[2]"; default: what is set up, or this machine.'
+    "--master", metavar="URL", help='Master of Spark, such as "local[2]"; default: the configured one, or this machine.'
 )
-_CHECKPOINT = "What is needed to go on after an end of any kind."
+_CHECKPOINT = "Folder of the state with which the next call continues."
 
 
-@click.command(short_help="Watch many axes as their blocks come, on Spark.")
+@click.command(short_help="Watch many axes on Spark, as their blocks arrive.")
 @click.argument("source", type=click.Path(path_type=Path))
-@config_option("What all axes have in common.")
-@click.option("--out", type=FOLDER, required=True, metavar="FOLDER", help="Estimates and notices go there.")
+@config_option("The settings that all axes share.")
+@click.option("--out", type=FOLDER, required=True, metavar="FOLDER", help="Folder for estimates and notices.")
 @click.option("--checkpoint", type=FOLDER, required=True, metavar="FOLDER", help=_CHECKPOINT)
-@click.option("--shards", type=click.IntRange(1, 65536), default=8, show_default=True, help="Parts of the state.")
-@click.option("--window", type=click.FloatRange(0, 600), default=0.5, show_default=True, help="Disorder is sorted [s].")
+@click.option("--shards", type=click.IntRange(1, 65536), default=8, show_default=True, help="Number of shards.")
+@click.option("--window", type=click.FloatRange(0, 600), default=0.5, show_default=True, help="Reordering window [s].")
 @click.option(
-    "--every", type=click.FloatRange(0, 1e6), default=1.0, show_default=True, help="Rows of an axis [s]; 0: all."
+    "--every", type=click.FloatRange(0, 1e6), default=1.0, show_default=True, help="Time between rows [s]; 0: all."
 )
 @click.option(
-    "--interval", type=click.FloatRange(0, 86400), default=5.0, show_default=True, help="Between batches [s]."
+    "--interval", type=click.FloatRange(0, 86400), default=5.0, show_default=True, help="Time between batches [s]."
 )
-@click.option("--files", type=click.IntRange(1), metavar="N", help="Parquet files of a batch at most; default: all.")
-@click.option(
-    "--state", type=FOLDER, metavar="FOLDER", help="Begin with the axes of a `pmfid serve`, or of `fleet state`."
-)
-@click.option("--once", is_flag=True, help="End when all that is there is done.")
+@click.option("--files", type=click.IntRange(1), metavar="N", help="Most Parquet files in a batch; default: all.")
+@click.option("--state", type=FOLDER, metavar="FOLDER", help="Begin with states of `pmfid serve` or `fleet state`.")
+@click.option("--once", is_flag=True, help="End when all files present are done.")
 @MASTER
 def stream(
     source: Path,
@@ -74,11 +72,17 @@ def stream(
     stream_files(source, plan, checkpoint, out, Pacing(interval, files, once), begin, master)
 
 
-@click.command(short_help="The states of axes out of a stream, for pmfid serve or Python.")
+@click.command(short_help="Copy the states of axes from a stream, for pmfid serve or Python.")
 @click.argument("checkpoint", type=FOLDER)
-@config_option("That of the stream.")
-@click.option("--axis", "axes", multiple=True, metavar="NAME", help="Only this one; may be given several times.")
-@click.option("--out", type=FOLDER, required=True, metavar="FOLDER", help="[service] state of a PLANT.toml.")
+@config_option("The AXIS.toml of the stream.")
+@click.option("--axis", "axes", multiple=True, metavar="NAME", help="Copy only this axis; may be repeated.")
+@click.option(
+    "--out",
+    type=FOLDER,
+    required=True,
+    metavar="FOLDER",
+    help="Folder: [service] state of PLANT.toml.",
+)
 @MASTER
 def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, master: str | None) -> None:
     """Write the states of axes in CHECKPOINT, written by `pmfid fleet stream`, as the checkpoint of a service.
@@ -117,32 +121,32 @@ fleet.add_command(stream)
 fleet.add_command(state)
 
 
-@fleet.command(short_help="Estimates of every axis and period of a data set.")
+@fleet.command(short_help="Estimate every axis and period of a data set.")
 @click.argument("source", type=click.Path(path_type=Path))
-@config_option("The columns of time, input and counts, and what all axes have in common.")
-@click.option(
-    "--axis", "by", required=True, metavar="COLUMN", help="Column, or key of the folders, that tells the axes."
-)
-@click.option("--type", "kind", metavar="COLUMN", help="Column of the axes' type: spread is judged within one.")
+@config_option("Columns of time, input and counts, and all settings that the axes share.")
+@click.option("--axis", "by", required=True, metavar="COLUMN", help="Column or folder key that names the axis.")
+@click.option("--type", "kind", metavar="COLUMN", help="Column of the type: axes are compared within it.")
 @click.option("--period", default="day", show_default=True, metavar="P", help="day, shift, run, or a duration: 10min.")
 @click.option(
     "--engine",
     type=click.Choice(["local", "spark"]),
     default="local",
     show_default=True,
-    help="Where the work is done.",
+    help="Where to compute: on this machine, or on Spark.",
 )
 @click.option(
-    "--master", metavar="URL", envvar="SPARK_MASTER", help="Of Spark: local[4], spark://host:7077; or SPARK_MASTER."
+    "--master", metavar="URL", envvar="SPARK_MASTER", help="Master of Spark, such as local[4] or spark://host:7077."
 )
-@click.option("--workers", type=int, metavar="N", help="Threads; default: as many as there are processors.")
-@click.option("--segment", type=float, metavar="S", help="Length of one estimate [s], by which changes are found.")
+@click.option("--workers", type=int, metavar="N", help="Number of threads; default: one for each processor.")
+@click.option(
+    "--segment", type=float, metavar="S", help="Length of one estimate [s]; changes are found between estimates."
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     required=True,
     metavar="FOLDER",
-    help="Write fleet.html, fleet.json and the tables as Parquet there; what is done is kept for the next call.",
+    help="Write fleet.html, fleet.json and Parquet tables into this folder; the next call reuses finished work.",
 )
 @JSON
 def history(
@@ -192,7 +196,7 @@ def _engine(name: str, master: str | None, workers: int | None) -> Engine:
     if name == Local.name:
         return Local(workers)
     if workers is not None:
-        raise UsageError("--workers is of the engine local; Spark takes what its master has: --master 'local[4]'")
+        raise UsageError("--workers belongs to the engine local; for Spark, give the number with --master 'local[4]'")
     return Spark(master)
 
 
@@ -209,5 +213,5 @@ def _print(found: History, out: Path) -> None:
         where = row["axis"] or row["file"]
         times = f" ({row['times']} times)" if row["times"] > 1 else ""
         click.echo(f"note: {printable(where)}: {printable(row['text'])}{times}")
-    done = f"{found.shards - found.reused} of {found.shards} shards computed, the others were there"
+    done = f"{found.shards - found.reused} of {found.shards} shards computed, the others reused"
     click.echo(f"{found.samples} samples; {done}\nreport: {out / 'fleet.html'}")

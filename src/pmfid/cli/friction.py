@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from pmfid.estimators.friction_curve import FrictionCurve
 
 
-@click.command(short_help="Show friction over velocity, with no law assumed.")
+@click.command(short_help="Show friction over velocity without assuming a law.")
 @click.argument("record", type=click.Path(path_type=Path))
 @config_option()
 @CUTOFF
-@click.option("--nodes", type=int, default=10, show_default=True, help="Speeds in each direction.")
+@click.option("--nodes", type=int, default=10, show_default=True, help="Number of speeds in each direction.")
 @click.option(
-    "--rising-from", type=float, metavar="SPEED", help="Friction does not fall from this speed on [m/s or rad/s]."
+    "--rising-from", type=float, metavar="SPEED", help="Speed above which friction does not fall [m/s or rad/s]."
 )
-@folder_option("Write friction.html and friction.json there.")
+@folder_option("Write friction.html and friction.json into this folder.")
 @JSON
 def friction(
     record: Path,

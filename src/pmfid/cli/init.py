@@ -21,9 +21,9 @@ from pmfid.errors import UsageError, printable
     default=Path("AXIS.toml"),
     show_default=True,
     metavar="AXIS.toml",
-    help="Where it goes; never over a file that is there.",
+    help="File to write; an existing file is never overwritten.",
 )
-@click.option("--output", metavar="COLUMN", help="The column of the output, as of one joint of several.")
+@click.option("--output", metavar="COLUMN", help="Column of the output, for example of one joint of several.")
 def init(record: Path, out: Path, output: str | None) -> None:
     """Write an AXIS.toml from RECORD, with a reason for each guess.
 
@@ -34,7 +34,7 @@ def init(record: Path, out: Path, output: str | None) -> None:
     Exit code 0: a usable file; 2: wrong usage, unreadable input, or an existing file.
     """
     if os.path.lexists(out):
-        raise UsageError(f"{out} is there already, and stays as it is; give another place with --out")
+        raise UsageError(f"{out} already exists and is not overwritten; give another file with --out")
     on_terminal = sys.stdin.isatty() and sys.stdout.isatty()
     with progress("init") as tell:
         from pmfid.pipeline.guess.axis_file import guess

@@ -61,7 +61,7 @@ class CommandGroup(click.Group):
             ctx.exit(0)
         except OSError as error:
             reason = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-            print_text(f"pmfid: {reason}; choose another place", err=True)
+            print_text(f"pmfid: {reason}; choose another file or folder", err=True)
             ctx.exit(EXIT_USAGE)
         except KeyboardInterrupt:
             click.echo("pmfid: interrupted", err=True)
@@ -91,7 +91,7 @@ def _open_closed_streams() -> None:
     short_help="Identify the parameters of a record.",
     help=f"""Identify the parameters of RECORD, a {SPOKEN} file.
 
-    Of a transfer function several records make one estimate.
+    Several records of a process make one estimate.
 
     Exit code 0: an estimate; 2: wrong usage or unreadable input; 3: the data cannot identify the parameters.
     """,
@@ -101,33 +101,31 @@ def _open_closed_streams() -> None:
 @click.option(
     "--method",
     type=click.Choice((*METHODS, EVERY)),
-    help="auto: by the record; all: every one, side by side. Off-line: ls, bcls, known-step, iv, output-error, "
-    "interval, srivc; recursive: rls, bcrls, rknown-step, riv, rsrivc. srivc and rsrivc are for a transfer function.",
+    help="auto: from the record; all: every method, side by side. Off-line: ls, bcls, known-step, iv, output-error, "
+    "interval, srivc; recursive: rls, bcrls, rknown-step, riv, rsrivc. For a transfer function: srivc, rsrivc.",
 )
 @CUTOFF
-@click.option("--order", type=int, help="Stages of the filters.")
+@click.option("--order", type=int, help="Number of filter stages.")
 @click.option("--forgetting", type=float, help="Weight of the past per sample, in (0, 1].")
-@click.option(
-    "--resolution", type=step, metavar="STEP", help='Unit of position per count: a number, or with a unit "0.01 mm".'
-)
+@click.option("--resolution", type=step, metavar="STEP", help='Travel per count: a number, or text such as "0.01 mm".')
 @click.option(
     "--quantize",
     type=float,
     metavar="STEP",
-    help="Floor the position to this coarser step first: what if the encoder were cheaper?",
+    help="Round the position down to this coarser step first, as a cheaper encoder would.",
 )
 @click.option(
     "--edges",
     type=float,
     metavar="STEP",
-    help="As --quantize, and take the times of this encoder's edges, as the timer of a motor controller does.",
+    help="Like --quantize, and also use the times of the coarser encoder's edges, as a timer in the drive gives them.",
 )
 @folder_option(
-    "Write report.html and result.json there, and track.parquet of a recursive method on a drive; of all methods "
-    "compare.html."
+    "Write report.html and result.json into this folder, for a recursive method on a drive also track.parquet; with "
+    "--method all, compare.html."
 )
-@click.option("--n", type=int, help="Poles of a transfer function.")
-@click.option("--m", type=int, help="Zeros of a transfer function.")
+@click.option("--n", type=int, help="Number of poles of a transfer function.")
+@click.option("--m", type=int, help="Number of zeros of a transfer function.")
 @click.option("--delay", type=int, help="Dead time of a transfer function in samples.")
 @JSON
 def identify(
@@ -141,9 +139,9 @@ def identify(
 ) -> None:
     """Identify the parameters of a record."""
     if quantize is not None and edges is not None:
-        raise UsageError("--quantize and --edges both give the step of a coarser encoder: give one of them")
+        raise UsageError("--quantize and --edges both give the step of a coarser encoder: give only one of them")
     if edges is not None and options["method"] not in (None, "auto"):
-        raise UsageError(f"--edges has a method of its own, drop --method {options['method']}")
+        raise UsageError(f"--edges has its own method: drop --method {options['method']}")
     options["method"] = "auto" if edges is not None else options["method"]
     sections = {"resolution": "encoder", "n": "model", "m": "model", "delay": "model"}
     changes = {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()}
@@ -159,7 +157,7 @@ def identify(
 
         axis = load_axis(config, changes)
         if edges is not None and (axis.encoder.edge_age or axis.encoder.lines):
-            raise UsageError("--edges makes the edges of a coarser encoder: drop [encoder] edge_age and lines")
+            raise UsageError("--edges calculates the edges of a coarser encoder: drop [encoder] edge_age and lines")
         coarse = Coarser(edges, True) if edges is not None else None if quantize is None else Coarser(quantize)
         result = run(kind_of(axis).read(records, axis, coarse), axis, tell).with_findings(*find_to_do(config))
         if out is not None:

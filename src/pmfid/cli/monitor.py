@@ -21,20 +21,20 @@ if TYPE_CHECKING:
     from pmfid.records.record import Record
 
 
-@click.command(short_help="Watch a record or a pipe and tell what changes.")
+@click.command(short_help="Watch a record or a pipe and report changes.")
 @click.argument("record", type=click.Path(path_type=Path, allow_dash=True))
-@config_option("With a section [monitor] that names a record of normal work.")
-@click.option("--mtbf-hours", type=float, metavar="H", help="Mean time between false alarms.")
-@click.option("--detector", type=click.Choice(DETECTORS), help="What looks for a change.")
-@click.option("--tolerance", type=float, metavar="PART", help="Relative deviation that is no change.")
+@config_option("AXIS.toml whose section [monitor] names a record of normal work.")
+@click.option("--mtbf-hours", type=float, metavar="H", help="Mean time between false alarms [h].")
+@click.option("--detector", type=click.Choice(DETECTORS), help="Test that decides on a change.")
+@click.option("--tolerance", type=float, metavar="PART", help="Largest relative deviation that is no change.")
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
     metavar="FILE",
-    help="Write every estimate to a .csv or .parquet file; - is standard output, line by line.",
+    help="Write every estimate to this .csv or .parquet file, or with - to standard output, line by line.",
 )
 @click.option(
-    "--report", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html", help="Write one page on the run."
+    "--report", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html", help="Write a page on the run."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per event.")
 def monitor(
@@ -75,7 +75,7 @@ def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> 
 
     for path in (out, report):
         if path is not None and not path.parent.is_dir():
-            raise UsageError(f"{path}: there is no folder {path.parent}; make it, or choose another place")
+            raise UsageError(f"{path}: the folder {path.parent} does not exist; make it, or choose another path")
     for path in inputs:
         if report is not None and report.exists() and path.exists() and report.samefile(path):
             raise UsageError(f"--report {report} would overwrite {path}; choose another name")
@@ -120,7 +120,7 @@ def _complain(run: MonitoredRun, sink: RowSink) -> None:
     if run.problem:
         raise UsageError(run.problem)
     if sink.lost:
-        raise UsageError(f"{sink.lost} rows could not be written to {sink.path}; make room there, or choose another")
+        raise UsageError(f"{sink.lost} rows are missing in {sink.path}; free space there, or choose another file")
 
 
 class _Teller:

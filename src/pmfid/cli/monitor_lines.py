@@ -66,7 +66,7 @@ def _clock(event: Notice) -> str:
 
 
 def _outlier(event: Notice) -> str:
-    what = "counts jumped" if event["signal"] == "counts" else "input jumped or was no number"
+    what = "counts jumped" if event["signal"] == "counts" else "input jumped or was not a number"
     return f"{event['time']:.2f} s  {what}: left out, the watch goes on"
 
 
@@ -75,7 +75,7 @@ def _write_error(event: Notice) -> str:
 
 
 def _written_again(event: Notice) -> str:
-    return f"{event['file']} is written again, {event['lost']} rows were lost"
+    return f"{event['file']} is written again; {event['lost']} rows were lost"
 
 
 def _end(event: Notice) -> str:

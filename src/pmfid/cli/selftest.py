@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from pmfid.pipeline.selftest import SelfTest
 
 
-@click.command(short_help="Simulate a machine at its result, identify it again, and compare.")
+@click.command(short_help="Simulate the machine of a result, identify it again, and compare.")
 @click.argument("record", type=click.Path(path_type=Path))
 @config_option()
-@result_option("The result to test: what `pmfid identify --out` or --json has written.")
+@result_option("The result to test, as written by `pmfid identify --out` or --json.")
 @click.option("--runs", type=click.IntRange(2, 1000), default=10, show_default=True, help="Simulated records.")
 @click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Seed of the noise.")
 @JSON

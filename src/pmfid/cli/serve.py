@@ -13,27 +13,27 @@ if TYPE_CHECKING:
     from pmfid.service.plant import Plant
 
 
-@click.command(short_help="Watch many axes as a service, with a page.")
+@click.command(short_help="Watch many axes as a service with a web page.")
 @click.argument("config", type=click.Path(path_type=Path, dir_okay=False))
 @click.option(
     "--from",
     "source",
     type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
     metavar="RECORD",
-    help="Serve this record, or CSV lines on standard input if it is -, for the one axis of AXIS.toml.",
+    help="Watch the axis of AXIS.toml on this record, or with - on CSV lines from standard input.",
 )
 @click.option(
     "--speed",
     type=float,
     default=1.0,
     show_default=True,
-    help="How fast the record is played; 0: as fast as it goes.",
+    help="Speed at which the record is played, 1 for real time; 0: as fast as possible.",
 )
-@click.option("--every", type=float, metavar="S", help="Time between two estimates given out; 0: all.")
+@click.option("--every", type=float, metavar="S", help="Time between two published estimates [s]; 0: publish all.")
 @click.option(
-    "--state", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Keep checkpoints there."
+    "--state", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Keep checkpoints in this folder."
 )
-@click.option("--port", type=click.IntRange(0, 65535), help="Of the page; left out: see `pmfid explain page.port`.")
+@click.option("--port", type=click.IntRange(0, 65535), help="Port of the page; default: see `pmfid explain page.port`.")
 @click.option("--no-page", is_flag=True, help="Serve no page.")
 @click.option("--until-end", is_flag=True, help="End when all sources have ended.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per event.")

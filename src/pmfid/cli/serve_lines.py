@@ -32,7 +32,7 @@ def _serving(what: Fields) -> str:
     lines = [f"serving {what['name']}: {what['axes']} ax{'e' if what['axes'] != 1 else 'i'}s"]
     lines += [f"page: {what['page']}"] if "page" in what else []
     lines += [f"note: {note}" for note in what.get("notes", ())]
-    kept = f"checkpoints: {what['state']}" if what["state"] else "nothing is kept: [service] state names no folder"
+    kept = f"checkpoints: {what['state']}" if what["state"] else ("no checkpoints: [service] state names no folder")
     return "\n".join([*lines, kept])
 
 
@@ -96,7 +96,7 @@ def _describe_acknowledgement(what: Fields) -> str:
 def _reference(what: Fields) -> str:
     if "problem" in what:
         return f"no new reference: {what['problem']}"
-    return f"what it is after {what['samples']} samples is normal from now on"
+    return f"the values after {what['samples']} samples are the new reference"
 
 
 def _checkpoint(what: Fields) -> str:
@@ -131,6 +131,6 @@ _SENTENCES: dict[str, Callable[[Fields], str]] = {
     "clock": _clock,
     "acknowledged": _describe_acknowledgement,
     "reference": _reference,
-    "anew": lambda what: "restarts: its next samples are taken whatever their numbers",
+    "anew": lambda what: "restarts, and accepts its next samples with any number",
     "ended": lambda what: "ended",
 }

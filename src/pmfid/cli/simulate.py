@@ -17,21 +17,21 @@ from pmfid.errors import UsageError, did_you_mean
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
     metavar="RUN.csv",
-    help="Where the record goes; its AXIS.toml is written to the same folder, as RUN.toml.",
+    help="File for the record; its AXIS.toml is written next to it as RUN.toml.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of everything random.")
-@click.option("--increments", type=click.IntRange(min=1), default=4096, show_default=True, help="Of the encoder.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Seed of everything random.")
+@click.option("--increments", type=click.IntRange(min=1), default=4096, show_default=True, help="Counts per turn.")
 @click.option(
     "--duration",
     type=click.FloatRange(max=360_000),
     default=30.0,
     show_default=True,
     metavar="S",
-    help="Length of the run.",
+    help="Length of the run [s].",
 )
-@click.option("--bits", type=click.IntRange(2, 32), help="Width of the counter, which then wraps around.")
-@click.option("--missed", type=float, default=0.0, metavar="P", help="Part of the edges that is not counted.")
-@click.option("--jitter", type=float, default=0.0, metavar="COUNTS", help="Standard deviation of the edges' places.")
+@click.option("--bits", type=click.IntRange(2, 32), help="Width of the counter in bits; the counter then wraps around.")
+@click.option("--missed", type=float, default=0.0, metavar="P", help="Fraction of the edges that the counter misses.")
+@click.option("--jitter", type=float, default=0.0, metavar="COUNTS", help="Standard deviation of the edges' positions.")
 @click.option("--line-error", type=float, default=0.0, metavar="COUNTS", help="Largest error of a line of the disc.")
 @click.option("--truth", is_flag=True, help="Also write the true position, velocity and parameters.")
 def simulate(scenario: str | None, listing: bool, out: Path | None, truth: bool, **options: float) -> None:
@@ -42,7 +42,7 @@ def simulate(scenario: str | None, listing: bool, out: Path | None, truth: bool,
     if scenario is None or out is None:
         raise UsageError("give a scenario and --out RUN.csv; pmfid simulate --list names the scenarios")
     if out.suffix.lower() != ".csv":
-        raise UsageError(f"the record is written as CSV, got {out.name!r}; name it {out.stem}.csv")
+        raise UsageError(f"the record is written as CSV, not as {out.name!r}; name it {out.stem}.csv")
     with progress("simulate"):
         axis = _write(scenario, out, truth, **options)
     click.echo(f"record: {out}\naxis:   {axis}\npmfid identify {out} --config {axis}")

@@ -22,7 +22,7 @@ F = TypeVar("F", bound=Callable[..., object])
 
 RECORDS = click.argument("records", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RECORD...")
 CUTOFF = click.option(
-    "--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; of a machine, default: chosen by the record."
+    "--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; default for a machine: chosen from the record."
 )
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 
@@ -34,10 +34,10 @@ def step(text: str) -> float | str:
     except ValueError:
         if re.search(r"\d", text):
             return text
-        raise click.BadParameter(f'{text!r} is not a number, with a unit or without, as 0.001 or "0.01 mm"') from None
+        raise click.BadParameter(f'{text!r} is not a number; write 0.001 or "0.01 mm"') from None
 
 
-def config_option(text: str = "What the record holds, the encoder, the model, the estimator.") -> Callable[[F], F]:
+def config_option(text: str = "The columns, the encoder, the model and the estimator.") -> Callable[[F], F]:
     """Return the option --config AXIS.toml."""
     return click.option("--config", required=True, type=click.Path(path_type=Path), metavar="AXIS.toml", help=text)
 

@@ -16,21 +16,24 @@ if TYPE_CHECKING:
 
 @click.command(short_help="Search the terms of a drive, or the structure of a transfer function.")
 @RECORDS
-@config_option("What the record holds, the encoder, the model to begin with; of [estimator] cutoff and order are used.")
+@config_option("The columns, the encoder and the first model; [estimator] gives cutoff and order.")
 @CUTOFF
 @click.option(
     "--held-out",
     type=click.Path(path_type=Path),
     metavar="OTHER",
-    help="A second record of the same machine, which a term must help to predict; else parts of RECORD.",
+    help="Second record of the machine, which a new term must help to predict; default: parts of RECORD.",
 )
-@click.option("--turn", type=float, metavar="PERIOD", help="A turn in the unit of y: look for gravity, too.")
-@click.option("--pitch", type=float, multiple=True, metavar="PITCH", help="Look for a cogging force of this pitch.")
+@click.option("--turn", type=float, metavar="PERIOD", help="Travel of a turn in the unit of y: look for gravity too.")
+@click.option("--pitch", type=float, multiple=True, metavar="PITCH", help="Look for cogging of this pitch [unit of y].")
 @click.option(
-    "--friction-period", type=float, metavar="PERIOD", help="Look for friction that changes along the travel, too."
+    "--friction-period",
+    type=float,
+    metavar="PERIOD",
+    help="Look for friction that varies along the travel with this period, in the unit of y.",
 )
-@click.option("--scan/--no-scan", default=True, help="Look for a cogging force of any pitch, where none is given.")
-@folder_option("Write terms.html and terms.json there, of a transfer function order.html.")
+@click.option("--scan/--no-scan", default=True, help="Look for cogging of any pitch if --pitch is not given.")
+@folder_option("Write terms.html and terms.json into this folder; for a transfer function, order.html.")
 @JSON
 def terms(
     records: tuple[Path, ...],
@@ -58,7 +61,7 @@ def terms(
         _search_order(records, config, cutoff, out, as_json)
         return
     if len(records) > 1:
-        raise UsageError("pmfid terms takes one record of a drive; give the second one by --held-out")
+        raise UsageError("pmfid terms needs exactly one record of a drive; give a second one with --held-out")
     record = records[0]
     with progress("terms") as tell:
         from pmfid.config.axis import load_axis
@@ -94,7 +97,7 @@ def _is_process(config: Path) -> bool:
 @RECORDS
 @config_option()
 @CUTOFF
-@folder_option("Write order.html there.")
+@folder_option("Write order.html into this folder.")
 @JSON
 def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Path | None, as_json: bool) -> None:
     """Search the poles, zeros and dead time of a transfer function that explains RECORD."""

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 
 @click.command(short_help="Predict other records with a result, by free-run simulation.")
 @RECORDS
-@config_option("What the records hold, the encoder, the model; of [estimator] only the cutoff is used.")
-@result_option("The parameters: what `pmfid identify --out` or --json has written.")
-@folder_option("Write validation.html and validation.json there.")
+@config_option("The columns of the records, the encoder and the model; [estimator] gives only the cutoff.")
+@result_option("The result to test, as written by `pmfid identify --out` or --json.")
+@folder_option("Write validation.html and validation.json into this folder.")
 @JSON
 def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | None, as_json: bool) -> None:
     """Simulate each RECORD from its input alone, with the parameters of RESULT.json, and compare with its output.

@@ -42,7 +42,7 @@ class EstimatorConfig(FileSection):
 
     method: Method = Field("auto", description="the estimation method")
     cutoff: Positive | None = Field(
-        None, description="the pole of the filter chain in rad/s, for example 50.0, or leave it out: from the record"
+        None, description="the pole of the filter chain in rad/s, for example 50.0, or drop the key to use the record"
     )
     order: int = Field(2, ge=2, le=6, description="the number of filter stages, 2 to 6")
     forgetting: float = Field(
@@ -57,9 +57,9 @@ class EstimatorConfig(FileSection):
     window: Positive | Literal["auto"] | None = Field(
         None, description='the length in s of the windows of output-error, for example 2.0, or "auto"'
     )
-    given: dict[str, float] = Field({}, description="values that are known, as { mass = 1.25 }")
+    given: dict[str, float] = Field({}, description="known values, such as { mass = 1.25 }")
     prior: dict[str, Annotated[tuple[float, float], Field(strict=False)]] = Field(
-        {}, description="a mean and a standard deviation, as { mass = [1.0, 0.1] }"
+        {}, description="a mean and a standard deviation, such as { mass = [1.0, 0.1] }"
     )
     discretization: Discretization = Field("matched", description="the discretisation of the filters")
     # This type is not strict, because TOML has lists where a frozen object needs a tuple.
@@ -71,7 +71,7 @@ class EstimatorConfig(FileSection):
         TUNING.matter_tolerance,
         ge=0,
         lt=1,
-        description="the relative error of a parameter that is of no matter, for example 0.01",
+        description="the relative error of a parameter that does not matter, for example 0.01",
     )
 
     @property
@@ -79,8 +79,8 @@ class EstimatorConfig(FileSection):
         """The cutoff [rad/s]. Raises UsageError if the cutoff is not known yet."""
         if self.cutoff is None:
             raise UsageError(
-                "[estimator] cutoff is missing; give the pole of the filter chain in rad/s: pmfid identify on a record "
-                "of the axis chooses one"
+                "[estimator] cutoff is missing; give the pole of the filter chain in rad/s, such as pmfid identify "
+                "chooses on a record of the axis"
             )
         return self.cutoff
 
@@ -93,14 +93,14 @@ class MonitorConfig(FileSection):
     )
     nominal: dict[str, float] | None = Field(
         None,
-        description="the normal value of every parameter, { mass = 1.07, ... }, or leave it out: from the reference",
+        description="the normal value of every parameter, { mass = 1.07, ... }, or drop the key to use the reference",
     )
     detector: DetectorName = Field("glr", description="the detector")
     mtbf_hours: float = Field(
         24.0, ge=0.1, le=1e6, description="the mean time between false alarms in hours, for example 24.0"
     )
     tolerance: float = Field(
-        0.02, ge=0, lt=1, description="the relative deviation that is no change, for example 0.02 for 2 %"
+        0.02, ge=0, lt=1, description="the largest relative deviation that is no change, for example 0.02 for 2 %"
     )
 
 
@@ -122,7 +122,7 @@ _KEYS_OF_ONE_KIND = (
 #: Alternatives for a key that the model does not use.
 _CURE = {
     "gap": ", and cut the record at the gap",
-    "hold": ", the input of an axis is taken to hold between samples",
+    "hold": ", because the input of an axis holds between samples",
 }
 
 
@@ -157,7 +157,7 @@ class Axis(FileSection):
         """Derive the kind of axis from units, and refuse terms of the position if the output is a velocity."""
         if self.model.kind != "drive":
             if self.record.output_kind == "velocity":
-                raise UsageError('output_kind = "velocity" is for kind = "drive"; integrate the column, or change it')
+                raise UsageError('output_kind = "velocity" needs kind = "drive"; set it, or integrate the column')
             return
         step = self.encoder.resolution
         if self.record.output_kind == "counts" and step >= 16.0 and not isinstance(step, Quantity):
@@ -177,7 +177,7 @@ class Axis(FileSection):
         """Refuse prior information on parameters that the model does not have."""
         given, prior, find = self.estimator.given, self.estimator.prior, self.model.input_gain == ESTIMATE
         if self.model.kind == "transfer_function" and (given or prior):
-            raise UsageError("[estimator] given and prior are for machines; of a transfer function drop them")
+            raise UsageError("[estimator] given and prior belong to machines; for a transfer function drop them")
         if given or prior or find:
             equation = self.model.make().equation
             names = (*equation.names, *(name for name, _ in equation.further), *([INPUT_GAIN] if find else []))

@@ -192,7 +192,7 @@ def find(word: str, known: Sequence[ReferenceEntry] | None = None) -> list[Refer
     if found := [entry for entry in known if wanted and wanted in entry.called]:
         return found
     hint = did_you_mean(wanted, dict.fromkeys(name for entry in known for name in entry.called if name))
-    raise UsageError(f"there is nothing called {word!r}{hint}; pmfid explain alone lists all keys and words")
+    raise UsageError(f"no key or word is called {word!r}{hint}; pmfid explain without a key lists them all")
 
 
 def explain_entries(found: Sequence[ReferenceEntry]) -> str:
@@ -223,15 +223,15 @@ def tables(known: Sequence[ReferenceEntry], about: Callable[[str], str]) -> list
 _HEAD = """\
 # All keys of AXIS.toml
 
-Written by `pmfid explain --page`, from the models that validate the file. `pmfid explain KEY` says the same of one key,
-`pmfid explain WORD` of a word of a status. Units are SI; *unit of y* is that in which `[encoder] resolution` is given.
-Not every key is needed: `examples/cart.toml` has those of a usual axis.
+Written by `pmfid explain --page`, from the models that validate the file. `pmfid explain KEY` explains one key,
+`pmfid explain WORD` explains a word of a status. Units are SI; *unit of y* is the unit of `[encoder] resolution`.
+Not every key is needed: `examples/cart.toml` has the keys of a usual axis.
 """
 _KEYS = "| key | type | unit | default | meaning |\n|---|---|---|---|---|"
 _STATUS = """\
 ## Words of a status
 
-What `status` says of an estimate, in the terminal, in JSON, in reports and in Python.
+The words of `status` in the terminal, in JSON, in reports and in Python.
 
 | word | of | meaning |
 |---|---|---|"""

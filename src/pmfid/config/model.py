@@ -60,13 +60,13 @@ class ShapeConfig(FileSection):
 
     form: Form = Field(description=FORMS)
     speed: Positive | Literal["estimate"] | None = Field(
-        None, description='the speed of "stribeck" in unit of y per s, or "estimate" to find it'
+        None, description='the speed of "stribeck" in unit of y per s, or "estimate"'
     )
     period: Positive | None = Field(None, description='the period of "wave" in the unit of y')
-    cosine: bool | None = Field(None, description='true if "wave" is a cosine, false for a sine')
-    start: float | None = Field(None, description='the first place of "along" in the unit of y')
-    step: Positive | None = Field(None, description='the distance of the places of "along" in the unit of y')
-    values: tuple[float, ...] | None = Field(None, strict=False, description='the form at the places of "along"')
+    cosine: bool | None = Field(None, description='true if "wave" is a cosine, false if it is a sine')
+    start: float | None = Field(None, description='the first position of "along" in the unit of y')
+    step: Positive | None = Field(None, description='the distance between the positions of "along" in the unit of y')
+    values: tuple[float, ...] | None = Field(None, strict=False, description='the force at each position of "along"')
 
     def make(self) -> Shape:
         """Return the shape of this section. Raises UsageError for keys that do not belong to the form."""
@@ -77,7 +77,7 @@ class ShapeConfig(FileSection):
             raise UsageError(f"a shape has the form {FORMS}; got {self.form} with {list(given)}") from None
 
 
-SIGNAL = 'what the term is of: "input", "output", "direction" of motion, "constant", and others for friction and places'
+SIGNAL = 'the signal of the term: "input", "output", "direction", "constant", or one for friction or position'
 DERIVATIVE = "which derivative of the signal, 0 for the signal itself"
 
 
@@ -87,9 +87,9 @@ class UnknownTerm(FileSection):
     signal: Signal = Field(description=SIGNAL)
     derivative: int = Field(0, description=DERIVATIVE)
     coefficient: float = Field(1.0, description="a known factor of the term, in addition to the unknown parameter")
-    name: Name = Field(description='the name of the parameter, as "inertia"')
-    unit: str = Field("", description='the unit of the parameter, as "kg m2"')
-    shape: ShapeConfig | None = Field(None, description="the form of a friction or a force at a place")
+    name: Name = Field(description='the name of the parameter, such as "inertia"')
+    unit: str = Field("", description='the unit of the parameter, such as "kg m2"')
+    shape: ShapeConfig | None = Field(None, description="the form of friction or of a force along the travel")
 
 
 class KnownTerm(FileSection):
@@ -97,7 +97,7 @@ class KnownTerm(FileSection):
 
     signal: Signal = Field("input", description=SIGNAL)
     derivative: int = Field(0, description=DERIVATIVE)
-    coefficient: float = Field(1.0, description="the factor of the term, which is known")
+    coefficient: float = Field(1.0, description="the known factor of the term")
 
 
 class ModelConfig(FileSection):
@@ -113,16 +113,16 @@ class ModelConfig(FileSection):
     m: int | None = Field(None, description="the number of zeros, 0 to n, of a transfer function")
     delay: int = Field(0, description="the dead time in whole samples, 0 to 20, of a transfer function")
     dead_time: float | Literal["estimate"] = Field(
-        0.0, description='the time in s by which the input acts late, any part of a sample, or "estimate" to find it'
+        0.0, description='the time in s by which the input acts late, any part of a sample, or "estimate"'
     )
     lag: float | Literal["estimate"] = Field(
-        0.0, description='the time constant in s of a first-order lag of the input, or "estimate" to find it'
+        0.0, description='the time constant in s of a first-order lag of the input, or "estimate"'
     )
     integrators: int = Field(0, description="how many of the n poles of a transfer function are known to be at 0")
     unstable: bool = Field(
-        False, description="true if a controller holds a transfer function with poles in the right half-plane"
+        False, description="true if a controller stabilises a transfer function with poles in the right half-plane"
     )
-    axis: AxisKind = Field("linear", description='"linear" or "rotary", or leave it out if units determine it')
+    axis: AxisKind = Field("linear", description='"linear" or "rotary", or drop the key if units determine the axis')
     input_gain: (
         Annotated[
             Literal["estimate"] | float,
@@ -132,29 +132,30 @@ class ModelConfig(FileSection):
         | None
     ) = Field(
         None,
-        description='the force in N per unit of u, for example 2.0 or "0.35 N m/A", negative if they '
-        'point apart, or "estimate" to '
-        "find it",
+        description='the force in N per unit of u, for example 2.0 or "0.35 N m/A", negative if u > 0 pushes backward, '
+        'or "estimate"',
     )
     friction: Friction = Field("symmetric", description="whether friction differs between forward and backward")
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
     spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")
     stribeck: Annotated[Positive | Literal["estimate"], _TRAVEL] | None = Field(
-        None, description='the speed over which friction at rest falls, in unit of y per s, or "estimate" to find it'
+        None, description='the speed up to which friction falls, in unit of y per s, or "estimate"'
     )
     quadratic: bool = Field(False, description="true if friction grows with the square of the speed as well")
     gravity: Annotated[bool | Positive, _TRAVEL] = Field(
-        False, description="true if gravity turns a rotary axis and y is in rad, or the turn in the unit of y"
+        False, description="true if gravity turns a rotary axis with y in rad, or the turn in the unit of y"
     )
     cogging: Travel | None = Field(None, description="the pitch of a cogging force in the unit of y")
     friction_period: Travel | None = Field(
-        None, description="the period in the unit of y of friction that changes along the travel"
+        None, description="the period of friction along the travel, in the unit of y"
     )
     unknown: tuple[UnknownTerm, ...] = Field(
-        (), strict=False, description='terms as { signal = "output", derivative = 2, name = "inertia", unit = "kg m2" }'
+        (),
+        strict=False,
+        description='terms like { signal = "output", derivative = 2, name = "inertia", unit = "kg m2" }',
     )
     known: tuple[KnownTerm, ...] = Field(
-        (KnownTerm(),), strict=False, description='terms as { signal = "input", coefficient = 0.35 }'
+        (KnownTerm(),), strict=False, description='terms like { signal = "input", coefficient = 0.35 }'
     )
 
     @model_validator(mode="after")
@@ -162,7 +163,7 @@ class ModelConfig(FileSection):
         if self.kind == "drive" and self.input_gain is None:
             raise ValueError("input_gain is missing; give the force in N per unit of u, for example 2.0")
         if self.kind != "equation" and (self.unknown or "known" in self.model_fields_set):
-            raise ValueError('unknown and known are for kind = "equation"; add that, or drop them')
+            raise ValueError('unknown and known belong to kind = "equation"; add kind = "equation", or drop them')
         own = set(keys_of(Drive)) - {"dead_time", "lag"} & self.model_fields_set
         if self.kind == "equation" and own:
             raise ValueError(
@@ -186,10 +187,10 @@ class ModelConfig(FileSection):
         if wanted and (self.n is None or self.m is None):
             raise ValueError("n or m is missing; give the numbers of poles and zeros, or search: pmfid terms RECORD")
         if own and not wanted:
-            raise ValueError(f'{", ".join(sorted(own))} is for kind = "transfer_function"; add that, or drop it')
+            raise ValueError(f'{", ".join(sorted(own))} needs kind = "transfer_function"; add that, or drop the key')
         foreign = ({*of_drive, "unknown", "known"} - of_process) & self.model_fields_set
         if wanted and foreign:
-            raise ValueError(f"{', '.join(sorted(foreign))} is not for a transfer function; drop it")
+            raise ValueError(f"{', '.join(sorted(foreign))} does not belong to a transfer function; drop the key")
 
     def make(self) -> Model:
         """Return the model that the section describes. Raises UsageError if the terms make no equation."""

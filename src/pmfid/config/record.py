@@ -47,31 +47,32 @@ class RecordConfig(FileSection):
     output: Name = Field(description="the name of the column that holds the position or the counts")
     output_kind: OutputKind = Field("position", description="what the output column holds")
     input_unit: InputUnit | None = Field(
-        None, description='the unit of the input, for example "mA", or leave it out if the column\'s name is right'
+        None, description='the unit of the input, for example "mA", or drop the key if the column\'s name has it'
     )
     output_unit: OutputUnit | None = Field(
-        None, description='the unit of the output, for example "mm" or "deg", or leave it out, as the input\'s'
+        None,
+        description='the unit of the output, for example "mm" or "deg", or drop the key if the column\'s name has it',
     )
     separator: Separator | None = Field(
-        None, description='what is between the columns of a text, for example ";", or leave it out: as the text shows'
+        None, description='the separator of a text file, for example ";", or drop the key to recognise it'
     )
     decimal: Literal[".", ","] | None = Field(
-        None, description='the decimal sign of a text, "." or ",", or leave it out: as the text shows'
+        None, description='the decimal sign, "." or ",", or drop the key to recognise it'
     )
     time: Name | None = Field(None, description="the name of the time column")
     time_unit: TimeUnit | None = Field(
-        None, description="the unit of the time column, or leave it out if the column's name or s is right"
+        None, description="the unit of the time column, or drop the key if the column's name or s is right"
     )
     reference: Name | None = Field(
-        None, description="the name of the column that holds the reference of a controller, of a transfer function"
+        None, description="the name of the column with the controller's reference, for a transfer function"
     )
-    hold: Hold = Field("zoh", description="what the input does between samples: holds, or a line")
-    gap: Positive | None = Field(None, description="the time step in s beyond which the record is interrupted")
+    hold: Hold = Field("zoh", description='"zoh" if the input holds between samples, "foh" if it follows a line')
+    gap: Positive | None = Field(None, description="the time step in s above which samples count as missing")
     exclude: tuple[Span, ...] = Field(
-        (), strict=False, description="parts to leave out, from and to in s as in the time column: [[1.5, 2.0]]"
+        (), strict=False, description="parts to leave out, by the time column from and to in s: [[1.5, 2.0]]"
     )
     mask: Name | None = Field(
-        None, description="the name of a column that is not zero in the rows that are to be left out"
+        None, description="the name of a column; rows in which this column is not zero are left out"
     )
     dt: Positive | None = Field(None, description="the sample period in s, for example 1e-3")
     input_scale: Annotated[float | str, AfterValidator(_usable_scale)] = Field(
@@ -82,16 +83,16 @@ class RecordConfig(FileSection):
     known_force: tuple[Name, ...] = Field(
         (),
         strict=False,
-        description="the columns of forces in N or torques in N m that are no terms of the model, "
-        'for example ["gravity_torque"] of a robot',
+        description="the columns of known forces in N or torques in N m outside the model, for example "
+        '["gravity_torque"]',
     )
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
         if self.time is None and self.dt is None:
-            raise ValueError("neither time nor dt is there; give the time column, or dt in s, or both")
+            raise ValueError("time and dt are both missing; give the time column, or dt in s, or both")
         if self.time is None and self.time_unit is not None:
-            raise ValueError("time_unit is that of the time column; name it with time, or drop time_unit")
+            raise ValueError("time_unit needs a time column; name the column with time, or drop time_unit")
         if len({self.input, self.output, self.time}) < 3:
             raise ValueError("input, output and time must be different columns; correct the names")
         return self
@@ -101,28 +102,31 @@ class EncoderConfig(FileSection):
     """[encoder]: resolution in unit of y per count, and facts about the counter and the motion."""
 
     resolution: Travel = Field(
-        description="the unit of y per count, for example 22.75e-6 (m, of a rotary axis rad), "
-        '"0.01 deg" or "4096 counts/rev"'
+        description='the unit of y per count, for example 22.75e-6 (m, or rad if rotary), "0.01 deg" or "4096 '
+        'counts/rev"'
     )
     range: Travel | None = Field(
-        None, description='the travel after which the output wraps, for example "360 deg", or leave it out'
+        None,
+        description='the travel after which the output wraps, for example "360 deg", or drop the key if it never wraps',
     )
     bits: int | None = Field(
         None,
         ge=1,
         le=32,
-        description="the width of the counter that wraps at 2**bits, 1 to 32, or leave it out",
+        description="the width of a counter that wraps at 2**bits, 1 to 32, or drop the key if it never wraps",
     )
     standstill_time: Positive = Field(0.2, description="the time in s without a new count that means standstill")
     max_speed: Travel | None = Field(
-        None, description='the highest possible speed in unit of y per s, or as "3000 rpm"'
+        None, description='the highest possible speed in unit of y per s, or a text such as "3000 rpm"'
     )
-    guard: bool = Field(True, description="true, or false to keep samples that no motion explains")
+    guard: bool = Field(True, description="true to leave out samples that no motion explains, false to keep them")
     edge_age: Name | None = Field(
         None, description="the column with the time from the last edge to the sample, empty without an edge"
     )
     lines: int | None = Field(
-        None, ge=1, description="the counts after which the lines of the encoder repeat, for example 64 of a revolution"
+        None,
+        ge=1,
+        description="the counts after which the lines of the encoder repeat, for example 64 for a revolution",
     )
     tick: float = Field(0.0, ge=0, description="the period in s of the timer of edge_age, for example 1e-6")
 
@@ -189,7 +193,7 @@ def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
     said = [f"the file has {' and '.join(named)}"] if named else []
     if axis.model.input_gain == axis.record.input_scale == 1.0 and (u is None or u.of not in ("force", "torque")):
         said.append(
-            f"input_gain is 1: forces are in the unit of {input_name!r}; if that is no force, give [model] input_gain"
+            f"input_gain is 1, so forces are in the unit of {input_name!r}; for forces in N give [model] input_gain"
         )
     return Conversion(u.factor if u else 1.0, y.factor if y else 1.0, kind, tuple(said))
 
@@ -204,8 +208,8 @@ def axis_kind(axis: Sections, unit: Unit | None = None) -> AxisKind | None:
         evidence.setdefault(kind, what)
     if len(evidence) > 1:
         raise UsageError(
-            f"{evidence['rotary']} is of a rotary axis, {evidence['linear']} of a linear one: correct the unit of one "
-            "of them"
+            f"{evidence['rotary']} belongs to a rotary axis, but {evidence['linear']} to a linear one: correct one of "
+            "the two units"
         )
     return next(iter(evidence), None)
 
@@ -241,7 +245,7 @@ def _choose_unit(key: str, given: str | None, name: str, table: dict[str, Unit])
     named, stated = column_unit(name, table), table.get(given or "")
     if named and stated and (named.of, named.factor) != (stated.of, stated.factor):
         raise UsageError(
-            f'the name of the column {name!r} says {named.name}, and [record] {key} = "{given}": write {key} = '
+            f'the name of the column {name!r} says {named.name}, but [record] {key} = "{given}": write {key} = '
             f'"{named.name}", or rename the column'
         )
     return stated or named
@@ -295,9 +299,9 @@ def _input_unit(axis: Sections, name: str) -> Unit | None:
     elif not unit.plain:
         force = "N m" if axis.model.axis == "rotary" else "N"
         raise UsageError(
-            f"the input column {name!r} is in {unit.name}, and input_gain = {gain:.9g} may be meant for that or for "
-            f'{SI[unit.of]}: write [model] input_gain = "{gain:.9g} {force}/{unit.name}" or '
-            f'"{gain:.9g} {force}/{SI[unit.of]}"'
+            f"the input column {name!r} is in {unit.name}, and input_gain = {gain:.9g} may be meant for {unit.name} or "
+            f'for {SI[unit.of]}: write [model] input_gain = "{gain:.9g} {force}/{unit.name}" or "{gain:.9g} '
+            f'{force}/{SI[unit.of]}"'
         )
     return unit
 

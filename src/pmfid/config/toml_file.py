@@ -94,7 +94,7 @@ def _read_toml(path: Path, kind: str) -> dict[str, object]:
         raise UsageError(f"{path}: the configuration is not UTF-8 text; give {kind}") from None
     except (ValueError, RecursionError) as error:  # a number may also have thousands of digits
         raise UsageError(
-            f"{path}: not valid TOML: {error}; correct that line, a number with a unit in quotes"
+            f"{path}: not valid TOML: {error}; correct this line, and quote a number with a unit"
         ) from None
 
 

@@ -310,12 +310,14 @@ def _stds(problem: Problem, fisher: Floats) -> dict[str, float]:
 
 def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
     if worth.surviving is None:
-        return ["the design was not checked with stiction, which the simulation has for symmetric friction only"]
+        return [
+            "the design is not checked with stiction, because the simulation with stiction needs symmetric friction"
+        ]
     careful = design.problem.limits.min_speed > 0
     if worth.surviving >= TUNING.appraisal_survives and careful:
         return []
     part = f"{100 * worth.surviving:.0f} % of the claimed information survives a simulation with stiction"
-    return [f"{part}; raise min_speed" if careful else f"{part}; min_speed is 0: set it above"]
+    return [f"{part}; raise min_speed" if careful else f"{part}; set min_speed above 0"]
 
 
 def _encoder_warnings(worths: Mapping[str, Worth], recommended: str) -> list[str]:
@@ -327,7 +329,7 @@ def _encoder_warnings(worths: Mapping[str, Worth], recommended: str) -> list[str
         return []
     worst = max(worse, key=worse.__getitem__)
     return [
-        f"by the counts of this encoder the design leaves {worst} {worse[worst]:.1f} times as uncertain as a trapezoid "
-        f"does. The axis comes to rest on a machine a little heavier, or the counts repeat along the motion. Run the "
-        f"input {recommended!r}, or design with a larger min_speed, apart from whole counts per sample"
+        f"with this encoder's counts, the design leaves {worst} {worse[worst]:.1f} times as uncertain as a trapezoid "
+        "does. A slightly heavier axis comes to rest on the way, or the counts repeat along the motion. Run the input "
+        f"{recommended!r}, or design with a larger min_speed and no whole number of counts per sample"
     ]

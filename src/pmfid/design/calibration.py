@@ -136,7 +136,7 @@ def calibrate(problem: Problem, runs: Sequence[DesignedRun]) -> RunsEstimate:
     1.8
     """
     if not runs:
-        raise UsageError("there is no run to estimate from; give at least one")
+        raise UsageError("the list of runs is empty; give at least one run")
     objective = _Objective(problem, runs)
     found = least_squares(
         objective,
@@ -252,12 +252,13 @@ def _check(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> Non
     left = float(np.linalg.norm(objective.data(q)))
     if left > TUNING.worst_fit * motion:
         raise NotIdentifiableError(
-            f"the simulated position does not follow the runs, {left / max(motion, 1e-300):.0%} of the motion is left; "
-            "check sign and size of input_gain, and that the run starts at rest; look for a load outside the model"
+            f"the simulated position misses {left / max(motion, 1e-300):.0%} of the motion; check sign and size of "
+            "input_gain, that the run starts at rest, and that no load is outside the model"
         )
     size = np.linalg.norm(J, axis=0)
     open_ = [name for name, s in zip(problem.names, size, strict=True) if not s > 1e-9 * size.max()]
     if open_ or np.linalg.cond(J / size) > 1e6:
         raise NotIdentifiableError(
-            f"the runs cannot tell {', '.join(open_ or problem.names)}; make another, or take one out of unknown"
+            f"the runs do not determine {', '.join(open_ or problem.names)}; make another run, or take a parameter out "
+            "of unknown"
         )

@@ -287,13 +287,13 @@ def check_identifiable(problem: Problem, maps: Affine) -> None:
     values, vectors = np.linalg.eigh(gram / np.outer(size, size))
     if values[0] < 1e-10:
         alike = [name for name, part in zip(problem.names, vectors[:, 0], strict=True) if abs(part) > 1e-3]
-        raise NotIdentifiableError(f"no input tells {' from '.join(alike)} in this motion; {_REMEDY}")
+        raise NotIdentifiableError(f"no input distinguishes {' from '.join(alike)} in this motion; {_REMEDY}")
     rank = _rank_of_a_run(maps)
     if rank < p:
         raise NotIdentifiableError(
-            f"one run of this motion has {maps.matrix.shape[0] // p} samples and tells {rank} numbers, too few for "
-            f"{', '.join(problem.names)}. Take more intervals or samples_per_interval, take {p - rank} of them out of "
-            "unknown, or give prior information"
+            f"one run of this motion has {maps.matrix.shape[0] // p} samples, which determine {rank} numbers, too few "
+            f"for {', '.join(problem.names)}; give more intervals or samples_per_interval, take {p - rank} parameters "
+            "out of unknown, or give prior information"
         )
 
 
@@ -308,14 +308,14 @@ def _rank_of_a_run(maps: Affine) -> int:
     return int(np.linalg.matrix_rank(both / np.where(size > 0, size, 1.0)[:, None], tol=1e-10))
 
 
-_REMEDY = "take it out of unknown, give prior information, or allow motion in both directions"
+_REMEDY = "take one of them out of unknown, give prior information, or allow motion in both directions"
 
 #: Each criterion is a function of S, the information on p parameters of interest without the nuisance parameters.
 CRITERIA = {
     "trace": "trace S, the criterion of the paper; also T",
     "D": "det(S)^(1/p): volume of the confidence ellipsoid",
     "A": "p / trace(inverse of S): mean variance of the parameters",
-    "E": "least eigenvalue of S: the worst known combination",
+    "E": "least eigenvalue of S: the combination with the largest variance",
     "ME": "least over largest eigenvalue of S: roundness, not size",
     "c": "1 / (c' inverse(S) c): variance of one combination of the parameters",
 }
@@ -377,7 +377,7 @@ def criterion_of(problem: Problem, name: str) -> Criterion:
         return Criterion(known[name], size)
     weights = dict(problem.combination)
     if not any(weights.values()) or set(weights) - set(problem.unknown):
-        raise UsageError(f"criterion c needs combination, weights of {problem.unknown}, got {weights}")
+        raise UsageError(f"criterion c needs weights for {problem.unknown}, got {weights}; give them as combination")
     vector = np.array([weights.get(key, 0.0) for key in problem.unknown]) * problem.scale[:size]
     return Criterion("c", size, vector / np.linalg.norm(vector))
 

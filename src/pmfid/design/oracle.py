@@ -93,7 +93,7 @@ class Oracle:
         if status == "Infeasible":
             raise EmptyError("no input meets all limits")
         if status in ("Unbounded", "UnboundedOrInfeasible"):
-            raise UsageError("the limits leave the input without a bound; give a limit for input, energy or rms")
+            raise UsageError("the limits do not bound the input; give a limit for input, energy or rms")
         if status != "Optimal":
             raise SolverError(
                 f"the linear solver ended with {status!r}; "

@@ -212,7 +212,7 @@ def nearest(inputs: InputSet, wish: Floats) -> Floats:
         return u
     least = nearest_of_any_energy(inputs, np.zeros(len(wish)))
     if np.linalg.norm(least) > inputs.radius:
-        raise InfeasibleError("the energy that the limits need is more than they allow; raise energy or rms")
+        raise InfeasibleError("the other limits need more energy than energy or rms allows; raise energy or rms")
     return retreat(inputs, least, u)
 
 

@@ -30,7 +30,9 @@ def check_pair(name: str, value: float | tuple[float, float] | None) -> None:
 
 def check_positive(name: str, value: float | None) -> None:
     if value is not None and not (math.isfinite(value) and value > 0):
-        raise UsageError(f"limit {name} must be positive and finite, got {value}; leave it out where there is none")
+        raise UsageError(
+            f"limit {name} must be positive and finite, got {value}; leave the limit out if the axis has none"
+        )
 
 
 #: Fields of a drive that no design supports.
@@ -62,7 +64,7 @@ def check_parameters(problem: Problem) -> None:
             if not math.isfinite(value) or (name == "mass" and value <= 0) or (name != "offset" and value < 0):
                 raise UsageError(f"{name} must be given, finite and {_SIGN.get(name, 'at least 0')}, got {value}")
             if abs(value) > TUNING.problem_most or (name == "mass" and value < TUNING.problem_least):
-                raise UsageError(f"{name} = {value:g}: no machine has that; give it in SI units")
+                raise UsageError(f"{name} = {value:g} is impossible for a machine; give the value in SI units")
     if not problem.unknown or len(set(problem.names)) < len(problem.names):
         raise UsageError(
             f"unknown and nuisance must name different parameters, at least one unknown, got {problem.names}"
@@ -81,13 +83,13 @@ def check_grid(problem: Problem) -> None:
         if getattr(problem, name) != int(getattr(problem, name)) or getattr(problem, name) < 1:
             raise UsageError(f"{name} must be a whole number, at least 1, got {getattr(problem, name)}")
     if not (math.isfinite(problem.horizon) and problem.horizon > 0):
-        raise UsageError(f"horizon must be positive and finite, got {problem.horizon}; it is the duration in s")
+        raise UsageError(f"horizon must be positive and finite, got {problem.horizon}; give the duration in s")
     sense = problem.sense
     if len(sense) != problem.intervals or set(sense) - {-1, 0, 1}:
         raise UsageError(f"directions must hold 1, -1 or 0 for each of the {problem.intervals} intervals, got {sense}")
     if problem.scenarios and 0 in sense:
         raise UsageError(
-            "no input brings the axis to rest at the same instant in every scenario; leave out the scenarios (robust), "
+            "no input brings the axis to rest at the same instant in every scenario; leave the scenarios (robust) out, "
             "or the rests in directions"
         )
     if any(a * b < 0 for a, b in pairwise(sense)):
@@ -103,14 +105,14 @@ def check_ends(problem: Problem) -> None:
         raise UsageError(f"end_tolerance must not be negative, got {problem.end_tolerance}")
     if problem.end[0] is not None and (problem.end[0] - problem.start[0]) * sum(sorted(set(problem.sense))) < 0:
         raise UsageError(
-            f"directions never lead from start {problem.start[0]} to end {problem.end[0]}; give directions"
+            f"directions never lead from start {problem.start[0]} to end {problem.end[0]}; give other directions"
         )
     for name, velocity, direction in (
         ("start", problem.start[1], problem.sense[0]),
         ("end", problem.end[1] or 0.0, problem.sense[-1]),
     ):
         if velocity * direction < 0 or (velocity and not direction):
-            raise UsageError(f"{name} velocity {velocity} is against the direction {direction} there; give directions")
+            raise UsageError(f"{name} velocity {velocity} is against the direction {direction}; give other directions")
     for name, position in (("start", problem.start[0]), ("end", problem.end[0])):
         bounds = problem.limits.position
         if bounds and position is not None and not bounds[0] <= position <= bounds[1]:
@@ -119,13 +121,13 @@ def check_ends(problem: Problem) -> None:
 
 def check_noise(problem: Problem) -> None:
     if problem.resolution is None and problem.noise_variance is None:
-        raise UsageError("give resolution, of the encoder in m per count, or noise_variance in m^2")
+        raise UsageError("the noise is not known; give resolution in m per count, or noise_variance in m^2")
     for name in ("resolution", "noise_variance"):
         value = getattr(problem, name)
         if value is not None and not (math.isfinite(value) and value > 0):
             raise UsageError(f"{name} must be positive and finite, got {value}")
         if value is not None and not TUNING.problem_least**2 < value < TUNING.problem_most**2:
-            raise UsageError(f"{name} = {value:g}: no encoder has that; check the unit")
+            raise UsageError(f"{name} = {value:g} is impossible for an encoder; check the unit")
     if problem.prior is not None:
         _check_prior(problem.prior, len(problem.names))
 
@@ -138,7 +140,7 @@ def _check_prior(prior: ArrayLike, size: int) -> None:
         )
     eigenvalues = np.linalg.eigvalsh(prior)
     if eigenvalues[0] < -1e-9 * max(1e-300, eigenvalues[-1]):
-        raise UsageError("prior must be positive semidefinite: it is the inverse of a covariance")
+        raise UsageError("prior must be positive semidefinite; give the inverse of a covariance")
 
 
 @dataclass(frozen=True)

@@ -56,9 +56,9 @@ class Commissioning:
         if not missing:
             return ()
         return (
-            f"the best motion of the model misses a count by {missing:.2g} counts, so that all were taken as "
-            f"{2 * missing:.2g} wider on both sides. The deviations contain this error only as far as it shows. "
-            "Friction, input_gain or the start is not as the model has it: use pmfid identify, whose models know more "
+            f"the best motion of the model misses a count by {missing:.2g} counts, so each count was made "
+            f"{2 * missing:.2g} counts wider on both sides. The deviations contain only the visible part of this "
+            "error. The model has the wrong friction, input_gain or start: use pmfid identify, whose models have more "
             "kinds of friction and a dead time",
         )
 
@@ -193,7 +193,7 @@ def redesign(
         if not rounds:
             raise
         said = ", ".join(f"{name} = {rounds[-1].known.parameters[name]:.6g}" for name in problem.names)
-        raise InfeasibleError(f"the runs say {said}; with that {error}", error.relaxations) from None
+        raise InfeasibleError(f"the runs give {said}; with these values {error}", error.relaxations) from None
     return replace(state, choice=choose(found, starts=_few(starts), seed=seed))
 
 
@@ -261,7 +261,7 @@ def _few(starts: int) -> int:
 def _check_wanted(problem: Problem, wanted: Mapping[str, float], rounds: int) -> None:
     strangers = [name for name in wanted if name not in problem.unknown]
     if strangers:
-        raise UsageError(f"{strangers[0]} is not among the unknown parameters, {', '.join(problem.unknown)}")
+        raise UsageError(f"{strangers[0]} is none of the unknown parameters; give one of {', '.join(problem.unknown)}")
     if not all(np.isfinite(value) and value > 0 for value in wanted.values()):
         raise UsageError(f"wanted standard deviations must be positive and finite, got {dict(wanted)}")
     if rounds < 1:

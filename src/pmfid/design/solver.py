@@ -44,7 +44,7 @@ class Setting:
         broken = violations(self.inputs, u)
         warnings = [f"breaks {name} by {amount:.3g}" for name, amount in broken.items()]
         if not broken and _parks(self.problem, v):
-            warnings.append("the motion parks at standstill, where the information is fiction; set min_speed above 0")
+            warnings.append("the motion parks at standstill, where no information is real; set min_speed above 0")
         nominal = self.maps[0]
         fisher = eliminate(nominal.information(u) / np.outer(nominal.scale, nominal.scale), self.rule.size)[0]
         common = (self.problem, self.rule.name, self.problem.t, u, x, v, fisher, self.value(u))
@@ -107,7 +107,7 @@ def raise_infeasible(problem: Problem) -> NoReturn:
         ways = (Relaxation("horizon", problem.horizon, horizon, "s"), *ways)
     if not ways:
         ways = _together(problem)
-        several = "; ".join(map(str, ways)) or "nothing was found that helps: check start, end and directions"
+        several = "; ".join(map(str, ways)) or "no change helps: check start, end and directions"
         raise InfeasibleError(f"no input meets all limits; relax together: {several}", ways)
     least = f"; the least time is {horizon:.4g} s" if horizon is not None else ""
     raise InfeasibleError(f"no input meets all limits{least}; relax one of: {'; '.join(map(str, ways))}", ways)
@@ -283,8 +283,8 @@ def solve(
     design = ready.design(_climber(ready).ascend(best, tolerance=1e-8, steps=300)[1])
     if not design.value > 0:
         raise NotIdentifiableError(
-            f"no input within the limits tells {', '.join(problem.names)} in one run; give the motion more time or "
-            "intervals, take a parameter out of unknown, or give prior information"
+            f"no input within the limits determines {', '.join(problem.names)} in one run; give the motion more time "
+            "or intervals, take a parameter out of unknown, or give prior information"
         )
     least = np.log(design.value) + np.log1p(-TUNING.solver_reached)
     reached = float(np.mean([np.log(ready.value(u)) >= least for _, u in results]))

@@ -334,21 +334,21 @@ def simulation_sentence(balance: Balance) -> str:
     if balance.fit < TUNING.good_fit and error > TUNING.above_encoder * balance.encoder_noise:
         text += "Look here: the model does not follow the measured motion, beyond what the encoder explains. "
     elif balance.fit < TUNING.good_fit:
-        text += "The encoder's own error accounts for what is missing. "
+        text += "The encoder's own error explains the rest. "
     else:
         text += "The model follows the measured motion. "
     far, travel = float(np.max(np.abs(balance.drift))), float(np.ptp(balance.position))
     unit, part = balance.estimator.equation.motion.travel, far / max(travel, 1e-300)
     return text + (
-        f"The simulated position departs by up to {far:.2g} {unit}, {100 * part:.3g} % of the travel; "
-        "it adds up every error of the velocity and nothing calls it back."
+        f"The simulated position departs by up to {far:.2g} {unit}, {100 * part:.3g} % of the travel, because every "
+        "error of the velocity adds up."
     )
 
 
 def residual_sentence(balance: Balance) -> str:
     """Describe whether the residual depends on velocity or position, and whether it contains a constant force."""
     causes = {
-        "velocity": "friction is not Coulomb plus viscous, or its parameters are off",
+        "velocity": "friction is not Coulomb plus viscous, or the friction parameters are wrong",
         "position": "a cogging force, a spring, a slope or friction that varies along the travel is not in the model",
     }
     sentences = [
@@ -362,7 +362,7 @@ def _dependence(balance: Balance, found: Binned, name: str, cause: str) -> str:
     force = balance.estimator.equation.motion.force
     size = f"{found.change:.2g} {force}, {100 * found.change / balance.friction_size:.2g} % of the model's friction"
     if found.score <= TUNING.significant:
-        return f"No dependence on {name} is beyond chance (the means differ by {size})."
+        return f"The residual depends on {name} no more than by chance (the means differ by {size})."
     if found.change < TUNING.relevant_force * balance.friction_size:
         return f"The residual hardly changes with {name} (by {size})."
     return f"Look here: the residual changes with {name} by {size}: {cause}."
@@ -377,26 +377,26 @@ def _constant(balance: Balance) -> list[str]:
     known = roles[OFFSET] is not None or roles[COULOMB_FORWARD] != roles[COULOMB_BACKWARD]
     remedy = "the constant load has changed" if known else "set offset = true to identify a constant load"
     force = balance.estimator.equation.motion.force
-    return [f"Look here: a constant load of {mean:.2g} {force} is left: {remedy}."]
+    return [f"Look here: the residual contains a constant load of {mean:.2g} {force}: {remedy}."]
 
 
 def friction_sentence(balance: Balance) -> str:
     """Describe where the measured friction deviates from the model's line."""
     inertia = balance.estimator.equation.motion.inertia
-    text = f"Friction is the input less {inertia} times acceleration and offset, where the axis moves one way. "
+    text = f"Friction is the input minus {inertia} times acceleration, minus the offset, while the axis moves one way. "
     if balance.friction is None:
-        return text + "The axis reverses too often here: too few samples to show it."
+        return text + "The axis reverses too often on this record to show the friction."
     left = balance.friction.left
     real = np.abs(left.mean) > np.maximum(
         TUNING.significant * left.error, TUNING.relevant_force * balance.friction_size
     )
     if not np.any(real):
-        return text + "It lies on the model's line."
+        return text + "The friction lies on the model's line."
     worst, slowest = int(np.argmax(real * np.abs(left.mean))), int(np.argmin(np.where(real, np.abs(left.x), np.inf)))
     places = " and ".join(
         _describe_deviation(left, k, balance.estimator.equation.motion) for k in dict.fromkeys((worst, slowest))
     )
-    return text + f"Look here: the model's line is not the friction, which is {places}."
+    return text + f"Look here: compared with the model's line, the friction is {places}."
 
 
 def _describe_deviation(left: Binned, k: int, own: Units) -> str:
@@ -408,7 +408,9 @@ def correlation_sentence(balance: Balance) -> str:
     """Describe whether the residual correlates longer than the filter explains, and whether it follows the input."""
     found, dt = correlations(balance), balance.estimator.dt
     part = rms(balance.residual) / max(rms(balance.target), 1e-300)
-    text = "The filter alone correlates neighbouring samples: the dashed line is what it makes of the encoder's error. "
+    text = (
+        "The filter alone correlates neighbouring samples; the dashed line shows the encoder's error after the filter. "
+    )
     first = min(found.own.size - 1, round(TUNING.filter_lags / (balance.estimator.cutoff * dt)))
     # The mean is robust, because at an even speed the steps of a coarse encoder are periodic.
     lasting = float(found.own[first:].mean())
@@ -417,13 +419,13 @@ def correlation_sentence(balance: Balance) -> str:
         lasting > max(TUNING.balance_correlated, TUNING.significant * found.own_error)
         and lasting * part > TUNING.relevant_part
     ):
-        text += f"Look here: the residual keeps {size}: slow forces are not in the model. "
+        text += f"Look here: the residual keeps {size}, so the model leaves out slow forces. "
     else:
-        text += f"Beyond it the residual forgets itself ({size}). "
+        text += f"At longer delays the residual is uncorrelated ({size}). "
     k = int(np.argmax(np.abs(found.cross)))
     peak, lag = abs(float(found.cross[k])), (k - found.cross.size // 2) * dt
     if peak <= TUNING.significant * found.cross_error or peak * part <= TUNING.relevant_part:
-        return text + f"It does not follow the input (correlation at most {peak:.2g})."
-    order = f"{lag:.2g} s after" if lag > 0 else f"{-lag:.2g} s ahead of" if lag < 0 else "in step with"
+        return text + f"The residual does not follow the input (correlation at most {peak:.2g})."
+    order = f"{lag:.2g} s later" if lag > 0 else f"{-lag:.2g} s earlier" if lag < 0 else "at the same time"
     cause = "the input follows the residual, as under control" if lag < 0 else "the model misses a part of the dynamics"
-    return text + f"Look here: it has a correlation of {peak:.2g} with the input, {order} it: {cause}."
+    return text + f"Look here: the residual correlates with the input ({peak:.2g}), and comes {order}: {cause}."

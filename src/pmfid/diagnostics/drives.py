@@ -51,11 +51,11 @@ def count_jump(counts: Counts) -> str:
     usual = float(np.quantile(_motion(counts, change), 0.99))
     if not change[worst] > TUNING.drives_jump * (usual + 1):
         return ""
-    return f"the counts jump by {change[worst]} at row {worst + 2}, usually by {usual:.3g} at most"
+    return f"the counts jump by {change[worst]} at row {worst + 2}, elsewhere by at most {usual:.3g}"
 
 
 #: Remedy for a jump of the counts.
-JUMP_REMEDY = "give [encoder] bits for a counter that wraps, max_speed for lost counts"
+JUMP_REMEDY = "give [encoder] bits if the counter wraps, or max_speed if counts were lost"
 
 
 def _motion(counts: Counts, change: Counts) -> Counts:
@@ -236,17 +236,20 @@ def _cure(way: Lateness, equation: Equation) -> str:
 #: Message for a model that the counts contradict.
 UNMODELLED = "an unmodelled effect"
 #: Message for a least-squares result that no other method confirms.
-NOISE_SEEN = "least squares may show the encoder's noise, for no other method confirms it"
-NOISE_REMEDY = "excite the axis more, or use a finer encoder"
+NOISE_SEEN = "the result of least squares may be the encoder's noise, because no other method confirms it"
+NOISE_REMEDY = "move the axis more, or use a finer encoder"
 
 
 def _describe_misfit(found: Adequacy) -> Finding:
     """Return the finding on a model that the counts contradict, with the best single force and a remedy."""
     said = found.described
     sentence = f"{UNMODELLED}: {said[0]}" if said else f"{UNMODELLED}, which no single force explains"
-    others = f" It may also be {' or '.join(said[1:])}." if said[1:] else ""
-    detail = f"It may be something similar, or a parameter that changes.{others} The standard errors do not cover it."
-    return Finding("unmodelled", sentence, found.cure or "search the missing term with pmfid terms", detail=detail)
+    others = f" Another possible cause is {' or '.join(said[1:])}." if said[1:] else ""
+    detail = (
+        f"The cause may also be a similar force, or a parameter that changes.{others} The standard errors do not "
+        "cover this effect."
+    )
+    return Finding("unmodelled", sentence, found.cure or "search for the missing term with pmfid terms", detail=detail)
 
 
 def judge(
@@ -302,7 +305,11 @@ def _sizes(estimator: Estimator, theta: NDArray[np.float64], std: NDArray[np.flo
                 "wrong",
             )
         elif deviation > 0.5 * abs(value):
-            yield Finding("uncertain", f"{name} is not known to half its value", "excite it more, or lower the cutoff")
+            yield Finding(
+                "uncertain",
+                f"the error of {name} may exceed half its value",
+                "excite the axis more, or lower the cutoff",
+            )
 
 
 def _bias(
@@ -332,7 +339,7 @@ def _bias(
         known, bar = better[name]
         own = abs(value - known)
         if own > np.hypot(deviation, bar) and own > limit * abs(known):
-            yield Finding("biased", f"{name} = {value:.4g} has an error of its own: iv gives {known:.4g}", "use iv")
+            yield Finding("biased", f"{name} = {value:.4g} is biased by the method: iv gives {known:.4g}", "use iv")
         elif own > max(deviation, bar) and limit <= 2 * TUNING.drives_biased:
             percent = 100 * own / abs(known)
             yield Finding(
@@ -382,7 +389,7 @@ def _coarse(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding
     if "known-step" in estimator.method and per_sample < TUNING.drives_coarse:
         yield Finding(
             "coarse_motion",
-            f"the axis moves {per_sample:.2g} counts per sample: the encoder's error is no white noise",
+            f"the axis moves {per_sample:.2g} counts per sample, so the encoder's error is not white noise",
             "use iv",
         )
 
@@ -445,16 +452,16 @@ def _model(
     try:
         found = examine_estimate(estimator, u, counts, theta, adequacy)
     except NotIdentifiableError as error:
-        yield Finding("unmodelled", f"{UNMODELLED}, for no motion of the model follows the counts", detail=f"{error}.")
+        yield Finding("unmodelled", f"{UNMODELLED}, as no motion of the model follows the counts", detail=f"{error}.")
         return
     if found is None:
         return
     if found.left > ESTIMATOR_TUNING.worst_fit:
         yield Finding(
             "not_followed",
-            f"no motion of the model follows the measured one, {found.left:.0%} of it is left",
+            f"no motion of the model follows the measured motion; {found.left:.0%} of the motion stays unexplained",
             "check input_gain, sign and scale of input and output, and [encoder] bits"
-            + ("; of a vertical axis set offset = true" if estimator.equation.roles[OFFSET] is None else ""),
+            + ("; for a vertical axis set offset = true" if estimator.equation.roles[OFFSET] is None else ""),
             "wrong",
         )
     if not found.adequate:
@@ -487,15 +494,15 @@ def _find_hidden_effects(
     if isinstance(estimator, Simulating) and apart[worst] > ESTIMATOR_TUNING.adequacy_contradicted:
         yield Finding(
             "biased",
-            f"{estimator.names[worst]} = {theta[worst]:.4g} has an error of its own: the motion that explains the "
+            f"{estimator.names[worst]} = {theta[worst]:.4g} is biased by the method: the motion that explains the "
             f"counts has {best[worst]:.4g}",
             'set method = "interval" or "output-error"',
-            detail="Under control through a coarse encoder its error comes back through the input.",
+            detail="Under control through a coarse encoder, the encoder's error comes back through the input.",
         )
     if np.any(spread > std):
         yield Finding(
             "model_spread",
-            "friction or a dead time that this record would not show may exceed a standard error",
+            "friction or a dead time could hide in this record, with an effect beyond a standard error",
             "use a finer encoder or a richer motion",
         )
     if np.any(found.unseen[: std.size] > std):
@@ -523,7 +530,9 @@ def _feedback(
         return
     if not np.max(np.abs(error)) < ESTIMATOR_TUNING.batch_beyond:
         yield Finding(
-            "unmodelled", "the motion simulated with this estimate leaves the range of numbers", "do not believe it"
+            "unmodelled",
+            "the motion simulated with this estimate leaves the range of numbers",
+            "do not use this estimate",
         )
         return
     given = hold_last_input(u)
@@ -533,7 +542,8 @@ def _feedback(
             "feedback",
             "the input follows what the model leaves unexplained, as under position control",
             "record an open-loop motion, which is free of this bias",
-            detail="The encoder's error or unmodelled friction comes back, and may bias beyond the standard errors.",
+            detail="The controller feeds the encoder's error or unmodelled friction back. The bias may exceed the "
+            "standard errors.",
         )
 
 

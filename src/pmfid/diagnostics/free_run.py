@@ -103,15 +103,15 @@ def drive_run(method: OE, theta: Floats, u: Floats, counts: Numbers, name: str) 
     check_size(u)
     leading = method.equation.leading
     if not theta[leading] > 0:
-        raise UsageError(f"{method.names[leading]} = {theta[leading]:g}: nothing moves with that; identify it again")
+        raise UsageError(f"{method.names[leading]} = {theta[leading]:g} allows no motion; identify the record again")
     y = method.position(counts)
     if not np.ptp(y) > 0 or not np.any(u):
         what = "axis does not move" if np.any(u) else "input is zero"
-        raise UsageError(f"{name}: the {what} throughout, there is nothing to predict; give a record of a motion")
+        raise UsageError(f"{name}: the {what} in the whole record; give a record of a motion")
     difference = method.make_difference(theta, hold_last_input(u), y)
     scaled = theta / difference.scale[: theta.size]
     below = [n for n, value, least in zip(method.names, scaled, difference.lower, strict=False) if value < least]
-    notes = [f"{', '.join(below)} below zero, simulated as zero"] if below else []
+    notes = [f"{', '.join(below)} is below zero, and is simulated as zero"] if below else []
     scaled = np.maximum(scaled, difference.lower[: theta.size])
     run = _run(difference, scaled, method.cutoff)
     read = min(start_samples(method.dt, method.cutoff), u.size)
@@ -176,8 +176,8 @@ def finite(run: FreeRun) -> FreeRun:
     """Return the run, or raise UsageError if the simulation exceeds the range of numbers."""
     if not np.max(np.abs(run.error)) < TUNING.beyond:
         raise UsageError(
-            "the simulated output leaves the range of numbers: check the units of the parameters, of the input and of "
-            "the resolution against those that they were identified with"
+            "the simulated output leaves the range of numbers: use the units of parameters, input and resolution with "
+            "which the parameters were identified"
         )
     return run
 
@@ -194,8 +194,8 @@ def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: floa
     unstable = poles[poles.real > 0]
     if unstable.size:
         raise UsageError(
-            f"the transfer function has a pole at {np.max(unstable.real):+.3g} rad/s: a free run of it runs away, "
-            "whatever it is worth; compare closed loops"
+            f"the transfer function has a pole at {np.max(unstable.real):+.3g} rad/s, so a free run of any quality "
+            "runs away; compare closed loops"
         )
     plain = replace(experiment, reference=None)
     n = poles.size

@@ -15,45 +15,44 @@ from pmfid.types import Floats
 #: The meaning and the remedy of each flag.
 FLAGS = {
     "model_spread": (
-        "Stribeck friction or a dead time would not show in this record, and would move a parameter beyond its "
-        "standard error and the tolerance. Of a transfer function, the record does not show the hold of its input."
+        "Stribeck friction or a dead time could hide in this record, and would move a parameter beyond its standard "
+        "error and the tolerance. For a transfer function, the record does not show the hold of the input."
     ),
     "unseen": (
         "effects that this motion cannot show, such as a dead zone under an input of one size, widen the intervals: "
         "record an input of several sizes"
     ),
-    "biased": "the method has an error of its own here, beyond its standard error; the note has the better number",
-    "std_too_small": "the standard error leaves out the method's own error; the note says how large that is",
+    "biased": "the method's own error exceeds its standard error on this record; the note gives the better number",
+    "std_too_small": "the standard error leaves out the method's own error; the note gives the size of this error",
     "not_followed": "the simulated motion does not follow the record: the model, a sign or a column is wrong",
     "prior_contradicted": (
-        "what is known beforehand and the record are three standard deviations apart, or more: one of them is wrong"
+        "prior information and record are at least three standard deviations apart: correct the prior, or the "
+        "record's columns and units"
     ),
-    "uncertain": "a parameter is not known to half its value: excite it more, or use a simpler model",
-    "implausible": "a parameter is negative that never is in a machine: check sign and scale of input and encoder",
-    "coarse_motion": "the axis moves less than a count per sample, and this method needs more: use iv",
-    "unstable": (
-        "a pole is in the right half-plane, and no controller is known to hold it: set unstable = true if one does"
-    ),
-    "ambiguous_term": "two terms explain the record alike: record a motion that tells them apart",
-    "unresolved": "no term that was searched explains all that the record shows",
-    "reversed": "the output has the opposite sign of the input: turn one of them",
-    "exchanged": "the columns of input and output are exchanged: name each by what it is",
+    "uncertain": "the error of a parameter may exceed half its value: excite the axis more, or use a simpler model",
+    "implausible": "a parameter is negative, which no machine allows: check sign and scale of input and encoder",
+    "coarse_motion": "the axis moves less than a count per sample, too little for this method: use iv",
+    "unstable": ("a pole is in the right half-plane: set unstable = true if a controller holds the process"),
+    "ambiguous_term": "two terms explain the record equally well: record a motion that distinguishes them",
+    "unresolved": "none of the terms in the search explains all that the record shows",
+    "reversed": "the output has the opposite sign of the input: reverse one of them",
+    "exchanged": "the columns of input and output are exchanged: exchange input and output in [record]",
     "gravity": "gravity turns the load of a rotary axis, and the model has none: set gravity = true in [model]",
-    "velocity": "the output is a velocity and is read as a position: say so by output_kind, or integrate it",
-    "wrapped": "the counter restarts at the end of its range, and nothing has undone that: give bits, or range",
-    "stuck": "the output stands still while the axis goes on: the counter, or what reads it, was stuck",
-    "clipped": "the output ends while the axis goes on: the range of the counter or the sensor ends there",
-    "saturated": "the input stays at its largest or smallest value: right where the drive gave no more, else cut off",
+    "velocity": 'the output is a velocity, read as a position: set output_kind = "velocity", or integrate it',
+    "wrapped": "the counter restarts at the end of its range: give [encoder] bits or range",
+    "stuck": "the output stands still while the axis moves on: check the counter and its reading",
+    "clipped": "the output ends while the axis moves on: record a motion within the range of the counter or sensor",
+    "saturated": "the input stays at its largest or smallest value: if the drive gave more, log a larger range",
     "held_output": "the output is read more slowly than the record: keep only the rows with a new value",
-    "held_input": "the input changes only every few rows: log it at the rate of the drive, unless that holds it",
+    "held_input": "the input changes only every few rows: log it at the drive's rate, unless the drive holds it",
     "unsigned": "the input has no sign, but the axis reverses under load: log the force or current with its sign",
-    "command": "the input is a command: a set point is no force, and a drive may give another torque than asked for",
-    "refused": "pmfid identify gives no estimate of this record, for this reason",
-    "little_motion": "the axis moves too little, or too evenly, to tell anything: record reversals and varying speed",
-    "rate_low": "the velocity changes by too much from row to row: record at a shorter sample period",
-    "rate_high": "nearly all rows are without a count: keep every few of them, with the mean of the input",
-    "uneven_clock": "the steps differ, and the record was resampled for this method: log at a fixed rate",
-    "drift": "input and output are of two clocks: log both by one",
+    "command": "the input is a command, and the drive may give other torque: log the measured torque or current",
+    "refused": "pmfid identify gives no estimate for this record; the finding gives the reason",
+    "little_motion": "the axis moves too little or too evenly: record reversals and varying speed",
+    "rate_low": "the velocity changes too much from row to row: record at a shorter sample period",
+    "rate_high": "nearly all rows repeat the last count: keep every few rows, with the mean input up to the next one",
+    "uneven_clock": "the time steps differ, so the record was resampled for this method: log at a fixed rate",
+    "drift": "input and output follow two different clocks: log both by one clock",
 }
 
 #: Flags of a model whose parameters may be wrong by more than their standard deviations.

@@ -385,36 +385,39 @@ def flags_on(checks: Assessment, process: Process, referenced: bool = False, hel
 
 #: Without a reference, the estimate is consistent only if the input does not correlate with the noise.
 FEEDBACK = (
-    "the residual is correlated with later inputs, as a controller feeds noise back: the estimate is biased",
-    "give the reference of the controller ([record] reference) to srivc, iv or output-error",
+    "the residual correlates with later inputs, because a controller feeds noise back; the estimate is biased",
+    'give [record] reference, and set method = "srivc", "iv" or "output-error"',
 )
 IGNORED = "{method} does not use the reference of the controller; srivc, iv and output-error do"
 DEPENDENT = (
-    "the input explains some of the residual, and the standard errors leave that out",
+    "the input explains a part of the residual, and the standard errors leave this error out",
     "try another dead time, more poles or zeros, or another hold",
 )
 REPEATS = (
-    "the residual repeats with the input's period: an error of the model, for which the error bars allow",
-    "try another structure: pmfid terms",
+    "the residual repeats with the input's period, so the model has an error; the error bars allow for it",
+    "search for another structure with pmfid terms",
 )
 OTHER_HOLD = (
-    "the model follows the records better with the other hold of the input, which moves the estimate",
-    'set [record] hold = "zoh" if a converter holds the input, "foh" if it runs on between samples',
+    "the model follows the records better with the other hold of the input, and the hold changes the estimate",
+    'set [record] hold = "zoh" if a converter holds the input, "foh" if it changes between samples',
 )
 UNKNOWN_HOLD = (
-    "the record does not show the hold of its input, which moves a parameter beyond its standard error",
-    'make sure of [record] hold, "zoh" or "foh", or sample faster',
+    "the record does not show the hold of its input, and the hold moves a parameter beyond its standard error",
+    'check [record] hold, "zoh" or "foh", or sample faster',
 )
 SURPLUS = (
-    "one pole and one zero less explain the record as well: their standard errors mean nothing",
+    "a model with one pole and one zero less explains the record as well, so the standard errors are meaningless",
     "use a smaller n and m",
 )
 MOVED = (
-    "a model of the noise moves the estimate beyond its standard errors: some noise was taken for dynamics",
+    "a model of the noise moves the estimate beyond its standard errors, so dynamics and noise are confused",
     "record longer, or use a smaller n and m",
 )
-UNKNOWN_POLE = ("a pole is not known to half its size", "record longer, excite it more, or use a smaller n and m")
-UNSTABLE = ("the transfer function is unstable: its simulation, and so the fit, says nothing", "")
+UNKNOWN_POLE = (
+    "the error of a pole may exceed half its size",
+    "record longer, excite the process more, or use a smaller n and m",
+)
+UNSTABLE = ("the transfer function is unstable, so its simulation and the fit are meaningless", "")
 
 
 def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks: Assessment) -> None:
@@ -422,11 +425,11 @@ def check_known(estimator: Estimator, theta: np.ndarray, cov: np.ndarray, checks
     variance = np.diagonal(cov)
     if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(cov)) and np.all(variance > 0)):
         raise NotIdentifiableError(
-            f"the uncertainty of the transfer function is beyond numbers ({estimator.method}): the records do not "
-            "identify it; excite the process more, or use fewer poles and zeros"
+            "the records do not determine the transfer function: its uncertainty has no finite value "
+            f"({estimator.method}); excite the process more, or use fewer poles and zeros"
         )
     if not checks.depends:
-        offset = "" if "offset" in estimator.names else "give offset = true in [model] where it has a constant, "
+        offset = "" if "offset" in estimator.names else "give [model] offset = true if the output has a constant part, "
         raise NotIdentifiableError(
             f"the input explains the output no better than chance does ({estimator.method}): check columns, dead time "
             f"and outliers, {offset}excite the process more, or use fewer poles and zeros"
@@ -441,13 +444,15 @@ def doubts(estimator: Estimator, theta: np.ndarray, std: np.ndarray, checks: Ass
     found = []
     unknown = [name for name, value, s in zip(estimator.names, theta, std, strict=True) if s > abs(value)]
     if unknown:
-        found.append(f"not known to its own size: {', '.join(unknown)}; fewer poles or zeros may do")
+        found.append(f"the error may exceed the value of {', '.join(unknown)}; try fewer poles or zeros")
     if 0 < far <= TUNING.processes_few * residual.size:
-        found.append(f"{far} samples of the output are far off the others, and may decide everything: leave them empty")
+        found.append(
+            f"{far} samples of the output are far from the others and may decide the estimate: leave them empty"
+        )
     if 0 <= checks.fit < TUNING.poor_fit:
-        found.append(f"the model explains {checks.fit:.2g} % of the output, no more")
+        found.append(f"the model explains only {checks.fit:.2g} % of the output")
     if "offset" not in estimator.names and abs(np.mean(residual)) > 0.5 * np.std(residual):
-        found.append("the residual has a mean: give offset = true in [model]")
+        found.append("the residual has a mean: set [model] offset = true")
     return make_notes("fit", found)
 
 
@@ -491,14 +496,14 @@ def search_notes(search: Search) -> list[str]:
     """Return notes for the user on the best structure."""
     best, found = search.best, []
     if best.refused:
-        found.append(f"identify has no estimate that it vouches for; the first one: {best.refused}")
+        found.append(f"pmfid identify refuses all structures tried; the first one: {best.refused}")
     if not best.settled:
-        found.append("no fit of any structure converged: the order comes from unfinished fits")
+        found.append("no fit converged for any structure, so the order comes from unfinished fits")
     if not best.white:
         found.append(
-            "what the best structure leaves is not white noise, not even after the whitening filter: the "
-            "criterion may then prefer too many poles and zeros; take the smallest structure that fits nearly as well"
+            "the residual of the best structure is not white, even after the whitening filter, so the criterion may "
+            "prefer too many poles and zeros; take the smallest structure that fits nearly as well"
         )
     if best.fit < TUNING.poor_fit:
-        found.append(f"the best structure explains {max(best.fit, 0.0):.2g} % of the output, no more: it may be chance")
+        found.append(f"the best structure explains only {max(best.fit, 0.0):.2g} % of the output, possibly by chance")
     return found

@@ -98,7 +98,7 @@ class FittedCandidate:
 LOAD: Change = MappingProxyType({"offset": True})
 KEPT, EITHER, DROPPED, LESS = "kept", "either", "superfluous", "explains less"
 WORSE = "predicts other parts worse"
-UNCLEAR = "its pitch is unclear: give it"
+UNCLEAR = "its pitch is unclear: give the pitch"
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,7 @@ class ColumnBuilder:
             return self.process(term)
         if term.shape is not None:
             if source == "measured" and term.shape.of_speed:
-                raise UsageError(f"the counts alone do not tell {term.name} its speed; use iv or riv")
+                raise UsageError(f"the counts alone do not give the speed for {term.name}; use iv or riv")
             return self._hold(self.network.slot((source == "measured", *term.place)))
         block = 0 if source == "measured" else AUXILIARY
         if term.signal in HELD and term.derivative == 1:

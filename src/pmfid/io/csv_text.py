@@ -85,8 +85,8 @@ def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
         return _empty(looked)
     if not found:
         raise UsageError(
-            "no lines of numbers in columns: write a header, then one line for each sample, with a comma, semicolon or "
-            "tab between the columns"
+            "the file has no lines of numbers in columns: write a header, then one line for each sample, with a comma, "
+            "semicolon or tab between the columns"
         )
     separator, decimal = max(
         found, key=lambda reading: _worth([split(looked[k], reading[0]) for k in found[reading]], reading[1])
@@ -255,18 +255,18 @@ def _describe_cut(text: bytes, layout: Layout) -> str:
     whole = len(decimals) != 1 or decimals == {len(last[-1].partition(layout.decimal)[2])}
     if not before or (whole and len(last) == len(before[-1])):
         return ""
-    return "the last line of the file ends early: the file is cut, and its last row may be wrong"
+    return "the last line of the file ends early, so the file is cut and its last row may be wrong"
 
 
 def decode_text(data: bytes) -> bytes:
     """Return the text as UTF-8 with line feeds. Raises UsageError for a file that is no text."""
     if data.startswith(_PACKED):  # polars would unpack a file of any size
-        raise UsageError("a packed file; unpack it first, and mind how large it becomes")
+        raise UsageError("the file is packed; unpack it first, and watch the size")
     coding = next((coding for mark, coding in _MARKS.items() if data.startswith(mark)), None) or _detect_encoding(data)
     if coding is not None:
         data = data.decode(coding).encode("utf-8")
     if b"\0" in data:
-        raise UsageError("not a text file; use the suffix of its type, or export it as UTF-8 CSV")
+        raise UsageError("the file is not text; give it the suffix of its type, or export it as UTF-8 CSV")
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in data else data
 
 
@@ -337,8 +337,8 @@ def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
         except pl.exceptions.ComputeError:
             continue
     raise UsageError(
-        f"not every line from line {layout.first + 1} on has {len(layout.names)} columns: remove lines that are no "
-        "data, as a sum at the end or settings at the beginning"
+        f"not every line from line {layout.first + 1} on has {len(layout.names)} columns: remove lines that are not "
+        "data, such as a sum at the end or settings at the beginning"
     )
 
 

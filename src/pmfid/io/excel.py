@@ -22,7 +22,7 @@ def parse_excel(data: bytes) -> NotedTable:
     with require_extra("excel"):
         import fastexcel
     book = fastexcel.read_excel(data)
-    refusal = UsageError("no sheet with lines of numbers in columns: write a header, then one line for each sample")
+    refusal = UsageError("no sheet has lines of numbers in columns: write a header, then one line for each sample")
     for name in book.sheet_names:
         try:
             found = _sheet(book, name, most_of(len(data)))

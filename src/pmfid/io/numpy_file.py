@@ -49,7 +49,7 @@ def _array(data: bytes) -> NDArray[np.generic]:
     head = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
     shape, by_columns, dtype = head(stream)
     if dtype.hasobject:
-        raise UsageError("an array of objects is not read: save numbers, with numpy.savez and arrays of float")
+        raise UsageError("an array of objects cannot be read: save arrays of float with numpy.savez")
     body = data[stream.tell() :]
     size = int(np.prod(shape, dtype=object)) * dtype.itemsize
     if size != len(body):

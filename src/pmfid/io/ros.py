@@ -151,7 +151,7 @@ def _plain(packed: bytes, how: str, size: int) -> bytes:
     else:
         plain = packed
     if len(plain) != size:
-        raise ValueError("a chunk is not of the size that it says")
+        raise ValueError("a chunk does not have the size in its header")
     return plain
 
 
@@ -161,7 +161,7 @@ def _decoder(encoding: str, schema: Schema | None) -> Decode:
         return json.loads
     if encoding == "cdr" and schema is not None and schema.encoding == "ros2msg":
         return ros_decoder(schema.name, schema.data.decode())
-    raise UsageError(f"messages in {encoding!r} are not read, those in JSON and of ROS 2 are; convert the file to one")
+    raise UsageError(f"messages in {encoding!r} cannot be read; convert the file to JSON or to messages of ROS 2")
 
 
 def ros_decoder(kind: str, definition: str = "") -> Decode:
@@ -175,7 +175,7 @@ def ros_decoder(kind: str, definition: str = "") -> Decode:
         known = get_types_from_msg(definition, kind)
         store.register({name: fields for name, fields in known.items() if name not in store.fielddefs})
     if kind not in store.fielddefs:
-        raise UsageError(f"the log does not say what is in its messages of {kind}; record it as MCAP, which does")
+        raise UsageError(f"the log does not describe its messages of {kind}; record MCAP, which describes them")
     return lambda data: store.deserialize_cdr(data, kind)
 
 
@@ -193,7 +193,9 @@ def file_of(folder: Path) -> Path:
     if len(found) == 1:
         return found[0]
     listed = ", ".join(str(path.relative_to(folder)) for path in found[:5]) or "none"
-    raise UsageError(f"a folder with one log is a record, this one has {listed}; give the path of a file")
+    raise UsageError(
+        f"a folder that serves as a record has one log, but this one has {listed}; give the path of a file"
+    )
 
 
 def parse_rosbag(data: bytes) -> ClockedSignals:
@@ -205,7 +207,7 @@ def parse_rosbag(data: bytes) -> ClockedSignals:
         path.write_bytes(data)
         with Reader(path) as bag:
             if bag.compression_format:
-                raise UsageError("a packed bag is not read; convert it, as with ros2 bag convert")
+                raise UsageError("a packed bag cannot be read; unpack it, for example with ros2 bag convert")
             return signals_of(_read_bag(bag))
 
 

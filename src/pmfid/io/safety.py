@@ -57,7 +57,9 @@ def require_extra(extra: str) -> Iterator[None]:
         yield
     except ImportError as error:
         name = (error.name or extra).partition(".")[0]
-        raise UsageError(f"{name} reads such a file, and is not installed: pip install 'pmfid[{extra}]'") from None
+        raise UsageError(
+            f"{name} is needed to read the file and is not installed: pip install 'pmfid[{extra}]'"
+        ) from None
 
 
 def most_of(packed: int) -> int:

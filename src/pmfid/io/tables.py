@@ -59,7 +59,8 @@ class ClockedSignals(Mapping[str, object]):
     def notes(self) -> tuple[str, ...]:
         """Notes on the requested columns that hold their last value."""
         return tuple(
-            f"{name} has stamps of its own: its last value is taken at those of the output" for name in self._held
+            f"{name} has its own time stamps: at each stamp of the output, the last value of {name} counts"
+            for name in self._held
         )
 
     def __getitem__(self, name: str) -> object:
@@ -111,8 +112,8 @@ Frame = Mapping[str, ArrayLike] | ArrowFrame | PandasFrame
 Table = Mapping[str, object]
 
 #: Remedies for a cell that is not a number.
-NUMBERS = "write numbers like 0.25, remove lines that are no data, or name another column"
-DATES = "write seconds like 0.25, 2026-03-04 12:00:00.25 or 12:00:00.25, and remove lines that are no data"
+NUMBERS = "write numbers like 0.25, remove lines that are not data, or name another column"
+DATES = "write seconds like 0.25, 2026-03-04 12:00:00.25 or 12:00:00.25, and remove lines that are not data"
 #: Length of a day [s].
 DAY = 86_400.0
 #: A unit in brackets at the end of a name.
@@ -175,7 +176,7 @@ def _check_cells(label: str, series: pl.Series) -> None:
 
     if series.dtype == pl.String and (longest := cast("int", series.str.len_bytes().max() or 0)) > LONGEST_CELL:
         raise UsageError(
-            f"{label} has a text of {longest} bytes, more than {LONGEST_CELL}: neither a number nor a time; "
+            f"{label} has a text of {longest} bytes, more than {LONGEST_CELL}, so it is neither a number nor a time; "
             "name a column of numbers"
         )
 
@@ -250,7 +251,9 @@ def from_array(label: str, array: NDArray[np.generic]) -> Floats:
     if array.dtype.kind not in "biuf":
         raise UsageError(f"{label} is not a real numeric array but {array.dtype}; save it as a vector of double")
     if array.size > 1 and max(array.shape) != array.size:
-        raise UsageError(f"{label} is not a vector, its shape is {array.shape}; save one column as its own variable")
+        raise UsageError(
+            f"{label} has the shape {array.shape} and is not a vector; save one column as its own variable"
+        )
     return array.astype(np.float64)
 
 
@@ -282,7 +285,7 @@ def table_of(frame: object) -> Table:
         return {str(name): _from_pandas(str(name), pandas[name]) for name in pandas.columns}
     if not hasattr(frame, "__arrow_c_stream__"):
         raise UsageError(
-            f"a record is a frame of pandas, Polars or Arrow, a dict of arrays or the path of a file, got "
+            "a record must be a frame of pandas, Polars or Arrow, a dict of arrays or the path of a file, got "
             f"{type(frame).__name__}; collect a lazy frame first"
         )
     return {column.name: column for column in pl.DataFrame(frame).iter_columns()}

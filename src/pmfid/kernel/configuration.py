@@ -91,8 +91,8 @@ def network_values(stages: Stages, columns: Columns, parameters: int, rates: Rat
         number > most for number, most in zip((len(stages), len(taps), len(columns), parameters), room, strict=True)
     ):
         raise ValueError(
-            f"the equation needs {len(stages)} stages, {len(taps)} taps and {parameters} parameters; the kernel holds "
-            f"{room[0]}, {room[1]} and {room[3]}; use a lower order"
+            f"the equation needs {len(stages)} stages, {len(taps)} taps and {parameters} parameters, and the kernel "
+            f"holds only {room[0]}, {room[1]} and {room[3]}; use a lower order"
         )
     if len(rates[1]) >= sizes["PMF_MAX_RATES"]:
         raise ValueError(
@@ -154,7 +154,7 @@ def _set(structure: Structured, name: str, value: object) -> None:
         rows = np.asarray(value, field.dtype)
         shape = rows.shape
     if len(shape) != field.ndim or any(size > most for size, most in zip(shape, field.shape, strict=True)):
-        raise ValueError(f"{name} has the shape {shape}, the kernel holds {field.shape}")
+        raise ValueError(f"{name} has the shape {shape}, but the kernel holds only {field.shape}")
     if all(shape):
         field[tuple(slice(size) for size in shape)] = rows
 
@@ -212,8 +212,8 @@ def too_many(tables: Sequence[ShapeTable]) -> str:
     if len(tables) <= MOST_SHAPES and knots <= MOST_KNOTS:
         return ""
     return (
-        f"the model has {len(tables)} forces of a given form with {knots} knots, the kernel holds {MOST_SHAPES} and "
-        f"{MOST_KNOTS}; use fewer"
+        f"the model has {len(tables)} forces of a given form with {knots} knots, and the kernel holds only "
+        f"{MOST_SHAPES} and {MOST_KNOTS}; use fewer"
     )
 
 

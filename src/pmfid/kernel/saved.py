@@ -188,7 +188,7 @@ def _write_saved(config: Structured, state: Structured, types: Structures) -> by
 def _read_saved(config: Structured, data: bytes, types: Structures) -> Structured:
     """Return the state in the bytes of a `pmf_saved_t`. Raises UsageError for bytes of another configuration."""
     if not isinstance(data, bytes | bytearray | memoryview):
-        raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
+        raise UsageError(f"a state must be bytes from get_state, got {type(data).__name__}")
     expected = _envelope(config, types)
     if len(data) != types["pmf_saved_t"].itemsize:
         raise UsageError(_FOREIGN)
@@ -228,7 +228,7 @@ def save_fleet(kernel: ManyKernel, precision: str) -> bytes:
 def load_fleet(kernel: ManyKernel, precision: str, data: bytes) -> None:
     """Restore the states of a `ManyKernel` from bytes of `save_fleet`. Raises UsageError for other bytes."""
     if not isinstance(data, bytes | bytearray | memoryview):
-        raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
+        raise UsageError(f"a state must be bytes from get_state, got {type(data).__name__}")
     data, place = bytes(data), FLEET_HEAD.itemsize
     if len(data) < place:
         raise UsageError(_FOREIGN_FLEET)
@@ -262,16 +262,16 @@ def _refused_in_one_sentence() -> Iterator[None]:
     try:
         yield
     except ValueError as error:
-        raise UsageError(f"{error}; start from an older state, or from none") from None
+        raise UsageError(f"{error}; start from an older state, or without a state") from None
 
 
 _DAMAGED = "these bytes are not a state or are damaged: the checksum is wrong; start from an older state"
 _FOREIGN_FLEET = (
-    "these bytes are not the states of this fleet; take them from one with the same estimator and number of axes"
+    "these bytes are not the states of this fleet; take states from a fleet with the same estimator and number of axes"
 )
 
 _FOREIGN = (
-    "these bytes are not a state of this configuration; take it from an estimator with the same method, model, "
+    "these bytes are not a state of this configuration; take a state from an estimator with the same method, model, "
     "encoder, dt, filters, precision and version"
 )
 

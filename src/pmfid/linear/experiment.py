@@ -168,7 +168,7 @@ class Experiment(Presentable):
         if self.gap is not None and not (isinstance(self.gap, Real) and self.gap > 0):
             raise UsageError(f"gap must be a positive time in s, or None for 1.75 median steps, got {self.gap!r}")
         if (self.dt is None) == (self.t is None):
-            raise UsageError("give the sample period dt in s, or the instants t, and not both")
+            raise UsageError("dt and t exclude each other; give either the sample period dt in s, or the instants t")
         object.__setattr__(self, "u", u)
         object.__setattr__(self, "y", y)
         self._check_time(u.size)
@@ -181,7 +181,7 @@ class Experiment(Presentable):
     def _check_time(self, size: int) -> None:
         if self.t is None:
             if not (isinstance(self.dt, Real) and math.isfinite(self.dt) and self.dt > 0):
-                raise UsageError(f"dt must be positive and finite, got {self.dt!r}; it is the sample period in s")
+                raise UsageError(f"dt must be positive and finite, got {self.dt!r}; give the sample period in s")
             return
         t = _numbers("t", self.t)
         if t.shape != (size,):

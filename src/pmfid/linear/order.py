@@ -96,7 +96,7 @@ def search_structure(
             bounds[place[0], place[2]] = candidate.bic
         _report(done, 0.0, count, len(places))
     if not found:
-        raise NotIdentifiableError("no structure follows the record: excite it more, or try another cutoff")
+        raise NotIdentifiableError("no structure follows the record: excite the process more, or try another cutoff")
     samples = found[0].samples
 
     def least(place: tuple[int, int, int]) -> float:

@@ -272,11 +272,11 @@ def _reason(problem: ProcessProblem) -> str:
     poles = np.roots(np.r_[1.0, free]) if np.all(np.isfinite(theta)) else np.zeros(0)
     if np.any(poles.real * problem.duration > 1.0) and not problem.structure.unstable:
         return (
-            f"least squares finds a pole at {np.max(poles.real) * problem.rate:+.3g} rad/s: if the process is "
-            "unstable, as only a controller lets it be recorded, say so with unstable = true in [model]. "
-            "Otherwise use ls or bcls, or another structure"
+            f"least squares finds a pole at {np.max(poles.real) * problem.rate:+.3g} rad/s, in the right half-plane: "
+            "if a controller stabilises the process, set [model] unstable = true; otherwise use ls or bcls, or another "
+            "structure"
         )
-    offset = "" if problem.structure.offset else "offset = true in [model] where the output has a constant, "
+    offset = "" if problem.structure.offset else "[model] offset = true if the output has a constant part, "
     return f"the model does not follow the record; try {offset}another structure, dead time or cutoff"
 
 
@@ -370,7 +370,7 @@ def solve_dead_time(
     bound = min(latest, float(np.max(starts)) + TUNING.solve_beyond * step)
     wide = replace(problem, stretches=keep_outputs_after(problem.stretches, bound, least))
     best: tuple[ProcessProblem, Solution] | None = None
-    failure = NotIdentifiableError("no dead time lets the model follow the record; try another structure or cutoff")
+    failure = NotIdentifiableError("the model follows the record with no dead time; try another structure or cutoff")
     for start in starts:
         here = replace(wide, structure=replace(structure, dead_time=float(start), latest=bound))
         try:

@@ -187,16 +187,16 @@ class Drive:
         known = self.input_gain != ESTIMATE
         if known and (not isinstance(self.input_gain, Real) or not 1e-30 < abs(self.input_gain) < 1e30):
             raise UsageError(
-                f"input_gain must be finite and not 0, got {self.input_gain!r}; "
-                "it is the force per unit of input, 1 where the input is the force itself"
+                f"input_gain must be finite and not 0, got {self.input_gain!r}; give the force per unit of input, or 1 "
+                "if the input is the force"
             )
         check_late(DEAD_TIME, self.dead_time)
         check_late(LAG, self.lag)
         check_choice("friction", self.friction, FRICTIONS)
         if self.friction == "directional" and self.offset:
             raise UsageError(
-                "offset and directional friction cannot be distinguished; leave the offset out: "
-                "it is half the difference of the two Coulomb frictions"
+                "offset and directional friction cannot be distinguished; leave the offset out, because it equals half "
+                "the difference of the two Coulomb frictions"
             )
         if isinstance(self.stribeck, str) and self.stribeck != ESTIMATE:
             raise UsageError(f'stribeck must be a speed in unit of y per s, or "{ESTIMATE}", got {self.stribeck!r}')

@@ -91,7 +91,7 @@ class Term:
             allowed = f"{low}" if low == high else f"{low} to {high}"
             raise UsageError(f"derivative of a term of {self.signal} must be {allowed}, got {self.derivative}")
         if self.name is not None and not self.name.isidentifier():
-            raise UsageError(f"name of a term must be a plain word as 'inertia', got {self.name!r}")
+            raise UsageError(f"name of a term must be a plain word such as 'inertia', got {self.name!r}")
         if not 1e-30 < abs(self.coefficient) < 1e30 or not math.isfinite(self.coefficient):
             raise UsageError(f"coefficient of a term must be finite and not 0, got {self.coefficient}")
         self._check_shape()
@@ -99,12 +99,15 @@ class Term:
     def _check_shape(self) -> None:
         if not self.facts.shaped:
             if self.shape is not None:
-                raise UsageError(f"a term of {self.signal} has no shape; friction and place have one")
+                raise UsageError(
+                    f"a term of {self.signal} cannot have a shape; leave the shape out, or use the signal "
+                    "friction or place"
+                )
             return
         if not isinstance(self.shape, Shape):
-            raise UsageError(f"a term of {self.signal} needs a shape, as Stribeck(0.02), got {self.shape!r}")
+            raise UsageError(f"a term of {self.signal} needs a shape such as Stribeck(0.02), got {self.shape!r}")
         if self.signal == "place" and self.shape.of_speed:
-            raise UsageError(f"{self.shape.reads} depends on the speed: its signal is friction, not place")
+            raise UsageError(f"{self.shape.reads} depends on the speed: use the signal friction in place of place")
         if self.name is None or self.coefficient != 1.0:
             raise UsageError(f"the term of {self.signal} is unknown; give it a name, and leave its coefficient out")
 
@@ -188,13 +191,11 @@ class Equation:
                 f"an equation needs unknown terms with different names and at least one known term, got {names}"
             )
         if any(term.name is not None for term in self.known):
-            raise UsageError(
-                "a known term has a coefficient and no name; put it among the unknown ones, or drop the name"
-            )
+            raise UsageError("a known term must have no name; put the term among the unknown ones, or drop the name")
         if self.process:
             self._check_process()
         elif not any(term.signal == "input" for term in self.known):
-            raise UsageError("one known term must be the input: without it nothing gives the unknown ones their scale")
+            raise UsageError("one known term must be the input; add it, to give the unknown terms their scale")
         if not any(term.noisy for term in self.unknown) and not self.only_simulated:
             raise UsageError(
                 "no unknown term is a derivative of the output; add one, such as the term of a mass or of "
@@ -205,7 +206,9 @@ class Equation:
         object.__setattr__(self, "further", tuple(dict.fromkeys((*lag, *self.further, *free))))
         places = [term.place for term in (*self.unknown, *self.known)]
         if len(set(places)) < len(places):
-            raise UsageError("a signal's derivative stands in two terms of the equation, which cannot be distinguished")
+            raise UsageError(
+                "a signal's derivative stands in two terms, which cannot be distinguished; drop one of them"
+            )
 
     def _check_late(self) -> None:
         check_late(DEAD_TIME, self.dead_time)
@@ -262,7 +265,7 @@ class Equation:
     def _check_process(self) -> None:
         terms = (*self.unknown, *self.known)
         if any(term.signal not in PROCESS_SIGNALS for term in terms):
-            raise UsageError(f"an equation of a linear process has terms of {list(PROCESS_SIGNALS)} alone")
+            raise UsageError(f"an equation of a linear process must have only terms of {list(PROCESS_SIGNALS)}")
         if not any(term.signal == "process_input" for term in terms):
             raise UsageError("one term must be the process_input")
         if self.relative_degree < 1 and not self.only_simulated:
@@ -428,14 +431,14 @@ class Equation:
         """Reason why the auxiliary model cannot simulate the equation. The text is empty if the model can."""
         known = {(term.signal, term.derivative) for term in self.known}
         if self.process:
-            return "it is one of a linear process"
+            return "the equation belongs to a linear process"
         if self.roles[MASS] is None:
-            return "it has no unknown second derivative of the output (a mass)"
+            return "the equation has no unknown second derivative of the output (a mass)"
         if known != {("input", 0)}:
-            return "it has known terms in addition to the input"
+            return "the equation has known terms in addition to the input"
         signals = {term.signal for term in self.unknown}
         if any(len(signals & {way, way.replace("for", "back")}) == 1 for way in ("forward", "forward_output")):
-            return "it has friction in one direction only"
+            return "the equation has friction in one direction only"
         return ""
 
 

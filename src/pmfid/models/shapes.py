@@ -99,7 +99,7 @@ class Stribeck(Shape):
     def table(self) -> ShapeTable:
         if isinstance(self.speed, str):
             raise UsageError(
-                "the Stribeck speed is unknown: give the speed, or estimate it by output-error or interval"
+                "the Stribeck speed is unknown: give the speed, or use output-error or interval to estimate it"
             )
         step = FADED / PIECES
         speeds = step * np.arange(PIECES + 1)
@@ -202,7 +202,7 @@ class Along(Shape):
         if not 2 <= len(self.values) <= MOST_KNOTS or not np.all(np.isfinite([self.start, *self.values])):
             raise UsageError(f"a table has 2 to {MOST_KNOTS} finite values, got {len(self.values)} from {self.start}")
         if not any(self.values):
-            raise UsageError("a table of zeros is no form: give the force at each place, in any unit")
+            raise UsageError("a table of zeros has no form: give the force at each position, in any unit")
 
     def table(self) -> ShapeTable:
         return ShapeTable("place", tuple(self.values), self.start, self.step)

@@ -84,7 +84,7 @@ class TransferFunction:
     def __post_init__(self) -> None:
         _check_whole("n", self.n, 1, MAX_ORDER, "the order of the denominator")
         _check_whole("m", self.m, 0, self.n, "the order of the numerator, at most the order of the denominator")
-        late = "the dead time in whole samples; for a longer one shift the input"
+        late = "the dead time in whole samples; shift the input for a longer dead time"
         _check_whole("delay", self.delay, 0, MAX_DELAY, late)
         _check_whole("integrators", self.integrators, 0, self.n, "how many of the n poles are at 0")
         self._check_late()
@@ -94,7 +94,8 @@ class TransferFunction:
         check_late(DEAD_TIME, value)
         if value and self.delay:
             raise UsageError(
-                f"delay = {self.delay} and dead_time = {value!r} are both there: count one into the other, and drop it"
+                f"delay = {self.delay} and dead_time = {value!r} are both given: add the two in one key, and drop the "
+                "other"
             )
 
     @property
@@ -104,7 +105,7 @@ class TransferFunction:
             return "the numerator is of the order of the denominator (m = n)"
         if self.integrators == self.n:
             return "all poles are known (integrators = n)"
-        return "the dead time is no whole number of samples (dead_time)" if self.dead_time else ""
+        return "the dead time is not a whole number of samples (dead_time)" if self.dead_time else ""
 
     @property
     def equation(self) -> Equation:

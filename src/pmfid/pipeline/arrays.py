@@ -136,11 +136,11 @@ def identify(
     """
     if axis is not None:
         if any(value is not None for value in (y, model, dt, encoder)):
-            raise UsageError("axis says everything but the record: leave out y, model, dt and encoder")
+            raise UsageError("axis already describes y, model, dt and encoder: leave these arguments out")
         whole = read_axis(axis, settings)
         return run(_read(u, whole), whole)
     if model is None:
-        raise UsageError("neither model nor axis is given: give a Drive, or an AXIS.toml")
+        raise UsageError("model and axis are both missing: give a Drive as model, or an AXIS.toml as axis")
     if isinstance(model, TransferFunction):
         experiments = _experiments(u, y, dt)
         return run(experiments, axis_of(model, encoder, experiments[0].period, {**settings}))
@@ -209,7 +209,7 @@ def check(
     """
     if axis is not None:
         if any(value is not None for value in (y, model, dt, encoder)):
-            raise UsageError("axis says everything but the record: leave out y, model, dt and encoder")
+            raise UsageError("axis already describes y, model, dt and encoder: leave these arguments out")
         own = read_axis(axis)
         return checked(_read(u, own), own)
     if model is None or y is None or dt is None or encoder is None:
@@ -271,7 +271,7 @@ def validate(
         axis = axis_of(own.model, encoder, experiments[0].period, {"cutoff": own.cutoff})
         data = [[part] for part in experiments]
     elif y is None:
-        raise UsageError(f"a {own.model.kind} is validated on u and counts (n,); give both")
+        raise UsageError(f"validation of a {own.model.kind} needs u and counts (n,); give both")
     else:
         axis = axis_of(own.model, encoder or own.encoder, dt or own.dt, {"cutoff": own.cutoff})
         data = [_record(cast(ArrayLike, u), y, axis)]
@@ -393,7 +393,7 @@ def _encoder(encoder: Encoder | None, model: Model) -> dict[str, object]:
 def _model(model: Model) -> dict[str, object]:
     """Return the keys of [model] that describe the model."""
     if isinstance(model, TransferFunction) and model.initial_conditions:
-        raise UsageError("the starts of experiments are always part of the fit here: drop initial_conditions")
+        raise UsageError("the fit always includes the starts of experiments: drop initial_conditions")
     if isinstance(model, Drive | TransferFunction):
         keys = {key: getattr(model, key) for key in keys_of(type(model))}
         if keys.get("axis") == "linear":  # the unit of the encoder may say that the axis is rotary
@@ -422,5 +422,5 @@ def _experiments(u: object, y: ArrayLike | None, dt: float | None) -> list[Exper
     if y is None and isinstance(given, Sequence) and given and all(isinstance(part, Experiment) for part in given):
         return list(given)
     if y is None or dt is None:
-        raise UsageError("a transfer function is identified from u and y (n,) with dt, or from Experiments; give these")
+        raise UsageError("a transfer function needs u and y (n,) with dt, or Experiments; give one of the two")
     return [Experiment(np.asarray(u, np.float64), np.asarray(y, np.float64), dt=dt)]

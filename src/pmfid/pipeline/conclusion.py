@@ -50,7 +50,7 @@ def _most_useful(doubts: list[Finding]) -> Finding:
 
 
 def _advise(finding: Finding) -> str:
-    return (finding.remedy or f"read what {finding.code} means with pmfid explain {finding.code}").rstrip(".")
+    return (finding.remedy or f"read the output of pmfid explain {finding.code}").rstrip(".")
 
 
 def _describe_process(result: ProcessResult) -> str:

@@ -44,7 +44,7 @@ class DriveSpec(FileSection):
     mass: Positive = Field(description="the moving mass in kg, as near as it is known")
     viscous_friction: NotNegative = Field(description="the viscous friction in N s/m, as near as it is known")
     coulomb_friction: NotNegative = Field(description="the Coulomb friction in N, as near as it is known")
-    offset: float | None = Field(None, description="the constant load in N, or leave it out if there is none")
+    offset: float | None = Field(None, description="the constant load in N, or leave the key out if no load acts")
 
 
 class EncoderSpec(FileSection):
@@ -59,7 +59,7 @@ class EncoderSpec(FileSection):
     @model_validator(mode="after")
     def _complete(self) -> Self:
         if self.resolution is None and self.noise_std is None:
-            raise ValueError("neither resolution nor noise_std is there; give the travel per count in m")
+            raise ValueError("resolution and noise_std are both missing; give resolution, the travel per count in m")
         return self
 
 
@@ -73,7 +73,7 @@ class ExperimentSpec(FileSection):
         description="trace (of the information), D, A (trace of the inverse), E, ME (condition) or c (one combination)",
     )
     weights: dict[str, float] = Field({}, description="the combination for criterion c, for example {mass = 1.0}")
-    scaled: bool = Field(True, description="true to refer the criterion to parameters over their nominal values")
+    scaled: bool = Field(True, description="true to divide the parameters by their nominal values in the criterion")
 
 
 class MotionSpec(FileSection):
@@ -83,11 +83,13 @@ class MotionSpec(FileSection):
     intervals: int = Field(ge=1, description="the number of intervals of constant input, at least 1")
     start: float = Field(0.0, description="the position in m at the start")
     start_velocity: float = Field(0.0, description="the velocity in m/s at the start")
-    end: float | None = Field(None, description="the position in m at the end, or leave it out if it is free")
+    end: float | None = Field(None, description="the position in m at the end, or leave the key out if the end is free")
     end_velocity: float | None = Field(
-        None, description="the velocity in m/s at the end, 0.0 for rest, or leave it out if it is free"
+        None, description="the velocity in m/s at the end, 0.0 for rest, or leave the key out if the end is free"
     )
-    end_tolerance: Pair = Field((0.0, 0.0), description="[position, velocity] by which the end may be missed")
+    end_tolerance: Pair = Field(
+        (0.0, 0.0), description="[position, velocity], the largest error of the end in m and m/s"
+    )
     directions: Annotated[tuple[int, ...], Field(strict=False)] = Field(
         (), description="1 forward, -1 backward or 0 at rest, for each interval"
     )
@@ -108,24 +110,26 @@ class LimitsSpec(FileSection):
     rms: Positive | None = Field(None, description="the largest root of the mean square of the input")
     min_speed: NotNegative = Field(
         0.0,
-        description="the least speed in m/s while the axis moves; at 0.0 it may park where the model is wrong",
+        description="the least speed in m/s while the axis moves; with 0.0 the axis may park, where the model is wrong",
     )
 
     @model_validator(mode="after")
     def _limits(self) -> Self:
         for name, value in self.model_dump(exclude_none=True).items():
             if np.max(np.abs(value)) > TUNING.most_limit:
-                raise ValueError(f"{name} = {value!r} limits nothing; leave it out, or give what the machine bears")
+                raise ValueError(
+                    f"{name} = {value!r} limits nothing; leave the limit out, or give the limit of the machine"
+                )
         return self
 
 
 class PriorSpec(FileSection):
     """[prior]: standard deviations from an earlier estimate or a data sheet."""
 
-    mass: Positive | None = Field(None, description="its standard deviation in kg")
-    viscous_friction: Positive | None = Field(None, description="its standard deviation in N s/m")
-    coulomb_friction: Positive | None = Field(None, description="its standard deviation in N")
-    offset: Positive | None = Field(None, description="its standard deviation in N")
+    mass: Positive | None = Field(None, description="the standard deviation of the mass in kg")
+    viscous_friction: Positive | None = Field(None, description="the standard deviation of the friction in N s/m")
+    coulomb_friction: Positive | None = Field(None, description="the standard deviation in N")
+    offset: Positive | None = Field(None, description="the standard deviation in N")
 
 
 class RobustSpec(FileSection):
@@ -133,11 +137,17 @@ class RobustSpec(FileSection):
     nominal values.
     """
 
-    mass: Annotated[float, Field(ge=0, lt=1)] = Field(0.0, description="the part it may be wrong by, as 0.2")
-    viscous_friction: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="the part it may be wrong by")
-    coulomb_friction: Annotated[float, Field(ge=0, le=1)] = Field(0.0, description="the part it may be wrong by")
+    mass: Annotated[float, Field(ge=0, lt=1)] = Field(
+        0.0, description="the relative error of the nominal value, for example 0.2"
+    )
+    viscous_friction: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.0, description="the relative error of the nominal value"
+    )
+    coulomb_friction: Annotated[float, Field(ge=0, le=1)] = Field(
+        0.0, description="the relative error of the nominal value"
+    )
     average: Literal["mean", "worst"] | None = Field(
-        None, description="the mean or the worst case of the criterion; without it, its nominal value"
+        None, description='"mean" or "worst" case of the criterion, or leave the key out for the nominal case'
     )
 
 
@@ -276,9 +286,9 @@ def run_commissioning(
     unknown = [name for name in truth if name not in problem.nominal]
     if unknown or runs:
         raise UsageError(
-            f"{unknown[0]} is no parameter of the drive, which has {', '.join(problem.nominal)}"
+            f"{unknown[0]} is not a parameter of the drive, which has {', '.join(problem.nominal)}"
             if unknown
-            else "give recorded runs, or the truth for a simulation, not both"
+            else "recorded runs and --truth exclude each other: drop one of them"
         )
     experiment = simulated_experiment(problem, truth, np.random.default_rng(seed))
     return sequential(problem, experiment, wanted, criterion=criterion, rounds=rounds, starts=starts, seed=seed)

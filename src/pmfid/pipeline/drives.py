@@ -84,9 +84,9 @@ def check_direction(record: Record, axis: Axis) -> str:
     if not risen.relative_error < TUNING.drives_better * plain:
         return ""
     return (
-        f"[model] direction is that of the output's change, but {axis.record.output!r} is a velocity. The equation "
-        f"leaves {100 * plain:.2g} %, and {100 * risen.relative_error:.2g} % with the direction of the velocity: "
-        f"{INTEGRATE}, and raise every derivative of the output by one"
+        f"the direction in [model] is the direction of the output's change, but {axis.record.output!r} is a velocity. "
+        f"The equation leaves {100 * plain:.2g} % unexplained, and {100 * risen.relative_error:.2g} % with the "
+        f"direction of the velocity: {INTEGRATE}, and raise every derivative of the output by one"
     )
 
 
@@ -303,13 +303,13 @@ def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> l
         return make_notes(
             "relative_error",
             [
-                f"{sentence}, by the encoder's steps; the simulated motion leaves {100 * adequacy.left:.2g} % of the "
-                "measured one"
+                f"{sentence} unexplained, because of the encoder's steps; the simulated motion leaves only "
+                f"{100 * adequacy.left:.2g} % of the measured motion unexplained"
             ],
         )
     if adequacy is not None or estimator.equation.without_simulation or "unmodelled" in codes(judgement.judged):
         advice = advise(judgement.judged, "check columns and scales of input and output, or lower the cutoff")
-        raise NotIdentifiableError(f"{sentence}, more than no motion at all would. Advice: {advice}")
+        raise NotIdentifiableError(f"{sentence} unexplained, more than a model without motion. Advice: {advice}")
     return []
 
 
@@ -338,9 +338,9 @@ def _estimate(
     spread = np.r_[judgement.spread, np.full(further, np.nan)]
     unused = []
     if axis.estimator.window is not None and not isinstance(estimator, OE):
-        unused.append(f'{estimator.method} simulates no windows: window is not used; set method = "output-error"')
+        unused.append(f'{estimator.method} does not use window; set method = "output-error"')
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
-        unused.append(f"{estimator.method} is an off-line method: forgetting is not used")
+        unused.append(f"{estimator.method} is an off-line method and does not use forgetting")
     notes = make_notes("record", record.notes) + make_notes("method", fit.notes) + make_notes("unused", unused)
     notes += _check_error(estimator, fit.relative_error, judgement)
     findings = sort_findings((*status_findings(fit.status & ~_collect_status(record)), *judgement.findings, *notes))
@@ -355,10 +355,10 @@ def _clock_findings(record: Record) -> tuple[Finding, ...]:
         return ()
     varies = f"the steps of the clock vary by {record.jitter:.0%}"
     if record.own is None:
-        sentence = f"{varies} and drift: nothing in the record says which clock is right"
-        return (Finding("uneven_clock", sentence, "log the times of the clock that samples"),)
-    sentence = f"{varies}, and this method or model takes even samples"
-    detail = "The record was resampled, and the error of that is in no standard error."
+        sentence = f"{varies} and drift, and the record does not show which clock is right"
+        return (Finding("uneven_clock", sentence, "log the times at which the drive takes the samples"),)
+    sentence = f"{varies}, and this method or model needs even samples"
+    detail = "The record was resampled. No standard error contains the error of resampling."
     return (
         Finding("uneven_clock", sentence, "log at a fixed rate, or use iv without dead_time and lag", detail=detail),
     )
@@ -438,7 +438,7 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
         return like(LS, estimator, model=model, prefilter_zeros=None)
     twin = like(ESTIMATORS["bcls" if estimator.instrumental else "ls"], estimator)
     if not isinstance(twin, BatchEstimator):
-        raise UsageError(f"{estimator.method} has no off-line method on the same columns")
+        raise UsageError(f"no off-line method has the columns of {estimator.method}; use another method")
     return twin
 
 
@@ -459,7 +459,7 @@ def _recursive(
     last = int(track.status[-1])
     if last & Status.STARTING:
         raise NotIdentifiableError(
-            "the record ends before there is an estimate: too little motion for every parameter; record longer"
+            "the record ends before the first estimate, with too little motion for every parameter; record longer"
         )
     method: Estimator = estimator
     theta, std = track.theta[-1], track.theta_std[-1]

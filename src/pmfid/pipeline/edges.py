@@ -37,8 +37,8 @@ def make_edge_estimator(axis: Axis, record: Record, steps: bool = False) -> REdg
     model, config = axis.model.make(), axis.estimator
     if steps or not isinstance(model, Drive) or not is_plain(model):
         raise UsageError(
-            "with edge times, a drive finds mass, viscous and Coulomb friction, and an offset, with a given input_gain "
-            "and an even clock; for other terms or clocks give the method riv, which takes the counts alone"
+            "edge times give only mass, viscous and Coulomb friction, and an offset, with a known input_gain and an even "
+            'clock; for other terms or clocks set method = "riv", which uses only the counts'
         )
     memory = memory_of(config.forgetting, record.dt)
     return REdge(
@@ -110,12 +110,12 @@ def set_up_edges(axis: Axis, folder: Path, record: Record | None) -> EdgeSetup:
 
 def _learn_normal(axis: Axis, normal: Record) -> Floats:
     if normal.ages is None:
-        raise UsageError(f"the ages of edges of {normal.name} cannot be used; take another reference")
+        raise UsageError(f"the ages of edges of {normal.name} cannot be used; name another reference")
     estimator = replace(make_edge_estimator(axis, normal), memory=None)
     estimator.run(normal.u, normal.counts, normal.ages)
     if estimator.status & (Status.STARTING | Status.DISTORTED):
         raise NotIdentifiableError(
-            f"the edges of {normal.name} do not give mass and friction: {Status(estimator.status)!r}; take a reference "
+            f"the edges of {normal.name} do not give mass and friction: {Status(estimator.status)!r}; name a reference "
             "with more motion, or give [monitor] nominal"
         )
     return np.asarray(estimator.theta)

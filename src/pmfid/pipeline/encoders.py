@@ -134,7 +134,9 @@ def compare_encoders(
     result = kind.estimate(record, axis)
     names = result.names
     if parameter is not None and parameter not in names:
-        raise UsageError(f"{parameter!r} is no parameter, which are {', '.join(names)}{did_you_mean(parameter, names)}")
+        raise UsageError(
+            f"{parameter!r} is not a parameter; give one of {', '.join(names)}{did_you_mean(parameter, names)}"
+        )
     index = result.estimator.equation.leading if parameter is None else names.index(parameter)
     trial, bars = _Trial.make(result, record, axis, line_error), []
     steps = trial.list_steps()
@@ -228,15 +230,15 @@ def _find_limits(trial: _Trial, own: float, wanted: float, parameter: str) -> It
     """Yield what limits the comparison, as sentences."""
     if own > wanted:
         yield (
-            f"the record itself gives {parameter} to {100 * own:.2g} % only: noise, unmodelled effects or its encoder "
-            "limit it; a longer or stronger motion helps, an encoder alone may not"
+            f"the record itself gives {parameter} only to {100 * own:.2g} %, limited by noise, unmodelled effects or "
+            "its encoder; a longer or livelier motion helps, another encoder may not"
         )
     if trial.missed > TUNING.encoders_missed:
         yield (
-            f"the simulated motion differs from the recorded one by {100 * trial.missed:.0f} % of its travel: the "
-            "comparison is of the simulated motion"
+            f"the simulated motion differs from the recorded one by {100 * trial.missed:.0f} % of the travel, and the "
+            "comparison uses the simulated motion"
         )
     yield (
-        "the encoder alone: noise and unmodelled effects come on top; lines are off by at most "
-        f"{100 * trial.line_error:g} % of a step, and the timer has ticks of {1e6 * TUNING.encoders_tick:g} us"
+        "the deviations contain only the error of the encoder, not noise or unmodelled effects; lines are wrong by at "
+        f"most {100 * trial.line_error:g} % of a step, and the timer has ticks of {1e6 * TUNING.encoders_tick:g} us"
     )

@@ -58,14 +58,16 @@ def check_exportable(axis: Axis) -> EstimatorConfig:
     kind, config, model = kind_of(axis), axis.estimator, axis.model.make()
     check_numbers_known(axis, "firmware")
     if axis.encoder.resolution == NO_ENCODER:
-        raise UsageError("firmware reads counts: give [encoder] resolution, that of the encoder or converter")
+        raise UsageError(
+            "firmware reads counts: give the travel per count of the encoder or converter as [encoder] resolution"
+        )
     if config.method == AUTO:
         config = config.model_copy(update={"method": kind.on_line})
     usable = [name for name in methods_for(model) if issubclass(ESTIMATORS[name], RecursiveEstimator)]
     if config.method not in usable:
         names = ", ".join(usable)
         raise UsageError(
-            f"{config.method} works on whole records or other models; a drive runs one of {names}: give one as --method"
+            f"{config.method} cannot run sample by sample on this model; give --method with one of {names}"
         )
     kind.check_on_line(axis.model_copy(update={"estimator": config}))
     return config
@@ -79,12 +81,14 @@ def drive_samples(estimator: RecursiveEstimator | REdge, record: Record) -> tupl
     if not isinstance(estimator, REdge):
         return record.u, record.counts
     if record.ages is None:
-        raise UsageError(f"the ages of edges of {record.name} cannot be used; give another record, or none")
+        raise UsageError(
+            f"the ages of edges of {record.name} cannot be used; give another record, or leave --record out"
+        )
     return record.u, record.counts, record.ages
 
 
 def _no_record(axis: Axis, dt: float | None) -> Record:
     dt = axis.record.dt if dt is None else dt
     if dt is None:
-        raise UsageError("the sample period is not known: give --dt in s, [record] dt, or a record")
+        raise UsageError("the sample period is not known: give --dt in s, [record] dt, or --record")
     return Record(np.empty(0), np.empty(0, np.int64), dt, axis.encoder.resolution, (), "")

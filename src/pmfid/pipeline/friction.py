@@ -30,9 +30,9 @@ from pmfid.records.record import Record
 from pmfid.types import Counts, Floats
 
 FEEDBACK = (
-    "the input follows the part that the curve leaves unexplained, as under position control, or with a dead time or a "
-    "lag that [model] does not have (see pmfid identify). The curve may be off by many of its standard errors, most of "
-    "all under control with one repeated stroke"
+    "the input follows the part that the curve leaves unexplained. The cause is position control, or a dead time or "
+    "lag that [model] leaves out (see pmfid identify). The curve may be wrong by many standard errors, most of all "
+    "under control with one repeated stroke"
 )
 
 
@@ -122,7 +122,10 @@ def _estimate_curve(
             "time of the lag as [model] dead_time, or record a slower motion"
         )
     if model.dead_time == ESTIMATE:
-        raise UsageError("a friction curve needs the dead time: pmfid identify finds it; write it into [model]")
+        raise UsageError(
+            "a friction curve needs a number as dead time: run pmfid identify, and write the dead_time "
+            "that it finds into [model]"
+        )
     free = Drive(model.input_gain, friction="directional", dead_time=model.dead_time)
     cutoff = axis.estimator.cutoff or max(
         choose_cutoff([free], encoder, dt, u, counts), 1 / (TUNING.friction_slowest * dt)

@@ -61,7 +61,7 @@ def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
     if given.estimator.cutoff == prepared.estimator.cutoff:
         return ()
     cutoff = f"cutoff = {prepared.estimator.pole:.6g}"
-    return (f"{cutoff} rad/s was chosen by this record; write it into [estimator] to keep it for others",)
+    return (f"{cutoff} rad/s was chosen for this record; write it into [estimator] for other records",)
 
 
 def explain_error(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> NotIdentifiableError:

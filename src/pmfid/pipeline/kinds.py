@@ -107,9 +107,7 @@ def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
     equation = model.equation
     if OE.refuses(equation):
         reason = equation.without_simulation
-        raise UsageError(
-            f"a free run simulates the model, which is impossible for this equation: {reason}; write it without"
-        )
+        raise UsageError(f"a free run cannot simulate this equation, because {reason}; change the equation")
     further = tuple(zip(*equation.further, strict=True)) or ((), ())
     return equation.names + further[0], equation.units + further[1]
 

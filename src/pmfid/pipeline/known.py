@@ -20,7 +20,7 @@ from pmfid.pipeline.stored import Stored
 Found = TypeVar("Found")
 #: Status word if a known value and the record contradict each other.
 CONTRADICTED = "prior_contradicted"
-CONTRADICTED_REMEDY = "check the values, their units, the input_gain and the model, or leave one out"
+CONTRADICTED_REMEDY = "check the given values, their units, input_gain and the model, or leave one of the values out"
 
 
 def finds_gain(axis: Axis) -> bool:
@@ -46,7 +46,10 @@ def set_stored_gain(axis: Axis, stored: Stored) -> Axis:
     if not finds_gain(axis):
         return axis
     if stored.input_gain is None:
-        raise UsageError(f"{stored.source}: it has no input_gain, and [model] gives none; write a number there")
+        raise UsageError(
+            f"{stored.source}: the result has no input_gain, and [model] gives none; write a number as "
+            "[model] input_gain"
+        )
     return set_gain(axis, stored.input_gain)
 
 
@@ -86,7 +89,7 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
     """
     config, estimator = axis.estimator, result.estimator
     unused = [name for name in (*config.given, *config.prior) if name not in known.names]
-    notes = [f"{estimator.method} has no {name}: prior information on it is not used" for name in unused]
+    notes = [f"{estimator.method} does not estimate {name}, so the prior on {name} is not used" for name in unused]
     if known.find_gain:
         gain, std = estimate[INPUT_GAIN], estimate.theta_std[-1]
         if not std < abs(gain):
@@ -119,7 +122,7 @@ def check_numbers_known(axis: Axis, what: str) -> None:
             "write the input_gain that it finds into [model]"
         )
     if known := (*axis.estimator.given, *axis.estimator.prior):
-        raise UsageError(f"{what} takes nothing that is known beforehand: drop given and prior of {', '.join(known)}")
+        raise UsageError(f"{what} uses no prior information: drop given and prior of {', '.join(known)}")
 
 
 def _describe_known(known: Known) -> Iterator[str]:
@@ -127,4 +130,4 @@ def _describe_known(known: Known) -> Iterator[str]:
     yield from (f"{name} has the prior {mean:.6g} ± {std:.2g}" for name, (mean, std) in known.prior.items())
     if known.find_gain:
         names = " or ".join((*known.given, *known.prior))
-        yield f"input_gain follows from {names}: an error there is one of the gain"
+        yield f"input_gain follows from {names}, so an error of {names} is an error of the gain"

@@ -49,14 +49,14 @@ class Processes(Kind[Sequence[Experiment]]):
     def check_on_line(self, axis: Axis) -> None:
         if axis.record.hold != "zoh":
             raise UsageError(
-                f'{axis.estimator.method} takes a held input, [record] hold = "zoh", got {axis.record.hold!r}: sample '
+                f'{axis.estimator.method} needs a held input, [record] hold = "zoh", got {axis.record.hold!r}: sample '
                 "by sample the next value of a line is not known"
             )
 
     def read(self, paths: Sequence[Path], axis: Axis, coarse: Coarser | None = None) -> list[Experiment]:
         if coarse is not None:
             raise UsageError(
-                "quantize and edges are for a drive; floor the column of the record for a transfer function"
+                "quantize and edges need a drive; for a transfer function, round the column of the record down"
             )
         return [read_experiment(path, axis) for path in paths]
 
@@ -103,10 +103,12 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
     model, config, dt = axis.model.make(), axis.estimator, experiments[0].period
     check_sampling(axis, dt)
     if any(abs(experiment.period / dt - 1) > ESTIMATOR_TUNING.same_period for experiment in experiments):
-        raise UsageError("the records differ in their sample period; decimate them to one, or identify them one by one")
+        raise UsageError(
+            "the records differ in their sample period; decimate the records to one period, or identify them one by one"
+        )
     method = method_of(axis, AUTOMATIC)
     if method not in methods_for(model):
-        raise UsageError(f"{method} is not for a transfer function; use one of {', '.join(methods_for(model))}")
+        raise UsageError(f"{method} does not suit a transfer function; use one of {', '.join(methods_for(model))}")
     cls = ESTIMATORS[method]
     options = settings(axis, cls)
     if method in ("known-step", "rknown-step"):
@@ -129,7 +131,7 @@ def _plain(experiments: Sequence[Experiment], method: str) -> Experiment:
     whole = len(stretches) == 1 and stretches[0].grid.uniform and stretches[0].rows.size == first.u.size
     if len(experiments) > 1 or not whole or not np.all(np.isfinite(first.u)) or first.hold != "zoh":
         raise UsageError(
-            f"{method} takes one evenly spaced record without gaps or missing samples and with a held input; use {FREE}"
+            f"{method} needs one evenly spaced record without missing samples and with a held input; use {FREE}"
         )
     return first
 
@@ -141,12 +143,12 @@ def _from_counts(estimator: Estimator, experiments: Sequence[Experiment]) -> tup
         fit = estimator.fit_output(record.u, record.y)
         return fit.theta, fit.theta_cov, fit.status
     if not isinstance(estimator, RecursiveEstimator):
-        raise UsageError(f"{estimator.method} is not for a transfer function")
+        raise UsageError(f"{estimator.method} does not suit a transfer function")
     encoder, counts = fine_counts(record.y)
     track = replace(estimator, encoder=encoder).run(record.u, counts)
     last = int(track.status[-1])
     if last & Status.STARTING:
-        raise NotIdentifiableError("the record ends before there is an estimate; record longer, or raise the cutoff")
+        raise NotIdentifiableError("the record ends before the first estimate; record longer, or raise the cutoff")
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.INVALID_INPUT | Status.RESET)
     return track.theta[-1], np.diag(track.theta_std[-1] ** 2), occurred | (last & ~int(Status.SETTLING))
 

@@ -191,7 +191,7 @@ def _judge_coverage(test: SelfTest) -> list[Finding]:
     if not test.coverage < TUNING.selftest_coverage:
         return []
     sentence = f"only {100 * test.coverage:.0f} % of the intervals contain their parameter"
-    return [Finding("std_too_small", sentence, "multiply the error bars, or choose another method")]
+    return [Finding("std_too_small", sentence, "widen the error bars, or choose another method")]
 
 
 def _judge_record(data: Record, axis: Axis, names: Sequence[str], theta: Floats) -> list[Finding]:

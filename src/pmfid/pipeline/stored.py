@@ -21,7 +21,7 @@ from pmfid.types import Floats
 __all__ = ["Stored", "read_stored"]
 
 REMEDY = "give the result.json that `pmfid identify --out` writes, or what --json prints"
-SAME_AXIS = "give the AXIS.toml that it was identified with"
+SAME_AXIS = "give the AXIS.toml of the identification"
 #: Prefixes of names that are not parameters of the motion, such as unknowns of a pre-filter and an input gain. A
 #: separate function checks the gain.
 NOT_OF_MOTION = ("prefilter_", "input_gain")
@@ -69,24 +69,26 @@ class Stored:
         model.
         """
         if self.kind != kind:
-            self._refuse(f'it is of kind = "{self.kind}", and [model] of kind = "{kind}"; {SAME_AXIS}')
+            self._refuse(f'the result has kind = "{self.kind}", but [model] has kind = "{kind}"; {SAME_AXIS}')
         own = [name for name in self.values if name in names or not name.startswith(NOT_OF_MOTION)]
         missing = [name for name in names if name not in own]
         foreign = [name for name in own if name not in names]
         if missing or foreign:
             differences = [f"has no {', '.join(missing)}"] * bool(missing)
             differences += [f"has {', '.join(foreign)}"] * bool(foreign)
-            self._refuse(f"it {' and '.join(differences)}, and [model] has {', '.join(names)}; {SAME_AXIS}")
+            self._refuse(f"the result {' and '.join(differences)}, but [model] has {', '.join(names)}; {SAME_AXIS}")
         for name, unit in zip(names, units, strict=True):
             if self.units.get(name, unit) != unit:
-                self._refuse(f"{name} is in {self.units[name]!r} there and in {unit!r} in [model]; {SAME_AXIS}")
+                self._refuse(
+                    f"{name} is in {self.units[name]!r} in the result, but in {unit!r} in [model]; {SAME_AXIS}"
+                )
         return np.array([self.values[name] for name in names])
 
     def check_known(self, what: str, value: float) -> None:
         """Raise UsageError if `what`, "input_gain" or "dead_time", had another value in the identification."""
         then = self.input_gain if what == "input_gain" else self.dead_time
         if then is not None and not abs(then - value) <= TUNING.stored_same * max(abs(then), abs(value)):
-            self._refuse(f"it was identified with {what} = {then:.9g}, and [model] has {value:.9g}; {SAME_AXIS}")
+            self._refuse(f"the result has {what} = {then:.9g}, but [model] has {value:.9g}; {SAME_AXIS}")
 
     def check_equation(self, text: str) -> None:
         """Raise UsageError for parameters of another equation.
@@ -95,7 +97,7 @@ class Stored:
         """
         if self.equation is not None and self.equation != text:
             stored = printable(" ".join(self.equation.split()))[: TUNING.stored_longest]
-            self._refuse(f"it was identified with {stored}, and [model] says {text}; {SAME_AXIS}")
+            self._refuse(f"the result has {stored}, but [model] has {text}; {SAME_AXIS}")
 
     def _refuse(self, text: str) -> NoReturn:
         raise UsageError(f"{self.source}: {text}")

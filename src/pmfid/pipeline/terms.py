@@ -187,7 +187,7 @@ def _weigh_step(step: FittedCandidate, first: Drive, trial: Trial, fit: Fit | No
 AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
 #: Flags of `pmfid identify` whose advice on [model] the search replaces.
 UNMODELLED, LATE = "unmodelled", "dead_time"
-UNEXPLAINED = "something is left that no term of the list explains on data that it was not fitted to"
+UNEXPLAINED = "no term of the list explains the rest on data outside its fit"
 #: Keys of [model] with a period of the position.
 PERIODS = ("cogging", "friction_period", "gravity")
 #: Findings on the chosen model, and whether they matter.
@@ -277,8 +277,8 @@ class TermSearch(Presentable):
         """The summary of the search in one sentence."""
         first = f"{_share(self.models[0])} of friction and load unexplained"
         if not self.added:
-            return f"No term beyond those of [model] is found; they leave {first}."
-        return f"The terms to begin with leave {first}; with {format_terms(self.added)} {_share(self.chosen)}."
+            return f"The search adds no term to [model], whose terms leave {first}."
+        return f"The terms of [model] leave {first}; adding {format_terms(self.added)} leaves {_share(self.chosen)}."
 
     def to_json(self) -> dict[str, object]:
         """Return the object that `--json` prints."""
@@ -378,8 +378,8 @@ def search_drive(
     model = axis.model.make()
     if not isinstance(model, Drive):
         raise UsageError(
-            f'the terms of a drive are searched; kind = "{axis.model.kind}" has none: set kind = "drive", or use pmfid '
-            "order for the structure of a transfer function"
+            f'a search for terms needs kind = "drive", got "{axis.model.kind}"; set kind = "drive", or '
+            '"transfer_function" to search for poles and zeros'
         )
     check_numbers_known(axis, "pmfid terms")
     axis = _fast_enough(data, axis)
@@ -446,7 +446,7 @@ def _check(method: IntervalML, record: Record) -> None:
         cutoff = choose_cutoff(n // ESTIMATOR_TUNING.adequacy_parts, dt)
         shorter = f", or use a cutoff of at least {round_up(cutoff):g} rad/s" if cutoff else ""
         raise NotIdentifiableError(
-            f"{n} samples are too few to tell terms apart on parts of them: record at least {needed} "
+            f"{n} samples are too few to compare terms on parts of the record: record at least {needed} "
             f"({needed * dt:.3g} s){shorter}"
         )
     seen = like(LS, method, model=method.model.simple)
@@ -479,7 +479,8 @@ def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> 
     """Judge the chosen model, as `pmfid identify` judges an estimate."""
     trial = chosen.trial
     if chosen.fit is None:
-        return (Finding("uncertain", "the chosen model has no error bars on this record", "excite it more"),), True
+        sentence = "this record gives no error bars for the chosen model"
+        return (Finding("uncertain", sentence, "excite the axis more"),), True
     record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
     asked = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
     said = verdict(*asked, weigh(known_shapes(trial.best)), tolerance)
@@ -495,10 +496,13 @@ def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> 
 def _sentences(found: Terms) -> Iterator[str]:
     for kept, other in found.either:
         own, its = (" and ".join(setting(*pair) for pair in one.candidate.change.items()) for one in (kept, other))
-        yield f"either {own} or {its}: this record does not tell which; a motion at other speeds and strokes would"
+        yield (
+            f"either {own} or {its} fits, and this record does not show which; record a motion at other speeds and "
+            "strokes"
+        )
     for step in found.refused:
         own = " and ".join(setting(*pair) for pair in step.candidate.change.items())
-        yield f"not {own}, though the score asks for it: {step.verdict}"
+        yield f"{own} was refused in spite of its score: {step.verdict}"
     if not found.adequacy.adequate:
         yield UNEXPLAINED
 

@@ -147,10 +147,10 @@ def _horizon(horizon: Horizon) -> dict[str, object]:
 def _remarks(run: FreeRun) -> list[str]:
     remarks = []
     if run.encoder is not None and run.rmse <= TUNING.validation_within * run.encoder:
-        remarks.append(f"{run.name}: the free run explains every count, the error is that of the encoder")
+        remarks.append(f"{run.name}: the free run explains every count; only the error of the encoder is left")
     if run.rmse >= min(run.mean, run.standstill):
         better = [f for f in run.horizons if f.rmse < 0.5 * f.standstill]
-        over = f"; over {better[-1].seconds:g} s it does" if better else ""
+        over = f"; over {better[-1].seconds:g} s the free run predicts better" if better else ""
         remarks.append(
             f"{run.name}: the free run predicts no better than an axis that stands still or a constant{over}"
         )
@@ -181,10 +181,10 @@ def validate_parameters(method: str, theta: Floats, data: Sequence[Records], axi
     """
     kind, (names, units) = kind_of(axis), parameters_of(axis.model.make())
     if not data:
-        raise UsageError("there is no record to validate on; give one")
+        raise UsageError("the list of records is empty; give at least one record to validate on")
     asked, axis = axis, kind.prepare_axis(data[0], axis)
     if not np.all(np.isfinite(theta)):
-        raise UsageError("a parameter is not finite: identify it again")
+        raise UsageError("a parameter is not finite: identify the record again")
     for record in data:
         kind.check(record, axis)
     runs = tuple(run for record in data for run in kind.free_runs(record, axis, theta))

@@ -52,7 +52,7 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
     """
     if time is None:
         if config.dt is None:
-            raise UsageError("[record] neither time nor dt is there; give one of them")
+            raise UsageError("[record] has neither time nor dt; give one of them")
         return config.dt, ()
     mean, grid = even_grid(time)
     median, jitter = (mean, 0.0) if grid and has_same_steps(time) else _steps_of(time)
@@ -68,10 +68,10 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
     varies = jitter > TUNING.clock_same_steps
     notes = [f"time steps vary by up to {jitter:.1%} of their median"] if varies else []
     if grid and jitter > TUNING.clock_even:
-        notes.append(f"the stamps scatter around an even grid of {mean * factor:g} s, which is taken")
+        notes.append(f"the stamps scatter around an even grid of {mean * factor:g} s, and the grid replaces them")
     if factor != 1:
         unit = next(unit for unit, length in UNITS.items() if length == factor)
-        notes.append(f"the time column {config.time!r} is taken as {unit}: the sample period is {mean * factor:g} s")
+        notes.append(f"the time column {config.time!r} is read in {unit}, so the sample period is {mean * factor:g} s")
     return mean * factor, tuple(notes)
 
 
@@ -84,8 +84,8 @@ def _check_name(step: float, config: RecordConfig) -> None:
         return
     if TUNING.shortest_plain_period <= step * UNITS[named] < TUNING.longest_plain_period:
         raise UsageError(
-            f"the name of the column {config.time!r} says {named}, and [record] time_unit = "
-            f'"{config.time_unit}": write time_unit = "{named}", or rename the column'
+            f'the name of the column {config.time!r} says {named}, but [record] time_unit = "{config.time_unit}": '
+            f'write time_unit = "{named}", or rename the column'
         )
 
 
@@ -226,8 +226,8 @@ def _check_unit(
         return
     if counted:
         raise UsageError(
-            f"the time column {config.time!r} steps by 1: if it counts the samples, give [record] dt in s, the sample "
-            'period; if it is a time, give [record] time_unit = "ms" (0.001 s), or "s"'
+            f"the time column {config.time!r} steps by 1: if the column counts samples, give the sample period as "
+            '[record] dt in s; if it is a time, give [record] time_unit = "ms" (0.001 s), or "s"'
         )
     taken = next(unit for unit, length in UNITS.items() if length == factor)
     others = [
@@ -264,14 +264,14 @@ def _check_steps(time: Floats, steps: Floats, median: float) -> None:
             + (
                 "cut the record at the gap"
                 if len(gaps) < TUNING.long_steps
-                else "if the samples are even and only their stamps are late, give [record] dt in place of time"
+                else "if only the stamps are late and the samples are even, give [record] dt in place of time"
             )
         )
     worst = float(np.max(np.abs(steps - median)) / median)
     if worst > TUNING.clock_even:
         raise UsageError(
-            f"time steps differ by up to {worst:.1%} of the median {median:g} s, 10 % is allowed; "
-            f"resample the record to a fixed rate"
+            f"time steps differ by up to {worst:.1%} of the median {median:g} s, more than the allowed 10 %; resample "
+            "the record to a fixed rate"
         )
 
 
@@ -280,10 +280,10 @@ def _back(k: int, median: float) -> str:
     rows are rarely mixed.
     """
     if median <= 0:
-        return "most rows go back: sort them by time"
+        return "most rows go back in time: sort the rows by time"
     return (
-        f"if the logger started again there, keep the rows up to {k + 1} or those from {k + 2} on; if rows are mixed, "
-        "sort them"
+        f"if the logger started again at this row, keep the rows up to {k + 1} or from {k + 2} on; if rows are mixed, "
+        "sort them by time"
     )
 
 
@@ -420,7 +420,7 @@ def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tupl
     count = int(np.count_nonzero(again))
     if not count:
         return rows, ()
-    note = "rows repeat the row before, time and all: they are" if count > 1 else "row repeats the row before: it is"
+    note = "rows repeat the row before with its time and are" if count > 1 else "row repeats the row before and is"
     return rows[~again], (f"{count} {note} left out",)
 
 
@@ -440,7 +440,8 @@ def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp],
     if not 0 < count <= max(1, TUNING.clock_rare * rows.size) or even_grid(stamps)[1]:
         return rows, ()
     note = "rows come" if count > 1 else "row comes"
-    return rows[~early], (f"{count} {note} less than {TUNING.clock_early:g} of a period after another: left out",)
+    when = f"less than {TUNING.clock_early:g} of a period after another row: left out"
+    return rows[~early], (f"{count} {note} {when}",)
 
 
 def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:

@@ -27,9 +27,9 @@ def check_position(output: Floats, axis: Axis) -> None:
     named = axis.record.output_unit or column_unit(axis.record.output, OUTPUTS)
     if whole and not named and axis.encoder.resolution < 1 and axis.model.kind != "transfer_function":
         raise UsageError(
-            f"the column {axis.record.output!r} has nothing but whole numbers, and is taken for a position in steps of "
-            f'{axis.encoder.resolution:g}: give output_kind = "counts", or a resolution of 1 for a position in '
-            "whole units"
+            f"the column {axis.record.output!r} has only whole numbers, and is read as a position in steps of "
+            f'{axis.encoder.resolution:g}: give output_kind = "counts", or a resolution of 1 for a position in whole '
+            "units"
         )
 
 

@@ -33,7 +33,7 @@ def make_edge_ages(
     `obstacle` prevents their use.
     """
     if obstacle:
-        return None, (f"no edges are made, because {obstacle}",)
+        return None, (f"no edges are calculated, because {obstacle}",)
     path = Trajectory.sample(y, dt)
     lines = Lattice(coarse.step, 1e-9 * coarse.step, np.zeros(1))
     ages = read_edge_times(path, lines, tick=tick)[1]

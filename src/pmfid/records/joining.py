@@ -24,8 +24,8 @@ def join_records(records: Sequence[Record], place_matters: bool) -> Record:
     first = records[0]
     if place_matters:
         raise UsageError(
-            "several records make one estimate only if no force depends on the position: the start of each is not "
-            "known; identify them one by one"
+            "several records with unknown start positions make one estimate only if no force depends on the position; "
+            "identify them one by one"
         )
     for record in records[1:]:
         if abs(record.dt / first.dt - 1) > TUNING.joining_same_period:
@@ -75,7 +75,7 @@ def unbroken(record: Record) -> Record:
         pairs, key=lambda pair: (np.count_nonzero(np.diff(record.counts[slice(*pair)])), pair[1] - pair[0])
     )
     there = None if record.there is None else record.there[first:last]
-    note = f"only the part without gaps that moves most is used here: {last - first} of {record.u.size} samples"
+    note = f"this method uses only the part without gaps that moves most: {last - first} of {record.u.size} samples"
     notes = (*record.notes, note)
     return replace(
         record,

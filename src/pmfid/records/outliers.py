@@ -298,12 +298,13 @@ def _wrong(rows: list[int]) -> tuple[Finding, ...]:
 
 
 #: Remedy if the finding is a mistake.
-UNGUARDED = "if the axis did move so, give [encoder] guard = false"
+UNGUARDED = "give [encoder] guard = false if the axis really moved so"
 
 
 def _describe_shift(run: _WrongRun) -> Finding:
     sentence = (
-        f"the counts jump by {run.moved} at row {run.last + 1} and stay: undone, as a shifted zero of the counter"
+        f"the counts jump by {run.moved} at row {run.last + 1} and stay there, so the shift of the counter's zero was "
+        "undone"
     )
     return Finding("count_jump", sentence, UNGUARDED)
 
@@ -312,5 +313,5 @@ def _spiky(places: NDArray[np.intp]) -> tuple[Finding, ...]:
     if places.size == 0:
         return ()
     sentence = f"the input of {_format_rows(places.tolist())} is far beyond all others, and was left out"
-    remedy = "if the drive did receive it, give [encoder] guard = false"
-    return (Finding("invalid_input", sentence, remedy, detail="The counts do not follow it."),)
+    remedy = "give [encoder] guard = false if the drive really received this input"
+    return (Finding("invalid_input", sentence, remedy, detail="The counts do not follow this input."),)

@@ -49,9 +49,13 @@ def _position_of(velocity: Floats, dt: float, resolution: float) -> tuple[Floats
     """
     steps = velocity * (dt / resolution)
     if np.any(steps) and np.all(np.abs(steps - np.rint(steps)) < TUNING.record_whole):
-        return np.cumsum(np.rint(steps)) * resolution, "the velocity is the change of counts, which are added up"
+        return np.cumsum(np.rint(steps)) * resolution, (
+            "the velocity is the change of the counts, and the position is their sum"
+        )
     line = np.r_[0.0, np.cumsum(velocity[1:] + velocity[:-1])] * (dt / 2)
-    return line, "the velocity is integrated along lines between samples: an offset of it grows into the position"
+    return line, (
+        "the velocity is integrated along lines between samples, so an offset of the velocity makes the position drift"
+    )
 
 
 def measure_travel(y: Floats, dt: float, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
@@ -83,7 +87,7 @@ def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
         # In binary, a decimal multiple of the resolution is often slightly too small, and a bare floor would lose a
         # whole count. Therefore the floor has a small tolerance.
         counts = floor_counts(output, axis.encoder.resolution, 1e-6)
-        return counts, ("bits is ignored, the output is a position",) if bits is not None else ()
+        return counts, ("bits is ignored, because the output is a position",) if bits is not None else ()
     counts = round_counts(output)
     return (counts, ()) if bits is None else _unwrap(counts, bits)
 
@@ -295,7 +299,7 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         # Without a position, y is computed from the counts, so that no position is floored twice.
         fine = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
         counts, resolution = floor_counts(fine, coarse.step, 1e-9), coarse.step
-        count_notes += (f"position quantised again with a step of {coarse.step:g}",)
+        count_notes += (f"the position is quantised again with a step of {coarse.step:g}",)
     in_counts = config.output_kind == "counts" and resolution == 1
     if in_counts:
         count_notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
@@ -407,7 +411,7 @@ def _resample(
     if found is None:
         return given, None, ()
     period = (found.time[1] - found.time[0]) * time_factor(config)
-    note = "the stamps scatter around an even grid, as stamps of arrival do: the grid is taken"
+    note = "the stamps scatter around an even grid like times of arrival, and the grid replaces them"
     notes = []
     if found.dt_error > 0:
         notes.append(
@@ -417,7 +421,7 @@ def _resample(
         note = f"the steps of the clock vary by {100 * found.jitter:.2g} %, around {period:.4g} s"
     if stale:
         part = stale / (stale + columns["time"].size)
-        note = f"{part:.0%} of the rows repeat the output of the row before, and are left out: log what is new"
+        note = f"{part:.0%} of the rows repeat the output of the row before and are left out: log only new values"
     y = np.rint(found.y) if config.output_kind == "counts" else found.y
     new = columns | {"time": found.time, "input": found.u, "output": y}
     if wraps:
@@ -445,8 +449,8 @@ def _rows(
     rows = place_rows(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config, y)
     if rows.rows.size < TUNING.min_samples:
         raise UsageError(
-            f"{rows.rows.size} of {samples} rows have input and output and are not left out, at least "
-            f"{TUNING.min_samples} are needed; leave out less, or record longer"
+            f"{rows.rows.size} of {samples} rows are usable, and at least {TUNING.min_samples} are needed; leave fewer "
+            "rows out, or record longer"
         )
     return rows, (*notes, *rows.notes)
 
@@ -456,7 +460,7 @@ def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ..
         return scale, ()
     value = lookup(table, "input_scale", scale)
     if not isinstance(value, np.ndarray):
-        raise UsageError(f"[record] input_scale = {scale!r} is a column and no scalar variable; give a number")
+        raise UsageError(f"[record] input_scale = {scale!r} is a column, not a scalar variable; give a number")
     array = from_array(f"[record] input_scale = {scale!r}", value)
     if array.size != 1 or not np.isfinite(array).all() or array.item() == 0:
         raise UsageError(
@@ -486,6 +490,7 @@ def _scale_column(column: Floats, scale: float, key: str = "[record] input_scale
         scaled = scale * column
     if np.any(np.isinf(scaled) & np.isfinite(column)):
         raise UsageError(
-            f"{key} = {scale:g} takes the column beyond the range of numbers; it is a factor for every value of it"
+            f"{key} = {scale:g} takes the column beyond the range of numbers; correct the factor, by which every value "
+            "is multiplied"
         )
     return scaled

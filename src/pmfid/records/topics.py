@@ -33,5 +33,5 @@ def join_topics(columns: Mapping[str, Floats]) -> tuple[dict[str, Floats], tuple
     total = np.interp(ends, given, impulse) + values[-1] * late
     begun = stamps >= given[0]
     joined = {"input": (np.diff(total) / np.diff(ends))[begun], "output": columns["output"][known & y][begun]}
-    note = "input and output have rows of their own: the mean of the input until the next output is taken"
+    note = "input and output have separate rows, so each output gets the mean of the input until the next output"
     return {**joined, "time": stamps[begun]}, (note,)

@@ -49,7 +49,7 @@ def followed_figure(
         if shaded:
             lower.axvspan(t[0], t[0] + shaded, color=GREY, alpha=0.3, lw=0)
         lower.set_ylabel(left)
-        lower.set_xlabel("time [s]" + (" (shaded: what the start is fitted to)" if shaded else ""))
+        lower.set_xlabel("time [s]" + (" (the fit of the start uses the shaded part)" if shaded else ""))
         lower.margins(x=0)
     return figure
 
@@ -160,9 +160,11 @@ def model_checks(result: DriveResult) -> list[Section]:
         theta = result.theta[: len(result.estimator.names)]  # without an estimated input gain
         balance = make_balance(result.estimator, result.record.u, result.record.counts, theta)
     except PmfidError as error:
-        return [Section("Model checks", f"Not possible here: {error}.")]
+        return [Section("Model checks", f"This check is not possible: {error}.")]
     if balance is None:
-        return [Section("Model checks", "Not possible here: no motion can be simulated with these parameters.")]
+        return [
+            Section("Model checks", "This check is not possible, because these parameters allow no simulated motion.")
+        ]
     checks: tuple[tuple[str, Callable[[Balance], str], Callable[[Balance], Figure]], ...] = (
         ("Simulated from the input alone", simulation_sentence, simulation_figure),
         ("Residual over velocity and position", residual_sentence, residual_figure),
@@ -180,8 +182,8 @@ def _feedback(result: DriveResult, balance: Balance) -> str:
     if "feedback" not in result.status or not balance.noisy:
         return ""
     return (
-        "\n\nThe input follows the residual in this record, and the encoder is coarse: then the encoder's own error "
-        "differs with velocity and position, too. Look at a record in open loop before the model is changed."
+        "\n\nThe input follows the residual in this record, and the encoder is coarse, so the encoder's own error also "
+        "varies with velocity and position. Record an open-loop motion before you change the model."
     )
 
 

@@ -28,7 +28,7 @@ def write_comparison(out: Path, comparison: Comparison) -> None:
 
 def _thin(comparison: Comparison) -> str:
     known = any(result.interval_95 is not None for result in comparison.results.values())
-    return "Thin lines: between these values in 95 %, what the model may lack included." if known else ""
+    return "Thin lines: 95 % intervals, including unmodelled effects." if known else ""
 
 
 def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]:

@@ -186,7 +186,7 @@ def _sections(appraisal: Appraisal) -> list[Section]:
     nominal = np.array([abs(problem.nominal[name]) or 1.0 for name in problem.unknown])
     ellipses = ellipse_figure(problem.unknown, nominal, {name: appraisal.worths[name].fisher for name in motions})
     sections = [
-        Section("What it is worth", _summary(appraisal), criteria_table(appraisal)),
+        Section("Value of the design", _summary(appraisal), criteria_table(appraisal)),
         Section("Predicted standard deviations", _STD_TEXT, std_table(appraisal)),
         *_encoder_sections(appraisal),
         Section(
@@ -198,9 +198,7 @@ def _sections(appraisal: Appraisal) -> list[Section]:
     ]
     if ellipses is not None:
         sections.append(
-            Section(
-                "Confidence ellipses, 95 %", "Deviation from the nominal values in percent of them.", svg=svg(ellipses)
-            )
+            Section("Confidence ellipses, 95 %", "Deviation from the nominal values in percent.", svg=svg(ellipses))
         )
     return sections
 
@@ -208,7 +206,7 @@ def _sections(appraisal: Appraisal) -> list[Section]:
 def _encoder_sections(appraisal: Appraisal) -> list[Section]:
     if not any(np.isfinite(std) for std in appraisal.worths["design"].std_encoder.values()):
         return []
-    return [Section("The same through this encoder", _ENCODER_TEXT, std_table(appraisal, through_encoder=True))]
+    return [Section("Deviations with this encoder", _ENCODER_TEXT, std_table(appraisal, through_encoder=True))]
 
 
 _STD_TEXT = (
@@ -241,15 +239,15 @@ def _with_std(value: float, std: float) -> str:
 
 
 _ENCODER_TEXT = (
-    "An encoder does not tell where within a count the axis starts, and its error is not white: it repeats with the "
-    "motion. This is what pmfid design SPEC RECORD gets from its counts."
+    "An encoder does not show where within a count the axis starts, and the encoder's error repeats with the motion. "
+    "The table gives the deviations that pmfid design SPEC RECORD reaches from the counts."
 )
 
 
 def proof(design: Design) -> str:
     """Return sentences on the distance to the optimum, and on the search for the design."""
     proved = (
-        "No bound is proved: another input may be better."
+        "No bound is proved, so another input may be better."
         if design.gap is None
         else f"Proved: no input within these limits and directions is better by more than {100 * design.gap:.3g} %."
     )
@@ -261,7 +259,7 @@ def proof(design: Design) -> str:
 
 def price_words(price: float) -> str:
     """Return a sentence on the price of robustness."""
-    return f"That the limits hold in every scenario costs {100 * price:.1f} % of the nominal information."
+    return f"Keeping the limits in every scenario costs {100 * price:.1f} % of the nominal information."
 
 
 def _summary(appraisal: Appraisal) -> str:

@@ -50,7 +50,7 @@ def spread_figure(found: History) -> Figure:
         there = [(kind, KINDS[kind], MARKERS[kind]) for kind in KINDS if kind in found.axes["kind"]]
         handles = [
             Line2D([], [], color=colour, marker=marker, ls="", label=kind)
-            for kind, colour, marker in [*there, ("nothing to say", GREY, ".")]
+            for kind, colour, marker in [*there, ("no finding", GREY, ".")]
         ]
         figure.legend(handles=handles, loc="outside lower center", ncols=5)
     return figure
@@ -214,7 +214,11 @@ def _attention(found: History) -> Section:
     if not named.height:
         known = found.unknown.height < found.axes.height
         text = "No axis changed, drifts or differs from the others beyond chance and tolerance."
-        text = text if known else "Nothing is known of any axis: no record moves enough, or is long and whole enough."
+        text = (
+            text
+            if known
+            else ("No axis has an estimate, because no record has enough motion, or is long and whole enough.")
+        )
     elif text:
         text += ". The largest come first."
     text += _besides(found)
@@ -265,8 +269,8 @@ def _unknown(found: History) -> Section | None:
         [axis, _words(findings.get(axis, ""))] for axis in found.unknown["axis"].head(TUNING.fleet_others)
     ]
     text = (
-        "Of these it is not known whether anything is the matter: they stand still, their counts or their input do not "
-        "reach the log, or their records are too short or damaged."
+        "The state of these axes is not known. They stand still, their counts or input do not reach the log, or their "
+        "records are too short or damaged."
     )
     return Section(
         "No estimate", text + _first(TUNING.fleet_others, found.unknown.height), (("axis", "findings"), rows)
@@ -286,9 +290,9 @@ def _wandering(found: History) -> Section | None:
     if not wander.height:
         return None
     text = (
-        "Their parameters move up and down about a mean, as friction does with temperature and lubrication. A step or "
-        "a line explains that no better than a random walk does, so they are not named as changed or drifting. The "
-        "size is the root mean square about the mean; the largest come first."
+        "The parameters of these axes move up and down about a mean, as friction does with temperature and "
+        "lubrication. A step or a line explains this motion no better than a random walk, so these axes do not count "
+        "as changed or drifting. The size is the root mean square about the mean; the largest sizes come first."
     )
     rows: list[list[Cell]] = [
         [row["axis"], row["why"]] for row in wander.head(TUNING.fleet_others).iter_rows(named=True)
@@ -306,9 +310,9 @@ def _trends(found: History) -> Section | None:
     if not named.height:
         return None
     text = (
-        "What the periods of the first axes that change or drift say, with bars of 1.96 standard deviations, the first "
-        "as 100 %; in the table the straight line through all: its slope with one standard deviation. Those of all "
-        "axes, per day, are in axes.parquet."
+        "The estimates of the first axes that change or drift, with bars of 1.96 standard deviations and the first "
+        "period as 100 %. The table gives the slope of a straight line through all periods, with one standard "
+        "deviation. The slopes of all axes, per day, are in axes.parquet."
     )
     first, last = found.periods["first"].min(), found.periods["last"].max()
     days = min(1.0, (float(last or 0.0) - float(first or 0.0)) / FLEET_TUNING.plan_day)  # type: ignore[arg-type]
@@ -318,7 +322,7 @@ def _trends(found: History) -> Section | None:
         [row["axis"], *(_slope(days * row[f"{name}_slope"], days * row[f"{name}_slope_std"]) for name in found.names)]
         for row in named.iter_rows(named=True)
     ]
-    return Section("Trend of those that move", text, (header, rows), svg=svg(trend_figure(found)))
+    return Section("Trend of the axes that move", text, (header, rows), svg=svg(trend_figure(found)))
 
 
 def _slope(slope: float, std: float) -> str:
@@ -331,16 +335,15 @@ def _spread(found: History) -> Section | None:
     if not found.axes.height or found.unknown.height == found.axes.height:
         return None
     text = (
-        "Each point is an axis: across, how far its parameter lies from the median of its type; upward, how much "
-        "it has changed within the history. Named axes are coloured and have their names."
+        "Each point is an axis. The horizontal position is the distance of the parameter from the median of its type. "
+        "The vertical position is the change within the history. Axes that need attention have a colour and a name."
     )
     known = found.axes.filter(found.axes["segments"] > 0).select(f"{name}_deviation" for name in found.names)
     alone = sum(all(math.isnan(value) for value in row) for row in known.iter_rows())
     if alone:
         text += (
-            f" {alone} axes are of a type with fewer than {FLEET_TUNING.least_axes}: too few to tell what is "
-            "usual, so they are "
-            "drawn at 0 across and are judged by their own past alone."
+            f" {alone} axes are of a type with fewer than {FLEET_TUNING.least_axes}, too few to show what is usual. "
+            "These axes are drawn at 0 horizontally, and are compared only with their own past."
         )
     return Section("From the others, and from their own past", text, svg=svg(spread_figure(found)))
 
@@ -349,11 +352,13 @@ def _map(found: History) -> Section | None:
     if not found.periods.height:
         return None
     text = (
-        "A row for each axis, those that need attention at the top, with names in the colour of the verdict; a column "
-        "for each period."
+        "Each row is an axis and each column a period. Axes that need attention are at the top, with names in the "
+        "colour of the verdict."
     )
     if found.axes.height > TUNING.fleet_quiet:
-        text += f" Of the others the first {TUNING.fleet_quiet}, by how many periods are in doubt; "
+        text += (
+            f" The map shows the first {TUNING.fleet_quiet} of the other axes, by the number of doubtful periods, and "
+        )
         text += f"{TUNING.fleet_rows} rows at most."
     return Section("Map of findings", text, svg=svg(map_figure(found)))
 
@@ -365,10 +370,10 @@ def _list_unused(found: History) -> Section | None:
     ]
     if not rows:
         return None
-    text = "What could not be used as it is, or was left out. Everything else was done."
+    text = "Data that were changed or left out. All other data are in the results."
     if found.problems.height > TUNING.fleet_problems:
         text += f" The first {TUNING.fleet_problems} of {found.problems.height}; all are in problems.parquet."
-    return Section("What could not be used", text, (("axis, file or type", "finding", "times", "from", "what"), rows))
+    return Section("Unusable data", text, (("axis, file or type", "finding", "times", "from", "what"), rows))
 
 
 def _from(time: float) -> str:
@@ -382,11 +387,12 @@ def _how(found: History) -> Section:
     )
     text = (
         f"{found.samples} samples in estimates of {found.segment:.3g} s each, put together by period ({found.period}). "
-        "An axis is named if its change, drift or distance exceeds the tolerance by more than chance can, given the "
-        "number of axes, parameters and times. In a healthy fleet less than one axis is named on average. "
-        "Error bars hold the scatter of the estimates of one axis; they do not hold unmodelled effects."
+        "An axis needs attention if its change, drift or distance exceeds the tolerance by more than chance allows. "
+        "Chance takes the number of axes, parameters and times into account. In a healthy fleet, less than one axis "
+        "needs attention on average. Error bars contain the scatter of the estimates of one axis, and no unmodelled "
+        "effects."
     )
-    return Section("The fleet, and how this was made", text, middle)
+    return Section("The fleet and the method", text, middle)
 
 
 def _quantiles(axes: pl.DataFrame, name: str) -> list[str | float]:

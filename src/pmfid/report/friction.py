@@ -20,11 +20,10 @@ def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
     (back, _), (slow, ahead) = found.visited
     own = found.motion
     text = (
-        f"{own.inertia.capitalize()} of the same fit: {found.mass:.5g} ± {found.mass_std:.2g} {own.of_inertia}. "
-        "Points are the nodes, the band is two standard deviations. "
-        f"The record goes from {back:.3g} to {ahead:.3g} {own.speed}, and hardly visits velocities between "
-        f"{found.visited[0][1]:.3g} and {slow:.3g} {own.speed}. The curve ends at these velocities; it does not have "
-        "friction at rest."
+        f"{own.inertia.capitalize()} of the same fit: {found.mass:.5g} ± {found.mass_std:.2g} {own.of_inertia}. Points "
+        f"are the nodes, the band is two standard deviations. The record goes from {back:.3g} to {ahead:.3g} "
+        f"{own.speed}, and hardly visits velocities between {found.visited[0][1]:.3g} and {slow:.3g} {own.speed}. The "
+        "curve ends at these velocities, and does not contain friction at rest."
     )
     text = "\n\n".join([text, *(f"Note: {note}." for note in found.notes)])
     table = found.summary()

@@ -182,7 +182,7 @@ def calibration_figure(tails: Mapping[str, Tail], used: str, mtbf_hours: float) 
         plain_ticks(axes.yaxis)
         axes.axhline(1 / mtbf_hours, color=MAGENTA, ls="--", lw=1.2, label=f"one in {mtbf_hours:g} h")
         axes.axvline(1.0, color=GREY, lw=0.8)
-        axes.set_xlabel("statistic over the threshold in use [-]")
+        axes.set_xlabel("statistic / threshold in use [-]")
         axes.set_ylabel("false alarms [1/h]")
         figure.legend(loc="outside upper center", ncols=5)
     return figure
@@ -239,7 +239,7 @@ def _headline(run: MonitoredRun) -> str:
 def _verdict(setup: Setup | EdgeSetup, run: MonitoredRun) -> Section:
     lines = [f"{run.samples} samples, {run.samples * setup.monitor.estimator.dt:.1f} s."]
     if run.bad_lines or run.repeated_lines:
-        lines.append(f"{run.bad_lines} lines could not be used, {run.repeated_lines} came again or too late.")
+        lines.append(f"{run.bad_lines} lines could not be used, and {run.repeated_lines} lines came again or too late.")
     if run.clock_jumps:
         lines.append(f"The clock was set {run.clock_jumps} times.")
     if run.outliers:
@@ -276,8 +276,8 @@ def _run_text(history: RunHistory, setup: Setup | EdgeSetup) -> str:
     estimator = setup.monitor.estimator
     rate = estimator.rate if isinstance(estimator, REdge) else 1 - estimator.forgetting
     text = (
-        f"Estimates by {estimator.method}, memory {estimator.dt / rate:.3g} s, with two standard "
-        "deviations; orange lines: alarms; dotted: when the change began to show."
+        f"Estimates by {estimator.method}, memory {estimator.dt / rate:.3g} s, with two standard deviations; orange "
+        "lines: alarms; dotted lines: visible start of the change."
     )
     return text + (f" One row of {history.stride} is shown." if history.stride > 1 else "")
 

@@ -128,7 +128,9 @@ def figure_of(shown: object, **options: object) -> Drawing:
         figure = _draw(shown, **options)
     except TypeError as error:
         if "unexpected keyword" in str(error):
-            raise UsageError(f"the figure of {type(shown).__name__} has no such option: {error}") from None
+            raise UsageError(
+                f"the figure of {type(shown).__name__} has no such option ({error}); leave the option out"
+            ) from None
         raise
     figure.__class__ = Drawing  # figures of other functions get this class, too
     return cast(Drawing, figure)
@@ -136,7 +138,7 @@ def figure_of(shown: object, **options: object) -> Drawing:
 
 @singledispatch
 def _draw(shown: object) -> Figure:
-    raise UsageError(f"{type(shown).__name__} has no figure; plot what was estimated")
+    raise UsageError(f"{type(shown).__name__} has no figure; plot the result of an estimate")
 
 
 @_draw.register

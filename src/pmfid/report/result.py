@@ -36,9 +36,9 @@ from pmfid.report.html import Section, replace_file, svg, write_json, write_repo
 from pmfid.report.tuning import TUNING
 
 HOW_TO_READ = (
-    "std: how far the value varies from record to record of this length. model spread: how far friction, a load or a "
-    "dead time outside the model may move the value; a longer record would not show it. 95 %: the interval of the "
-    "parameter with both."
+    "std: scatter of the value between records of this length. model spread: largest effect on the value of friction, "
+    "a load or a dead time outside the model; a longer record would not show this effect. 95 %: the interval of the "
+    "parameter, including both."
 )
 
 
@@ -154,11 +154,13 @@ def _dynamics(process: Process) -> Section:
 def _residual_text(result: ProcessResult) -> str:
     checks = result.assessment
     parts = [
-        "white" if checks.white else "not white: the noise is coloured, or an effect is outside the model",
-        "not correlated with the input" if checks.independent else "correlated with the input: the model is too small",
+        "white" if checks.white else "not white, because the noise is coloured or an effect is outside the model",
+        "not correlated with the input"
+        if checks.independent
+        else "correlated with the input, because the model is too small",
     ]
     parts += ["correlated with later inputs: feedback"] if checks.feedback else []
-    return f"The residual is {'; '.join(parts)}. Grey: bounds that 99 % of an independent residual stay within."
+    return f"The residual is {'; '.join(parts)}. Grey: bounds for 99 % of the values of an independent residual."
 
 
 def output_figure(result: ProcessResult) -> Figure:
@@ -290,11 +292,11 @@ def write_search(out: Path, search: Search, name: str) -> None:
     out.mkdir(parents=True, exist_ok=True)
     write_json(out / "order.json", search_json(search))
     text = (
-        f"{search.samples} samples, {len(search.candidates)} structures fitted, {search.skipped} cannot be better. "
-        "Criterion: Schwarz (1978), after the whitening filter of the noise, as the distance from the best structure. "
-        "Less is better; a difference below about 10 is not significant. Refused: identify has no estimate, or an "
-        "estimate with a pole that the record does not determine. "
-        "Condition: of the scaled sensitivities; large if poles and zeros nearly cancel."
+        f"{search.samples} samples, {len(search.candidates)} structures fitted, {search.skipped} skipped because they "
+        "cannot be better. Criterion: Schwarz (1978), after the whitening filter of the noise, as the distance from "
+        "the best structure. A smaller criterion is better; a difference below about 10 is not significant. Refused: "
+        "pmfid identify gives no estimate, or a pole that the record does not determine. Condition: condition number "
+        "of the scaled sensitivities, large if poles and zeros nearly cancel."
     )
     text = "\n\n".join([text, *(f"Note: {note}." for note in search_notes(search))])
     table = (SEARCH_HEADER, search_rows(search))

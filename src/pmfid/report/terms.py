@@ -39,11 +39,11 @@ def write_terms(out: Path, found: TermSearch) -> None:
     if found.weighed:
         sections.append(Section("Terms", TERMS, term_rows(found)))
     if any(model.balance is not None and model.balance.friction is not None for model in found.models):
-        says = "What the record says, means over bins with their standard errors, and the friction of each model."
+        says = "Points: friction from the record, means over bins with standard errors. Lines: friction of each model."
         sections.append(Section("Friction over velocity", says, svg=svg(friction_figure(found))))
     sections.append(Section("Terms that were tried", STEPS, step_rows(found)))
     if found.hidden:
-        sections.append(Section("What this record would not show", HIDDEN, hidden_rows(found)))
+        sections.append(Section("Terms that this record would not show", HIDDEN, hidden_rows(found)))
     if found.notes:
         sections.append(Section("Notes", "\n\n".join(f"{note}." for note in found.notes), folded=True))
     lead = found.sentence, "Write the lines for AXIS.toml into its section [model]." if found.added else ""
@@ -51,14 +51,13 @@ def write_terms(out: Path, found: TermSearch) -> None:
 
 
 TERMS = (
-    "Values with their standard errors. Held out: error of free runs over data that the models were not fitted to, "
-    "with the term and without it."
+    "Values with standard errors. Held out: error of free runs over data outside the fits, with and without the term."
 )
 STEPS = (
-    "gain: of the log-likelihood, doubled, over what chance makes of it; a term counts from the gain needed on. "
-    "held out: error of free runs over data that the model was not fitted to."
+    "gain: twice the gain of the log-likelihood, relative to chance; a term counts if it reaches the gain needed. held "
+    "out: error of free runs over data outside the fit."
 )
-HIDDEN = "A term that is not in the model would be seen from this size on, four standard deviations of its score."
+HIDDEN = "The search would find a missing term from this size on, which is four standard deviations of its score."
 
 
 def model_rows(found: TermSearch) -> Rows:

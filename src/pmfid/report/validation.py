@@ -25,7 +25,10 @@ def write_validation(out: Path, found: Validation) -> None:
         Section("Free run", _text(found), run_rows(found)),
     ]
     if any(run.horizons for run in found.runs):
-        text = "The simulation restarts at the interval given, each time with a start fitted to its first samples."
+        text = (
+            "The simulation restarts at the given interval. Each start is fitted to the first samples after the "
+            "restart."
+        )
         sections.append(Section("Restarted", text, horizon_rows(found), svg(horizon_figure(found))))
     sections += [
         Section(f"Measured and simulated: {run.name}", svg=svg(run_figure(run, found.unit)))
@@ -37,10 +40,10 @@ def write_validation(out: Path, found: Validation) -> None:
 def _text(found: Validation) -> str:
     read = ", ".join(dict.fromkeys(f"{run.read:.3g} s" for run in found.runs))
     text = (
-        f"Simulated from the input alone. The start is fitted to the first {read}, nothing else of the output is used. "
+        f"Simulated from the input alone. The start is fitted to the first {read}; the rest of the output is not used. "
         "Errors are root mean squares; fit is 100 (1 - |y - simulated| / |y - mean y|); relative is |y - simulated| "
-        "over |y|, and depends on where zero is; encoder: what rounding to its step would leave; mean, standstill: a "
-        "model that knows the mean of the record, or stays where it begins."
+        "over |y|, and depends on the zero of y; encoder: error of rounding to the encoder's step; mean, standstill: "
+        "error of a model that stays at the mean of the record, or at its first value."
     )
     return "\n\n".join([text, *(f"Note: {note}." for note in found.notes)])
 

@@ -114,7 +114,10 @@ class Schedule:
 
     def _check_ramps(self, times: list[float]) -> None:
         if len(self.ramps) != len(self.changes) or self.ramps[0] != 0.0:
-            raise ValueError(f"ramps must be one time per change, the first 0, got {self.ramps}; leave out for none")
+            raise ValueError(
+                f"ramps must be one time per change, the first 0, got {self.ramps}; leave ramps out if no "
+                "change is gradual"
+            )
         for ramp, (begin, end) in zip(self.ramps, pairwise(times), strict=True):
             if not 0.0 <= ramp <= end - begin:
                 raise ValueError(f"ramp must be >= 0 and end before the next change, got {ramp}; give a time in s")
@@ -309,7 +312,9 @@ def position_control(
     _check_lattice(dt, resolution, phase)
     for name, gain in (("kp", kp), ("kd", kd)):
         if not (np.isfinite(gain) and gain >= 0.0):
-            raise ValueError(f"{name} must be finite and >= 0, got {gain}; reverse input_gain for a reversed motor")
+            raise ValueError(
+                f"{name} must be finite and >= 0, got {gain}; for a reversed motor, reverse the sign of input_gain"
+            )
     check_number("u_max", u_max, above=0.0, remedy="give the largest input in V")
     target = check_signal("reference", reference)
     columns = make_schedule(parameters).sample(sample_times(target.size, dt), dt)

@@ -31,7 +31,7 @@ def check_signal(name: str, values: ArrayLike) -> Floats:
         raise ValueError(f"{name} must have shape (n,), n >= 1, got {np.shape(values)}; pass one value per sample")
     bad = np.flatnonzero(~np.isfinite(signal))
     if bad.size:
-        raise ValueError(f"{name}[{bad[0]}] is {signal[bad[0]]}, it must be finite; repair or leave out that sample")
+        raise ValueError(f"{name}[{bad[0]}] is {signal[bad[0]]} and must be finite; repair this sample or leave it out")
     return signal
 
 
@@ -86,9 +86,9 @@ class Faults:
 
     def __post_init__(self) -> None:
         for name, end, remedy in (
-            ("missed", 1.0, "it is the part of the edges that is lost"),
-            ("jitter", np.inf, "it is a standard deviation in counts"),
-            ("line_error", 0.5, "further off, two lines would change places"),
+            ("missed", 1.0, "give the part of the edges that is lost"),
+            ("jitter", np.inf, "give a standard deviation in counts"),
+            ("line_error", 0.5, "give less than half a count, so that lines keep their order"),
         ):
             value = getattr(self, name)
             if not 0.0 <= value < end:

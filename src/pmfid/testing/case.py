@@ -333,4 +333,4 @@ def require_refusal(error: type[Exception], what: str, call: Callable[[], object
         return
     except Exception as other:
         raise ContractError(f"{what} raises {type(other).__name__} ({other}), not {error.__name__}") from other
-    raise ContractError(f"{what} is taken without {error.__name__}")
+    raise ContractError(f"{what} raises no {error.__name__}")

@@ -245,8 +245,8 @@ def checks_of(
     """
     if not isinstance(estimator, Estimator) or not isinstance(estimator, OffLine | OnLine):
         raise UsageError(
-            f"check_estimator takes an Estimator that has fit, or step, run and state, got {type(estimator).__name__}; "
-            "derive it from BatchEstimator or RecursiveEstimator"
+            "check_estimator needs an Estimator with fit, or with step, run and state, got "
+            f"{type(estimator).__name__}; derive it from BatchEstimator or RecursiveEstimator"
         )
     case = Case(estimator, record)
     own = OFF_LINE if isinstance(estimator, OffLine) else ON_LINE

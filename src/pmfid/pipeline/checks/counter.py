@@ -59,7 +59,7 @@ def held_output(log: CheckedLog) -> Iterator[Finding]:
             "held_output",
             f"the output column {log.axis.record.output!r} changes only at every {every}th row",
             f"keep every {every}th row, the first with a new value, or log the output at the record's rate",
-            detail="It is read more slowly than the record, and the motion seems late and in jumps.",
+            detail="The output is read more slowly than the record, so the motion seems to be late and to jump.",
         )
 
 
@@ -76,15 +76,16 @@ def find_frozen_counts(log: CheckedLog) -> Iterator[Finding]:
         yield Finding(
             "clipped",
             f"the output column {output!r} ends at {size:.6g} while the axis moves on, first in {_rows(first)}",
-            f"use rows {_format_free_rows(ends, counts.size)}, the most without, or record within the range",
-            detail=f"It does so {_times(ends)}. The range of the counter or sensor ends there.",
+            f"use rows {_format_free_rows(ends, counts.size)}, the longest part without this, or record within the "
+            "range",
+            detail=f"The output does so {_times(ends)}. The range of the counter or sensor ends at this value.",
         )
         return
     yield Finding(
         "stuck",
         f"the output column {output!r} stands still while the axis moves on, first in {_rows(first)}",
-        f"use rows {_format_free_rows(stops, counts.size)}, the most without, and check the wiring",
-        detail=f"It does so {_times(stops)}. The counter, or what reads it, was stuck.",
+        f"use rows {_format_free_rows(stops, counts.size)}, the longest part without this, and check the wiring",
+        detail=f"The output does so {_times(stops)}. The counter, or the program that reads it, was stuck.",
     )
 
 

@@ -35,7 +35,7 @@ def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
             f"the input column {log.axis.record.input!r} has no sign, but the axis reverses under load",
             "log the force or current with its sign",
             "wrong",
-            f"With the signs that the motion asks for, it explains the input to {100 * (1 - signed):.3g} %.",
+            f"With the right signs, the motion explains {100 * (1 - signed):.3g} % of the input.",
         )
 
 
@@ -76,8 +76,8 @@ def find_command(log: CheckedLog) -> Iterator[Finding]:
     if not log.is_machine or np.ptp(u) == 0 or np.ptp(y) == 0:
         return
     if is_commanded(name) and float(np.corrcoef(u, y)[0, 1]) > TUNING.force_alike:
-        sentence = f"the input column {name!r} is the set point of {output!r}, and no force"
+        sentence = f"the input column {name!r} is the set point of {output!r}, not a force"
         yield Finding("command", sentence, f"log torque or current, or use {name} - {output} as the input", "wrong")
     elif is_commanded(name):
-        sentence = f"the input column {name!r} is a command by its name, and the drive may have given another torque"
+        sentence = f"the input column {name!r} has the name of a command, and the drive may have given another torque"
         yield Finding("command", sentence, "use the measured torque or current if the log has one", "note")

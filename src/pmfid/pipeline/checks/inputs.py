@@ -26,8 +26,8 @@ def held_input(log: CheckedLog) -> Iterator[Finding]:
         yield Finding(
             "held_input",
             f"the input column {log.axis.record.input!r} changes only at every {every}th row",
-            "log the input at the rate of the drive, unless the drive itself holds it that long",
-            detail="If the drive gets it more often, the log misses what moved the axis.",
+            "log the input at the drive's rate, unless the drive holds it for these rows",
+            detail="If the drive gets new inputs more often, the log misses a part of the force.",
         )
 
 
@@ -49,7 +49,7 @@ def find_saturation(log: CheckedLog) -> Iterator[Finding]:
     )
     first = f"The first of them is row {int(np.argmax(there)) + 1}."
     if _falls_short(log, there):
-        sentence = f"{sentence}, less than what moves the axis"
+        sentence = f"{sentence}, less than the force that moves the axis"
         yield Finding("saturated", sentence, LARGER, detail=f"The log cuts off the force. {first}")
     else:
         yield Finding("saturated", sentence, f"if the drive gave more than that, {LARGER}", "note", first)

@@ -32,7 +32,7 @@ from pmfid.units import OUTPUTS, column_unit
 __all__ = ["INTEGRATE", "convert_velocity", "integrate_velocity", "is_exchanged", "read_as", "suggest_sign"]
 
 RATE = 'give [record] output_kind = "velocity"'
-INTEGRATE = "name the column of the position, or integrate this one: its cumulative sum times the sample period"
+INTEGRATE = "name the position column, or integrate this column: its cumulative sum times the sample period"
 
 
 def read_as(log: CheckedLog) -> Iterator[Finding]:
@@ -45,7 +45,7 @@ def read_as(log: CheckedLog) -> Iterator[Finding]:
     elif log.view is not None and log.knows_sign and is_turned(log.view):
         mistake = "the output has the opposite sign of the input"
         found = _make_finding("reversed", mistake, suggest_sign(log), log.view.unexplained)
-        yield replace(found, detail="If the sign is right, something else than this input moves the axis.")
+        yield replace(found, detail="If the sign is right, a force other than this input moves the axis.")
 
 
 def find_gravity(log: CheckedLog) -> Iterator[Finding]:
@@ -110,7 +110,7 @@ def _other_reading(log: CheckedLog) -> Finding | None:
         and (velocity < bound or (velocity < TUNING.readings_follows and _is_no_body(view)))
     )
     if velocity < min(TUNING.readings_follows, bound, left) or (loosely and _is_in_time(log)):
-        mistake = f"the output column {log.axis.record.output!r} is a velocity and no position"
+        mistake = f"the output column {log.axis.record.output!r} is a velocity, not a position"
         return _make_finding("velocity", mistake, RATE, velocity)
     return None
 
@@ -126,7 +126,7 @@ def is_exchanged(log: CheckedLog) -> bool:
 
 
 def _make_finding(code: str, mistake: str, remedy: str, left: float) -> Finding:
-    sentence = f"{mistake}, for then the motion explains the input to {100 * (1 - left):.3g} %"
+    sentence = f"{mistake}; with this changed, the motion explains {100 * (1 - left):.3g} % of the input"
     return Finding(code, sentence, remedy, "wrong")
 
 
@@ -216,7 +216,7 @@ def suggest_sign(log: CheckedLog) -> str:
     model = log.axis.model
     if model.kind == "drive" and isinstance(model.input_gain, float):
         return f"give [model] input_gain = {-model.input_gain:g}"
-    return "give the known term of the input in [model] the other sign"
+    return "reverse the sign of the known input term in [model]"
 
 
 def no_motion(log: CheckedLog) -> Iterator[Finding]:
@@ -228,12 +228,12 @@ def no_motion(log: CheckedLog) -> Iterator[Finding]:
         return
     if not np.any(log.record.u):
         sentence = "the input is zero while the axis moves"
-        yield Finding("little_motion", sentence, "record the input that drives it", "wrong")
+        yield Finding("little_motion", sentence, "record the input that drives the axis", "wrong")
         return
     if travel < TUNING.readings_fewest and not is_exchanged(log):
         yield Finding(
             "little_motion",
-            f"the axis moves by {travel} counts in all, and the encoder's steps hide the motion",
+            f"the axis moves by {travel} counts in all, so the encoder's steps hide the motion",
             "record a longer stroke, or use a finer encoder",
             "wrong",
         )
@@ -245,6 +245,6 @@ def no_inertia(log: CheckedLog) -> Iterator[Finding]:
     if view is not None and abs(view.sure(np.eye(view.theta.size)[MASS])) < TUNING.readings_distinct:
         yield Finding(
             "little_motion",
-            "the acceleration does not follow the input: too little excitation",
+            "the acceleration does not follow the input, so the excitation is too small",
             "record reversals and varying speed",
         )

@@ -145,8 +145,8 @@ def too_fast(log: CheckedLog) -> Iterator[Finding]:
         keep = max(2, round(TUNING.timing_plenty / per_sample))
         yield Finding(
             "rate_high",
-            f"the axis moves {per_sample:.2g} counts per row, and nearly all rows say nothing",
-            f"keep every {keep}th row, with the mean of the input over the {keep} rows from it on",
+            f"the axis moves {per_sample:.2g} counts per row, so nearly all rows repeat the last count",
+            f"keep every {keep}th row, with the mean of the input over this row and the next {keep - 1}",
         )
 
 
@@ -159,8 +159,8 @@ def drifts(log: CheckedLog) -> Iterator[Finding]:
         return
     yield Finding(
         "drift",
-        f"input and output are of two clocks, which drift apart by {abs(rate) * n:.2g} rows within {n}",
-        f"log both by one clock, or multiply the input's time by {1 + rate:.6f} and take the latest value",
+        f"input and output have two clocks, which drift apart by {abs(rate) * n:.2g} rows within {n}",
+        f"log both by one clock, or multiply the input's time by {1 + rate:.6f} and use the latest value",
         detail="With that drift the motion explains the input better throughout.",
     )
 

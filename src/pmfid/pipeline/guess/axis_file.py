@@ -85,7 +85,9 @@ def guess_table(table: Table, path: Path, ask: Ask | None = None, output: str | 
         raise UsageError(f"{path}: no column has numbers that change; export the record with its values")
     found, dt = _time(table, columns, ask)
     if output is not None and output not in columns:
-        raise UsageError(f"{path}: {output!r} is no column of numbers that change{did_you_mean(output, columns)}")
+        raise UsageError(
+            f"{path}: the column {output!r} does not have numbers that change{did_you_mean(output, columns)}"
+        )
     rest = {
         name: values
         for name, values in columns.items()
@@ -101,8 +103,8 @@ def guess_table(table: Table, path: Path, ask: Ask | None = None, output: str | 
     goal = next((name for name in columns if is_commanded(name) and role_of(name) == "other"), None)
     if goal is not None and pair.explained == 0:
         raise UsageError(
-            f"{path}: no column holds what drives {pair.output}; log force, torque, current or duty, or add the "
-            f"column {goal} - {pair.output}, which a servo's controller amplifies, as u"
+            f"{path}: no column holds the force that drives {pair.output}; log force, torque, current or duty, or for "
+            f"a servo add the column u = {goal} - {pair.output}"
         )
     result = AxisGuess(path.name)
     _record(result, pair, found, dt)
@@ -120,14 +122,14 @@ def _record(result: AxisGuess, pair: Pair, found: tuple[str, str, str], dt: floa
     if not name:
         result.add("record", f"dt = {dt:g}", reason)
         return
-    result.add("record", f"time = {quote_name(name)}", f"it grows from row to row; a sample period of {dt:.6g} s")
+    result.add("record", f"time = {quote_name(name)}", f"it grows from row to row, by a sample period of {dt:.6g} s")
     if unit:
         result.add("record", f'time_unit = "{unit}"', reason)
 
 
 KINDS = {
-    "counts": "nothing but whole numbers",
-    "position": "it has a unit, or parts of a whole number",
+    "counts": "the column has only whole numbers",
+    "position": "the column has a unit or fractions",
     "velocity": "the motion explains the input as a rate",
 }
 
@@ -145,7 +147,7 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
     found = time_of(table, columns)
     if found is None or _may_be_numbers(*found):
         answer = ask('sample period, in s or as "1 ms"', read_duration) if ask else None
-        untold = f"{TO_DO}no column has the time; the sample period in s"
+        untold = f"{TO_DO}write the sample period in s, because no column has the time"
         return ("", "", untold if answer is None else "as answered"), answer or TUNING.axis_file_usual
     name, values, written = found
     values = values if written else columns.get(name, values)
@@ -154,8 +156,8 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
     if not step > 0:
         row = int(np.argmax(np.diff(values) < 0)) + 1
         raise UsageError(
-            f"the time {name!r} falls after row {row} and over the record: keep those rows, or rename a column "
-            "that is no time"
+            f"the time {name!r} falls after row {row}: keep only the rows up to this one, or rename the column if it "
+            "is not a time"
         )
     if written or named_unit(name):
         return (name, "", ""), step * (1.0 if written else UNITS[named_unit(name) or "s"])
@@ -168,7 +170,7 @@ def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple
     return (
         name,
         unit,
-        f"{TO_DO}it steps by {step:g}, in s no axis is sampled so; ticks of a clock are none of these units",
+        f"{TO_DO}check this unit, because a step of {step:g} s is unusual; ticks of a clock are none of these units",
     ), step * UNITS[unit]
 
 
@@ -199,7 +201,7 @@ def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask 
     unit = column_unit(pair.output, OUTPUTS)
     if unit is None:
         other = f'write "{step:.9g} mm" here and output_unit = "mm" in [record], or "deg" in both'
-        reason = f"{TO_DO}taken to be in m or rad, else {other}; {reason}"
+        reason = f"{TO_DO}assumed to be in m or rad; otherwise {other}; {reason}"
     if pair.kind == "velocity":
         step, reason = step * dt * (unit.factor if unit else 1.0), f"{reason}, times the sample period"
         unit = None if unit is None or unit.plain else Unit("rad" if "ang" in unit.of else "m", "travel", 0.0)
@@ -233,10 +235,12 @@ def _model(result: AxisGuess, pair: Pair, travel: Unit | None, ask: Ask | None) 
     result.add("model", 'kind = "drive"', "mass and friction")
     rotary = pair.gravity or (travel is not None and "ang" in travel.of)
     if rotary:
-        reason = f"{pair.output} is in {travel.name}" if travel else "a force in the sine of the position fits an angle"
+        reason = (
+            f"{pair.output} is in {travel.name}" if travel else ("a force with the sine of the position suits an angle")
+        )
         result.add("model", 'axis = "rotary"', reason)
     if pair.gravity:
-        result.add("model", "gravity = true", "a force in the sine of the angle explains most of the input")
+        result.add("model", "gravity = true", "a force with the sine of the angle explains most of the input")
     unit = column_unit(pair.input, INPUTS)
     force = "N m" if rotary else "N"
     if unit is not None and unit.of in ("force", "torque"):
@@ -268,7 +272,7 @@ def _load(result: AxisGuess, pair: Pair, ask: Ask | None) -> None:
 
 
 def _sign(pair: Pair) -> str:
-    return "; negative, for it drives against the output" if pair.turned else ""
+    return "; negative, because the input drives against the output" if pair.turned else ""
 
 
 def _mean_step(steps: Floats) -> float:
@@ -284,7 +288,7 @@ def read_duration(text: str) -> float:
     """Return a positive time [s] from a number, or from a number with a unit of time. Raises ValueError otherwise."""
     number, _, unit = text.strip().partition(" ")
     if unit.strip() not in ("", *UNITS):
-        raise ValueError(f"{unit.strip()!r} is no unit of time here; known are {', '.join(UNITS)}")
+        raise ValueError(f"{unit.strip()!r} is not a known unit of time; use one of {', '.join(UNITS)}")
     if _number(number) < 0:
         raise ValueError(f"{text!r} is negative; write a time like 0.001")
     return _number(number) * UNITS[unit.strip() or "s"]
@@ -314,7 +318,7 @@ def read_gain(text: str, usual: Unit | None = None) -> float:
     """
     value = _read(text, gain)
     if value < 0:
-        raise ValueError(f"{text!r} is negative; give its size, for the record shows the sign")
+        raise ValueError(f"{text!r} is negative; give the size only, because the record shows the sign")
     if isinstance(value, Quantity) and usual is not None:
         own, per = value.unit.of.partition("/")[::2]
         if usual.of not in ("", own) or usual.name.partition("/")[2] not in ("", SI[per]):
@@ -335,7 +339,7 @@ def _number(text: str) -> float:
     except ValueError:
         value = 0.0
     if not (np.isfinite(value) and value != 0):
-        raise ValueError(f"{text!r} is no finite number, or zero; write one like 0.25")
+        raise ValueError(f"{text!r} is zero or not finite; write a number like 0.25")
     return value
 
 
