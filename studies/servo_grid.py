@@ -134,7 +134,11 @@ def measure_case(case: Case, t: Floats, goal: Floats, position: Floats) -> Row:
 
 def write_rows(rows: Sequence[Row]) -> Iterator[str]:
     """Yield the lines of a table by kind."""
-    yield "| kind | logs | flagged | " + " | ".join(f"{name} [%]" for name in NAMES) + " | covered [%] | silent | CPU [s] |"
+    yield (
+        "| kind | logs | flagged | "
+        + " | ".join(f"{name} [%]" for name in NAMES)
+        + " | covered [%] | silent | CPU [s] |"
+    )
     yield "|---" * (len(NAMES) + 6) + "|"
     for kind in ("all", *sorted({word for row in rows for word in row.kind})):
         own = [row for row in rows if kind == "all" or kind in row.kind]

@@ -367,9 +367,7 @@ def _find(
     findings, deviation = [], rms / servo.resolution
     if doubt > TUNING.doubted:
         more = doubt * TUNING.least_scatter
-        sentence = (
-            f"in addition to rounding, the simulated motion deviates by {more:.2g} encoder steps for some samples"
-        )
+        sentence = f"in addition to rounding, the simulated motion is off by {more:.2g} encoder steps for some samples"
         findings.append(Finding("unmodelled", sentence, "name a further term, or move one joint at a time"))
     elif deviation > TUNING.noisy / math.sqrt(12):
         sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"

@@ -37,8 +37,8 @@ def make_edge_estimator(axis: Axis, record: Record, steps: bool = False) -> REdg
     model, config = axis.model.make(), axis.estimator
     if steps or not isinstance(model, Drive) or not is_plain(model):
         raise UsageError(
-            "edge times give only mass, viscous and Coulomb friction, and an offset, with a known input_gain and an even "
-            'clock; for other terms or clocks set method = "riv", which uses only the counts'
+            "edge times give only mass, viscous and Coulomb friction, and an offset, with a known input_gain and an "
+            'even clock; for other terms or clocks set method = "riv", which uses only the counts'
         )
     memory = memory_of(config.forgetting, record.dt)
     return REdge(
