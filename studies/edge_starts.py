@@ -5,7 +5,7 @@ factor of three in each parameter, or without a guess. Silent are runs that are 
 than 3 standard errors. Drift is the largest relative change of a parameter during an hour, and spike the largest error
 of the mass without a status in ten seconds of motion thereafter. A creeping axis has an edge every 20 samples.
 
-`python -m studies.edge_starts --seeds 40`
+`python -m studies.edge_starts --seeds 40 --waits 2`: seeds of the starts, and of the waits.
 """
 
 from __future__ import annotations
@@ -69,8 +69,8 @@ def wait(increments: int, creeping: bool, memory: float | None, seed: int) -> tu
     return float(drift), float(np.max(spike, initial=0.0))
 
 
-def measure(seeds: range) -> None:
-    """Print a row for each encoder, of starts and of waits."""
+def measure_starts(seeds: range) -> None:
+    """Print a row for each encoder."""
     print("| increments | right with a guess | silent | right without a guess | silent |")
     print("|---" * 5 + "|")
     for increments in INCREMENTS:
@@ -79,12 +79,16 @@ def measure(seeds: range) -> None:
         ]
         cells = [f"{right} of {len(seeds)} | {silent}" for right, silent in found]
         print(f"| {increments} | {' | '.join(cells)} |", flush=True)
+
+
+def measure_waits(seeds: range) -> None:
+    """Print a row for each hour of rest or creep."""
     print("| hour of | memory [s] | increments | drift, most [%] | spike, most [%] |")
     print("|---" * 5 + "|")
     for creeping, memory, increments in (
         (c, m, i) for c in (False, True) for m in (None, 10.0) for i in (16, 64, 1024)
     ):
-        most = 100 * np.max([wait(increments, creeping, memory, seed) for seed in seeds[:2]], axis=0)
+        most = 100 * np.max([wait(increments, creeping, memory, seed) for seed in seeds], axis=0)
         name = "creep" if creeping else "rest"
         print(f"| {name} | {memory} | {increments} | {most[0]:.2g} | {most[1]:.2g} |", flush=True)
 
@@ -92,4 +96,9 @@ def measure(seeds: range) -> None:
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=40)
-    measure(range(parser.parse_args().seeds))
+    parser.add_argument("--waits", type=int, default=2)
+    options = parser.parse_args()
+    if options.seeds:
+        measure_starts(range(options.seeds))
+    if options.waits:
+        measure_waits(range(options.waits))

@@ -143,7 +143,8 @@ def summarize(cells: Mapping[tuple[float, float], list[tuple[int, Floats]]]) -> 
             coarse = [one for increments, one in mass if increments <= COARSE and len(one) > 1]
             gain = [float(np.std(one[:, 1]) / np.std(one[:, 0])) for one in coarse] or [np.nan]
             bias = max([abs(np.mean(one[:, 0])) for one in coarse], default=np.nan)
-            share = [np.sqrt(np.mean(one[:, 2] ** 2) / np.mean(one[:, 0] ** 2)) for _, one in mass if len(one) > 1]
+            known = [one[np.isfinite(one[:, 2])] for _, one in mass]
+            share = [np.sqrt(np.mean(one[:, 2] ** 2) / np.mean(one[:, 0] ** 2)) for one in known if len(one) > 1]
             values = [np.min(gain), np.median(gain), 100 * bias]
             values += [np.exp(np.mean(np.log(share))), np.min(share)] if share else [np.nan, np.nan]
             print(

@@ -206,6 +206,18 @@ def test_rest_changes_nothing() -> None:
     np.testing.assert_allclose(track.theta[-1], before, rtol=1e-6)
 
 
+def test_an_even_motion_forgets_no_more_than_a_restart_would() -> None:
+    """An edge every 20 samples, for 120 memories, says nothing on the mass."""
+    step = 0.0931 / 16
+    hold = (CART.viscous_friction * step / (20 * DT) + CART.coulomb_friction) / CART.input_gain
+    u = np.append(prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(4)), np.full(6000, hold))
+    motion = simulate_drive(CART, np.repeat(u, EVERY), DT / EVERY)
+    counts, ages = capture_edges(motion, step, 0.3 * step, every=EVERY, tick=1e-6)
+    track = estimator_of(step, memory=0.5).run(u, counts, ages)
+    np.testing.assert_allclose(track.theta[1500:], np.tile(TRUTH, (6000, 1)), rtol=5e-3)
+    assert np.all(track.theta_std[-1] < 0.02 * TRUTH)
+
+
 def test_a_count_that_chatters_at_rest_is_no_motion() -> None:
     u = np.append(prbs(2000, clock=10, amplitude=4.0, rng=np.random.default_rng(4)), np.zeros(60))
     motion, step = simulate_drive(CART, np.repeat(u, EVERY), DT / EVERY), 0.0058

@@ -15,6 +15,7 @@
 #define MOST_HEARD PMF_R(1e4)
 #define LEAST_SHARE PMF_R(0.3) /* of the instants in an innovation that is too large, before their noise is known */
 #define MOST_SURPRISE PMF_R(9.0)
+#define FORGOTTEN PMF_R(1e-5) /* relative variance of a parameter, to which forgetting may increase it */
 #define SHRINK PMF_R(0.95) /* of the drift, from edge to edge without a trend */
 
 /* Innovation of an edge, and what it consists of. */
@@ -145,20 +146,28 @@ static void learn_line(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     state->spread = smaller(larger(state->spread, config->finest * config->finest), WIDEST);
 }
 
-/* Forget for the time since the last edge; the velocity at the start of the window has nothing to forget. */
+/* Return 1 if the covariance of an unknown may grow. Edges that say nothing on it, as those of an even motion, would
+ * make it grow for ever. The velocity at the start of the window has nothing to forget. */
+static uint32_t is_forgotten(const pmf_redge_state_t *state, uint32_t i)
+{
+    real_t most = i == PLACE ? ANYWHERE : i == LATENESS ? LATE * LATE : FORGOTTEN;
+    return i != SPEED && state->covariance[i][i] < most ? 1U : 0U;
+}
+
+/* Forget for the time since the last edge. */
 static void forget(const pmf_redge_config_t *config, pmf_redge_state_t *state)
 {
     real_t time = smaller(state->since, WAIT * config->dt), growth;
-    uint32_t i;
+    uint32_t i, j, forgotten[PMF_FOLLOWED];
     if (config->memory > PMF_R(0.0)) {
         growth = PMF_R(1.0) + time / config->memory;
         for (i = 0; i < PMF_FOLLOWED; ++i) {
-            state->opened[i] *= growth * growth;
-            if (i != SPEED) {
-                uint32_t j;
-                for (j = 0; j < PMF_FOLLOWED; ++j) {
-                    state->covariance[i][j] *= j == SPEED ? PMF_R(1.0) : growth;
-                }
+            forgotten[i] = is_forgotten(state, i);
+            state->opened[i] *= i == SPEED || forgotten[i] != 0U ? growth * growth : PMF_R(1.0);
+        }
+        for (i = 0; i < PMF_FOLLOWED; ++i) {
+            for (j = 0; j < PMF_FOLLOWED; ++j) {
+                state->covariance[i][j] *= forgotten[i] != 0U && forgotten[j] != 0U ? growth : PMF_R(1.0);
             }
         }
     }

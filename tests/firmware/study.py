@@ -79,13 +79,13 @@ def edge_estimators() -> Iterator[tuple[REdge, tuple[NDArray[np.float64], NDArra
     """Yield the recursion over edges, and input, counts and ages of the cart."""
     u = make_scenario("prbs", seed=0, increments=256, duration=EDGE_SAMPLES * CART_DT).motion.u
     motion = simulate_drive(CART, np.repeat(u, FINE), CART_DT / FINE)
-    for lines in (16, 64):
+    for lines, offset in ((16, False), (64, False), (16, True)):
         step = resolution_of(lines)
         counts, ages = capture_edges(motion, step, 0.3 * step, every=FINE, tick=1e-6)
         for precision in ("float32", "float64"):
-            encoder = Encoder(step)
+            model, encoder = Drive(2.0, offset=offset), Encoder(step)
             yield (
-                REdge(Drive(2.0), encoder, CART_DT, lines=lines, tick=1e-6, memory=10.0, precision=precision),
+                REdge(model, encoder, CART_DT, lines=lines, tick=1e-6, memory=10.0, precision=precision),
                 (u, counts, ages),
             )
 
@@ -123,7 +123,7 @@ def page() -> str:
         with tempfile.TemporaryDirectory() as folder:
             exported_edges(estimator, Path(folder), record)
             wrong = sum(difference(Path(folder), *run) is not None for run in RUNS)
-            name = f"{estimator.method}, {estimator.lines} lines"
+            name = f"{estimator.method}, {estimator.lines} lines" + ", offset" * estimator.model.offset
             bits.append(f"| edges | {record[0].size} | {name} | {estimator.precision} | {len(RUNS)} | {wrong} |")
             costs.append(edge_cost_row(name, estimator, Path(folder)))
             print(f"{bits[-1]}\n{costs[-1]}", flush=True)
