@@ -49,7 +49,7 @@ def solve_edges(pieces: Iterable[RecordPiece], settings: Settings) -> Segments:
     frames = [empty(settings)]
     for (dt, resolution, size), group in groups.items():
         estimator = _adapt(settings, dt, resolution)
-        many = max(1, TUNING.segments_batch // size)
+        many = max(1, TUNING.edges_batch // size)
         frames += [_estimate(group[first : first + many], estimator) for first in range(0, len(group), many)]
     return Segments(pl.concat(frames).sort("axis", "start"), tuple(problems))
 

@@ -94,6 +94,8 @@ class FleetTuning:
     #: Step of the time, in median steps, at which a row with an edge may be missing, and least number of samples.
     edges_apart: float = 1.5
     edges_least: int = 100
+    #: Number of samples with edge times that are estimated at once, whose results are all in memory.
+    edges_batch: int = 2**18
     #: One segment in `one_of` of a piece has a second look.
     one_of: int = 16
 
