@@ -134,14 +134,15 @@ def measure_case(case: Case, t: Floats, goal: Floats, position: Floats) -> Row:
 
 def write_rows(rows: Sequence[Row]) -> Iterator[str]:
     """Yield the lines of a table by kind."""
-    yield "| kind | logs | flagged | " + " | ".join(f"{name} [%]" for name in NAMES) + " | covered [%] | silent | CPU [s] |"
+    errors = " | ".join(f"{name} [%]" for name in NAMES)
+    yield f"| kind | logs | flagged | {errors} | covered [%] | silent | CPU [s] |"
     yield "|---" * (len(NAMES) + 6) + "|"
     for kind in ("all", *sorted({word for row in rows for word in row.kind})):
         own = [row for row in rows if kind == "all" or kind in row.kind]
         quiet = [row for row in own if not row.status]
-        errors = [[abs(row.relative[name]) for row in quiet if name in row.relative] for name in NAMES]
+        sizes = [[abs(row.relative[name]) for row in quiet if name in row.relative] for name in NAMES]
         bars = np.abs([value for row in quiet for value in row.bars.values()])
-        medians = " | ".join(f"{100 * np.median(part):.2f}" if part else "–" for part in errors)
+        medians = " | ".join(f"{100 * np.median(part):.2f}" if part else "–" for part in sizes)
         covered = f"{100 * np.mean(bars < 1.96):.0f}" if bars.size else "–"
         cpu = np.median([row.cpu for row in own])
         silent = f"{np.sum(bars > 3)} of {bars.size}"

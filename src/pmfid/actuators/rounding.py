@@ -27,7 +27,7 @@ class RoundedFit:
 
     @property
     def misfit(self) -> float:
-        """Factor of the standard errors for unmodelled effects, which move the estimate in proportion to the scatter."""
+        """Factor of the standard errors for unmodelled effects, which move the estimate by their scatter."""
         return max(measure_persistence(self.deviation, self.scatter) / TUNING.least_scatter, 1.0)
 
     @property

@@ -79,7 +79,7 @@ class ActuatorTuning:
     loop_share: float = 0.5
     #: Limit of a torque that is never reached [N m].
     no_limit: float = 1e12
-    #: A coordinate with derivatives below this [steps] has no effect, and the part of a clear value to which it is lifted.
+    #: A coordinate with derivatives below this [steps] has no effect. It is lifted to this part of a clear value.
     no_effect: float = 1e-3
     lift: float = 1e-3
     #: Blocks of the record whose scores give the standard errors, and the shortest block [s].
@@ -110,8 +110,8 @@ class ActuatorTuning:
     # findings
     #: The residual contradicts the model from this multiple of the encoder's rounding on.
     contradicted: float = 1.5
-    #: A residual persists if it is correlated this much from one sample to the next. The model is then doubted from this
-    #: multiple of the least scatter on.
+    #: A residual persists if it is correlated this much from one sample to the next. The model is then doubted from
+    #: this multiple of the least scatter on.
     correlated: float = 0.3
     doubted: float = 1.7
     #: The residual contradicts the model from this multiple of the rounding on, also if it is not correlated.
