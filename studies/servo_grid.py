@@ -9,7 +9,6 @@ import argparse
 import math
 import sys
 import time
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -83,17 +82,13 @@ def _spoil(truth: TrueServo, law: str, rng: np.random.Generator) -> TrueServo:
 
 
 def make_cases(logs: int, salt: int, wrong: bool) -> Iterator[tuple[Case, Floats, Floats, Floats]]:
-    """Yield servos with times [s], goals [rad] and positions [rad], one rate after the other."""
-    cases = defaultdict(list)
-    for number in range(logs):
-        case = draw_case(number, salt, wrong)
-        cases[case.rate].append((number, case))
-    for rate, own in cases.items():
-        t = np.arange(0.0, TIME, 1 / rate)
-        goals = [draw_goal(t, np.random.default_rng([number, salt, 53])) for number, _ in own]
-        positions = simulate_servos([case.truth for _, case in own], t, goals)
-        for (_, case), goal, position in zip(own, goals, positions, strict=True):
-            yield case, t, goal, position
+    """Yield servos with times [s], goals [rad] and positions [rad]."""
+    for numbers in np.array_split(np.arange(logs), max(logs // 80, 1)):
+        cases = [draw_case(number, salt, wrong) for number in numbers.tolist()]
+        times = [np.arange(0.0, TIME, 1 / case.rate) for case in cases]
+        goals = [draw_goal(t, np.random.default_rng([n, salt, 53])) for n, t in zip(numbers, times, strict=True)]
+        positions = simulate_servos([case.truth for case in cases], times, goals)
+        yield from zip(cases, times, goals, positions, strict=True)
 
 
 def draw_goal(t: Floats, rng: np.random.Generator) -> Floats:
