@@ -70,7 +70,7 @@ def compute_cost(deviation: Floats, scatter: float) -> float:
 
 def _measure_size(deviation: Floats) -> Floats:
     """Return the sizes (n,) of deviations, limited to what the likelihood computes without an overflow."""
-    return np.nan_to_num(np.minimum(np.abs(deviation), TUNING.widest), nan=TUNING.widest)
+    return np.minimum(np.abs(deviation), TUNING.widest)
 
 
 def compute_score(deviation: Floats, scatter: float) -> Floats:
