@@ -9,7 +9,6 @@ import argparse
 import math
 import sys
 import time
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -83,17 +82,13 @@ def _spoil(truth: TrueServo, law: str, rng: np.random.Generator) -> TrueServo:
 
 
 def make_cases(logs: int, salt: int, wrong: bool) -> Iterator[tuple[Case, Floats, Floats, Floats]]:
-    """Yield servos with times [s], goals [rad] and positions [rad], one rate after the other."""
-    cases = defaultdict(list)
-    for number in range(logs):
-        case = draw_case(number, salt, wrong)
-        cases[case.rate].append((number, case))
-    for rate, own in cases.items():
-        t = np.arange(0.0, TIME, 1 / rate)
-        goals = [draw_goal(t, np.random.default_rng([number, salt, 53])) for number, _ in own]
-        positions = simulate_servos([case.truth for _, case in own], t, goals)
-        for (_, case), goal, position in zip(own, goals, positions, strict=True):
-            yield case, t, goal, position
+    """Yield servos with times [s], goals [rad] and positions [rad]."""
+    for numbers in np.array_split(np.arange(logs), max(logs // 80, 1)):
+        cases = [draw_case(number, salt, wrong) for number in numbers.tolist()]
+        times = [np.arange(0.0, TIME, 1 / case.rate) for case in cases]
+        goals = [draw_goal(t, np.random.default_rng([n, salt, 53])) for n, t in zip(numbers, times, strict=True)]
+        positions = simulate_servos([case.truth for case in cases], times, goals)
+        yield from zip(cases, times, goals, positions, strict=True)
 
 
 def draw_goal(t: Floats, rng: np.random.Generator) -> Floats:
@@ -134,18 +129,15 @@ def measure_case(case: Case, t: Floats, goal: Floats, position: Floats) -> Row:
 
 def write_rows(rows: Sequence[Row]) -> Iterator[str]:
     """Yield the lines of a table by kind."""
-    yield (
-        "| kind | logs | flagged | "
-        + " | ".join(f"{name} [%]" for name in NAMES)
-        + " | covered [%] | silent | CPU [s] |"
-    )
+    errors = " | ".join(f"{name} [%]" for name in NAMES)
+    yield f"| kind | logs | flagged | {errors} | covered [%] | silent | CPU [s] |"
     yield "|---" * (len(NAMES) + 6) + "|"
     for kind in ("all", *sorted({word for row in rows for word in row.kind})):
         own = [row for row in rows if kind == "all" or kind in row.kind]
         quiet = [row for row in own if not row.status]
-        errors = [[abs(row.relative[name]) for row in quiet if name in row.relative] for name in NAMES]
+        sizes = [[abs(row.relative[name]) for row in quiet if name in row.relative] for name in NAMES]
         bars = np.abs([value for row in quiet for value in row.bars.values()])
-        medians = " | ".join(f"{100 * np.median(part):.2f}" if part else "–" for part in errors)
+        medians = " | ".join(f"{100 * np.median(part):.2f}" if part else "–" for part in sizes)
         covered = f"{100 * np.mean(bars < 1.96):.0f}" if bars.size else "–"
         cpu = np.median([row.cpu for row in own])
         silent = f"{np.sum(bars > 3)} of {bars.size}"

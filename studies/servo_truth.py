@@ -51,27 +51,31 @@ class TrueServo:
         return self.delay + float(np.mean(-(acts / LOOP + self.phase) % 1.0) * LOOP)
 
 
-def simulate_servos(servos: Sequence[TrueServo], t: Floats, goals: Sequence[Floats]) -> list[Floats]:
-    """Return the rounded positions (n,) [rad] of servos at the times t (n,) [s] under the goals (n,) [rad].
+def simulate_servos(servos: Sequence[TrueServo], t: Floats | Sequence[Floats], goals: Sequence[Floats]) -> list[Floats]:
+    """Return the rounded positions (n,) [rad] of servos under the goals (n,) [rad] at the times t (n,) [s] of each.
 
     Friction is implicit, and the viscous part of a step is exact.
     """
     own = {name: np.array([getattr(servo, name) for servo in servos]) for name in TrueServo.__dataclass_fields__}
-    count, every = round(float(t[-1]) / STEP) + 1, round(LOOP / STEP)
+    clocks = [t] * len(servos) if isinstance(t, np.ndarray) else t
+    count, every = round(max(float(clock[-1]) for clock in clocks) / STEP) + 1, round(LOOP / STEP)
     now = np.arange(count) * STEP
-    rows = [np.searchsorted(t + servo.delay, now + 1e-9, side="right") - 1 for servo in servos]
-    held = np.stack([goal[np.maximum(row, 0)] for goal, row in zip(goals, rows, strict=True)], axis=1)
+    held = np.empty((count // every + 2, len(servos)))
+    for j, (servo, clock, goal) in enumerate(zip(servos, clocks, goals, strict=True)):
+        ticks = (np.arange(len(held)) - round(servo.phase * every) / every) * LOOP
+        rows = np.searchsorted(clock + servo.delay, ticks + 1e-9, side="right") - 1
+        held[:, j] = goal[np.maximum(rows, 0)]
     rate = np.maximum(own["viscous"] / own["inertia"] * STEP, 1e-12)
     left, gain = np.exp(-rate), -np.expm1(-rate) / rate * STEP / own["inertia"]
     first = np.round(own["phase"] * every).astype(int)
     x, v, torque, before, shown, slip = (np.zeros(len(servos)) for _ in range(6))
     soft, bristle, play = own["bristle"] > 0, np.maximum(own["bristle"], 1e-12), 0.5 * own["backlash"]
-    out = np.empty((count, len(servos)))
+    out, columns = np.empty((count, len(servos)), np.float32), np.arange(len(servos))
     for k in range(count):
         shown, tick = np.clip(shown, x - play, x + play), (k + first) % every == 0
         out[k] = shown
         seen = own["resolution"] * np.rint(shown / own["resolution"])
-        wanted = own["kp"] * (held[k] - seen) - own["kd"] * (seen - before) / LOOP
+        wanted = own["kp"] * (held[(k + first) // every, columns] - seen) - own["kd"] * (seen - before) / LOOP
         torque = np.where(tick, np.clip(wanted, -own["torque_limit"], own["torque_limit"]), torque)
         before, wave, speed = np.where(tick, seen, before), np.sin(own["waves"] * x), np.abs(v)
         load = own["gravity"] * np.sin(x)
@@ -86,5 +90,6 @@ def simulate_servos(servos: Sequence[TrueServo], t: Floats, goals: Sequence[Floa
         way = 0.5 * STEP * (v + moved)
         x, v, slip = x + way, moved, np.clip(slip + way, -bristle, bristle)
     return [
-        servo.resolution * np.rint(np.interp(t, now, out[:, j]) / servo.resolution) for j, servo in enumerate(servos)
+        servo.resolution * np.rint(np.interp(clock, now, out[:, j]) / servo.resolution)
+        for j, (servo, clock) in enumerate(zip(servos, clocks, strict=True))
     ]

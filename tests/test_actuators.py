@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pmfid.actuators import Servo, fit_servo
-from pmfid.actuators.rounding import compute_cost, compute_score, compute_weight
+from pmfid.actuators.rounding import compute_cost, compute_score, compute_weight, invert_curvature
 from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.types import Floats
@@ -185,6 +185,27 @@ def test_a_position_that_scatters_by_more_than_rounding_is_flagged() -> None:
     scatter = STEP * np.random.default_rng(7).integers(-2, 3, t.size)
     fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), t, goal, position + scatter, search=False)
     assert fit.status == ("unmodelled",)
+
+
+def test_a_wrong_friction_below_the_rounding_is_flagged() -> None:
+    t, rng = np.arange(600) * 0.01, np.random.default_rng(3)
+    steps = rng.uniform(-0.5, 0.5, 15).repeat(40)
+    goal = np.where(t < 3, steps, 0.4 * np.sin(5 * t) + 0.2 * np.sin(13 * t))
+    known = Servo(STEP, given={"kp": 8.0, "kd": 0.0, "loop_delay": 0.0})
+    true = replace(known, terms=("stribeck", "stribeck_speed"))
+    position = true.simulate(np.array([0.01, 0.3, 0.05, 0.01, 0.02, 0.5]), t, goal, 0.0)
+    fit = fit_servo(known, t, goal, STEP * np.rint(position / STEP), search=False)
+    assert fit.status == ("unmodelled",)
+    assert fit.residual < 1.4 * STEP / math.sqrt(12)
+
+
+def test_a_direction_that_a_log_hardly_shows_keeps_its_variance() -> None:
+    alike = np.array([[1.0, 1.0 - 1e-14, 0.0], [1.0 - 1e-14, 1.0, 0.0], [0.0, 0.0, 0.0]])
+    variance = np.diag(invert_curvature(alike))
+    assert variance[:2].min() > 1e8
+    assert variance[2] == 0
+    plain = np.array([[4.0, 1.0], [1.0, 9.0]])
+    assert invert_curvature(plain) == pytest.approx(np.linalg.inv(plain))
 
 
 @pytest.mark.parametrize("seed", range(30, 36))

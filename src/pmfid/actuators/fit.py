@@ -156,7 +156,9 @@ def fit_servo(
     See `ServoFit`.
     """
     columns = {"t": t, "goal": goal, "position": position, **({} if force is None else {"force": force})}
-    problem = ServoProblem(replace(servo, known_force=force is not None), **_check(servo, columns))
+    times, goals, positions, *known = _check(servo, columns)
+    servo = replace(servo, known_force=force is not None)
+    problem = ServoProblem(servo, times, goals, positions, force=known[0] if known else None)
     z, added = find_start(problem), list[str]()
     head = problem.head()
     if search and head.t.size < TUNING.short_head * problem.t.size:  # most terms show in a part of a long log
@@ -190,9 +192,8 @@ def _search_terms(
             break
         problem, z, cost, name = better
         names.append(name)
-        if (
-            name == "torque_limit" and _measure_doubt(problem, z) > TUNING.doubted
-        ):  # the start without a limit was far off
+        if name == "torque_limit" and _measure_doubt(problem, z) > TUNING.doubted:
+            # The start without a limit was far off.
             fresh, less = problem.refine(find_start(problem))
             z, cost = (fresh, less) if less < cost else (z, cost)
     return problem, z, cost, names
@@ -214,7 +215,7 @@ def _sharpen(problem: ServoProblem, z: Floats) -> tuple[ServoProblem, Floats]:
     return (counted, found) if likelier else (problem, z)
 
 
-def _check(servo: Servo, columns: Mapping[str, Floats]) -> dict[str, Floats]:
+def _check(servo: Servo, columns: Mapping[str, Floats]) -> list[Floats]:
     """Return the columns of a log as floats. Raises for columns that no fit can use."""
     found = {name: np.ascontiguousarray(values, dtype=float) for name, values in columns.items()}
     arrays = list(found.values())
@@ -231,7 +232,7 @@ def _check(servo: Servo, columns: Mapping[str, Floats]) -> dict[str, Floats]:
         raise NotIdentifiableError("the servo hardly moves: command steps or sines of many encoder steps")
     if "force" in found and not found["force"].any():
         raise UsageError("the known force is zero: leave it out, or check its column")
-    return found
+    return arrays
 
 
 # --- terms ------------------------------------------------------------------------------------------------------------
@@ -367,7 +368,7 @@ def _find(
     findings, deviation = [], rms / servo.resolution
     if doubt > TUNING.doubted:
         more = doubt * TUNING.least_scatter
-        sentence = f"in addition to rounding, the simulated motion is off by {more:.2g} encoder steps for some samples"
+        sentence = f"in addition to rounding, the simulated motion deviates by {more:.2g} encoder steps for a while"
         findings.append(Finding("unmodelled", sentence, "name a further term, or move one joint at a time"))
     elif deviation > TUNING.noisy / math.sqrt(12):
         sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"

@@ -169,6 +169,7 @@ def _make_joint(
     if robot.unitless and layout.unit is None:
         raise UsageError("a data set of LeRobot does not state its unit: give --unit deg, or rad")
     notes = [*robot.notes, *(f"{key} is {value:.4g} by the file" for key, value in robot.given.items())]
+    notes += [f"known torques are {', '.join(known)}"] if known else []
     notes += [f"{np.sum(~there)} rows without a number are left out"] if not there.all() else []
     rows = np.flatnonzero(there)
     fresh = np.append(True, np.diff(t[rows]) != 0) if rows.size else np.zeros(0, bool)

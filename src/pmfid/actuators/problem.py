@@ -114,7 +114,8 @@ class ServoProblem:
 
     def residual(self, z: Floats) -> Floats:
         """Simulated minus measured position (n,) [rad]. The residual is finite for all coordinates."""
-        return np.nan_to_num(np.clip(self.simulate(z) - self.position, -1e6, 1e6), nan=1e6)
+        found = np.clip(self.simulate(z) - self.position, -1e6, 1e6)
+        return found if np.isfinite(found.sum()) else np.nan_to_num(found, nan=1e6)
 
     def is_contradicted(self, z: Floats) -> bool:
         """Whether the squared residual at coordinates (p + 2,) is more than rounding explains."""

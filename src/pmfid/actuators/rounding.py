@@ -27,7 +27,7 @@ class RoundedFit:
 
     @property
     def misfit(self) -> float:
-        """Factor of the standard errors for unmodelled effects, whose size is proportional to the scatter."""
+        """Factor of the standard errors for unmodelled effects, which move the estimate by their scatter."""
         return max(measure_persistence(self.deviation, self.scatter) / TUNING.least_scatter, 1.0)
 
     @property
@@ -70,7 +70,7 @@ def compute_cost(deviation: Floats, scatter: float) -> float:
 
 def _measure_size(deviation: Floats) -> Floats:
     """Return the sizes (n,) of deviations, limited to what the likelihood computes without an overflow."""
-    return np.nan_to_num(np.minimum(np.abs(deviation), TUNING.widest), nan=TUNING.widest)
+    return np.minimum(np.abs(deviation), TUNING.widest)
 
 
 def compute_score(deviation: Floats, scatter: float) -> Floats:

@@ -20,7 +20,7 @@ def standard_errors(problem: ServoProblem, z: Floats) -> Floats:
     variance = np.diag(_covariance(problem, z, now, slope))[: -TUNING.nuisance] * np.square(slope)
     for change in compute_rival_changes(problem, z):  # the curvature of the likelihood already knows near rivals
         moved = np.square(change)
-        share = np.max(1 - variance / np.maximum(moved, 1e-300))
+        share = np.max(1 - variance / np.maximum(moved, 1e-12 * variance + 1e-300))
         variance = variance + max(share, 0.0) * moved
     return np.asarray(np.sqrt(variance))
 

@@ -21,8 +21,8 @@ def _gain(problem: ServoProblem, rng: np.random.Generator, frequency: float) -> 
         return given.get("kp", 1.0)
     if "inertia" in given:
         return given["inertia"] * frequency**2
-    known = [given[name] for name in ("gravity", "torque_limit", "coulomb", "kd") if given.get(name)]
-    torque = known[0] if known else float(np.sqrt(np.mean(np.square(problem.force))))
+    force = 1.0 if problem.force is None else float(np.abs(problem.force).max())
+    torque = next((given[name] for name in ("gravity", "torque_limit", "coulomb", "kd") if given.get(name)), force)
     return torque / max(problem.lag, problem.servo.resolution) * _draw(rng, 0.03, 30.0)
 
 

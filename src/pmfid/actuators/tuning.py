@@ -79,7 +79,7 @@ class ActuatorTuning:
     loop_share: float = 0.5
     #: Limit of a torque that is never reached [N m].
     no_limit: float = 1e12
-    #: A coordinate with derivatives below this [steps] has no effect, and the part of a clear value that it gets.
+    #: A coordinate with derivatives below this [steps] has no effect. It is lifted to this part of a clear value.
     no_effect: float = 1e-3
     lift: float = 1e-3
     #: Blocks of the record whose scores give the standard errors, and the shortest block [s].

@@ -11,10 +11,10 @@ Friction and gravity are constant between two ticks. This module checks lengths,
 import numpy as np
 
 cimport numpy as cnp
-from libc.math cimport ceil, exp, fabs, fmax, fmin, rint, sin
+from libc.math cimport ceil, exp, expm1, fabs, fmax, fmin, rint, sin
 from libc.stdlib cimport free, malloc
 
-from pmfid.simulation._body cimport Parameters, State, advance
+from pmfid.simulation._body cimport Parameters, State, advance, ramp_factor
 
 cnp.import_array()
 
@@ -52,6 +52,34 @@ cdef inline double recall(const Past *past, double time) noexcept nogil:
         later = earlier
         earlier = earlier - 1 if earlier > 0 else past.size - 1
     return past.position[later]
+
+
+cdef struct Glide:
+    # What a motion of the time h without an event needs of its exponential, for one rate = viscous / mass.
+    double rate, h, fall, mean, ramp
+
+
+cdef inline void move(State *state, double force, double h, Parameters p, Glide *glide) noexcept nogil:
+    """Move for one interval like `advance`, without its exponentials where the last ones fit and no event occurs.
+
+    The velocity crosses zero at most once in an interval, so an interval that keeps its sign has no event.
+    """
+    cdef double rate = p.viscous / p.mass, z, push, acceleration, v
+    cdef double side = 1.0 if state.v > 0.0 or (state.v == 0.0 and force > 0.0) else -1.0
+    if state.v == 0.0 and fabs(force) <= p.coulomb:
+        return
+    if rate != glide.rate or h != glide.h:
+        z = rate * h
+        glide.rate, glide.h, glide.fall = rate, h, expm1(-z)
+        glide.mean, glide.ramp = -glide.fall / z if z > 0.0 else 1.0, ramp_factor(z)
+    push = -side * (p.coulomb - side * force)
+    acceleration = push / p.mass
+    v = state.v + (glide.fall * state.v + acceleration * h * glide.mean)
+    if side * v > 0.0:
+        state.x += h * (glide.mean * state.v + acceleration * h * glide.ramp)
+        state.v = v
+    else:
+        advance(state, force, h, p)
 
 
 cdef inline double limit(double torque, double most) noexcept nogil:
@@ -105,6 +133,7 @@ def simulate_servo(cnp.ndarray[double, mode="c"] t not None, cnp.ndarray[double,
     cdef const double *goals = <const double *>cnp.PyArray_DATA(goal)
     cdef State state = State(x0, v0, 0.0, 0.0)
     cdef Past past
+    cdef Glide glide = Glide(-1.0, 0.0, 0.0, 0.0, 0.0)
     cdef double h, now, y, before = x0 - v0 * period, w, push = 0.0, load, friction, speed
     past.size = <Py_ssize_t>fmin(2.0 * p.loop_delay / period + 4.0, 1e6)
     past.head, past.count = -1, 0
@@ -134,12 +163,15 @@ def simulate_servo(cnp.ndarray[double, mode="c"] t not None, cnp.ndarray[double,
                 ticks += 1
                 limited += fabs(push) >= p.torque_limit
                 speed = fabs(state.v)
-                load = p.offset + p.gravity * sin(state.x + 0.5 * h * state.v - p.gravity_angle)
+                load = p.offset
+                if p.gravity != 0.0:
+                    load += p.gravity * sin(state.x + 0.5 * h * state.v - p.gravity_angle)
                 if loads != NULL:
                     load += loads[k] + (loads[k + 1] - loads[k]) * (j + 0.5) / parts
                 friction = p.coulomb + p.load_friction * fabs(push + load)
                 if p.stribeck != 0.0:
                     friction += p.stribeck * exp(-speed / p.stribeck_speed)
-                advance(&state, push - load, h, Parameters(p.inertia, p.viscous + p.quadratic * speed, fmax(friction, 0.0)))
+                move(&state, push - load, h,
+                     Parameters(p.inertia, p.viscous + p.quadratic * speed, fmax(friction, 0.0)), &glide)
     free(past.time)
     return out[0], out[1], limited / <double>ticks
