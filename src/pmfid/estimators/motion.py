@@ -647,11 +647,12 @@ def _widths_near(difference: Difference, error: Floats, step: Floats) -> Floats 
 
     If the motion nearly explains the counts, the quotients are as long as the step, because longer quotients miss the
     minimum. If the motion is far from the counts, the quotients stay long, because stops that come and go would distort
-    short quotients.
+    short quotients. If forces depend on the position, the quotients stay longer, to average over the motion's kinks.
     """
     if rms(error) > TUNING.output_error_hopeless * difference.explained:
         return TUNING.quotient_step
-    return np.asarray(np.clip(np.abs(step), TUNING.least_quotient, TUNING.quotient_step))
+    least = TUNING.likelihood_quotient if difference.equation.place_matters else TUNING.least_quotient
+    return np.asarray(np.clip(np.abs(step), least, TUNING.quotient_step))
 
 
 def _damped_steps(
