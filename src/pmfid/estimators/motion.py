@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import accumulate
 from operator import mul
 
@@ -99,7 +99,7 @@ def simulate_motions(
     for index, theta in enumerate(thetas):
         alike.setdefault(tuple(theta[p:].tolist()), []).append(index)
     for further, rows in alike.items():
-        known = equation.known_at(np.array(further))
+        known = _equation_at(equation, further) if further else equation
         shapes, pieces = shape_bytes(known.shapes), split
         roles = np.array([known.role_values(theta) for theta in thetas[rows]])
         if steps is not None and (known.lag or np.any(roles[:, LATE] > 0)):
@@ -129,6 +129,12 @@ def simulate_motions(
             steps=steps,
         )
     return velocity, ends
+
+
+@lru_cache(maxsize=64)
+def _equation_at(equation: Equation, further: tuple[float, ...]) -> Equation:
+    """Return the equation at these lag and shape parameters. Windows and quotients ask for the same ones many times."""
+    return equation.known_at(further)
 
 
 def _simulate_late(
@@ -641,11 +647,12 @@ def _widths_near(difference: Difference, error: Floats, step: Floats) -> Floats 
 
     If the motion nearly explains the counts, the quotients are as long as the step, because longer quotients miss the
     minimum. If the motion is far from the counts, the quotients stay long, because stops that come and go would distort
-    short quotients.
+    short quotients. If forces depend on the position, the quotients stay longer, to average over the motion's kinks.
     """
     if rms(error) > TUNING.output_error_hopeless * difference.explained:
         return TUNING.quotient_step
-    return np.asarray(np.clip(np.abs(step), TUNING.least_quotient, TUNING.quotient_step))
+    least = TUNING.likelihood_quotient if difference.equation.place_matters else TUNING.least_quotient
+    return np.asarray(np.clip(np.abs(step), least, TUNING.quotient_step))
 
 
 def _damped_steps(
