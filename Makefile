@@ -301,7 +301,6 @@ docs-pictures: docs service-tools
 
 images: .venv/installed
 	.venv/bin/python -m examples.demo --out demo-report --images docs/images
-	.venv/bin/python -m studies.edge_step --figure docs/images/edges.png
 
 clean:
 	rm -rf .venv build demo-report reproduced results

@@ -3,13 +3,12 @@
 Errors and scatter are those of the mass in the last ten seconds. The time is from the step to the last estimate that is
 more than 5 % off.
 
-`python -m studies.edge_step --seeds 10 [--figure FILE]`
+`python -m studies.edge_step --seeds 10`
 """
 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -55,43 +54,19 @@ def judge(mass: Floats) -> tuple[float, float, float]:
     return float(np.mean(end)), float(np.std(end)), CART_DT * float(np.max(np.flatnonzero(np.abs(half) > 5)) + 1)
 
 
-def write_figure(steps: dict[str, Step], path: Path) -> None:
-    """Write the masses of one run of each motion."""
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 3.6), layout="constrained")
-    for place, (motion, step) in zip(figure.subplots(1, len(steps), sharey=True), steps.items(), strict=True):
-        t = CART_DT * np.arange(step.edges.size)
-        place.plot(t, step.counts, lw=1, label=f"{FINEST} increments, counts (RIV)")
-        place.plot(t, step.edges, lw=1, label=f"{COARSE} increments, edge times (REdge)")
-        truth = np.where(t < SECONDS / 2, CART.mass, CART_LOADED.mass)
-        place.plot(t, truth, "k--", lw=0.8, label="truth")
-        place.set(title=motion, xlabel="time [s]", xlim=(SECONDS / 2 - 4, SECONDS / 2 + 12), ylim=(0.95, 1.6))
-    figure.axes[0].set_ylabel("mass [kg]")
-    figure.axes[-1].legend(loc="lower right", fontsize="small")
-    figure.savefig(path, dpi=130)
-
-
-def measure(seeds: range) -> dict[str, Step]:
-    """Print a row for each motion and method, and return one run of each motion."""
+def measure(seeds: range) -> None:
+    """Print a row for each motion and method."""
     print("| motion | method | mean error [%] | scatter [%] | time to 5 %, median [s] | longest |")
     print("|---" * 6 + "|")
-    first = {}
     for motion in MOTIONS:
         steps = [follow(motion, seed) for seed in seeds]
-        first[motion] = steps[0]
         for name in Step._fields:
             error, scatter, time = np.array([judge(getattr(step, name)) for step in steps]).T
             numbers = np.mean(np.abs(error)), np.mean(scatter), np.median(time), np.max(time)
             print(f"| {motion} | {name} | " + " | ".join(f"{x:.3g}" for x in numbers) + " |", flush=True)
-    return first
 
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--figure", type=Path)
-    options = parser.parse_args()
-    steps = measure(range(options.seeds))
-    if options.figure:
-        write_figure(steps, options.figure)
+    measure(range(parser.parse_args().seeds))
