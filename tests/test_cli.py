@@ -229,7 +229,7 @@ def test_option_out_of_range(cart: Cart, options: tuple[str, ...], what: str, re
         ("cutoff = 50.0", "cutoff = 201", "cutoff = 201 rad/s is too high", "at most 2/dt = 200 rad/s"),
         ("order = 2", "ordre = 2", "[estimator] ordre is an unknown key", "did you mean 'order'?"),
         ("order = 2", "bits = 2", "[estimator] bits is an unknown key", "it belongs in [encoder]"),
-        ("order = 2", "order 2", "not valid TOML", "correct that line"),
+        ("order = 2", "order 2", "not valid TOML", "correct this line"),
     ],
 )
 def test_configuration_that_is_wrong(tmp_path: Path, cart: Cart, old: str, new: str, what: str, remedy: str) -> None:
@@ -313,14 +313,14 @@ def test_axis_that_does_not_move(tmp_path: Path, cart: Cart, method: str, u: pl.
 def test_input_of_zero_while_the_axis_moves(tmp_path: Path, cart: Cart, method: str) -> None:
     record = written(tmp_path, cart.frame.with_columns(u=0.0))
     text = complaint(run(record, "--json", "--method", method), code=3)
-    assert "the input is zero while the axis moves: record the input that drives it" in text
+    assert "the input is zero while the axis moves: record the input that drives the axis" in text
 
 
 @pytest.mark.parametrize("method", EVERY_METHOD)
 def test_constant_input_and_speed(tmp_path: Path, method: str) -> None:
     record = written(tmp_path, moved(np.full(3000, 3.0)))
     text = complaint(run(record, "--json", "--method", method), code=3)
-    assert "too little excitation: record reversals" in text
+    assert "the excitation is too small: record reversals" in text
 
 
 #: Steps of an encoder [m] and samples until the input starts.

@@ -167,7 +167,7 @@ def test_prefilter_zeros_from_a_toml_list(tmp_path: Path) -> None:
         ("input_gain = 2", "input_gain = true", ("[model] input_gain = True:", "valid number")),
         ("input_gain = 2", "input_gain = 2\noffset = 1", ("[model] offset = 1:", "true to identify")),
         ("input_gain = 2", 'input_gain = 2\nkind = "siso"', ("[model] kind = 'siso':", "'drive'")),
-        ('time = "t"\n', "", ("[record]: neither time nor dt is there",)),
+        ('time = "t"\n', "", ("[record]: time and dt are both missing",)),
         ('time = "t"\n', "dt = 0.0\n", ("[record] dt = 0.0:", "sample period in s")),
         ('output = "y"', 'output = "u"', ("[record]: input, output and time must be different",)),
         ('output = "y"', 'output = ""', ("[record] output = '':", "at least 1 character")),

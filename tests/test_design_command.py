@@ -239,9 +239,9 @@ def test_all_rounds_on_a_simulated_axis() -> None:
     ("arguments", "message"),
     [
         (["--want", "mass"], "not NAME=NUMBER"),
-        (["--want", "offset=1"], "offset is not among the unknown"),
+        (["--want", "offset=1"], "offset is none of the unknown"),
         (["--want", "mass=-1"], "positive"),
-        (["--truth", "weight=1"], "weight is no parameter"),
+        (["--truth", "weight=1"], "weight is not a parameter"),
         (["nowhere.csv"], "nowhere.csv"),
     ],
 )
@@ -255,4 +255,4 @@ def test_wrong_commissions_are_one_error(arguments: list[str], message: str) -> 
 def test_records_and_a_truth_exclude_each_other(tmp_path: Path, first: np.ndarray) -> None:
     result = run("design", EXAMPLE, record(tmp_path, first, 1.5), "--truth", "mass=1.5")
     assert result.exit_code == 2
-    assert "not both" in result.stderr
+    assert "exclude each other" in result.stderr

@@ -162,7 +162,7 @@ def test_simulated_runs_depend_on_the_generator_alone() -> None:
 
 @pytest.mark.parametrize(
     ("wanted", "rounds", "message"),
-    [({"offset": 1.0}, 1, "offset is not among"), ({"mass": 0.0}, 1, "positive"), ({"mass": 1.0}, 0, "rounds")],
+    [({"offset": 1.0}, 1, "offset is none of"), ({"mass": 0.0}, 1, "positive"), ({"mass": 1.0}, 0, "rounds")],
 )
 def test_wrong_wishes_are_errors(wanted: dict[str, float], rounds: int, message: str) -> None:
     with pytest.raises(UsageError, match=message):

@@ -137,7 +137,7 @@ def test_edge_times_need_a_coarser_encoder_than_counts(fine: Path, tmp_path: Pat
     ("changes", "message"),
     [
         ({"wanted": 0.0}, "above 0 and below 100 %"),
-        ({"line_error": 0.5}, "lines are off by less than 50 %"),
+        ({"line_error": 0.5}, "error of the lines below 50 %"),
         ({"parameter": "masss"}, "did you mean"),
     ],
 )

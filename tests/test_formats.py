@@ -49,7 +49,7 @@ def test_the_content_tells_the_format_where_the_name_does_not(tmp_path: Path, su
     WRITERS[suffix](tmp_path / f"run{suffix}", RUN)
     path = (tmp_path / f"run{suffix}").rename(tmp_path / f"run{ending or suffix}")
     if (ending == ".bin" and suffix == ".csv") or (ending and suffix in (".npz", ".xlsx")):  # both are ZIP
-        with pytest.raises(UsageError, match=r"'\.bin' is not known|a packed file"):
+        with pytest.raises(UsageError, match=r"'\.bin' is not known|the file is packed"):
             read(path)
         return
     same(read(path))

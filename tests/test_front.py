@@ -78,7 +78,7 @@ def test_a_wrong_name_lists_the_right_ones() -> None:
             result["Mass"]
         assert isinstance(caught.value, UnknownParameterError)
         assert str(caught.value) == (
-            "there is no parameter 'Mass'; there are mass, viscous_friction, coulomb_friction; did you mean 'mass'?"
+            "there is no parameter 'Mass'; use one of mass, viscous_friction, coulomb_friction; did you mean 'mass'?"
         )
 
 

@@ -501,7 +501,7 @@ def test_a_result_with_a_gain_that_was_found_predicts(folder: Path) -> None:
     assert same["records"] == found["records"]
     (folder / "other.toml").write_text(number.replace(repr(reported["input_gain"]), "9.0"))
     refused = invoked("validate", record, "--config", folder / "other.toml", "--model", stored, code=2)
-    assert "identified with input_gain" in refused
+    assert "the result has input_gain" in refused
 
 
 def test_a_result_in_python_predicts(records: dict[str, CartRecord]) -> None:

@@ -162,7 +162,10 @@ def answer(question: str, read: Reader) -> float | None:
 
 def test_a_record_without_time_says_what_to_fill_in(tmp_path: Path) -> None:
     pl.DataFrame({"u": run().motion.u, "counts": run().counts}).write_csv(tmp_path / "log.csv")
-    assert "dt = 0.001  # TO DO: no column has the time" in guess(tmp_path / "log.csv").text
+    assert (
+        "dt = 0.001  # TO DO: write the sample period in s, because no column has the time"
+        in guess(tmp_path / "log.csv").text
+    )
     assert "dt = 0.004  # as answered" in guess(tmp_path / "log.csv", answer).text
 
 
@@ -199,7 +202,7 @@ def test_lengths_in_counts_and_of_no_unit_are_said(tmp_path: Path) -> None:
     path = saved("counts", tmp_path)
     record = kind_of(guess_axis(path)).read([path], guess_axis(path))
     assert "resolution is 1: lengths are in counts; give the travel of a count in [encoder]" in record.notes
-    assert any(note.startswith("input_gain is 1: forces are in the unit of 'u'") for note in record.notes)
+    assert any(note.startswith("input_gain is 1, so forces are in the unit of 'u'") for note in record.notes)
     result = CliRunner().invoke(main, ["identify", str(path), "--config", str(path.with_suffix(".toml")), "--json"])
     units = {name: own["unit"] for name, own in json.loads(result.stdout)["parameters"].items()}
     assert units == {"mass": "N s2/count", "viscous_friction": "N s/count", "coulomb_friction": "N"}
@@ -303,7 +306,7 @@ def test_a_servo_without_a_torque_is_refused_with_what_its_controller_gives(tmp_
         "input_volts": 12 + 0.1 * np.sin(9 * t),
     }
     pl.DataFrame(frame).write_csv(tmp_path / "log.csv")
-    with pytest.raises(UsageError, match="add the column goal_position - position"):
+    with pytest.raises(UsageError, match="add the column u = goal_position - position"):
         guess(tmp_path / "log.csv")
 
 

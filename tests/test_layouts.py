@@ -257,7 +257,10 @@ def test_a_trace_of_codesys(tmp_path: Path) -> None:
     rows = "\n".join(f"{k} {U[k]:.6g} {Y[k]:.6g}" for k in range(N))
     trace = f"BODAS Trace\nD:\\PROJECTS\\RUN.PRO\nCycle u y\n{rows}\n"
     (tmp_path / "run.txt").write_text(trace)
-    for more, said in (("", r"steps by 1: if it counts the samples, give .record. dt in s"), (f"dt = {DT}\n", "")):
+    for more, said in (
+        ("", r"steps by 1: if the column counts samples, give the sample period as .record. dt in s"),
+        (f"dt = {DT}\n", ""),
+    ):
         (tmp_path / "axis.toml").write_text(TOML.format(more=more).replace('"t"', '"Cycle"'))
         axis = load_axis(tmp_path / "axis.toml")
         if said:

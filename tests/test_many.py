@@ -360,7 +360,7 @@ def test_tables_that_are_no_numbers_are_refused():
             estimator.run(wrong, np.zeros(2, int))
     for state in (None, "a", 3):
         for target in (estimator, fleet):
-            with pytest.raises(pmfid.UsageError, match="a state is the bytes that get_state gave"):
+            with pytest.raises(pmfid.UsageError, match="a state must be bytes from get_state"):
                 target.set_state(state)
 
 

@@ -149,7 +149,7 @@ def test_stribeck_friction_is_seen_at_low_speed() -> None:
 def test_quadratic_friction_is_seen_with_its_place() -> None:
     said = sentences(other_drive(quadratic))
     assert "Look here: the residual changes with velocity" in said["Residual over velocity and position"]
-    more = re.search(r"which is ([\d.]+) N (\w+) at (-?[\d.]+) m/s", said["Friction over velocity"])
+    more = re.search(r"the friction is ([\d.]+) N (\w+) at (-?[\d.]+) m/s", said["Friction over velocity"])
     assert more is not None, said
     assert float(more[1]) > 0.1
 

@@ -426,7 +426,7 @@ def test_matlab_v73_without_its_contents_is_damaged(tmp_path: Path) -> None:
 
 def test_matlab_variable_that_is_no_vector(tmp_path: Path) -> None:
     path = write(tmp_path / "run.mat", columns() | {"y": np.zeros((20, 3))})
-    assert "output column 'y' is not a vector, its shape is (20, 3)" in message(path)
+    assert "output column 'y' has the shape (20, 3) and is not a vector" in message(path)
 
 
 @pytest.mark.parametrize("value", ["volts", np.array([{}], object), np.ones(20) * 1j])

@@ -123,7 +123,7 @@ def test_what_takes_no_steps_says_so() -> None:
         RLS(TransferFunction(2, 0), Encoder(1e-3), 0.01, 5.0, steps="given")
     with pytest.raises(UsageError, match="even samples"):
         KnownStep(*arguments(), steps=steps)
-    with pytest.raises(UsageError, match="run each by itself"):
+    with pytest.raises(UsageError, match="run each axis by itself"):
         Fleet(RLS(*arguments(), steps="given"), 3)
     with pytest.raises(UsageError, match="positive"):
         IV(*arguments(), steps=np.zeros(5))

@@ -116,7 +116,7 @@ def test_keys_of_axis_toml_are_those_of_a_drive() -> None:
     keys = {"stribeck": 0.02, "quadratic": True, "gravity": 6.3, "cogging": 0.01, "friction_period": 0.4}
     model = ModelConfig.model_validate({"input_gain": 2.0, **keys}).make()
     assert model == pmfid.Drive(2.0, **keys)  # type: ignore[arg-type]
-    with pytest.raises(ValueError, match="stribeck is for kind"):
+    with pytest.raises(ValueError, match="stribeck belongs to kind"):
         ModelConfig.model_validate({"kind": "equation", "stribeck": 0.02, "unknown": []})
 
 

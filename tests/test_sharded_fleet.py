@@ -335,7 +335,7 @@ def test_what_was_written_without_waiting_is_synced_with_the_next_that_waits(
 def test_axes_of_another_configuration_are_not_taken_for_ours(tmp_path: Path) -> None:
     two_checkpoints(tmp_path)
     for others in ([], [make(pmfid.BCRLS, forgetting=0.9)], [make(pmfid.BCRLS, "float32")]):
-        with pytest.raises(pmfid.UsageError, match=r"none of the . estimators given; give all"):
+        with pytest.raises(pmfid.UsageError, match=r"none of the . estimators given; give every"):
             pmfid.ShardedFleet(tmp_path, others)
     opened(tmp_path).close()  # the folder is free
 

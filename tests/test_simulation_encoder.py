@@ -88,10 +88,10 @@ def test_same_seed_same_faults() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"missed": 1.0}, r"missed must be in \[0, 1\), got 1.0; it is the part"),
-        ({"jitter": -0.1}, r"jitter must be in \[0, inf\), got -0.1; it is a standard deviation"),
+        ({"missed": 1.0}, r"missed must be in \[0, 1\), got 1.0; give the part"),
+        ({"jitter": -0.1}, r"jitter must be in \[0, inf\), got -0.1; give a standard deviation"),
         ({"jitter": float("nan")}, "jitter .* got nan"),
-        ({"line_error": 0.5}, r"line_error must be in \[0, 0.5\), got 0.5; further off"),
+        ({"line_error": 0.5}, r"line_error must be in \[0, 0.5\), got 0.5; give less"),
         ({"lines": 0}, "lines .* got 0; give the counts per turn"),
         ({"seed": -1}, "seed .* got -1; any whole number"),
     ],

@@ -87,7 +87,7 @@ def test_nothing_is_named_where_nothing_is_missing(plain: TermSearch) -> None:
     assert len(plain.models) == 1
     assert "unresolved" not in plain.status
     assert plain.lines == ("[model]", 'kind = "drive"', "input_gain = 0.5")
-    assert "No term beyond" in plain.sentence
+    assert "The search adds no term" in plain.sentence
 
 
 def test_directional_friction_is_named_with_its_size(directional: TermSearch) -> None:
@@ -149,7 +149,7 @@ def test_the_share_of_the_friction_falls(directional: TermSearch) -> None:
     first, last = (model.unexplained[0] for model in directional.models)
     assert 0.05 < first < 0.3
     assert last < 0.2 * first
-    assert f"with directional friction {100 * last:.2g} %" in directional.sentence
+    assert f"adding directional friction leaves {100 * last:.2g} %" in directional.sentence
 
 
 def test_what_would_not_be_seen_is_reported_with_its_size(directional: TermSearch) -> None:

@@ -188,7 +188,7 @@ class Rough(pmfid.RLS):
 BROKEN = {
     Hidden: "copies_go_on_alone: the original moves",
     Forgetful: "copies_go_on_alone: copy.deepcopy goes on with other bits",
-    Mutable: "configuration_is_a_value: a new value of dt is taken",
+    Mutable: "configuration_is_a_value: a new value of dt raises no FrozenInstanceError",
     Identical: "configuration_is_a_value: two of the same configuration have two hashes",
     Lax: "wrong_arguments_are_refused: dt = 0.0",
     Greedy: "inputs_stay_untouched: the arrays",
@@ -201,7 +201,7 @@ BROKEN = {
     Credulous: "rest_is_not_identifiable: a record at rest",
     Careless: "wrong_arrays_are_refused: a count less",
     Stubborn: "reset_is_a_start: reset leaves",
-    Trusting: "a_foreign_state_is_refused: a state of another dt is taken",
+    Trusting: "a_foreign_state_is_refused: a state of another dt raises no UsageError",
     Jumpy: "parts_are_the_whole: step",
     Silent: "rest_says_poor_excitation: the status",
     Fragile: "anything_leaves_numbers: theta",

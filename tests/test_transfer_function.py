@@ -324,7 +324,7 @@ def test_the_output_counts_from_count_zero_also_where_the_counter_wraps():
         (lambda: TransferFunction(2, 0, 0.5), "delay must be a whole number"),
         (
             lambda: Equation((Term("process_output", 0, "a"), Term("input", 0, "b")), (Term("process_output", 1),)),
-            "alone",
+            "must have only terms",
         ),
         (
             lambda: Equation((Term("process_output", 0, "a"),), (Term("process_output", 1),)),

@@ -170,7 +170,7 @@ def test_an_input_in_another_unit(tmp_path: Path) -> None:
 
 def test_a_name_that_the_configuration_contradicts_is_refused(tmp_path: Path) -> None:
     path = logged(tmp_path, "pos_mm", 1e-3)
-    with pytest.raises(UsageError, match=r'says mm, and .* output_unit = "m": write output_unit = "mm", or rename'):
+    with pytest.raises(UsageError, match=r'says mm, but .* output_unit = "m": write output_unit = "mm", or rename'):
         read_record(path, axis("pos_mm", record_output_unit="m"))
     with pytest.raises(UsageError, match=r'is in mm: give .* output_kind = "position"'):
         read_record(path, axis("pos_mm", record_output_kind="counts"))

@@ -135,7 +135,7 @@ def test_a_bomb_is_refused_before_it_goes_off(tmp_path: Path, name: str) -> None
     write(tmp_path / name)
     assert (tmp_path / name).stat().st_size < 3e6
     size, refusal = taken(tmp_path / name, "u")
-    assert refusal.startswith(f"{what} takes ")
+    assert refusal.startswith(f"{what} needs ")
     assert "MB or more when a file of" in refusal
     assert size < 350e6
 

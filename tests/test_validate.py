@@ -245,7 +245,7 @@ HOSTILE: dict[str, tuple[object, str]] = {
     "other unit": (parameter(unit="g"), "mass is in 'g' in the result, but in 'kg'"),
     "other gain": (changed(input_gain=3.0), "input_gain = 3, but [model] has 1.5"),
     "no text": (changed(equation=3), "equation: it should be a valid string"),
-    "a page for an equation": (changed(equation="\x1b[31m x \n" * 9999), "and [model] says mass x''"),
+    "a page for an equation": (changed(equation="\x1b[31m x \n" * 9999), "but [model] has mass x''"),
     "no mass": (parameter(value=0.0), "mass = 0"),
     "negative mass": (parameter(value=-1.0), "mass = -1"),
     "the error of compare": ({"record": "x", "methods": {}}, "model is missing"),

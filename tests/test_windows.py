@@ -188,7 +188,7 @@ def test_wrong_windows(window: object) -> None:
         with pytest.raises(pmfid.UsageError, match="drift_cutoff"):
             method(moved(1), window=1.0, drift_cutoff=2.0)
         return
-    with pytest.raises(pmfid.UsageError, match="at least 40 samples"):
+    with pytest.raises(pmfid.UsageError, match=r"at least .* \(40 samples\)"):
         method(moved(1), window=window)
 
 

@@ -171,10 +171,10 @@ def test_certificates_are_verified(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("url", "secret", "problem"),
     [
-        ("ftp://example.org", None, "none of http:// or https://"),
-        ("http://[::1", None, "none of http:// or https://"),
-        ("https://exa mple.org", None, "none of http:// or https://"),
-        ("https://example.org/\r\nX-Bad: 1", None, "none of http:// or https://"),
+        ("ftp://example.org", None, "does not start with http:// or https://"),
+        ("http://[::1", None, "does not start with http:// or https://"),
+        ("https://exa mple.org", None, "does not start with http:// or https://"),
+        ("https://example.org/\r\nX-Bad: 1", None, "does not start with http:// or https://"),
         ("https://me:hidden@example.org", None, "contains a user name"),
         ("http://example.org", TOKEN, "not sent to another machine by http"),
         ("https://example.org", f"{TOKEN}\r\nX-Bad: 1", "no line of plain text"),

@@ -303,8 +303,8 @@ def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> l
         return make_notes(
             "relative_error",
             [
-                f"{sentence} unexplained, because of the encoder's steps; the simulated motion leaves only "
-                f"{100 * adequacy.left:.2g} % of the measured motion unexplained"
+                f"{sentence} unexplained, by the encoder's steps; the simulated motion leaves only "
+                f"{100 * adequacy.left:.2g} % unexplained"
             ],
         )
     if adequacy is not None or estimator.equation.without_simulation or "unmodelled" in codes(judgement.judged):

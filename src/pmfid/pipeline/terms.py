@@ -233,8 +233,8 @@ class TermSearch(Presentable):
     >>> u = prbs(600, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
     >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
     >>> settings = {"model": Drive(CART.input_gain), "dt": CART_DT, "encoder": Encoder(CART_RESOLUTION)}
-    >>> search_terms(u, counts, cutoff=20.0, scan=False, **settings).sentence.partition(";")[0]
-    'No term beyond those of [model] is found'
+    >>> search_terms(u, counts, cutoff=20.0, scan=False, **settings).sentence.partition(",")[0]
+    'The search adds no term to [model]'
     """
 
     name: str
