@@ -116,6 +116,7 @@ def test_states_that_no_sample_could_have_made_are_refused() -> None:
 
 
 @needs(M4F)
+@pytest.mark.long
 def test_a_drive_with_edges_is_no_larger_than_riv(tmp_path: Path) -> None:
     """In float32 on a Cortex-M4F, with 16 lines: flash, state, stack and instructions, against `riv` with its guard."""
     u, counts, ages, step = swing(16, off=0.01)
