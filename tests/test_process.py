@@ -269,7 +269,7 @@ def test_the_sample_period_is_that_of_the_records():
 def test_experiments_are_a_list():
     record = Experiment(SECOND.u, SECOND.y, dt=SECOND.dt)
     for wrong in (record, [], None, [SECOND.u]):
-        with pytest.raises(UsageError, match="a list of one Experiment or more"):
+        with pytest.raises(UsageError, match="a list of one or more Experiments"):
             srivc(SECOND).fit_experiments(wrong)
 
 

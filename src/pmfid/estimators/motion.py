@@ -700,7 +700,7 @@ def invert_information(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
     worst = int(np.argmin(parts))
     if not parts[worst] > TUNING.motion_apart:
         raise NotIdentifiableError(
-            f"the position depends on {names[worst]} hardly, or just as on the others: too little excitation; record "
+            f"{names[worst]} has too little effect of its own on the position, because of poor excitation; record "
             "reversals, and speeds and accelerations that vary"
         )
     return np.asarray(inverse @ inverse.T / sizes)

@@ -346,7 +346,7 @@ def read_shard(folder: Path, listed: Listed, shard: Shard) -> None:
     if found.sequence != listed.sequence or bytes(found.body[: len(head)]) != head:
         raise DamagedError("it is of another checkpoint or shard")
     if (len(found.body) - len(head)) % max(listed.rows, 1):
-        raise DamagedError("it has states of another number of axes")
+        raise DamagedError("it has states for a different number of axes")
     states = np.frombuffer(found.body, np.uint8, offset=len(head)).reshape(listed.rows, -1)
     states = _convert_states(shard, states, shard.group.older.get(listed.identity))
     if not _plausible(shard.group, states):
@@ -367,7 +367,7 @@ def _convert_states(shard: Shard, states: NDArray[np.uint8], older: int | None) 
         finally:
             shard.group.give_back(kernel)
     if states.shape[1] != shard.states.shape[1]:
-        raise DamagedError("it has states of another number of axes")
+        raise DamagedError("it has states for a different number of axes")
     return states
 
 

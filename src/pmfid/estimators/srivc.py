@@ -186,7 +186,7 @@ def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -
     """Raise UsageError for missing experiments, or for experiments with another sample period than the estimator's."""
     listed = isinstance(experiments, Sequence) and all(isinstance(part, Experiment) for part in experiments)
     if not listed or not experiments:
-        raise UsageError("experiments must be a list of one Experiment or more; write [experiment] for a single one")
+        raise UsageError("experiments must be a list of one or more Experiments; write [experiment] for a single one")
     for part in experiments:
         mean = float(part.times[-1] - part.times[0]) / (part.times.size - 1)  # jitter moves the median, gaps the mean
         if min(abs(step / estimator.dt - 1) for step in (part.period, mean)) > TUNING.same_period:
@@ -292,7 +292,7 @@ def check_apart(point: ProcessPoint, names: tuple[str, ...]) -> None:
     worst = int(np.argmin(parts))
     if not parts[worst] > TUNING.srivc_apart:
         raise NotIdentifiableError(
-            f"the output depends on {names[worst]} hardly, or just as on the others: too little excitation, or a model "
+            f"{names[worst]} has too little effect of its own on the output, because of poor excitation or a model "
             "of too high an order; use fewer poles or zeros, or a richer input"
         )
 
@@ -352,7 +352,7 @@ class RSRIVC(ProcessOnly, RecursiveEstimator):
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, TransferFunction):
-            raise UsageError("rsrivc is for a transfer function; riv is its like for a drive")
+            raise UsageError("rsrivc is for a transfer function; riv is the equivalent for a drive")
         if self.model.initial_conditions:
             raise UsageError("rsrivc forgets the start by itself; leave initial_conditions out")
         if self.model.integrators or self.model.unstable:

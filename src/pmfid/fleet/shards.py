@@ -366,7 +366,7 @@ def open_folder(checkpoint: Path, out: Path, settings: StreamSettings) -> Iterat
     if checkpoint.resolve() == out.resolve():
         raise UsageError(f"{out} is the checkpoint's folder; give --out another folder")
     if _read(checkpoint / SETTINGS) is None and _holds(checkpoint, LOCK):
-        raise UsageError(f"{checkpoint}: is no checkpoint of pmfid fleet stream; give a new or empty folder")
+        raise UsageError(f"{checkpoint} is not a checkpoint of pmfid fleet stream; give a new or empty folder")
     with closing(hold(checkpoint, "--checkpoint", "another stream")):
         number = _begin_stream(checkpoint, settings)
         try:

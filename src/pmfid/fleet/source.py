@@ -204,7 +204,7 @@ class SourceColumns:
         if axis.model.kind == "transfer_function":
             raise UsageError("the history of a fleet is of machines; of a transfer function use pmfid identify")
         if record.time is None:
-            raise UsageError('[record] time is missing: rows of many axes need a time each, time = "t"')
+            raise UsageError('[record] time is missing: rows of many axes each need a time: give time = "t"')
         if record.known_force:
             raise UsageError("[record] known_force is of one record; subtract the forces from the input column")
         if record.exclude:
@@ -401,7 +401,7 @@ def _stamp(path: Path) -> str:
 
 def _open_file(path: Path) -> pl.LazyFrame:
     if not path.exists():
-        raise UsageError(f"{path} is not there for the process that reads it; all that work need it under this name")
+        raise UsageError(f"{path} is not visible to the process that reads it; give a path that every worker sees")
     if "\udc80" <= max(str(path)) <= "\udcff":  # bytes that are no text
         raise UsageError("its name is not UTF-8; rename it")
     if not path.is_file():
