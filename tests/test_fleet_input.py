@@ -224,7 +224,7 @@ def test_links_are_followed_once_and_results_are_no_data(lake: History) -> None:
 @pytest.mark.parametrize(
     ("file", "code", "said"),
     [
-        ("nowhere.parquet", "unreadable", "is not there"),
+        ("nowhere.parquet", "unreadable", "is not visible"),
         ("pipe.parquet", "unreadable", "is no file"),
         ("\\udcff.parquet", "unreadable", "rename it"),
         ("machine=said/c.parquet", "type", "machine = said, its own column axis-0003"),

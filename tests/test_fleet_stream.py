@@ -167,7 +167,7 @@ def test_a_changed_configuration_is_refused_with_a_remedy(tmp_path: Path) -> Non
     (tmp_path / "else" / "a.txt").write_text("")
     with pytest.raises(UsageError, match="holds something else"):
         begun(tmp_path, settings, out="else")
-    with pytest.raises(UsageError, match="is no checkpoint"):
+    with pytest.raises(UsageError, match="is not a checkpoint"):
         begun(tmp_path, settings, checkpoint="else")
     with pytest.raises(UsageError, match="another folder"):
         begun(tmp_path, settings, out="checkpoint")
