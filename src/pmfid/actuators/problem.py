@@ -91,7 +91,7 @@ class ServoProblem:
         return np.asarray(CubicSpline(ticks, moved)(self.t))
 
     def run(self, z: Floats) -> tuple[Floats, Floats, float]:
-        """Simulated position (n,) [rad], torque (n,) [N m], and the part of the time at which the torque is limited."""
+        """Return position (n,) [rad], torque (n,) [N m], and the part of the time at which the torque is limited."""
         start, velocity = float(self.position[0]) + float(z[-2]) * self.servo.resolution, float(z[-1]) * self.speed
         return self.servo.run(self.theta(z), self.t, self.goal, start, velocity, force=self.force)
 

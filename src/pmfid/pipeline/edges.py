@@ -18,6 +18,7 @@ from pmfid.estimators.redge import REdge, is_plain
 from pmfid.models.drive import Drive
 from pmfid.monitor.edges import EdgeMonitor
 from pmfid.monitor.events import Watch
+from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.record import Record, read_record
 from pmfid.status import Status
@@ -67,17 +68,20 @@ class EdgeSetup:
 
     def describe_start(self) -> dict[str, object]:
         """Return the settings of a monitored axis for `--json`."""
-        monitor = self.monitor
-        return {
-            "event": "start",
-            "method": monitor.estimator.method,
-            "nominal": dict(zip(monitor.names, self.nominal.tolist(), strict=True)),
-            "units": dict(zip(monitor.names, monitor.units, strict=True)),
-            "mtbf_hours": monitor.watch.mtbf_hours,
-            "tolerance": monitor.watch.tolerance,
-            "threshold": monitor.threshold,
-            "notes": list(self.notes),
-        }
+        return describe_monitor(self.monitor, self.nominal) | {"notes": list(self.notes)}
+
+
+def describe_monitor(monitor: Monitor | EdgeMonitor, nominal: Floats) -> dict[str, object]:
+    """Return the settings of any monitor with the nominal values (q,) for `--json`."""
+    return {
+        "event": "start",
+        "method": monitor.estimator.method,
+        "nominal": dict(zip(monitor.names, nominal.tolist(), strict=True)),
+        "units": dict(zip(monitor.names, monitor.units, strict=True)),
+        "mtbf_hours": monitor.watch.mtbf_hours,
+        "tolerance": monitor.watch.tolerance,
+        "threshold": monitor.threshold,
+    }
 
 
 def set_up_edges(axis: Axis, folder: Path, record: Record | None) -> EdgeSetup:

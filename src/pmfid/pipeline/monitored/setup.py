@@ -29,7 +29,7 @@ from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Scale
 from pmfid.pipeline.drives import make_estimator
-from pmfid.pipeline.edges import EdgeSetup, set_up_edges, takes_edges
+from pmfid.pipeline.edges import EdgeSetup, describe_monitor, set_up_edges, takes_edges
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.known import finds_gain, known_of, set_gain, try_both_signs
 from pmfid.pipeline.tuning import TUNING
@@ -141,16 +141,8 @@ class Setup:
 
     def describe_start(self) -> dict[str, object]:
         """Return the settings of a monitored axis for `--json`."""
-        monitor = self.monitor
-        return {
-            "event": "start",
-            "method": monitor.estimator.method,
-            "nominal": dict(zip(monitor.names, self.reported.tolist(), strict=True)),
-            "units": dict(zip(monitor.names, monitor.units, strict=True)),
-            "detector": monitor.watch.detector,
-            "mtbf_hours": monitor.watch.mtbf_hours,
-            "tolerance": monitor.watch.tolerance,
-            "threshold": monitor.threshold,
+        return describe_monitor(self.monitor, self.reported) | {
+            "detector": self.monitor.watch.detector,
             "hours": self.calibration.hours,
             "record_hours": self.calibration.record_hours,
             "calibration": str(self.path),
