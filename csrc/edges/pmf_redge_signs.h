@@ -25,8 +25,7 @@
 #define FURTHER_OF_FEW PMF_R(8.0) /* the same, of one block */
 #define TURNS PMF_R(32.0) /* reversals: memory of the first innovations after them */
 #define TURN_OUTLIER PMF_R(16.0) /* squared innovation over its variance, above which an innovation counts less */
-#define TURN_TREND PMF_R(25.0) /* squared mean of these over its variance, from which on the model is wrong: 5 sigma \
-                                */
+#define TURN_TREND PMF_R(25.0) /* squared mean of these over its variance, from which on the model is wrong (5 sd) */
 #define TURN_SQUARES PMF_R(3.0) /* their mean square, 1 by chance, from which on the model is wrong, */
 #define TURN_SQUARES_OF_FEW PMF_R(8.0) /* and the same, of one reversal */
 #define JITTER PMF_R(1.6e-5) /* standard deviation of instants from which on the model is wrong [s], */
