@@ -142,6 +142,14 @@ def test_python_says_what_the_command_says() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("bits", [12, 14, 32])
+def test_a_counter_narrower_than_its_encoder_is_named(bits: int) -> None:
+    run = make_scenario("prbs", seed=SEED, increments=2048)
+    encoder, counts = pmfid.Encoder(run.resolution, bits=bits), run.counts % 2**10
+    found = pmfid.check(run.motion.u, counts, model=pmfid.Drive(2.0), dt=run.dt, encoder=encoder)
+    assert (found[0].code, found[0].remedy) == ("wrapped", "give [encoder] bits = 10")
+
+
 def test_an_input_that_acts_late_is_said_as_of_the_estimate() -> None:
     log = log_of(JUDGED)
     late = [finding for finding in found_in(JUDGED) if finding.code == "dead_time"]
@@ -222,7 +230,7 @@ def cut(log: Logged, text: str) -> Mended:
 
 
 def stretched(log: Logged, text: str) -> Mended:
-    factor, rows = float(value_of(r"by (\S+) and take the latest", text)), np.arange(log.columns["u"].size)
+    factor, rows = float(value_of(r"by (\S+) and use the latest", text)), np.arange(log.columns["u"].size)
     latest = np.searchsorted(rows * factor, rows, side="right") - 1
     return Mended({**log.columns, "u": log.columns["u"][latest]}, {})
 

@@ -34,8 +34,8 @@ def period_of(changes: NDArray[np.intp]) -> int:
 
 
 def forgotten_bits(log: CheckedLog) -> Iterator[Finding]:
-    """Yield a finding if the counter wraps and the configuration does not name its range."""
-    wrap = wrap_of(log.record.counts) if log.axis.encoder.bits is None and log.axis.encoder.range is None else None
+    """Yield a finding if the counter still wraps, because its configured range is missing or too large."""
+    wrap = wrap_of(log.record.counts) if log.axis.encoder.range is None else None
     if wrap is not None:
         config = log.axis.record
         sentence, remedy = wrap.describe_mistake(
