@@ -143,17 +143,16 @@ static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real
     }
 }
 
-/* Solve matrix x = right for n unknowns by Gauss' elimination; return 0 if the matrix is singular. The rows of the
- * matrix are `width` apart. */
-static uint32_t solve(const real_t *matrix, uint32_t width, uint32_t n, const real_t *right, real_t *x)
+/* Invert the first n rows and columns of a matrix by Gauss' elimination; return 0 if the matrix is singular. */
+static uint32_t invert(real_t matrix[PMF_BODY][PMF_BODY], uint32_t n, real_t inverse[PMF_BODY][PMF_BODY])
 {
-    real_t a[CARRIED][CARRIED + 1];
+    real_t a[PMF_BODY][2 * PMF_BODY];
     uint32_t i, j, k;
     for (i = 0; i < n; ++i) {
         for (j = 0; j < n; ++j) {
-            a[i][j] = matrix[i * width + j];
+            a[i][j] = matrix[i][j];
+            a[i][n + j] = i == j ? PMF_R(1.0) : PMF_R(0.0);
         }
-        a[i][n] = right[i];
     }
     for (i = 0; i < n; ++i) {
         uint32_t most = i;
@@ -163,20 +162,22 @@ static uint32_t solve(const real_t *matrix, uint32_t width, uint32_t n, const re
         if (!(absolute(a[most][i]) > PMF_R(0.0))) {
             return 0U;
         }
-        for (j = 0; j <= n; ++j) {
+        for (j = i; j < 2U * n; ++j) {
             real_t swapped = a[i][j];
             a[i][j] = a[most][j];
             a[most][j] = swapped;
         }
         for (k = 0; k < n; ++k) {
             real_t ratio = a[k][i] / a[i][i];
-            for (j = i; j <= n && k != i; ++j) {
+            for (j = i; j < 2U * n && k != i; ++j) {
                 a[k][j] -= ratio * a[i][j];
             }
         }
     }
     for (i = 0; i < n; ++i) {
-        x[i] = a[i][n] / a[i][i];
+        for (j = 0; j < n; ++j) {
+            inverse[i][j] = a[i][n + j] / a[i][i];
+        }
     }
     return 1U;
 }
@@ -198,25 +199,25 @@ static real_t variance_of(const pmf_start_t *start, real_t inverse[PMF_BODY][PMF
 /* Solve for n parameters; return 1 if each force is known well enough to begin with. */
 static uint32_t is_started(pmf_start_t *start, uint32_t n)
 {
-    real_t inverse[PMF_BODY][PMF_BODY], noise, power, column[PMF_BODY];
+    real_t inverse[PMF_BODY][PMF_BODY], noise, power;
     uint32_t i, j, known;
-    if (start->weight < FEWEST || start->ways < FEWEST_WAYS ||
-        solve(start->cross[0], PMF_BODY, n, start->target, start->theta) == 0U || !(start->theta[MASS] > PMF_R(0.0))) {
+    if (start->weight < FEWEST || start->ways < FEWEST_WAYS || invert(start->cross, n, inverse) == 0U) {
+        return 0U;
+    }
+    for (i = 0; i < n; ++i) {
+        start->theta[i] = PMF_R(0.0);
+        for (j = 0; j < n; ++j) {
+            start->theta[i] += inverse[i][j] * start->target[j];
+        }
+    }
+    if (!(start->theta[MASS] > PMF_R(0.0))) {
         return 0U;
     }
     noise = start->energy;
     for (i = 0; i < n; ++i) {
-        real_t unit[PMF_BODY] = {PMF_R(0.0)};
         noise -= PMF_R(2.0) * start->theta[i] * start->own_target[i];
         for (j = 0; j < n; ++j) {
             noise += start->theta[i] * start->theta[j] * start->own[i][j];
-        }
-        unit[i] = PMF_R(1.0);
-        if (solve(start->cross[0], PMF_BODY, n, unit, column) == 0U) {
-            return 0U;
-        }
-        for (j = 0; j < n; ++j) {
-            inverse[j][i] = column[j];
         }
     }
     power = start->energy / start->weight;
