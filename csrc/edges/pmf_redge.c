@@ -310,7 +310,10 @@ uint32_t pmf_redge_step(const pmf_redge_config_t *config, pmf_redge_state_t *sta
     if (state->running != 0U && is_sound(config, state) == 0U) {
         give_up(state);
     }
-    state->input = input - input == PMF_R(0.0) ? input : state->input;
+    if (input - input == PMF_R(0.0)) {
+        state->start.rose |= (input - state->input) * state->start.way > PMF_R(0.0) ? 1U : 0U;
+        state->input = input;
+    }
     publish(config, state);
     state->status |= invalid | far;
     return state->status;

@@ -120,7 +120,7 @@ static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real
     if (start->marks != 0U) {
         const pmf_mark_t *last = &start->mark[start->marks - 1U];
         real_t gap = start->t - last->t;
-        if (!(line * way > PMF_R(0.0)) || gap > WAIT * config->dt || !(gap > PMF_R(0.0)) || way != start->way) {
+        if (!(line * way > PMF_R(0.0)) || (gap > WAIT * config->dt && start->rose != 0U) || !(gap > PMF_R(0.0)) || way != start->way) {
             begin_way(start);
         } else {
             next.t = start->t;
@@ -133,6 +133,7 @@ static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real
         begin_way(start);
     }
     start->way = way;
+    start->rose = 0U;
     start->mark[start->marks] = next;
     start->marks += 1U;
     for (apart = 1U; 2U * apart < start->marks; apart *= 2U) {
