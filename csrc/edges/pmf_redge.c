@@ -207,7 +207,7 @@ static void take_edge(const pmf_redge_config_t *config, pmf_redge_state_t *state
         follow_edge(config, state, lines, line - state->place, change, age);
     } else {
         travel = (real_t)change + line - state->last_line;
-        mark_edge(config, &state->start, travel, way);
+        mark_edge(config, &state->start, travel, way, state->input);
         state->edges += 1U;
         if (state->start.marks > 2U &&
             (state->start.known != 0U || is_started(&state->start, config->parameters) != 0U)) {

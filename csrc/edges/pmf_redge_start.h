@@ -11,10 +11,11 @@
 
 #include "pmf_redge_motion.h"
 
-#define WAIT PMF_R(20.0) /* samples between two edges of one way; in a longer one the axis may have rested */
+#define WAIT PMF_R(20.0) /* samples between two edges of one way, in which a rest does little harm */
 #define SPAN PMF_R(3.0) /* samples; shorter triples have less weight */
 #define SHORTEST PMF_R(0.5) /* samples between two edges of a triple; an instant that is late counts too much then */
 #define FEWEST PMF_R(20.0) /* triples */
+#define SOME PMF_R(10.0) /* triples that show the mass */
 #define MOST_WEIGHT PMF_R(1024.0)
 #define FEWEST_WAYS 2U /* ways with a triple */
 #define UNSURE PMF_R(0.09) /* squared standard deviation of each force relative to the input, and of the mass */
@@ -108,8 +109,18 @@ static void drop_first(pmf_start_t *start)
     start->marks -= 1U;
 }
 
+/* Return 1 if the axis may have rested or reversed between two edges of one way. It had to be braked before and driven
+ * again, so the input rose in its direction. From rest to the next edge, or to rest from the last one, it moves at the
+ * largest acceleration or below. */
+static uint32_t may_have_rested(const pmf_redge_config_t *config, const pmf_start_t *start, real_t gap, real_t input)
+{
+    real_t force = absolute(config->input_gain * input) + absolute(start->theta[COULOMB]);
+    uint32_t fast = gap * gap * force < PMF_R(2.0) * start->theta[MASS] ? 1U : 0U;
+    return start->rose != 0U && gap > WAIT * config->dt && fast == 0U ? 1U : 0U;
+}
+
 /* Take an edge at `line` counts after the edge before, in the direction of `way`; 0 is the same line again. */
-static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real_t line, real_t way)
+static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real_t line, real_t way, real_t input)
 {
     pmf_mark_t next = {PMF_R(0.0), PMF_R(0.0), PMF_R(0.0), PMF_R(0.0)};
     const pmf_mark_t *mark[3];
@@ -120,7 +131,7 @@ static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real
     if (start->marks != 0U) {
         const pmf_mark_t *last = &start->mark[start->marks - 1U];
         real_t gap = start->t - last->t;
-        if (!(line * way > PMF_R(0.0)) || (gap > WAIT * config->dt && start->rose != 0U) || !(gap > PMF_R(0.0)) || way != start->way) {
+        if (!(line * way > PMF_R(0.0)) || may_have_rested(config, start, gap, input) != 0U || !(gap > PMF_R(0.0)) || way != start->way) {
             begin_way(start);
         } else {
             next.t = start->t;
@@ -202,7 +213,7 @@ static uint32_t is_started(pmf_start_t *start, uint32_t n)
 {
     real_t inverse[PMF_BODY][PMF_BODY], noise, power;
     uint32_t i, j, known;
-    if (start->weight < FEWEST || start->ways < FEWEST_WAYS || invert(start->cross, n, inverse) == 0U) {
+    if (start->weight < SOME || start->ways < FEWEST_WAYS || invert(start->cross, n, inverse) == 0U) {
         return 0U;
     }
     for (i = 0; i < n; ++i) {
@@ -223,7 +234,8 @@ static uint32_t is_started(pmf_start_t *start, uint32_t n)
     }
     power = start->energy / start->weight;
     noise = (noise > PMF_R(0.0) ? noise : PMF_R(0.0)) / start->weight + ROUNDING * power;
-    known = variance_of(start, inverse, n, noise, MASS) < UNSURE * start->theta[MASS] * start->theta[MASS] ? 1U : 0U;
+    known = start->weight < FEWEST ? 0U : 1U;
+    known &= variance_of(start, inverse, n, noise, MASS) < UNSURE * start->theta[MASS] * start->theta[MASS] ? 1U : 0U;
     for (i = 0; i < n; ++i) {
         real_t force = start->own[i][i] / start->weight;
         known &= variance_of(start, inverse, n, noise, i) * force < UNSURE * power ? 1U : 0U;
