@@ -17,6 +17,7 @@
 #define SETTLED PMF_R(0.06) /* part of the squared errors of second order that a new reference may leave */
 #define STRAIGHT PMF_R(1.001)
 #define EXACT PMF_R(0.1) /* error of each parameter, relative to the best edge in counts: rounding */
+#define CLOCK PMF_R(1e-5) /* relative error of a time, or of a force: crystals are made to 20 ppm */
 #define MOST_MOVES (6U * STEADY) /* moves of the reference, of which a right model needs three to six */
 #define TURN_DOUBT PMF_R(4.0) /* trend after reversals, from which on it widens the variances */
 #define UNEVEN PMF_R(6.4e-3) /* variance of the lines from which on the model is wrong [counts^2] */
@@ -234,7 +235,8 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     for (i = 0; i < PMF_BODY; ++i) {
         real_t per = i < COULOMB ? config->resolution : PMF_R(1.0), scale = unit_of(state->reference, i) / per;
         real_t error = bend * state->change[FIRST + i],
-               least = EXACT * config->finest * (PMF_R(1.0) + absolute(state->change[FIRST + i]));
+               least = larger(EXACT * config->finest, i == MASS ? PMF_R(2.0) * CLOCK : CLOCK);
+        least *= PMF_R(1.0) + absolute(state->change[FIRST + i]);
         state->theta[i] = scale * (PMF_R(1.0) + state->change[FIRST + i]);
         state->variance[i] =
             scale * scale * (widened * state->covariance[FIRST + i][FIRST + i] + error * error + least * least);

@@ -131,7 +131,8 @@ static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real
     if (start->marks != 0U) {
         const pmf_mark_t *last = &start->mark[start->marks - 1U];
         real_t gap = start->t - last->t;
-        if (!(line * way > PMF_R(0.0)) || may_have_rested(config, start, gap, input) != 0U || !(gap > PMF_R(0.0)) || way != start->way) {
+        if (!(line * way > PMF_R(0.0)) || !(gap > PMF_R(0.0)) || way != start->way ||
+            may_have_rested(config, start, gap, input) != 0U) {
             begin_way(start);
         } else {
             next.t = start->t;
