@@ -11,12 +11,14 @@
 #define AGAINST 6U /* edges against the simulated motion, before it is given up */
 #define AWAY PMF_R(1.5) /* counts beyond the step of the count: the simulated motion is lost */
 #define AWAY_AFTER 3U /* samples without an edge */
+#define YOUNG 200U /* edges from given parameters that may contradict these */
 #define DOUBT PMF_R(10.0) /* edges that show the instants' noise, at which variances are twice as large */
 #define DRIFTING PMF_R(8.0) /* edges over which such an innovation has grown */
 #define MOST_CHANGE 1000000 /* counts in a sample */
 #define SETTLED PMF_R(0.06) /* part of the squared errors of second order that a new reference may leave */
 #define STRAIGHT PMF_R(1.001)
 #define EXACT PMF_R(0.1) /* error of each parameter, relative to the best edge in counts: rounding */
+#define CLOCK PMF_R(1e-5) /* relative error of a time, or of a force: crystals are made to 20 ppm */
 #define MOST_MOVES (6U * STEADY) /* moves of the reference, of which a right model needs three to six */
 #define TURN_DOUBT PMF_R(4.0) /* trend after reversals, from which on it widens the variances */
 #define UNEVEN PMF_R(6.4e-3) /* variance of the lines from which on the model is wrong [counts^2] */
@@ -207,7 +209,7 @@ static void take_edge(const pmf_redge_config_t *config, pmf_redge_state_t *state
         follow_edge(config, state, lines, line - state->place, change, age);
     } else {
         travel = (real_t)change + line - state->last_line;
-        mark_edge(config, &state->start, travel, way);
+        mark_edge(config, &state->start, travel, way, state->input);
         state->edges += 1U;
         if (state->start.marks > 2U &&
             (state->start.known != 0U || is_started(&state->start, config->parameters) != 0U)) {
@@ -218,11 +220,16 @@ static void take_edge(const pmf_redge_config_t *config, pmf_redge_state_t *state
     state->since = PMF_R(0.0);
 }
 
+/* Return 1 if instants are later, or earlier, than captures of edges can be. */
+static uint32_t is_late(const pmf_redge_state_t *state)
+{
+    return absolute(state->late - state->change[LATENESS]) > LATEST ? 1U : 0U;
+}
+
 /* Publish the parameters. Surprises and correlated innovations widen the variance, and so do errors of second order. */
 static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
 {
-    real_t bend = SECOND * bend_of(state), colour = smaller(larger(state->colour, PMF_R(0.0)), PMF_R(0.9)), widened,
-           lateness;
+    real_t bend = SECOND * bend_of(state), colour = smaller(larger(state->colour, PMF_R(0.0)), PMF_R(0.9)), widened;
     uint32_t i;
     state->status = state->running != 0U ? 0U : (uint32_t)PMF_STARTING;
     if (state->running == 0U) {
@@ -234,7 +241,8 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     for (i = 0; i < PMF_BODY; ++i) {
         real_t per = i < COULOMB ? config->resolution : PMF_R(1.0), scale = unit_of(state->reference, i) / per;
         real_t error = bend * state->change[FIRST + i],
-               least = EXACT * config->finest * (PMF_R(1.0) + absolute(state->change[FIRST + i]));
+               least = larger(EXACT * config->finest, i == MASS ? PMF_R(2.0) * CLOCK : CLOCK);
+        least *= PMF_R(1.0) + absolute(state->change[FIRST + i]);
         state->theta[i] = scale * (PMF_R(1.0) + state->change[FIRST + i]);
         state->variance[i] =
             scale * scale * (widened * state->covariance[FIRST + i][FIRST + i] + error * error + least * least);
@@ -242,8 +250,7 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
 #if PMF_BODY > 3
     state->theta[OFFSET] = state->reference[OFFSET] + unit_of(state->reference, OFFSET) * state->change[FIRST + OFFSET];
 #endif
-    lateness = state->late - state->change[LATENESS];
-    state->status |= lateness > LATEST || lateness < -LATEST ? (uint32_t)PMF_DEAD_TIME : 0U;
+    state->status |= is_late(state) != 0U ? (uint32_t)PMF_DEAD_TIME : 0U;
     if (state->unrest != 0U || state->moves > MOST_MOVES || is_correlated(state) != 0U || state->rough > PMF_R(1.0) ||
         state->spread > UNEVEN) {
         state->status |= PMF_UNMODELLED;
@@ -260,6 +267,13 @@ static uint32_t is_sound(const pmf_redge_config_t *config, const pmf_redge_state
         sound &= i >= FIRST + config->parameters || state->covariance[i][i] > PMF_R(0.0) ? 1U : 0U;
     }
     return sum - sum == PMF_R(0.0) ? sound : 0U;
+}
+
+/* Return 1 if the first edges after given parameters contradict these. */
+static uint32_t is_refuted(const pmf_redge_state_t *state)
+{
+    uint32_t young = state->start.known != 0U && state->edges < YOUNG ? 1U : 0U;
+    return young != 0U && (is_late(state) != 0U || is_correlated(state) != 0U) ? 1U : 0U;
 }
 
 void pmf_redge_expect(const pmf_redge_config_t *config, pmf_redge_state_t *state, const real_t *theta)
@@ -307,10 +321,13 @@ uint32_t pmf_redge_step(const pmf_redge_config_t *config, pmf_redge_state_t *sta
             follow_silence(state);
         }
     }
-    if (state->running != 0U && is_sound(config, state) == 0U) {
+    if (state->running != 0U && (is_sound(config, state) == 0U || is_refuted(state) != 0U)) {
         give_up(state);
     }
-    state->input = input - input == PMF_R(0.0) ? input : state->input;
+    if (input - input == PMF_R(0.0)) {
+        state->start.rose |= (input - state->input) * state->start.way > PMF_R(0.0) ? 1U : 0U;
+        state->input = input;
+    }
     publish(config, state);
     state->status |= invalid | far;
     return state->status;

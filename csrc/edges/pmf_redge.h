@@ -53,6 +53,7 @@ typedef struct {
     real_t square[PMF_BODY][PMF_BODY], own[PMF_BODY][PMF_BODY], own_target[PMF_BODY], energy, weight;
     real_t theta[PMF_BODY];
     uint32_t marks, ways, counted;
+    uint32_t rose; /* 1: the input rose in the direction of the motion since the last mark */
     uint32_t known; /* 1: theta is given */
 } pmf_start_t;
 

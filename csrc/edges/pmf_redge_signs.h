@@ -16,6 +16,7 @@
 #define ALARM PMF_R(6.0) /* mean squared innovation over its variance: another machine, or another model */
 #define VISIBLE PMF_R(4e-4) /* smaller mean squared innovations [counts^2] are no alarm */
 #define RECENT_EDGES 24U /* edges after an alarm before the correlation is known */
+#define MOST_RATIO PMF_R(100.0) /* squared innovation over its variance that surprise and trend take for true */
 #define CALM 8U /* edges before an alarm */
 #define TREND PMF_R(0.3) /* correlation of innovations, of an alarm */
 #define COLOUR PMF_R(0.3) /* covariance over the variance from which on the model is wrong */
@@ -63,12 +64,13 @@ static void note_surprise(const pmf_redge_config_t *config, pmf_redge_state_t *s
     real_t one = PMF_R(1.0) / ((real_t)state->calm + PMF_R(1.0)), ratio = edge->value * edge->value / edge->variance;
     real_t both = edge->value * state->last / (PMF_R(0.5) * (edge->variance + state->last_variance));
     real_t gain = larger(one, PMF_R(1.0) / RECENT);
-    state->surprise += gain * (smaller(ratio, PMF_R(100.0)) - state->surprise);
+    state->surprise += gain * (smaller(ratio, MOST_RATIO) - state->surprise);
     state->size += gain * (edge->value * edge->value - state->size);
-    both = smaller(larger(both, PMF_R(-9.0)), PMF_R(9.0));
+    both = smaller(larger(both, -MOST_RATIO), MOST_RATIO);
     limit = velocity * velocity * JITTER * JITTER + UNEVENLY * UNEVENLY;
     state->rough += gain * (edge->noise / limit - state->rough);
     state->trend += gain * (both - state->trend);
+    both = smaller(larger(both, -MOST_SURPRISE), MOST_SURPRISE);
     square = edge->value * edge->value + state->last * state->last + PMF_R(2.0) * config->finest * config->finest;
     alike = PMF_R(2.0) * edge->value * state->last / square; /* from -1 to 1, whatever the size of the innovations */
     state->colour += larger(one, PMF_R(1.0) / COLOURED) * (both - state->colour); /* sees a change at once */

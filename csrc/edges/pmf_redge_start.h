@@ -11,10 +11,11 @@
 
 #include "pmf_redge_motion.h"
 
-#define WAIT PMF_R(20.0) /* samples between two edges of one way; in a longer one the axis may have rested */
+#define WAIT PMF_R(20.0) /* samples between two edges of one way, in which a rest does little harm */
 #define SPAN PMF_R(3.0) /* samples; shorter triples have less weight */
 #define SHORTEST PMF_R(0.5) /* samples between two edges of a triple; an instant that is late counts too much then */
 #define FEWEST PMF_R(20.0) /* triples */
+#define SOME PMF_R(10.0) /* triples that show the mass */
 #define MOST_WEIGHT PMF_R(1024.0)
 #define FEWEST_WAYS 2U /* ways with a triple */
 #define UNSURE PMF_R(0.09) /* squared standard deviation of each force relative to the input, and of the mass */
@@ -108,8 +109,18 @@ static void drop_first(pmf_start_t *start)
     start->marks -= 1U;
 }
 
+/* Return 1 if the axis may have rested or reversed between two edges of one way. It had to be braked before and driven
+ * again, so the input rose in its direction. From rest to the next edge, or to rest from the last one, it moves at the
+ * largest acceleration or below. */
+static uint32_t may_have_rested(const pmf_redge_config_t *config, const pmf_start_t *start, real_t gap, real_t input)
+{
+    real_t force = absolute(config->input_gain * input) + absolute(start->theta[COULOMB]);
+    uint32_t fast = gap * gap * force < PMF_R(2.0) * start->theta[MASS] ? 1U : 0U;
+    return start->rose != 0U && gap > WAIT * config->dt && fast == 0U ? 1U : 0U;
+}
+
 /* Take an edge at `line` counts after the edge before, in the direction of `way`; 0 is the same line again. */
-static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real_t line, real_t way)
+static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real_t line, real_t way, real_t input)
 {
     pmf_mark_t next = {PMF_R(0.0), PMF_R(0.0), PMF_R(0.0), PMF_R(0.0)};
     const pmf_mark_t *mark[3];
@@ -120,7 +131,8 @@ static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real
     if (start->marks != 0U) {
         const pmf_mark_t *last = &start->mark[start->marks - 1U];
         real_t gap = start->t - last->t;
-        if (!(line * way > PMF_R(0.0)) || gap > WAIT * config->dt || !(gap > PMF_R(0.0)) || way != start->way) {
+        if (!(line * way > PMF_R(0.0)) || !(gap > PMF_R(0.0)) || way != start->way ||
+            may_have_rested(config, start, gap, input) != 0U) {
             begin_way(start);
         } else {
             next.t = start->t;
@@ -133,6 +145,7 @@ static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real
         begin_way(start);
     }
     start->way = way;
+    start->rose = 0U;
     start->mark[start->marks] = next;
     start->marks += 1U;
     for (apart = 1U; 2U * apart < start->marks; apart *= 2U) {
@@ -143,17 +156,16 @@ static void mark_edge(const pmf_redge_config_t *config, pmf_start_t *start, real
     }
 }
 
-/* Solve matrix x = right for n unknowns by Gauss' elimination; return 0 if the matrix is singular. The rows of the
- * matrix are `width` apart. */
-static uint32_t solve(const real_t *matrix, uint32_t width, uint32_t n, const real_t *right, real_t *x)
+/* Invert the first n rows and columns of a matrix by Gauss' elimination; return 0 if the matrix is singular. */
+static uint32_t invert(real_t matrix[PMF_BODY][PMF_BODY], uint32_t n, real_t inverse[PMF_BODY][PMF_BODY])
 {
-    real_t a[CARRIED][CARRIED + 1];
+    real_t a[PMF_BODY][2 * PMF_BODY];
     uint32_t i, j, k;
     for (i = 0; i < n; ++i) {
         for (j = 0; j < n; ++j) {
-            a[i][j] = matrix[i * width + j];
+            a[i][j] = matrix[i][j];
+            a[i][n + j] = i == j ? PMF_R(1.0) : PMF_R(0.0);
         }
-        a[i][n] = right[i];
     }
     for (i = 0; i < n; ++i) {
         uint32_t most = i;
@@ -163,20 +175,22 @@ static uint32_t solve(const real_t *matrix, uint32_t width, uint32_t n, const re
         if (!(absolute(a[most][i]) > PMF_R(0.0))) {
             return 0U;
         }
-        for (j = 0; j <= n; ++j) {
+        for (j = i; j < 2U * n; ++j) {
             real_t swapped = a[i][j];
             a[i][j] = a[most][j];
             a[most][j] = swapped;
         }
         for (k = 0; k < n; ++k) {
             real_t ratio = a[k][i] / a[i][i];
-            for (j = i; j <= n && k != i; ++j) {
+            for (j = i; j < 2U * n && k != i; ++j) {
                 a[k][j] -= ratio * a[i][j];
             }
         }
     }
     for (i = 0; i < n; ++i) {
-        x[i] = a[i][n] / a[i][i];
+        for (j = 0; j < n; ++j) {
+            inverse[i][j] = a[i][n + j] / a[i][i];
+        }
     }
     return 1U;
 }
@@ -198,30 +212,31 @@ static real_t variance_of(const pmf_start_t *start, real_t inverse[PMF_BODY][PMF
 /* Solve for n parameters; return 1 if each force is known well enough to begin with. */
 static uint32_t is_started(pmf_start_t *start, uint32_t n)
 {
-    real_t inverse[PMF_BODY][PMF_BODY], noise, power, column[PMF_BODY];
+    real_t inverse[PMF_BODY][PMF_BODY], noise, power;
     uint32_t i, j, known;
-    if (start->weight < FEWEST || start->ways < FEWEST_WAYS ||
-        solve(start->cross[0], PMF_BODY, n, start->target, start->theta) == 0U || !(start->theta[MASS] > PMF_R(0.0))) {
+    if (start->weight < SOME || start->ways < FEWEST_WAYS || invert(start->cross, n, inverse) == 0U) {
+        return 0U;
+    }
+    for (i = 0; i < n; ++i) {
+        start->theta[i] = PMF_R(0.0);
+        for (j = 0; j < n; ++j) {
+            start->theta[i] += inverse[i][j] * start->target[j];
+        }
+    }
+    if (!(start->theta[MASS] > PMF_R(0.0))) {
         return 0U;
     }
     noise = start->energy;
     for (i = 0; i < n; ++i) {
-        real_t unit[PMF_BODY] = {PMF_R(0.0)};
         noise -= PMF_R(2.0) * start->theta[i] * start->own_target[i];
         for (j = 0; j < n; ++j) {
             noise += start->theta[i] * start->theta[j] * start->own[i][j];
         }
-        unit[i] = PMF_R(1.0);
-        if (solve(start->cross[0], PMF_BODY, n, unit, column) == 0U) {
-            return 0U;
-        }
-        for (j = 0; j < n; ++j) {
-            inverse[j][i] = column[j];
-        }
     }
     power = start->energy / start->weight;
     noise = (noise > PMF_R(0.0) ? noise : PMF_R(0.0)) / start->weight + ROUNDING * power;
-    known = variance_of(start, inverse, n, noise, MASS) < UNSURE * start->theta[MASS] * start->theta[MASS] ? 1U : 0U;
+    known = start->weight < FEWEST ? 0U : 1U;
+    known &= variance_of(start, inverse, n, noise, MASS) < UNSURE * start->theta[MASS] * start->theta[MASS] ? 1U : 0U;
     for (i = 0; i < n; ++i) {
         real_t force = start->own[i][i] / start->weight;
         known &= variance_of(start, inverse, n, noise, i) * force < UNSURE * power ? 1U : 0U;

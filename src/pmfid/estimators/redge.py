@@ -197,7 +197,7 @@ class REdge:
         self.kernel.reset()
 
     def expect(self, theta: ArrayLike) -> None:
-        """Begin again at the next edges, from parameters theta (p,) that may be off by about 30 %.
+        """Begin again at the next edges, from parameters theta (p,) that may be off by a factor of three.
 
         Raises UsageError for parameters that are not finite. All but the offset must be positive.
         """

@@ -439,8 +439,8 @@ class EstimatorTuning:
     edges_passes: int = 3
     #: Smallest standard deviation of an edge [counts], the accuracy of the simulation.
     edges_finest: float = 1e-6
-    #: Relative accuracy of the simulation for each parameter.
-    edges_exact: float = 1e-6
+    #: Relative accuracy to which times and forces are known. Crystals are made to 20 ppm.
+    edges_exact: float = 1e-5
     #: Parts of a count in positions interpolated between edges.
     edges_parts: int = 64
     #: Largest relative misfit of the velocity's changes of a motion that follows the edges.
