@@ -59,19 +59,29 @@ def find_start(problem: ServoProblem) -> Floats:
     two of them find it.
     """
     head, rng = problem.head(), np.random.default_rng(0)
+    enough = (TUNING.explained * problem.servo.resolution) ** 2 * head.t.size
     for starts, refined in TUNING.rounds:
-        (z, cost), *others = _search(head, rng, starts, refined)
-        agree = others[0][1] < TUNING.same_minimum * cost
-        if agree or cost < (TUNING.explained * problem.servo.resolution) ** 2 * head.t.size:
+        (z, cost), *others = _search(head, rng, starts, refined, enough)
+        if cost < enough or others[0][1] < TUNING.same_minimum * cost:
             break
     return problem.place_start(z, head)
 
 
-def _search(head: ServoProblem, rng: np.random.Generator, starts: int, refined: int) -> list[tuple[Floats, float]]:
-    """Return the best local minima from `starts` random servos, of which `refined` are refined, the best one first."""
+def _search(
+    head: ServoProblem, rng: np.random.Generator, starts: int, refined: int, enough: float
+) -> list[tuple[Floats, float]]:
+    """Return the best local minima from `starts` random servos, of which `refined` are refined, the best one first.
+
+    A minimum below `enough` is returned alone.
+    """
     period = float(np.median(np.diff(head.t)))
     trials = [head.coordinates(_draw_servo(head, rng, period)) for _ in range(starts)]
     costs = [float(np.square(head.residual(z)).mean()) for z in trials]
     best = [trials[index] for index in np.argsort(costs)[:refined]]
     better = sorted((head.refine(trial, rough=True) for trial in best), key=lambda found: found[1])
-    return sorted((head.refine(trial) for trial, _ in better[: TUNING.finished]), key=lambda found: found[1])
+    found: list[tuple[Floats, float]] = []
+    for trial, _ in better[: TUNING.finished]:
+        found.append(head.refine(trial))
+        if found[-1][1] < enough:
+            return [found[-1]]
+    return sorted(found, key=lambda pair: pair[1])
