@@ -77,11 +77,10 @@ def _search(
     period = float(np.median(np.diff(head.t)))
     trials = [head.coordinates(_draw_servo(head, rng, period)) for _ in range(starts)]
     costs = [float(np.square(head.residual(z)).mean()) for z in trials]
-    best = [trials[index] for index in np.argsort(costs)[:refined]]
-    better = sorted((head.refine(trial, rough=True) for trial in best), key=lambda found: found[1])
-    found: list[tuple[Floats, float]] = []
-    for trial, _ in better[: TUNING.finished]:
-        found.append(head.refine(trial))
-        if found[-1][1] < enough:
-            return [found[-1]]
-    return sorted(found, key=lambda pair: pair[1])
+    rough: list[tuple[Floats, float]] = []
+    for index in np.argsort(costs)[:refined]:
+        rough.append(head.refine(trials[index], rough=True))
+        if rough[-1][1] < enough:
+            return [rough[-1]]
+    best = sorted(rough, key=lambda found: found[1])[: TUNING.finished]
+    return sorted((head.refine(z) for z, _ in best), key=lambda found: found[1])
