@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
@@ -76,7 +78,8 @@ def _search(
     """
     period = float(np.median(np.diff(head.t)))
     trials = [head.coordinates(_draw_servo(head, rng, period)) for _ in range(starts)]
-    costs = [float(np.square(head.residual(z)).mean()) for z in trials]
+    quick = replace(head, servo=replace(head.servo, loop_period=TUNING.quick_ticks * head.servo.loop_period))
+    costs = [float(np.square(quick.residual(z)).mean()) for z in trials]
     rough: list[tuple[Floats, float]] = []
     for index in np.argsort(costs)[:refined]:
         rough.append(head.refine(trials[index], rough=True))

@@ -29,6 +29,8 @@ class ActuatorTuning:
     #: round comes only if the deviation of the one before exceeds `explained` steps of the encoder (rms).
     rounds: tuple[tuple[int, int], ...] = ((80, 3), (600, 8))
     explained: float = 0.35
+    #: Periods of the loop between two ticks while random starts are compared.
+    quick_ticks: float = 4.0
     #: Two minima are the same one if their squared residuals differ by less than this factor.
     same_minimum: float = 1.01
     #: Steps of each of these refinements, and number of the best ones that are refined to the end.
