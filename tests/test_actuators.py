@@ -12,6 +12,7 @@ from pmfid.actuators import Servo, fit_servo
 from pmfid.actuators.rounding import compute_cost, compute_score, compute_weight, invert_curvature
 from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.simulation._servo import simulate_servo
 from pmfid.types import Floats
 from studies.servo_truth import TrueServo, simulate_servos
 
@@ -59,6 +60,36 @@ def make_log(
 def _few_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     """The landscape of these logs is plain, and the tests are to be quick."""
     monkeypatch.setattr(ActuatorTuning, "rounds", ((300, 3),))
+
+
+def test_derivatives_are_those_of_the_simulated_motion() -> None:
+    """Central differences are the oracle, apart from samples at which a shifted command moves over a tick."""
+    rng, t = np.random.default_rng(3), np.cumsum(np.random.default_rng(4).uniform(0.008, 0.012, 500))
+    goal = np.where(t < 2.5, rng.uniform(-0.7, 0.7, 25).repeat(20), 0.4 * np.sin(5 * t) + 0.15 * np.sin(13 * t))
+    given = {"inertia": 0.01, "viscous": 0.15, "coulomb": 0.1, "kp": 9.0, "kd": 0.1, "torque_limit": 3.0}
+    given |= {"delay": 0.0137, "loop_delay": 2.3e-3, "gravity": 1.0, "gravity_angle": 0.3, "offset": 0.1}
+    given |= {"stribeck": 0.08, "stribeck_speed": 0.5, "load_friction": 0.1, "quadratic": 0.003}
+    servo = Servo(STEP, terms=list(given)[4:], known_force=True)
+    values, force = np.array([given[name] for name in servo.unknown]), 0.4 * np.sin(3 * t)
+
+    def move(own: Floats) -> Floats:
+        return servo.simulate(own[:-2], t, goal, float(own[-2]), float(own[-1]), force=force)
+
+    own = np.append(values, [0.1, 0.2])
+    moved, slopes = servo.differentiate(values, t, goal, 0.1, 0.2, force)
+    assert (moved == move(own)).all()
+    assert slopes.shape == (500, 17)
+    for column, size in enumerate(1e-6 * own):
+        width = np.where(np.arange(17) == column, size, 0.0)
+        expected = (move(own + width) - move(own - width)) / (2 * size)
+        worst = np.quantile(np.abs(slopes[:, column] - expected), 0.9)
+        assert worst < 1e-5 * np.std(expected), [*servo.unknown, "start", "velocity"][column]
+
+
+def test_derivatives_carry_no_counts() -> None:
+    columns = np.arange(17)
+    with pytest.raises(ValueError, match="without encoder steps"):
+        simulate_servo(np.arange(3.0), np.ones(3), np.ones(15), 1e-3, STEP, 0.0, 0.0, None, columns)
 
 
 def check_estimates(fit, within: float, **changes: float) -> None:  # type: ignore[no-untyped-def]

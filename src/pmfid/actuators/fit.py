@@ -210,7 +210,8 @@ def _sharpen(problem: ServoProblem, z: Floats) -> tuple[ServoProblem, Floats]:
     z, counted = choose_likeliest(problem, sharpen(problem, z)), replace(problem, counted=True)
     if problem.is_contradicted(z):
         return problem, z
-    found = sharpen(counted, z)
+    places = [z + offset * (np.arange(z.size) == z.size - TUNING.nuisance) for offset in TUNING.places]
+    found = sharpen(counted, min(places, key=lambda place: measure_cost(counted, place)))
     likelier = measure_cost(counted, found) < measure_cost(problem, z) - TUNING.counted_gain
     return (counted, found) if likelier else (problem, z)
 
@@ -261,7 +262,7 @@ def _widen(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoProblem, F
 
 def _rank_terms(problem: ServoProblem, z: Floats, names: Sequence[str]) -> dict[str, float]:
     """Return the part of the squared residual that each term explains to first order, the largest first."""
-    base, residual = problem.jacobian(z), problem.residual(z)
+    residual, base = problem.linearise(z)
     rest = residual - base @ np.linalg.lstsq(base, residual, rcond=None)[0]
 
     def explain(name: str) -> float:

@@ -77,7 +77,7 @@ class ServoProblem:
 
     def simulate(self, z: Floats) -> Floats:
         """Simulated position (n,) [rad]."""
-        start, velocity = float(self.position[0]) + float(z[-2]) * self.servo.resolution, float(z[-1]) * self.speed
+        start, velocity = self._begin(z)
         if not self.phase:
             return self.servo.simulate(
                 self.theta(z), self.t, self.goal, start, velocity, quantised=self.counted, force=self.force
@@ -92,8 +92,11 @@ class ServoProblem:
 
     def run(self, z: Floats) -> tuple[Floats, Floats, float]:
         """Return position (n,) [rad], torque (n,) [N m], and the part of the time at which the torque is limited."""
-        start, velocity = float(self.position[0]) + float(z[-2]) * self.servo.resolution, float(z[-1]) * self.speed
-        return self.servo.run(self.theta(z), self.t, self.goal, start, velocity, force=self.force)
+        return self.servo.run(self.theta(z), self.t, self.goal, *self._begin(z), force=self.force)
+
+    def _begin(self, z: Floats) -> tuple[float, float]:
+        """Return the start position [rad] and velocity [rad/s]."""
+        return float(self.position[0]) + float(z[-2]) * self.servo.resolution, float(z[-1]) * self.speed
 
     @cached_property
     def _ticks(self) -> tuple[Floats, Floats]:
@@ -114,48 +117,38 @@ class ServoProblem:
 
     def residual(self, z: Floats) -> Floats:
         """Simulated minus measured position (n,) [rad]. The residual is finite for all coordinates."""
-        found = np.clip(self.simulate(z) - self.position, -1e6, 1e6)
-        return found if np.isfinite(found.sum()) else np.nan_to_num(found, nan=1e6)
+        return _bound(self.simulate(z) - self.position)
 
     def is_contradicted(self, z: Floats) -> bool:
         """Whether the squared residual at coordinates (p + 2,) is more than rounding explains."""
         return float(np.mean(self.residual(z) ** 2)) > (TUNING.contradicted * self.servo.resolution) ** 2 / 12
 
-    def jacobian(self, z: Floats, *, forward: bool = False) -> Floats:
-        """Derivatives (n, p + 2) of the residual by the coordinates, as central or forward differences.
+    def linearise(self, z: Floats) -> tuple[Floats, Floats]:
+        """Residual (n,) [rad] and its derivatives (n, p + 2) by the coordinates.
 
         They are those of a loop that ticks at the samples and is not counted, because counts have no derivatives.
         """
-        if self.counted or self.phase:
-            return replace(self, counted=False, phase=0.0).jacobian(z, forward=forward)
-        columns, here = [], self.residual(z) if forward else None
-        for index in range(z.size):
-            width = np.zeros_like(z)
-            width[index] = TUNING.difference if index < z.size - TUNING.nuisance and self.positive[index] else 1e-2
-            before, span = (self.residual(z - width), 2.0) if here is None else (here, 1.0)
-            columns.append((self.residual(z + width) - before) / (span * width[index]))
-        return np.stack(columns, axis=1)
+        start, velocity = self._begin(z)
+        theta = self.theta(z)
+        moved, slopes = self.servo.differentiate(theta, self.t, self.goal, start, velocity, self.force)
+        units = np.append(np.where(self.positive, theta, self.scale), [self.servo.resolution, self.speed])
+        return _bound(moved - self.position), np.nan_to_num(slopes * units, nan=0.0)
 
     def refine(self, z: Floats, *, rough: bool = False) -> tuple[Floats, float]:
         """Coordinates of a local minimum of the squared residual from `z` on, and this minimum [rad2].
 
-        The steps are those of Levenberg and Marquardt. Broyden's formula updates the derivatives while steps gain much.
-        A rough refinement takes a few steps.
+        The steps are those of Levenberg and Marquardt. A rough refinement takes a few steps.
         """
-        residual, slope, damping, age = self.residual(z), None, TUNING.damping, 0
+        (residual, slope), damping = self.linearise(z), TUNING.damping
         for _ in range(TUNING.first_evaluations if rough else TUNING.evaluations):
-            if slope is None:
-                slope, age = self.jacobian(z, forward=True), 0
             step = np.clip(_solve_damped(slope, residual, damping), -self._longest, self._longest)
-            moved = self.residual(z + step)
-            gain, change = 1 - float(moved @ moved) / max(float(residual @ residual), 1e-300), moved - residual
+            moved = self.linearise(z + step)
+            gain = 1 - float(moved[0] @ moved[0]) / max(float(residual @ residual), 1e-300)
             if gain > 0:
-                z, residual, damping = z + step, moved, damping / 10
-            if gain > TUNING.large_gain:
-                slope, age = update_slope(slope, step, change), age + 1
-            elif gain > TUNING.least_gain or age > 0:
-                slope = None
-            elif gain > 0 or damping > TUNING.most_damping:
+                z, (residual, slope), damping = z + step, moved, damping / 10
+                if gain < TUNING.least_gain:
+                    break
+            elif damping > TUNING.most_damping:
                 break
             else:
                 damping *= 10
@@ -176,14 +169,14 @@ class ServoProblem:
         return np.append(z[: -TUNING.nuisance], start)
 
 
+def _bound(residual: Floats) -> Floats:
+    """Return the residual (n,) [rad] with finite values."""
+    found = np.clip(residual, -1e6, 1e6)
+    return found if np.isfinite(found.sum()) else np.nan_to_num(found, nan=1e6)
+
+
 def _solve_damped(slope: Floats, residual: Floats, damping: float) -> Floats:
     """Return the damped step (q,) of a least squares problem with derivatives (n, q)."""
     size = np.maximum(np.linalg.norm(slope, axis=0), 1e-300)
     scaled = slope / size
     return np.asarray(np.linalg.solve(scaled.T @ scaled + damping * np.eye(size.size), -scaled.T @ residual) / size)
-
-
-def update_slope(slope: Floats, step: Floats, change: Floats) -> Floats:
-    """Return derivatives (n, q) that agree with the change (n,) of the residual over a step (q,), after Broyden."""
-    weighted = step * np.square(slope).sum(axis=0)
-    return slope + np.outer(change - slope @ step, weighted / max(float(step @ weighted), 1e-300))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.actuators.problem import ServoProblem, update_slope
+from pmfid.actuators.problem import ServoProblem
 from pmfid.actuators.tuning import TUNING
 from pmfid.estimators.likelihood import count_likelihood, log_probability
 from pmfid.types import Floats
@@ -88,6 +88,8 @@ def find_scatter(deviation: Floats) -> float:
     """Return the scatter [steps] that maximises the likelihood, and at least `TUNING.least_scatter`."""
     from scipy.optimize import minimize_scalar  # slow to import
 
+    if compute_cost(deviation, 1.05 * TUNING.least_scatter) > compute_cost(deviation, TUNING.least_scatter):
+        return TUNING.least_scatter
     low = np.log(TUNING.least_scatter)
     high = max(np.log(2 * float(np.sqrt(np.mean(deviation**2))) + 1e-9), low + 0.1)
     found = minimize_scalar(
@@ -121,7 +123,13 @@ def evaluate_rounded(problem: ServoProblem, z: Floats) -> RoundedFit:
     """Return the likelihood at coordinates (p + 2,)."""
     step = problem.servo.resolution
     deviation = problem.residual(z) / step
-    return RoundedFit(problem.jacobian(z) / step, deviation, find_scatter(deviation))
+    return RoundedFit(problem.linearise(z)[1] / step, deviation, find_scatter(deviation))
+
+
+def _update_slope(slope: Floats, step: Floats, change: Floats) -> Floats:
+    """Return derivatives (n, q) that agree with the change (n,) of the residual over a step (q,), after Broyden."""
+    weighted = step * np.square(slope).sum(axis=0)
+    return slope + np.outer(change - slope @ step, weighted / max(float(step @ weighted), 1e-300))
 
 
 def sharpen(problem: ServoProblem, z: Floats) -> Floats:
@@ -130,7 +138,7 @@ def sharpen(problem: ServoProblem, z: Floats) -> Floats:
     deviation = problem.residual(z) / step
     for _ in range(TUNING.newton_steps):
         if slope is None:
-            slope, fresh = problem.jacobian(z, forward=True) / step, True
+            slope, fresh = problem.linearise(z)[1] / step, True
         now = RoundedFit(slope, deviation, find_scatter(deviation))
         move = -solve_scaled(now.curvature + TUNING.newton_ridge * slope.T @ slope, now.scores.sum(axis=0))
         cost = compute_cost(deviation, now.scatter)
@@ -138,7 +146,7 @@ def sharpen(problem: ServoProblem, z: Floats) -> Floats:
             moved = problem.residual(z + part * move) / step
             gain = cost - compute_cost(moved, now.scatter)
             if gain > 0:
-                slope = update_slope(slope, part * move, moved - deviation)
+                slope = _update_slope(slope, part * move, moved - deviation)
                 z, deviation = z + part * move, moved
                 break
         if gain < TUNING.newton_gain:

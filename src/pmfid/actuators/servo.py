@@ -9,6 +9,7 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.simulation._servo import simulate_servo
@@ -193,4 +194,21 @@ class Servo:
     ) -> tuple[Floats, Floats, float]:
         """Return position (n,) [rad], torque (n,) [N m], and the part of the time at which the torque is limited."""
         step = self.resolution if quantised else 0.0
-        return simulate_servo(t, goal, self.values(theta), self.loop_period, step, start, velocity, force)
+        return simulate_servo(t, goal, self.values(theta), self.loop_period, step, start, velocity, force)[:3]
+
+    def differentiate(
+        self, theta: Floats, t: Floats, goal: Floats, start: float, velocity: float, force: Floats | None
+    ) -> tuple[Floats, Floats]:
+        """Return position (n,) [rad] and its derivatives (n, p + 2) by `theta`, `start` and `velocity`.
+
+        The loop sees the position without steps of the encoder.
+        """
+        own = (self.values(theta), self.loop_period, 0.0, start, velocity)
+        found = simulate_servo(t, goal, *own, force, self._columns)
+        return found[0], found[3]
+
+    @cached_property
+    def _columns(self) -> NDArray[np.intp]:
+        """Column of the derivatives by each parameter, the start and the velocity (17,); -1 for none."""
+        own = [*self.unknown, "start", "velocity"]
+        return np.array([own.index(name) if name in own else -1 for name in (*UNITS, *own[-2:])])

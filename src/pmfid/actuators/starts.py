@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
@@ -59,19 +61,29 @@ def find_start(problem: ServoProblem) -> Floats:
     two of them find it.
     """
     head, rng = problem.head(), np.random.default_rng(0)
+    enough = (TUNING.explained * problem.servo.resolution) ** 2 * head.t.size
     for starts, refined in TUNING.rounds:
-        (z, cost), *others = _search(head, rng, starts, refined)
-        agree = others[0][1] < TUNING.same_minimum * cost
-        if agree or cost < (TUNING.explained * problem.servo.resolution) ** 2 * head.t.size:
+        (z, cost), *others = _search(head, rng, starts, refined, enough)
+        if cost < enough or others[0][1] < TUNING.same_minimum * cost:
             break
     return problem.place_start(z, head)
 
 
-def _search(head: ServoProblem, rng: np.random.Generator, starts: int, refined: int) -> list[tuple[Floats, float]]:
-    """Return the best local minima from `starts` random servos, of which `refined` are refined, the best one first."""
+def _search(
+    head: ServoProblem, rng: np.random.Generator, starts: int, refined: int, enough: float
+) -> list[tuple[Floats, float]]:
+    """Return the best local minima from `starts` random servos, of which `refined` are refined, the best one first.
+
+    A minimum below `enough` is returned alone.
+    """
     period = float(np.median(np.diff(head.t)))
     trials = [head.coordinates(_draw_servo(head, rng, period)) for _ in range(starts)]
-    costs = [float(np.square(head.residual(z)).mean()) for z in trials]
-    best = [trials[index] for index in np.argsort(costs)[:refined]]
-    better = sorted((head.refine(trial, rough=True) for trial in best), key=lambda found: found[1])
-    return sorted((head.refine(trial) for trial, _ in better[: TUNING.finished]), key=lambda found: found[1])
+    quick = replace(head, servo=replace(head.servo, loop_period=TUNING.quick_ticks * head.servo.loop_period))
+    costs = [float(np.square(quick.residual(z)).mean()) for z in trials]
+    rough: list[tuple[Floats, float]] = []
+    for index in np.argsort(costs)[:refined]:
+        rough.append(head.refine(trials[index], rough=True))
+        if rough[-1][1] < enough:
+            return [rough[-1]]
+    best = sorted(rough, key=lambda found: found[1])[: TUNING.finished]
+    return sorted((head.refine(z) for z, _ in best), key=lambda found: found[1])

@@ -29,6 +29,8 @@ class ActuatorTuning:
     #: round comes only if the deviation of the one before exceeds `explained` steps of the encoder (rms).
     rounds: tuple[tuple[int, int], ...] = ((80, 3), (600, 8))
     explained: float = 0.35
+    #: Periods of the loop between two ticks while random starts are compared.
+    quick_ticks: float = 4.0
     #: Two minima are the same one if their squared residuals differ by less than this factor.
     same_minimum: float = 1.01
     #: Steps of each of these refinements, and number of the best ones that are refined to the end.
@@ -44,15 +46,12 @@ class ActuatorTuning:
     dampings: tuple[float, float] = (0.05, 3.0)
     delays: float = 3.5
     frictions: tuple[float, float] = (0.003, 0.5)
-    #: Step of the difference quotients, in the logarithm of a positive parameter.
-    difference: float = 1e-4
-    #: Steps of one refinement: their number, and their first and largest damping. Derivatives are carried on while a
-    #: step gains a large part of the squared residual. A step that gains less than the least part is the last one.
-    #: No step changes the logarithm of a parameter by more than the longest step.
+    #: Steps of one refinement: their number, and their first and largest damping. A step that gains less than the
+    #: least part of the squared residual is the last one. No step changes the logarithm of a parameter by more than the
+    #: longest step.
     evaluations: int = 60
     damping: float = 1e-4
     most_damping: float = 1e2
-    large_gain: float = 0.5
     least_gain: float = 1e-6
     longest_step: float = 3.0
     #: The fit needs this many samples for each parameter.
@@ -65,6 +64,8 @@ class ActuatorTuning:
     least_information: float = 1e-10
     #: The loop sees counts if its log is likelier by this [natural units].
     counted_gain: float = 10.0
+    #: Changes of the start [encoder steps] that are compared in a loop on counts, whose derivatives do not show them.
+    places: tuple[float, ...] = (0.0, -0.3, -0.15, 0.15, 0.3)
     #: Least scatter [encoder steps] of the position before rounding. It stands for what any model neglects.
     least_scatter: float = 0.08
     #: Largest deviation in the likelihood [encoder steps].
