@@ -257,6 +257,7 @@ class WatchedAxis:
             float(self._rest.crossed[0]),
             self.threshold,
             cause.others or (),
+            self.watch.tolerance,
         )
 
     def _cause(self, units: Floats, estimate: Estimate) -> Cause:

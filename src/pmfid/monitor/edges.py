@@ -285,7 +285,8 @@ class EdgeMonitor:
         begun, self._before = self._time - self._since * self.estimator.dt, self.reference.copy()
         std = math.hypot(cause.std, cause.relative * cause.change)  # the estimate may still have errors of second order
         numbers = cause.change, std, cause.relative, self.statistic, self.threshold
-        alarm = Alarm(self._time, begun, cause.name, units.get(cause.name, ""), *numbers, cause.others or ())
+        others, tolerance = cause.others or (), self.watch.tolerance
+        alarm = Alarm(self._time, begun, cause.name, units.get(cause.name, ""), *numbers, others, tolerance)
         self._since = 0
         return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
 

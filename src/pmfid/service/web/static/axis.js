@@ -312,8 +312,8 @@ export class AxisView {
     this.alarmsSeen = key;
     const write = this.plant.may === "write";
     const known = own.filter((alarm) => !isOpen(alarm));
-    this.open.replaceChildren(...own.filter(isOpen).map((alarm) => alarmCard(alarm, write, false)));
-    this.known.replaceChildren(...(known.length ? known.map((alarm) => alarmCard(alarm, write, false)) : [el("li", { class: "fine" }, own.length ? "the open ones stand above" : "none so far")]));
+    this.open.replaceChildren(...own.filter(isOpen).map((alarm) => alarmCard(alarm, own, write, false)));
+    this.known.replaceChildren(...(known.length ? known.map((alarm) => alarmCard(alarm, own, write, false)) : [el("li", { class: "fine" }, own.length ? "the open ones stand above" : "none so far")]));
     this.putFirst(own.find((alarm) => isOpen(alarm) && !alarm.silent)?.parameter);
     const happened = this.plant.notices.filter((notice) => notice.axis === this.axis).slice(-60).reverse();
     this.log.replaceChildren(...(happened.length ? happened.map(noticeLine) : [el("li", { class: "fine" }, "nothing so far")]));
