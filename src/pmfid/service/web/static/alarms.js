@@ -99,7 +99,7 @@ export function acknowledge(alarm) {
   );
 }
 
-// A dialog with one action; what goes wrong is said in it.
+// A dialog with one action, which also shows the reason if the action fails.
 export function askFirst(title, content, action, act) {
   const problem = el("p", { role: "alert", class: "problem" });
   const dialog = el("dialog", { "aria-labelledby": "dialog-title" });
