@@ -55,7 +55,7 @@ class Watch:
     def __post_init__(self) -> None:
         check_choice("detector", self.detector, DETECTORS)
         if not 0.1 <= self.mtbf_hours <= 1e6:
-            raise UsageError(f"mtbf_hours must be in [0.1, 1e6], got {self.mtbf_hours}; it is in hours")
+            raise UsageError(f"mtbf_hours must be in [0.1, 1e6], got {self.mtbf_hours}; the unit is hours")
         if not 0 <= self.tolerance < 1:
             raise UsageError(f"tolerance must be in [0, 1), got {self.tolerance}; 0.02 is 2 %")
 
