@@ -303,9 +303,9 @@ def test_what_does_not_fit_is_refused():
     fleet = pmfid.Fleet(make(pmfid.BCRLS), AXES)
     with pytest.raises(pmfid.UsageError, match=r"counts must be \(21, n\)"):
         fleet.run(u[:20], counts[:20])
-    with pytest.raises(pmfid.UsageError, match="u the same or"):
+    with pytest.raises(pmfid.UsageError, match="u the same, or"):
         fleet.run(u[:, 1:], counts)
-    with pytest.raises(pmfid.UsageError, match="an axis per row"):
+    with pytest.raises(pmfid.UsageError, match="one row for each axis"):
         make(pmfid.BCRLS).run_many(u[0], counts[0])
     with pytest.raises(pmfid.UsageError, match="integers"):
         fleet.run(u, counts + 0.5)
