@@ -93,7 +93,7 @@ def test_the_other_files_have_the_estimates_by_their_own_names(pendulum: FittedJ
 
 
 def test_a_joint_without_a_fit_is_left_out(pendulum: FittedJoint) -> None:
-    files = make_files([FittedJoint(pendulum.log, None, "moves too little")])
+    files = make_files([FittedJoint(pendulum.log, None, "hardly moves")])
     assert all(NAME not in text for text in files.values())
     assert ElementTree.fromstring(files["servos.xml"]).find(".//joint") is None
 

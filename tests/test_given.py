@@ -190,7 +190,7 @@ def test_without_error_bars_it_is_refused() -> None:
         ({"prior": {"mass": (1.0, -0.1)}}, "a mean and a standard deviation"),
         ({"given": {"mass": float("nan")}}, "must be a number"),
         ({"given": {"mass": -1.0}}, "never negative"),
-        ({"given": {"input_gain": 1.0}}, "no parameter"),
+        ({"given": {"input_gain": 1.0}}, "not a parameter"),
         ({"find_gain": True}, "give one of mass"),
         ({"find_gain": True, "given": {"coulomb_friction": 0.0}}, "a value other than 0"),
         ({"find_gain": True, "prior": {"input_gain": (2.0, 0.0)}}, "nothing remains to be estimated"),

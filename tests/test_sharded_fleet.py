@@ -220,7 +220,7 @@ def test_anything_that_happens_leaves_every_axis_as_alone(tmp_path: Path) -> Non
         (lambda fleet: fleet.run([2**32], *some(1)), f"no axis has the handle {2**32}"),
         (lambda fleet: fleet.run([0.5], *some(1)), "integers that `add` returned"),
         (lambda fleet: fleet.run([[0]], *some(1)), "integers that `add` returned"),
-        (lambda fleet: fleet.run([], *some(0)), "got 0"),
+        (lambda fleet: fleet.run([], *some(0)), "got axes of 0"),
         (lambda fleet: fleet.run([0, 1], *some(3)), r"counts must be \(2, n\)"),
         (lambda fleet: fleet.run([0, 1], some(2)[0], some(2)[1] + 0.5), "integers"),
         (lambda fleet: fleet.run([0, 1], *some(2), every=0), "every must be"),
@@ -335,7 +335,7 @@ def test_what_was_written_without_waiting_is_synced_with_the_next_that_waits(
 def test_axes_of_another_configuration_are_not_taken_for_ours(tmp_path: Path) -> None:
     two_checkpoints(tmp_path)
     for others in ([], [make(pmfid.BCRLS, forgetting=0.9)], [make(pmfid.BCRLS, "float32")]):
-        with pytest.raises(pmfid.UsageError, match=r"none of the . estimators given; give every"):
+        with pytest.raises(pmfid.UsageError, match=r"none of the . given estimators; give every"):
             pmfid.ShardedFleet(tmp_path, others)
     opened(tmp_path).close()  # the folder is free
 

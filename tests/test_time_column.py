@@ -175,7 +175,7 @@ def place(time: Floats, output: Floats) -> PlacedRows:
 def test_many_gaps_are_not_to_be_cut(tmp_path: Path) -> None:
     config, steps = axis_of(tmp_path, "t").record, np.ones(200)
     steps[80] = 10.0
-    with pytest.raises(UsageError, match=r"1 gap.*split the record at the gap"):
+    with pytest.raises(UsageError, match=r"1 gap.*cut the record at the gap"):
         sample_period(0.01 * np.cumsum(steps), config)
     steps[[20, 50, 60, 90, 150]] = 10.0
     with pytest.raises(UsageError, match=r"6 gaps.*dt in place of time"):
