@@ -248,7 +248,7 @@ def test_what_cannot_be_identified_says_so():
             estimator.fit_experiments([Experiment(u, y, dt=SECOND.dt)])
     with pytest.raises(UsageError, match="record longer"):
         estimator.fit_experiments([Experiment(np.ones(3), np.ones(3), dt=SECOND.dt)])
-    with pytest.raises(UsageError, match="needs a transfer function"):
+    with pytest.raises(UsageError, match="works on a transfer function"):
         SRIVC(Drive(2.0), ENCODER, 0.01, 50.0)
 
 
