@@ -231,14 +231,14 @@ def test_an_iteration_that_has_not_settled_is_no_estimate(monkeypatch):
     monkeypatch.setattr("pmfid.estimators.srivc.refine", lambda problem, start: Solution(start, False, 1))
     u = sweep(400)
     y = simulate_process((1.0,), (1.0, 0.3, 4.0, 0.5), u, DT) + 0.05 * coloured(np.random.default_rng(1), 400)
-    with pytest.raises(NotIdentifiableError, match="output-error does not settle"):
+    with pytest.raises(NotIdentifiableError, match="output-error does not converge"):
         fit_process(OE(TransferFunction(3, 0), Encoder(1.0), DT, 2.0), [Experiment(u, y, dt=DT)], solve_by_descent)
 
 
 def test_the_search_puts_one_that_is_accepted_first():
     rows = tuple(OrderCandidate(n, 0, 0, float(n), 90.0, 1.0, True, True, np.ones(n + 1), 100) for n in (1, 2, 3))
-    found = accepted_first(Search(rows, 0, 100), lambda row: {1: UNSTABLE, 2: "does not settle"}.get(row.n, ""))
+    found = accepted_first(Search(rows, 0, 100), lambda row: {1: UNSTABLE, 2: "does not converge"}.get(row.n, ""))
     assert [row.n for row in found.candidates] == [3, 1, 2]
-    assert [row.refused for row in found.candidates] == ["", UNSTABLE, "does not settle"]
-    none = accepted_first(Search(rows, 0, 100), lambda row: UNSTABLE if row.n == 2 else "does not settle")
+    assert [row.refused for row in found.candidates] == ["", UNSTABLE, "does not converge"]
+    none = accepted_first(Search(rows, 0, 100), lambda row: UNSTABLE if row.n == 2 else "does not converge")
     assert none.best.n == 2

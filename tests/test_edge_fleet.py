@@ -89,17 +89,17 @@ def test_a_fleet_goes_on_from_its_saved_states(runs: tuple[np.ndarray, ...]) -> 
 def test_other_arrays_and_states_are_refused(runs: tuple[np.ndarray, ...]) -> None:
     fleet = EdgeFleet(make_monitor(), 1)
     state = fleet.get_state()
-    with pytest.raises(UsageError, match="ages must be"):
+    with pytest.raises(UsageError, match="ages must have the shape"):
         fleet.run([0], runs[0][:1], runs[1][:1], runs[2][:1, 1:])
-    with pytest.raises(UsageError, match="no estimate yet"):
+    with pytest.raises(UsageError, match="no estimate exists yet"):
         fleet.refer(0)
-    with pytest.raises(UsageError, match="not the state of such a monitor"):
+    with pytest.raises(UsageError, match="not a state of this monitor"):
         EdgeFleet(make_monitor(tolerance=0.3), 1).set_state(state)
     with pytest.raises(UsageError, match="damaged"):
         fleet.set_state(state[:-9] + b"x" + state[-8:])
     monitor = make_monitor()
     monitor.statistic = np.nan
-    with pytest.raises(UsageError, match="no state of a monitor"):
+    with pytest.raises(UsageError, match="cannot be a state of a monitor"):
         fleet.set_state(monitor.get_state())
     assert fleet.get_state() == state
 

@@ -218,7 +218,7 @@ def test_edges_that_are_dense_for_their_scatter_give_way_to_the_counts(seed: int
     fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=512).fit(u, counts, late)
     plain = IntervalML(Drive(CART.input_gain), encoder, 0.01, 20.0).fit(u, counts)
     assert np.array_equal(fit.theta, plain.theta)
-    assert "the counts alone are surer" in fit.notes[0]
+    assert "the counts alone are more precise" in fit.notes[0]
 
 
 def test_a_timer_that_saturates_gives_way_to_the_counts() -> None:

@@ -54,7 +54,7 @@ def test_a_known_mass_leaves_the_friction(method):
 @pytest.mark.parametrize("method", ["iv", "riv", "output-error", "interval"])
 def test_what_cannot_be_simulated_is_refused_with_the_remedy(method):
     equation = Equation(OWN.unknown[1:], (INPUT, Term("output", 2, coefficient=-CART.mass)))
-    with pytest.raises(UsageError, match=rf"{method} simulates the motion.*use ls, bcls, rls or bcrls"):
+    with pytest.raises(UsageError, match=rf"{method} needs a simulated motion.*use ls, bcls, rls or bcrls"):
         ESTIMATORS[method](EquationModel(equation), pmfid.Encoder(1e-5), CART_DT, CUTOFF)
 
 

@@ -552,19 +552,19 @@ def test_numbers_are_exact(number: float, text: str) -> None:
     assert literal(np.float64(number)) == text
     assert literal(np.float32(1.5)) == "0x1.8p+0f"
     assert literal(np.uint32(7)) == "7U"
-    with pytest.raises(ValueError, match="no C constant"):
+    with pytest.raises(ValueError, match="cannot be written as a constant in C"):
         literal(np.float64(np.nan))
 
 
 @pytest.mark.parametrize("prefix", ["", "1st", "Axis", "a-b", "pmf", "pmf_x"])
 def test_a_prefix_must_be_a_name(prefix: str, tmp_path: Path) -> None:
-    with pytest.raises(pmfid.UsageError, match=r"prefix must be .* begin with a letter"):
+    with pytest.raises(pmfid.UsageError, match=r"prefix must consist of .* begin with a letter"):
         pmfid.export_firmware(make(pmfid.RLS), tmp_path, prefix=prefix)
 
 
 def test_off_line_methods_and_full_folders_are_refused(tmp_path: Path) -> None:
     for cls in OFF_LINE:
-        with pytest.raises(pmfid.UsageError, match="whole records"):
+        with pytest.raises(pmfid.UsageError, match="needs a whole record"):
             pmfid.export_firmware(cls(pmfid.Drive(2.0), pmfid.Encoder(1e-5), DT, CUTOFF), tmp_path)
     (tmp_path / "thesis.tex").write_text("")
     with pytest.raises(pmfid.UsageError, match=r"thesis\.tex"):

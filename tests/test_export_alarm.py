@@ -76,7 +76,7 @@ def test_standstill_raises_none(tmp_path: Path) -> None:
 def test_what_makes_no_alarm_is_refused(tmp_path: Path) -> None:
     drive, encoder = pmfid.Drive(2.0), pmfid.Encoder(1e-5)
     forgetful = pmfid.RLS(drive, encoder, 0.01, 50.0, forgetting=0.99)
-    with pytest.raises(pmfid.UsageError, match="parameter must be one of"):
+    with pytest.raises(pmfid.UsageError, match="parameter of an alarm must be one of"):
         pmfid.export_firmware(forgetful, tmp_path, alarms=[ParameterAlarm("inertia", 1.0, 0.1)])
     with pytest.raises(pmfid.UsageError, match="forgetting below 1"):
         pmfid.export_firmware(pmfid.RLS(drive, encoder, 0.01, 50.0), tmp_path, alarms=[ALARM])

@@ -100,11 +100,11 @@ def test_a_name_that_is_taken_compiles(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "second", "message"),
     [
-        ("h", "drag", "AXIS_H, which the C has already"),
+        ("h", "drag", "AXIS_H, which the exported code already uses"),
         ("parameters", "drag", "AXIS_PARAMETERS, which"),
         ("Alarms", "drag", "AXIS_ALARMS, which"),
         ("mass", "Mass", "AXIS_MASS, which"),
-        ("größe", "drag", "letters that C has not"),
+        ("größe", "drag", "letters that C does not allow"),
     ],
 )
 def test_a_name_that_would_not_compile_is_refused(tmp_path: Path, name: str, second: str, message: str) -> None:

@@ -128,5 +128,5 @@ def test_a_disk_without_room_is_said(mixed: Path, config: Path, monkeypatch: pyt
     monkeypatch.setattr(
         "pmfid.fleet.rows.Aside._pack_rows", lambda *rest: (_ for _ in ()).throw(OSError(28, "No space"))
     )
-    with pytest.raises(UsageError, match="make room"):
+    with pytest.raises(UsageError, match="free some space"):
         fleet.estimate(mixed, axis=config, by="machine")

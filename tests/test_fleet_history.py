@@ -310,7 +310,7 @@ def test_the_rest_is_done(spoilt: History, plain: History) -> None:
         ({"by": "axis"}, "no column 'axis'"),
         ({"period": "fortnight"}, "duration"),
         ({"period": "0"}, "duration"),
-        ({"segment": 0.5}, "too short"),
+        ({"segment": 0.5}, "are shorter than"),
         ({"type": "kind"}, "no column 'kind'"),
     ],
     ids=str,

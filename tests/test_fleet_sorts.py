@@ -34,7 +34,7 @@ def test_two_versions_are_reported_and_neither_is_named(second: int, factor: flo
     assert not any(one.named for one in judge_axes(follows, NAMES, 0.02))
     reported = _sorts(follows, NAMES, 0.02)
     assert [(one.code, one.part) for one in reported] == [("several_sorts", "type press")]
-    assert "2 sorts of machines, by mass" in reported[0].text
+    assert "2 kinds of machines differ in mass" in reported[0].text
     assert f"{second} around {factor:.1g}"[:10] in reported[0].text
 
 

@@ -148,7 +148,7 @@ def test_some_axes_alone_are_written(prepared: Prepared, rows: list[tuple[str, b
     states = States.from_bodies(bodies, prepared.digest)
     assert states.write(tmp_path / "state", prepared, PACE, ["axis-2"]) == 1
     assert States.from_folder(tmp_path / "state", prepared.digest).axes == ["axis-2"]
-    with pytest.raises(UsageError, match="no axis 'axis-22'"):
+    with pytest.raises(UsageError, match="not contain the axis 'axis-22'"):
         states.write(tmp_path / "state", prepared, PACE, ["axis-22"])
     with pytest.raises(UsageError, match="another configuration"):
         States.from_folder(tmp_path / "state", "0" * 64)
@@ -159,13 +159,13 @@ def test_a_changed_configuration_is_refused_with_a_remedy(tmp_path: Path) -> Non
     for _ in range(2):
         begun(tmp_path, settings)
     for changed in (replace(settings, config="other"), replace(settings, shards=5), replace(settings, source="there")):
-        with pytest.raises(UsageError, match=r"was begun with another .*give"):
+        with pytest.raises(UsageError, match=r"the stream began with another .*give"):
             begun(tmp_path, changed)
     with pytest.raises(UsageError, match="results of another stream"):
         begun(tmp_path, settings, checkpoint="new")
     (tmp_path / "else").mkdir()
     (tmp_path / "else" / "a.txt").write_text("")
-    with pytest.raises(UsageError, match="holds something else"):
+    with pytest.raises(UsageError, match="contains other files"):
         begun(tmp_path, settings, out="else")
     with pytest.raises(UsageError, match="is not a checkpoint"):
         begun(tmp_path, settings, checkpoint="else")
@@ -201,9 +201,9 @@ def test_a_folder_that_cannot_be_made_is_said(tmp_path: Path) -> None:
 def test_a_failure_of_spark_is_said_with_what_helps(tmp_path: Path) -> None:
     (tmp_path / "spark.log").write_text("java.lang.OutOfMemoryError: Java heap space\n")  # file of an earlier run
     log = SparkLog(tmp_path)
-    assert "put back a copy" in log.problem(ValueError("Incomplete log file in the offset commit log"))
+    assert "restore a copy" in log.problem(ValueError("Incomplete log file in the offset commit log"))
     said = log.problem(ValueError("[FAILED_READ_FILE] a.parquet\n  File x\njava.io.IOException: no such file\n  at y"))
-    assert "stopped: java.io.IOException: no such file; mend that" in said
+    assert "stopped: java.io.IOException: no such file; correct the cause" in said
     with open(log.path, "a") as file:
         file.write('Exception in thread "x" java.lang.OutOfMemoryError: Java heap space\n')
     assert "SPARK_DRIVER_MEMORY=8g" in log.problem(ValueError("EOFError"))

@@ -197,12 +197,12 @@ def test_refusals_have_a_remedy() -> None:
     with pytest.raises(UsageError, match="lag must be a time in s from 0 on"):
         Drive(2.0, lag=-0.1)
     for method in (pmfid.LS, pmfid.BCRLS):
-        with pytest.raises(UsageError, match="use iv, output-error or interval, or give it in s"):
+        with pytest.raises(UsageError, match="use iv, output-error or interval, or give the lag in s"):
             made(method, "cart", lag="estimate")
     for options in ({"lag": "estimate"}, {"lag": 0.004, "dead_time": "estimate"}):
-        with pytest.raises(UsageError, match='or set dead_time = "estimate" alone'):
+        with pytest.raises(UsageError, match='or set dead_time = "estimate" without a lag'):
             made(RIV, "cart", **options)
-    with pytest.raises(UsageError, match="check its unit"):
+    with pytest.raises(UsageError, match="check the unit"):
         made(IV, "cart", lag=0.3)
     with pytest.raises(UsageError, match="take n one larger"):
         pmfid.TransferFunction(2, 0).replace_lag(0.1)

@@ -140,17 +140,17 @@ def test_a_monitor_goes_on_from_its_saved_state() -> None:
 def test_other_states_and_arguments_are_refused() -> None:
     monitor = make_monitor()
     state = monitor.get_state()
-    with pytest.raises(UsageError, match="not the state of such a monitor"):
+    with pytest.raises(UsageError, match="not a state of this monitor"):
         make_monitor(tolerance=0.1).set_state(state)
-    with pytest.raises(UsageError, match="not the state of such a monitor"):
+    with pytest.raises(UsageError, match="not a state of this monitor"):
         monitor.set_state(state + state)
     with pytest.raises(UsageError, match="damaged"):
         monitor.set_state(state[:-1] + bytes([state[-1] ^ 1]))
-    with pytest.raises(UsageError, match="not the state of such a monitor"):
+    with pytest.raises(UsageError, match="not a state of this monitor"):
         monitor.set_state(b"")
     with pytest.raises(UsageError, match="needs a memory"):
         make_monitor(memory=None)
-    with pytest.raises(UsageError, match="reference must be values"):
+    with pytest.raises(UsageError, match="reference must contain values"):
         EdgeMonitor(monitor.estimator, np.array([1.0, 0.0, 1.0]))
     assert monitor.get_state() == state
 

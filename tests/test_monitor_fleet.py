@@ -275,8 +275,8 @@ def test_damaged_states_change_nothing(monitor: Monitor) -> None:
     state = fleet.get_state()
     refused(fleet, state[:100] + b"x" + state[101:], "checksum is wrong")
     for bad in (b"", state[:-1], state + b"0", state + state, state[:28]):
-        refused(fleet, bad, "not the state of such a monitor|checksum")
-    refused(fleet, 7, "is the bytes that get_state gave, got int")
+        refused(fleet, bad, "not a state of this monitor|checksum")
+    refused(fleet, 7, "must be the bytes from get_state, got int")
 
 
 def test_states_of_another_configuration_are_refused(monitor: Monitor) -> None:
@@ -290,7 +290,7 @@ def test_states_of_another_configuration_are_refused(monitor: Monitor) -> None:
         Monitor(riv, calibration, Watch("cusum")),
     )
     for other in others:
-        refused(fleet, other.get_state(), "not the state of such a monitor")
+        refused(fleet, other.get_state(), "not a state of this monitor")
 
 
 def test_implausible_numbers_are_refused_whatever_their_checksum(
@@ -325,7 +325,7 @@ def test_implausible_numbers_are_refused_whatever_their_checksum(
         ("disturbed", "suspected", 0, -1),
     ]
     for change in changes:
-        refused(fleet, spoilt(*change), "no state of a monitor")
+        refused(fleet, spoilt(*change), "cannot be a state of a monitor")
     fleet.set_state(spoilt("watched", "statistic", 1, 0.5))
     assert fleet.statistics()[1] == 0.5
 
@@ -349,11 +349,11 @@ def test_axes_come_and_go(monitor: Monitor, records: tuple[Floats, Counts]) -> N
     ("index", "u", "counts", "message"),
     [
         ([1, 1], np.zeros((2, 3)), np.zeros((2, 3), int), "twice"),
-        ([4], np.zeros((1, 3)), np.zeros((1, 3), int), "there are 2 axes"),
-        ([-1], np.zeros((1, 3)), np.zeros((1, 3), int), "there are 2 axes"),
-        ([0.5], np.zeros((1, 3)), np.zeros((1, 3), int), "numbers of axes"),
-        ([0], np.zeros((1, 3)), np.zeros((1, 4), int), "a row for each axis"),
-        ([0], np.zeros(3), np.zeros(3, int), "a row for each axis"),
+        ([4], np.zeros((1, 3)), np.zeros((1, 3), int), "index must be from 0 to 1"),
+        ([-1], np.zeros((1, 3)), np.zeros((1, 3), int), "index must be from 0 to 1"),
+        ([0.5], np.zeros((1, 3)), np.zeros((1, 3), int), "index must contain the numbers"),
+        ([0], np.zeros((1, 3)), np.zeros((1, 4), int), "one row for each axis"),
+        ([0], np.zeros(3), np.zeros(3, int), "one row for each axis"),
         ([0], np.zeros((1, 3)), np.full((1, 3), 0.5), "integers"),
     ],
 )
@@ -368,7 +368,7 @@ def test_a_new_reference_on_demand(monitor: Monitor, records: tuple[Floats, Coun
     """
     u, counts = records[0][0], records[1][0]
     single = MonitorFleet(monitor, 1).monitor(0)
-    with pytest.raises(UsageError, match="no estimate yet"):
+    with pytest.raises(UsageError, match="no estimate exists yet"):
         MonitorFleet(Monitor(estimator(RIV), monitor.calibration), 1).refer(0)
     rows = single.run(u[:900], counts[:900])
     theta = rows.theta[0, -1]
@@ -379,7 +379,7 @@ def test_a_new_reference_on_demand(monitor: Monitor, records: tuple[Floats, Coun
     untouched = estimator(RIV, True).run(u[:640], counts[:640])
     assert rows.theta[0, :600].tolist() == untouched.theta[:600].tolist()
     assert not [event for *_, event in later.events if isinstance(event, Alarm)]
-    with pytest.raises(UsageError, match="no parameters of a machine"):
+    with pytest.raises(UsageError, match="no machine has the parameters"):
         single.refer([-1.0, 12.0, 0.8])
 
 

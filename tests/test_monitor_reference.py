@@ -215,7 +215,7 @@ def test_a_short_record_with_a_change_gives_no_thresholds() -> None:
     run = make_scenario("mass-step", seed=0)
     theta = np.array([1.25, 12.7, 0.86])
     estimator = make_riv(4096, theta)
-    with pytest.raises(UsageError, match=r"has 10 units of work in 30 s\. .* need 32: record 96 s"):
+    with pytest.raises(UsageError, match=r"need 32 .* it has 10 in 30 s: record 96 s"):
         calibrate(estimator, theta, run.motion.u, run.counts, hours=1.0)
 
 

@@ -52,7 +52,7 @@ def test_a_track_that_diverges_is_refused_without_a_warning(model: dict[str, obj
 
 def test_equations_without_one_solution_are_refused() -> None:
     for matrix in (np.zeros((2, 2)), np.ones((2, 2)), np.full((2, 2), np.nan), 1e-320 * np.eye(2)):
-        with pytest.raises(NotIdentifiableError, match="no one solution"):
+        with pytest.raises(NotIdentifiableError, match="no unique solution"):
             inverse_of(matrix)
     np.testing.assert_array_equal(inverse_of(2 * np.eye(2)), np.eye(2) / 2)
 
@@ -67,7 +67,7 @@ def test_a_counter_of_one_bit_is_refused() -> None:
 
 def test_columns_beyond_the_numbers_are_refused() -> None:
     huge = Columns(np.full((50, 2), 1e200), np.ones(50), np.ones((50, 2)), np.ones(50, bool), 0)
-    with pytest.raises(NotIdentifiableError, match="leaves the range of numbers"):
+    with pytest.raises(NotIdentifiableError, match="exceeds the range of numbers"):
         check_identifiable(huge, ("mass", "drag"))
 
 
@@ -81,7 +81,7 @@ def test_sensitivities_that_are_not_finite_are_refused() -> None:
         def forward_jacobian(self, q: np.ndarray, e: np.ndarray) -> np.ndarray:
             return np.full((e.size, q.size), np.nan)
 
-    with pytest.raises(NotIdentifiableError, match="leaves the range of numbers"):
+    with pytest.raises(NotIdentifiableError, match="exceeds the range of numbers"):
         least(Runaway(), np.ones(2))  # type: ignore[arg-type]
 
 

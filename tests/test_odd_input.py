@@ -40,9 +40,9 @@ def test_a_count_of_any_size_is_taken_modulo_the_counter(turns: int) -> None:
 
 @pytest.mark.parametrize("counts", [[0, 1e30], [0, 2**70], [0.0, -9.3e18]])
 def test_counts_beyond_64_bits_are_refused_in_one_sentence(counts: list[float]) -> None:
-    with pytest.raises(UsageError, match=r"beyond 64 bits: give them modulo 2\^bits"):
+    with pytest.raises(UsageError, match=r"beyond the range of 64 bits: give them modulo 2\^bits"):
         rls().run(np.zeros(2), counts)
-    with pytest.raises(UsageError, match="beyond 64 bits"):
+    with pytest.raises(UsageError, match="beyond the range of 64 bits"):
         pmfid.Fleet(rls(), 1).run(np.zeros(2), [counts])
 
 

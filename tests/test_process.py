@@ -242,20 +242,20 @@ def test_what_cannot_be_identified_says_so():
     estimator = srivc(SECOND)
     for u, y, text in (
         (np.ones(n), np.zeros(n), "does not move"),
-        (np.zeros(n), np.sin(np.arange(n)), "input is zero"),
+        (np.zeros(n), np.sin(np.arange(n)), "input is always zero"),
     ):
         with pytest.raises(NotIdentifiableError, match=text):
             estimator.fit_experiments([Experiment(u, y, dt=SECOND.dt)])
     with pytest.raises(UsageError, match="record longer"):
         estimator.fit_experiments([Experiment(np.ones(3), np.ones(3), dt=SECOND.dt)])
-    with pytest.raises(UsageError, match="is for a transfer function"):
+    with pytest.raises(UsageError, match="works on a transfer function"):
         SRIVC(Drive(2.0), ENCODER, 0.01, 50.0)
 
 
 def test_the_sample_period_is_that_of_the_records():
     record = Experiment(SECOND.u, SECOND.y, dt=SECOND.dt)
     other = replace(srivc(SECOND, delay=3), dt=2 * SECOND.dt)
-    with pytest.raises(UsageError, match=r"but record has a sample every .* the delay counts in it"):
+    with pytest.raises(UsageError, match=r"but record has a sample every .* counts the delay in samples"):
         other.fit_experiments([record])
     times = np.arange(SECOND.u.size) * SECOND.dt
     uneven = times + np.random.default_rng(0).uniform(-0.3, 0.3, times.size) * SECOND.dt
@@ -269,7 +269,7 @@ def test_the_sample_period_is_that_of_the_records():
 def test_experiments_are_a_list():
     record = Experiment(SECOND.u, SECOND.y, dt=SECOND.dt)
     for wrong in (record, [], None, [SECOND.u]):
-        with pytest.raises(UsageError, match="a list of one or more Experiments"):
+        with pytest.raises(UsageError, match="a list of Experiments"):
             srivc(SECOND).fit_experiments(wrong)
 
 

@@ -82,8 +82,8 @@ def test_a_chirp_that_cannot_carry_the_inertia_gives_none(
         assert result.exit_code == 3
         reasons = (
             "cannot identify",
-            "too little excitation",
-            "poor excitation",
+            "excitation is too poor",
+            "excitation is poor",
             "make a new record at a sample period",
         )
         assert any(reason in result.stderr for reason in reasons)

@@ -108,5 +108,5 @@ def test_an_unstable_direct_estimate_is_not_simulated():
 
 
 def test_a_drive_is_refused_with_the_remedy():
-    with pytest.raises(pmfid.UsageError, match="rsrivc is for a transfer function"):
+    with pytest.raises(pmfid.UsageError, match="rsrivc needs a transfer function"):
         RSRIVC(pmfid.Drive(2.0), pmfid.Encoder(1e-5), 0.01, 20.0)

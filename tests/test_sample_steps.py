@@ -121,13 +121,13 @@ def test_what_takes_no_steps_says_so() -> None:
         RIV(Drive(CART.input_gain, dead_time=0.01), Encoder(CART_RESOLUTION), CART_DT, 20.0, steps="given")
     with pytest.raises(UsageError, match="Experiment"):
         RLS(TransferFunction(2, 0), Encoder(1e-3), 0.01, 5.0, steps="given")
-    with pytest.raises(UsageError, match="even samples"):
+    with pytest.raises(UsageError, match="evenly spaced samples"):
         KnownStep(*arguments(), steps=steps)
-    with pytest.raises(UsageError, match="run each axis by itself"):
+    with pytest.raises(UsageError, match="run each axis on its own"):
         Fleet(RLS(*arguments(), steps="given"), 3)
     with pytest.raises(UsageError, match="positive"):
         IV(*arguments(), steps=np.zeros(5))
-    with pytest.raises(UsageError, match="steps for each sample"):
+    with pytest.raises(UsageError, match="give one step for each sample"):
         IV(*arguments(), steps=steps[1:]).fit(u, counts)
     with pytest.raises(UsageError, match="steps"):
         RLS(*arguments(), steps="given").run(u, counts)

@@ -122,7 +122,7 @@ def test_different_configurations_stand_side_by_side() -> None:
         assert np.array_equal(fleet.handles(estimator), own)
     assert fleet.axes == 22
     assert fleet.handles(make(pmfid.RLS)).size == 0
-    with pytest.raises(pmfid.UsageError, match=r"axes of one configuration, got 2.*by themselves"):
+    with pytest.raises(pmfid.UsageError, match=r"axes of one configuration only, got axes of 2.*on its own"):
         fleet.run(fleet.handles(), *some(22))
 
 
@@ -214,24 +214,24 @@ def test_anything_that_happens_leaves_every_axis_as_alone(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("call", "said"),
     [
-        (lambda fleet: fleet.run([0, 0], *some(2)), "comes twice"),
-        (lambda fleet: fleet.run([5], *some(1)), "there is no axis 5"),
-        (lambda fleet: fleet.run([-1], *some(1)), "there is no axis -1"),
-        (lambda fleet: fleet.run([2**32], *some(1)), f"there is no axis {2**32}"),
-        (lambda fleet: fleet.run([0.5], *some(1)), "those that `add` gave"),
-        (lambda fleet: fleet.run([[0]], *some(1)), "those that `add` gave"),
-        (lambda fleet: fleet.run([], *some(0)), "got 0"),
+        (lambda fleet: fleet.run([0, 0], *some(2)), "contains an axis twice"),
+        (lambda fleet: fleet.run([5], *some(1)), "no axis has the handle 5"),
+        (lambda fleet: fleet.run([-1], *some(1)), "no axis has the handle -1"),
+        (lambda fleet: fleet.run([2**32], *some(1)), f"no axis has the handle {2**32}"),
+        (lambda fleet: fleet.run([0.5], *some(1)), "integers that `add` returned"),
+        (lambda fleet: fleet.run([[0]], *some(1)), "integers that `add` returned"),
+        (lambda fleet: fleet.run([], *some(0)), "got axes of 0"),
         (lambda fleet: fleet.run([0, 1], *some(3)), r"counts must be \(2, n\)"),
         (lambda fleet: fleet.run([0, 1], some(2)[0], some(2)[1] + 0.5), "integers"),
         (lambda fleet: fleet.run([0, 1], *some(2), every=0), "every must be"),
-        (lambda fleet: fleet.remove([0, 9]), "there is no axis 9"),
+        (lambda fleet: fleet.remove([0, 9]), "no axis has the handle 9"),
         (lambda fleet: fleet.axis("a"), "handle must be a whole number"),
-        (lambda fleet: fleet.axis(10**30), "there is no axis"),
-        (lambda fleet: fleet.gap(7, 0), "there is no axis 7"),
+        (lambda fleet: fleet.axis(10**30), "no axis has the handle"),
+        (lambda fleet: fleet.gap(7, 0), "no axis has the handle 7"),
         (lambda fleet: fleet.add(BCRLS, -1), "axes must be a whole number of at least 0"),
-        (lambda fleet: fleet.add(BCRLS, 10**12), "places at most"),
+        (lambda fleet: fleet.add(BCRLS, 10**12), "at most .* places"),
         (lambda fleet: fleet.add(make(pmfid.RLS).model), "use rls, bcrls, riv or rsrivc"),
-        (lambda fleet: fleet.checkpoint(), "no folder for checkpoints; give one"),
+        (lambda fleet: fleet.checkpoint(), "no folder for checkpoints; give a folder"),
         (lambda fleet: pmfid.ShardedFleet(shard=0), "shard must be a whole number of at least 1"),
         (lambda fleet: pmfid.ShardedFleet(shard=2**30), "shard must be at most"),
         (lambda fleet: pmfid.ShardedFleet(workers=0), "workers must be"),
@@ -335,7 +335,7 @@ def test_what_was_written_without_waiting_is_synced_with_the_next_that_waits(
 def test_axes_of_another_configuration_are_not_taken_for_ours(tmp_path: Path) -> None:
     two_checkpoints(tmp_path)
     for others in ([], [make(pmfid.BCRLS, forgetting=0.9)], [make(pmfid.BCRLS, "float32")]):
-        with pytest.raises(pmfid.UsageError, match=r"none of the . estimators given; give every"):
+        with pytest.raises(pmfid.UsageError, match=r"none of the . given estimators; give every"):
             pmfid.ShardedFleet(tmp_path, others)
     opened(tmp_path).close()  # the folder is free
 
@@ -448,9 +448,9 @@ DAMAGE: dict[str, tuple[Callable[[Path], object], str]] = {
     "no longer there": (lambda path: path.unlink(), "No such file"),
     "of another checkpoint": (
         lambda path: path.write_bytes(path.with_name(path.name[:-1] + str(1 - int(path.name[-1]))).read_bytes()),
-        "it is of another checkpoint",
+        "it belongs to another checkpoint",
     ),
-    "numbers that no sample makes": (forge, "no states of its configuration, whatever their checksum says"),
+    "numbers that no sample makes": (forge, "cannot be states of its configuration, although their checksum is right"),
 }  # fmt: skip
 
 
@@ -509,7 +509,7 @@ def test_shards_that_were_exchanged_are_reported(tmp_path: Path) -> None:
     fleet = opened(tmp_path)
     assert fleet.restored is not None
     assert fleet.restored.lost.size == 32
-    assert all("of another checkpoint or shard" in sentence for sentence in fleet.restored.damaged)
+    assert all("to another checkpoint or shard" in sentence for sentence in fleet.restored.damaged)
 
 
 HOSTILE: dict[str, Callable[[dict[str, Any]], object]] = {

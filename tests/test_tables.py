@@ -107,7 +107,7 @@ def test_times_and_speeds_at_the_end_of_the_numbers_are_what_they_say(options: d
 
 
 def test_a_period_that_nothing_has_and_a_mask_are_refused() -> None:
-    with pytest.raises(UsageError, match="nothing is sampled so"):
+    with pytest.raises(UsageError, match="no plausible sample period"):
         pmfid.LS(pmfid.Drive(1.0), Encoder(1e-3), 1e-320, 20.0)
     masked = np.ma.masked_greater(np.arange(50.0), 40)
     with pytest.raises(UsageError, match="u has masked elements"):

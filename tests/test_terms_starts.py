@@ -115,5 +115,5 @@ def test_a_mass_of_nothing_is_not_known() -> None:
 def test_friction_cannot_rise_from_a_speed_that_the_record_has_not() -> None:
     record = made(samples=1500)
     method = IV(pmfid.Drive(GAIN, friction="directional"), pmfid.Encoder(STEP), DT, CUTOFF)
-    with pytest.raises(pmfid.UsageError, match="no speed beyond"):
+    with pytest.raises(pmfid.UsageError, match="the fastest motion of the record"):
         friction_curve(method, record.u, record.counts, rising_from=1e4)

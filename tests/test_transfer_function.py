@@ -347,7 +347,7 @@ def test_estimators_say_what_they_need():
     encoder = pmfid.Encoder(1e-6)
     with pytest.raises(UsageError, match="prefilter_zeros must be 3 different"):
         BCLS(TransferFunction(3, 0), encoder, 0.01, 10.0, prefilter_zeros=(-1, -2))
-    with pytest.raises(UsageError, match="no prefilter_zeros for a linear process"):
+    with pytest.raises(UsageError, match="not use prefilter_zeros for a linear process"):
         RLS(TransferFunction(2, 0), encoder, 0.01, 10.0, prefilter_zeros=(-1, -2))
     with pytest.raises(UsageError, match="order must be at least 4"):
         LS(TransferFunction(4, 0), encoder, 0.01, 10.0, order=3)

@@ -13,7 +13,8 @@ from threading import Event, Thread
 
 import numpy as np
 
-from pmfid.monitor.events import STATES
+from pmfid.monitor.events import STATES, Alarm
+from pmfid.pipeline.monitored.run import event_object
 from pmfid.records.record import Record
 from pmfid.service.web.board import Board
 from pmfid.service.web.config import PageConfig
@@ -126,10 +127,8 @@ class FakePlant:
 
     def alarm(self, axis: str, parameter: str = "mass", unit: str = "kg", relative: float = 0.078) -> int:
         t = self.samples * DT
-        return self.tell(
-            axis, event="alarm", time=t, parameter=parameter, direction="up", change=2.05 * relative, std=0.011,
-            unit=unit, relative=relative, changed_at=t - 1.4, statistic=31.2, threshold=17.9,
-        )  # fmt: skip
+        sizes = {"change": 2.05 * relative, "std": 0.011, "relative": relative, "statistic": 31.2, "threshold": 17.9}
+        return self.tell(axis, **event_object(Alarm(t, t - 1.4, parameter, unit, **sizes, tolerance=0.02), ()))
 
     # --- requests of the page ---
 

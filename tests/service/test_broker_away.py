@@ -82,7 +82,7 @@ def test_a_killed_broker_costs_nothing(tmp_path: Path) -> None:
 def test_a_broker_that_keeps_nothing_costs_nothing_either(tmp_path: Path) -> None:
     engine, sent = through_kills(tmp_path, 1, 0.5, "max_queued_messages 100000\nautosave_interval 0\n")
     check_nothing_lost(engine, sent)
-    assert any("forgotten the session" in problem for problem in engine.problems())
+    assert any("lost the session" in problem for problem in engine.problems())
 
 
 @pytest.mark.long
@@ -112,7 +112,7 @@ def test_two_services_under_one_name_are_reported(tmp_path: Path) -> None:
     threads = [engine.running(first)]
     assert connected(first)
     threads.append(engine.running(second))
-    assert wait_for(lambda: "another service has the session 'same'" in str(engine.problems()))
+    assert wait_for(lambda: "another service uses the session 'same'" in str(engine.problems()))
     stop(first, threads[0])
     stop(second, threads[1])
 

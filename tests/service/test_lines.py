@@ -220,7 +220,7 @@ def test_what_cannot_be_used_says_why(messages: Messages, data: bytes, reason: s
 def test_a_message_of_many_small_mistakes_is_cut(messages: Messages, data: bytes) -> None:
     found = messages.items(data)
     assert len(found) == MOST_POINTS + 1
-    assert "others are not looked at" in found[-1].problem
+    assert "ignores the others" in found[-1].problem
 
 
 def test_columns_take_no_more_memory_for_the_fields_that_nobody_reads(tmp_path: Path) -> None:
@@ -244,7 +244,7 @@ def test_columns_beyond_the_most_samples_are_cut(messages: Messages) -> None:
     *_, lines, last = messages.items(data)
     assert len(lines_of([lines])) == MOST_POINTS
     assert isinstance(last, Unusable)
-    assert "others are not looked at" in last.problem
+    assert "ignores the others" in last.problem
 
 
 def test_a_message_that_a_reader_fails_at_is_counted(messages: Messages, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -83,7 +83,7 @@ def test_totals_have_help_and_type() -> None:
     samples, helps, types = parsed(metrics.exposition(counters))
     assert samples["pmfid_samples_total", ()] == 3
     assert samples["pmfid_no_such_thing", ()] == 0.5
-    assert helps["pmfid_samples_total"] == "Samples that went through a monitor."
+    assert helps["pmfid_samples_total"] == "Samples that a monitor processed."
     assert helps["pmfid_no_such_thing"] == "No such thing."
     assert types["pmfid_samples_total"] == "counter"
 

@@ -315,13 +315,13 @@ class Plant(FileSection):
     ("change", "message"),
     [
         ({"topics": []}, "topics"),
-        ({"topics": ["a/{axis"]}, "is no topic"),
-        ({"topics": ["a/x{axis}"]}, "is no topic"),
-        ({"topics": ["{axis}/{axis}"]}, "is no topic"),
-        ({"topics": ["a/#/b"]}, "is no topic"),
-        ({"topics": ["a+"]}, "is no topic"),
-        ({"user": "u", "password_env": "A", "password_file": "b"}, "give one of them"),
-        ({"password_env": "A"}, "give user"),
+        ({"topics": ["a/{axis"]}, "is not a valid topic"),
+        ({"topics": ["a/x{axis}"]}, "is not a valid topic"),
+        ({"topics": ["{axis}/{axis}"]}, "is not a valid topic"),
+        ({"topics": ["a/#/b"]}, "is not a valid topic"),
+        ({"topics": ["a+"]}, "is not a valid topic"),
+        ({"user": "u", "password_env": "A", "password_file": "b"}, "keep one of them"),
+        ({"password_env": "A"}, "add the key user"),
         ({"user": "u", "password_env": "A", "host": "broker.example"}, "unencrypted; set tls = true"),
         ({"user": "u", "password_file": "a", "host": "192.0.2.7"}, "unencrypted; set tls = true"),
         ({"cert": "a"}, "belong together"),
@@ -343,7 +343,7 @@ def test_a_password_may_go_where_nobody_else_reads_it(change: dict[str, object])
 
 
 def test_the_password_in_an_address_is_not_repeated() -> None:
-    with pytest.raises(UsageError, match=r"host = 'mqtt://\.\.\.@hall/': it should be a name") as error:
+    with pytest.raises(UsageError, match=r"host = 'mqtt://\.\.\.@hall/': the host must be a name") as error:
         validate_sections(Plant, {"source": {"kind": "mqtt", "topics": ["a"], "host": "mqtt://me:hidden@hall/"}})
     assert "hidden" not in str(error.value)
 

@@ -109,7 +109,7 @@ def test_metrics_and_health(page: Served, monkeypatch: pytest.MonkeyPatch) -> No
     assert page.ask("/metrics")[2] == b"pmfid_up 1\n"
     assert page.ask("/healthz", token=None)[::2] == (200, b"ok\n")
     monkeypatch.setattr(page.page._api, "alive", lambda: False)
-    assert page.ask("/healthz", token=None)[::2] == (503, b"the engine stands still\n")
+    assert page.ask("/healthz", token=None)[::2] == (503, b"the engine does not run\n")
 
 
 def test_an_alarm_is_acknowledged_with_a_note(page: Served) -> None:

@@ -58,7 +58,7 @@ def test_a_person_with_a_wrong_token_too_often_can_still_type_the_right_one(page
     with chromium() as browser, tab(browser) as there:
         there.goto(f"{page.page.url}#token=wrong")
         there.wait_for_selector("form.token .problem")
-        assert "too many wrong tokens; try again in" in there.inner_text("form.token .problem")
+        assert "too many wrong tokens were sent; try again in" in there.inner_text("form.token .problem")
         there.fill("#token", page.token)
         there.click("form.token button")
         there.wait_for_selector(".rows .row[data-kind]")

@@ -344,7 +344,7 @@ def test_another_address_asks_for_three_decisions() -> None:
     assert PageConfig(address="::1").local
     assert not PageConfig(address="192.0.2.7", allow_remote=True, token_env="T").local
     assert "certificate and key" in refused(certificate="page.pem")
-    assert "drop one" in refused(token_env="A", token_file="b")
+    assert "keep one" in refused(token_env="A", token_file="b")
 
 
 def start(config: PageConfig, folder: Path) -> None:
@@ -361,7 +361,7 @@ def test_a_page_for_others_says_so_and_shows_no_token(tmp_path: Path, monkeypatc
     page.stop()
     assert page.start_url == "http://hall.example:8127/"
     assert any("other machines" in note for note in page.notes)
-    assert any("in the clear" in note for note in page.notes)
+    assert any("unencrypted" in note for note in page.notes)
     assert not any("0123456789" in note for note in page.notes)
 
 

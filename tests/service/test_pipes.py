@@ -89,7 +89,7 @@ def test_the_header_may_come_by_the_port(device: Device, tmp_path: Path) -> None
     stop(port, thread)
     assert isinstance(engine.items[0], Unusable)
     assert engine.items[0].reason == "header"
-    assert "give header" in engine.items[0].problem
+    assert "give them in header" in engine.items[0].problem
 
 
 def test_blocks_are_found_among_noise(device: Device, tmp_path: Path) -> None:
@@ -134,9 +134,9 @@ class Plant(FileSection):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({}, "axis is for format"),
-        ({"format": "block", "axis": "x1"}, "axis is for format"),
-        ({"format": "block", "header": "t"}, "header is for format"),
+        ({}, "axis is required for format"),
+        ({"format": "block", "axis": "x1"}, "axis is required for format"),
+        ({"format": "block", "header": "t"}, "header is only for format"),
         ({"axis": "x1", "baud": 1}, "baud"),
     ],
 )

@@ -152,18 +152,21 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
     ),
     "an AXIS.toml in its place": (
         lambda text: '[record]\ninput = "u"\n[model]\nkind = "drive"\n',
-        "this is an AXIS.toml, of one axis: give --from RECORD",
+        "this file is an AXIS.toml, of one axis, .* give --from RECORD",
     ),
-    "axes without names": (lambda text: '[axes]\nconfig = "axis.toml"\n', r"under no name; write \[axes.NAME\]"),
+    "axes without names": (
+        lambda text: '[axes]\nconfig = "axis.toml"\n',
+        r"outside a named section; write \[axes.NAME\]",
+    ),
     "axes in double brackets": (lambda text: '[[axes]]\nconfig = "axis.toml"\n', r"\[axes.NAME\] .* single brackets"),
-    "no kind": (lambda text: text.replace('kind = "file"', ""), r"\[sources.a\] kind is missing; give one of .*mqtt"),
+    "no kind": (lambda text: text.replace('kind = "file"', ""), r"\[sources.a\] has no kind; give one of .*mqtt"),
     "an URL of a broker": (
         lambda text: text + '[sources.b]\nkind = "mqtt"\nhost = "mqtt://hall"\ntopics = ["a"]\n',
         r"\[sources.b\] host = 'mqtt://hall': .*without mqtt://",
     ),
     "a port in the address": (
         lambda text: text + '[sinks.b]\nkind = "mqtt"\nhost = "10.0.0.1:1883"\n',
-        r"\[sinks.b\] host = '10.0.0.1:1883': .*key of its own, port",
+        r"\[sinks.b\] host = '10.0.0.1:1883': .*give the port in the key port",
     ),
     "a topic that is no list": (
         lambda text: text + '[sources.b]\nkind = "mqtt"\ntopics = "a"\n',
@@ -171,28 +174,31 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
     ),
     "no axis": (
         lambda text: text.replace("[axes.x1]", "[fleets]").replace('config = "axis.toml"', ""),
-        "no axis is named",
+        "the plant has no axis",
     ),
     "a name that is a path": (lambda text: text.replace("axes.x1", 'axes."../x"'), "is not a name"),
     "a script for a name": (lambda text: text.replace("axes.x1", 'axes."<script>"'), "is not a name"),
     "a key of an axis": (lambda text: text.replace("config", "file"), r"\[axes.x1\] file is an unknown key"),
     "a pattern of any format": (
         lambda text: text + '[fleets.f]\nconfig = "axis.toml"\nnames = "{0:c}{0}"\ncount = 60\n',
-        r"\[fleets.f\] names = '\{0:c\}\{0\}' is no pattern",
+        r"\[fleets.f\] names = '\{0:c\}\{0\}' must be a pattern",
     ),
     "a pattern that looks inside": (
         lambda text: text + '[fleets.f]\nconfig = "axis.toml"\nnames = "{0.__class__}{}"\ncount = 3\n',
-        "is no pattern",
+        "must be a pattern",
     ),
-    "no pattern": (
+    "pattern without a number": (
         lambda text: text + '[fleets.f]\nconfig = "axis.toml"\nnames = "cell"\ncount = 3\n',
-        r"\[fleets.f\] names = 'cell' is no pattern",
+        r"\[fleets.f\] names = 'cell' must be a pattern",
     ),
     "an axis twice": (
         lambda text: text + '[fleets.f]\nconfig = "axis.toml"\nnames = "x{}"\ncount = 3\n',
-        r"\[fleets.f\] names the axis 'x1' a second time",
+        r"\[fleets.f\] uses the name 'x1' of another axis",
     ),
-    "an axis that is not there": (lambda text: text.replace('axis = "x1"', 'axis = "x9"'), "there is no axis 'x9'"),
+    "an axis that is not there": (
+        lambda text: text.replace('axis = "x1"', 'axis = "x9"'),
+        "the plant has no axis 'x9'",
+    ),
     "a speed below 0": (lambda text: text.replace("speed = 0.0", "speed = -1.0"), r"\[sources.a\] speed = -1.0"),
     "a text for a number": (lambda text: text.replace("0.0", '"0"', 1), r"\[service\] window = '0'"),
     "no TOML": (lambda text: text + "x =", "not valid TOML"),
@@ -293,8 +299,10 @@ def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting:
     found = acting.run(write(rows[:900], 900), reload, write(rows[900:], 1600))
     reported = [event for event in found if event["event"] == "reload"]
     assert (reported[0]["added"], reported[0]["changed"], reported[0]["removed"]) == (1, 0, 1)
-    assert reported[0]["problem"].startswith("[service] as before"), "those that differ are named, and no others"
-    assert "goes on as before" in reported[1]["problem"]
+    assert reported[0]["problem"].startswith("changes of [service] are not applied"), (
+        "those that differ are named, and no others"
+    )
+    assert "continues with its previous" in reported[1]["problem"]
     expected = events(
         called(
             "monitor", "-", "--config", str(folder / "axis.toml"), "--json", stdin=(folder / "run.csv").read_bytes()

@@ -173,7 +173,7 @@ def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
     with closing(sqlite3.connect(newer)) as database:
         database.execute(f"PRAGMA application_id = {sqlite.APPLICATION}")
         database.execute(f"PRAGMA user_version = {sqlite.VERSION + 1}")
-    for path, problem in ((text, "not a database"), (other, "something else"), (newer, "newer version")):
+    for path, problem in ((text, "not a database"), (other, "another program"), (newer, "newer version")):
         before = path.read_bytes()
         with pytest.raises(OSError, match=problem):
             SqliteSink("a", path).open()

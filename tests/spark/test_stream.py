@@ -130,7 +130,7 @@ def test_kills_leave_no_trace(spark: SparkSession, tmp_path: Path, monkeypatch: 
 def test_what_is_refused_is_said_with_a_remedy(spark: SparkSession, folder: Path) -> None:
     code, said = streamed(folder, "nowhere", 1)
     assert code == 2
-    assert "is no folder; give one" in said
+    assert "this is not a folder; give the folder" in said
     (folder / "in").mkdir()
     (folder / "in" / "a.parquet").write_bytes(b"no Parquet")
     code, said = streamed(folder, "in", 1)
@@ -142,6 +142,6 @@ def test_what_is_refused_is_said_with_a_remedy(spark: SparkSession, folder: Path
     (folder / "axis.toml").write_text(text.replace("forgetting = 0.99", "forgetting = 0.995"))
     code, said = streamed(folder, "in", 1)
     assert code == 2
-    assert "was begun with another config" in said
+    assert "the stream began with another config" in said
     code, said = called(folder, "state", str(folder / "checkpoint-1"), "--out", str(folder / "state"))
     assert code == 2

@@ -36,7 +36,10 @@ def _alarm(event: Notice) -> str:
     size = f"{event['change']:+.3g} ± {event['std']:.1g} {event['unit']}".rstrip()
     part = f"{100 * event['relative']:+.1f} %"
     others = f", or {event['others'].replace('_', ' ')}" if "others" in event else ""
-    return f"{event['time']:.2f} s  ALARM  {name} {part} ({size}) since {event['changed_at']:.2f} s{others}"
+    text = f"{event['time']:.2f} s  ALARM  {name} {part} ({size}) since {event['changed_at']:.2f} s{others}"
+    if event.get("tolerance"):
+        text += f"; {abs(event['relative']) / event['tolerance']:.2g} times the tolerance"
+    return f"{text}. {event['advice']}" if "advice" in event else text
 
 
 def _describe_reference(event: Notice) -> str:

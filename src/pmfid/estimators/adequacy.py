@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 #: Keys of [model] and the values to set.
 Change = Mapping[str, object]
 DIRECTIONAL: Change = {"friction": "directional", "offset": False}
-ACTING = "give the input that acts, as [record] input"
+ACTING = "use the input that acts on the plant, as [record] input"
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ class PeriodicForce:
             "cogging": "a cogging force",
             "friction_period": "friction",
         }
-        return f"{what[self.key]} that comes again every {self.period:.4g} of the travel"
+        return f"{what[self.key]} with a period of {self.period:.4g} of the travel"
 
     def forces(self, x: Floats, v: Floats) -> Iterator[Floats]:
         """Yield the force (n,) along the motion for a unit of the sine and for a unit of the cosine."""
@@ -174,7 +174,7 @@ def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator
     late = gain * np.diff(u, prepend=u[0]) / difference.intervals
     if roles[LATE] is None:
         change: Change = {"dead_time": ESTIMATE}
-        says, known = "a dead time, or a lag, of the input", difference.equation.dead_time
+        says, known = "a dead time or a lag of the input", difference.equation.dead_time
         yield CandidateForce(
             "dead_time",
             says,
@@ -194,13 +194,13 @@ def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator
             "spring", "a force that grows with the position", _cure(change), place, 0.0, changes=(change,)
         )
     yield CandidateForce(
-        "bent_input", "an input that does not act in proportion", "", -gain * u * np.abs(u) / rms(u), 0.0
+        "bent_input", "an input whose force is not in proportion", "", -gain * u * np.abs(u) / rms(u), 0.0
     )
     largest = float(np.max(np.abs(u)))
     for part in TUNING.adequacy_kinks:
         less = gain * np.sign(u) * np.maximum(np.abs(u) - part * largest, 0.0)
         yield CandidateForce(
-            "saturated_input", "an input whose largest values act as smaller ones", ACTING, less, 0.0, positive=True
+            "saturated_input", "an input whose largest values act too weakly", ACTING, less, 0.0, positive=True
         )
     zone, most = gain * np.sign(u), TUNING.dead_zone * largest
     yield CandidateForce("dead_zone", "a dead zone of the input", ACTING, zone, most)
@@ -302,7 +302,7 @@ class Adequacy:
         if not self.missed:
             return ""
         first = self.missed[0]
-        return "move the input's column earlier by that time" if self._is_early(first) else self.forces[first].cure
+        return "shift the input's column earlier by that time" if self._is_early(first) else self.forces[first].cure
 
     def _is_early(self, k: int) -> bool:
         """Return whether force k stands for a negative dead time of a model without a dead time."""
@@ -312,7 +312,7 @@ class Adequacy:
     def _describe_force(self, k: int) -> str:
         candidate = self.forces[k]
         if self._is_early(k):
-            return f"an input that acts about {-self.size[k]:.2g} s early"
+            return f"an input that acts about {-self.size[k]:.2g} s too early"
         return f"{candidate.says} of about {self.size[k]:.2g} s" if candidate.name == "dead_time" else candidate.says
 
     @cached_property

@@ -36,9 +36,9 @@ def choose(configured: Estimator, u: ArrayLike, counts: ArrayLike, forgetting: f
     if forgetting < 1 and configured.equation.without_simulation:
         return like(
             BCRLS, configured, forgetting=forgetting
-        ), "bcrls: parameters may change, and nothing can simulate this"
+        ), "bcrls: the parameters may change, and the equation allows no simulated motion"
     if forgetting < 1:
-        return like(RIV, configured, prefilter_zeros=None, forgetting=forgetting), "riv: parameters may change"
+        return like(RIV, configured, prefilter_zeros=None, forgetting=forgetting), "riv: the parameters may change"
     found = first_choice(configured, u, counts)
     return found.estimator, found.reason
 
@@ -91,7 +91,9 @@ def first_choice(configured: Estimator, u: ArrayLike, counts: ArrayLike, best: B
         if fit.theta[candidate.equation.leading] > 0:
             return MethodChoice(candidate, f"{cls.method}: {reason}{doubt}", fit, adequacy)
     if not refused:
-        raise NotIdentifiableError("the mass comes out negative: check sign and scale of the input and the encoder")
+        raise NotIdentifiableError(
+            "the mass comes out negative: check the sign and the scale of the input and of the encoder"
+        )
     raise NotIdentifiableError(refused[0].partition(": ")[2])
 
 
@@ -192,7 +194,7 @@ def _sharp(configured: Estimator, best: Best, refused: list[str]) -> _Sharp | No
         return None
     spread, doubt = found.spread(), ""
     if fit.status & Status.FALLBACK or not found.follows or not found.adequate:
-        doubt = ", and the counts show effects outside the model"
+        doubt = ", and the counts show effects that the model leaves out"
     elif np.any(spread > fit.theta_std):
         doubt = "; the error bars of interval leave out unmodelled effects that this record does not show"
     return _Sharp(method, fit, found, doubt)
@@ -206,8 +208,8 @@ def _candidate(cls: type[BatchEstimator], configured: Estimator, u: ArrayLike, c
 
 
 _CANDIDATES: tuple[tuple[type[BatchEstimator], str], ...] = (
-    (IV, "it depends least on the model"),
-    (OE, "instrumental variables do not settle on this record"),
-    (BCLS, "no simulated motion follows this record; the input carries enough to take out the encoder's bias"),
-    (LS, "nothing but least squares settles on this record; mind the encoder's bias"),
+    (IV, "this method depends least on the model"),
+    (OE, "the iteration of instrumental variables does not converge on this record"),
+    (BCLS, "no simulated motion follows this record, and the input suffices to compensate the encoder's bias"),
+    (LS, "only least squares gives a result on this record; the rounding of the encoder biases it"),
 )

@@ -94,19 +94,20 @@ class Estimator:
             raise UsageError(refused)
         check_positive("dt", self.dt, "it is the sample period in s")
         if not TUNING.base_shortest <= self.dt <= TUNING.base_longest:
-            raise UsageError(f"dt is {self.dt:g} s: nothing is sampled so; it is the sample period in s")
+            raise UsageError(f"dt is {self.dt:g} s, which is no plausible sample period; give the sample period in s")
         check_positive("cutoff", self.cutoff, "it is the pole of the filters in rad/s")
         if self.cutoff * self.dt > 2:
             raise UsageError(
-                f"cutoff * dt must be at most 2, got {self.cutoff * self.dt:g}: the filters' pole would lie beyond "
-                f"what samples every {self.dt:g} s can show; use a cutoff of at most {2 / self.dt:g} rad/s"
+                f"cutoff * dt must be at most 2, got {self.cutoff * self.dt:g}: samples every {self.dt:g} s "
+                f"cannot show the pole of the filters; use a cutoff of at most {2 / self.dt:g} rad/s"
             )
         self._check_steps()
         self._check_late()
         if self.settle_samples > TUNING.max_settle_samples:
             raise UsageError(
-                f"cutoff = {self.cutoff:g} rad/s is too low for dt = {self.dt:g} s: the filters would settle after "
-                f"{self.settle_samples:.2g} samples; use a higher cutoff, of the order of the plant's own poles"
+                f"cutoff = {self.cutoff:g} rad/s is too low for dt = {self.dt:g} s: the filters would settle "
+                f"after {self.settle_samples:.2g} samples; use a higher cutoff, of the order of the poles of "
+                "the plant"
             )
         if self.order < self.equation.order:
             raise UsageError(f"order must be at least {self.equation.order}, got {self.order}")
@@ -122,23 +123,23 @@ class Estimator:
         """Return the reason, with a remedy, why the method cannot estimate this equation; empty if it can."""
         if equation.dead_time == ESTIMATE:
             return (
-                f'{cls.method} does not simulate the motion, as it must where dead_time = "estimate"; use iv, riv, '
-                "output-error or interval, or give the dead time in s"
+                f'{cls.method} does not simulate the motion, and dead_time = "estimate" needs that; use iv, '
+                "riv, output-error or interval, or give the dead time in s"
             )
         if equation.lag == ESTIMATE:
-            return f"{cls.method} cannot find a lag: use iv, output-error or interval, or give it in s"
+            return f"{cls.method} cannot estimate a lag: use iv, output-error or interval, or give the lag in s"
         if refused := too_many([table for table, _ in equation.known_at([1.0] * len(equation.further)).shapes]):
             return refused
         of_speed = ", ".join(str(term.name) for term in equation.shaped if term.shape and term.shape.of_speed)
         if of_speed and not cls.knows_shapes:
             return (
-                f"{cls.method} takes everything from the counts, which do not tell {of_speed} the speed closely "
-                "enough; use iv, riv, output-error or interval, or leave it out of the model"
+                f"{cls.method} uses the counts only, and the counts do not show {of_speed} the speed closely "
+                "enough; use iv, riv, output-error or interval, or remove this friction from the model"
             )
         if not equation.only_simulated:
             return ""
         return (
-            f"{cls.method} does not simulate the process, as it must where {equation.only_simulated}; use "
+            f"{cls.method} does not simulate the process, and {equation.only_simulated} needs that; use "
             "srivc, iv or output-error"
         )
 
@@ -148,13 +149,15 @@ class Estimator:
             return
         why = ""
         if not self.plant.rests:
-            why = "a transfer function takes the times of an Experiment"
+            why = "a transfer function uses the times of an Experiment"
         elif not self.takes_steps or self.discretization != "matched":
-            why = f"{self.method or 'this method'} with this discretization takes even samples alone"
+            why = f"{self.method or 'this method'} with this discretization accepts only evenly spaced samples"
         elif self.equation.dead_time or self.equation.lag:
-            why = "an input that acts late asks for even samples"
+            why = "an input that acts late needs evenly spaced samples"
         if why:
-            raise UsageError(f"steps: {why}; resample the record to a fixed rate, or leave steps out")
+            raise UsageError(
+                f"steps are not possible here, because {why}; resample the record to a fixed period, or leave steps out"
+            )
 
     def steps_before(self, samples: int) -> Floats | None:
         """Return the time [s] between each sample of a record and the preceding one (n,); None if the clock is even.
@@ -163,7 +166,9 @@ class Estimator:
             return None
         if not isinstance(self.steps, SampleSteps) or self.steps.before.size != samples:
             known = self.steps.before.size if isinstance(self.steps, SampleSteps) else 0
-            raise UsageError(f"the record has {samples} samples and steps {known}: give steps for each sample, (n,)")
+            raise UsageError(
+                f"the record has {samples} samples and steps has {known}: give one step for each sample, (n,)"
+            )
         return self.steps.before
 
     def weigh_rows(self, zeta: Floats, used: Flags) -> Floats:
@@ -180,13 +185,14 @@ class Estimator:
     def _check_late(self) -> None:
         if self.equation.dead_time not in (0, ESTIMATE) and not self.equation.dead_time <= MOST_LATE * self.dt:
             raise UsageError(
-                f"dead_time is {self.equation.dead_time:g} s, more than {MOST_LATE} samples: shift the input column by "
-                "whole samples, and give the rest"
+                f"dead_time is {self.equation.dead_time:g} s, more than {MOST_LATE} samples: shift the input "
+                "column by whole samples, and give only the rest as dead_time"
             )
         if self.equation.lag not in (0, ESTIMATE) and not self.equation.lag <= MOST_LATE * self.dt:
             raise UsageError(
-                f"lag is {self.equation.lag:g} s, more than {MOST_LATE} samples: that is a part of the plant, not of "
-                "its drive; check its unit, or find it as a pole of a transfer function"
+                f"lag is {self.equation.lag:g} s, more than {MOST_LATE} samples: such a lag belongs to the "
+                "plant, not to its drive; check the unit, or estimate the lag as a pole of a transfer "
+                "function"
             )
 
     def _check_kinds(self) -> None:
@@ -194,9 +200,9 @@ class Estimator:
             raise UsageError(f"model must be a Drive, a TransferFunction or an EquationModel, got {self.model!r}")
         if getattr(self.model, "input_gain", None) == ESTIMATE:
             raise UsageError(
-                'an estimator needs a number as input_gain: use pmfid.identify with given = {"mass": 1.25}, or write '
-                "Drive(input_gain=1.0, ...) and combine its estimates with "
-                'pmfid.Known(estimator, given={"mass": 1.25}, find_gain=True)'
+                'an estimator needs a number as input_gain: use pmfid.identify with given = {"mass": 1.25}, '
+                "or write Drive(input_gain=1.0, ...) and combine its estimates with pmfid.Known(estimator, "
+                'given={"mass": 1.25}, find_gain=True)'
             )
         if not isinstance(self.encoder, Encoder):
             raise UsageError(f"encoder must be an Encoder, got {self.encoder!r}; write Encoder(resolution)")
@@ -206,7 +212,7 @@ class Estimator:
     def _check_zeros(self) -> None:
         zeros, needed = self.zeros, self._zeros_needed
         if zeros and not self.plant.extended and not self.instrumental:
-            raise UsageError(f"{self.method} takes no prefilter_zeros for a linear process; bcls and bcrls do")
+            raise UsageError(f"{self.method} does not use prefilter_zeros for a linear process; bcls and bcrls do")
         if zeros and needed > len(zeros) and self.prefilter_zeros is None:
             raise UsageError(
                 f"{self.method} with {needed} noisy columns needs {needed} prefilter_zeros; give them, or use iv or riv"
@@ -412,7 +418,7 @@ class Simulating(Estimator):
         if refused or not equation.without_simulation:
             return refused
         return (
-            f"{cls.method} simulates the motion, which it cannot for this equation: "
+            f"{cls.method} needs a simulated motion, and this equation does not allow one: "
             f"{equation.without_simulation}; use ls, bcls, rls or bcrls"
         )
 

@@ -24,30 +24,32 @@ def check_identifiable(
     With `simulated`, the equation holds only while the simulated motion moves."""
     if columns.z.size <= 2 * len(names) and columns.status & Status.COUNT_JUMP:
         raise NotIdentifiableError(
-            "the counts jump all the time: check the wiring and the counter's bits, or correct max_speed"
+            "the counts jump in many places: check the wiring and the counter's bits, or correct max_speed"
         )
     if columns.z.size <= 2 * len(names):
         raise NotIdentifiableError(
-            f"only {columns.z.size} samples are left after the filters have settled, too few for {len(names)} "
-            "parameters; record longer, or use a higher cutoff"
+            f"only {columns.z.size} samples remain after the filters have settled, too few for "
+            f"{len(names)} parameters; record longer, or use a higher cutoff"
         )
     parts = (columns.phi, columns.z, columns.zeta)
     if not max(np.max([np.max(part), -np.min(part)]) for part in parts) < TUNING.batch_beyond:
         raise NotIdentifiableError(
-            "the motion, or the one simulated, leaves the range of numbers: check the scales of input and output, and "
-            "the signs in [model]"
+            "the measured or the simulated motion exceeds the range of numbers: check the scales of "
+            "input and output, and the signs in [model]"
         )
     if not np.any(columns.phi[:, 0]):
-        raise NotIdentifiableError("the axis does not move in this record: nothing can be identified; record a motion")
+        raise NotIdentifiableError(
+            "the axis does not move in this record, so nothing can be identified; record a motion"
+        )
     if not np.any(columns.z) and simulated:
         raise NotIdentifiableError(
-            "the simulated motion rests throughout, held by friction or a load above what the input can move: check "
-            "input_gain and the model"
+            "the simulated motion stays at rest, because friction or a load exceeds the force of the "
+            "input; check input_gain and the model"
         )
     if not np.any(columns.z):
         raise NotIdentifiableError(
-            "after the filters have settled the input is zero while the axis moves: record the input that drives it, "
-            "from before the motion on"
+            "the input is zero while the axis moves, once the filters have settled: record the input "
+            "that drives the axis, from before the motion"
         )
     if _are_apart(columns, least_part):
         return
@@ -65,8 +67,8 @@ def _check_target(columns: Columns, names: tuple[str, ...]) -> None:
         apart = np.linalg.norm(columns.z - column * (columns.z @ column) / max(norm**2, TUNING.tiny))
         if norm > 0 and apart < TUNING.target_apart * np.linalg.norm(columns.z):
             raise NotIdentifiableError(
-                f"the input is proportional to the regressor of {name} throughout: too little excitation; record "
-                "reversals, and an input that changes while the axis moves"
+                f"the input is proportional to the regressor of {name} all the time: the excitation is too "
+                "poor; record reversals, and an input that changes while the axis moves"
             )
 
 
@@ -74,15 +76,17 @@ def _check_rank(kind: str, matrix: NDArray[np.float64], names: tuple[str, ...], 
     scale = np.linalg.norm(matrix, axis=0)
     for name, norm in zip(names, scale, strict=True):
         if norm == 0:
-            raise NotIdentifiableError(f"the {kind} of {name} is zero throughout: the record says nothing about it")
+            raise NotIdentifiableError(
+                f"the {kind} of {name} is always zero: the record contains no information on {name}"
+            )
     # the rows of this inverse have the same lengths as those of the matrix's inverse
     inverse = np.linalg.pinv(np.linalg.qr(matrix / scale, mode="r"))
     own = 1 / np.sum(inverse**2, axis=1)  # the part of each column that is no combination of the other columns
     worst = int(np.argmin(own))
     if own[worst] < least_part:
         raise NotIdentifiableError(
-            f"the {kind} of {names[worst]} follows from the others to {np.sqrt(own[worst]):.1g} of its size: too "
-            "little excitation; record reversals, and speeds and accelerations that vary"
+            f"the {kind} of {names[worst]} follows from the others up to {np.sqrt(own[worst]):.1g} of its "
+            "size: the excitation is too poor; record reversals, and varying speeds and accelerations"
         )
 
 

@@ -28,9 +28,11 @@ def check_positive(name: str, value: float, what: str) -> None:
 def check_edges(lines: int | None, tick: float, dt: float, most: int | None = None) -> None:
     """Raise UsageError unless `lines` is a number of counts up to `most`, and `tick` [s] is shorter than `dt` [s]."""
     if lines is not None:
-        count = whole_number("lines", lines, 1, "it is the counts of a turn, or None for a linear scale")
+        count = whole_number("lines", lines, 1, "it is the number of counts per turn, or None for a linear scale")
         if most is not None and count > most:
-            raise UsageError(f"lines must be a whole number of at most {most}, got {count}; None is for a linear scale")
+            raise UsageError(
+                f"lines must be a whole number of at most {most}, got {count}; give None for a linear scale"
+            )
     if not (isinstance(tick, Real) and 0 <= tick < dt):
         raise UsageError(f"tick must be the period of the timer in s, below dt = {dt:g}, got {tick!r}")
 
@@ -51,7 +53,7 @@ def numbers(name: str, values: ArrayLike) -> Numbers:
     differ in length.
     """
     if np.ma.is_masked(values):
-        raise UsageError(f"{name} has masked elements, which a plain array would show as numbers; fill them first")
+        raise UsageError(f"{name} has masked elements, and pmfid would read them as numbers; fill them first")
     try:
         array = np.asarray(values)
         array = array if array.dtype.kind in "biufc" else array.astype(np.float64)
@@ -59,7 +61,7 @@ def numbers(name: str, values: ArrayLike) -> Numbers:
     except (TypeError, ValueError, OverflowError):
         array = np.empty(0, object)
     if array.dtype.kind not in "biuf" or values is None:
-        raise UsageError(f"{name} must be an array of real numbers, with rows of one length")
+        raise UsageError(f"{name} must be an array of real numbers with rows of equal length")
     return array
 
 
@@ -72,14 +74,16 @@ def integer_counts(counts: ArrayLike) -> Numbers:
     if missing.size:
         where = ", ".join(str(index) for index in missing[0])
         raise UsageError(
-            f"counts are NaN or infinite in {len(missing)} places, the first at index {where}: repeat the count before "
-            "where a sample is missing. Of a transfer function, NaN in the output of an Experiment leaves it out"
+            f"counts are NaN or infinite in {len(missing)} places, first at index {where}: replace a "
+            "missing count with the count before it. Only the output of an Experiment may contain NaN, "
+            "for a transfer function"
         )
     if not np.array_equal(given, np.round(given)):
         raise UsageError("counts must be integers; use pmfid.quantize(position, resolution) for a position")
     if np.any(np.abs(given) >= 2.0**63):
         raise UsageError(
-            f"counts reach {np.max(np.abs(given)):.3g}, beyond 64 bits: give them modulo 2^bits, as integers"
+            f"counts reach {np.max(np.abs(given)):.3g}, beyond the range of 64 bits: give them modulo "
+            "2^bits, as integers"
         )
     return np.round(given).astype(np.int64)
 
@@ -94,7 +98,7 @@ def check_size(u: Floats) -> None:
     """Raise UsageError if squares of the input (n,) would exceed the number format."""
     size = np.max(np.abs(u), initial=0.0, where=np.isfinite(u))
     if size > 0 and not 1e-100 < size < 1e100:
-        raise UsageError(f"the largest input is {size:.3g}: no drive has that; check the column and input_scale")
+        raise UsageError(f"the largest input is {size:.3g}, too large for any drive; check the column and input_scale")
 
 
 #: Name of the attribute with a class's original docstring.

@@ -48,9 +48,10 @@ def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
     if np.any(wrong):
         row = int(np.argmax(wrong))
         raise UsageError(
-            f"the age in row {row + 1} is {given[row]:g} s, and the sample is {step[row]:g} s after the one before: "
-            "an age is the time from the last edge to the sample, and empty or NaN where it is unknown; the name of a "
-            "column has its unit, as age_us or age_ticks, unless that is s"
+            f"the age in row {row + 1} is {given[row]:g} s, but only {step[row]:g} s have passed since "
+            "the previous sample. An age is the time from the last edge to the sample; leave it empty or "
+            "NaN if it is unknown. If the unit is not s, put it into the name of the column, for example "
+            "age_us or age_ticks"
         )
     lines = np.where(change > 0, counts, counts + 1)
     return Edges((t - given)[there], lines[there])
@@ -292,7 +293,7 @@ class EdgeFit(Following):
         alone were used."""
         known, whole = check_arrays(u, counts)
         if not np.all(np.isfinite(known)):
-            raise UsageError("EdgeFit takes no gaps in u yet; cut the record at the gap")
+            raise UsageError("EdgeFit does not accept gaps in u; split the record at the gap")
         found = self._pass_edges(known, whole, ages)
         if found and np.std(found[0].residual) < TUNING.edges_sharp * self.encoder.resolution:
             return found
@@ -329,14 +330,17 @@ class EdgeFit(Following):
             return found
         if found is None:
             status = int(Status.FALLBACK | Status.UNMODELLED)
-            note = "the simulated motion does not pass the edges: the counts alone were used"
+            note = "the simulated motion does not pass the edges, so only the counts were used"
         else:
             edges, leading = found[0], self.equation.leading
             unsure = [one.theta_std[leading] / one.theta[leading] for one in (fit, edges)]
             if not unsure[0] < unsure[1]:
                 return found
             status, scatter = edges.status, 100 * np.std(edges.residual) / self.encoder.resolution
-            note = f"the edges scatter by {scatter:.2g} % of a step: the counts alone are surer and were used"
+            note = (
+                f"the edges scatter by {scatter:.2g} % of a step, so the counts alone are more precise and "
+                "only they were used"
+            )
         return replace(fit, status=fit.status | status, notes=(note,)), None
 
     def _begin_nearer(self, u: Floats, counts: Counts, ages: ArrayLike) -> tuple[EdgeDifference, Floats, int]:
@@ -414,9 +418,9 @@ class EdgeFit(Following):
             status |= int(Status.UNMODELLED)
         scale = difference.scale[: len(self.names)]
         relative = difference.measure_misfit(q)
-        notes = [f"{dropped} edges that no motion explains were left out"] if dropped else []
+        notes = [f"{dropped} edges were left out, because no motion explains them"] if dropped else []
         if difference.by_force:
-            notes.append("the position drifts away from the simulated motion: changes of velocity were fitted")
+            notes.append("the position drifts away from the simulated motion, so changes of velocity were fitted")
         if self.lines is not None and difference.spread > TUNING.edges_reported:
             notes.append(_describe_lines(difference, left, self.lines))
         covariance = covariance + np.diag((TUNING.edges_exact * q[: len(self.names)]) ** 2)
@@ -435,7 +439,7 @@ def _describe_lines(difference: EdgeDifference, left: Floats, lines: int) -> str
     places = np.bincount(difference.line, -left, lines) / np.maximum(count, 1)
     away = np.where(count > 0, places - np.mean(places[count > 0]), 0.0)
     worst = int(np.argmax(np.abs(away)))
-    return f"line {worst} of {lines} is off by {100 * away[worst]:+.2g} % of a step, the most of all"
+    return f"the position error is largest at encoder line {worst} of {lines}: {100 * away[worst]:+.2g} % of a step"
 
 
 def _fit_forces(difference: EdgeDifference, q: Floats) -> tuple[EdgeDifference, Floats]:

@@ -18,7 +18,7 @@ def runner_of(estimator: RecursiveEstimator | Runner[RecursiveEstimator]) -> Run
     """Return the runner from which all axes start. Raises UsageError for an estimator that is not recursive."""
     if not isinstance(estimator, RecursiveEstimator | Runner):
         what = getattr(estimator, "method", type(estimator).__name__)
-        raise UsageError(f"a fleet runs sample by sample, which {what} does not; use rls, bcrls, riv or rsrivc")
+        raise UsageError(f"a fleet runs sample by sample, and {what} does not; use rls, bcrls, riv or rsrivc")
     return cast("Runner[RecursiveEstimator]", estimator if isinstance(estimator, Runner) else estimator.runner)
 
 
@@ -102,7 +102,7 @@ class Fleet:
     def _place(self, index: int) -> int:
         index = whole_number("index", index, None, "it is the number of an axis")
         if not -self.axes <= index < self.axes:
-            raise UsageError(f"there are {self.axes} axes, from 0 on; got {index}")
+            raise UsageError(f"the axis must be from 0 to {self.axes - 1}; got {index}")
         return index % self.axes
 
     def reset(self) -> None:

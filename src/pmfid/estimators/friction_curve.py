@@ -126,7 +126,7 @@ def _nodes(speed: Floats, nodes: int, direction: str) -> Floats:
     """Return the speed 0 and distinct quantiles of the positive speeds."""
     moving = speed[speed > 0]
     if moving.size < TUNING.least_part * speed.size + 10 * nodes:
-        raise NotIdentifiableError(f"the axis hardly moves {direction}: record a motion in both directions")
+        raise NotIdentifiableError(f"the axis moves too little {direction}: record a motion in both directions")
     found = np.asarray(
         np.quantile(moving, np.r_[TUNING.friction_curve_slowest, np.arange(1, nodes - 1) / (nodes - 1), 1.0])
     )
@@ -306,8 +306,8 @@ def friction_curve(
     fastest = max(float(own[-1]) for own in basis.speeds)
     if rising_from is not None and rising_from >= fastest:
         raise UsageError(
-            f"rising_from is {rising_from:g} m/s, but the record has no speed beyond {fastest:.3g} m/s: friction would "
-            "nowhere be asked to rise; give a lower speed, or leave it out"
+            f"rising_from is {rising_from:g} m/s, but the fastest motion of the record has {fastest:.3g} "
+            "m/s, so the limit would have no effect; give a lower speed, or leave rising_from out"
         )
     solved = _solve_curve(basis, rising_from)
     change = 0.0

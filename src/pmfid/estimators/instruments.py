@@ -52,7 +52,9 @@ class Instruments(ProcessSolver, Simulating):
         super().__post_init__()
         if self.equation.searched:
             names, others = ", ".join(self.equation.searched), "" if self.plant.rests else "srivc or "
-            raise UsageError(f"iv is linear in what it estimates, and {names} is not; use {others}output-error")
+            raise UsageError(
+                f"iv estimates parameters that act linearly, and {names} does not; use {others}output-error"
+            )
 
     def solve_problem(self, problem: ProcessProblem) -> Solution:
         return fixed_filters(problem)
@@ -89,9 +91,9 @@ class Instruments(ProcessSolver, Simulating):
             ):
                 return columns, theta
         raise NotIdentifiableError(
-            f"the iteration does not settle (last {dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the "
-            "simulated motion does not follow the measured one; check input_gain and the model, or in Python give "
-            "`initial`"
+            "the iteration does not converge (last "
+            f"{dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the simulated motion does "
+            "not follow the measured motion; check input_gain and the model, or in Python give `initial`"
         )
 
     def _settle_from_stretch(
@@ -117,7 +119,7 @@ class Instruments(ProcessSolver, Simulating):
             step = theta - before
             if _measure_change(columns, before, theta) <= TUNING.instruments_tolerance:
                 return columns, theta
-        raise NotIdentifiableError("the iteration does not settle from a stretch of the record")
+        raise NotIdentifiableError("the iteration does not converge on a part of the record")
 
     def estimate_covariance(
         self, columns: Columns, theta: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
@@ -200,7 +202,7 @@ class Instruments(ProcessSolver, Simulating):
             if not _poles_swapped(known.equation, theta):
                 found.append((known.mismatch(theta, u, counts), np.r_[theta, samples * self.dt]))
         if not found:
-            raise refused or NotIdentifiableError("no start for the iteration")
+            raise refused or NotIdentifiableError("the iteration has no start values")
         return min(found, key=lambda pair: pair[0])[1]
 
     def _fix_lag(self, seconds: float) -> Instruments:
@@ -350,8 +352,9 @@ def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
             theta[index] = value
     if not values[MASS] > 0:
         raise NotIdentifiableError(
-            f"no start for the iteration: from the counts alone the mass comes out as {values[MASS]:.3g}; check the "
-            "signs of input and output, use a lower cutoff, record a livelier motion, or in Python give `initial`"
+            f"the iteration has no start values: the counts alone give a mass of {values[MASS]:.3g}; "
+            "check the signs of input and output, use a lower cutoff, record a livelier motion, or in "
+            "Python give `initial`"
         )
     return np.where(equation.positive, np.maximum(theta, 0.0), theta)
 

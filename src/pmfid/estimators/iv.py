@@ -178,13 +178,17 @@ class RIV(Simulating, RecursiveEstimator):
         refused = super().refuses(equation)
         if not refused and equation.lag and ESTIMATE in (equation.lag, equation.dead_time):
             return (
-                "riv takes a lag with a dead time, both known: find them with iv, output-error or interval, and give "
-                f'them; or set dead_time = "{ESTIMATE}" alone, which takes up the mean of both'
+                "riv accepts a lag with a dead time only if both are known: estimate them with iv, "
+                f'output-error or interval, and give them; or set dead_time = "{ESTIMATE}" without a lag, for '
+                "the mean delay of both"
             )
         if refused or not equation.further:
             return refused
         names = ", ".join(dict(equation.further))
-        return f"riv is linear in what it estimates, and {names} is not; find it with output-error, and give it"
+        return (
+            f"riv estimates parameters that act linearly, and {names} does not; estimate it with "
+            "output-error, and give its value"
+        )
 
     def make_kernel(self, forgetting: float = 1.0) -> Kernel:
         initial = None if self.initial is None else list(initial_vector(self.initial, self.names))

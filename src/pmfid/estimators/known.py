@@ -241,7 +241,10 @@ class Known:
         pairs = {name: pair if isinstance(pair, Real) else tuple(pair) for name, pair in self.prior.items()}
         object.__setattr__(self, "prior", pairs)
         if self.find_gain and not isinstance(self.estimator.model, Drive):
-            raise UsageError("the gain of the input is found of a Drive; give the coefficient of the input as it is")
+            raise UsageError(
+                "the gain of the input can be estimated only for a Drive; for this model, give the "
+                "coefficient of the input"
+            )
         check_known(self.estimator.equation, self.given, self.prior, self.names, self.find_gain)
 
     @property
@@ -288,8 +291,8 @@ class Known:
         further = np.zeros(theta.size) if model_spread is None else np.nan_to_num(model_spread) ** 2
         if not (np.all(np.isfinite(theta)) and np.all(np.isfinite(covariance))):
             raise NotIdentifiableError(
-                "the record gives no error bars, and without them nothing can be weighed against what is known: record "
-                "longer, or leave given and prior out"
+                "the record gives no error bars, so it cannot be combined with given values and priors: "
+                "record longer, or remove given and prior"
             )
         try:
             combined = combine(theta[None], covariance[None], further[None], self.facts)
@@ -297,8 +300,8 @@ class Known:
             combined = None
         if combined is None or not (np.all(np.isfinite(combined.theta)) and np.all(np.isfinite(combined.noise))):
             raise NotIdentifiableError(
-                f"what is known ({', '.join(self._facts)}) and what the record says do not go together: check the "
-                "values, or leave one out"
+                f"the given values and priors ({', '.join(self._facts)}) contradict the record: check the "
+                "values, or remove one"
             )
         values, noise = self._scale_to_machine(combined)
         spread = None if model_spread is None else self._spread(combined, model_spread, further)

@@ -91,8 +91,8 @@ class RKnownStep(RecursiveEstimator):
         if self.forgetting_scheme != "constant-trace":
             return super().scheme_refused()
         return (
-            "constant-trace is not for rknown-step: it forgets nothing at rest, and the noise that is subtracted "
-            "for every sample does not come at rest; use exponential or window"
+            "rknown-step cannot use constant-trace: this scheme forgets nothing at rest, but the "
+            "subtracted noise is that of every sample; use exponential or window"
         )
 
     def recursion_config(

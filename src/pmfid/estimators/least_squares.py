@@ -12,8 +12,8 @@ from pmfid.estimators.results import Columns
 from pmfid.models.equation import Equation
 
 NO_SOLUTION = (
-    "the equations for the parameters have no one solution: too little excitation; record reversals, and speeds and "
-    "accelerations that vary"
+    "the equations for the parameters have no unique solution: the excitation is too poor; "
+    "record reversals, and varying speeds and accelerations"
 )
 
 

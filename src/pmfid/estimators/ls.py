@@ -121,7 +121,7 @@ def make_exact(estimator: Estimator, u: Floats, y: Floats) -> Exact:
     names = {term.signal for term in (*equation.unknown, *equation.known)}
     if not names <= {*OUTPUTS, *SOURCES}:
         raise UsageError(
-            f"the exact discretisation takes no terms of {sorted(names - {*OUTPUTS, *SOURCES})}; use matched"
+            f"the exact discretisation does not allow the terms {sorted(names - {*OUTPUTS, *SOURCES})}; use matched"
         )
     if "process_output" not in names:  # positions are relative to the first sample
         y = y - y[0]
@@ -185,7 +185,7 @@ def refine_estimate(estimator: BatchEstimator, u: Floats, y: Floats) -> Refined:
     if found is None and guess is not None:
         found = refine_exactly(exact, guess, used)
     if found is None:
-        raise NotIdentifiableError("the passes of the exact discretisation do not settle; use matched, or srivc")
+        raise NotIdentifiableError("the iteration of the exact discretisation does not converge; use matched, or srivc")
     return replace(found, status=first.status)
 
 

@@ -603,8 +603,8 @@ def least(difference: Difference, q: Floats, tolerances: Sequence[float] | None 
         if ended or rms(difference(q)) <= difference.explained:
             return q
     raise NotIdentifiableError(
-        f"the iteration did not settle within {TUNING.max_evaluations} simulations: the simulated position does not "
-        "follow the record closely; use iv, or in Python give `initial`"
+        f"the iteration did not converge within {TUNING.max_evaluations} simulations, because the "
+        "simulated position does not follow the record closely; use iv, or in Python give `initial`"
     )
 
 
@@ -617,8 +617,8 @@ def _descend(difference: Difference, q: Floats, tolerance: float) -> tuple[Float
         jacobian = difference.forward_jacobian(q, error)
         if not (np.all(np.isfinite(error)) and np.all(np.isfinite(jacobian))):
             raise NotIdentifiableError(
-                "the simulated position leaves the range of numbers: it does not follow the record; use iv, or in "
-                "Python give `initial`"
+                "the simulated position exceeds the range of numbers, because it does not follow the record; "
+                "use iv, or in Python give `initial`"
             )
         tried, together = 0, 1
         while tried < TUNING.max_evaluations:
@@ -700,7 +700,7 @@ def invert_information(sensitivity: Floats, names: tuple[str, ...]) -> Floats:
     worst = int(np.argmin(parts))
     if not parts[worst] > TUNING.motion_apart:
         raise NotIdentifiableError(
-            f"{names[worst]} has too little effect of its own on the position, because of poor excitation; record "
-            "reversals, and speeds and accelerations that vary"
+            f"{names[worst]} has too little effect of its own on the position, because the excitation is "
+            "poor; record reversals, and varying speeds and accelerations"
         )
     return np.asarray(inverse @ inverse.T / sizes)

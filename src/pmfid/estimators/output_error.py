@@ -62,8 +62,8 @@ class Following(Simulating, BatchEstimator):
         super().__post_init__()
         if self.drift_cutoff is not None and not 0 <= self.drift_cutoff * self.dt <= 2:
             raise UsageError(
-                f"drift_cutoff must be from 0 to 2/dt = {2 / self.dt:g} rad/s, got {self.drift_cutoff}; 0 is no "
-                "high-pass, None chooses by the record"
+                f"drift_cutoff must be from 0 to 2/dt = {2 / self.dt:g} rad/s, got {self.drift_cutoff}; 0 "
+                "turns the high-pass filter off, None chooses it by the record"
             )
 
     def best(self, u: ArrayLike, counts: ArrayLike, start: Floats | None = None) -> Best:
@@ -282,15 +282,17 @@ class Following(Simulating, BatchEstimator):
         leading = difference.equation.leading
         if q[leading] < TUNING.at_bound * TUNING.least_mass:
             raise NotIdentifiableError(
-                f"{self.names[leading]} comes out as nothing: this record cannot identify it, or an input logged "
-                "late hides it; record stronger accelerations, and check the times of the columns against each other"
+                f"{self.names[leading]} is estimated as zero: this record cannot identify it, or an input "
+                "that was logged late hides it; record stronger accelerations, and compare the times of the "
+                "columns"
             )
         residual = difference(q)
         relative = rms(residual) / difference.size_of_motion
         if not (relative < TUNING.worst_fit or rms(residual) <= difference.explained):
             raise NotIdentifiableError(
-                f"the simulated position does not follow the record, {relative:.0%} of the motion is left: check the "
-                "sign of input_gain, and for unmodelled load or friction; or use a recursive method"
+                f"the simulated position does not follow the record: {relative:.0%} of the motion remains "
+                "unexplained; check the sign of input_gain, look for unmodelled load or friction, or use a "
+                "recursive method"
             )
         scale = difference.scale[: len(self.names)]
         theta, cov = q[: scale.size] * scale, q_cov * np.outer(scale, scale)
@@ -370,7 +372,9 @@ class OE(ProcessSolver, Following):
             return
         if self.drift_cutoff is not None or not self.plant.rests:
             other = "a drift_cutoff" if self.plant.rests else "a transfer function"
-            raise UsageError(f"window goes without {other}, for the windows take its place; drop one of the two")
+            raise UsageError(
+                f"window cannot be combined with {other}, because the windows replace it; remove one of the two"
+            )
         if self.window != AUTO_WINDOW:
             _check_window(self.window, self.dt)
 

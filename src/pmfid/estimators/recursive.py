@@ -156,8 +156,8 @@ class RecursiveEstimator(Estimator):
         for name, factor in (self.forgetting_of or {}).items():
             if name not in self.names or not self.forgetting <= factor <= 1:
                 raise UsageError(
-                    f"forgetting_of takes factors from forgetting = {self.forgetting} to 1 of {list(self.names)}, got "
-                    f"{factor} of {name!r}"
+                    f"forgetting_of needs factors from forgetting = {self.forgetting} to 1 for parameters of "
+                    f"{list(self.names)}, got {factor} for {name!r}"
                 )
         if self.forgetting_of and scheme != "exponential":
             raise UsageError(f"forgetting_of is for the exponential scheme, not for {scheme}")
@@ -169,16 +169,16 @@ class RecursiveEstimator(Estimator):
         if self.forgetting_scheme != "directional":
             return ""
         return (
-            f"directional forgetting is for rls, not for {self.method}, whose instruments point elsewhere; "
-            "use constant-trace or window"
+            f"directional forgetting works with rls, but not with {self.method}, whose instruments have "
+            "other directions; use constant-trace or window"
         )
 
     def _check_room(self) -> None:
         most, model = self.kernel_class.max_parameters, self.model
         if len(self.names) > most:
             raise UsageError(
-                f"{self.method} estimates at most {most} parameters, this {model.kind} has {len(self.names)}: "
-                f"{', '.join(self.names)}; use fewer {self.plant.fewer}"
+                f"{self.method} estimates at most {most} parameters, but this {model.kind} has "
+                f"{len(self.names)}: {', '.join(self.names)}; use fewer {self.plant.fewer}"
             )
 
     @property
@@ -287,7 +287,10 @@ class RecursiveEstimator(Estimator):
     def check_gaps(self) -> None:
         """Raise UsageError for a linear process, because its output continues predictably only without gaps."""
         if not self.plant.rests:
-            raise UsageError(f"{self.method} of a linear process takes no gaps: reset it, or use srivc off-line")
+            raise UsageError(
+                f"{self.method} of a linear process does not accept gaps: reset the estimator after a gap, or "
+                "use srivc off-line"
+            )
 
     def doubt(self, samples: int) -> None:
         """Mark the next samples as guesses, with `Runner.doubt`."""

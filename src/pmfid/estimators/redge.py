@@ -94,7 +94,9 @@ class REdge:
         self._check_model()
         check_edges(self.lines, self.tick, self.dt, TUNING.most_lines)
         if self.memory is not None:
-            check_positive("memory", self.memory, "it is the time constant of forgetting in s, or None")
+            check_positive(
+                "memory", self.memory, "it is the time constant of forgetting in s, or None for no forgetting"
+            )
         if self.precision not in ("float64", "float32"):
             raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
         object.__setattr__(self, "kernel", self._new_kernel())
@@ -102,8 +104,8 @@ class REdge:
     def _check_model(self) -> None:
         if not is_plain(self.model):
             raise UsageError(
-                "REdge takes a Drive with a given input_gain, mass, viscous and Coulomb friction, and an offset; use "
-                "EdgeFit off-line for further terms"
+                "REdge accepts a Drive with a given input_gain, a mass, viscous and Coulomb friction, and an "
+                "offset; for further terms use EdgeFit off-line"
             )
 
     def _new_kernel(self) -> EdgeKernel:
@@ -203,7 +205,9 @@ class REdge:
         """
         given = np.ascontiguousarray(theta, np.float64)
         if given.shape != (len(self.names),) or not np.all(np.isfinite(given)) or not np.all(given[:3] > 0):
-            raise UsageError(f"theta must be finite, and positive but for an offset, {list(self.names)}, got {theta!r}")
+            raise UsageError(
+                f"theta must contain finite values of {list(self.names)}, all positive except an offset, got {theta!r}"
+            )
         self.kernel.expect(given)
 
     def get_state(self) -> bytes:

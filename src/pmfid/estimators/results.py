@@ -179,9 +179,9 @@ class Track(Presentable):
     def summary(self) -> Summary:
         """Return the summary of the last estimate."""
         if not self.status.size:
-            return Summary("track of no samples", Parameters.header, [])
+            return Summary("track without samples", Parameters.header, [])
         last = Parameters(self.names, self.units, self.theta[-1], self.theta_std[-1])
-        title = f"track of {self.status.size} samples, the last estimate:"
+        title = f"track of {self.status.size} samples; the last estimate:"
         return last.summary(title, remarks_of(status_names(int(self.status[-1]))))
 
     def columns(self) -> dict[str, object]:
@@ -251,7 +251,7 @@ class Tracks(Track):
     def summary(self) -> Summary:
         """Return the summary of the last estimates, with the median and the central 90 % over the axes."""
         axes, kept = self.status.shape
-        title = f"tracks of {axes} axes, {kept} sample{'s' * (kept != 1)} kept, the last estimates:"
+        title = f"tracks of {axes} axes, {kept} sample{'s' * (kept != 1)} kept; the last estimates:"
         header = ("parameter", "median", "5 %", "95 %", "unit")
         rows = [
             (name, *self._quantiles(i), unit) for i, (name, unit) in enumerate(zip(self.names, self.units, strict=True))

@@ -50,7 +50,7 @@ class SampleBlock:
         """Return the block for the arguments of `Fleet.run`. Raises as `Fleet.run`."""
         u_table, counts_table = _tables(u, counts, axes)
         if every is not None:
-            every = whole_number("every", every, 1, "None keeps the last estimate alone")
+            every = whole_number("every", every, 1, "None keeps only the last estimate")
             every = min(every, max(1, counts_table.shape[1]))
         samples = kept_samples(counts_table.shape[1], every)
         return cls(u_table, counts_table, every or 0, samples, _room(axes, samples.size, parameters))
@@ -71,8 +71,8 @@ def _tables(u: ArrayLike, counts: ArrayLike, axes: int) -> tuple[NDArray[np.floa
     fits = counts_table.ndim == 2 and counts_table.shape[0] == axes
     if not fits or u_table.shape not in (counts_table.shape, counts_table.shape[1:]):
         raise UsageError(
-            f"counts must be ({axes}, n), an axis per row, and u the same or (n,) for all axes; got "
-            f"{counts_table.shape} and {u_table.shape}"
+            f"counts must be ({axes}, n), with one row for each axis, and u the same, or (n,) for all "
+            f"axes; got {counts_table.shape} and {u_table.shape}"
         )
     return np.broadcast_to(u_table, counts_table.shape), counts_table
 
@@ -84,7 +84,7 @@ def _room(axes: int, kept: int, p: int) -> Results:
         return theta, factor, inflation, np.empty(shape), np.empty(shape), np.empty(shape, np.uint32)
     except MemoryError:
         raise UsageError(
-            f"{kept} estimates of {axes} axes do not fit the memory; keep fewer with a larger `every`"
+            f"{kept} estimates of {axes} axes do not fit into memory; keep fewer with a larger `every`"
         ) from None
 
 
@@ -102,7 +102,7 @@ def _make_readable(array: Numbers, readable: tuple[type[N], ...], other: type[N]
 
 def threads(workers: int | None) -> int:
     """Return the number of threads. None means all processors. Raises UsageError for an invalid number."""
-    remedy = "it is the number of threads; None: as many as there are processors"
+    remedy = "it is the number of threads; None uses one thread for each processor"
     return _processors() if workers is None else whole_number("workers", workers, 1, remedy)
 
 
@@ -128,7 +128,7 @@ class SideBySide:
         try:
             self.kernel = kernel.many(self.axes, whole_words(precision))
         except (MemoryError, OverflowError, ValueError):
-            raise UsageError(f"the states of {axes} axes do not fit the memory; take fewer at a time") from None
+            raise UsageError(f"the states of {axes} axes do not fit into memory; process fewer at a time") from None
         self._way = self.kernel.fastest_way
 
     def run(self, u: ArrayLike, counts: ArrayLike, every: int | None = None) -> Tracks:
@@ -229,8 +229,8 @@ class Runner(Generic[E]):
         found = None if steps is None else check_steps(steps)
         if asked != (found is not None) or (found is not None and found.size != samples):
             raise UsageError(
-                "an estimator made with steps takes steps (n,), one for each sample; one without takes "
-                'none: make it with steps="given"'
+                'steps (n,) belong to an estimator that is made with steps="given": give one step for each '
+                "sample, or leave steps out for any other estimator"
             )
         return found
 
@@ -248,8 +248,8 @@ class Runner(Generic[E]):
         """Return axes that start from the present state. `Fleet` describes the arguments and errors."""
         if self._configuration["steps"] is not None:
             raise UsageError(
-                "many axes at once need evenly spaced samples: run each axis by itself, or make the estimator "
-                "without the argument steps"
+                "many axes at once need evenly spaced samples: run each axis on its own, or make the "
+                "estimator without the argument steps"
             )
         return SideBySide(self.kernel, self.precision, self.names, self.units, axes, workers)
 
@@ -267,7 +267,7 @@ class Runner(Generic[E]):
         unknown parameter.
         """
         if not isinstance(keep, Real) or not 0 < keep <= 1:
-            raise UsageError(f"keep must be in (0, 1], got {keep!r}; 0.001 lets new samples prevail at once")
+            raise UsageError(f"keep must be in (0, 1], got {keep!r}; with 0.001 new samples dominate at once")
         if parameter is not None and parameter not in self.names:
             raise UsageError(f"parameter must be one of {list(self.names)} or None, got {parameter!r}")
         self.kernel.open(keep, -1 if parameter is None else self.names.index(parameter))
@@ -296,7 +296,7 @@ class Runner(Generic[E]):
         UsageError for a negative or fractional number.
         """
         if isinstance(samples, bool) or not isinstance(samples, Integral) or not samples >= 0:
-            raise UsageError(f"samples must be a whole number from 0 on, got {samples!r}")
+            raise UsageError(f"samples must be a whole number of at least 0, got {samples!r}")
         self.kernel.doubt(min(int(samples), 2**31))
 
     def reset(self) -> None:

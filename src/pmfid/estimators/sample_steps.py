@@ -33,7 +33,7 @@ class SampleSteps:
         return hash(self.before.tobytes())
 
     def __repr__(self) -> str:
-        return f"SampleSteps of {self.before.size} samples"
+        return f"SampleSteps for {self.before.size} samples"
 
     @cached_property
     def after(self) -> Floats:
@@ -69,7 +69,7 @@ def read_steps(steps: StepsOption) -> SampleSteps | Literal["given"] | None:
         if found.size:
             return SampleSteps(found)
     raise UsageError(
-        f'steps must be the time of each sample since the one before in s, or "given" on-line, got {steps!r}'
+        f'steps must be the time from the previous sample to each sample in s, or "given" on-line, got {steps!r}'
     )
 
 
@@ -80,5 +80,7 @@ def check_steps(steps: ArrayLike) -> Floats:
     except (TypeError, ValueError):
         found = np.zeros(1)
     if found.ndim != 1 or not np.all((found > 0) & (found < np.inf)):
-        raise UsageError("steps must be positive and finite, the time of each sample since the one before in s, (n,)")
+        raise UsageError(
+            "steps must be positive and finite: the time from the previous sample to each sample in s, (n,)"
+        )
     return found

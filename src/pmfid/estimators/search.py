@@ -30,8 +30,8 @@ Found = TypeVar("Found")
 
 #: Message for a record that the model does not follow at all.
 LOST = (
-    "no motion of the model follows the counts, not even from many starts: check the columns, the sign of input_gain "
-    "and the model, or record reversals and varying speed"
+    "no motion of the model follows the counts from any of many start values: check the columns, "
+    "the sign of input_gain and the model, or record reversals and varying speed"
 )
 #: Filter time constants over which start speeds are read.
 WITHIN = (1.0, TUNING.search_read)
@@ -95,7 +95,7 @@ def find_least_from_start(
     """
     if not difference.equation.shaped:
         return least(difference, q, tolerances)
-    found, refused = list[Floats](), NotIdentifiableError("no start of the motion leads anywhere")
+    found, refused = list[Floats](), NotIdentifiableError("no start value leads to a motion that follows the record")
     for begin in (read_start(difference, q, cutoff), q):
         try:
             found.append(least(difference, begin, tolerances))
@@ -122,7 +122,7 @@ def fit_at_speeds(
     """Return promising Stribeck speeds with their results, the best first. `usual` is the speed of the motion, `at`
     fits with a known Stribeck speed, and `worse` rates a result. Raises NotIdentifiableError if no fit converges."""
     found = list[tuple[float, Found]]()
-    refused = NotIdentifiableError("no Stribeck speed settles: record more of slow motion")
+    refused = NotIdentifiableError("the estimate of the Stribeck speed does not converge: record more slow motion")
     for speed in (usual * np.array(TUNING.stribeck_speeds)).tolist():
         try:
             found.append((speed, at(speed)))
@@ -510,14 +510,19 @@ class WindowChoice:
         """The reason in words."""
         chosen = "one window over the whole record" if math.isinf(self.seconds) else f"windows of {self.seconds:.3g} s"
         if len(self.errors) < 2:
-            return f"{chosen}: it is too short to choose their length on it"
+            return f"{chosen}: the record is too short to choose their length from it"
         best = {length: error for length, error in self.errors.items() if length != self.seconds}
         other = min(best, key=lambda length: best[length])
         named = "one window" if math.isinf(other) else f"windows of {other:.3g} s"
-        others = f"by {best[other]:.3g} with {named}" if best[other] < math.inf else "other windows give no estimate"
+        others = (
+            f"by {best[other]:.3g} with {named}"
+            if best[other] < math.inf
+            else "windows of other lengths give no estimate"
+        )
         return (
-            f"{chosen}, chosen on this record: free runs over each third of it with what the others give, also "
-            f"restarted within it, are off by {self.errors[self.seconds]:.3g}, {others}"
+            f"{chosen}, chosen on this record. Free runs over each third of the record, with the estimate "
+            "of the other thirds and also restarted within the third, are off by "
+            f"{self.errors[self.seconds]:.3g}, {others}"
         )
 
 

@@ -111,8 +111,9 @@ def _take_shards(listing: Listing, folder: Path, groups: Mapping[bytes, ShardGro
     for number, listed in enumerate(listing.shards):
         if listed.identity not in known:
             raise UsageError(
-                f"{folder} has axes whose configuration matches none of the {len(groups)} estimators given; give every "
-                "estimator that added axes, as in ShardedFleet(folder, [estimator]), or choose another folder"
+                f"{folder} contains axes whose configuration matches none of the {len(groups)} given "
+                "estimators; give every estimator that added axes, as in ShardedFleet(folder, [estimator]), "
+                "or choose another folder"
             )
         shards.append(Shard(known[listed.identity], number, listing.size))
 
@@ -195,7 +196,7 @@ class ShardedFleet:
         workers: int | None = None,
     ) -> None:
         self.workers = threads(workers)
-        self._size = whole_number("shard", shard, 1, "it is the number of axes of a shard")
+        self._size = whole_number("shard", shard, 1, "it is the number of axes in a shard")
         if self._size > stored.MOST_OF_SHARD:
             raise UsageError(f"shard must be at most {stored.MOST_OF_SHARD}, got {shard}")
         self._groups: dict[bytes, ShardGroup] = {}
@@ -250,16 +251,18 @@ class ShardedFleet:
         """Add axes in the present state of an estimator or `Runner`, and return their handles (axes,). Raises
         UsageError for an invalid number, an estimator that is not recursive, and more axes than the memory holds."""
         runner = runner_of(estimator)
-        number = whole_number("axes", axes, 0, "it is how many are added")
+        number = whole_number("axes", axes, 0, "it is the number of axes to add")
         if number > stored.MOST - self._size * (len(self._shards) + 1):
-            raise UsageError(f"a fleet has {stored.MOST} places at most, got {axes} axes more; take another fleet")
+            raise UsageError(
+                f"a fleet has at most {stored.MOST} places, so {axes} more axes do not fit; use another fleet"
+            )
         group, start = self._group(runner), state_of(runner)
         try:
             places = self._places_for(group, number)
             for shard, rows in self._split_by_shard(places):
                 shard.begin(rows, start)
         except MemoryError:
-            raise UsageError(f"the states of {axes} axes do not fit the memory; take fewer at a time") from None
+            raise UsageError(f"the states of {axes} axes do not fit into memory; process fewer at a time") from None
         return self._handles.take(places)
 
     def remove(self, handles: ArrayLike) -> None:
@@ -317,8 +320,8 @@ class ShardedFleet:
         found = {self._shards[number].group.identity for number in numbers}
         if len(found) != 1:
             raise UsageError(
-                f"a call takes axes of one configuration, got {len(found)}; run those of each by themselves, "
-                "`handles(estimator)` tells which they are"
+                f"one call accepts axes of one configuration only, got axes of {len(found)}; run each "
+                "configuration on its own, `handles(estimator)` lists its axes"
             )
         return self._shards[numbers[0]].group
 
@@ -364,9 +367,9 @@ class ShardedFleet:
         shard.changed = True
 
     def _row(self, handle: int) -> tuple[Shard, int]:
-        number = whole_number("handle", handle, None, "it is what `add` gave")
+        number = whole_number("handle", handle, None, "it is the value that `add` returned")
         if not -(2**63) <= number < 2**63:
-            raise UsageError(f"there is no axis {number}; `handles()` has those that are there")
+            raise UsageError(f"no axis has the handle {number}; `handles()` lists all axes")
         place = int(self._handles.places([number])[0])
         return self._shards[place // self._size], place % self._size
 
@@ -384,9 +387,11 @@ class ShardedFleet:
         or for a mark that JSON cannot hold.
         """
         if self._vault is None:
-            raise UsageError("this fleet has no folder for checkpoints; give one as in ShardedFleet('state')")
+            raise UsageError("this fleet has no folder for checkpoints; give a folder, as in ShardedFleet('state')")
         if self._closed:
-            raise UsageError("this fleet was closed, and its folder may be another's; open it again with ShardedFleet")
+            raise UsageError(
+                "this fleet was closed, and another fleet may use its folder; open it again with ShardedFleet"
+            )
         try:
             json.dumps(mark)
         except (TypeError, ValueError, RecursionError) as error:

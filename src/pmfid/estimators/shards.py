@@ -69,7 +69,7 @@ class Handles:
         numbers = np.asarray(handles)
         if numbers.ndim != 1 or (numbers.size and numbers.dtype.kind not in "iu"):
             raise UsageError(
-                f"handles must be those that `add` gave, (k,) integers; got {numbers.dtype} {numbers.shape}"
+                f"handles must be the integers that `add` returned, (k,); got {numbers.dtype} {numbers.shape}"
             )
         numbers = numbers.astype(np.int64)
         places = numbers & _PLACE
@@ -81,14 +81,14 @@ class Handles:
         seen = np.zeros(self.taken.size, np.bool_)
         seen[places] = True
         if np.count_nonzero(seen) < places.size:
-            raise UsageError("an axis comes twice in handles: its samples follow one another, in two calls")
+            raise UsageError("handles contains an axis twice; pass later samples of an axis in a second call")
         return places
 
     def _refuse(self, handle: int) -> None:
         place, before = handle & _PLACE, handle >> _BITS
         if handle >= 0 and place < self.taken.size and before < self.before[place]:
-            raise UsageError(f"axis {handle} was removed; `handles()` has those that are there")
-        raise UsageError(f"there is no axis {handle}; `handles()` has those that are there")
+            raise UsageError(f"axis {handle} was removed; `handles()` lists all axes")
+        raise UsageError(f"no axis has the handle {handle}; `handles()` lists all axes")
 
 
 class ShardGroup:
@@ -227,7 +227,7 @@ class Listed:
 
     def __post_init__(self) -> None:
         if not (self.rows > 0 and self.side in (0, 1) and self.sequence > 0):
-            raise ValueError("a shard in it is none")
+            raise ValueError("one of its shards is damaged")
 
 
 @dataclass(frozen=True)
@@ -309,24 +309,24 @@ def read_listing(sequence: int, body: bytes) -> Listing:
         shards = [Listed(bytes.fromhex(one[0]), *(int(number) for number in one[1:])) for one in raw["shards"]]
         places = size * len(shards)
         if not (size in range(MOST_OF_SHARD + 1) and places <= MOST and all(one.rows <= size for one in shards)):
-            raise ValueError("its places are more than any fleet has")
+            raise ValueError("it has more places than any fleet can have")
         handles = _handles(body[_LENGTH.size + length :], places)
         for number, one in enumerate(shards):
             if handles.taken[number * size + one.rows : (number + 1) * size].any():
-                raise ValueError("it has axes in rows that nobody has used")
+                raise ValueError("it has axes in rows that were never used")
         return Listing(sequence, size, shards, handles, raw["mark"])
     except (KeyError, TypeError, IndexError, struct.error, RecursionError, OverflowError) as error:
-        raise ValueError(f"it is no checkpoint of a sharded fleet: {error!r}") from None
+        raise ValueError(f"it is not a checkpoint of a sharded fleet: {error!r}") from None
 
 
 def _handles(table: bytes, places: int) -> Handles:
     if len(table) != _PLACE_BYTES * places:
-        raise ValueError("its parts do not fill it")
+        raise ValueError("the lengths of its parts do not add up to the length of the file")
     handles = Handles(places)
     handles.before[:] = np.frombuffer(table, "<u4", places)
     taken = np.frombuffer(table, np.uint8, places, 4 * places)
     if np.any(taken > 1) or np.any(handles.before > LAST + 1):
-        raise ValueError("its places are none")
+        raise ValueError("its places are not valid")
     handles.taken[:] = taken
     return handles
 
@@ -344,13 +344,13 @@ def read_shard(folder: Path, listed: Listed, shard: Shard) -> None:
         raise DamagedError(error.strerror or str(error)) from None
     head = listed.identity + _SHARD.pack(shard.number, listed.rows)
     if found.sequence != listed.sequence or bytes(found.body[: len(head)]) != head:
-        raise DamagedError("it is of another checkpoint or shard")
+        raise DamagedError("it belongs to another checkpoint or shard")
     if (len(found.body) - len(head)) % max(listed.rows, 1):
         raise DamagedError("it has states for a different number of axes")
     states = np.frombuffer(found.body, np.uint8, offset=len(head)).reshape(listed.rows, -1)
     states = _convert_states(shard, states, shard.group.older.get(listed.identity))
     if not _plausible(shard.group, states):
-        raise DamagedError("these numbers are no states of its configuration, whatever their checksum says")
+        raise DamagedError("these numbers cannot be states of its configuration, although their checksum is right")
     shard.states[: listed.rows] = states
     shard.rows, shard.side, shard.sequence = listed.rows, listed.side, listed.sequence
 

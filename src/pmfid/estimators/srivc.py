@@ -93,7 +93,7 @@ class ProcessOnly(Estimator):
     def refuses(cls, equation: Equation) -> str:
         if equation.process:
             return super().refuses(equation)
-        return f"{cls.method} is for a transfer function; for a machine use iv or interval"
+        return f"{cls.method} works on a transfer function; for a machine use iv or interval"
 
 
 @dataclass(frozen=True)
@@ -176,8 +176,8 @@ def fit_process(
             problem, solution = solve_dead_time(problem, solver)
     if not solution.settled:
         raise NotIdentifiableError(
-            f"{estimator.method} does not settle: the model does not follow the record; try srivc, another structure, "
-            "dead time or cutoff"
+            f"the iteration of {estimator.method} does not converge, because the model does not follow "
+            "the record; try srivc, another structure, dead time or cutoff"
         )
     return result(estimator, problem, solution)
 
@@ -186,13 +186,14 @@ def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -
     """Raise UsageError for missing experiments, or for experiments with another sample period than the estimator's."""
     listed = isinstance(experiments, Sequence) and all(isinstance(part, Experiment) for part in experiments)
     if not listed or not experiments:
-        raise UsageError("experiments must be a list of one or more Experiments; write [experiment] for a single one")
+        raise UsageError("experiments must be a list of Experiments; write [experiment] for a single one")
     for part in experiments:
         mean = float(part.times[-1] - part.times[0]) / (part.times.size - 1)  # jitter moves the median, gaps the mean
         if min(abs(step / estimator.dt - 1) for step in (part.period, mean)) > TUNING.same_period:
             raise UsageError(
-                f"dt of the estimator is {estimator.dt:.9g} s, but {part.name} has a sample every {part.period:.9g} s; "
-                "give the estimator this dt: the delay counts in it"
+                f"dt of the estimator is {estimator.dt:.9g} s, but {part.name} has a sample every "
+                f"{part.period:.9g} s; give the estimator the dt of the data, because it counts the delay in "
+                "samples"
             )
 
 
@@ -210,7 +211,7 @@ def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Pro
     """Return the stretches of all records in filter time constants. Raises UsageError if none is usable."""
     model = estimator.model
     if not isinstance(model, TransferFunction):
-        raise UsageError(f"{estimator.method} on experiments is for a transfer function, not for a {model.kind}")
+        raise UsageError(f"{estimator.method} on experiments needs a transfer function, not a {model.kind}")
     parts = [experiment.stretches(model.delay) for experiment in experiments]
     stretches = [replace(stretch, record=i) for i, some in enumerate(parts) for stretch in some]
     structure = make_structure(model, estimator.dt, estimator.cutoff)
@@ -236,11 +237,15 @@ def check_signals(problem: ProcessProblem, names: tuple[str, ...]) -> None:
     """Raise NotIdentifiableError if the input or the output contains no information for any method."""
     samples = sum(stretch.rows.size for stretch in problem.stretches)
     if samples <= 2 * len(names):
-        raise NotIdentifiableError(f"only {samples} samples for {len(names)} parameters: record longer")
+        raise NotIdentifiableError(
+            f"the records have only {samples} samples for {len(names)} parameters: record longer"
+        )
     if not any(np.ptp(stretch.y[stretch.rows]) > 0 for stretch in problem.stretches):
-        raise NotIdentifiableError("the output does not move in this record: nothing can be identified; excite it more")
+        raise NotIdentifiableError(
+            "the output does not move in this record, so nothing can be identified; excite the process more"
+        )
     if not any(np.ptp(stretch.inputs[0]) > 0 or np.any(stretch.inputs[0]) for stretch in problem.stretches):
-        raise NotIdentifiableError("the input is zero throughout: record the input that drives the process")
+        raise NotIdentifiableError("the input is always zero: record the input that drives the process")
 
 
 def result(estimator: Estimator, problem: ProcessProblem, solution: Solution) -> ProcessFit:
@@ -271,7 +276,7 @@ def process_of(estimator: Estimator, theta: NDArray[np.float64], cov: NDArray[np
     """Return the transfer function at theta (p,) with covariance (p, p), in seconds."""
     model = estimator.model
     if not isinstance(model, TransferFunction):
-        raise UsageError(f"{estimator.method} on experiments is for a transfer function, not for a {model.kind}")
+        raise UsageError(f"{estimator.method} on experiments needs a transfer function, not a {model.kind}")
     structure = make_structure(model, estimator.dt, 1.0)
     return Process.from_theta(structure, theta, cov, model.delay * estimator.dt + structure.lateness(theta))
 
@@ -292,8 +297,8 @@ def check_apart(point: ProcessPoint, names: tuple[str, ...]) -> None:
     worst = int(np.argmin(parts))
     if not parts[worst] > TUNING.srivc_apart:
         raise NotIdentifiableError(
-            f"{names[worst]} has too little effect of its own on the output, because of poor excitation or a model "
-            "of too high an order; use fewer poles or zeros, or a richer input"
+            f"{names[worst]} has too little effect of its own on the output, because the excitation is "
+            "poor or the order of the model is too high; use fewer poles or zeros, or a livelier input"
         )
 
 
@@ -352,12 +357,13 @@ class RSRIVC(ProcessOnly, RecursiveEstimator):
 
     def __post_init__(self) -> None:
         if not isinstance(self.model, TransferFunction):
-            raise UsageError("rsrivc is for a transfer function; riv is the equivalent for a drive")
+            raise UsageError("rsrivc needs a transfer function; for a drive, riv is the equivalent method")
         if self.model.initial_conditions:
-            raise UsageError("rsrivc forgets the start by itself; leave initial_conditions out")
+            raise UsageError("rsrivc forgets the start of the process by itself; leave initial_conditions out")
         if self.model.integrators or self.model.unstable:
             raise UsageError(
-                "rsrivc simulates from rest, which drifts away without a stable process; use srivc on records"
+                "rsrivc simulates from rest, and without a stable process this simulation drifts away; use "
+                "srivc on records"
             )
         super().__post_init__()
 

@@ -111,8 +111,8 @@ def _simulate_position(estimator: Estimator, theta: Floats, u: Floats, counts: N
     if not np.max(np.abs(place)) < TUNING.most_counts:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
         raise NotIdentifiableError(
-            f"the motion simulated with the estimate ({values}) runs away: check the model and the signs of input and "
-            "output, or record a livelier motion"
+            f"the motion simulated with the estimate ({values}) grows without bound: check the model and "
+            "the signs of input and output, or record a livelier motion"
         )
     return place
 

@@ -21,7 +21,7 @@ def literal(number: SupportsInt) -> str:
     """
     if isinstance(number, np.floating):
         if not np.isfinite(number):
-            raise ValueError(f"{number} has no C constant")
+            raise ValueError(f"{number} cannot be written as a constant in C")
         mantissa, _, exponent = float(number).hex().partition("p")
         mantissa = mantissa.rstrip("0").rstrip(".") if "." in mantissa else mantissa
         return f"{mantissa}p{exponent}" + ("f" if number.dtype.itemsize == 4 else "")
@@ -86,22 +86,26 @@ def check_names(prefix: str, parameters: Sequence[str]) -> None:
     """Raise UsageError if a prefix or the names of the parameters would not compile."""
     if not re.fullmatch(r"[a-z][a-z0-9_]*", prefix) or prefix.startswith("pmf"):
         raise UsageError(
-            "prefix must be lower-case letters, digits and _, begin with a letter, but not with pmf, as all names in "
-            f"the C begin with it; got {prefix!r}, give another (--prefix)"
+            "prefix must consist of lower-case letters, digits and _, begin with a letter, and must not "
+            f"begin with pmf, because all names of the kernel do; got {prefix!r}, give another (--prefix)"
         )
     of_kernel = set(re.findall(r"\b\w+_t\b", "".join(map(header, HEADERS))))
     clash = sorted({prefix + end for end in TYPES} & (C_TYPES | of_kernel))
     if clash:
         raise UsageError(
-            f"prefix {prefix!r} makes {clash[0]}, which C or the kernel has already; give another (--prefix)"
+            f"prefix {prefix!r} makes the name {clash[0]}, which C or the kernel already uses; give "
+            "another prefix (--prefix)"
         )
     capitals = [name.upper() for name in parameters]
     for name, capital in zip(parameters, capitals, strict=True):
         if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
-            raise UsageError(f"parameter {name!r} has letters that C has not; use a to z, digits and _ in its name")
+            raise UsageError(
+                f"parameter {name!r} contains letters that C does not allow in a name; use a to z, digits and _"
+            )
         if capital in TAKEN or capitals.count(capital) > 1:
             raise UsageError(
-                f"parameter {name!r} gives {prefix.upper()}_{capital}, which the C has already; give it another name"
+                f"parameter {name!r} gives the name {prefix.upper()}_{capital}, which the exported code "
+                "already uses; rename the parameter"
             )
 
 

@@ -68,13 +68,17 @@ class ParameterAlarm:
         """
         rate = estimator.rate if isinstance(estimator, REdge) else 1 - estimator.forgetting
         if rate == 0:
-            raise UsageError("an alarm needs forgetting below 1: an estimate that remembers everything follows nothing")
+            raise UsageError(
+                "an alarm needs forgetting below 1: without forgetting, an estimate does not follow a change"
+            )
         return math.ceil(MEMORIES / rate)
 
     def structure(self, estimator: Exportable) -> Structured:
         """Return the `pmf_alarm_config_t`. Raises UsageError for a parameter that the estimator does not have."""
         if self.parameter not in estimator.names:
-            raise UsageError(f"an alarm's parameter must be one of {list(estimator.names)}, got {self.parameter!r}")
+            raise UsageError(
+                f"the parameter of an alarm must be one of {list(estimator.names)}, got {self.parameter!r}"
+            )
         config = np.zeros((), structures(None, estimator.precision)["pmf_alarm_config_t"])
         config["parameter"] = estimator.names.index(self.parameter)
         config["interval"] = self.interval(estimator)
@@ -154,7 +158,10 @@ def export_firmware(
     True
     """
     if not isinstance(estimator, Exportable):
-        raise UsageError(f"{estimator.method} works on whole records; export rls, bcrls, rknown-step, riv or REdge")
+        raise UsageError(
+            f"{estimator.method} needs a whole record and cannot run sample by sample; export rls, bcrls, "
+            "rknown-step, riv or REdge"
+        )
     check_names(prefix, estimator.names)
     folder = Path(folder)
     over_edges = isinstance(estimator, REdge)
@@ -194,7 +201,7 @@ def _check_folder(folder: Path, prefix: str, files: set[str]) -> None:
     present = {path.name for path in folder.iterdir()} if folder.is_dir() else set()
     others = sorted(present - {Path(file).parts[0] for file in files})
     if others and f"{prefix}.h" not in present:
-        raise UsageError(f"{folder} has other things in it, for example {others[0]}; give an empty folder")
+        raise UsageError(f"{folder} contains other files, for example {others[0]}; give an empty folder")
 
 
 def _render(files: Collection[str], context: Mapping[str, object]) -> dict[str, str]:

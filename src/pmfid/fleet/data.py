@@ -54,7 +54,9 @@ class Local:
 
     def __post_init__(self) -> None:
         if self.workers is not None:
-            whole_number("workers", self.workers, 1, "it is the number of threads; None: as many as processors")
+            whole_number(
+                "workers", self.workers, 1, "it is the number of threads; None uses one thread for each processor"
+            )
 
     def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
         """Yield the result of `work` for each item, in order.
@@ -153,7 +155,7 @@ def check_columns(columns: SourceColumns, parts: Sequence[Part], found: Survey) 
         except UsageError as error:
             raise UsageError(f"{part.name}: {error}") from None
     reason = next((f": {one.part}: {one.text}" for one in found.problems if one.code == "unreadable"), "")
-    raise UsageError(f"no file of the data set could be read{reason}; run pmfid check on one")
+    raise UsageError(f"no file of the data set could be read{reason}; run pmfid check on one of the files")
 
 
 #: Number of full shards that one machine holds in memory at a time, for any number of threads.

@@ -72,9 +72,11 @@ def _split_at_missing_rows(piece: RecordPiece, settings: Settings) -> Iterator[R
 def _cut(piece: RecordPiece, record: Record, settings: Settings) -> Iterator[EdgeStretch]:
     """Yield the segments of a record. Raises UsageError for a record that is too short, or whose ages are unusable."""
     if record.u.size < TUNING.edges_least:
-        raise UsageError(f"{record.u.size} samples without a missing row are too few: {TUNING.edges_least} are needed")
+        raise UsageError(
+            f"the record has only {record.u.size} samples without a missing row; {TUNING.edges_least} are needed"
+        )
     if record.ages is None:
-        raise UsageError(record.notes[-1] if record.notes else "its ages of edges cannot be used")
+        raise UsageError(record.notes[-1] if record.notes else "the ages of edges in this record cannot be used")
     size, n = max(1, round(settings.segment / record.dt)), record.u.size
     ends = list(range(size, n + 1, size)) or [n]
     if n - ends[-1] >= size / 2:

@@ -104,7 +104,9 @@ def _report_mixed_periods(axis: str, series: Series) -> list[RowProblem]:
     if high - low <= TUNING.series_same * high:
         return []
     at = float(series.start[np.flatnonzero(series.dt != series.dt[0])[0]])
-    text = f"sample periods from {low:.6g} to {high:.6g} s: each is estimated with its own"
+    text = (
+        f"the sample period changes between {low:.6g} and {high:.6g} s: each stretch is estimated with its own period"
+    )
     return [RowProblem(axis, "", "mixed_dt", text, at)]
 
 
@@ -114,7 +116,7 @@ def _others(follows: Iterable[Follow]) -> list[RowProblem]:
     if not known:
         return []
     usual = float(np.quantile([one.dt for one in known], 0.5, method="lower"))
-    text = "sampled every {:.6g} s, most axes every {:.6g} s: it is estimated with its own"
+    text = "the sample period is {:.6g} s, but {:.6g} s for most axes: this axis is estimated with its own period"
     return [
         RowProblem(one.axis, "", "other_dt", text.format(one.dt, usual))
         for one in known
@@ -134,8 +136,8 @@ def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) ->
                 f"{len(own)} around {middle:.3g}" for own, middle in zip(sorts, middles[:, i], strict=True)
             )
             text = (
-                f"{len(sorts)} sorts of machines, by {names[i].replace('_', ' ')}: {each}; each axis is compared "
-                "with its own sort: give them types of their own, --type"
+                f"{len(sorts)} kinds of machines differ in {names[i].replace('_', ' ')}: {each}; each axis is "
+                "compared only with its own kind: give each kind its own type, with --type"
             )
             found.append(RowProblem("", f"type {kind}" if kind else "all axes", "several_sorts", text))
     return found
@@ -280,8 +282,8 @@ def data_of(data: object, columns: SourceColumns, engine: Engine | None, out: Pa
         return SparkRows(data, columns, engine)
     if engine is not None and engine.name != Local.name and not isinstance(data, str | Path):
         raise UsageError(
-            f"a frame in memory stays on this machine, and the engine {engine.name} would send it elsewhere: leave out "
-            "the engine, or give a folder of files or a Spark DataFrame"
+            f"a frame in memory stays on this machine, but the engine {engine.name} would send it to "
+            "other machines: leave out the engine, or give a folder of files or a Spark DataFrame"
         )
     return Parts(parts_of(data, out), columns, engine or Local())
 
@@ -319,7 +321,9 @@ def estimate(
     columns, periods = SourceColumns.from_axis(own, by, type), Periods.from_name(period)
     tolerance = own.monitor.tolerance if tolerance is None else tolerance
     if not 0 <= tolerance < math.inf:
-        raise UsageError(f"tolerance = {tolerance}: give a relative deviation of 0 or more, for example 0.05")
+        raise UsageError(
+            f"tolerance = {tolerance} is not valid: give a relative deviation of 0 or more, for example 0.05"
+        )
     tell = progress or (lambda done: None)
     if out is None:
         return _Run(own, columns, data_of(data, columns, engine, None), None, tell).outcome(periods, segment, tolerance)
@@ -425,4 +429,6 @@ class _Run:
         """Yield a problem for each axis that has several types in its files or days."""
         kinds = self.survey.rows.filter(pl.col(TYPE) != "").group_by(AXIS).agg(pl.col(TYPE).unique().sort())
         for axis, types in kinds.filter(pl.col(TYPE).list.len() > 1).sort(AXIS).iter_rows():
-            yield RowProblem(axis, "", "types", f"of the types {', '.join(types)}: it is judged with the first")
+            yield RowProblem(
+                axis, "", "types", f"its rows have the types {', '.join(types)}: only the first type is used"
+            )

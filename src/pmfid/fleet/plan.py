@@ -64,7 +64,7 @@ def survey_part(part: Part, columns: SourceColumns) -> Survey:
     said = part.constants.get(columns.axis)
     others = found.filter(found[AXIS] != said)[AXIS] if said else found[AXIS][:0]
     if others.len():
-        odd.append(f"its folder says {columns.axis} = {said}, its own column {others[0]}: the column is taken")
+        odd.append(f"its folder says {columns.axis} = {said}, but its column says {others[0]}: the column is used")
     return survey_of(part.name, found, odd, columns.factor)
 
 
@@ -143,13 +143,13 @@ def survey_of(name: str, found: pl.DataFrame, odd: Sequence[str], factor: float)
     """
     problems = [RowProblem("", name, "type", text) for text in odd]
     if not found.height:
-        problems.append(RowProblem("", name, "empty", "it has no rows"))
+        problems.append(RowProblem("", name, "empty", "the file has no rows"))
     if EXTENT not in found.columns:
         found = found.with_columns(pl.lit(0, pl.Int64).alias(START), pl.col(ROWS).alias(EXTENT))
     lost = int(found[LOST].sum())
     if lost:
         problems.append(
-            RowProblem("", name, "rows_lost", f"{lost} rows have no axis, or no number for a time: left out")
+            RowProblem("", name, "rows_lost", f"{lost} rows have no axis, or no valid time: these rows are left out")
         )
     found = found.filter(pl.col(AXIS).is_not_null() & (pl.col(ROWS) > 0))
     if found.height and (text := other_unit(cast(float, found[FIRST].min()), cast(float, found[LAST].max()), factor)):
@@ -207,7 +207,9 @@ def slice_length(rows: pl.DataFrame, period: float | None) -> float:
     step = (pl.col(LAST) - pl.col(FIRST)) / (pl.col(ROWS) - 1)
     steps = rows.filter(pl.col(LAST) > pl.col(FIRST)).select(step.alias("dt"))["dt"].to_numpy()
     if not steps.size:
-        raise UsageError("no axis has two rows at different times on a day; check --axis, [record] time and time_unit")
+        raise UsageError(
+            "no axis has two rows at different times on one day; check --axis, and [record] time and time_unit"
+        )
     dt = float(np.median(steps))
     fastest = _fastest(rows)
     fits = (

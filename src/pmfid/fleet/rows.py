@@ -156,8 +156,9 @@ class Aside:
             return _Laid(path, target.axes, {}, error)
         except OSError as error:
             raise UsageError(
-                f"{self._folder.parent}: {error.strerror or error}; the rows of {name} mix its axes, and "
-                f"sorting them there needs {self._kind.itemsize} bytes a row: make room, or choose another folder"
+                f"{self._folder.parent}: {error.strerror or error}; {name} mixes the rows of its axes, and "
+                f"pmfid sorts them on this disk, with {self._kind.itemsize} bytes a row: free some space, or "
+                "choose another folder"
             ) from None
         return _Laid(path, target.axes, places)
 
@@ -207,7 +208,7 @@ class ShardTable:
 
 
 #: Problem of a file that changed while it was read. The next call reads the file again, because its stamp has changed.
-REWRITTEN = "was written to while it was read: call again when it is whole"
+REWRITTEN = "the file changed while pmfid read it: run the command again once the file is complete"
 #: Columns of rows by their name in `source`.
 _Columns = Mapping[str, NDArray[np.generic]]
 
@@ -345,10 +346,10 @@ def unique(rows: ShardRows) -> tuple[ShardRows, tuple[RowProblem, ...]]:
     group = np.cumsum(~again)
     contradicted = np.isin(group, group[again & ~equal])
     problems = _report_rows(
-        rows, again & ~contradicted, "duplicates", "rows stand there again, the same: one of each counts"
+        rows, again & ~contradicted, "duplicates", "rows are repeated without a difference: one of each counts"
     )
     problems += _report_rows(
-        rows, contradicted, "contradictions", "rows have the time of another and other values: left out"
+        rows, contradicted, "contradictions", "rows repeat the time of another row with other values: they are left out"
     )
     return rows[~again & ~contradicted], tuple(problems)
 

@@ -324,8 +324,8 @@ def _stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
     ]
     if not found:
         raise UsageError(
-            f"{record.u.size} samples without a gap are too few: record at least {quarter * record.dt:.3g} s "
-            f"without one"
+            f"the longest stretch without a gap has {record.u.size} samples, too few: record at least "
+            f"{quarter * record.dt:.3g} s without a gap"
         )
     return found
 

@@ -67,8 +67,9 @@ def record_at(table: Table, axis: Axis) -> Record:
     record = record_of(table, axis.model_copy(update={"record": own}))
     if record.there is not None and record.there.mean() < 1 - TUNING.most_missing:
         raise UsageError(
-            f"on the best grid, of {record.dt:.6g} s, {1 - record.there.mean():.0%} of the samples are missing: "
-            "the sample period changes within the record, or the logger loses that many samples"
+            f"even at the most suitable sample period, {record.dt:.6g} s, {1 - record.there.mean():.0%} "
+            "of the samples are missing: either the sample period changes within the record, or the "
+            "logger loses samples"
         )
     return replace(record, dt=float(f"{record.dt:.6g}"))
 
@@ -94,9 +95,12 @@ def choose_method(axis: Axis) -> Axis:
     """
     method = "riv" if axis.estimator.method == "auto" else axis.estimator.method
     if not issubclass(ESTIMATORS[method], RecursiveEstimator):
-        raise UsageError(f"[estimator] method = {method!r} takes a record as a whole; use riv, bcrls or auto")
+        raise UsageError(f"[estimator] method = {method!r} needs a whole record at once; use riv, bcrls or auto")
     if finds_gain(axis) or axis.estimator.given or axis.estimator.prior:
-        raise UsageError("the history of a fleet takes no given, prior or input_gain to be found; give the input_gain")
+        raise UsageError(
+            "the history of a fleet does not accept given, prior, or an unknown input_gain; give the "
+            "value of input_gain"
+        )
     return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": method})})
 
 
@@ -125,8 +129,8 @@ def make_settings(given: Axis, chosen: Chosen, most: float, segment: float | Non
     segment, least = min(segment, most), TUNING.least_settled * settled
     if not segment >= least:
         raise UsageError(
-            f"segments of {segment:.3g} s are too short for the filters, which take {least:.3g} s: use longer periods "
-            "or segments, or a higher cutoff"
+            f"segments of {segment:.3g} s are shorter than the {least:.3g} s that the filters need; use "
+            "longer periods or segments, or a higher cutoff"
         )
     estimator = replace(estimator, forgetting=forgetting_of(segment, chosen.dt), forgetting_scheme="exponential")
     return Settings(axis, estimator, segment, max(segment, min(TUNING.settings_span * segment, most)))
@@ -153,7 +157,7 @@ def choose(given: Axis, tables: Iterable[Table]) -> Chosen:
     axis = choose_method(given)
     records, refused = _records(axis, tables)
     if not records:
-        raise refused or UsageError("no axis has rows; check --axis and the columns of [record]")
+        raise refused or UsageError("no axis has any rows; check --axis and the columns in [record]")
     first = records[0]
     if takes_edges(given):
         return Chosen(0.0, None, first.dt, first.resolution)
@@ -167,7 +171,7 @@ def choose(given: Axis, tables: Iterable[Table]) -> Chosen:
         except (UsageError, NotIdentifiableError) as error:
             refused = refused or error
     if not found:
-        raise refused or UsageError("no record of the fleet tells its filters; give [estimator] cutoff")
+        raise refused or UsageError("no record of the fleet is suitable to choose the filters; give [estimator] cutoff")
     return _best(found)
 
 
@@ -198,7 +202,9 @@ def _records(axis: Axis, tables: Iterable[Table]) -> tuple[list[Record], UsageEr
             refused = refused or error
             continue
         if np.ptp(record.counts) == 0:
-            refused = refused or NotIdentifiableError("the first axes do not move: nothing tells their parameters")
+            refused = refused or NotIdentifiableError(
+                "the first axes do not move, so their parameters cannot be estimated"
+            )
         elif not found or record.dt == found[0].dt:
             found.append(record)
         if len(found) == TUNING.settings_records:

@@ -87,7 +87,7 @@ class StreamShard:
         found = read_snapshot(body)
         own = [group for group in found.groups if group.digest == self.plan.prepared.digest]
         if len(own) != len(found.groups) or len(own) > 1:
-            raise ValueError("the state is of another configuration")
+            raise ValueError("the state belongs to another configuration")
         found.restore(self._engine)
         self._group = own[0].restore_group(self.plan.prepared, self.plan.pace) if own else self._group
         self._engine.set_groups([self._group])
@@ -109,7 +109,10 @@ class StreamShard:
         for one in split_tables(items):
             if isinstance(one, Block) and one.axis in wrong:
                 name = one.axis[:64]
-                problem = f"a block of {name!r} came in a row of another axis; write its own name into the column axis"
+                problem = (
+                    f"a row of another axis contains a block of {name!r}; write the name of the block into the "
+                    "column axis"
+                )
                 checked.append(Unusable("name", problem, name))
             else:
                 checked.append(one)
@@ -243,7 +246,7 @@ class States:
         except ValueError as error:
             raise UsageError(f"a state cannot be read: {error}; read it with the version that wrote it") from None
         if not found.groups:
-            raise UsageError("the states are of another configuration; give the AXIS.toml that they were made with")
+            raise UsageError("the states belong to another configuration; give the AXIS.toml that they were made with")
         return found
 
     @classmethod
@@ -265,13 +268,17 @@ class States:
         Raises UsageError if no checkpoint exists, or if another service uses the folder.
         """
         if not folder.is_dir():
-            raise UsageError(f"{folder}: is no folder of states; give [service] state of a PLANT.toml")
+            raise UsageError(
+                f"{folder}: this is not a folder with states; give the folder in [service] state of a PLANT.toml"
+            )
         with closing(Vault(folder)) as vault:
             found = vault.load(read_snapshot, lambda problem: None)
         if found is None:
-            raise UsageError(f"{folder}: holds no checkpoint that is whole; give [service] state of a PLANT.toml")
+            raise UsageError(
+                f"{folder}: contains no complete checkpoint; give the folder in [service] state of a PLANT.toml"
+            )
         if not any(group.digest == digest for group in found.groups):
-            raise UsageError(f"{folder}: its states are of another configuration; give the AXIS.toml that made them")
+            raise UsageError(f"{folder}: its states belong to another configuration; give the AXIS.toml that made them")
         return cls((found,), digest)
 
     @property
@@ -287,7 +294,7 @@ class States:
         known = self.axes
         for name in names:
             if name not in known:
-                raise UsageError(f"there is no axis {name!r} in these states{did_you_mean(name, known)}")
+                raise UsageError(f"these states do not contain the axis {name!r}{did_you_mean(name, known)}")
         return list(names) or known
 
     def monitor(self, axis: str, prepared: Prepared, pace: Pace) -> Monitored:
@@ -315,7 +322,7 @@ class States:
                 vault.load(read_snapshot, lambda problem: None)  # the new snapshot follows the present ones
                 vault.write([self._body(prepared, pace, set(chosen))])
             except OSError as error:
-                raise UsageError(f"{folder}: {error.strerror}; make room, or choose another folder") from None
+                raise UsageError(f"{folder}: {error.strerror}; free some space, or choose another folder") from None
         return len(chosen)
 
     def _body(self, prepared: Prepared, pace: Pace, names: Collection[str]) -> bytes:
@@ -331,12 +338,14 @@ class States:
 SETTINGS, STREAM = "pmfid.json", "stream.json"
 #: Remedies for a setting that differs from the checkpoint.
 REMEDIES = {
-    "config": "give the configuration and the reference of before, or new folders for --checkpoint and --out",
-    "shards": "the state is shared out by it; give it as before",
-    "window": "give it as before, or new folders for --checkpoint and --out",
-    "every": "give it as before, or new folders for --checkpoint and --out",
-    "layout": "go on with the version that wrote it, or take new folders for --checkpoint and --out",
-    "source": "where it stands holds for that one only; give it, or new folders for --checkpoint and --out",
+    "config": "give the previous configuration and reference, or new folders for --checkpoint and --out",
+    "shards": "this number divides the state into parts; give the previous number",
+    "window": "give the previous value, or new folders for --checkpoint and --out",
+    "every": "give the previous value, or new folders for --checkpoint and --out",
+    "layout": "continue with the version of pmfid that wrote the checkpoint, or give new folders for "
+    "--checkpoint and --out",
+    "source": "the checkpoint is a position in the previous source; give that source, or new folders for "
+    "--checkpoint and --out",
 }
 
 
@@ -364,15 +373,15 @@ def open_folder(checkpoint: Path, out: Path, settings: StreamSettings) -> Iterat
     belongs to another stream, to other settings or to a running stream, or cannot be created.
     """
     if checkpoint.resolve() == out.resolve():
-        raise UsageError(f"{out} is the checkpoint's folder; give --out another folder")
+        raise UsageError(f"{out} is the folder of the checkpoint; give --out another folder")
     if _read(checkpoint / SETTINGS) is None and _holds(checkpoint, LOCK):
-        raise UsageError(f"{checkpoint} is not a checkpoint of pmfid fleet stream; give a new or empty folder")
+        raise UsageError(f"{checkpoint} is not a checkpoint of pmfid fleet stream; give an empty or new folder")
     with closing(hold(checkpoint, "--checkpoint", "another stream")):
         number = _begin_stream(checkpoint, settings)
         try:
             _result(out, number, settings)
         except OSError as error:
-            raise UsageError(f"{out}: {error.strerror}; choose a folder that can be written for --out") from None
+            raise UsageError(f"{out}: {error.strerror}; choose a writable folder for --out") from None
         yield Folder(out)
 
 
@@ -380,10 +389,10 @@ def _result(out: Path, number: str, settings: StreamSettings) -> None:
     """Check or create the folder with the results of the stream of this number."""
     known = _read(out / STREAM)
     if known is None and _holds(out):
-        raise UsageError(f"{out}: holds something else; give a new or empty folder for the results")
+        raise UsageError(f"{out}: contains other files; give an empty or new folder for the results")
     if known is not None and known.get("stream") != number:
         raise UsageError(
-            f"{out}: holds the results of another stream; give a new folder, or the checkpoint of that one"
+            f"{out}: contains the results of another stream; give a new folder, or the checkpoint of that stream"
         )
     for kind in Folder.KINDS:
         (out / kind).mkdir(parents=True, exist_ok=True)
@@ -410,8 +419,8 @@ def _begin_stream(checkpoint: Path, settings: StreamSettings) -> str:
         whole(checkpoint / SETTINGS, lambda path: path.write_text(json.dumps(known)))
     for name, value in asdict(settings).items():
         if known.get(name) != value:
-            shown = "" if name == "config" else f" (now {value}, then {known.get(name)})"
-            raise UsageError(f"{checkpoint}: was begun with another {name}{shown}: {REMEDIES[name]}")
+            shown = "" if name == "config" else f" (now {value}, before {known.get(name)})"
+            raise UsageError(f"{checkpoint}: the stream began with another {name}{shown}: {REMEDIES[name]}")
     return str(known.get("stream"))
 
 

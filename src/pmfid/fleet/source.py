@@ -78,9 +78,10 @@ def check_no_table(folders: Sequence[Path]) -> None:
     if not logs:
         return
     table, kind = min(log.parent for log in logs), "Delta" if logs[0].name == DELTA else "Iceberg"
-    remedy = "give its own folder as SOURCE" if kind == "Delta" else "write it as plain Parquet"
+    remedy = "give the folder of a single snapshot as SOURCE" if kind == "Delta" else "write it as plain Parquet"
     raise UsageError(
-        f"{table}: a table of {kind} has files that no longer count; {remedy}, or in Python a Polars frame"
+        f"{table}: the folder of a {kind} table also contains outdated files; {remedy}, or in Python "
+        "give a Polars frame"
     )
 
 
@@ -99,7 +100,8 @@ def delta_files(folder: Path) -> Iterator[tuple[Path, Mapping[str, str]]]:
     if protocol.min_reader_version == 2 or features:
         named = ", ".join(sorted(features)) or "columnMapping"
         raise UsageError(
-            f"{folder}: the Delta table uses {named}; write it as plain Parquet, or without these features"
+            f"{folder}: the Delta table uses {named}, which pmfid cannot read; write the table as plain "
+            "Parquet, or without these features"
         )
     keys = [name for name in actions.columns if name.startswith(_PARTITION)]
     for row in actions.select("path", *keys).sort("path").iter_rows(named=True):
@@ -125,7 +127,8 @@ def seconds_of(column: pl.Expr, name: str, kind: pl.DataType, factor: float) -> 
         return column.cast(pl.Duration("ns")).cast(pl.Int64).cast(pl.Float64) * TUNING.source_nanosecond
     if kind in (pl.Date, pl.Time):
         raise UsageError(
-            f"the column {name!r} is of type {kind}, half of a time: give a column that has both the day and the time"
+            f"the column {name!r} has the type {kind} and contains only a part of a time; give a column "
+            "with both the day and the time"
         )
     if not (kind.is_numeric() or kind == pl.String):
         raise UsageError(f"the column {name!r} must contain times, but its type is {kind}")
@@ -163,8 +166,8 @@ def other_unit(first: float, last: float, factor: float) -> str:
     if not fitting:
         return ""
     return (
-        f'its times are dates of this century in {fitting[0]}: give [record] time_unit = "{fitting[0]}", or where the '
-        "other files have another unit, write them in that"
+        f"the times would be dates of this century in the unit {fitting[0]}: give [record] time_unit "
+        f'= "{fitting[0]}"; if other files have another unit, convert their times'
     )
 
 
@@ -172,7 +175,7 @@ def other_unit(first: float, last: float, factor: float) -> str:
 AXIS, TIME, INPUT, OUTPUT, MASK, TYPE, AGE = "axis", "time", "input", "output", "mask", "type", "edge age"
 #: Name of a part that is no file.
 FRAME = "the frame"
-_DATES = ", or as dates of ISO 8601 (UTC without an offset)"
+_DATES = ", or as ISO 8601 dates (UTC if they have no offset)"
 #: Hive's and Spark's folder name for rows without a value.
 _NOTHING = "__HIVE_DEFAULT_PARTITION__"
 
@@ -202,14 +205,17 @@ class SourceColumns:
         """
         record = axis.record
         if axis.model.kind == "transfer_function":
-            raise UsageError("the history of a fleet is of machines; of a transfer function use pmfid identify")
+            raise UsageError("pmfid fleet history works on machines; for a transfer function use pmfid identify")
         if record.time is None:
-            raise UsageError('[record] time is missing: rows of many axes each need a time: give time = "t"')
+            raise UsageError('[record] time is missing, and rows of many axes need a time: give time = "t"')
         if record.known_force:
-            raise UsageError("[record] known_force is of one record; subtract the forces from the input column")
+            raise UsageError(
+                "[record] known_force works for a single record; for a fleet, subtract the forces from the input column"
+            )
         if record.exclude:
             raise UsageError(
-                "[record] exclude is of one record; of a fleet leave out rows by a column, mask, or drop it"
+                "[record] exclude works for a single record; for a fleet, leave out rows with a column, "
+                "[record] mask, or remove exclude"
             )
         age = axis.encoder.edge_age if takes_edges(axis) else None
         return cls(by, record.time, record.input, record.output, record.mask, kind, time_factor(record), age)
@@ -286,7 +292,9 @@ class Part:
                 known = [*schema, *self.constants]
                 more = ", ..." if len(known) > TUNING.source_listed else ""
                 listed = ", ".join(known[: TUNING.source_listed]) + more
-                raise UsageError(f"there is no column {name!r}; it has {listed}{did_you_mean(name, known)}")
+                raise UsageError(
+                    f"the data have no column {name!r}; the columns are {listed}{did_you_mean(name, known)}"
+                )
         return frame.select(made)
 
     def other_types(self, columns: SourceColumns) -> list[str]:
@@ -294,12 +302,17 @@ class Part:
         schema = self.open().collect_schema()
         texts = [name for name in (columns.time, columns.input, columns.output) if schema.get(name) == pl.String]
         notes = [
-            f"{name} is text, read as numbers{_DATES * (name == columns.time)}: what is none is missing"
+            (
+                f"{name} contains text, read as numbers{_DATES * (name == columns.time)}: any other text "
+                "counts as missing"
+            )
             for name in texts
         ]
         if schema.get(columns.time) == pl.Float32:
             step = np.spacing(np.float32(RECORD_TUNING.clock_epochs[0]))
-            notes.append(f"{columns.time} has 32 bits, of a date {step:.0f} s: write it as float64")
+            notes.append(
+                f"{columns.time} has 32 bits, which resolve a date only to {step:.0f} s: write the column as float64"
+            )
         return notes
 
 
@@ -355,7 +368,7 @@ def parts_of(source: object, out: Path | None = None) -> list[Part]:
 
 def _files(source: Path, out: Path | None) -> list[Part]:
     if not source.exists():
-        raise UsageError(f"{source}: there is no such file or folder; give that of the data set")
+        raise UsageError(f"{source}: no such file or folder exists; give the file or folder of the data set")
     if source.is_file():
         return [_part(source, source.parent)]
     if is_delta(source):
@@ -370,7 +383,7 @@ def _files(source: Path, out: Path | None) -> list[Part]:
     # Engines write files with a leading dot or underscore in addition to the data.
     found = sorted(path for path in data if not any(part[:1] in "._" for part in path.relative_to(source).parts))
     if not found and not closed:
-        raise UsageError(f"{source}: no file of a known format is in it; it should hold Parquet or Arrow files")
+        raise UsageError(f"{source}: contains no file of a known format; put Parquet or Arrow files into this folder")
     return [_part(path, source) for path in (*found, *closed)]
 
 
@@ -401,11 +414,13 @@ def _stamp(path: Path) -> str:
 
 def _open_file(path: Path) -> pl.LazyFrame:
     if not path.exists():
-        raise UsageError(f"{path} is not visible to the process that reads it; give a path that every worker sees")
+        raise UsageError(
+            f"{path} is not visible to the process that reads it; give a path that every worker process can read"
+        )
     if "\udc80" <= max(str(path)) <= "\udcff":  # bytes that are no text
         raise UsageError("its name is not UTF-8; rename it")
     if not path.is_file():
-        raise UsageError("is no file, or a folder that cannot be entered; take it out, or allow reading it")
+        raise UsageError("this is not a readable file or folder; remove it, or allow reading it")
     kind = _kind(path)
     if kind == ".parquet":
         return pl.scan_parquet(path, hive_partitioning=False, glob=False)
@@ -428,5 +443,5 @@ def seconds(text: str) -> float:
     except (ValueError, KeyError):
         found = float("nan")
     if not TUNING.source_shortest <= found < TUNING.source_longest:
-        raise UsageError(f"{text!r} is no duration that makes a period; give one as 600, 10min, 1h or 7d")
+        raise UsageError(f"{text!r} is not a valid duration of a period; give a duration such as 600, 10min, 1h or 7d")
     return found

@@ -99,15 +99,13 @@ def check_folder(folder: Path) -> None:
     except FileNotFoundError:
         return
     except NotADirectoryError:
-        raise UsageError(
-            f"{folder}: this path is a file, or a part of it is one; give a folder for the history"
-        ) from None
+        raise UsageError(f"{folder}: this path, or a part of it, is a file; give a folder for the history") from None
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or error
-        raise UsageError(f"{folder}: {reason}; choose a folder that can be written") from None
+        raise UsageError(f"{folder}: {reason}; choose a writable folder") from None
     strangers = sorted(name for name in inside if name not in OWN)
     if strangers and "work" not in inside:
-        raise UsageError(f"{folder}: holds other files, {strangers[0]} among them; give a new or empty folder")
+        raise UsageError(f"{folder}: contains other files, for example {strangers[0]}; give an empty or new folder")
 
 
 def whole(path: Path, write: Callable[[Path], object]) -> None:
@@ -122,7 +120,7 @@ def whole(path: Path, write: Callable[[Path], object]) -> None:
         with suppress(OSError):
             part.unlink(missing_ok=True)
         reason = getattr(error, "strerror", None) or error
-        raise UsageError(f"{path}: {reason}; make room, or choose another folder") from None
+        raise UsageError(f"{path}: {reason}; free some space, or choose another folder") from None
 
 
 @dataclass(frozen=True)
@@ -138,7 +136,7 @@ class Kept:
         if self.here is not None:
             return self.here
         if self.path is None or not self.path.exists():
-            raise UsageError("what was estimated is gone from the folder; run it again")
+            raise UsageError("the estimates were deleted from the folder; run pmfid fleet history again")
         return pl.read_parquet(self.path, hive_partitioning=False)
 
 

@@ -26,7 +26,13 @@ from pmfid.status import Status
 from pmfid.types import Floats
 
 #: Reasons of the state CANNOT_TELL, by the numbers of the watcher.
-REASONS = ("", "the estimate has not started", "poor excitation", "standstill", "the motion tells nothing")
+REASONS = (
+    "",
+    "the estimate has not started",
+    "poor excitation",
+    "standstill",
+    "the motion contains no information on the parameters",
+)
 
 
 @dataclass(frozen=True)
@@ -215,7 +221,10 @@ class WatchedAxis:
         rest.gathered[0] = min(information, TUNING.most_information)
         rest.crossed[0], rest.suspected[0] = own.statistic[0], 1
         self.estimator.open_memory(TUNING.axis_keep)
-        return [*self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet"), *self._alarm(estimate)]
+        return [
+            *self._enter(SUSPICIOUS, "a deviation was found, and its cause is not clear yet"),
+            *self._alarm(estimate),
+        ]
 
     def _look_around(self, estimate: Estimate) -> list[Event]:
         """Update the state, which depends on whether changes can be detected now."""
@@ -240,7 +249,7 @@ class WatchedAxis:
         alarm = self._make_alarm(cause, float(begun[cause.start]))
         self._rest.gathered[0], self._rest.refined[0] = 0.0, 0
         self._rest.by_gain[0] = cause.name == INPUT_GAIN
-        return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
+        return [alarm, *self._enter(SETTLING, f"measuring the new {cause.name}")]
 
     def _make_alarm(self, cause: Cause, begun: float) -> Alarm:
         units = dict(zip(self._front.names, self._front.units, strict=True))
@@ -257,6 +266,7 @@ class WatchedAxis:
             float(self._rest.crossed[0]),
             self.threshold,
             cause.others or (),
+            self.watch.tolerance,
         )
 
     def _cause(self, units: Floats, estimate: Estimate) -> Cause:

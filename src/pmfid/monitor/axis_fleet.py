@@ -74,7 +74,7 @@ class AxisFleet(ABC, Generic[M, S]):
         read_counts = np.ascontiguousarray(integer_counts(counts), np.int64)
         if inputs.ndim != 2 or inputs.shape != read_counts.shape or len(inputs) != places.size:
             raise UsageError(
-                f"u and counts must be ({places.size}, n), a row for each axis; got {inputs.shape} and "
+                f"u and counts must be ({places.size}, n), with one row for each axis; got {inputs.shape} and "
                 f"{read_counts.shape}"
             )
         return places, inputs, read_counts
@@ -82,11 +82,13 @@ class AxisFleet(ABC, Generic[M, S]):
     def _places(self, index: ArrayLike) -> NDArray[np.int64]:
         places = np.asarray(index)
         if places.ndim != 1 or (places.size and places.dtype.kind not in "iu"):
-            raise UsageError(f"index must be numbers of axes (k,), got {places.dtype} {places.shape}")
+            raise UsageError(f"index must contain the numbers of the axes (k,), got {places.dtype} {places.shape}")
         if places.size and not (places.min() >= 0 and places.max() < self.axes):
-            raise UsageError(f"there are {self.axes} axes, from 0 on; got {places.min()} to {places.max()}")
+            raise UsageError(
+                f"index must be from 0 to {self.axes - 1} for {self.axes} axes; got {places.min()} to {places.max()}"
+            )
         if not (np.diff(places) > 0).all() and not np.diff(np.sort(places)).all():
-            raise UsageError("an axis comes twice in index: its samples follow one another, in two calls")
+            raise UsageError("index contains an axis twice; pass later samples of an axis in a second call")
         return places.astype(np.int64)
 
     def _place(self, axis: int) -> int:
@@ -109,7 +111,7 @@ class AxisFleet(ABC, Generic[M, S]):
     def add(self, count: int = 1) -> range:
         """Add `count` axes in the start state of the fleet, and return their numbers."""
         before = self.axes
-        more = whole_number("count", count, 0, "it is a number of axes")
+        more = whole_number("count", count, 0, "it is the number of axes to add")
         self._all = self._all.join_rows(self._first.repeat_rows(more))
         return range(before, self.axes)
 

@@ -409,9 +409,9 @@ def _check_units(units: int, time: float) -> None:
     if units < LEAST_RECORD_UNITS:
         enough = LEAST_RECORD_UNITS / max(units, 1) * time
         raise UsageError(
-            f"the record of normal work is noisier than the encoder explains, and has {units} units of work in "
-            f"{time:.3g} s. Thresholds from its scatter need {LEAST_RECORD_UNITS}: record {enough:.3g} s or more, "
-            "without a change of the machine"
+            "the record of normal work is noisier than the encoder explains. Thresholds from its scatter "
+            f"need {LEAST_RECORD_UNITS} independent stretches of motion, and it has {units} in {time:.3g} "
+            f"s: record {enough:.3g} s or more, without a change of the machine"
         )
 
 
@@ -432,8 +432,8 @@ def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Count
     if len(blocks.score) < TUNING.least_record_blocks:
         least = (start + TUNING.least_record_blocks) * block_samples(estimator) * estimator.dt
         raise UsageError(
-            f"the record of normal work has {u.size * estimator.dt:.3g} s, its scatter shows from {least:.3g} s on: "
-            "record longer, 10 minutes or more for good thresholds"
+            f"the record of normal work has {u.size * estimator.dt:.3g} s, too few to measure its "
+            f"scatter, which takes {least:.3g} s: record longer, 10 minutes or more for good thresholds"
         )
     return blocks
 
@@ -469,8 +469,8 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
     if not np.max(np.abs(position)) < TUNING.most_counts * estimator.encoder.resolution:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
         raise NotIdentifiableError(
-            f"the model with the normal parameters ({values}) runs away under the recorded input: give nominal values "
-            "of a machine that does not, or take a record of normal work that identifies them"
+            f"the model with the normal parameters ({values}) is unstable under the recorded input: "
+            "correct the nominal values, or take a record of normal work that identifies the parameters"
         )
     return quantize(position + phase * estimator.encoder.resolution, estimator.encoder.resolution)
 
@@ -511,13 +511,13 @@ def _precision(detector: ChiSquare, x: Floats, w: Floats) -> tuple[tuple[float, 
 def _check(blocks: Blocks) -> None:
     if len(blocks.score) < TUNING.least_blocks:
         raise UsageError(
-            f"the cutoff gives {len(blocks.score)} blocks in {TUNING.run_time:g} s, not {TUNING.least_blocks}; "
-            "use a higher one"
+            f"the cutoff gives {len(blocks.score)} blocks in {TUNING.run_time:g} s, and the monitor needs "
+            f"{TUNING.least_blocks}; use a higher cutoff"
         )
     mean = blocks.cross.mean(axis=0)
     size = np.sqrt(np.abs(np.diagonal(mean)))
     if not np.all(size > 0) or np.linalg.cond(mean / np.outer(size, size)) > 1e4:
         raise NotIdentifiableError(
-            "the reference motion does not excite every parameter: no detector could tell them apart; take a record of "
-            "normal work with both directions, accelerations and several speeds"
+            "the reference motion does not excite every parameter, so a detector could not distinguish "
+            "their changes; record normal work in both directions, with accelerations and several speeds"
         )

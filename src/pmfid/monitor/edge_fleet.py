@@ -78,7 +78,7 @@ class EdgeFleet(AxisFleet[EdgeMonitor, EdgeStates]):
         places, inputs, read_counts = self._check_arrays(index, u, counts)
         instants = np.ascontiguousarray(numbers("ages", ages), np.float64)
         if instants.shape != inputs.shape:
-            raise UsageError(f"ages must be {inputs.shape} as u, got {instants.shape}")
+            raise UsageError(f"ages must have the shape {inputs.shape} of u, got {instants.shape}")
         rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
         for group in slices(len(inputs), TUNING.fleet_group):
             for time in slices(inputs.shape[1], TUNING.fleet_piece):

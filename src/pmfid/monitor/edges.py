@@ -124,10 +124,10 @@ class EdgeMonitor:
     def __post_init__(self) -> None:
         self.reference = np.array(self.reference, np.float64)
         if self.estimator.memory is None:
-            raise UsageError("a monitor needs a memory: an estimate that remembers everything follows nothing")
+            raise UsageError("a monitor needs a memory: without a memory, an estimate does not follow a change")
         if self.reference.shape != (len(self.names),) or not self._are_parameters(self.reference):
             raise UsageError(
-                f"reference must be values of {list(self.names)}, positive but for an offset, got "
+                f"reference must contain values of {list(self.names)}, all positive except an offset, got "
                 f"{self.reference.tolist()}"
             )
         self.threshold = self._quantile()
@@ -244,7 +244,7 @@ class EdgeMonitor:
         """Look for a change from the last sound estimate on."""
         self._expect_base()
         self._since = 0
-        return self._enter(SUSPICIOUS, "a deviation, its cause is not clear yet")
+        return self._enter(SUSPICIOUS, "a deviation was found, and its cause is not clear yet")
 
     @property
     def _gain(self) -> float:
@@ -285,9 +285,10 @@ class EdgeMonitor:
         begun, self._before = self._time - self._since * self.estimator.dt, self.reference.copy()
         std = math.hypot(cause.std, cause.relative * cause.change)  # the estimate may still have errors of second order
         numbers = cause.change, std, cause.relative, self.statistic, self.threshold
-        alarm = Alarm(self._time, begun, cause.name, units.get(cause.name, ""), *numbers, cause.others or ())
+        others, tolerance = cause.others or (), self.watch.tolerance
+        alarm = Alarm(self._time, begun, cause.name, units.get(cause.name, ""), *numbers, others, tolerance)
         self._since = 0
-        return [alarm, *self._enter(SETTLING, f"learning the new {cause.name}")]
+        return [alarm, *self._enter(SETTLING, f"measuring the new {cause.name}")]
 
     def _settle(self, estimate: Estimate) -> list[Event]:
         """Make the estimate the reference, once it is sure."""
@@ -312,10 +313,12 @@ class EdgeMonitor:
         """
         estimate = self.estimator.estimate
         if theta is None and estimate.status & Status.STARTING:
-            raise UsageError("there is no estimate yet that could be the reference: let the axis move first")
+            raise UsageError("no estimate exists yet that could become the reference: let the axis move first")
         wanted = np.array(estimate.theta if theta is None else theta, np.float64)
         if wanted.shape != self.reference.shape or not self._are_parameters(wanted):
-            raise UsageError(f"these are no parameters of a machine: {wanted.tolist()}; give {list(self.names)}")
+            raise UsageError(
+                f"no machine has the parameters {wanted.tolist()}; give valid values of {list(self.names)}"
+            )
         std = np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
         before, self.reference, self._base = self.reference, wanted, wanted
         busy = self.state in (SUSPICIOUS, SETTLING)
@@ -368,5 +371,5 @@ class EdgeMonitor:
         """Continue from a saved state. Raises UsageError, and changes nothing, for other bytes."""
         found = self.check_states(read(state, self.pack_state(), self.configuration_number))
         if found.axes != 1:
-            raise UsageError(f"these bytes are the states of {found.axes} axes; a monitor is of one")
+            raise UsageError(f"these bytes contain the states of {found.axes} axes, and a monitor has one axis")
         self.go_on(found, 0)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError, check_choice
+from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.monitor.names import DETECTORS, DetectorName
 from pmfid.types import Flags, Floats
 
@@ -54,7 +55,7 @@ class Watch:
     def __post_init__(self) -> None:
         check_choice("detector", self.detector, DETECTORS)
         if not 0.1 <= self.mtbf_hours <= 1e6:
-            raise UsageError(f"mtbf_hours must be in [0.1, 1e6], got {self.mtbf_hours}; it is in hours")
+            raise UsageError(f"mtbf_hours must be in [0.1, 1e6], got {self.mtbf_hours}; the unit is hours")
         if not 0 <= self.tolerance < 1:
             raise UsageError(f"tolerance must be in [0, 1), got {self.tolerance}; 0.02 is 2 %")
 
@@ -81,6 +82,8 @@ class Alarm:
         Statistic at the first suspicion, and its threshold.
     others
         Other causes that the samples so far do not exclude.
+    tolerance
+        Relative deviation that is no change, or 0 if unknown.
 
     Examples
     --------
@@ -100,6 +103,24 @@ class Alarm:
     statistic: float
     threshold: float
     others: tuple[str, ...] = ()
+    tolerance: float = 0.0
+
+    @property
+    def advice(self) -> str:
+        """Sentence that says what people check first."""
+        return next((text for name, text in _ADVICE if self.parameter.startswith(name)), _USUAL_ADVICE)
+
+
+#: What people check first, by the beginning of the parameter's name.
+_ADVICE = (
+    (("mass", "inertia"), "Check whether the load was changed or came loose, or another part moves with the axis."),
+    (("viscous", "friction"), "Check lubrication, temperature and bearings."),
+    (("coulomb", "stribeck"), "Check brakes, guides, seals and belt tension for rubbing."),
+    (("offset", "gravity"), "Check the counterweight and the load."),
+    (("stiffness", "cogging"), "Check springs, couplings and the motor."),
+    ((INPUT_GAIN,), "Check the drive, its supply and the sensor of the input. The axis itself has not changed."),
+)
+_USUAL_ADVICE = "Compare the charts of the axis with its reference record."
 
 
 @dataclass(frozen=True)

@@ -144,14 +144,18 @@ class Monitor(WatchedAxis, Presentable):
     def summary(self) -> Summary:
         watch = self.watch
         title = (
-            f"monitor by {watch.detector}: {self.state} after {self.samples} samples, "
-            f"statistic {self.statistic:.3g} of {self.threshold:.3g}; the reference, ± of one block:"
+            f"monitor with detector {watch.detector}: {self.state} after {self.samples} samples, "
+            f"statistic {self.statistic:.3g}, threshold {self.threshold:.3g}; the reference, ± the "
+            "standard deviation of one block:"
         )
         return self._parameters.summary(
             title,
             remarks_of(
                 (),
-                [f"a false alarm in {watch.mtbf_hours:g} h on average; {100 * watch.tolerance:g} % off is no change"],
+                [
+                    f"on average one false alarm in {watch.mtbf_hours:g} h; deviations up to "
+                    f"{100 * watch.tolerance:g} % are no change"
+                ],
             ),
         )
 
@@ -279,10 +283,12 @@ class Monitor(WatchedAxis, Presentable):
         estimate = self.estimator.estimate
         unknown = estimate.status & (Status.STARTING | Status.FALLBACK) or not np.all(np.isfinite(estimate.theta_std))
         if theta is None and unknown:
-            raise UsageError("there is no estimate yet that could be the reference: let the axis move first")
+            raise UsageError("no estimate exists yet that could become the reference: let the axis move first")
         wanted = np.array(estimate.theta if theta is None else theta, np.float64)
         if wanted.shape != self.reference.shape or not self.plausible(wanted):
-            raise UsageError(f"these are no parameters of a machine: {wanted.tolist()}; give {list(self._front.names)}")
+            raise UsageError(
+                f"no machine has the parameters {wanted.tolist()}; give valid values of {list(self._front.names)}"
+            )
         before, std = self.reference, np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
         self._refer(wanted)
         events: list[Event] = [Settled(self._time, *self._add_known(wanted, std), self._add_known(before, std)[0])]
@@ -357,7 +363,7 @@ class Monitor(WatchedAxis, Presentable):
         """
         found = self.check_states(read(state, self.pack_state(), self.configuration_number))
         if found.axes != 1:
-            raise UsageError(f"these bytes are the states of {found.axes} axes; a monitor is of one")
+            raise UsageError(f"these bytes contain the states of {found.axes} axes, and a monitor has one axis")
         self.go_on(found, 0)
 
 

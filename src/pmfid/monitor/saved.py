@@ -33,12 +33,15 @@ MOST_AXES = 2**24
 MOST = 2**60
 
 FOREIGN = (
-    "these bytes are not the state of such a monitor; take them from one with the same estimator, calibration, watch "
-    "and version"
+    "these bytes are not a state of this monitor; use a state of a monitor with the same "
+    "estimator, calibration, watch and version"
 )
-DAMAGED = "these bytes are not a state or are damaged: the checksum is wrong; start from an older state, or from none"
+DAMAGED = (
+    "these bytes are damaged, or are not a state: the checksum is wrong; start from an older state, or without a state"
+)
 IMPLAUSIBLE = (
-    "these numbers are no state of a monitor, whatever their checksum says; start from an older state, or from none"
+    "these numbers cannot be a state of a monitor, although their checksum is right; start from "
+    "an older state, or without a state"
 )
 
 
@@ -135,7 +138,7 @@ def read(data: bytes, like: Rows, config: int) -> Rows:
     Raises UsageError for all other bytes. `check_states` checks the numbers.
     """
     if not isinstance(data, bytes | bytearray | memoryview):
-        raise UsageError(f"a state is the bytes that get_state gave, got {type(data).__name__}")
+        raise UsageError(f"a state must be the bytes from get_state, got {type(data).__name__}")
     data = bytes(data)
     row, place = like.row_type().itemsize, HEAD.itemsize
     if len(data) < place or (len(data) - place) % row or len(data) > place + row * MOST_AXES:

@@ -57,7 +57,11 @@ class Configurations:
         except (PmfidError, OSError) as error:
             if only and before is None:
                 raise
-            left = "its axes are not watched" if before is None else "its axes go on as they were configured before"
+            left = (
+                "the service does not watch the axes of this file"
+                if before is None
+                else "the axes of this file keep their previous configuration"
+            )
             self.tell({"event": "configuration", "config": path.name, "problem": f"{error}; {left}"})
             return None if before is None else before[1]
 

@@ -34,7 +34,9 @@ def secret(env: str | None, file: str | None, folder: Path) -> str | None:
     """
     if env is not None:
         if env not in os.environ:
-            raise UsageError(f"the environment variable {env} is not set; set it to the secret, or give a file")
+            raise UsageError(
+                f"the environment variable {env} is not set; set it to the secret, or use a file for the secret"
+            )
         return os.environ[env]
     return None if file is None else read_secret(folder / file).rstrip("\r\n")
 
@@ -48,7 +50,9 @@ def read_secret(path: Path) -> str:
             return stream.read()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not plain text"
-        raise UsageError(f"the secret in {path} cannot be read: {reason}; correct the name or its rights") from None
+        raise UsageError(
+            f"the secret in {path} cannot be read: {reason}; correct the file name or its permissions"
+        ) from None
 
 
 #: Ports of a broker, without and with TLS.
@@ -62,41 +66,54 @@ Text = Annotated[str, Field(min_length=1)]
 class BrokerSection(FileSection):
     """Keys of a section that names a broker."""
 
-    host: Text = Field("127.0.0.1", description="the name or address of the broker")
-    port: int | None = Field(None, ge=1, le=65535, description=f"its port; left out: {PORT}, with TLS {TLS_PORT}")
-    keepalive: int = Field(60, ge=5, le=65535, description="the seconds after which a silent connection is a dead one")
-    user: Text | None = Field(None, description="the user's name, or leave it out")
+    host: Text = Field("127.0.0.1", description="the host name or address of the broker")
+    port: int | None = Field(
+        None, ge=1, le=65535, description=f"the port of the broker; by default {PORT}, or {TLS_PORT} with TLS"
+    )
+    keepalive: int = Field(
+        60, ge=5, le=65535, description="the time in s after which a connection without any data counts as lost"
+    )
+    user: Text | None = Field(None, description="the user name at the broker; leave it out for a broker without users")
     password_env: Text | None = Field(None, description="the environment variable that holds the password")
     password_file: Text | None = Field(None, description="the file that holds the password")
-    allow_plain_password: bool = Field(False, description="true to send the password to another host without TLS")
-    tls: bool = Field(False, description="true for TLS by the certificates that the system trusts")
-    ca: Text | None = Field(None, description="the file of the certificates that are trusted; it asks for TLS, too")
-    cert: Text | None = Field(None, description="the file of this client's own certificate, with key")
-    key: Text | None = Field(None, description="the file of the key of cert")
+    allow_plain_password: bool = Field(
+        False, description="true to send the password unencrypted to another host, without TLS"
+    )
+    tls: bool = Field(False, description="true for TLS with the certificates that the operating system trusts")
+    ca: Text | None = Field(
+        None,
+        description=(
+            "the file of the certificates to trust instead of those of the system; this key also turns TLS on"
+        ),
+    )
+    cert: Text | None = Field(None, description="the file of this client's own certificate, together with key")
+    key: Text | None = Field(None, description="the file with the private key of the certificate in cert")
 
     @field_validator("host")
     @classmethod
     def _only_a_name(cls, host: str) -> str:
         """Refuse an address with other parts, which would be looked up for ever as an unknown name."""
         if "/" in host or any(mark.isspace() for mark in host):
-            raise ValueError("it should be a name or an address alone, without mqtt:// and path; tls = true is TLS")
+            raise ValueError(
+                "the host must be a name or an address without mqtt:// and without a path; for TLS set tls = true"
+            )
         if host.count(":") == 1:
-            raise ValueError("it should be a name or an address alone; the port has a key of its own, port")
+            raise ValueError("the host must be a name or an address without a port; give the port in the key port")
         return host
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if self.password_env and self.password_file:
-            raise ValueError("password_env and password_file are both there; give one of them")
+            raise ValueError("password_env and password_file are both given; keep one of them")
         if (self.password_env or self.password_file) and not self.user:
-            raise ValueError("there is a password without a user; give user")
+            raise ValueError("a password is given without a user; add the key user")
         if bool(self.cert) != bool(self.key):
             raise ValueError("cert and key belong together; give both, or neither")
         clear = (self.password_env or self.password_file) and not (self.encrypted or is_here(self.host))
         if clear and not self.allow_plain_password:
             raise ValueError(
-                f"the password would reach {self.host} unencrypted; set tls = true, or ca to the broker's certificate "
-                "authority; allow_plain_password = true accepts the risk"
+                f"the password would reach {self.host} unencrypted; set tls = true, or set ca to the file of "
+                "the broker's certificate authority; allow_plain_password = true accepts the risk"
             )
         return self
 
@@ -133,8 +150,8 @@ def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges:
             if section.cert is not None and section.key is not None:
                 context.load_cert_chain(folder / section.cert, folder / section.key)
         except OSError as error:  # includes ssl.SSLError
-            problem = f"the certificates of the broker cannot be used ({error})"
-            raise UsageError(f"{problem}; correct ca, cert and key") from None
+            problem = f"the certificates for the broker cannot be used ({error})"
+            raise UsageError(f"{problem}; correct the keys ca, cert and key") from None
         client.tls_set_context(context)
     return client
 

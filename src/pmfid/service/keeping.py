@@ -62,7 +62,7 @@ class Checkpoints:
             return
         if not self._failing and not self._too_slow:
             self._too_slow = True
-            problem = "the disk is too slow: what comes is acknowledged before it is in a checkpoint"
+            problem = "the disk is too slow: the service now acknowledges data before a checkpoint contains them"
             self.tell({"event": "checkpoint", "problem": problem})
         self._call(self._undone)
         self._undone = []
@@ -145,8 +145,8 @@ class Checkpoints:
             self._failing = True
             reason = error.strerror or str(error)
             problem = (
-                f"no checkpoint can be written: {reason}; the watch goes on, and what comes is acknowledged without: "
-                "a restart would go back to the last checkpoint"
+                f"no checkpoint can be written: {reason}; the service keeps watching and acknowledges data "
+                "without a checkpoint, but a restart would go back to the last checkpoint"
             )
             self.tell({"event": "checkpoint", "problem": problem, "last": self.vault.sequence})
 

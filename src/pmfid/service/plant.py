@@ -41,7 +41,7 @@ SINKS: dict[str, type[SinkSection]] = {
     "sqlite": SqliteSection,
     "webhook": WebhookSection,
 }
-_BY_TELEGRAF = "use the kind mqtt or file, which Telegraf reads for any database"
+_BY_TELEGRAF = "use the kind mqtt or file; Telegraf reads either of them and writes to any database"
 #: Removed kinds, and the programs or kinds that replace them.
 REMOVED: dict[str, str] = {
     "arrow": _BY_TELEGRAF,
@@ -53,7 +53,7 @@ REMOVED: dict[str, str] = {
 #: Pattern of names of the service, axes, sources and sinks, because these names occur in topics and file names.
 _PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 Word = Annotated[str, Field(pattern=f"^{_PATTERN}$")]
-_WORD = "letters, digits, dots, hyphens and underscores, at most 100, a letter or a digit first"
+_WORD = "letters, digits, dots, hyphens and underscores, at most 100, beginning with a letter or a digit"
 
 
 #: A pattern of names with one number, written "{}", "{:d}", or "{:05d}" for at least five digits.
@@ -64,31 +64,43 @@ class ServiceSection(FileSection):
     """The section [service] with the name, the state folder, and the waiting times of the service."""
 
     name: Word = Field("pmfid", description=f"the name of the service: {_WORD}")
-    state: Name | None = Field(None, description='the folder of the checkpoints, as "state"; left out: nothing is kept')
+    state: Name | None = Field(
+        None, description='the folder for checkpoints, for example "state"; without it the service saves nothing'
+    )
     checkpoint: float = Field(1.0, ge=0.05, le=3600, description="the time between two checkpoints in s")
-    window: float = Field(0.5, ge=0, le=600, description="the time for which early samples wait for missing ones, in s")
-    every: float = Field(1.0, ge=0, le=1e6, description="the time between two rows that are given out in s; 0: all")
+    window: float = Field(
+        0.5,
+        ge=0,
+        le=600,
+        description="the time for which the service holds early samples until missing ones arrive, in s",
+    )
+    every: float = Field(
+        1.0, ge=0, le=1e6, description="the time between two rows of an axis in the output, in s; 0 writes every row"
+    )
     silence: float = Field(
         60.0,
         ge=0,
         le=1e6,
-        description="the time in s after which an axis or a source that sends nothing, or a sink that takes nothing, "
-        "is an alarm; 0: never",
+        description=(
+            "the time in s without data after which an axis, a source or a sink raises an alarm; 0 raises none"
+        ),
     )
 
 
 class AxisSection(FileSection):
     """[axes.NAME]: one axis."""
 
-    config: Name = Field(description='the AXIS.toml of the axis, as "cart.toml"')
+    config: Name = Field(description='the AXIS.toml of the axis, for example "cart.toml"')
 
 
 class FleetSection(FileSection):
     """The section [fleets.NAME] of equal axes, which a pattern names."""
 
-    config: Name = Field(description='the AXIS.toml of all of them, as "cell.toml"')
-    names: Name = Field(description='a pattern with one number, as "cell-{:05d}"')
-    count: int = Field(ge=1, le=TUNING.most_axes, description="how many there are; the first has number 0")
+    config: Name = Field(description='the AXIS.toml of all these axes, for example "cell.toml"')
+    names: Name = Field(description='a pattern for the names with one number in it, for example "cell-{:05d}"')
+    count: int = Field(
+        ge=1, le=TUNING.most_axes, description="the number of axes; the first axis has number 0 in its name"
+    )
 
     def expand(self, key: str) -> list[str]:
         """Return the names of the axes. `key` is the name of the section.
@@ -98,7 +110,7 @@ class FleetSection(FileSection):
         number = _NUMBER.fullmatch(self.names)
         if number is None:
             where = f"[fleets.{key}] names = {self.names!r}"
-            raise UsageError(f'{where} is no pattern with one number; give one as "cell-{{:05d}}"')
+            raise UsageError(f'{where} must be a pattern with one number in it, for example "cell-{{:05d}}"')
         before, digits, after = number.groups()
         return [f"{before}{k:0{int(digits or 0)}d}{after}" for k in range(self.count)]
 
@@ -195,7 +207,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:
-        raise UsageError(f"cannot read the configuration: {error.strerror}; give a PLANT.toml") from None
+        raise UsageError(f"cannot read the configuration: {error.strerror}; give the path of a PLANT.toml") from None
     except (ValueError, RecursionError) as error:
         raise UsageError(f"not valid TOML: {error}; correct that line") from None
 
@@ -207,8 +219,9 @@ _KNOWN = ("service", "page", "axes", "fleets", "sources", "sinks")
 def _check_tables(raw: Mapping[str, Any]) -> None:
     if {"record", "model"} & set(raw) and not set(raw) & set(_KNOWN):
         raise UsageError(
-            "this is an AXIS.toml, of one axis: give --from RECORD with it, or - for standard input; or write "
-            'a PLANT.toml with [axes.NAME] and config = "AXIS.toml"'
+            "this file is an AXIS.toml, of one axis, and the service needs a PLANT.toml with [axes.NAME] "
+            'and config = "AXIS.toml"; for a single axis give --from RECORD with this file, or --from - '
+            "for standard input"
         )
     for key, table in raw.items():
         if key not in _KNOWN:
@@ -216,15 +229,18 @@ def _check_tables(raw: Mapping[str, Any]) -> None:
         named = key in _KNOWN[2:]
         if not isinstance(table, dict):
             label = f"[{key}.NAME]" if named else f"[{key}]"
-            raise UsageError(f"{key} must be a section; write {label} above its keys, in single brackets")
+            raise UsageError(
+                f"{key} must be a section; write its name as {label} on the line above its keys, in single brackets"
+            )
         for name, part in table.items() if named else ():
             _check_name(key, name)
             if not isinstance(part, dict):
                 raise UsageError(
-                    f"[{key}] {name} = {part!r} stands under no name; write [{key}.NAME] above it, with a name of yours"
+                    f"[{key}] {name} = {part!r} is outside a named section; write [{key}.NAME] above this line, "
+                    "with a name of your choice"
                 )
     if not (raw.get("axes") or raw.get("fleets")):
-        raise UsageError('no axis is named; add a section [axes.NAME] with config = "AXIS.toml"')
+        raise UsageError('the plant has no axis; add a section [axes.NAME] with config = "AXIS.toml"')
 
 
 def _check_name(where: str, name: str) -> None:
@@ -249,7 +265,7 @@ def _axes(raw: Mapping[str, Any], folder: Path) -> dict[str, Path]:
     for key, table in raw.get("fleets", {}).items():
         _add_fleet(axes, key, _section(f"fleets.{key}", FleetSection, table), folder)
     if len(axes) > TUNING.most_axes:
-        raise UsageError(f"{len(axes)} axes are too many for one service; share them out among several")
+        raise UsageError(f"{len(axes)} axes are too many for one service; divide them among several services")
     return axes
 
 
@@ -258,14 +274,14 @@ def _add_fleet(axes: dict[str, Path], key: str, fleet: FleetSection, folder: Pat
     _check_name(f"fleets.{key}", max(names, key=len))
     doubled = next((name for name in names if name in axes), None)
     if doubled is not None:
-        raise UsageError(f"[fleets.{key}] names the axis {doubled!r} a second time; choose another pattern")
+        raise UsageError(f"[fleets.{key}] uses the name {doubled!r} of another axis; choose another pattern")
     axes.update(dict.fromkeys(names, folder / fleet.config))
 
 
 def _read_kind(where: str, name: str, table: Mapping[str, Any], kinds: Mapping[str, type[Section]]) -> Section:
     """Return a source or a sink, whose `kind` decides on the section."""
     if "kind" not in table:
-        raise UsageError(f"[{where}.{name}] kind is missing; give one of {', '.join(kinds)}")
+        raise UsageError(f"[{where}.{name}] has no kind; give one of {', '.join(kinds)}")
     kind = str(table["kind"])
     if kind in REMOVED:
         raise UsageError(f"[{where}.{name}] kind = {kind!r} was removed; {REMOVED[kind]} (docs/howto/service.md)")
@@ -277,18 +293,19 @@ def _read_kind(where: str, name: str, table: Mapping[str, Any], kinds: Mapping[s
 _KEY = "key of PLANT.toml"
 _ABOUT = {
     "service": "The service as a whole.",
-    "page": f"Without this section there is a page on {HERE}:{PORT}.",
+    "page": f"Without this section the service shows its page on {HERE}:{PORT}.",
     "axes": "A section for each axis, `[axes.NAME]`.",
-    "fleets": "A section for each group of axes that are alike, `[fleets.NAME]`.",
+    "fleets": "A section for each group of axes with the same configuration, `[fleets.NAME]`.",
     "sources": 'A section for each source, `[sources.NAME]`, with `kind = "{kind}"`.',
     "sinks": 'A section for each sink, `[sinks.NAME]`, with `kind = "{kind}"`.',
 }
 _HEAD = """\
 # All keys of PLANT.toml
 
-Written by `pmfid explain --plant --page`, from the models that validate the file. `pmfid explain KEY` says the same of
-one key, as `pmfid explain service.window`, or `pmfid explain sources.mqtt` of a kind. What a plant is, and how it is
-begun: [service.md](../howto/service.md); the axes themselves: [axis_toml.md](axis_toml.md).
+The command `pmfid explain --plant --page` writes this page from the models that validate the file. `pmfid explain KEY`
+describes one key, for example `pmfid explain service.window`, or one kind, for example `pmfid explain sources.mqtt`.
+What a plant is, and how to set one up: [service.md](../howto/service.md). The keys of an axis:
+[axis_toml.md](axis_toml.md).
 """
 
 

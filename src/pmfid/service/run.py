@@ -51,7 +51,10 @@ class PauseWatch:
         now = monotonic()
         stood, self._looked = now - self._looked, now
         if stood > TUNING.process_stood:
-            problem = f"the service stood still for {stood:.0f} s: it was stopped, or its machine had no time for it"
+            problem = (
+                f"the service did not run for {stood:.0f} s: someone stopped the process, or the computer had "
+                "no time for it"
+            )
             self.tell({"event": "paused", "seconds": round(stood, 1), "problem": problem})
             self.counters.add("pmfid_paused_seconds_total", stood)
 
@@ -108,7 +111,10 @@ class Running:
                 break
             except Exception as error:
                 place = traceback.extract_tb(error.__traceback__)[-1]
-                problem = f"{type(error).__name__}: {error} ({place.name}, line {place.lineno}); it begins again"
+                problem = (
+                    f"{type(error).__name__}: {error} ({place.name}, line {place.lineno}); this part of the "
+                    "service starts again"
+                )
                 self._broken = True
                 self.tell({"event": "source", "source": self.source.name, "problem": problem})
                 self._stopped.wait(pause)
@@ -188,7 +194,7 @@ class Service:
             vault = self._check_plant(plant)
             self._axes: dict[str, Prepared] = self._configurations.load_all(plant.axes)
             if not self._axes:
-                raise UsageError("no axis can be watched; correct what the log says of their configurations")
+                raise UsageError("no axis can be watched; correct the configurations that the log reports")
             self._restore(plant, vault)
         except BaseException:
             if vault is not None:
@@ -200,7 +206,7 @@ class Service:
         """Check the plant and report problems before the calibration of axes, which may take minutes."""
         page_config(plant)
         if not plant.sources:
-            problem = "no source is configured, so nothing will come: add [sources.NAME]"
+            problem = "no source is configured, so no data will arrive: add [sources.NAME]"
             self._tell_now({"event": "source", "source": "", "problem": problem})
         return None if plant.state is None else Vault(plant.state)
 
@@ -307,8 +313,8 @@ class Service:
             from pmfid.service.web.server import serve
         except ImportError:
             raise UsageError(
-                "the page needs an extra: pip install 'pmfid[serve]'; or serve none: --no-page, or [page] "
-                "enabled = false"
+                "the page needs an extra: pip install 'pmfid[serve]'; to run without the page, use "
+                "--no-page, or [page] enabled = false"
             ) from None
 
         self._page = serve(
@@ -359,7 +365,12 @@ class Service:
     def _reload(self) -> None:
         """Read the plant again in a thread, so that new calibrations do not delay other axes."""
         if self._reloading is not None and self._reloading.is_alive():
-            self._engine.tell({"event": "reload", "problem": "the last one is still under way; try again later"})
+            self._engine.tell(
+                {
+                    "event": "reload",
+                    "problem": "the previous request to read the configuration is still in progress; try again later",
+                }
+            )
             return
         self._reloading = Thread(target=self._read_again, name="reload", daemon=True)
         self._reloading.start()
@@ -370,7 +381,9 @@ class Service:
             self._configurations.tell = self._engine.tell
             axes = self._configurations.load_all(plant.axes)
         except (PmfidError, OSError) as error:
-            self._engine.tell({"event": "reload", "problem": f"{error}; the service goes on as before"})
+            self._engine.tell(
+                {"event": "reload", "problem": f"{error}; the service continues with its previous configuration"}
+            )
             return
         self._engine.ask(lambda: self._adopt(plant, axes))
 
@@ -385,7 +398,8 @@ class Service:
         if left := plant.unlike(self._plant):
             rest = ", ".join(left[: TUNING.most_names])
             reload["problem"] = (
-                f"{rest} as before: only axes and fleets are read again; start the service again for that"
+                f"changes of {rest} are not applied, because only axes and fleets are read again; restart the "
+                "service to apply them"
             )
         self._engine.tell(reload)
 

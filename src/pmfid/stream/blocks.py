@@ -137,10 +137,12 @@ def encode(block: Block) -> bytes:
     """
     u, counts = np.asarray(block.u, np.float64), np.asarray(block.counts, np.int64)
     if not (0 < u.size <= MOST_SAMPLES and u.shape == counts.shape == (u.size,)):
-        raise UsageError(f"a block has 1 to {MOST_SAMPLES} u and as many counts, got {u.shape} and {counts.shape}")
+        raise UsageError(
+            f"a block must have 1 to {MOST_SAMPLES} values of u and as many counts, got {u.shape} and {counts.shape}"
+        )
     ages = None if block.ages is None else np.asarray(block.ages, np.float64)
     if ages is not None and ages.shape != u.shape:
-        raise UsageError(f"a block has as many ages as u, got {ages.shape} and {u.shape}")
+        raise UsageError(f"a block must have as many ages as u, got {ages.shape} and {u.shape}")
     name = block.axis.encode("utf-8", "replace")
     refused = problem_of(block, u, counts)
     if refused is not None:
@@ -215,7 +217,7 @@ def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
             place = end
             continue
         found.append(
-            item or Unusable("length", f"{len(data) - place} bytes at the end of a message are no whole block")
+            item or Unusable("length", f"the last {len(data) - place} bytes of a message are not a complete block")
         )
         searches += 1
         place = _next(data, place + 1, whole) if searches <= _MOST_SEARCHES or not whole else len(data)
@@ -237,14 +239,18 @@ def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unus
     The content is None if the block is incomplete.
     """
     if not data.startswith(MAGIC[: len(data) - place], place):
-        return 0, Unusable("magic", "bytes that are no block: none begins there")
+        return 0, Unusable("magic", "these bytes do not begin with a block")
     if place + HEADER.size > len(data):
         return 0, None
     _, version, flags, n, epoch, letters, first, time, dt = HEADER.unpack_from(data, place)
     if version not in FLAGS:
-        return 0, Unusable("version", f"a block of version {version}, not {PLAIN} or {WITH_AGES}")
+        return 0, Unusable(
+            "version", f"the block has version {version}, and this program reads versions {PLAIN} and {WITH_AGES}"
+        )
     if not (0 < n <= MOST_SAMPLES and 0 < letters <= LONGEST_NAME and flags < FLAGS[version]):
-        return 0, Unusable("length", f"a block of {n} samples, {letters} bytes of name and flags {flags}")
+        return 0, Unusable(
+            "length", f"the header of a block is not valid: {n} samples, a name of {letters} bytes, flags {flags}"
+        )
     name_at = place + HEADER.size
     u_at = name_at + letters + -letters % 8
     u_type, counts_type, ages_type = U[flags & WIDE_U], COUNTS[flags // WIDE_COUNTS % 2], U[flags // WIDE_AGES]
@@ -255,11 +261,11 @@ def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unus
     if end > len(data):
         return 0, None
     if zlib.crc32(view[place:crc_at]) != CRC.unpack_from(data, crc_at)[0]:
-        return end, Unusable("crc", "a block with a wrong checksum")
+        return end, Unusable("crc", "the block has a wrong checksum")
     try:
         name = data[name_at : name_at + letters].decode()
     except UnicodeDecodeError:
-        return end, Unusable("name", "a block with a name that is no UTF-8")
+        return end, Unusable("name", "the name in the block is not valid UTF-8")
     # The copies are aligned, and do not keep the whole message in memory.
     u = np.frombuffer(data, u_type, n, u_at).astype(np.float64)
     counts = np.frombuffer(data, counts_type, n, counts_at).astype(np.int64)
@@ -276,14 +282,18 @@ def problem_of(block: Block, u: Floats, counts: Counts, wide: bool = True) -> Un
     name, n = block.axis, u.size
     if not (name.isprintable() and 0 < len(name.encode("utf-8", "replace")) <= LONGEST_NAME):
         return Unusable(
-            "name", f"the name {name[:LONGEST_NAME]!r} is not printable, or not of 1 to {LONGEST_NAME} bytes"
+            "name", f"the name {name[:LONGEST_NAME]!r} must be printable and have 1 to {LONGEST_NAME} bytes"
         )
     if not (0 <= block.epoch < MOST_EPOCH and 0 <= block.first <= MOST_NUMBER - n):
-        return Unusable("number", f"epoch {block.epoch} or number {block.first} is out of range", name)
+        return Unusable("number", f"epoch {block.epoch} or sample number {block.first} is out of range", name)
     if not (0 < block.dt < math.inf and (math.isnan(block.time) or abs(block.time) < MOST_TIME)):
-        return Unusable("not finite", f"a time of {block.time:g} s or a period of {block.dt:g} s", name)
+        return Unusable(
+            "not finite",
+            f"the block has an invalid time of {block.time:g} s or an invalid sample period of {block.dt:g} s",
+            name,
+        )
     if np.isinf(u).any():
-        return Unusable("not finite", "an input that is infinite", name)
+        return Unusable("not finite", "an input in the block is infinite", name)
     if wide and max(abs(int(counts.min())), abs(int(counts.max()))) >= MAX_COUNT:
         return Unusable("number", "counts beyond 2**53", name)
     return None

@@ -265,14 +265,14 @@ def read_snapshot(body: bytes) -> Snapshot:
             seats = np.frombuffer(own[1], SEAT)
             groups.append(Saved(one["digest"], tuple(one["axes"]), own[0], seats, own[2], one["seats"]))
         if place != len(body):
-            raise ValueError("its parts do not fill it")
+            raise ValueError("the lengths of its parts do not add up to the length of the file")
         marks = {str(name): dict(mark) for name, mark in raw["marks"].items()}
         alarms = [AlarmRecord(**alarm) for alarm in raw["alarms"]]
         unwritten = {sink: [Notice(*entry) for entry in some] for sink, some in raw["unwritten"].items()}
         history = list(raw["history"])
         return Snapshot(float(raw["wall"]), int(raw["numbered"]), marks, history, alarms, unwritten, groups)
     except (KeyError, TypeError, AttributeError, IndexError, struct.error, RecursionError) as error:
-        raise ValueError(f"it is no checkpoint of this version: {error!r}") from None
+        raise ValueError(f"this version of pmfid cannot read it as a checkpoint: {error!r}") from None
 
 
 def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:
@@ -303,7 +303,7 @@ def join_groups(groups: Sequence[Saved], prepared: Prepared) -> Saved:
     """
     axes = tuple(name for group in groups for name in group.axes)
     if len(set(axes)) < len(axes):
-        raise ValueError("an axis comes twice")
+        raise ValueError("it contains an axis twice")
     fleet = make_fleet(prepared.setup.monitor)
     starts = [0, *np.cumsum([len(group.axes) for group in groups]).tolist()]
     try:

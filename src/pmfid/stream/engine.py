@@ -294,7 +294,7 @@ class StreamEngine:
     def _acknowledge(self, number: int, note: str) -> None:
         alarm = self.notices.alarms.get(number)
         if alarm is None:
-            self.tell({"event": "acknowledged", "alarm": None, "problem": f"there is no alarm {number}"})
+            self.tell({"event": "acknowledged", "alarm": None, "problem": f"no alarm has the number {number}"})
             return
         what = {key: alarm.what[key] for key in ("silent", "name") if "silent" in alarm.what}
         notice = {"event": "acknowledged", "alarm": number, "note": note, **what}

@@ -27,8 +27,8 @@ Tables = list[tuple[Table, Delivery]]
 
 #: Problem of blocks of version 1 for an axis with edge times.
 WITHOUT_AGES = (
-    "{!r} has [encoder] edge_age, and its blocks have no ages of edges; send blocks of version 2 with ages, or leave "
-    "edge_age out"
+    "{!r} has [encoder] edge_age, but its blocks contain no ages of edges; send blocks of "
+    "version 2 with ages, or remove edge_age"
 )
 
 
@@ -181,7 +181,7 @@ class Intake:
         try:
             self._one(item, delivery, turn, ordered)
         except (TypeError, ValueError, ArithmeticError) as error:  # the source would repeat the item for ever
-            problem = f"{type(error).__name__}: {error}; it is left out"
+            problem = f"{type(error).__name__}: {error}; this delivery is skipped"
             self._refuse(delivery.source, Unusable("error", problem))
 
     def _one(self, item: Block | Lines | Unusable, delivery: Delivery, turn: int, ordered: Ordered) -> None:
@@ -190,7 +190,7 @@ class Intake:
             return
         seat = self.seats.get(item.axis)
         if seat is None:
-            problem = f"there is no axis {item.axis!r} in this plant; add it to PLANT.toml, or correct the sender"
+            problem = f"the plant has no axis {item.axis!r}; add it to PLANT.toml, or correct the name in the sender"
             self._refuse(delivery.source, Unusable("axis", problem, item.axis))
             return
         pieces = list[SamplePiece]()
@@ -226,7 +226,9 @@ class Intake:
         for kind, number in verdict.lines.items():
             self.counters.add("pmfid_lines_dropped_total", number, reason=kind, group=group)
         if verdict.again or (verdict.late and seat.may_tell("late")):
-            problem = verdict.stale or (f"{verdict.late} samples came too late, after later samples had been taken")
+            problem = verdict.stale or (
+                f"{verdict.late} samples were discarded, because later samples had already been processed"
+            )
             self.tell({"event": "late", "samples": verdict.late, "problem": problem}, seat.name)
         for what in verdict.events:
             self.counters.add("pmfid_events_total", event=str(what["event"]), group=group)

@@ -211,8 +211,8 @@ class Silence:
 
 
 _PROBLEMS = {
-    "axis": "no usable sample for {limit:g} s; look at its sender and at the source",
-    "axes": "no usable sample of {name} for {limit:g} s; look at their senders and at the source",
-    "source": "nothing came from the source {name} for {limit:g} s; look at its line and at who sends there",
-    "sink": "the sink {name} took nothing for {limit:g} s; look at where it writes: alarms wait for it",
+    "axis": "no usable sample for {limit:g} s; check its sender and the source",
+    "axes": "no usable sample of {name} for {limit:g} s; check their senders and the source",
+    "source": "the source {name} delivered nothing for {limit:g} s; check its connection and its senders",
+    "sink": "the sink {name} accepted nothing for {limit:g} s; check its destination, because alarms wait for it",
 }

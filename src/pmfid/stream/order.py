@@ -164,7 +164,7 @@ class Clock:
         if not wrong or known:
             return None
         period = rate * self.dt
-        problem = f"by the sender's clock a sample takes {period:.6g} s, by its configuration {self.dt:.6g} s"
+        problem = f"a sample takes {period:.6g} s by the sender's clock, but {self.dt:.6g} s by the configuration"
         return {"event": "clock", "time": time, "jump": 0.0, "rate": rate, "problem": problem}
 
 
@@ -172,9 +172,10 @@ class Clock:
 UNKNOWN_GAP = -1
 #: Remedy for a sender that restarted its numbers without a higher epoch.
 REMEDY = (
-    "Repeated samples do no harm. If the sender restarted, let it send a higher epoch, as the time of day in "
-    'whole seconds. Or use "Begin anew" on the page of the axis (POST /api/axis/NAME/anew): then its next samples are '
-    "taken, whatever their epoch"
+    "Repeated samples do no harm. If the sender has restarted, let it send a higher epoch, for "
+    'example the time of day in whole seconds. Or use "Begin anew" on the page of the axis (POST '
+    "/api/axis/NAME/anew): the service then accepts the next samples of the axis, whatever their "
+    "epoch"
 )
 
 
@@ -267,7 +268,7 @@ class Order:
             return verdict
         if block.epoch < self.epoch:
             verdict.late += n
-            verdict.stale = f"{n} samples of epoch {block.epoch} came when epoch {self.epoch} had begun. {REMEDY}"
+            verdict.stale = f"{n} samples of epoch {block.epoch} arrived after epoch {self.epoch} had begun. {REMEDY}"
             return verdict
         if block.epoch == self.epoch and block.end <= self.expected:
             self._count_old(block.first, block.end, verdict)
@@ -282,8 +283,9 @@ class Order:
         if not self.wrong_period:
             self.wrong_period = True
             problem = (
-                f"its samples come every {block.dt:.6g} s, the reference has {self.dt:.6g} s: send with that period, "
-                "or take a reference with this one"
+                f"the sample period of its blocks is {block.dt:.6g} s, but the reference has {self.dt:.6g} s: "
+                "send blocks with the period of the reference, or record a reference with the period of the "
+                "blocks"
             )
             verdict.events.append({"event": "period", "problem": problem})
 
@@ -301,8 +303,8 @@ class Order:
         verdict.again = int(now / most).bit_length() > int(before / most).bit_length()
         if verdict.again:
             verdict.stale = (
-                f"{now * self.dt:.0f} s of samples in a row that were there before: number {block.first} of epoch "
-                f"{block.epoch}, and {self.expected} is the next. {REMEDY}"
+                f"samples for {now * self.dt:.0f} s in a row were repetitions: number {block.first} of epoch "
+                f"{block.epoch} arrived, and {self.expected} is the next. {REMEDY}"
             )
 
     def _hold(self, block: Block, verdict: ItemReport) -> bool:

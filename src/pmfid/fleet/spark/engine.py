@@ -31,7 +31,8 @@ CONTAINER = Path("/sys/fs/cgroup/memory.max")
 LOOPBACK = "127.0.0.1"
 NO_PYSPARK = "the engine spark needs PySpark 4.2 or later: pip install 'pmfid[spark]'"
 NO_JAVA = (
-    "Spark needs a Java runtime, 17 or later, and finds none: apt install openjdk-17-jre-headless, or set JAVA_HOME"
+    "Spark needs a Java runtime, version 17 or later, and finds none: apt install "
+    "openjdk-17-jre-headless, or set JAVA_HOME"
 )
 #: Settings of a session on this machine. Only this machine can reach the session, which prints only errors.
 QUIET = {
@@ -94,7 +95,9 @@ def memory() -> int:
 def _take_session(found: SparkSession, master: str | None, settings: Mapping[str, str]) -> SparkSession:
     there = found.conf.get("spark.master", None)
     if master is not None and there is not None and there != master:
-        raise UsageError(f"a Spark session runs already, on {there}; leave out the master {master}, or stop it first")
+        raise UsageError(
+            f"a Spark session is already running on {there}; leave out the master {master}, or stop that session first"
+        )
     for name, value in settings.items():
         if found.conf.isModifiable(name):
             found.conf.set(name, value)
@@ -127,8 +130,8 @@ def _own_environment() -> Iterator[None]:
 NUMBER, FOUND = "number", "found"
 RETURNED = f"{NUMBER} long, {FOUND} binary"
 NOT_THERE = (
-    "the executors of Spark do not have pmfid: install it in the Python that they run (PYSPARK_PYTHON), or send an "
-    "environment that has it (spark.archives); see docs/howto/fleet.md"
+    "the executors of Spark have no pmfid: install it in their Python (PYSPARK_PYTHON), or send "
+    "an environment that contains it (spark.archives); see docs/howto/fleet.md"
 )
 
 
@@ -136,7 +139,10 @@ def answer_task(work: Callable[[], object], version: str) -> bytes:
     """Return the packed answer of an executor. `version` is the package version of the receiver."""
     try:
         if version != __version__:
-            raise UsageError(f"the executors have pmfid {__version__}, the driver {version}: install the same on both")
+            raise UsageError(
+                f"the executors have pmfid {__version__}, but the driver has {version}: install the same "
+                "version on both"
+            )
         return pickle.dumps((work(), None))
     except PmfidError as error:
         return pickle.dumps((None, error))

@@ -73,8 +73,8 @@ class SparkRows:
     def __init__(self, frame: object, columns: SourceColumns, engine: Engine | None) -> None:
         if engine is not None and not isinstance(engine, Spark):
             raise UsageError(
-                f"a Spark DataFrame is estimated where it is, not by the engine {engine.name}: leave out the engine, "
-                "or give frame.toArrow() if it fits this machine's memory"
+                f"a Spark DataFrame is processed by Spark, not by the engine {engine.name}: leave out the "
+                "engine, or give frame.toArrow() if the data fit into this machine's memory"
             )
         self._whole, self._columns = cast("DataFrame", frame), columns
         mask, kind = (MASK if columns.mask else None), (TYPE if columns.type else None)

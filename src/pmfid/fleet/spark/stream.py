@@ -28,11 +28,12 @@ NAME = "spark.log"
 CAUSE = re.compile(r"(Caused by: )?[\w.$]+(Error|Exception): .")
 #: Spark's messages about an incomplete checkpoint.
 DAMAGED = ("log file", "end-of-input", "CANNOT_LOAD_STATE_STORE", "ChecksumException")
-REPAIR = "the checkpoint is damaged: put back a copy of it, or give new folders for --checkpoint and --out"
-AGAIN = "mend that, and start it again"
+REPAIR = "the checkpoint is damaged: restore a copy of it, or give new folders for --checkpoint and --out"
+AGAIN = "correct the cause, and start the stream again"
 NO_MEMORY = (
-    "the stream stopped: Java has no memory left; start it again where there is more, or with the variable "
-    "SPARK_DRIVER_MEMORY=8g for 8 GB; in a session of your own raise spark.driver.memory"
+    "the stream stopped: Java has no memory left; start the stream again with more memory, for "
+    "example with the variable SPARK_DRIVER_MEMORY=8g for 8 GB; in a session of your own, raise "
+    "spark.driver.memory"
 )
 
 
@@ -75,7 +76,7 @@ class SparkLog:
         causes = [line for line in lines if CAUSE.match(line)]
         cause = causes[-1] if causes else next(iter(lines), "without a reason given")
         damaged = any(sign in str(error) for sign in DAMAGED)
-        return f"the stream stopped: {cause[:400]}; {REPAIR if damaged else AGAIN} ({self.path} has more)"
+        return f"the stream stopped: {cause[:400]}; {(REPAIR if damaged else AGAIN)} (details in {self.path})"
 
 
 _STORE = "spark.sql.streaming.stateStore"
@@ -183,10 +184,12 @@ def settings_of(plan: StreamPlan, source: Path) -> StreamSettings:
 def kind_of(source: Path) -> str:
     """Return "parquet" or "pmfb", by the present files. Raises UsageError for anything else."""
     if not source.is_dir():
-        raise UsageError(f"{source}: is no folder; give one into which files of blocks come, .parquet or .pmfb")
+        raise UsageError(
+            f"{source}: this is not a folder; give the folder into which files of blocks arrive, .parquet or .pmfb"
+        )
     kinds = {path.suffix for path in source.iterdir() if path.suffix in (".parquet", ".pmfb")}
     if len(kinds) > 1:
-        raise UsageError(f"{source}: holds both .parquet and .pmfb files; give a folder for each kind")
+        raise UsageError(f"{source}: contains both .parquet and .pmfb files; use a separate folder for each kind")
     return kinds.pop().lstrip(".") if kinds else "parquet"
 
 
@@ -252,7 +255,9 @@ def states_of(checkpoint: Path, prepared_digest: str, master: str | None = None)
 def check_states(checkpoint: Path) -> None:
     """Raise UsageError if no stream has kept its states."""
     if not (checkpoint / SPARK / "state").is_dir():
-        raise UsageError(f"{checkpoint}: has no states yet; give the --checkpoint of a stream that has done a batch")
+        raise UsageError(
+            f"{checkpoint}: contains no states yet; give the --checkpoint of a stream that has processed a batch"
+        )
 
 
 def _find_keys(spark: SparkSession, shards: int) -> list[int]:

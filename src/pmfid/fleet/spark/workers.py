@@ -105,7 +105,7 @@ def unpack_state(state: bytes) -> bytes:
 
     size = SIZE.unpack_from(state)[0] if len(state) >= SIZE.size else -1
     if not 0 <= size <= TUNING.processor_most * len(state):
-        raise ValueError("it is damaged, or of another version")
+        raise ValueError("the block is damaged, or has another version")
     return bytes(decompress(memoryview(state)[SIZE.size :], size, "lz4", asbytes=True))
 
 

@@ -189,6 +189,8 @@ def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> No
         "changed_at": event.changed_at + shift,
         "statistic": event.statistic,
         "threshold": event.threshold,
+        "tolerance": event.tolerance,
+        "advice": event.advice,
         **({"others": ", ".join(event.others)} if event.others else {}),
     }
 

@@ -20,14 +20,14 @@ class FileSinkSection(SinkSection):
     """[sinks.NAME] with kind = "file"."""
 
     kind: Literal["file"] = Field("file", description='"file"')
-    path: Name = Field(description='the file, as "estimates.jsonl"')
-    rows: bool = Field(True, description="false where the file has events alone")
-    events: bool = Field(True, description="false where the file has estimates alone, as for a reader of tables")
+    path: Name = Field(description='the file to write, for example "estimates.jsonl"')
+    rows: bool = Field(True, description="false to write events only, without estimates")
+    events: bool = Field(True, description="false to write estimates only, for example for a program that reads tables")
 
     @model_validator(mode="after")
     def _has_something(self) -> Self:
         if not (self.rows or self.events):
-            raise ValueError("rows and events are both false; set one of them to true")
+            raise ValueError("rows and events are both false, so the file would stay empty; set one of them to true")
         return self
 
     def wants_rows(self) -> bool:

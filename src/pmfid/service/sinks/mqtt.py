@@ -79,7 +79,7 @@ class BrokerLink:
     def check(self) -> Client:
         """Return the client. Raises OSError if the connection has ended, or if a message was refused."""
         if self._problem or self._client is None or self._ended.is_set():
-            raise OSError(self._problem or "there is no connection to the broker")
+            raise OSError(self._problem or "the sink is not connected to the broker")
         return self._client
 
     def publish(self, topic: str, payload: bytes, qos: int, retain: bool = False) -> None:
@@ -99,7 +99,7 @@ class BrokerLink:
             while not info.is_published():
                 self.check()
                 if time.monotonic() > end:
-                    raise OSError(f"the broker has not taken all within {TUNING.mqtt_answer:g} s")
+                    raise OSError(f"the broker has not acknowledged all messages within {TUNING.mqtt_answer:g} s")
                 info.wait_for_publish(0.05)
         self._last = None
         self.check()
@@ -120,16 +120,23 @@ class MqttSinkSection(SinkSection, BrokerSection):
     """[sinks.NAME] with kind = "mqtt"."""
 
     kind: Literal["mqtt"] = Field("mqtt", description='"mqtt"')
-    prefix: Text = Field("pmfid", pattern="^[^#+\\x00]+$", description='the first levels of all topics, as "pmfid"')
-    client_id: Text | None = Field(None, description="the name of the client, or leave it out: from service and sink")
-    estimates: Literal["axis", "batch", "off"] = Field(
-        "axis", description='"axis" for a message for each row, "batch" for messages of many axes, "off" for none'
+    prefix: Text = Field(
+        "pmfid", pattern="^[^#+\\x00]+$", description='the first levels of all topics, for example "pmfid"'
     )
-    qos: Literal[0, 1] = Field(0, description="the quality of service of estimates, 0 or 1; that of alarms is 1")
-    retain: bool = Field(False, description="true where the broker keeps the last estimate of each axis")
-    events: bool = Field(True, description="false where only alarms are published, and no other events")
+    client_id: Text | None = Field(
+        None, description="the name of the client; by default the name of the service and of the sink"
+    )
+    estimates: Literal["axis", "batch", "off"] = Field(
+        "axis",
+        description='"axis" for one message per row, "batch" for messages with many axes, "off" for no estimates',
+    )
+    qos: Literal[0, 1] = Field(0, description="the quality of service (QoS) of estimates, 0 or 1; alarms always have 1")
+    retain: bool = Field(
+        False, description="true to let the broker keep the last estimate of each axis (retained message)"
+    )
+    events: bool = Field(True, description="false to publish alarms only, without other events")
     clear: Literal["acknowledged", "settled", "either", "never"] = Field(
-        "acknowledged", description="what takes back the retained alarm of an axis"
+        "acknowledged", description="the event that removes the retained alarm of an axis"
     )
 
     def wants_rows(self) -> bool:

@@ -393,9 +393,11 @@ class Queued:
 class SinkSection(FileSection):
     """Keys that every [sinks.NAME] may have."""
 
-    queue_rows: int = Field(100_000, ge=1, description="the number of rows that may wait; the oldest are dropped first")
-    queue_mb: float = Field(64.0, gt=0, description="the size in MB of the rows that may wait, for example 64.0")
-    queue_notices: int = Field(10_000, ge=1, description="the number of notices that may wait")
+    queue_rows: int = Field(
+        100_000, ge=1, description="the largest number of waiting rows; beyond it the oldest rows are dropped"
+    )
+    queue_mb: float = Field(64.0, gt=0, description="the largest size of the waiting rows in MB, for example 64.0")
+    queue_notices: int = Field(10_000, ge=1, description="the largest number of waiting notices")
 
     def make(self, name: str, context: Context) -> Sink:
         """Return the sink, not yet open.

@@ -80,7 +80,11 @@ class SqliteSection(SinkSection):
 
     kind: Literal["sqlite"] = Field("sqlite", description='"sqlite"')
     path: Name | None = Field(
-        None, description='the file of the database, as "alarms.sqlite"; left out: NAME.sqlite where the state is kept'
+        None,
+        description=(
+            'the file of the database, for example "alarms.sqlite"; by default NAME.sqlite in the folder '
+            "of the checkpoints"
+        ),
     )
 
     def wants_rows(self) -> bool:
@@ -129,7 +133,7 @@ class SqliteSink:
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
         """Write the notices. Raises OSError if they cannot be written."""
         if self._database is None:
-            raise OSError(f"{self._path.name} is not open")
+            raise OSError(f"the database {self._path.name} is not open")
         with _raise_os_errors(self._path), closing(self._database.cursor()) as cursor, _transaction(self._database):
             for one in outcomes:
                 if isinstance(one, Notice):
@@ -149,9 +153,9 @@ def _prepare(database: sqlite3.Connection, path: Path) -> None:
         database.execute(f"PRAGMA {key}").fetchone() for key in ("application_id", "user_version")
     )
     if application == APPLICATION and version > VERSION:
-        raise OSError(f"{path.name} was written by a newer version of pmfid; give another file")
+        raise OSError(f"a newer version of pmfid wrote {path.name}; give another file, or use that version")
     if application != APPLICATION and database.execute("SELECT 1 FROM sqlite_master").fetchone():
-        raise OSError(f"{path.name} is a database of something else; give another file")
+        raise OSError(f"{path.name} is a database of another program; give another file")
     # Readers do not delay the writer, and a transaction is on the disk when it ends.
     database.execute("PRAGMA journal_mode = WAL")
     database.execute("PRAGMA synchronous = FULL")

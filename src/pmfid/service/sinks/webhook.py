@@ -44,12 +44,15 @@ def check_address(url: str, secret: str | None, label: str) -> SplitResult:
         )
     if parts.username is not None:
         raise UsageError(
-            f"{label}: the address contains a user name; leave it out, and give a header with secret_env or secret_file"
+            f"{label}: the address contains a user name; remove the name, and put it into a header with "
+            "secret_env or secret_file"
         )
     if secret is not None and not (secret.isascii() and secret.isprintable() and secret):
-        raise UsageError(f"{label}: the secret is empty, or no line of plain text; correct it")
+        raise UsageError(f"{label}: the secret is empty, or is not a single line of plain text; correct it")
     if secret is not None and parts.scheme == "http" and not is_here(host):
-        raise UsageError(f"{label}: a secret is not sent to another machine by http; give an address with https")
+        raise UsageError(
+            f"{label}: pmfid does not send a secret to another machine without encryption; give an address with https"
+        )
     return parts
 
 
@@ -71,7 +74,7 @@ class Poster:
             try:
                 self._context = ssl.create_default_context(cafile=None if ca is None else str(ca))
             except (OSError, ssl.SSLError):
-                raise UsageError(f"the certificates in {ca} cannot be read; correct the name of the file") from None
+                raise UsageError(f"the certificates in {ca} cannot be read; correct the file name") from None
 
     def post(self, body: bytes, headers: Mapping[str, str]) -> None:
         """Send the body. The connection stays open until `close`.
@@ -94,11 +97,11 @@ class Poster:
         finally:
             watch.cancel()
         if 300 <= answer.status < 400:
-            redirected = f"the server answers {answer.status} and another address, which is not followed"
-            raise OSError(f"{redirected}; give that address")
+            redirected = f"the server answers {answer.status} with another address, and pmfid does not follow it"
+            raise OSError(f"{redirected}; give that address in url")
         if not 200 <= answer.status < 300:
             kind = RefusedError if answer.status in ABOUT_CONTENT else OSError
-            raise kind(f"the server answers {answer.status}")
+            raise kind(f"the server refuses the message with HTTP status {answer.status}")
 
     def _connect(self) -> http.client.HTTPConnection:
         host, port = str(self._address.hostname), self._address.port
@@ -126,10 +129,10 @@ def _cut(connection: http.client.HTTPConnection, late: list[bool]) -> None:
 
 def _build_os_error(error: OSError | http.client.HTTPException, late: bool, timeout: float) -> OSError:
     if late or isinstance(error, TimeoutError):
-        return OSError(f"no whole answer within {timeout:g} s")
+        return OSError(f"the server did not answer completely within {timeout:g} s")
     if isinstance(error, OSError) and error.strerror:
         return OSError(error.strerror)
-    return OSError(f"the connection ended without an answer ({type(error).__name__})")
+    return OSError(f"the server closed the connection without an answer ({type(error).__name__})")
 
 
 #: All events of a service. A misspelt event would never be sent.
@@ -144,7 +147,9 @@ EVENTS = (
 def _check_events(events: tuple[str, ...]) -> tuple[str, ...]:
     for event in events:
         if event not in EVENTS:
-            raise ValueError(f"there is no event {event!r}; there are {', '.join(EVENTS)}{did_you_mean(event, EVENTS)}")
+            raise ValueError(
+                f"no event has the name {event!r}; the events are {', '.join(EVENTS)}{did_you_mean(event, EVENTS)}"
+            )
     return events
 
 
@@ -152,27 +157,33 @@ class WebhookSection(SinkSection):
     """[sinks.NAME] with kind = "webhook"."""
 
     kind: Literal["webhook"] = Field("webhook", description='"webhook"')
-    url: Name | None = Field(None, description='the address, as "https://example.org/alarms"')
-    url_env: Name | None = Field(None, description="the environment variable with the address, where that is a secret")
-    url_file: Name | None = Field(None, description="the file with the address, where that is a secret")
+    url: Name | None = Field(None, description='the address, for example "https://example.org/alarms"')
+    url_env: Name | None = Field(
+        None, description="the environment variable that holds the address, if the address is a secret"
+    )
+    url_file: Name | None = Field(None, description="the file that holds the address, if the address is a secret")
     # The field is not strict, because TOML has lists and a frozen object needs a tuple.
     events: Annotated[tuple[Name, ...], Field(strict=False, min_length=1), AfterValidator(_check_events)] = Field(
-        ("alarm", "cleared"), description='the events that are sent, as ["alarm", "settled", "acknowledged"]'
+        ("alarm", "cleared"), description='the events to send, for example ["alarm", "settled", "acknowledged"]'
     )
     secret_header: Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,100}$")] = Field(
-        "Authorization", description='the name of the header with the secret, "Authorization" if left out'
+        "Authorization", description='the name of the header that carries the secret, by default "Authorization"'
     )
-    secret_env: Name | None = Field(None, description="the environment variable with the whole value of that header")
-    secret_file: Name | None = Field(None, description="the file with the whole value of that header")
-    timeout_s: Positive = Field(5.0, description="the time in s for a whole exchange, for example 5.0")
-    ca: Name | None = Field(None, description="the file of certificates that are trusted, or leave it out")
+    secret_env: Name | None = Field(
+        None, description="the environment variable that holds the whole value of that header"
+    )
+    secret_file: Name | None = Field(None, description="the file that holds the whole value of that header")
+    timeout_s: Positive = Field(5.0, description="the time limit in s for a request and its answer, for example 5.0")
+    ca: Name | None = Field(
+        None, description="the file of the certificates to trust; by default the certificates of the operating system"
+    )
 
     @model_validator(mode="after")
     def _one_address(self) -> Self:
         if sum(one is not None for one in (self.url, self.url_env, self.url_file)) != 1:
-            raise ValueError("give the address by one of url, url_env and url_file")
+            raise ValueError("the address must come from exactly one of url, url_env and url_file; give only that one")
         if self.secret_env and self.secret_file:
-            raise ValueError("secret_env and secret_file are both there; give one of them")
+            raise ValueError("secret_env and secret_file are both given; keep one of them")
         return self
 
     def wants_rows(self) -> bool:
@@ -186,7 +197,7 @@ class WebhookSection(SinkSection):
         label, folder = f"[sinks.{name}]", context.folder
         url = self.url or secret(self.url_env, self.url_file, folder)
         if url is None:
-            raise UsageError(f"{label} url is missing; give the address")
+            raise UsageError(f"{label} url is missing; give the address, or url_env or url_file")
         value = secret(self.secret_env, self.secret_file, folder)
         address = check_address(url.strip(), value, label)
         headers = {"User-Agent": "pmfid"} | ({} if value is None else {self.secret_header: value})

@@ -25,9 +25,17 @@ class ExecdSection(SourceSection):
     """[sources.NAME] of kind "execd"."""
 
     kind: Literal["execd"] = Field(description='"execd"')
-    pass_on: bool = Field(False, description="true where it is a processor: every line goes to standard output, too")
-    axis_tag: Text = Field("axis", description="the tag that names the axis; without it the measurement does")
-    precision: Precision = Field("ns", description='the unit of timestamps, which Telegraf has in "ns"')
+    pass_on: bool = Field(
+        False, description="true if Telegraf runs pmfid as a processor: every line is also written to standard output"
+    )
+    axis_tag: Text = Field(
+        "axis",
+        description=(
+            "the tag that contains the name of the axis; without tag, the name of the measurement is the "
+            "name of the axis"
+        ),
+    )
+    precision: Precision = Field("ns", description='the unit of the time stamps; Telegraf uses "ns"')
 
     def make(self, name: str, context: Context) -> ExecdSource:
         return ExecdSource(name, self, context.axis, context.tell)
@@ -71,7 +79,7 @@ class ExecdSource:
             while text:
                 text = text[os.write(self.stdout, text) :]
         except OSError as error:
-            problem = f"lines cannot be passed on ({error.strerror}); the axes go on"
+            problem = f"lines cannot be passed on ({error.strerror}); the estimates continue"
             self.tell({"event": "source", "source": self.name, "problem": problem})
             return False
         return True

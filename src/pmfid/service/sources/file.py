@@ -30,7 +30,7 @@ from pmfid.stream.delivery import Block, Delivery, Lines, Mark
 
 def _usable(value: float) -> float:
     if value != 0 and not TUNING.file_slowest <= value <= TUNING.file_fastest:
-        raise ValueError(f"a speed is 0, or from {TUNING.file_slowest} to {TUNING.file_fastest:g}")
+        raise ValueError(f"a speed must be 0, or from {TUNING.file_slowest} to {TUNING.file_fastest:g}")
     return value
 
 
@@ -41,10 +41,14 @@ class FileSource(SourceSection):
     """The keys of [sources.NAME] with kind = "file", for lines of a growing file or a played record."""
 
     kind: Literal["file"] = Field(description='"file"')
-    path: Name = Field(description='the file, as "logs/x1.csv"')
-    axis: Name = Field(description="the name of the axis that it is of")
+    path: Name = Field(description='the file to read, for example "logs/x1.csv"')
+    axis: Name = Field(description="the name of the axis that the record belongs to")
     speed: Speed | None = Field(
-        None, description="how fast the record is played, 1.0 as it was, 0.0 as fast as it goes; left out: follow"
+        None,
+        description=(
+            "the speed of the replay: 1.0 is real time, 0.0 is as fast as possible; without it the file "
+            "is followed as it grows"
+        ),
     )
 
     def make(self, name: str, context: Context) -> Source:
@@ -59,7 +63,7 @@ class StdinSource(SourceSection):
     """The keys of [sources.NAME] with kind = "stdin", for lines of CSV as in `pmfid monitor -`."""
 
     kind: Literal["stdin"] = Field(description='"stdin"')
-    axis: Name = Field(description="the name of the axis that the lines are of")
+    axis: Name = Field(description="the name of the axis that the lines belong to")
 
     def make(self, name: str, context: Context) -> Source:
         return Piped(name, self.axis, _axis(context, self.axis), sys.stdin.buffer)
@@ -68,7 +72,7 @@ class StdinSource(SourceSection):
 def _axis(context: Context, name: str) -> Axis:
     axis = context.axis(name)
     if axis is None:
-        raise UsageError(f"there is no axis {name!r} in this plant; name one of [axes]")
+        raise UsageError(f"the plant has no axis {name!r}; give the name of a section [axes.NAME]")
     return axis
 
 

@@ -41,8 +41,8 @@ def _check_topics(texts: tuple[str, ...]) -> tuple[str, ...]:
         levels = text.split("/")
         mixed = (set("+#{}\0") & set(level) for level in levels if len(level) > 1 and level != AXIS_LEVEL)
         if not text or levels.count(AXIS_LEVEL) != ("{" in text) or "#" in levels[:-1] or any(mixed):
-            signs = f"+ and {AXIS_LEVEL} are whole levels, # is the last"
-            raise ValueError(f"{text!r} is no topic: {signs}, as {f'hall/{AXIS_LEVEL}/#'!r}")
+            signs = f"+ and {AXIS_LEVEL} must be whole levels, and # must be the last level"
+            raise ValueError(f"{text!r} is not a valid topic: {signs}, for example {f'hall/{AXIS_LEVEL}/#'!r}")
     return texts
 
 
@@ -53,14 +53,26 @@ class MqttSourceSection(BrokerSection, SourceSection):
     topics: Annotated[tuple[str, ...], AfterValidator(_check_topics)] = Field(
         strict=False, min_length=1, description='the topics, for example ["hall/+/blocks"] or ["hall/{axis}/json"]'
     )
-    format: Form = Field("auto", description='what messages are: "block", "json", "line", or "auto": each says it')
-    axis_tag: Text = Field("axis", description="the tag of line protocol that names the axis")
-    precision: Precision = Field("ns", description='the unit of timestamps in line protocol, for example "ms"')
-    client: Text | None = Field(None, description="the name of the session at the broker, one for each service")
-    qos: Literal[0, 1] = Field(1, description="1, or 0 where messages may be lost")
-    session: int = Field(86400, ge=0, le=2**32 - 1, description="the seconds for which the broker keeps what waits")
-    receive_maximum: int = Field(20_000, ge=1, le=65535, description="the most messages that wait for a checkpoint")
-    largest: int = Field(LARGEST, ge=1024, le=2**28, description="the most bytes of a message")
+    format: Form = Field(
+        "auto",
+        description=(
+            'the format of the messages: "block", "json" or "line"; "auto" recognises the format of each message'
+        ),
+    )
+    axis_tag: Text = Field("axis", description="the tag of line protocol that contains the name of the axis")
+    precision: Precision = Field("ns", description='the unit of the time stamps in line protocol, for example "ms"')
+    client: Text | None = Field(None, description="the name of the session at the broker, different for each service")
+    qos: Literal[0, 1] = Field(1, description="the quality of service: 1, or 0 if messages may be lost")
+    session: int = Field(
+        86400,
+        ge=0,
+        le=2**32 - 1,
+        description="the time in s for which the broker keeps messages while the service is away",
+    )
+    receive_maximum: int = Field(
+        20_000, ge=1, le=65535, description="the largest number of messages that wait for a checkpoint"
+    )
+    largest: int = Field(LARGEST, ge=1024, le=2**28, description="the largest size of a message in bytes")
 
     def make(self, name: str, context: Context) -> MqttSource:
         """Return the source. Raises UsageError if the client cannot be made."""
@@ -110,7 +122,7 @@ class MqttSource:
             brief = brief + (0 < lasted < _BRIEF) if lasted < _BRIEF else 0
             if lasted > 0 and brief < _TAKEN_OVER:
                 waiting = pauses()
-            hint = f"; if another service has the session {self._session!r}, too, give each its own client"
+            hint = f"; if another service uses the session {self._session!r} too, give each service its own client"
             self._report.say(self._problem + (hint if brief >= _TAKEN_OVER else ""))
             self._stopped.wait(next(waiting))
 
@@ -159,7 +171,9 @@ class MqttSource:
             self._end(f"the broker refuses the connection: {reason}")
             return
         if self._had_session and not flags.session_present and self.section.session:
-            self._report.say("the broker has forgotten the session: what waited is lost unless it is sent again")
+            self._report.say(
+                "the broker has lost the session: messages that waited there are lost unless the senders repeat them"
+            )
         self._had_session = True
         options = SubscribeOptions(self.section.qos, retainHandling=SubscribeOptions.RETAIN_DO_NOT_SEND)
         client.subscribe([(topic.replace(AXIS_LEVEL, "+"), options) for topic in self.section.topics])

@@ -31,18 +31,20 @@ class SerialSection(SourceSection):
     kind: Literal["serial"] = Field(description='"serial"')
     port: Text = Field(description='the port, for example "/dev/ttyUSB0"')
     baud: int = Field(115_200, ge=50, le=20_000_000, description="the bits per second, for example 115200")
-    format: Literal["csv", "block"] = Field("csv", description='what comes: lines of "csv", or "block"')
-    axis: Text | None = Field(None, description="the axis of lines of csv; blocks name theirs")
+    format: Literal["csv", "block"] = Field("csv", description='the format of the data: lines of "csv", or "block"')
+    axis: Text | None = Field(None, description="the axis of the lines of csv; a block contains the name of its axis")
     header: Text | None = Field(
-        None, description='the names of the columns, for example "t,u,x", or leave it out: a line of the port says them'
+        None, description='the names of the columns, for example "t,u,x"; by default one of the first lines names them'
     )
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
         if (self.format == "csv") != (self.axis is not None):
-            raise ValueError('axis is for format = "csv", which needs it; give it there, and drop it elsewhere')
+            raise ValueError(
+                'axis is required for format = "csv", and is not allowed for another format; add or remove axis'
+            )
         if self.header is not None and self.format != "csv":
-            raise ValueError('header is for format = "csv"; drop it')
+            raise ValueError('header is only for format = "csv"; remove header')
         return self
 
     def make(self, name: str, context: Context) -> SerialSource:
@@ -81,7 +83,8 @@ class _Csv:
             self._tried += 1
             if self._tried % PIPELINE_TUNING.first_lines == 0:
                 problem = (
-                    f"none of the last {PIPELINE_TUNING.first_lines} lines names the columns: give header ({error})"
+                    f"none of the last {PIPELINE_TUNING.first_lines} lines contains the names of the columns: "
+                    f"give them in header ({error})"
                 )
                 return [Unusable("header", problem, self._name)]
         return []
@@ -130,7 +133,9 @@ class SerialSource:
             return BlockStream()
         axis = self.axis(section.axis)
         if axis is None:
-            raise UsageError(f"[sources.{self.name}] axis = {section.axis!r}: there is no such axis; correct the name")
+            raise UsageError(
+                f"[sources.{self.name}] axis = {section.axis!r}: the plant has no such axis; correct the name"
+            )
         return _Csv(section.axis, axis, section.header)
 
     def _read(self, port: Serial, reader: BlockStream | _Csv, take: Take) -> None:

@@ -199,7 +199,7 @@ class Hub:
                 self._feeds.pop(name, None)
 
 
-NO_AXIS = "there is no axis of that name; PLANT.toml may have changed"
+NO_AXIS = "no axis has this name; PLANT.toml may have changed"
 
 
 @dataclass
@@ -259,7 +259,9 @@ class Api:
             return Response(media_type=LineResponse.media_type)
         if self.hub.streams >= self.streams:
             self.counters.add("pmfid_page_refused_total", reason="streams")
-            raise HTTPException(503, "as many browsers look already as [page] browsers allows")
+            raise HTTPException(
+                503, "the largest number of browsers is connected; raise [page] browsers, or close another page"
+            )
         return LineResponse(self.hub, self.hub.overview() if axis is None else self.hub.axis(axis))
 
     async def trends(self, request: Request) -> Response:
@@ -271,7 +273,7 @@ class Api:
                 raise IndexError
             interval, trends = self.board.trends(group, np.array(axes, np.int64))
         except (ValueError, IndexError, OverflowError):
-            raise HTTPException(404, "there is no such axis") from None
+            raise HTTPException(404, "no axis has this name") from None
         content = {"interval": interval, "points": trends.shape[1], "trends": pack_array(trends, "f4")}
         return Response(json_line(content), media_type="application/json")
 
@@ -296,7 +298,7 @@ class Api:
             raise HTTPException(404, "the reference record cannot be read; the log of the service says why") from None
         if record is None:
             raise HTTPException(
-                404, "this axis has no reference record: [monitor] reference of its AXIS.toml names one"
+                404, "this axis has no reference record: name one in [monitor] reference of its AXIS.toml"
             )
         return Response(await run_in_threadpool(csv_of, record), media_type="text/csv")
 
@@ -311,26 +313,26 @@ class Api:
     async def acknowledge(self, request: Request) -> Response:
         note = (await json_body(request)).get("note", "")
         if not isinstance(note, str) or len(note) > TUNING.api_note:
-            raise HTTPException(400, f"a note is a text of {TUNING.api_note} characters at most")
+            raise HTTPException(400, f"a note must be a text of at most {TUNING.api_note} characters")
         number = request.path_params["number"]
         if self.board.alarm(number) is None:
-            raise HTTPException(404, "there is no alarm of that number")
+            raise HTTPException(404, "no alarm has this number")
         return _answer_command(self.engine.acknowledge(number, note.strip()))
 
     async def prometheus(self, request: Request) -> Response:
         if self.metrics is None:
-            raise HTTPException(404, "there are no metrics")
+            raise HTTPException(404, "this service has no metrics")
         text = await run_in_threadpool(self.metrics)
         return PlainTextResponse(text, media_type="text/plain; version=0.0.4")
 
     async def health(self, request: Request) -> Response:
         alive = self.alive()
-        return PlainTextResponse("ok\n" if alive else "the engine stands still\n", 200 if alive else 503)
+        return PlainTextResponse("ok\n" if alive else "the engine does not run\n", 200 if alive else 503)
 
 
 def _answer_command(taken: bool) -> Response:
     if not taken:
-        raise HTTPException(503, "the service has too much to do at the moment; try again")
+        raise HTTPException(503, "the service is too busy at the moment; try again")
     return JSONResponse({"taken": True}, 202)
 
 

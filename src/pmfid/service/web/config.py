@@ -21,21 +21,29 @@ class PageConfig(FileSection):
     Keys that end in `_env` or `_file` name the tokens, which never stand in this section.
     """
 
-    enabled: bool = Field(True, description="false for no page")
-    address: Name = Field(HERE, description=f'the address to listen on, as "{HERE}"')
-    port: int = Field(PORT, ge=0, le=65535, description="the port, 0 for any that is free")
-    allow_remote: bool = Field(False, description="true to listen on another address than that of this machine alone")
+    enabled: bool = Field(True, description="false to run without a page")
+    address: Name = Field(HERE, description=f'the address to listen on, for example "{HERE}"')
+    port: int = Field(PORT, ge=0, le=65535, description="the port of the page; 0 chooses a free port")
+    allow_remote: bool = Field(False, description="true to accept requests from other machines")
     hosts: tuple[Name, ...] = Field(
-        (), strict=False, description=f'the names by which browsers reach it, as ["hall.example:{PORT}"]'
+        (),
+        strict=False,
+        description=f'the host names that browsers use for the page, for example ["hall.example:{PORT}"]',
     )
-    token_env: Name | None = Field(None, description="the environment variable with the token that may write")
-    token_file: Name | None = Field(None, description="the file with the token that may write")
-    read_token_env: Name | None = Field(None, description="the environment variable with the token that only reads")
-    read_token_file: Name | None = Field(None, description="the file with the token that only reads")
-    certificate: Name | None = Field(None, description="a file with the certificate, for TLS")
-    key: Name | None = Field(None, description="a file with the key of the certificate")
-    history_mb: Positive = Field(64.0, description="the memory for the history of the axes in MB, for example 64.0")
-    browsers: int = Field(256, ge=1, le=4096, description="how many streams may be open at once")
+    token_env: Name | None = Field(
+        None, description="the environment variable that holds the token for reading and writing"
+    )
+    token_file: Name | None = Field(None, description="the file that holds the token for reading and writing")
+    read_token_env: Name | None = Field(
+        None, description="the environment variable that holds the token for reading only"
+    )
+    read_token_file: Name | None = Field(None, description="the file that holds the token for reading only")
+    certificate: Name | None = Field(None, description="the file of the TLS certificate")
+    key: Name | None = Field(None, description="the file of the private key of the certificate")
+    history_mb: Positive = Field(64.0, description="the memory in MB for the history of the axes, for example 64.0")
+    browsers: int = Field(
+        256, ge=1, le=4096, description="the largest number of browsers with a live view at the same time"
+    )
 
     @property
     def local(self) -> bool:
@@ -46,7 +54,7 @@ class PageConfig(FileSection):
     def _check_access(self) -> Self:
         for scope in ("", "read_"):
             if getattr(self, f"{scope}token_env") and getattr(self, f"{scope}token_file"):
-                raise UsageError(f"[page] {scope}token_env and {scope}token_file are both given; drop one of them")
+                raise UsageError(f"[page] {scope}token_env and {scope}token_file are both given; keep one of them")
         if bool(self.certificate) != bool(self.key):
             raise UsageError("[page] certificate and key belong together; give both, or neither")
         if not self.local:
@@ -55,16 +63,16 @@ class PageConfig(FileSection):
 
     def _check_remote(self) -> None:
         """Check the three settings that an address for other machines needs."""
-        where = f"[page] address = {self.address!r} can be reached from other machines"
+        where = f"other machines can reach [page] address = {self.address!r}"
         if not self.allow_remote:
-            raise UsageError(f"{where}; set allow_remote = true if that is meant, or use {HERE}")
+            raise UsageError(f"{where}; set allow_remote = true to permit that, or use {HERE}")
         if not (self.token_env or self.token_file):
             raise UsageError(
-                f"{where}, so the page needs a token of your choice; name its file, as "
-                'token_file = "page.token", or its environment variable, with token_env'
+                f"{where}, so the page needs a token of your choice; name its file, for example token_file = "
+                '"page.token", or its environment variable in token_env'
             )
         if self.address in ("0.0.0.0", "::", "") and not self.hosts:
             raise UsageError(
-                f"{where} by any name; list those that browsers use, as hosts = "
-                f'["hall.example:{self.port}"]: requests for others are refused'
+                f"{where} under any host name; list the names that browsers use, for example hosts = "
+                f'["hall.example:{self.port}"]: requests for other names are refused'
             )

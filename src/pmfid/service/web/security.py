@@ -63,7 +63,9 @@ def load_tokens(config: PageConfig, folder: Path) -> Tokens:
     write = _read_token("token", config.token_env, config.token_file, folder)
     read = _read_token("read_token", config.read_token_env, config.read_token_file, folder)
     if read and read == write:
-        raise UsageError("[page] the token that reads is also the one that writes; choose two")
+        raise UsageError(
+            "[page] both tokens are the same, the one for reading and the one for writing; choose two different tokens"
+        )
     return Tokens(write or secrets.token_urlsafe(32), read, made=not write)
 
 
@@ -73,7 +75,7 @@ def keep_token(token: str, folder: Path | None) -> str:
     `folder` is the folder of the checkpoints. Only the user of the service can read its file page.token.
     """
     if folder is None:
-        return "the token of this start is shown on a terminal only: name your own with [page] token_file or token_env"
+        return "the token of this start appears only on a terminal; set your own with [page] token_file or token_env"
     path = folder / "page.token"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -82,8 +84,8 @@ def keep_token(token: str, folder: Path | None) -> str:
         with os.fdopen(file, "w", encoding="ascii") as stream:
             stream.write(f"{token}\n")
     except OSError as error:
-        return f"{path} cannot be written: {error.strerror}; name a token of your own with [page] token_file"
-    return f"open the page with #token=... after the address; the token of this start is in {path}"
+        return f"{path} cannot be written: {error.strerror}; set your own token with [page] token_file"
+    return f"open the page with #token=... after its address; the file {path} contains the token of this start"
 
 
 def _read_token(name: str, variable: str | None, file: str | None, folder: Path) -> str | None:
@@ -97,9 +99,8 @@ def _read_token(name: str, variable: str | None, file: str | None, folder: Path)
     token = token.strip()
     if len(token) < TUNING.security_shortest or not token.isascii() or not token.isprintable() or " " in token:
         raise UsageError(
-            f"{where} holds no token of {TUNING.security_shortest} or more letters and digits without spaces; "
-            "make one with: "
-            'python -c "import secrets; print(secrets.token_urlsafe(32))"'
+            f"{where} does not contain a token: {TUNING.security_shortest} or more letters and digits, "
+            'without spaces; make one with: python -c "import secrets; print(secrets.token_urlsafe(32))"'
         )
     return token
 
@@ -198,7 +199,7 @@ class Guard:
             self._check_origin(headers)
             length = headers.get("content-length", "0")  # this check comes before the body is read
             if not length.isdecimal() or int(length[:20]) > TUNING.largest_body:
-                raise Refusal("size", 413, f"a request may have {TUNING.largest_body} bytes")
+                raise Refusal("size", 413, f"a request must have at most {TUNING.largest_body} bytes")
             if scope["path"].startswith(self.closed):
                 self._check_token(scope, headers)
         except Refusal as refusal:
@@ -214,23 +215,29 @@ class Guard:
         """
         hosts = headers.getlist("host")
         if len(hosts) != 1 or hosts[0].lower() not in self.hosts:
-            raise Refusal("host", 421, "this page is not served under that name; see hosts in [page] of PLANT.toml")
+            raise Refusal(
+                "host",
+                421,
+                "the page is not available under this host name; add the name to hosts in [page] of PLANT.toml",
+            )
         origins = headers.getlist("origin")
         own = {f"{scheme}://{hosts[0].lower()}" for scheme in ("http", "https")}  # a proxy may speak TLS
         foreign = len(origins) > 1 or not {origin.lower() for origin in origins} <= own
         from_here = headers.get("sec-fetch-site", "none") in ("same-origin", "none")  # same-site means another port
         if foreign or not (from_here or headers.get("sec-fetch-mode") == "navigate"):
-            raise Refusal("origin", 403, "another page may not ask here")
+            raise Refusal("origin", 403, "requests from another web page are refused")
 
     def _check_token(self, scope: Scope, headers: Headers) -> None:
         given = headers.getlist("authorization")
         may = self.tokens.scope(given[0]) if len(given) == 1 else None
         if given and may is None and (wait := self.brake.wrong((scope.get("client") or ("",))[0])):
-            raise Refusal("guesses", 429, f"too many wrong tokens; try again in {math.ceil(wait)} s", wait)
+            raise Refusal("guesses", 429, f"too many wrong tokens were sent; try again in {math.ceil(wait)} s", wait)
         if may is None:
-            raise Refusal("token", 401, "a token is needed: open the address that pmfid serve printed at its start")
+            raise Refusal(
+                "token", 401, "the page needs a token: open the address that pmfid serve printed at its start"
+            )
         if scope["method"] not in ("GET", "HEAD") and may != WRITE:
-            raise Refusal("scope", 403, "this token may look, but not write")
+            raise Refusal("scope", 403, "this token allows reading only, not writing")
         scope["may"] = may
 
 
@@ -259,20 +266,20 @@ def _with_headers(send: Send, private: bool) -> Send:
 async def json_body(request: Request) -> dict[str, Any]:
     """Return the object in a body. Raises HTTPException for a body that is no object, too large or too slow."""
     if request.headers.get("content-type", "").partition(";")[0].strip() != "application/json":
-        raise HTTPException(415, "write JSON, with content-type: application/json")
+        raise HTTPException(415, "the body must be JSON, with content-type: application/json")
     try:
         body = b""
         async with asyncio.timeout(TUNING.slowest_body):
             async for piece in request.stream():  # a body without a length is counted during its arrival
                 body += piece
                 if len(body) > TUNING.largest_body:
-                    size = f"a request may have {TUNING.largest_body} bytes"
+                    size = f"a request must have at most {TUNING.largest_body} bytes"
                     raise HTTPException(413, size, {"connection": "close"})
         found = json.loads(body)
     except (TimeoutError, ClientDisconnect):
         raise HTTPException(408, "the request took too long") from None
     except (ValueError, RecursionError):
-        raise HTTPException(400, "the request is no JSON") from None
+        raise HTTPException(400, "the request is not valid JSON") from None
     if not isinstance(found, dict):
-        raise HTTPException(400, "the request is no JSON object")
+        raise HTTPException(400, "the request must be a JSON object")
     return found

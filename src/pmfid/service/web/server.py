@@ -59,7 +59,7 @@ async def _answer_error(request: Request, error: Exception) -> Response:
     """Answer an error with a sentence that contains no text of the request."""
     if isinstance(error, HTTPException):
         return JSONResponse({"problem": error.detail}, error.status_code, error.headers)
-    return JSONResponse({"problem": "the service could not answer; its log says why"}, 500)
+    return JSONResponse({"problem": "the service could not answer; its log contains the reason"}, 500)
 
 
 @dataclass
@@ -126,7 +126,7 @@ def serve(
     while not server.started and thread.is_alive() and time.monotonic() < end:
         time.sleep(0.01)
     if not server.started:
-        raise UsageError("the page did not start; the log says why")
+        raise UsageError("the page did not start; the log contains the reason")
     url = f"{'https' if config.certificate else 'http'}://{_shown_host(config, port)}/"
     return Page(url, tokens.write if tokens.made else None, _notes(config, tokens), server, api, thread)
 
@@ -140,8 +140,8 @@ def _listener(config: PageConfig) -> socket.socket:
     except (OSError, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise UsageError(
-            f"the page cannot be served on {config.address}:{config.port}: {reason}; choose another port in [page] "
-            "of PLANT.toml, 0 for any that is free"
+            f"the page cannot be served on {config.address}:{config.port}: {reason}; choose another port "
+            "in [page] of PLANT.toml, or 0 for any free port"
         ) from None
 
 
@@ -206,9 +206,9 @@ def _shown_host(config: PageConfig, port: int) -> str:
 def _notes(config: PageConfig, tokens: Tokens) -> tuple[str, ...]:
     notes = []
     if not config.local:
-        notes.append(f"the page can be reached from other machines, at {config.address}: who has the token gets in")
+        notes.append(f"other machines can reach the page at {config.address}: whoever has the token has access")
         if not config.certificate:
-            notes.append("it is sent in the clear, the token as well: give [page] certificate and key, or use a proxy")
+            notes.append("the page and its token are sent unencrypted: give [page] certificate and key, or use a proxy")
     if not tokens.made:
-        notes.append("open the page with #token=... of your token after the address")
+        notes.append("open the page with #token=... and your token after its address")
     return tuple(notes)

@@ -96,7 +96,7 @@ class Readers:
     def _lines(self, axis: str, points: list[Point | PointColumns]) -> Lines | Unusable:
         config = self.find(axis)
         if config is None:
-            return Unusable("axis", f"there is no axis {axis[:64]!r}", axis[:64])
+            return Unusable("axis", f"the plant has no axis {axis[:64]!r}", axis[:64])
         try:
             reader = self._reader(config)
         except UsageError as error:
@@ -129,7 +129,7 @@ def decode_json(data: bytes, axis: str = "") -> list[Point | PointColumns | Unus
             if isinstance(item, PointColumns) and left:
                 found.append(replace(item, rows=left))
             found.append(
-                Unusable("json", f"more than {MOST_POINTS} samples in one message: the others are not looked at")
+                Unusable("json", f"more than {MOST_POINTS} samples in one message: the service ignores the others")
             )
             break
         found.append(item)
@@ -156,7 +156,7 @@ def _parse_json(data: bytes, axis: str) -> Iterator[Point | PointColumns | Unusa
 
 
 def _unreadable(error: Exception) -> Unusable:
-    return Unusable("json", f"this is no JSON: {str(error)[:200]}")
+    return Unusable("json", f"the message is not valid JSON: {str(error)[:200]}")
 
 
 def _read_value(value: object, axis: str) -> Iterator[Point | PointColumns | Unusable]:
@@ -170,13 +170,13 @@ def _read_value(value: object, axis: str) -> Iterator[Point | PointColumns | Unu
 def _read_object(fields: dict[str, object], axis: str) -> Iterator[Point | PointColumns | Unusable]:
     named = axis or fields.get(AXIS_KEY)
     if not (isinstance(named, str) and named):
-        yield Unusable("axis", f'an object without its axis: give "{AXIS_KEY}"')
+        yield Unusable("axis", f'the sample does not name its axis: give "{AXIS_KEY}"')
         return
     sizes = {len(column) for column in fields.values() if isinstance(column, list)}
     if not sizes:
         yield Point(named, fields)
     elif len(sizes) > 1:
-        yield Unusable("json", "columns of different lengths", named)
+        yield Unusable("json", "the columns have different lengths", named)
     elif rows := sizes.pop():
         yield PointColumns(named, fields, rows)
 
@@ -208,7 +208,7 @@ class Messages:
         `axis` is the only axis that the message may contain. "" allows any axis.
         """
         if len(data) > self.largest:
-            return [Unusable("oversized", f"a message of {len(data)} bytes, more than {self.largest}", axis[:64])]
+            return [Unusable("oversized", f"the message has {len(data)} bytes, more than {self.largest}", axis[:64])]
         try:
             return self._items(data, axis)
         except Exception as error:  # without an acknowledgement the broker would repeat the message for ever
@@ -232,7 +232,9 @@ def _check_axis(item: Block | Lines | Unusable, axis: str) -> Block | Lines | Un
     """Refuse a block of another axis than the axis of its topic, because a sender may have rights for one topic
     only."""
     if isinstance(item, Block) and item.axis != axis:
-        return Unusable("name", f"a block of {item.axis!r} that came as one of {axis[:64]!r}", axis[:64])
+        return Unusable(
+            "name", f"a block of axis {item.axis!r} arrived under the name of axis {axis[:64]!r}", axis[:64]
+        )
     return item
 
 
@@ -273,7 +275,7 @@ def decode_lines(data: bytes, axis: str = "", tag: str = "axis", precision: Prec
     texts = data.decode("utf-8", "replace").split("\n", MOST_POINTS)
     found: list[Point | Unusable] = []
     if len(texts) > MOST_POINTS and texts.pop().strip():
-        found.append(Unusable("line", f"more than {MOST_POINTS} lines in one message: the others are not looked at"))
+        found.append(Unusable("line", f"more than {MOST_POINTS} lines in one message: the service ignores the others"))
     return [*_parse_lines(texts, axis, tag, precision), *found]
 
 
@@ -300,7 +302,7 @@ def parse_line(line: str, precision: Precision = "ns") -> Measured:
     fields, place = _fields(line, place)
     stamp = _STAMP.fullmatch(line, place)
     if stamp is None and line[place:].strip():
-        raise ValueError(f"{line[place : place + 40]!r} is no timestamp: it must be a whole number")
+        raise ValueError(f"{line[place : place + 40]!r} is no time stamp: a time stamp must be a whole number")
     time_ns = int(stamp[1]) * PRECISIONS[precision] if stamp else None
     return Measured(_plain(measurement[0], ", "), tags, fields, time_ns)
 
@@ -311,7 +313,7 @@ def _tags(line: str, place: int) -> tuple[dict[str, str], int]:
         key = _KEY.match(line, place + 1)
         value = _TAG_VALUE.match(line, key.end()) if key else None
         if key is None or value is None:
-            raise ValueError(f"{line[place + 1 : place + 40]!r} is no tag: it must read key=value")
+            raise ValueError(f"{line[place + 1 : place + 40]!r} is no tag: a tag must have the form key=value")
         tags[_plain(key[1])] = _plain(value[0])
         place = value.end()
     return tags, place
@@ -327,7 +329,7 @@ def _fields(line: str, place: int) -> tuple[dict[str, Field], int]:
     while True:
         key = _KEY.match(line, place)
         if key is None:
-            raise ValueError(f"{line[place : place + 40]!r} is no field: it must read key=value")
+            raise ValueError(f"{line[place : place + 40]!r} is no field: a field must have the form key=value")
         fields[_plain(key[1])], place = _value(line, key.end())
         if not line.startswith(",", place):
             return fields, place
@@ -346,7 +348,7 @@ def _value(line: str, place: int) -> tuple[Field, int]:
         return int(whole[1]), end
     if word in _TRUTH:
         return _TRUTH[word], end
-    raise ValueError(f"{word[:40]!r} is no value: a number, 12i, true, false, or a text in quotes")
+    raise ValueError(f"{word[:40]!r} is no value: a value is a number, 12i, true, false, or a text in quotes")
 
 
 def _plain(name: str, special: str = ",= ") -> str:

@@ -58,7 +58,7 @@ class Numbering:
 
     def __post_init__(self) -> None:
         if not 1 <= self.samples <= MOST_SAMPLES:
-            raise UsageError(f"a block has 1 to {MOST_SAMPLES} samples, got {self.samples}; give another number")
+            raise UsageError(f"a block must have 1 to {MOST_SAMPLES} samples, got {self.samples}; give another number")
 
     def add(
         self, axis: str, u: ArrayLike, counts: ArrayLike, time: float, ages: ArrayLike | None = None
@@ -70,10 +70,10 @@ class Numbering:
         """
         u, counts = np.atleast_1d(np.asarray(u, np.float64)), np.atleast_1d(np.asarray(counts, np.int64))
         if u.ndim != 1 or u.shape != counts.shape:
-            raise UsageError(f"u and counts are not of one length: {u.shape} and {counts.shape}")
+            raise UsageError(f"u and counts must have the same length, got {u.shape} and {counts.shape}")
         given = np.full(u.shape, np.nan) if ages is None else np.atleast_1d(np.asarray(ages, np.float64))
         if given.shape != u.shape:
-            raise UsageError(f"u and ages are not of one length: {u.shape} and {given.shape}")
+            raise UsageError(f"u and ages must have the same length, got {u.shape} and {given.shape}")
         block = Block(axis, self.epoch, 0, time, self.dt, u, counts)
         if u.size and (problem := problem_of(block, u, counts)) is not None:
             raise UsageError(f"a receiver would refuse these samples: {problem.problem}")
@@ -383,7 +383,7 @@ class Sender:
     def _on_lost(
         self, client: Client, _: object, flags: DisconnectFlags, reason: ReasonCode, properties: Properties | None
     ) -> None:
-        self._events.put(lambda: self._note_lost(client, f"the connection ended: {reason}"))
+        self._events.put(lambda: self._note_lost(client, f"the connection to the broker ended: {reason}"))
 
     def _begin(self, client: Client, room: int) -> None:
         if client is self._client:
@@ -394,7 +394,7 @@ class Sender:
         if client is not self._client:
             return
         if reason.is_failure or reason.value == TUNING.sender_nobody:
-            self._note_lost(client, f"the broker does not take messages: {reason}")
+            self._note_lost(client, f"the broker does not accept messages: {reason}")
             return
         self._outbox.note_acknowledged(mid)
         self._settle()

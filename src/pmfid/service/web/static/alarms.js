@@ -1,7 +1,7 @@
 // Alarms as cards, and the dialog in which one is acknowledged with a note.
 import { Problem, tell } from "./api.js";
 import { el } from "./dom.js";
-import { moment, number, percent, unitOf, wall, withError, words } from "./format.js";
+import { age, moment, number, percent, unitOf, wall, withError, words } from "./format.js";
 import { isOpen } from "./plant.js";
 import { icon } from "./states.js";
 
@@ -15,27 +15,32 @@ export function causeOf(alarm) {
   return `${words(alarm.parameter)} is ${percent(Math.abs(alarm.relative)).replace("+", "")} ${way} than normal${size}${others}`;
 }
 
-// What people do first, by the beginning of the parameter's name.
-const ADVICE = [
-  [/^(mass|inertia)/, "Check whether the load was changed, came loose, or another part moves with the axis."],
-  [/^viscous/, "Check lubrication, temperature and bearings."],
-  [/^(coulomb|stribeck)/, "Check brakes, guides, seals and belt tension for rubbing."],
-  [/^(offset|gravity)/, "Check the counterweight and the load."],
-  [/^(stiffness|cogging)/, "Check springs, couplings and the motor."],
-  [/^input_gain/, "Check the drive, its supply and the sensor of the input. The axis itself has not changed."],
-];
+// How urgent an alarm is: its size against the tolerance, and whether the parameter keeps changing.
+export function urgencyOf(alarm, alarms) {
+  const alike = [...alarms].filter((one) => one.axis === alarm.axis && one.parameter === alarm.parameter && one.direction === alarm.direction);
+  alike.sort((a, b) => a.number - b.number);
+  const before = alike.filter((one) => one.number <= alarm.number);
+  const size = alarm.tolerance > 0 ? [`The change is ${number(Math.abs(alarm.relative) / alarm.tolerance, 2)} times the tolerance.`] : [];
+  if (alike.length > before.length) return [...size, "The change goes on: see the later alarm."].join(" ");
+  if (before.length > 1) return [...size, courseOf(before)].join(" ");
+  const since = alarm.settled ? "It is a single step: no such change followed." : "The monitor is measuring the new value. If the change goes on, another alarm follows.";
+  return [...size, since].join(" ");
+}
 
-export function adviceOf(alarm) {
-  if (alarm.silent) return "Check power, network and logger.";
-  const found = ADVICE.find(([name]) => name.test(alarm.parameter));
-  return found ? found[1] : "Look at the charts, and compare with the reference.";
+// How fast a parameter changes, from its alarms in one direction.
+function courseOf(alike) {
+  const seconds = alike.at(-1).wall - alike[0].wall;
+  const total = alike.reduce((product, one) => product * (1 + one.relative), 1) - 1;
+  const later = alike.slice(1).reduce((product, one) => product * (1 + one.relative), 1) - 1;
+  const rate = seconds > 0 ? `, about ${percent((3600 * later) / seconds)} an hour` : "";
+  return `The change goes on: ${alike.length} alarms in ${age(seconds)}, ${percent(total)} in all${rate}.`;
 }
 
 export const sinceOf = (alarm) => `${alarm.silent ? "" : `Changed at ${moment(alarm.changed_at)}. `}Noticed at ${wall(alarm.wall)}.`;
 
 // How sure an alarm is.
 const sureOf = (alarm) =>
-  `The evidence is ${number(alarm.statistic / alarm.threshold, 2)} times what an alarm needs. Normal work alone reaches an alarm once in mtbf_hours ` +
+  `How sure: the evidence is ${number(alarm.statistic / alarm.threshold, 2)} times what an alarm needs. Normal work alone raises one false alarm in mtbf_hours ` +
   `(statistic ${number(alarm.statistic, 3)}, limit ${number(alarm.threshold, 3)}).`;
 
 function settledOf(alarm) {
@@ -43,7 +48,7 @@ function settledOf(alarm) {
   return found ? `Now ${words(alarm.parameter)} ${withError(found.value, found.std)}${unitOf(alarm.unit)}.` : null;
 }
 
-export function alarmCard(alarm, mayWrite, withAxis = true) {
+export function alarmCard(alarm, alarms, mayWrite, withAxis = true) {
   const known = !isOpen(alarm);
   const settled = settledOf(alarm);
   const button = el(
@@ -65,7 +70,8 @@ export function alarmCard(alarm, mayWrite, withAxis = true) {
         withAxis ? " " : null,
         el("strong", {}, causeOf(alarm)),
       ),
-      known ? null : el("p", {}, adviceOf(alarm)),
+      known || !alarm.advice ? null : el("p", {}, `What to do: ${alarm.advice}`),
+      known || alarm.silent ? null : el("p", {}, `How urgent: ${urgencyOf(alarm, alarms)}`),
       el("p", { class: "fine" }, sinceOf(alarm), settled ? ` ${settled}` : ""),
       alarm.silent ? null : el("p", { class: "fine" }, sureOf(alarm)),
       alarm.cleared === null ? null : el("p", { class: "fine" }, `back since ${wall(alarm.cleared)}`),
@@ -93,7 +99,7 @@ export function acknowledge(alarm) {
   );
 }
 
-// A dialog with one action; what goes wrong is said in it.
+// A dialog with one action, which also shows the reason if the action fails.
 export function askFirst(title, content, action, act) {
   const problem = el("p", { role: "alert", class: "problem" });
   const dialog = el("dialog", { "aria-labelledby": "dialog-title" });

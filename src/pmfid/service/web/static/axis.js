@@ -101,8 +101,8 @@ export class AxisView {
     this.charts = el("div", { class: "charts" }, ...this.all.map((chart) => chart.element), this.strip.element);
     this.known = el("ul", { class: "cards" });
     this.log = el("ol", { class: "log" });
-    this.rows = el("div", { class: "scrolled", tabindex: "0", role: "region", "aria-label": "What the charts show, as a table" });
-    this.asTable = el("details", { class: "more", ontoggle: () => this.draw() }, el("summary", {}, "What the charts show, as a table"), this.rows);
+    this.rows = el("div", { class: "scrolled", tabindex: "0", role: "region", "aria-label": "Charts as a table" });
+    this.asTable = el("details", { class: "more", ontoggle: () => this.draw() }, el("summary", {}, "Charts as a table"), this.rows);
     this.element = el(
       "div",
       { class: "axis" },
@@ -121,7 +121,7 @@ export class AxisView {
       (this.comparison = el("div", {})),
       this.asTable,
       el("section", { "aria-labelledby": "known-title", class: "past" }, el("h2", { id: "known-title" }, "Alarms of this axis"), this.known),
-      el("details", { class: "more" }, el("summary", {}, "What happened here"), this.log),
+      el("details", { class: "more" }, el("summary", {}, "Events of this axis"), this.log),
     );
   }
 
@@ -144,9 +144,9 @@ export class AxisView {
     this.said = el("p", { class: "fine", role: "status" });
     return el(
       "div",
-      { class: "tools", role: "group", "aria-label": "What is shown" },
+      { class: "tools", role: "group", "aria-label": "View of the charts" },
       this.pauseButton,
-      el("span", { class: "spans", role: "group", "aria-label": "Time that is shown" }, ...this.spans),
+      el("span", { class: "spans", role: "group", "aria-label": "Time span of the charts" }, ...this.spans),
       this.back,
       el("button", { type: "button", onclick: () => this.save() }, "Save as CSV"),
       this.compareButton,
@@ -234,12 +234,12 @@ export class AxisView {
   }
 
   refer() {
-    const what = el("p", {}, "What ", el("strong", {}, this.axis), " is now becomes normal: deviations and alarms count from there. This cannot be taken back.");
+    const what = el("p", {}, "The present values of ", el("strong", {}, this.axis), " become the reference for deviations and alarms. This step cannot be undone.");
     askFirst("Set as reference", [what], "Set as reference", () => tell(`api/axis/${encodeURIComponent(this.axis)}/reference`, {}));
   }
 
   beginAnew() {
-    const what = el("p", {}, "The next samples of ", el("strong", {}, this.axis), " are taken whatever their numbers: for a sender that lost them. Estimate and reference stay.");
+    const what = el("p", {}, "The next samples of ", el("strong", {}, this.axis), " are accepted, whatever their numbers. Use this if the sender has restarted its numbering. Estimate and reference stay as they are.");
     askFirst("Begin anew", [what], "Begin anew", () => tell(`api/axis/${encodeURIComponent(this.axis)}/anew`, {}));
   }
 
@@ -297,7 +297,7 @@ export class AxisView {
     const end = this.columns.size ? this.columns.data.number[this.columns.size - 1] : NaN;
     const waiting = this.paused !== null ? `, paused, ${Math.max(0, end - this.pausedAt)} samples since` : "";
     const lost = (this.dropped ?? 0) + this.missed;
-    say(this.facts, `data ${age(this.age())} old, a sample every ${number(1000 * group.dt)} ms, ${group.config}${lost ? `, ${lost} rows not shown here` : ""}${waiting}`);
+    say(this.facts, `data ${age(this.age())} old, a sample every ${number(1000 * group.dt)} ms, ${group.config}${lost ? `, ${lost} rows missing here` : ""}${waiting}`);
     this.showAlarms();
   }
 
@@ -312,8 +312,8 @@ export class AxisView {
     this.alarmsSeen = key;
     const write = this.plant.may === "write";
     const known = own.filter((alarm) => !isOpen(alarm));
-    this.open.replaceChildren(...own.filter(isOpen).map((alarm) => alarmCard(alarm, write, false)));
-    this.known.replaceChildren(...(known.length ? known.map((alarm) => alarmCard(alarm, write, false)) : [el("li", { class: "fine" }, own.length ? "the open ones stand above" : "none so far")]));
+    this.open.replaceChildren(...own.filter(isOpen).map((alarm) => alarmCard(alarm, own, write, false)));
+    this.known.replaceChildren(...(known.length ? known.map((alarm) => alarmCard(alarm, own, write, false)) : [el("li", { class: "fine" }, own.length ? "the open alarms are above" : "none so far")]));
     this.putFirst(own.find((alarm) => isOpen(alarm) && !alarm.silent)?.parameter);
     const happened = this.plant.notices.filter((notice) => notice.axis === this.axis).slice(-60).reverse();
     this.log.replaceChildren(...(happened.length ? happened.map(noticeLine) : [el("li", { class: "fine" }, "nothing so far")]));

@@ -11,13 +11,13 @@ const SENTENCES = {
   acknowledged: (what) => `alarm ${what.alarm ?? what.number} acknowledged${what.note ? `: “${what.note}”` : ""}`,
   gap: (what) => `${what.missing} samples are missing`,
   clock: (what) => `the clock was set by ${number(what.jump)} s`,
-  outlier: (what) => `${what.signal} that no motion explains, left out`,
-  anew: () => "its next samples are taken whatever their numbers",
+  outlier: (what) => `${what.signal} that no motion explains; this sample is left out`,
+  anew: () => "the next samples are accepted, whatever their numbers",
   source: (what) => `source ${what.source}: ${what.problem || "works"}`,
   sink: (what) => `sink ${what.sink}: ${what.problem || "works"}`,
   late: (what) => what.problem,
   paused: (what) => what.problem,
-  reference: (what) => (what.problem ? `cannot become the reference: ${what.problem}` : "what it is now is the reference"),
+  reference: (what) => (what.problem ? `no new reference: ${what.problem}` : "the present values are the new reference"),
 };
 
 // Of an event that this page has no sentence for, all that it says.

@@ -7,7 +7,7 @@ import { Rows } from "./rows.js";
 import { KINDS, MEANING, WORD, icon } from "./states.js";
 
 const CARDS = 4;
-const SORTS = { attention: "what needs someone", name: "name", deviation: "off nominal, largest", age: "age of data, oldest" };
+const SORTS = { attention: "most urgent first", name: "name", deviation: "largest deviation first", age: "oldest data first" };
 
 export class Overview {
   constructor(plant) {
@@ -46,7 +46,7 @@ export class Overview {
       "div",
       { class: "overview" },
       el("h1", { class: "unseen" }, "All axes"),
-      el("div", { class: "tiles", role: "group", "aria-label": "Axes by state; press to see these alone" }, ...this.tiles.values()),
+      el("div", { class: "tiles", role: "group", "aria-label": "Axes by state; press a state to list only its axes" }, ...this.tiles.values()),
       this.failing,
       this.alarms,
       el(
@@ -62,8 +62,8 @@ export class Overview {
         ),
         this.rows.element,
       ),
-      el("details", { class: "more" }, el("summary", {}, "What happened"), this.log),
-      el("details", { class: "more" }, el("summary", {}, "What was counted, dropped and refused"), this.totals),
+      el("details", { class: "more" }, el("summary", {}, "Events"), this.log),
+      el("details", { class: "more" }, el("summary", {}, "Counters: received, dropped and refused"), this.totals),
     );
   }
 
@@ -142,9 +142,9 @@ export class Overview {
     if (seen === this.seen) return;
     this.seen = seen;
     const shown = this.allAlarms ? open.slice(0, 200) : open.slice(0, CARDS);
-    this.cards.replaceChildren(...shown.map((alarm) => alarmCard(alarm, this.plant.may === "write")));
+    this.cards.replaceChildren(...shown.map((alarm) => alarmCard(alarm, this.plant.alarms.values(), this.plant.may === "write")));
     this.more.hidden = open.length <= CARDS;
-    say(this.more, this.allAlarms ? "Show the latest alone" : `Show all ${open.length} alarms`);
+    say(this.more, this.allAlarms ? "Show only the latest alarms" : `Show all ${open.length} alarms`);
   }
 
   // Sources, sinks and checkpoints that do not work: what they said may long be out of the list of what happened.

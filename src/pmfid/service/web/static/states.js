@@ -15,12 +15,12 @@ export const WORD = {
 
 export const MEANING = {
   alarm: "a parameter changed, and nobody has acknowledged it",
-  silent: "no data come",
-  suspicious: "something begins to show",
-  "cannot-tell": "the motion says too little",
-  settling: "the new value after a change is being found",
-  starting: "there is no estimate yet",
-  watching: "all is as usual",
+  silent: "no data arrive",
+  suspicious: "a change begins to show, and its cause is not clear yet",
+  "cannot-tell": "the motion is too small or too uniform to show a change",
+  settling: "a parameter changed, and the monitor measures its new value",
+  starting: "no estimate exists yet",
+  watching: "no parameter has changed",
 };
 
 const SHAPES = {
