@@ -156,7 +156,7 @@ def test_events_that_find_no_room_do_not_end_the_watch(folder: Path) -> None:
     with Path("/dev/full").open("wb") as full:
         process = start(folder, "--out", str(folder / "silent.csv"), stdout=full)
         _, error = end(process)
-    assert "events cannot be written: No space left on device; the watch goes on" in error
+    assert "events cannot be written: No space left on device; monitoring continues" in error
     assert pl.read_csv(folder / "silent.csv").height == N
 
 

@@ -340,12 +340,12 @@ def events_in(file: Path) -> list[str]:
 
 def test_the_log_says_it_for_people(reported: list[Notice]) -> None:
     lines = sorted(line(one) for one in reported)
-    assert lines[1].startswith("ALARM  the source lab delivered nothing for 60 s; check")
     assert lines[0].startswith("ALARM  the sink db accepted nothing for 60 s; check")
-    assert lines[2].startswith("the alarm is over: sink db, silent for 6")
-    assert lines[3].startswith("the alarm is over: source lab, silent for 6")
+    assert lines[1].startswith("ALARM  the source lab delivered nothing for 60 s; check")
+    assert lines[2].startswith("the alarm of sink db is over after 6")
+    assert lines[3].startswith("the alarm of source lab is over after 6")
     assert lines[4].startswith("x2  ALARM  no usable sample for 60 s; check")
-    assert lines[5].startswith("x2  the alarm is over: silent for 6")
+    assert lines[5].startswith("x2  the alarm is over after 6")
 
 
 def test_the_metrics_have_it_in_words(watched: Watched) -> None:

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 @click.option("--position", metavar="PATTERN", help="Columns of the measured positions, such as 'position_*'.")
 @click.option("--time", metavar="NAME", help="Column of the time.")
 @click.option("--unit", type=click.Choice(["rad", "deg", "counts"]), help="Unit of goals and positions.")
-@click.option("--goal-unit", type=click.Choice(["rad", "deg", "counts"]), help="Unit of the goals, if not --unit.")
+@click.option(
+    "--goal-unit", type=click.Choice(["rad", "deg", "counts"]), help="Unit of the goals, if it differs from --unit."
+)
 @click.option("--bits", type=click.IntRange(4, 32), help="Bits of the encoder per turn; default: estimated.")
 @click.option("--resolution", type=float, metavar="RAD", help="Step of the encoder, in place of --bits.")
 @click.option(
@@ -35,11 +37,13 @@ if TYPE_CHECKING:
     "known_forces",
     multiple=True,
     metavar="PATTERN",
-    help="Columns of torques in N m that are no terms of the model, such as 'gravity_*' of a robot.",
+    help="Columns of known torques in N m that the model does not contain, such as 'gravity_*' of a robot.",
 )
-@click.option("--term", "terms", multiple=True, metavar="NAME", help="Further parameter, such as gravity.")
+@click.option("--term", "terms", multiple=True, metavar="NAME", help="Further parameter of the model, such as gravity.")
 @click.option("--loop-period", type=float, default=1e-3, show_default=True, metavar="S", help="Loop period [s].")
-@click.option("--search/--no-search", default=True, show_default=True, help="Add terms that the log shows.")
+@click.option(
+    "--search/--no-search", default=True, show_default=True, help="Add parameters for which the log gives evidence."
+)
 @click.option(
     "--episode", type=click.IntRange(0), metavar="N", help="Episode of a LeRobot data set. Default: a long one."
 )

@@ -28,16 +28,19 @@ OUT = click.option(
 )
 RUNS = click.argument("records", nargs=-1, type=click.Path(path_type=Path), metavar="[RECORD]...")
 WANT = click.option(
-    "--want", multiple=True, metavar="NAME=STD", help="Stop at this standard deviation; may be repeated."
+    "--want",
+    multiple=True,
+    metavar="NAME=STD",
+    help="Stop if the parameter has this standard deviation; may be repeated.",
 )
 TRUTH = click.option(
     "--truth",
     multiple=True,
     metavar="NAME=VALUE",
-    help="Simulate all rounds on an axis with this true value, the others nominal; may be repeated.",
+    help="Simulate all rounds on an axis with this true value and otherwise nominal values; may be repeated.",
 )
 ROUNDS = click.option(
-    "--rounds", type=click.IntRange(min=1), default=10, show_default=True, help="Most rounds to simulate."
+    "--rounds", type=click.IntRange(min=1), default=10, show_default=True, help="Maximum number of rounds."
 )
 #: Key of SPEC.toml for each option.
 KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": "search.seed"}
@@ -59,7 +62,7 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
     default=5.0,
     show_default=True,
     metavar="S",
-    help="Most seconds of processor time to prove how near the optimum is; 0: no proof.",
+    help="Maximum processor time [s] for a proof of the distance to the optimum; 0: no proof.",
 )
 @OUT
 @JSON

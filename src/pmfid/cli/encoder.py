@@ -17,16 +17,21 @@ if TYPE_CHECKING:
 @click.argument("record", type=click.Path(path_type=Path))
 @config_option()
 @click.option(
-    "--want", type=float, default=1.0, show_default=True, metavar="PERCENT", help="Wanted standard deviation."
+    "--want",
+    type=float,
+    default=1.0,
+    show_default=True,
+    metavar="PERCENT",
+    help="Wanted standard deviation of the parameter.",
 )
-@click.option("--parameter", metavar="NAME", help="The parameter that must be known; default: the mass or inertia.")
+@click.option("--parameter", metavar="NAME", help="Parameter to determine; default: the mass or inertia.")
 @click.option(
     "--line-error",
     type=float,
     default=1.0,
     show_default=True,
     metavar="PERCENT",
-    help="Largest error of the encoder's lines, in percent of a step.",
+    help="Largest position error of the encoder's lines, in percent of a step.",
 )
 @folder_option("Write encoder.html and encoder.json into this folder.")
 @JSON

@@ -24,7 +24,7 @@ from pmfid.estimators import METHODS
     "--method", type=click.Choice(METHODS), help="Recursive method; auto: riv, or redge with [encoder] edge_age."
 )
 @click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters.")
-@click.option("--forgetting", type=float, help="Weight of the past per sample, in (0, 1].")
+@click.option("--forgetting", type=float, help="Forgetting factor per sample, in (0, 1]; 1 never forgets.")
 @click.option("--dt", type=float, metavar="S", help="Sample period of the drive, if AXIS.toml does not give it.")
 @click.option(
     "--record",
@@ -37,11 +37,15 @@ from pmfid.estimators import METHODS
     type=(str, float, float),
     multiple=True,
     metavar="PARAMETER NOMINAL SHIFT",
-    help="Add an alarm for a parameter that leaves its nominal value by this shift; may be repeated.",
+    help="Add an alarm for a deviation of SHIFT from the NOMINAL value of a parameter; may be repeated.",
 )
 @click.option("--blocks", is_flag=True, help="Add pmf_block.c, which makes blocks of samples for pmfid serve.")
 @click.option("--steps", is_flag=True, help="Pass the time since the last sample to every call, for uneven sampling.")
-@click.option("--no-guard", is_flag=True, help="Leave out the guard: smaller, but a glitch spoils the estimate.")
+@click.option(
+    "--no-guard",
+    is_flag=True,
+    help="Leave out the guard against glitches. The code is smaller, but a glitch spoils the estimate.",
+)
 def export(
     axis_file: Path,
     out: Path,

@@ -30,14 +30,28 @@ _CHECKPOINT = "Folder of the state with which the next call continues."
 @click.option("--shards", type=click.IntRange(1, 65536), default=8, show_default=True, help="Number of shards.")
 @click.option("--window", type=click.FloatRange(0, 600), default=0.5, show_default=True, help="Reordering window [s].")
 @click.option(
-    "--every", type=click.FloatRange(0, 1e6), default=1.0, show_default=True, help="Time between rows [s]; 0: all."
+    "--every",
+    type=click.FloatRange(0, 1e6),
+    default=1.0,
+    show_default=True,
+    help="Time between two written estimates of an axis [s]; 0: write all.",
 )
 @click.option(
     "--interval", type=click.FloatRange(0, 86400), default=5.0, show_default=True, help="Time between batches [s]."
 )
-@click.option("--files", type=click.IntRange(1), metavar="N", help="Most Parquet files in a batch; default: all.")
-@click.option("--state", type=FOLDER, metavar="FOLDER", help="Begin with states of `pmfid serve` or `fleet state`.")
-@click.option("--once", is_flag=True, help="End when all files present are done.")
+@click.option(
+    "--files",
+    type=click.IntRange(1),
+    metavar="N",
+    help="Maximum number of Parquet files in a batch; default: no limit.",
+)
+@click.option(
+    "--state",
+    type=FOLDER,
+    metavar="FOLDER",
+    help="Begin with the states that `pmfid serve` or `pmfid fleet state` has written.",
+)
+@click.option("--once", is_flag=True, help="End after all present files are read.")
 @MASTER
 def stream(
     source: Path,
@@ -125,8 +139,19 @@ fleet.add_command(state)
 @click.argument("source", type=click.Path(path_type=Path))
 @config_option("Columns of time, input and counts, and all settings that the axes share.")
 @click.option("--axis", "by", required=True, metavar="COLUMN", help="Column or folder key that names the axis.")
-@click.option("--type", "kind", metavar="COLUMN", help="Column of the type: axes are compared within it.")
-@click.option("--period", default="day", show_default=True, metavar="P", help="day, shift, run, or a duration: 10min.")
+@click.option(
+    "--type",
+    "kind",
+    metavar="COLUMN",
+    help="Column with the type of the axis; only axes of the same type are compared.",
+)
+@click.option(
+    "--period",
+    default="day",
+    show_default=True,
+    metavar="P",
+    help="Time of one estimate: day, shift, run, or a duration such as 10min.",
+)
 @click.option(
     "--engine",
     type=click.Choice(["local", "spark"]),
@@ -139,7 +164,10 @@ fleet.add_command(state)
 )
 @click.option("--workers", type=int, metavar="N", help="Number of threads; default: one for each processor.")
 @click.option(
-    "--segment", type=float, metavar="S", help="Length of one estimate [s]; changes are found between estimates."
+    "--segment",
+    type=float,
+    metavar="S",
+    help="Length of the data for one estimate [s]; a change is found between two estimates.",
 )
 @click.option(
     "--out",
@@ -185,7 +213,7 @@ def history(
         _print(found, out)
     if found.unknown.height == found.axes.height:
         problems = found.problems.filter(found.problems["code"] != "type")["text"]
-        reason = next(iter(problems), "too little motion for every parameter")
+        reason = next(iter(problems), "the motion does not determine every parameter")
         raise NotIdentifiableError(f"no axis of {source} can be identified: {printable(reason)}")
 
 

@@ -106,7 +106,7 @@ def _open_closed_streams() -> None:
 )
 @CUTOFF
 @click.option("--order", type=int, help="Number of filter stages.")
-@click.option("--forgetting", type=float, help="Weight of the past per sample, in (0, 1].")
+@click.option("--forgetting", type=float, help="Forgetting factor per sample, in (0, 1]; 1 never forgets.")
 @click.option("--resolution", type=step, metavar="STEP", help='Travel per count: a number, or text such as "0.01 mm".')
 @click.option(
     "--quantize",

@@ -26,7 +26,9 @@ if TYPE_CHECKING:
 @config_option("AXIS.toml whose section [monitor] names a record of normal work.")
 @click.option("--mtbf-hours", type=float, metavar="H", help="Mean time between false alarms [h].")
 @click.option("--detector", type=click.Choice(DETECTORS), help="Test that decides on a change.")
-@click.option("--tolerance", type=float, metavar="PART", help="Largest relative deviation that is no change.")
+@click.option(
+    "--tolerance", type=float, metavar="PART", help="Largest relative deviation that does not count as a change."
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
@@ -34,7 +36,10 @@ if TYPE_CHECKING:
     help="Write every estimate to this .csv or .parquet file, or with - to standard output, line by line.",
 )
 @click.option(
-    "--report", type=click.Path(path_type=Path, dir_okay=False), metavar="FILE.html", help="Write a page on the run."
+    "--report",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.html",
+    help="Write a report of the run to this file.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per event.")
 def monitor(
@@ -170,5 +175,5 @@ def _report_failure(error: OSError) -> bool:
     from contextlib import suppress
 
     with suppress(OSError):
-        click.echo(f"pmfid: events cannot be written: {error.strerror}; the watch goes on", err=True)
+        click.echo(f"pmfid: events cannot be written: {error.strerror}; monitoring continues", err=True)
     return True

@@ -65,16 +65,16 @@ def _gap(event: Notice) -> str:
 
 
 def _clock(event: Notice) -> str:
-    return f"{event['time']:.2f} s  the clock was set by {event['jump']:+.6g} s, or the logger started again"
+    return f"{event['time']:.2f} s  the clock jumped by {event['jump']:+.6g} s, or the logger restarted"
 
 
 def _outlier(event: Notice) -> str:
     what = "counts jumped" if event["signal"] == "counts" else "input jumped or was not a number"
-    return f"{event['time']:.2f} s  {what}: left out, the watch goes on"
+    return f"{event['time']:.2f} s  {what}: the sample is left out, and monitoring continues"
 
 
 def _write_error(event: Notice) -> str:
-    return f"{event['file']} cannot be written: {event['problem']}; the watch goes on"
+    return f"{event['file']} cannot be written: {event['problem']}; monitoring continues"
 
 
 def _written_again(event: Notice) -> str:
@@ -96,7 +96,7 @@ def list_skipped(event: Notice) -> list[str]:
     if event["missing"]:
         parts.append(f"{event['missing']} samples missing in {event['gaps']} gaps")
     if event["clock_jumps"]:
-        parts.append(f"clock set {event['clock_jumps']} times")
+        parts.append(f"clock jumped {event['clock_jumps']} times")
     if event["outliers"]:
         parts.append(f"{event['outliers']} jump{'s' * (event['outliers'] != 1)} left out")
     return parts

@@ -53,6 +53,10 @@ def _axes(count: int) -> str:
     return "1 axis" if count == 1 else f"{count} axes"
 
 
+def _describe_fresh(count: int) -> str:
+    return f"{_axes(count)} start{'s' * (count == 1)} without an earlier state"
+
+
 def _reload(what: Fields) -> str:
     changes = ", ".join(f"{_axes(what[key])} {key}" for key in ("added", "changed", "removed") if key in what)
     return "read again: " + "; ".join(part for part in (changes, what.get("problem", "")) if part)
@@ -68,8 +72,8 @@ def _alarm(what: Fields) -> str:
 
 
 def _describe_end(what: Fields) -> str:
-    who = {"axis": "", "axes": f"{what['name']}, "}.get(what["silent"], f"{what['silent']} {what['name']}, ")
-    return f"the alarm is over: {who}silent for {what['seconds']:g} s"
+    of = {"axis": "", "axes": f" of {what['name']}"}.get(what["silent"], f" of {what['silent']} {what['name']}")
+    return f"the alarm{of} is over after {what['seconds']:g} s without data"
 
 
 def _epoch(what: Fields) -> str:
@@ -107,8 +111,9 @@ def _checkpoint(what: Fields) -> str:
     if "works" in what:
         return "checkpoints are written again"
     if "made" not in what:
-        return f"no checkpoint: {_axes(what['fresh'])} without an earlier state"
-    text = f"from the last checkpoint: {_axes(what['restored'])} restored, {what['fresh']} without an earlier state"
+        return f"no checkpoint: {_describe_fresh(what['fresh'])}"
+    restored = f"{_axes(what['restored'])} restored from the last checkpoint"
+    text = f"{restored}; {_describe_fresh(what['fresh'])}"
     changed = what.get("changed", ())
     return text + (f", of these with a changed configuration: {', '.join(changed)}" if changed else "")
 

@@ -32,7 +32,13 @@ from pmfid.errors import UsageError, did_you_mean
 @click.option("--bits", type=click.IntRange(2, 32), help="Width of the counter in bits; the counter then wraps around.")
 @click.option("--missed", type=float, default=0.0, metavar="P", help="Fraction of the edges that the counter misses.")
 @click.option("--jitter", type=float, default=0.0, metavar="COUNTS", help="Standard deviation of the edges' positions.")
-@click.option("--line-error", type=float, default=0.0, metavar="COUNTS", help="Largest error of a line of the disc.")
+@click.option(
+    "--line-error",
+    type=float,
+    default=0.0,
+    metavar="COUNTS",
+    help="Largest position error of a line on the encoder's disc.",
+)
 @click.option("--truth", is_flag=True, help="Also write the true position, velocity and parameters.")
 def simulate(scenario: str | None, listing: bool, out: Path | None, truth: bool, **options: float) -> None:
     """Simulate SCENARIO, a run of the laboratory cart, and write it as a record for `pmfid identify`."""

@@ -24,8 +24,10 @@ if TYPE_CHECKING:
     metavar="OTHER",
     help="Second record of the machine, which a new term must help to predict; default: parts of RECORD.",
 )
-@click.option("--turn", type=float, metavar="PERIOD", help="Travel of a turn in the unit of y: look for gravity too.")
-@click.option("--pitch", type=float, multiple=True, metavar="PITCH", help="Look for cogging of this pitch [unit of y].")
+@click.option("--turn", type=float, metavar="PERIOD", help="Look for gravity, with this travel per turn [unit of y].")
+@click.option(
+    "--pitch", type=float, multiple=True, metavar="PITCH", help="Look for cogging with this pitch [unit of y]."
+)
 @click.option(
     "--friction-period",
     type=float,
@@ -61,7 +63,7 @@ def terms(
         _search_order(records, config, cutoff, out, as_json)
         return
     if len(records) > 1:
-        raise UsageError("pmfid terms needs exactly one record of a drive; give a second one with --held-out")
+        raise UsageError("pmfid terms takes one RECORD of a drive; give a second record with --held-out")
     record = records[0]
     with progress("terms") as tell:
         from pmfid.config.axis import load_axis
