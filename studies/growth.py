@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from textwrap import wrap
 from time import process_time
 from types import MappingProxyType
 
@@ -23,7 +24,7 @@ from pmfid.types import Counts, Floats
 from studies.paper.truth import table
 
 DT, CUTOFF, FORGETTING, RESOLUTION = 0.01, 50.0, 0.999, 22.75e-6
-#: Samples of the simulated record. Longer records repeat it, and the position continues.
+#: Samples of the simulated record. Longer records repeat it. Each repetition begins where the preceding one ends.
 PERIOD = 100_000
 SAMPLES, OFF_LINE, SIMULATED = (10_000, 100_000, 1_000_000, 10_000_000, 100_000_000), 1_000_000, 100_000
 #: Orders of the process, samples of its record, numbers of axes, and samples of each axis.
@@ -37,17 +38,31 @@ EXPECTED: Mapping[str, float] = MappingProxyType({"parameters": 2.0, "increments
 STEP = 0.2
 #: A measurement is repeated until it has taken this time [s], or has been repeated this often.
 LEAST, MOST = 0.5, 20
+#: Largest number of columns in the page's text.
+WIDTH = 120
 #: Reasons for steps by kind and method.
 REASONS: Mapping[tuple[str, str], str] = MappingProxyType(
     {
         (
             "parameters",
             "`rls` `run`",
-        ): "Encoder and filters take 28 to 45 ns, which hides the square of few parameters.",
-        ("axes", "fleet of `bcrls`"): "A call costs 14 us, and 10 axes take the time of 16, in lanes of 8.",
-        ("samples", "`ls` `fit`"): "The system takes half of the time of the last size, for 30 000 pages of memory.",
-        ("samples", "`iv` `fit`"): "The system takes half of the time of the last size, for 140 000 pages of memory.",
-        ("samples", "`interval` `fit`"): "The search simulates 45 motions of 10 000 samples, and 328 of 100 000.",
+        ): "Encoder and filters take 28 to 45 ns per sample, which masks the quadratic growth for few parameters.",
+        (
+            "axes",
+            "fleet of `bcrls`",
+        ): "A call costs 14 us. The processor updates 8 axes at once, so 10 axes take as long as 16.",
+        (
+            "samples",
+            "`ls` `fit`",
+        ): "At the larger size, the operating system takes half of the time to provide 30 000 pages of memory.",
+        (
+            "samples",
+            "`iv` `fit`",
+        ): "At the larger size, the operating system takes half of the time to provide 140 000 pages of memory.",
+        (
+            "samples",
+            "`interval` `fit`",
+        ): "The search simulates 45 motions for 10 000 samples, and 328 motions for 100 000 samples.",
     }
 )
 
@@ -187,17 +202,23 @@ def page(found: Sequence[Growth]) -> str:
         "size",
         "processor [s]",
         "ns per sample",
-        "exponent since the last size",
+        "exponent from the preceding size",
     )
     lines = [
         "# How the processor time grows",
         "",
-        "Written by `python -m studies.growth`: one thread, the best of several calls, the simulated cart (1.07 kg) at "
-        f"100 Hz, float64, cutoff {CUTOFF:g} rad/s. Records beyond {PERIOD} samples repeat, and their position "
-        f"continues. A transfer function on {PROCESS} samples has the parameters. A fleet takes {OF_AXIS} samples "
-        f"of each axis. Increments are counted over {1000 * TRAVEL:.0f} mm, with {COUNTED} samples. An exponent of 1 "
-        "means that twice the size takes twice the time. Bold exponents differ from what is expected "
-        f"({', '.join(f'{kind} {value:g}' for kind, value in EXPECTED.items())}) by more than {STEP:g}.",
+        *wrap(
+            "`python -m studies.growth` writes this page. Each time is the shortest of several calls on one thread. "
+            f"Most rows use the simulated cart (1.07 kg) at 100 Hz, with float64 and a cutoff of {CUTOFF:g} rad/s. "
+            f"Records of more than {PERIOD} samples repeat a shorter record. Each repetition begins at the position "
+            "where the preceding repetition ends. In the rows on parameters, `rls` fits a transfer function with this "
+            f"number of parameters to {PROCESS} samples. In the rows on axes, the fleet has {OF_AXIS} samples of each "
+            f"axis. In the rows on increments, the size is the number of increments within {1000 * TRAVEL:.0f} mm of "
+            f"travel, and each record has {COUNTED} samples. An exponent of 1 means that twice the size takes twice "
+            f"the time. Bold exponents differ by more than {STEP:g} from the expected exponents "
+            f"({', '.join(f'{kind} {value:g}' for kind, value in EXPECTED.items())}).",
+            WIDTH,
+        ),
         "",
         *table(header, [cells for one in found for cells in one.cells()]),
         "## Steps",
@@ -206,7 +227,7 @@ def page(found: Sequence[Growth]) -> str:
     for one in found:
         for k in one.steps:
             reason = REASONS.get((one.kind, one.method), "Not explained.")
-            lines.append(f"- {one.method}, {one.sizes[k]} to {one.sizes[k + 1]} {one.kind}. {reason}")
+            lines += [f"- {one.method}, {one.sizes[k]} to {one.sizes[k + 1]} {one.kind}.", f"  {reason}"]
     return "\n".join(lines) + "\n"
 
 

@@ -58,7 +58,7 @@ def test_limits_are_those_of_the_code() -> None:
     assert (defaults["receive_maximum"], defaults["keepalive"], defaults["session"]) == (20_000, 60, 86_400)
     assert defaults["largest"] == LARGEST == 2**20
     assert "| `largest` of the source | 1 MiB |" in PAGE
-    assert f"n, samples: 1 to {MOST_SAMPLES} |" in PAGE
+    assert f"n, number of samples: 1 to {MOST_SAMPLES} |" in PAGE
     assert f"at most {MOST_POINTS:_} samples".replace("_", " ") in PAGE.replace("\n", " ")
     rows = re.findall(r"^\| `(\w+)` of the source \| ([\d ]+) ", PAGE, re.MULTILINE)
     assert [(name, int(value.replace(" ", ""))) for name, value in rows[:1]] == [("receive_maximum", 20_000)]
