@@ -370,7 +370,7 @@ def test_a_missing_count_is_named():
         pmfid.UsageError, match="NaN or infinite in 1 places, first at index 2: replace a missing count"
     ):
         estimator.run(np.zeros(4), [0.0, 1.0, np.nan, 2.0])
-    with pytest.raises(pmfid.UsageError, match="the first at index 1, 0: repeat"):
+    with pytest.raises(pmfid.UsageError, match="first at index 1, 0: replace"):
         estimator.run_many(np.zeros((2, 2)), [[0.0, 1.0], [np.nan, np.inf]])
 
 
