@@ -113,7 +113,7 @@ def test_the_mistake_stands_before_a_negative_mass() -> None:
     with pytest.raises(NotIdentifiableError) as refused:
         identify(logged("damped", "reversed"), axis_of(method="ls"))
     assert str(refused.value).startswith(MISTAKES["reversed"])
-    assert "give a mass of -" in str(refused.value.__cause__)
+    assert "mass comes out as -" in str(refused.value.__cause__)
 
 
 def test_the_remedy_for_a_reversed_sign_helps_when_followed_literally() -> None:
