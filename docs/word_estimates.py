@@ -43,12 +43,19 @@ def _without_input() -> MachineRun:
     return run
 
 
+def _reversed_input() -> MachineRun:
+    run = _move(_push())
+    run.u[800:1000] *= -1
+    return run
+
+
 #: Of a word of a sample: the estimator, its encoder's resolution and other options, and the record with the word.
 SAMPLES: Mapping[str, tuple[Any, float, dict[str, Any], Callable[[], MachineRun]]] = MappingProxyType(
     {
         "starting": (pmfid.RIV, FINE, {}, lambda: _rest(0, 700)),
         "settling": (pmfid.RIV, FINE, {}, _without_input),
         "compensation_held": (pmfid.BCRLS, FINE, {}, _constant_push),
+        "fallback": (pmfid.RIV, FINE, {}, _reversed_input),
         "invalid_input": (pmfid.RIV, FINE, {}, _without_input),
         "standstill": (pmfid.RIV, FINE, {}, lambda: _rest(800, 1500)),
     }

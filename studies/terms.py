@@ -12,7 +12,7 @@ import numpy as np
 
 import pmfid
 from pmfid.estimators.results import Fit
-from pmfid.pipeline.terms import AMBIGUOUS, UNRESOLVED, TermSearch
+from pmfid.pipeline.terms import AMBIGUOUS, UNMODELLED, TermSearch
 from pmfid.simulation import Machine
 from studies.paper.truth import Study, Task, table
 from studies.sections import Page, by_name
@@ -144,7 +144,7 @@ def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         f"found, adds nothing, at most {MOST_SEARCHES} searches in all. Within the bars: of the right ones those of "
         f"which every parameter is within {BARS:g} error bars of the truth, or within {100 * SMALL:g} %; strictly: "
         "within the error bars alone. Worse: terms kept although the held-out error is larger with them. Said: of the "
-        f"wrong ones those with `{UNRESOLVED}` or `{AMBIGUOUS}` in their status.",
+        f"wrong ones those with `{UNMODELLED}` or `{AMBIGUOUS}` in their status.",
         "",
     ]
     header = ["machines", "terms", "runs", "refused", "right", "converged", "within the bars", "strictly", "worse"]
@@ -190,7 +190,7 @@ def _row(held_back: bool | None, number: int | None, results: Mapping[Task, Any]
     if not runs or (held_back is None and number is not None):
         return []
     right, bad = [one for one in found if one.right], [one for one in found if not one.right]
-    said = sum(bool({UNRESOLVED, AMBIGUOUS} & set(one.status)) for one in bad)
+    said = sum(bool({UNMODELLED, AMBIGUOUS} & set(one.status)) for one in bad)
     seconds = [one.seconds for one in found] or [math.nan]
     return [
         "all" if held_back is None else "held back" if held_back else "others",

@@ -313,7 +313,7 @@ def test_axis_that_does_not_move(tmp_path: Path, cart: Cart, method: str, u: pl.
 def test_input_of_zero_while_the_axis_moves(tmp_path: Path, cart: Cart, method: str) -> None:
     record = written(tmp_path, cart.frame.with_columns(u=0.0))
     text = complaint(run(record, "--json", "--method", method), code=3)
-    assert "the input is zero while the axis moves: record the input that drives the axis" in text
+    assert "the input is zero while the axis moves" in text
 
 
 @pytest.mark.parametrize("method", EVERY_METHOD)

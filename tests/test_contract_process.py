@@ -66,5 +66,5 @@ def test_the_largest_model_of_the_kernel(cls):
     """The model has eight parameters: fourth order with three zeros."""
     estimator = cls(TransferFunction(4, 3), pmfid.Encoder(1e-6), 0.01, 20.0)
     assert len(estimator.step(1.0, 0).theta) == 8
-    with pytest.raises(pmfid.UsageError, match="at most 8 parameters, this transfer_function has 9: a0"):
+    with pytest.raises(pmfid.UsageError, match="at most 8 parameters, but this transfer_function has 9: a0"):
         cls(TransferFunction(5, 3), pmfid.Encoder(1e-6), 0.01, 20.0)

@@ -117,7 +117,7 @@ def test_the_worst_line_is_named() -> None:
     motion = simulate_drive(CART, np.repeat(u, EVERY), DT)
     counts, ages = capture_edges(motion, step, every=EVERY, line_errors=errors)
     fit = EdgeFit(Drive(CART.input_gain), Encoder(step), 0.01, 20.0, lines=16).fit(u, counts, ages)
-    assert fit.notes == ("line 7 of 16 is off by +2.8 % of a step, the most of all",)
+    assert fit.notes == ("the position error is largest at encoder line 7 of 16: +2.8 % of a step",)
 
 
 def test_instants_that_all_come_late_move_nothing() -> None:

@@ -154,8 +154,8 @@ def test_every_key_of_a_plant_says_what_it_is() -> None:
     ("word", "wanted"),
     [
         ("service.window", "[service] window: the time for which"),
-        ("[sources.hall] qos", "[sources.mqtt] qos: 1, or 0"),
-        ("sources.hall.qos", "[sources.mqtt] qos: 1, or 0"),
+        ("[sources.hall] qos", "[sources.mqtt] qos: the quality of service: 1, or 0"),
+        ("sources.hall.qos", "[sources.mqtt] qos: the quality of service: 1, or 0"),
         ("axes.x1.config", "[axes] config: the AXIS.toml"),
         ("sinks.sqlite.path", "[sinks.sqlite] path"),
     ],

@@ -366,9 +366,11 @@ def test_tables_that_are_no_numbers_are_refused():
 
 def test_a_missing_count_is_named():
     estimator = make(pmfid.BCRLS)
-    with pytest.raises(pmfid.UsageError, match="NaN or infinite in 1 places, first at index 2: replace a missing count"):
+    with pytest.raises(
+        pmfid.UsageError, match="NaN or infinite in 1 places, first at index 2: replace a missing count"
+    ):
         estimator.run(np.zeros(4), [0.0, 1.0, np.nan, 2.0])
-    with pytest.raises(pmfid.UsageError, match="the first at index 1, 0: repeat"):
+    with pytest.raises(pmfid.UsageError, match="first at index 1, 0: replace"):
         estimator.run_many(np.zeros((2, 2)), [[0.0, 1.0], [np.nan, np.inf]])
 
 

@@ -85,7 +85,7 @@ def plain() -> TermSearch:
 def test_nothing_is_named_where_nothing_is_missing(plain: TermSearch) -> None:
     assert plain.added == {}
     assert len(plain.models) == 1
-    assert "unresolved" not in plain.status
+    assert "unmodelled" not in plain.status
     assert plain.lines == ("[model]", 'kind = "drive"', "input_gain = 0.5")
     assert "The search adds no term" in plain.sentence
 

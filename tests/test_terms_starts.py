@@ -107,7 +107,7 @@ def test_the_cutoff_that_a_short_record_asks_for_is_enough() -> None:
 
 def test_a_mass_of_nothing_is_not_known() -> None:
     equation = pmfid.Drive(GAIN).equation
-    with pytest.raises(pmfid.UsageError, match="mass is known as 0"):
+    with pytest.raises(pmfid.UsageError, match="mass is given as 0"):
         check_known(equation, {"mass": 0.0}, {}, equation.names, False)
     check_known(equation, {"mass": 1e-9, "coulomb_friction": 0.0}, {}, equation.names, False)
 

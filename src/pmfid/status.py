@@ -48,31 +48,35 @@ class Status(IntFlag):
 #: The texts of each bit: the state, the remedy, and a detail that only `pmfid explain` and the report show.
 _WORDS: dict[Status, tuple[str, str, str]] = {
     Status.STARTING: ("no estimate yet", "wait for motion that excites every parameter", ""),
-    Status.SETTLING: ("the filters still remember their start or a gap, so samples do not count yet", "", ""),
+    Status.SETTLING: (
+        "the filters still contain their start values or a gap, so these samples are not used yet",
+        "",
+        "",
+    ),
     Status.POOR_EXCITATION: (
         "the motion within the memory says too little about some parameter",
         "move the axis more, or use a longer memory",
         "",
     ),
     Status.COMPENSATION_HELD: (
-        "the pre-filtered input says too little to compensate the bias, so the last compensation stays",
+        "the pre-filtered input varies too little to compensate the bias, so the last compensation is kept",
         "try other prefilter_zeros",
         "",
     ),
     Status.INVALID_INPUT: (
         "an input was not finite, or far beyond all others, and was left out",
         "check what writes the input",
-        "The previous input counts instead, unless the counts respond to the new input or the new input stays. With "
-        "edge times, the word also marks counts that moved without a valid age of the edge. Such an edge counts "
-        "without its instant.",
+        "The previous input is used instead, unless the counts respond to the new input or the new "
+        "input stays. With edge times, the word also marks counts that changed without a valid age "
+        "of the edge. Such an edge is used without its instant.",
     ),
     Status.COUNT_JUMP: (
-        "the counts jumped as no motion does, or further than max_speed allows; the sample was left out",
+        "no motion explains a jump of the counts, or the jump exceeds max_speed; the sample was left out",
         "check the wiring and the counter's bits",
         "A counter that was set to another value jumps as well, and needs no remedy.",
     ),
-    Status.STANDSTILL: ("the counts did not change within standstill_time, so the axis counts as at rest", "", ""),
-    Status.RESET: ("a number left the range of its format, so the estimator started again", "", ""),
+    Status.STANDSTILL: ("the counts did not change within standstill_time, so the axis is treated as at rest", "", ""),
+    Status.RESET: ("a number exceeded the range of its format, so the estimator started again", "", ""),
     Status.FALLBACK: (
         "the simulated motion does not follow the plant, so the estimate comes from the simpler method",
         "",
@@ -85,9 +89,9 @@ _WORDS: dict[Status, tuple[str, str, str]] = {
         "bar covers this error.",
     ),
     Status.FEEDBACK: (
-        "the input follows what the equation leaves unexplained, as under position control",
+        "the input depends on the residual of the equation, as it does under position control",
         "record an open-loop motion, which is free of this bias",
-        "Biases beyond the error bars are possible, and grow with the step of the encoder.",
+        "A bias beyond the error bars is possible, and grows with the step of the encoder.",
     ),
     Status.DEAD_TIME: (
         "the plant moves later than the model",

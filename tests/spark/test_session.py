@@ -44,7 +44,7 @@ def test_what_is_set_up_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_session_that_runs_is_taken(spark: SparkSession) -> None:
     assert sessions.session_of() is spark
     assert sessions.session_of("local[2]") is spark
-    with pytest.raises(UsageError, match=r"runs already, on local\[2\]"):
+    with pytest.raises(UsageError, match=r"is already running on local\[2\]"):
         sessions.session_of("spark://host:7077")
 
 

@@ -22,39 +22,39 @@ FLAGS = {
         "effects that this motion cannot show, such as a dead zone under an input of one size, widen the intervals: "
         "record an input of several sizes"
     ),
-    "biased": "the method's own error exceeds its standard error on this record; the note gives the better number",
-    "std_too_small": "the standard error leaves out the method's own error; the note gives the size of this error",
+    "biased": "this method has an error beyond its standard error on this record; the note gives a better value",
+    "std_too_small": "the standard error does not contain the error of the method itself; the note gives its size",
     "not_followed": "the simulated motion does not follow the record: the model, a sign or a column is wrong",
     "prior_contradicted": (
         "prior information and record are at least three standard deviations apart: correct the prior, or the "
         "record's columns and units"
     ),
     "uncertain": "the error of a parameter may exceed half its value: excite the axis more, or use a simpler model",
-    "implausible": "a parameter is negative, which no machine allows: check sign and scale of input and encoder",
+    "implausible": "a parameter is negative, which is impossible in a machine: check sign and scale of input "
+    "and encoder",
     "coarse_motion": "the axis moves less than a count per sample, too little for this method: use iv",
     "unstable": ("a pole is in the right half-plane: set unstable = true if a controller holds the process"),
     "ambiguous_term": "two terms explain the record equally well: record a motion that distinguishes them",
-    "unresolved": "none of the terms in the search explains all that the record shows",
     "reversed": "the output has the opposite sign of the input: reverse one of them",
     "exchanged": "the columns of input and output are exchanged: exchange input and output in [record]",
     "gravity": "gravity turns the load of a rotary axis, and the model has none: set gravity = true in [model]",
     "velocity": 'the output is a velocity, read as a position: set output_kind = "velocity", or integrate it',
     "wrapped": "the counter restarts at the end of its range: give [encoder] bits or range",
-    "stuck": "the output stands still while the axis moves on: check the counter and its reading",
+    "stuck": "the output stays constant while the axis moves on: check the counter and its reading",
     "clipped": (
         "the output stays at a limit while the axis moves on: record a motion within the range of the counter or sensor"
     ),
     "saturated": "the input stays at its largest or smallest value: if the drive gave more, log a larger range",
-    "held_output": "the output is read more slowly than the record: keep only the rows with a new value",
+    "held_output": "the output changes more slowly than the rows are logged: keep only the rows with a new value",
     "held_input": "the input changes only every few rows: log it at the drive's rate, unless the drive holds it",
     "unsigned": "the input has no sign, but the axis reverses under load: log the force or current with its sign",
     "command": "the input is a command, and the drive may give other torque: log the measured torque or current",
     "refused": "pmfid identify gives no estimate for this record; the finding gives the reason",
     "little_motion": "the axis moves too little or too evenly: record reversals and varying speed",
     "rate_low": "the velocity changes too much from row to row: record at a shorter sample period",
-    "rate_high": "nearly all rows repeat the last count: keep every few rows, with the mean input up to the next one",
+    "rate_high": "nearly all rows repeat the last count: keep only every n-th row, with the mean input up to the next one",
     "uneven_clock": "the time steps differ, so the record was resampled for this method: log at a fixed rate",
-    "drift": "input and output follow two different clocks: log both with one clock",
+    "drift": "input and output have two different clocks: log both with one clock",
 }
 
 #: Flags of a model whose parameters may be wrong by more than their standard deviations.

@@ -194,7 +194,7 @@ def _sharp(configured: Estimator, best: Best, refused: list[str]) -> _Sharp | No
         return None
     spread, doubt = found.spread(), ""
     if fit.status & Status.FALLBACK or not found.follows or not found.adequate:
-        doubt = ", and the counts show effects that the model leaves out"
+        doubt = ", and the counts show effects outside the model"
     elif np.any(spread > fit.theta_std):
         doubt = "; the error bars of interval leave out unmodelled effects that this record does not show"
     return _Sharp(method, fit, found, doubt)
@@ -208,8 +208,8 @@ def _candidate(cls: type[BatchEstimator], configured: Estimator, u: ArrayLike, c
 
 
 _CANDIDATES: tuple[tuple[type[BatchEstimator], str], ...] = (
-    (IV, "this method depends least on the model"),
-    (OE, "the iteration of instrumental variables does not converge on this record"),
+    (IV, "it depends least on the model"),
+    (OE, "instrumental variables do not converge on this record"),
     (BCLS, "no simulated motion follows this record, and the input suffices to compensate the encoder's bias"),
     (LS, "only least squares gives a result on this record; the rounding of the encoder biases it"),
 )

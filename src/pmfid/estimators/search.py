@@ -520,8 +520,7 @@ class WindowChoice:
             else "windows of other lengths give no estimate"
         )
         return (
-            f"{chosen}, chosen on this record. Free runs over each third of the record, with the estimate "
-            "of the other thirds and also restarted within the third, are off by "
+            f"{chosen}, chosen on this record: free runs over each third with the estimate of the other two are off by "
             f"{self.errors[self.seconds]:.3g}, {others}"
         )
 

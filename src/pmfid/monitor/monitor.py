@@ -145,8 +145,7 @@ class Monitor(WatchedAxis, Presentable):
         watch = self.watch
         title = (
             f"monitor with detector {watch.detector}: {self.state} after {self.samples} samples, "
-            f"statistic {self.statistic:.3g}, threshold {self.threshold:.3g}; the reference, ± the "
-            "standard deviation of one block:"
+            f"statistic {self.statistic:.3g}, threshold {self.threshold:.3g}; reference ± std of one block:"
         )
         return self._parameters.summary(
             title,

@@ -183,8 +183,8 @@ def _weigh_step(step: FittedCandidate, first: Drive, trial: Trial, fit: Fit | No
     return WeighedTerm(_setting(step, unit), values, step.kept, step.error, step.without, step.verdict)
 
 
-#: Flags that `pmfid identify` does not have.
-AMBIGUOUS, UNRESOLVED = "ambiguous_term", "unresolved"
+#: Flag that `pmfid identify` does not have.
+AMBIGUOUS = "ambiguous_term"
 #: Flags of `pmfid identify` whose advice on [model] the search replaces.
 UNMODELLED, LATE = "unmodelled", "dead_time"
 UNEXPLAINED = "no term of the list explains the rest on data outside its fit"
@@ -467,7 +467,7 @@ def _assemble_search(
     models = compare_nested(bench, found.trials[0].model, list(pairs))
     judged, beyond = own_said or _judge_chosen_model(bench, models[-1], tolerance)
     unresolved = beyond and (not found.adequacy.adequate or bool(found.refused))
-    own = [AMBIGUOUS] * bool(found.either) + [UNRESOLVED] * unresolved
+    own = [AMBIGUOUS] * bool(found.either) + [UNMODELLED] * unresolved
     notes = tuple(dict.fromkeys((*record_notes, *_sentences(found), *texts(judged))))
     names = tuple(dict.fromkeys((*status, *own, *codes(judged))))
     hidden = tuple(_list_hidden(found, found.trials[0].model.equation.motion.force))
