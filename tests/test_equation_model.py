@@ -169,7 +169,7 @@ def test_from_toml_to_a_result(tmp_path, known):
         ('signal = "direction"', 'signal = "sign"', ("unknown, term 3: signal = 'sign'", "'direction'", "write terms")),
         ('name = "drag", ', "", ("unknown, term 2: name is missing", "write terms")),
         ("derivative = 1", "derivative = 5", ("must be 0 to 2, got 5",)),
-        ('kind = "equation"', 'kind = "drive"\ninput_gain = 2.0', ("belong to kind", "drop them")),
+        ('kind = "equation"', 'kind = "drive"\ninput_gain = 2.0', ("belong to kind", "drop the lists")),
         ('kind = "equation"', 'kind = "equation"\ninput_gain = 2.0', ("input_gain belongs to kind", 'list "unknown"')),
         ('unit = "N m" }', 'unit = "N m", gain = 2 }', ("unknown, term 3: gain = 2", "write terms")),
         ("coefficient = 2.0", "coefficient = 0.0", ("coefficient of a term must be finite and not 0",)),

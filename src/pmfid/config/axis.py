@@ -42,7 +42,9 @@ class EstimatorConfig(FileSection):
 
     method: Method = Field("auto", description="the estimation method")
     cutoff: Positive | None = Field(
-        None, description="the pole of the filter chain in rad/s, for example 50.0, or drop the key to use the record"
+        None,
+        description="the pole of the filter chain in rad/s, for example 50.0, or drop the key to choose the pole from "
+        "the record",
     )
     order: int = Field(2, ge=2, le=6, description="the number of filter stages, 2 to 6")
     forgetting: float = Field(
@@ -52,7 +54,7 @@ class EstimatorConfig(FileSection):
         description="a factor in (0, 1]; for a memory of T seconds use 1 - dt/T, 1 never forgets",
     )
     forgetting_scheme: ForgettingScheme = Field(
-        "exponential", description="how old samples lose weight if forgetting < 1"
+        "exponential", description="the scheme by which old samples lose weight if forgetting < 1"
     )
     window: Positive | Literal["auto"] | None = Field(
         None, description='the length in s of the windows of output-error, for example 2.0, or "auto"'
@@ -71,7 +73,7 @@ class EstimatorConfig(FileSection):
         TUNING.matter_tolerance,
         ge=0,
         lt=1,
-        description="the relative error of a parameter that does not matter, for example 0.01",
+        description="the largest negligible relative error of a parameter, for example 0.01",
     )
 
     @property
@@ -79,8 +81,8 @@ class EstimatorConfig(FileSection):
         """The cutoff [rad/s]. Raises UsageError if the cutoff is not known yet."""
         if self.cutoff is None:
             raise UsageError(
-                "[estimator] cutoff is missing; give the pole of the filter chain in rad/s, such as pmfid identify "
-                "chooses on a record of the axis"
+                "[estimator] cutoff is missing; give the pole of the filter chain in rad/s, for example the one that "
+                "pmfid identify chooses for a record of the axis"
             )
         return self.cutoff
 
@@ -100,7 +102,10 @@ class MonitorConfig(FileSection):
         24.0, ge=0.1, le=1e6, description="the mean time between false alarms in hours, for example 24.0"
     )
     tolerance: float = Field(
-        0.02, ge=0, lt=1, description="the largest relative deviation that is no change, for example 0.02 for 2 %"
+        0.02,
+        ge=0,
+        lt=1,
+        description="the largest relative deviation that does not count as a change, for example 0.02 for 2 %",
     )
 
 
@@ -148,7 +153,7 @@ class Axis(FileSection):
         self._check_units()
         if kind == "transfer_function" and self.estimator.cutoff is None:
             raise UsageError(
-                "[estimator] cutoff is missing; give the pole of the filters in rad/s, near those of the process"
+                "[estimator] cutoff is missing; give the pole of the filters in rad/s, near the poles of the process"
             )
         self._check_known()
         return self
@@ -234,8 +239,8 @@ def check_sampling(axis: Axis, dt: float) -> None:
     cutoff = axis.estimator.pole
     if cutoff * dt > 2:
         raise UsageError(
-            f"[estimator] cutoff = {cutoff:g} rad/s is too high for dt = {dt:g} s: the filter pole would be "
-            f"past the Nyquist limit and alternate in sign; {_unit_of_time(axis)}use at most 2/dt = {2 / dt:g} rad/s"
+            f"[estimator] cutoff = {cutoff:g} rad/s is too high for dt = {dt:g} s: beyond the Nyquist limit, the "
+            f"filter response alternates in sign; {_unit_of_time(axis)}use at most 2/dt = {2 / dt:g} rad/s"
         )
 
 

@@ -60,7 +60,7 @@ class ShapeConfig(FileSection):
 
     form: Form = Field(description=FORMS)
     speed: Positive | Literal["estimate"] | None = Field(
-        None, description='the speed of "stribeck" in unit of y per s, or "estimate"'
+        None, description='the speed of "stribeck" in the unit of y per s, or "estimate"'
     )
     period: Positive | None = Field(None, description='the period of "wave" in the unit of y')
     cosine: bool | None = Field(None, description='true if "wave" is a cosine, false if it is a sine')
@@ -113,7 +113,7 @@ class ModelConfig(FileSection):
     m: int | None = Field(None, description="the number of zeros, 0 to n, of a transfer function")
     delay: int = Field(0, description="the dead time in whole samples, 0 to 20, of a transfer function")
     dead_time: float | Literal["estimate"] = Field(
-        0.0, description='the time in s by which the input acts late, any part of a sample, or "estimate"'
+        0.0, description='the dead time of the input in s, which need not be a multiple of dt, or "estimate"'
     )
     lag: float | Literal["estimate"] = Field(
         0.0, description='the time constant in s of a first-order lag of the input, or "estimate"'
@@ -139,11 +139,13 @@ class ModelConfig(FileSection):
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
     spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")
     stribeck: Annotated[Positive | Literal["estimate"], _TRAVEL] | None = Field(
-        None, description='the speed up to which friction falls, in unit of y per s, or "estimate"'
+        None, description='the speed up to which friction falls, in the unit of y per s, or "estimate"'
     )
     quadratic: bool = Field(False, description="true if friction grows with the square of the speed as well")
     gravity: Annotated[bool | Positive, _TRAVEL] = Field(
-        False, description="true if gravity turns a rotary axis with y in rad, or the turn in the unit of y"
+        False,
+        description="true if gravity turns the load of a rotary axis with y in rad, or for another unit of y the "
+        "travel of one turn",
     )
     cogging: Travel | None = Field(None, description="the pitch of a cogging force in the unit of y")
     friction_period: Travel | None = Field(
@@ -163,7 +165,9 @@ class ModelConfig(FileSection):
         if self.kind == "drive" and self.input_gain is None:
             raise ValueError("input_gain is missing; give the force in N per unit of u, for example 2.0")
         if self.kind != "equation" and (self.unknown or "known" in self.model_fields_set):
-            raise ValueError('unknown and known belong to kind = "equation"; add kind = "equation", or drop them')
+            raise ValueError(
+                'the lists "unknown" and "known" belong to kind = "equation"; add kind = "equation", or drop the lists'
+            )
         own = set(keys_of(Drive)) - {"dead_time", "lag"} & self.model_fields_set
         if self.kind == "equation" and own:
             raise ValueError(

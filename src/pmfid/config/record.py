@@ -61,7 +61,7 @@ class RecordConfig(FileSection):
     )
     time: Name | None = Field(None, description="the name of the time column")
     time_unit: TimeUnit | None = Field(
-        None, description="the unit of the time column, or drop the key if the column's name or s is right"
+        None, description="the unit of the time column, or drop the key if the column's name has it or the unit is s"
     )
     reference: Name | None = Field(
         None, description="the name of the column with the controller's reference, for a transfer function"
@@ -69,7 +69,9 @@ class RecordConfig(FileSection):
     hold: Hold = Field("zoh", description='"zoh" if the input holds between samples, "foh" if it follows a line')
     gap: Positive | None = Field(None, description="the time step in s above which samples count as missing")
     exclude: tuple[Span, ...] = Field(
-        (), strict=False, description="parts to leave out, by the time column from and to in s: [[1.5, 2.0]]"
+        (),
+        strict=False,
+        description="the parts to leave out, each with the times of its start and end in s: [[1.5, 2.0]]",
     )
     mask: Name | None = Field(
         None, description="the name of a column; rows in which this column is not zero are left out"
@@ -117,7 +119,7 @@ class EncoderConfig(FileSection):
     )
     standstill_time: Positive = Field(0.2, description="the time in s without a new count that means standstill")
     max_speed: Travel | None = Field(
-        None, description='the highest possible speed in unit of y per s, or a text such as "3000 rpm"'
+        None, description='the highest possible speed in the unit of y per s, or a text such as "3000 rpm"'
     )
     guard: bool = Field(True, description="true to leave out samples that no motion explains, false to keep them")
     edge_age: Name | None = Field(

@@ -15,7 +15,7 @@ from pmfid.types import Floats
 #: The meaning and the remedy of each flag.
 FLAGS = {
     "model_spread": (
-        "Stribeck friction or a dead time could hide in this record, and would move a parameter beyond its standard "
+        "This record cannot exclude Stribeck friction or a dead time that moves a parameter by more than its standard "
         "error and the tolerance. For a transfer function, the record does not show the hold of the input."
     ),
     "unseen": (
@@ -41,7 +41,9 @@ FLAGS = {
     "velocity": 'the output is a velocity, read as a position: set output_kind = "velocity", or integrate it',
     "wrapped": "the counter restarts at the end of its range: give [encoder] bits or range",
     "stuck": "the output stands still while the axis moves on: check the counter and its reading",
-    "clipped": "the output ends while the axis moves on: record a motion within the range of the counter or sensor",
+    "clipped": (
+        "the output stays at a limit while the axis moves on: record a motion within the range of the counter or sensor"
+    ),
     "saturated": "the input stays at its largest or smallest value: if the drive gave more, log a larger range",
     "held_output": "the output is read more slowly than the record: keep only the rows with a new value",
     "held_input": "the input changes only every few rows: log it at the drive's rate, unless the drive holds it",
@@ -52,7 +54,7 @@ FLAGS = {
     "rate_low": "the velocity changes too much from row to row: record at a shorter sample period",
     "rate_high": "nearly all rows repeat the last count: keep every few rows, with the mean input up to the next one",
     "uneven_clock": "the time steps differ, so the record was resampled for this method: log at a fixed rate",
-    "drift": "input and output follow two different clocks: log both by one clock",
+    "drift": "input and output follow two different clocks: log both with one clock",
 }
 
 #: Flags of a model whose parameters may be wrong by more than their standard deviations.

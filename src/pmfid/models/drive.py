@@ -199,7 +199,7 @@ class Drive:
                 "the difference of the two Coulomb frictions"
             )
         if isinstance(self.stribeck, str) and self.stribeck != ESTIMATE:
-            raise UsageError(f'stribeck must be a speed in unit of y per s, or "{ESTIMATE}", got {self.stribeck!r}')
+            raise UsageError(f'stribeck must be a speed in the unit of y per s, or "{ESTIMATE}", got {self.stribeck!r}')
         _ = self.equation  # the equation checks its shapes
 
     @cached_property
