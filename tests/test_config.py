@@ -229,7 +229,7 @@ def test_a_byte_order_mark_is_harmless(tmp_path: Path) -> None:
 def test_check_sampling_names_the_largest_cutoff(tmp_path: Path) -> None:
     axis = load_axis(write(tmp_path))
     check_sampling(axis, 2 / 50.0)
-    with pytest.raises(UsageError, match=r"cutoff = 50 rad/s .* Nyquist limit .* at most 2/dt = 40 rad/s"):
+    with pytest.raises(UsageError, match=r"cutoff = 50 rad/s .* Nyquist limit, .* at most 2/dt = 40 rad/s"):
         check_sampling(axis, 0.05)
 
 

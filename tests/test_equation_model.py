@@ -77,7 +77,7 @@ def test_one_direction_in_the_equation_is_not_simulated():
         (lambda: Equation(OWN.unknown, ()), "at least one known"),
         (lambda: Equation(OWN.unknown, (Term("moving", coefficient=1.0),)), "must be the input"),
         (lambda: Equation((Term("direction", 0, "dry"),), (INPUT,)), "is a derivative of the output"),
-        (lambda: Equation((*OWN.unknown, Term("output", 1, "more")), (INPUT,)), "stands in two terms"),
+        (lambda: Equation((*OWN.unknown, Term("output", 1, "more")), (INPUT,)), "two terms have the same signal"),
         (lambda: Equation(OWN.unknown, (Term("input", name="gain"),)), "no name"),
     ],
 )
@@ -169,7 +169,7 @@ def test_from_toml_to_a_result(tmp_path, known):
         ('signal = "direction"', 'signal = "sign"', ("unknown, term 3: signal = 'sign'", "'direction'", "write terms")),
         ('name = "drag", ', "", ("unknown, term 2: name is missing", "write terms")),
         ("derivative = 1", "derivative = 5", ("must be 0 to 2, got 5",)),
-        ('kind = "equation"', 'kind = "drive"\ninput_gain = 2.0', ("belong to kind", "drop them")),
+        ('kind = "equation"', 'kind = "drive"\ninput_gain = 2.0', ("belong to kind", "drop the lists")),
         ('kind = "equation"', 'kind = "equation"\ninput_gain = 2.0', ("input_gain belongs to kind", 'list "unknown"')),
         ('unit = "N m" }', 'unit = "N m", gain = 2 }', ("unknown, term 3: gain = 2", "write terms")),
         ("coefficient = 2.0", "coefficient = 0.0", ("coefficient of a term must be finite and not 0",)),
