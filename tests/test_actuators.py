@@ -302,3 +302,28 @@ def test_a_known_loop_has_narrower_bars() -> None:
         fit_servo(Servo(STEP, {"kp": 8.0, "kd": 0.0, **more}), *log) for more in ({"loop_delay": 0.0}, {})
     )
     assert known.theta_std[1] < 0.7 * open_loop.theta_std[1]
+
+
+@pytest.mark.parametrize("cogging", [0.0, 0.02])
+def test_cogging_beside_a_known_gravity_is_doubted(cogging: float) -> None:
+    """Another gain explains most of such a torque, so that no residual shows it."""
+    t, goal, _ = make_log(time=6.0)
+    true = Servo(STEP, {"kp": 8.0, "gravity": 1.3, "gravity_angle": 0.0})
+    position = np.zeros(t.size)
+    for _ in range(6):  # the torque of the position as one of the time
+        position = true.simulate(np.array([0.01, 0.06, 0.05, 0.01]), t, goal, 0.0, force=cogging * np.sin(3 * position))
+    servo = Servo(STEP, {"gravity": 1.3, "gravity_angle": 0.0, "kd": 0.0})
+    fit = fit_servo(servo, t, goal, STEP * np.rint(position / STEP))
+    apart = abs(fit.theta[fit.names.index("kp")] - 8.0) / fit.theta_std[fit.names.index("kp")]
+    assert fit.status == (("unmodelled",) if cogging else ())
+    assert (apart > 3) == (cogging > 0)
+
+
+def test_a_friction_may_rise_with_the_speed() -> None:
+    servo = Servo(STEP, {"kp": 8.0, "stribeck": -0.01, "stribeck_speed": 1.0})
+    t = np.arange(0.0, 1.0, 0.01)
+    slow = servo.simulate(np.array([0.01, 0.06, 0.05, 0.01]), t, t, 0.0)
+    plain = replace(servo, given={"kp": 8.0}).simulate(np.array([0.01, 0.06, 0.05, 0.01]), t, t, 0.0)
+    assert slow[-1] > plain[-1]
+    with pytest.raises(UsageError, match="load_friction must be"):
+        Servo(STEP, {"load_friction": -0.1})

@@ -10,12 +10,13 @@ from functools import cached_property
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
-from pmfid.actuators.rivals import choose_likeliest
+from pmfid.actuators.rivals import choose_likeliest, measure_load_gain
 from pmfid.actuators.rounding import find_scatter, measure_correlation, measure_cost, measure_persistence, sharpen
 from pmfid.actuators.servo import PARTNERS, SIGNED, UNITS, Servo
 from pmfid.actuators.standard_errors import standard_errors
 from pmfid.actuators.starts import find_start
 from pmfid.actuators.tuning import TUNING
+from pmfid.actuators.waves import measure_wave
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.findings import Finding, codes, sort_findings, texts
 from pmfid.presentation import Parameters, Presentable, Summary, plain_dict, remarks_of
@@ -360,6 +361,8 @@ def _conclude(problem: ServoProblem, z: Floats, std: Floats, added: tuple[str, .
     limited = problem.run(z)[2]
     rms = float(np.sqrt(np.mean(residual**2)))
     findings = _find(servo, theta, std, rms, _measure_doubt(problem, z), limited, added)
+    if not any(finding.code == "unmodelled" for finding in findings):
+        findings += _find_hidden(problem, z, std)
     return ServoFit(servo, theta, std, residual + problem.position, rms, limited, added, tuple(sort_findings(findings)))
 
 
@@ -390,6 +393,20 @@ def _find(
     if limited > TUNING.limited and servo.has("torque_limit"):
         sentence = f"the torque is limited during {100 * limited:.0f} % of the log"
         findings.append(Finding("saturated", sentence, "command smaller or slower steps"))
+    return findings
+
+
+def _find_hidden(problem: ServoProblem, z: Floats, std: Floats) -> list[Finding]:
+    """Return findings on frictions and torques that rounding hides, but that move estimates."""
+    moved, findings = measure_wave(problem, z, std), []
+    if moved > TUNING.wave_moves:
+        sentence = f"a torque that turns with the position is likely, and moves an estimate by {moved:.0f} std"
+        findings.append(
+            Finding("unmodelled", sentence, "check the known torque and its angle, or give kp in its place")
+        )
+    elif measure_load_gain(problem, z) > TUNING.rival_gain:
+        sentence = "a friction in proportion to the load makes the log much likelier"
+        findings.append(Finding("unmodelled", sentence, "name the term load_friction"))
     return findings
 
 

@@ -132,7 +132,7 @@ class ServoProblem:
         theta = self.theta(z)
         moved, slopes = self.servo.differentiate(theta, self.t, self.goal, start, velocity, self.force)
         units = np.append(np.where(self.positive, theta, self.scale), [self.servo.resolution, self.speed])
-        return _bound(moved - self.position), np.nan_to_num(slopes * units, nan=0.0)
+        return _bound(moved - self.position), np.clip(np.nan_to_num(slopes, posinf=0.0, neginf=0.0) * units, -1e9, 1e9)
 
     def refine(self, z: Floats, *, rough: bool = False) -> tuple[Floats, float]:
         """Coordinates of a local minimum of the squared residual from `z` on, and this minimum [rad2].

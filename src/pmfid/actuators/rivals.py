@@ -32,6 +32,15 @@ def choose_likeliest(problem: ServoProblem, z: Floats) -> Floats:
     return min(found, key=lambda pair: pair[0])[1]
 
 
+def measure_load_gain(problem: ServoProblem, z: Floats) -> float:
+    """Return how much likelier a friction in proportion to the load makes the log, in independent samples."""
+    if problem.servo.has(LOAD_FRICTION) or problem.is_contradicted(z):
+        return 0.0
+    rho = measure_correlation(problem.residual(z))
+    gain = measure_cost(problem, z) - _fit_rival(problem, z, {LOAD_FRICTION: TUNING.rival_step})[2]
+    return gain * (1 - rho) / (1 + rho)
+
+
 def compute_rival_changes(problem: ServoProblem, z: Floats) -> list[Floats]:
     """Return the changes (p,) of the parameters to other servos, each smaller the less likely this servo is.
 

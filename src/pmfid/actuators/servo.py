@@ -41,6 +41,8 @@ BASE = ("inertia", "viscous", "coulomb", "kp", "delay")
 PARTNERS: Mapping[str, str] = MappingProxyType({"stribeck": "stribeck_speed", "gravity": "gravity_angle"})
 #: Parameters of either sign.
 SIGNED = ("gravity_angle", "offset")
+#: Parameters that may be given with either sign. A negative Stribeck friction rises with the speed.
+EITHER = (*SIGNED, "stribeck")
 #: Parameters that are torques at a motion, apart from those of the loop.
 TORQUES = ("inertia", "viscous", "coulomb", "gravity", "offset", "stribeck", "quadratic")
 #: One of these must be given, or all torques are known only as multiples of `kp`.
@@ -100,7 +102,7 @@ class Servo:
         for name, value in self.given.items():
             if (
                 not math.isfinite(value)
-                or (value < 0 and name not in SIGNED)
+                or (value < 0 and name not in EITHER)
                 or (value <= 0 and name in ("inertia", "kp"))
             ):
                 raise UsageError(f"{name} must be finite and positive, got {value}: give it in {UNITS[name][0]}")
