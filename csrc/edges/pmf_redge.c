@@ -11,7 +11,9 @@
 #define AGAINST 6U /* edges against the simulated motion, before it is given up */
 #define AWAY PMF_R(1.5) /* counts beyond the step of the count: the simulated motion is lost */
 #define AWAY_AFTER 3U /* samples without an edge */
-#define YOUNG 200U /* edges from given parameters that may contradict these */
+#define CHECKED 64U /* edges after given parameters, from which on others may contradict these, */
+#define YOUNG 200U /* and up to which they do */
+#define STILL_HEARD PMF_R(10.0) /* edges that the instants' noise counts for after an alarm, which may have raised it */
 #define DOUBT PMF_R(10.0) /* edges that show the instants' noise, at which variances are twice as large */
 #define DRIFTING PMF_R(8.0) /* edges over which such an innovation has grown */
 #define MOST_CHANGE 1000000 /* counts in a sample */
@@ -62,7 +64,8 @@ static uint32_t is_of_another_line(const pmf_redge_config_t *config, pmf_redge_s
  * drifts away from the simulated one. */
 static void take_alarm(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines)
 {
-    real_t size = smaller(state->size, MOST_SIZE), scatter = state->scatter, time = state->window_time + config->dt;
+    real_t size = smaller(state->size, MOST_SIZE), scatter = state->scatter, heard = state->heard;
+    real_t time = state->window_time + config->dt;
     real_t drift = state->drift + size * ((real_t)state->in_window + PMF_R(1.0)) / (time * DRIFTING);
     uint32_t again = state->unrest != 0U ? 1U : 0U;
     if (size > NOT_A_STEP * NOT_A_STEP && (again == 0U || size >= MOST_SIZE)) {
@@ -73,7 +76,8 @@ static void take_alarm(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     if (again == 0U) {
         open_prior(config, state, state->velocity);
     }
-    state->scatter = scatter;
+    state->scatter = scatter; /* the encoder is still the same */
+    state->heard = smaller(heard, STILL_HEARD);
     state->drift = again != 0U ? drift : PMF_R(0.0);
     state->covariance[PLACE][PLACE] += size;
     state->window = FIRST_WINDOW;
@@ -272,7 +276,7 @@ static uint32_t is_sound(const pmf_redge_config_t *config, const pmf_redge_state
 /* Return 1 if the first edges after given parameters contradict these. */
 static uint32_t is_refuted(const pmf_redge_state_t *state)
 {
-    uint32_t young = state->start.known != 0U && state->edges < YOUNG ? 1U : 0U;
+    uint32_t young = state->start.known != 0U && state->edges > CHECKED && state->edges < YOUNG ? 1U : 0U;
     return young != 0U && (is_late(state) != 0U || is_correlated(state) != 0U) ? 1U : 0U;
 }
 

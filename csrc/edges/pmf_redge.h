@@ -33,10 +33,10 @@ typedef struct {
     uint32_t parameters; /* 3, or 4 with an offset */
 } pmf_redge_config_t;
 
-/* Running sums of one line: information on its error, and what the parameters change. The caller owns `lines` of them.
- */
+/* Running sums of one line: its error, and what the unknowns change. The place changes by as much as its unknown, so
+ * by[0] is the weight of the sums. The caller owns `lines` of them. */
 typedef struct {
-    real_t weight, sum, by[PMF_FOLLOWED];
+    real_t sum, by[PMF_FOLLOWED];
 } pmf_line_t;
 
 /* An edge of the present way: time [s], line, double integral of the input and integral of the place since its start.

@@ -51,7 +51,7 @@ static void compare(const pmf_redge_config_t *config, const pmf_redge_state_t *s
         edge->regressor[i] = state->place_by[i];
     }
     if (line != 0) {
-        weight = line->weight + state->scatter / state->spread;
+        weight = line->by[PLACE] + state->scatter / state->spread;
         edge->from_line = state->scatter / weight;
         for (i = 0; i < PMF_FOLLOWED; ++i) {
             edge->regressor[i] -= line->by[i] / weight;
@@ -124,12 +124,11 @@ static void learn_line(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     uint32_t i;
     if (line != 0) {
         weight = state->scatter / edge->instant;
-        line->weight += weight;
         line->sum += distance * weight;
         for (i = 0; i < PMF_FOLLOWED; ++i) {
             line->by[i] += state->place_by[i] * weight;
         }
-        weight = line->weight + state->scatter / state->spread;
+        weight = line->by[PLACE] + state->scatter / state->spread;
         square = (line->sum - predict(line->by, state->change)) / weight;
         square *= square;
         known -= (state->scatter / weight + variance_along(state, line->by) / (weight * weight)) / state->spread;

@@ -19,7 +19,7 @@ uint32_t pmf_redge_plausible(const pmf_redge_config_t *config, const pmf_redge_s
     uint32_t i, fine = are_finite(&state->place, start) & are_finite(&start->mark[0].t, &start->marks);
     fine &= are_finite(state->theta, &state->count);
     for (i = 0; i < config->lines; ++i) {
-        fine &= are_finite(&lines[i].weight, &lines[i + 1U]);
+        fine &= are_finite(&lines[i].sum, &lines[i + 1U]);
     }
     for (i = 0; i < PMF_FOLLOWED; ++i) {
         fine &= state->covariance[i][i] >= PMF_R(0.0) ? 1U : 0U;

@@ -60,16 +60,16 @@ static real_t turn_trend(const pmf_redge_state_t *state)
 /* Note size and correlation of the innovations. */
 static void note_surprise(const pmf_redge_config_t *config, pmf_redge_state_t *state, const pmf_edge_t *edge)
 {
-    real_t velocity = state->place_by[LATENESS], limit, square, alike;
+    real_t velocity = state->place_by[LATENESS], limit, square, alike, smallest;
     real_t one = PMF_R(1.0) / ((real_t)state->calm + PMF_R(1.0)), ratio = edge->value * edge->value / edge->variance;
     real_t both = edge->value * state->last / (PMF_R(0.5) * (edge->variance + state->last_variance));
     real_t gain = larger(one, PMF_R(1.0) / RECENT);
     state->surprise += gain * (smaller(ratio, MOST_RATIO) - state->surprise);
     state->size += gain * (edge->value * edge->value - state->size);
-    both = smaller(larger(both, -MOST_RATIO), MOST_RATIO);
+    smallest = smaller(smaller(ratio, state->last * state->last / state->last_variance), MOST_RATIO);
     limit = velocity * velocity * JITTER * JITTER + UNEVENLY * UNEVENLY;
     state->rough += gain * (edge->noise / limit - state->rough);
-    state->trend += gain * (both - state->trend);
+    state->trend += gain * ((both > PMF_R(0.0) ? smallest : -smallest) - state->trend); /* not by a single one */
     both = smaller(larger(both, -MOST_SURPRISE), MOST_SURPRISE);
     square = edge->value * edge->value + state->last * state->last + PMF_R(2.0) * config->finest * config->finest;
     alike = PMF_R(2.0) * edge->value * state->last / square; /* from -1 to 1, whatever the size of the innovations */

@@ -71,7 +71,7 @@ static void forget_lines(const pmf_redge_config_t *config, pmf_line_t *lines)
 {
     uint32_t i, j;
     for (i = 0; i < config->lines; ++i) {
-        lines[i].weight = lines[i].sum = PMF_R(0.0);
+        lines[i].sum = PMF_R(0.0);
         for (j = 0; j < PMF_FOLLOWED; ++j) {
             lines[i].by[j] = PMF_R(0.0);
         }

@@ -10,7 +10,7 @@ cdef extern from "edges/pmf_redge.h":
         real_t dt, resolution, input_gain, tick, memory, finest
         uint32_t lines, sign, parameters
     ctypedef struct pmf_line_t:
-        real_t weight
+        real_t sum
     ctypedef struct pmf_redge_state_t:
         real_t covariance[PMF_FOLLOWED][PMF_FOLLOWED]
         real_t theta[PMF_BODY]

@@ -470,7 +470,7 @@ class EstimatorTuning:
     #: Largest ratio of the variance of errors summed over blocks to that of uncorrelated errors. Chance gives ratios
     #: below 3.
     edges_correlated: float = 4.0
-    #: On-line each line has 9 sums; this many lines are 5 MB.
+    #: On-line each line has 8 sums; this many lines are 4 MB.
     most_lines: int = 65536
 
 

@@ -56,7 +56,7 @@ def record_edges(estimator: REdge, types: Structures, u: ArrayLike, counts: Arra
     inputs, read = check_arrays(u, counts)
     if inputs.size == 0 or not np.all(np.isfinite(inputs)):
         raise UsageError("the samples of the self-test must be finite, and at least one; take another record")
-    real = types["pmf_line_t"]["weight"]
+    real = types["pmf_line_t"]["sum"]
     given, times = inputs.astype(real), np.nan_to_num(np.asarray(ages, real), nan=-1.0)
     own = REdge(**configuration_of(estimator))  # type: ignore[arg-type]
     expected = []
