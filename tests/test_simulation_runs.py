@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,14 +15,11 @@ from pmfid.pipeline.identify import identify
 from pmfid.records.record import read_record
 from pmfid.simulation import (
     CART,
-    CART_CONTROL,
-    CART_DT,
     SCENARIOS,
     Faults,
     Schedule,
     change_parameters,
     make_scenario,
-    position_control,
     prbs,
     random_moves,
     simulate_drive,
@@ -193,23 +189,3 @@ def test_bad_usage_is_one_error(
     assert message in result.output
     assert len(result.output.splitlines()) == 1
     assert not list(Path().iterdir())
-
-
-# --- speed ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_million_samples_per_second() -> None:
-    samples = 200_000
-    u = prbs(samples, clock=10, amplitude=3.0, rng=np.random.default_rng(0))
-    reference = stop_and_go(samples, CART_DT, 0.2, 0.8, 0.5)
-    lattice = {"resolution": 91e-6, "faults": Faults(missed=1e-3, jitter=0.1, line_error=0.1)}
-    for job in (
-        lambda: simulate_drive(CART, u, CART_DT),
-        lambda: position_control(CART, reference, CART_DT, **CART_CONTROL, **lattice),
-    ):
-        took = []
-        for _ in range(5):
-            begin = time.perf_counter()
-            job()
-            took.append(time.perf_counter() - begin)
-        assert samples / min(took) > 1e6

@@ -13,7 +13,7 @@
 #define AWAY_AFTER 3U /* samples without an edge */
 #define CHECKED 64U /* edges after given parameters, from which on others may contradict these, */
 #define YOUNG 200U /* and up to which they do */
-#define STILL_HEARD PMF_R(10.0) /* edges that the instants' noise counts for after an alarm, which may have raised it */
+#define STILL_HEARD PMF_R(10.0) /* edges that the instants' noise is taken from after an alarm, which may raise it */
 #define DOUBT PMF_R(10.0) /* edges that show the instants' noise, at which variances are twice as large */
 #define DRIFTING PMF_R(8.0) /* edges over which such an innovation has grown */
 #define MOST_CHANGE 1000000 /* counts in a sample */
