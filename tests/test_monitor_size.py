@@ -146,5 +146,5 @@ def test_after_a_weaker_motor_the_gain_leads_and_no_mass_has_grown() -> None:
 def test_a_line_names_the_other_causes() -> None:
     alarm = Alarm(3.0, 2.0, "mass", "kg", 0.2, 0.01, 0.2, 30.0, 20.0, ("input_gain",), tolerance=0.02)
     said = sentence(event_object(alarm, NAMES))
-    assert "since 2.00 s, or input gain; 10 times the tolerance. Check whether the load" in said
+    assert "since 2.00 s, or input gain; 10 times the tolerance of 2 %. Check whether the load" in said
     assert "others" not in event_object(replace(alarm, others=()), NAMES)

@@ -389,7 +389,7 @@ def test_an_alarm_says_what_to_do_and_its_parameter_stands_first(browser: Any) -
         assert "Check brakes, guides, seals and belt tension for rubbing." in page.inner_text(".card.alarm")
         assert re.search(r"Changed at \S.*\. Noticed at \S.*\.", page.inner_text(".card.alarm"))
         assert "is 1.7 times what an alarm needs" in page.inner_text(".card.alarm")
-        assert "The change is 3.9 times the tolerance." in page.inner_text(".card.alarm")
+        assert "The change is 3.9 times the tolerance of 2.0\u00a0%" in page.inner_text(".card.alarm")
         plant.alarm("spindle-b", "coulomb_friction", "N m", 0.1)
         page.wait_for_selector("text=/2 alarms in .* s, \\+18.6\\s% in all/")
         page.wait_for_selector("text=see the later alarm")

@@ -38,7 +38,8 @@ def _alarm(event: Notice) -> str:
     others = f", or {event['others'].replace('_', ' ')}" if "others" in event else ""
     text = f"{event['time']:.2f} s  ALARM  {name} {part} ({size}) since {event['changed_at']:.2f} s{others}"
     if event.get("tolerance"):
-        text += f"; {abs(event['relative']) / event['tolerance']:.2g} times the tolerance"
+        times = abs(event["relative"]) / event["tolerance"]
+        text += f"; {times:.2g} times the tolerance of {100 * event['tolerance']:g} %"
     return f"{text}. {event['advice']}" if "advice" in event else text
 
 

@@ -194,7 +194,7 @@ def _forces(difference: Difference, q: Floats, x: Floats, v: Floats) -> Iterator
             "spring", "a force that grows with the position", _cure(change), place, 0.0, changes=(change,)
         )
     yield CandidateForce(
-        "bent_input", "an input whose force is not in proportion", "", -gain * u * np.abs(u) / rms(u), 0.0
+        "bent_input", "a force that is not proportional to the input", "", -gain * u * np.abs(u) / rms(u), 0.0
     )
     largest = float(np.max(np.abs(u)))
     for part in TUNING.adequacy_kinks:

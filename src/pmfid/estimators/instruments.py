@@ -353,7 +353,7 @@ def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
     if not values[MASS] > 0:
         raise NotIdentifiableError(
             f"the iteration has no start values: the counts alone give a mass of {values[MASS]:.3g}; "
-            "check the signs of input and output, use a lower cutoff, record a livelier motion, or in "
+            "check the signs of input and output, use a lower cutoff, record a more varied motion, or in "
             "Python give `initial`"
         )
     return np.where(equation.positive, np.maximum(theta, 0.0), theta)

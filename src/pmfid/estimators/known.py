@@ -450,5 +450,5 @@ class Seen(Presentable):
 def with_gain(estimator: Estimator, gain: float) -> Estimator:
     """Return a copy of the estimator with another input gain. Raises UsageError for a model other than `Drive`."""
     if not isinstance(estimator.model, Drive):
-        raise UsageError("the gain of the input is found of a Drive")
+        raise UsageError("the gain of the input can be estimated only for a Drive")
     return like(type(estimator), estimator, model=replace(estimator.model, input_gain=gain))

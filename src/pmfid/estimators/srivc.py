@@ -298,7 +298,7 @@ def check_apart(point: ProcessPoint, names: tuple[str, ...]) -> None:
     if not parts[worst] > TUNING.srivc_apart:
         raise NotIdentifiableError(
             f"{names[worst]} has too little effect of its own on the output, because the excitation is "
-            "poor or the order of the model is too high; use fewer poles or zeros, or a livelier input"
+            "poor or the order of the model is too high; use fewer poles or zeros, or a more varied input"
         )
 
 

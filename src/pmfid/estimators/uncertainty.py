@@ -112,7 +112,7 @@ def _simulate_position(estimator: Estimator, theta: Floats, u: Floats, counts: N
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
         raise NotIdentifiableError(
             f"the motion simulated with the estimate ({values}) grows without bound: check the model and "
-            "the signs of input and output, or record a livelier motion"
+            "the signs of input and output, or record a more varied motion"
         )
     return place
 

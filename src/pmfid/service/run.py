@@ -313,7 +313,7 @@ class Service:
             from pmfid.service.web.server import serve
         except ImportError:
             raise UsageError(
-                "the page needs an extra: pip install 'pmfid[serve]'; to run without the page, use "
+                "the page needs an optional package: pip install 'pmfid[serve]'; to run without the page, use "
                 "--no-page, or [page] enabled = false"
             ) from None
 

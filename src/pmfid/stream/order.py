@@ -304,7 +304,7 @@ class Order:
         if verdict.again:
             verdict.stale = (
                 f"samples for {now * self.dt:.0f} s in a row were repetitions: number {block.first} of epoch "
-                f"{block.epoch} arrived, and {self.expected} is the next. {REMEDY}"
+                f"{block.epoch} arrived, but number {self.expected} is expected. {REMEDY}"
             )
 
     def _hold(self, block: Block, verdict: ItemReport) -> bool:

@@ -20,10 +20,10 @@ export function urgencyOf(alarm, alarms) {
   const alike = [...alarms].filter((one) => one.axis === alarm.axis && one.parameter === alarm.parameter && one.direction === alarm.direction);
   alike.sort((a, b) => a.number - b.number);
   const before = alike.filter((one) => one.number <= alarm.number);
-  const size = alarm.tolerance > 0 ? [`The change is ${number(Math.abs(alarm.relative) / alarm.tolerance, 2)} times the tolerance.`] : [];
-  if (alike.length > before.length) return [...size, "The change goes on: see the later alarm."].join(" ");
+  const size = alarm.tolerance > 0 ? [`The change is ${number(Math.abs(alarm.relative) / alarm.tolerance, 2)} times the tolerance of ${percent(alarm.tolerance).replace("+", "")}.`] : [];
+  if (alike.length > before.length) return [...size, "It goes on: see the later alarm."].join(" ");
   if (before.length > 1) return [...size, courseOf(before)].join(" ");
-  const since = alarm.settled ? "It is a single step: no such change followed." : "The monitor is measuring the new value. If the change goes on, another alarm follows.";
+  const since = alarm.settled ? "It is a single step so far." : "The new value is not known yet.";
   return [...size, since].join(" ");
 }
 
@@ -32,16 +32,17 @@ function courseOf(alike) {
   const seconds = alike.at(-1).wall - alike[0].wall;
   const total = alike.reduce((product, one) => product * (1 + one.relative), 1) - 1;
   const later = alike.slice(1).reduce((product, one) => product * (1 + one.relative), 1) - 1;
-  const rate = seconds > 0 ? `, about ${percent((3600 * later) / seconds)} an hour` : "";
-  return `The change goes on: ${alike.length} alarms in ${age(seconds)}, ${percent(total)} in all${rate}.`;
+  const [unit, length] = [["day", 86400], ["hour", 3600], ["minute", 60]].find(([, known]) => seconds >= known) ?? [];
+  const rate = unit ? `, about ${percent((length * later) / seconds)} a${unit === "hour" ? "n" : ""} ${unit}` : "";
+  return `It goes on: ${alike.length} alarms in ${age(seconds)}, ${percent(total)} in all${rate}.`;
 }
 
 export const sinceOf = (alarm) => `${alarm.silent ? "" : `Changed at ${moment(alarm.changed_at)}. `}Noticed at ${wall(alarm.wall)}.`;
 
 // How sure an alarm is.
 const sureOf = (alarm) =>
-  `How sure: the evidence is ${number(alarm.statistic / alarm.threshold, 2)} times what an alarm needs. Normal work alone raises one false alarm in mtbf_hours ` +
-  `(statistic ${number(alarm.statistic, 3)}, limit ${number(alarm.threshold, 3)}).`;
+  `How sure: the evidence is ${number(alarm.statistic / alarm.threshold, 2)} times what an alarm needs. ` +
+  "Normal work raises a false alarm once in mtbf_hours of [monitor].";
 
 function settledOf(alarm) {
   const found = alarm.settled?.parameters?.[alarm.parameter];
