@@ -202,7 +202,7 @@ def test_the_limit_to_relax_is_named_with_what_it_needs(limits: dict[str, float]
 
 def test_limits_that_must_be_relaxed_together_are_named() -> None:
     problem = replace(case(), scenarios=({"mass": 1.2}, {"mass": 1.8}))
-    with pytest.raises(InfeasibleError, match=r"relax together: position .*; end_tolerance"):
+    with pytest.raises(InfeasibleError, match=r"relax these limits together: position .*; end_tolerance"):
         solve(problem, starts=1)
 
 

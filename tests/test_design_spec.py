@@ -81,7 +81,7 @@ def test_a_wrong_value_is_one_line(overrides: dict[str, object], message: str) -
         ({"experiment__unknown": ["weight"]}, "'weight' is no parameter"),
         ({"experiment__unknown": ["mass", "mass"]}, "different"),
         ({"motion__end": 0.5}, "outside the position limit"),
-        ({"robust__mass": 0.2, "motion__directions": [1] * 30 + [0] * 10}, "leave the scenarios"),
+        ({"robust__mass": 0.2, "motion__directions": [1] * 30 + [0] * 10}, "leave out the scenarios"),
         ({"motion__start_velocity": -0.1}, "start velocity -0.1 is against the direction 1"),
         ({"motion__end_velocity": -0.1}, "end velocity -0.1 is against the direction 1"),
         ({"motion__end": -0.1, "limits__position": [-1.0, 1.0]}, "directions never lead"),

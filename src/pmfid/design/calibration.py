@@ -259,6 +259,6 @@ def _check(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> Non
     open_ = [name for name, s in zip(problem.names, size, strict=True) if not s > 1e-9 * size.max()]
     if open_ or np.linalg.cond(J / size) > 1e6:
         raise NotIdentifiableError(
-            f"the runs do not determine {', '.join(open_ or problem.names)}; make another run, or take a parameter out "
-            "of unknown"
+            f"the runs do not determine {', '.join(open_ or problem.names)}; make another run, or remove a parameter "
+            'from the list "unknown"'
         )

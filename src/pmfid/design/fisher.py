@@ -291,9 +291,9 @@ def check_identifiable(problem: Problem, maps: Affine) -> None:
     rank = _rank_of_a_run(maps)
     if rank < p:
         raise NotIdentifiableError(
-            f"one run of this motion has {maps.matrix.shape[0] // p} samples, which determine {rank} numbers, too few "
-            f"for {', '.join(problem.names)}; give more intervals or samples_per_interval, take {p - rank} parameters "
-            "out of unknown, or give prior information"
+            f"one run of this motion, with {maps.matrix.shape[0] // p} samples, determines only {rank} of {p} "
+            f"parameters ({', '.join(problem.names)}); give more intervals or samples_per_interval, remove {p - rank} "
+            'of these parameters from the list "unknown", or give prior information'
         )
 
 
@@ -308,7 +308,9 @@ def _rank_of_a_run(maps: Affine) -> int:
     return int(np.linalg.matrix_rank(both / np.where(size > 0, size, 1.0)[:, None], tol=1e-10))
 
 
-_REMEDY = "take one of them out of unknown, give prior information, or allow motion in both directions"
+_REMEDY = (
+    'remove one of these parameters from the list "unknown", give prior information, or allow motion in both directions'
+)
 
 #: Each criterion is a function of S, the information on p parameters of interest without the nuisance parameters.
 CRITERIA = {
@@ -377,7 +379,10 @@ def criterion_of(problem: Problem, name: str) -> Criterion:
         return Criterion(known[name], size)
     weights = dict(problem.combination)
     if not any(weights.values()) or set(weights) - set(problem.unknown):
-        raise UsageError(f"criterion c needs weights for {problem.unknown}, got {weights}; give them as combination")
+        raise UsageError(
+            f"criterion c needs a weight for at least one of {', '.join(problem.unknown)}, got {weights}; give the key "
+            "weights of SPEC.toml, or the argument combination"
+        )
     vector = np.array([weights.get(key, 0.0) for key in problem.unknown]) * problem.scale[:size]
     return Criterion("c", size, vector / np.linalg.norm(vector))
 

@@ -212,7 +212,9 @@ def nearest(inputs: InputSet, wish: Floats) -> Floats:
         return u
     least = nearest_of_any_energy(inputs, np.zeros(len(wish)))
     if np.linalg.norm(least) > inputs.radius:
-        raise InfeasibleError("the other limits need more energy than energy or rms allows; raise energy or rms")
+        raise InfeasibleError(
+            "every input within the other limits exceeds the limit energy or rms; raise the limit energy or rms"
+        )
     return retreat(inputs, least, u)
 
 

@@ -45,8 +45,8 @@ def check_drive(drive: Drive) -> None:
             raise UsageError(f"a design for {what} is not supported yet; leave {key} out")
     if drive.input_gain == ESTIMATE:
         raise UsageError(
-            "a design needs the gain of the input: give input_gain as a number, such as pmfid identify finds with a "
-            "known mass"
+            "a design needs the gain of the input: give input_gain as a number, for example the estimate of pmfid "
+            "identify with a known mass"
         )
     shaped = ", ".join(str(term.name) for term in drive.equation.shaped)
     if shaped:
@@ -89,8 +89,8 @@ def check_grid(problem: Problem) -> None:
         raise UsageError(f"directions must hold 1, -1 or 0 for each of the {problem.intervals} intervals, got {sense}")
     if problem.scenarios and 0 in sense:
         raise UsageError(
-            "no input brings the axis to rest at the same instant in every scenario; leave the scenarios (robust) out, "
-            "or the rests in directions"
+            "no input brings the axis to rest at the same instant in every scenario; leave out the scenarios (the "
+            "section robust), or give directions without an interval of rest (0)"
         )
     if any(a * b < 0 for a, b in pairwise(sense)):
         raise UsageError("directions must have an interval of rest, 0, between forward and backward")
@@ -116,7 +116,10 @@ def check_ends(problem: Problem) -> None:
     for name, position in (("start", problem.start[0]), ("end", problem.end[0])):
         bounds = problem.limits.position
         if bounds and position is not None and not bounds[0] <= position <= bounds[1]:
-            raise UsageError(f"{name} position {position} is outside the position limit {bounds}; widen one of them")
+            raise UsageError(
+                f"{name} position {position} is outside the position limit {bounds}; change the position, or widen the "
+                "limit"
+            )
 
 
 def check_noise(problem: Problem) -> None:

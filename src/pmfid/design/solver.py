@@ -107,8 +107,10 @@ def raise_infeasible(problem: Problem) -> NoReturn:
         ways = (Relaxation("horizon", problem.horizon, horizon, "s"), *ways)
     if not ways:
         ways = _together(problem)
-        several = "; ".join(map(str, ways)) or "no change helps: check start, end and directions"
-        raise InfeasibleError(f"no input meets all limits; relax together: {several}", ways)
+        if not ways:
+            raise InfeasibleError("no input meets all limits, however wide; check start, end and directions")
+        several = "; ".join(map(str, ways))
+        raise InfeasibleError(f"no input meets all limits; relax these limits together: {several}", ways)
     least = f"; the least time is {horizon:.4g} s" if horizon is not None else ""
     raise InfeasibleError(f"no input meets all limits{least}; relax one of: {'; '.join(map(str, ways))}", ways)
 
@@ -284,7 +286,7 @@ def solve(
     if not design.value > 0:
         raise NotIdentifiableError(
             f"no input within the limits determines {', '.join(problem.names)} in one run; give the motion more time "
-            "or intervals, take a parameter out of unknown, or give prior information"
+            'or intervals, remove a parameter from the list "unknown", or give prior information'
         )
     least = np.log(design.value) + np.log1p(-TUNING.solver_reached)
     reached = float(np.mean([np.log(ready.value(u)) >= least for _, u in results]))

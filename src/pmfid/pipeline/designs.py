@@ -54,7 +54,9 @@ class EncoderSpec(FileSection):
     noise_std: Positive | None = Field(
         None, description="the standard deviation of the position in m; without it, resolution / sqrt(12)"
     )
-    samples_per_interval: int = Field(1, ge=1, description="the position samples per interval of the input")
+    samples_per_interval: int = Field(
+        1, ge=1, description="the number of position samples in each interval of the input"
+    )
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
@@ -88,7 +90,7 @@ class MotionSpec(FileSection):
         None, description="the velocity in m/s at the end, 0.0 for rest, or leave the key out if the end is free"
     )
     end_tolerance: Pair = Field(
-        (0.0, 0.0), description="[position, velocity], the largest error of the end in m and m/s"
+        (0.0, 0.0), description="[position, velocity], the largest permitted deviation at the end in m and m/s"
     )
     directions: Annotated[tuple[int, ...], Field(strict=False)] = Field(
         (), description="1 forward, -1 backward or 0 at rest, for each interval"
@@ -107,10 +109,11 @@ class LimitsSpec(FileSection):
     )
     jerk: Positive | None = Field(None, description="the largest jerk in m/s^3")
     energy: Positive | None = Field(None, description="the largest integral of the squared input over time")
-    rms: Positive | None = Field(None, description="the largest root of the mean square of the input")
+    rms: Positive | None = Field(None, description="the largest permitted root-mean-square value of the input")
     min_speed: NotNegative = Field(
         0.0,
-        description="the least speed in m/s while the axis moves; with 0.0 the axis may park, where the model is wrong",
+        description="the lowest permitted speed in m/s while the axis moves; with 0.0 the axis may stop on the way, "
+        "and the model is wrong at standstill",
     )
 
     @model_validator(mode="after")
