@@ -185,9 +185,7 @@ def test_empty_and_truncated_files(tmp_path: Path, cart: Cart, kind: str) -> Non
 
 def test_record_missing_or_a_directory_or_of_unknown_type(tmp_path: Path, cart: Cart) -> None:
     assert "No such file or directory; give the path of a data file" in bad(tmp_path / "absent.csv")
-    assert "a folder that serves as a record has one log, but this one has none; give the path of a file" in bad(
-        tmp_path
-    )
+    assert "must contain one log, but this one contains none; give the path of a file" in bad(tmp_path)
     other = tmp_path / "run.docx"
     other.write_bytes(cart.csv.read_bytes())
     assert f"use one of {', '.join(SUFFIXES)}" in bad(other)

@@ -225,7 +225,7 @@ def test_an_export_without_one_has_no_trace_of_it(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("value", [-0.01, float("nan"), float("inf"), "guess", True, None])
 def test_what_is_no_time_is_refused(value: object) -> None:
-    with pytest.raises(UsageError, match="dead_time must be a time in s from 0 on"):
+    with pytest.raises(UsageError, match="dead_time must be a time in s, at least 0"):
         Drive(2.0, dead_time=value)  # type: ignore[arg-type]
 
 

@@ -77,7 +77,7 @@ def test_one_direction_in_the_equation_is_not_simulated():
         (lambda: Equation(OWN.unknown, ()), "at least one known"),
         (lambda: Equation(OWN.unknown, (Term("moving", coefficient=1.0),)), "must be the input"),
         (lambda: Equation((Term("direction", 0, "dry"),), (INPUT,)), "is a derivative of the output"),
-        (lambda: Equation((*OWN.unknown, Term("output", 1, "more")), (INPUT,)), "stands in two terms"),
+        (lambda: Equation((*OWN.unknown, Term("output", 1, "more")), (INPUT,)), "two terms have the same signal"),
         (lambda: Equation(OWN.unknown, (Term("input", name="gain"),)), "no name"),
     ],
 )

@@ -49,7 +49,7 @@ def test_the_content_tells_the_format_where_the_name_does_not(tmp_path: Path, su
     WRITERS[suffix](tmp_path / f"run{suffix}", RUN)
     path = (tmp_path / f"run{suffix}").rename(tmp_path / f"run{ending or suffix}")
     if (ending == ".bin" and suffix == ".csv") or (ending and suffix in (".npz", ".xlsx")):  # both are ZIP
-        with pytest.raises(UsageError, match=r"'\.bin' is not known|the file is packed"):
+        with pytest.raises(UsageError, match=r"'\.bin' is not known|the file is compressed"):
             read(path)
         return
     same(read(path))
@@ -97,7 +97,7 @@ def test_lists_of_a_robot_data_set_are_columns(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"'action\.2': there is no such column"):
         read(path, input="action.2", output="observation.state.1", time="timestamp")
     pl.DataFrame(data).write_parquet(folder / "data/chunk-000/file-001.parquet")
-    with pytest.raises(UsageError, match=r"has data/chunk-000/file-000\.parquet, .*; give the path of a file"):
+    with pytest.raises(UsageError, match=r"contains data/chunk-000/file-000\.parquet, .*; give the path of a file"):
         read(folder)
 
 

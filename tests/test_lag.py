@@ -194,7 +194,7 @@ def test_an_export_without_one_has_no_trace_of_it(tmp_path: Path) -> None:
 
 
 def test_refusals_have_a_remedy() -> None:
-    with pytest.raises(UsageError, match="lag must be a time in s from 0 on"):
+    with pytest.raises(UsageError, match="lag must be a time in s, at least 0"):
         Drive(2.0, lag=-0.1)
     for method in (pmfid.LS, pmfid.BCRLS):
         with pytest.raises(UsageError, match="use iv, output-error or interval, or give it in s"):
@@ -204,7 +204,7 @@ def test_refusals_have_a_remedy() -> None:
             made(RIV, "cart", **options)
     with pytest.raises(UsageError, match="check its unit"):
         made(IV, "cart", lag=0.3)
-    with pytest.raises(UsageError, match="take n one larger"):
+    with pytest.raises(UsageError, match="increase n by 1"):
         pmfid.TransferFunction(2, 0).replace_lag(0.1)
 
 

@@ -222,7 +222,7 @@ def test_order_of_the_second_plant():
         (np.zeros(5), np.full(5, np.inf), {"dt": 1.0}, "infinite"),
         (np.zeros(5), np.zeros(5), {"t": np.array([0, 1, 1, 2, 3.0])}, r"row 3 \(1\) follows 1: a duplicate"),
         (np.zeros(5), np.zeros(5), {"t": np.array([0, 1, 0.5, 2, 3])}, r"row 3 \(0.5\) follows 1: sort"),
-        (np.zeros(5), np.zeros(5), {"t": np.array([0, 1, np.nan, 3, 4])}, "in 1 row, the first is row 3"),
+        (np.zeros(5), np.zeros(5), {"t": np.array([0, 1, np.nan, 3, 4])}, "in 1 row, first in row 3"),
         (np.zeros(5), np.zeros(5), {"t": ["a"] * 5}, "t must be an array of numbers"),
         (np.zeros(5), np.zeros(5), {"dt": "a"}, "dt must be positive and finite, got 'a'"),
         (np.zeros(5), np.zeros(5), {"dt": 1.0, "gap": -1}, "gap must be a positive time"),

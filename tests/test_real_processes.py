@@ -203,8 +203,8 @@ def test_processes_with_integrators_and_dead_times_say_what_they_are():
     ("options", "text"),
     [
         ({"integrators": 3}, "integrators must be a whole number from 0 to 2"),
-        ({"dead_time": -0.1}, "dead_time must be a time in s from 0 on"),
-        ({"dead_time": "guess"}, "dead_time must be a time in s from 0 on"),
+        ({"dead_time": -0.1}, "dead_time must be a time in s, at least 0"),
+        ({"dead_time": "guess"}, "dead_time must be a time in s, at least 0"),
         ({"dead_time": 0.1, "delay": 2}, "are both given"),
     ],
 )

@@ -311,9 +311,7 @@ def test_missing_file_and_directory(tmp_path: Path) -> None:
     assert "cannot read the record: No such file or directory" in message(tmp_path / "absent.csv")
     folder = tmp_path / "folder.csv"
     folder.mkdir()
-    assert "a folder that serves as a record has one log, but this one has none; give the path of a file" in message(
-        folder
-    )
+    assert "must contain one log, but this one contains none; give the path of a file" in message(folder)
 
 
 def at(path: Path, offset: int, value: int) -> None:

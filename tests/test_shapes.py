@@ -191,7 +191,7 @@ def test_terms_of_the_users_own_have_shapes() -> None:
     equation = pmfid.Equation(terms, (pmfid.Term("input"),))
     assert equation.roles[-2:] == (2, 3)
     assert "exp(-(x'/0.5)^2) sign(x')" in equation.text
-    with pytest.raises(pmfid.UsageError, match="stands in two terms"):
+    with pytest.raises(pmfid.UsageError, match="two terms have the same signal"):
         pmfid.Equation((*terms, pmfid.Term("friction", 0, "again", shape=Stribeck(0.1))), (pmfid.Term("input"),))
     with pytest.raises(pmfid.UsageError, match="depends on the speed"):
         pmfid.Term("place", 0, "load", shape=Square())

@@ -156,7 +156,7 @@ def test_a_packed_csv_is_read_and_no_bomb_of_it(tmp_path: Path) -> None:
 def test_a_packed_file_is_no_csv(tmp_path: Path, pack: Callable[[bytes], bytes]) -> None:
     (tmp_path / "run.csv").write_bytes(pack(b"u,y\n") + 100 * pack(b"0,0\n" * 100_000))
     size, refusal = taken(tmp_path / "run.csv", "u")
-    assert "the file is packed; unpack it first" in refusal
+    assert "the file is compressed; unpack it" in refusal
     assert size < 50e6
 
 

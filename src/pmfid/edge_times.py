@@ -99,9 +99,8 @@ def sample_edges(
     wrong = ~np.isfinite(t) | (np.diff(t, prepend=-np.inf) < 0)
     if np.any(wrong):
         row = int(np.argmax(wrong))
-        raise UsageError(
-            f"the instant {t[row]:g} s of edge {row} is not finite and after the one before; sort the edges"
-        )
+        what = "is before the previous edge; sort the edges" if np.isfinite(t[row]) else "is not finite; drop this edge"
+        raise UsageError(f"the instant {t[row]:g} s of edge {row} {what}")
     now = start + dt * np.arange(samples)
     last = np.searchsorted(t, now, "right") - 1
     fresh = np.diff(last, prepend=-1) > 0

@@ -82,9 +82,7 @@ class Encoder:
     def _check(self) -> None:
         _positive("resolution", self.resolution, "unit of position per count, as on the data sheet")
         if not 1e-30 < self.resolution < 1e30:
-            raise UsageError(
-                f"resolution is {self.resolution:g} per count is impossible for an encoder; check the unit"
-            )
+            raise UsageError(f"resolution = {self.resolution:g} per count is impossible for an encoder; check the unit")
         _positive("standstill_time", self.standstill_time, "s")
         if self.max_speed is not None:
             _positive("max_speed", self.max_speed, "unit/s, or leave it out")

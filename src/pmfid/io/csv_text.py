@@ -261,7 +261,7 @@ def _describe_cut(text: bytes, layout: Layout) -> str:
 def decode_text(data: bytes) -> bytes:
     """Return the text as UTF-8 with line feeds. Raises UsageError for a file that is no text."""
     if data.startswith(_PACKED):  # polars would unpack a file of any size
-        raise UsageError("the file is packed; unpack it first, and watch the size")
+        raise UsageError("the file is compressed; unpack it, and give the unpacked file")
     coding = next((coding for mark, coding in _MARKS.items() if data.startswith(mark)), None) or _detect_encoding(data)
     if coding is not None:
         data = data.decode(coding).encode("utf-8")

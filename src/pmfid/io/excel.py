@@ -39,7 +39,7 @@ def _sheet(book: fastexcel.ExcelReader, name: str, most: int) -> NotedTable:
     # unchanged.
     head = book.load_sheet(name, header_row=None, skip_rows=0, n_rows=LOOKED_AT, dtypes="string")
     if head.width * head.total_height * CELL > most:
-        raise UsageError("the sheet has more cells than the file can hold; delete rows and columns that are empty")
+        raise UsageError("the sheet declares more cells than its file can hold; delete empty rows and columns")
     lines = head.to_polars().write_csv(separator="\t", include_header=False).splitlines()
     layout = layout_of(lines)
     body = book.load_sheet(name, header_row=None, skip_rows=layout.first).to_polars()

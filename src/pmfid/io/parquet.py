@@ -99,7 +99,7 @@ class _Compact:
             return [self._value(head & 15) for _ in range(length)]
         if kind == STRUCT:
             return self.structure()
-        raise ValueError(f"type {kind} is not in a footer")
+        raise ValueError(f"the footer has an element of the unknown type {kind}")
 
 
 class LazyColumns(Mapping[str, object], ABC):

@@ -151,7 +151,7 @@ def _plain(packed: bytes, how: str, size: int) -> bytes:
     else:
         plain = packed
     if len(plain) != size:
-        raise ValueError("a chunk does not have the size in its header")
+        raise ValueError("the size of a chunk differs from the size in its header")
     return plain
 
 
@@ -194,7 +194,8 @@ def file_of(folder: Path) -> Path:
         return found[0]
     listed = ", ".join(str(path.relative_to(folder)) for path in found[:5]) or "none"
     raise UsageError(
-        f"a folder that serves as a record has one log, but this one has {listed}; give the path of a file"
+        f"a folder that serves as a record must contain one log, but this one contains {listed}; give the path of a "
+        "file"
     )
 
 
@@ -207,7 +208,7 @@ def parse_rosbag(data: bytes) -> ClockedSignals:
         path.write_bytes(data)
         with Reader(path) as bag:
             if bag.compression_format:
-                raise UsageError("a packed bag cannot be read; unpack it, for example with ros2 bag convert")
+                raise UsageError("a compressed bag cannot be read; unpack it, for example with ros2 bag convert")
             return signals_of(_read_bag(bag))
 
 

@@ -212,8 +212,8 @@ def too_many(tables: Sequence[ShapeTable]) -> str:
     if len(tables) <= MOST_SHAPES and knots <= MOST_KNOTS:
         return ""
     return (
-        f"the model has {len(tables)} forces of a given form with {knots} knots, and the kernel holds only "
-        f"{MOST_SHAPES} and {MOST_KNOTS}; use fewer"
+        f"the model has {len(tables)} forces of a given form, with {knots} values in their tables, and the kernel "
+        f"holds at most {MOST_SHAPES} forces and {MOST_KNOTS} values; use fewer terms such as cogging or gravity"
     )
 
 

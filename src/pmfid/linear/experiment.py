@@ -354,7 +354,7 @@ def _check_rising(t: Floats) -> None:
     if missing.size:
         rows = f"{missing.size} row{'s' * (missing.size > 1)}"
         raise UsageError(
-            f"t is missing, NaN or infinite in {rows}, the first is row {missing[0] + 1}; leave that row out"
+            f"t is missing, NaN or infinite in {rows}, first in row {missing[0] + 1}; leave out all rows without a time"
         )
     back = np.flatnonzero(np.diff(t) <= 0)
     if back.size:

@@ -85,7 +85,7 @@ def search_structure(
     the record.
     """
     if not orders or not delays or min(orders) < 1 or min(delays) < 0:
-        raise UsageError("give orders from 1 on and delays from 0 on")
+        raise UsageError("orders must be at least 1 and delays at least 0; give one or more of each")
     trimmed = [_drop_start(experiment, max(delays)) for experiment in experiments]
     colour = _colour(trimmed, orders, delays, cutoff, offset)
     places = [(n, n - 1, delay) for delay in delays for n in sorted(set(orders), reverse=True)]
@@ -96,7 +96,10 @@ def search_structure(
             bounds[place[0], place[2]] = candidate.bic
         _report(done, 0.0, count, len(places))
     if not found:
-        raise NotIdentifiableError("no structure follows the record: excite the process more, or try another cutoff")
+        raise NotIdentifiableError(
+            "no transfer function of these orders and delays follows the record: excite the process more, or try "
+            "another cutoff"
+        )
     samples = found[0].samples
 
     def least(place: tuple[int, int, int]) -> float:

@@ -215,7 +215,9 @@ class Process(Presentable):
         t = _real("t", t)
         steps = np.diff(t) if t.ndim == 1 else t
         if t.ndim != 1 or t.size < 2 or t[0] != 0 or not (steps[0] > 0 and np.allclose(steps, steps[0])):
-            raise UsageError("t of a step response must be an array, evenly spaced, from 0 on: np.arange(100) * 0.1")
+            raise UsageError(
+                "t of a step response must be evenly spaced and start at 0: give for example np.arange(100) * 0.1"
+            )
         rate = max(float(np.max(np.abs(self.poles))), 1 / float(t[-1]))
         n, rows = self.a.size, np.arange(t.size)
         latest = self.delay * rate if self._late else None

@@ -251,7 +251,7 @@ def solve(problem: ProcessProblem) -> Solution:
         near = descend(problem.without_reference, first_guess(problem.without_reference, 1.0)).point
         best = refine(problem, _visit_possible(problem, near.theta, near.initial))
     if best is None or not best.settled:
-        raise NotIdentifiableError(f"the iteration does not settle: {_reason(problem)}")
+        raise NotIdentifiableError(f"the iteration does not converge: {_reason(problem)}")
     return best
 
 
@@ -306,7 +306,7 @@ def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
             return Solution(replace(moved, cost=float(moved.error @ moved.error)), True, passes)
         theta = possible(problem, theta)
         point = visit(problem, theta, point.initial)
-    raise NotIdentifiableError("the instruments do not settle: use srivc, or another structure or cutoff")
+    raise NotIdentifiableError("the instrumental variables do not converge: use srivc, or another structure or cutoff")
 
 
 def _get_feedthrough(problem: ProcessProblem, theta: Floats) -> float:
@@ -370,7 +370,9 @@ def solve_dead_time(
     bound = min(latest, float(np.max(starts)) + TUNING.solve_beyond * step)
     wide = replace(problem, stretches=keep_outputs_after(problem.stretches, bound, least))
     best: tuple[ProcessProblem, Solution] | None = None
-    failure = NotIdentifiableError("the model follows the record with no dead time; try another structure or cutoff")
+    failure = NotIdentifiableError(
+        "the model does not follow the record with any dead time; try another structure or cutoff"
+    )
     for start in starts:
         here = replace(wide, structure=replace(structure, dead_time=float(start), latest=bound))
         try:

@@ -101,13 +101,13 @@ class Term:
             if self.shape is not None:
                 raise UsageError(
                     f"a term of {self.signal} cannot have a shape; leave the shape out, or use the signal "
-                    "friction or place"
+                    '"friction" or "place"'
                 )
             return
         if not isinstance(self.shape, Shape):
             raise UsageError(f"a term of {self.signal} needs a shape such as Stribeck(0.02), got {self.shape!r}")
         if self.signal == "place" and self.shape.of_speed:
-            raise UsageError(f"{self.shape.reads} depends on the speed: use the signal friction in place of place")
+            raise UsageError(f'{self.shape.reads} depends on the speed: use the signal "friction" instead of "place"')
         if self.name is None or self.coefficient != 1.0:
             raise UsageError(f"the term of {self.signal} is unknown; give it a name, and leave its coefficient out")
 
@@ -207,7 +207,7 @@ class Equation:
         places = [term.place for term in (*self.unknown, *self.known)]
         if len(set(places)) < len(places):
             raise UsageError(
-                "a signal's derivative stands in two terms, which cannot be distinguished; drop one of them"
+                "two terms have the same signal and derivative, and cannot be distinguished; drop one of the two terms"
             )
 
     def _check_late(self) -> None:
@@ -216,7 +216,7 @@ class Equation:
         if self.dead_time and self.process:
             raise UsageError("the dead time of a linear process belongs to its TransferFunction; leave dead_time out")
         if self.lag and self.process:
-            raise UsageError("a lag of a linear process is one of its poles; leave lag out, and take n one larger")
+            raise UsageError("a lag of a linear process is one of its poles; leave lag out, and increase n by 1")
 
     def _late(self) -> tuple[Term, ...]:
         """Return the term of an unknown dead time, unless the equation already contains that term."""
@@ -446,7 +446,7 @@ def check_late(name: str, value: object) -> None:
     """Raise UsageError unless `value` is a time [s] or "estimate". `name` is the dead time or the lag."""
     number = isinstance(value, Real) and not isinstance(value, bool) and 0 <= float(value) < math.inf
     if not number and value != ESTIMATE:
-        raise UsageError(f'{name} must be a time in s from 0 on, or "estimate", got {value!r}')
+        raise UsageError(f'{name} must be a time in s, at least 0, or "estimate", got {value!r}')
 
 
 #: Terms that replace the terms with a direction.

@@ -200,7 +200,10 @@ class Along(Shape):
         object.__setattr__(self, "values", tuple(float(value) for value in self.values))
         _length("the step of a table", self.step, "unit of y")
         if not 2 <= len(self.values) <= MOST_KNOTS or not np.all(np.isfinite([self.start, *self.values])):
-            raise UsageError(f"a table has 2 to {MOST_KNOTS} finite values, got {len(self.values)} from {self.start}")
+            raise UsageError(
+                f"a table needs a finite start and 2 to {MOST_KNOTS} finite values, got start = {self.start} and "
+                f"{len(self.values)} values"
+            )
         if not any(self.values):
             raise UsageError("a table of zeros has no form: give the force at each position, in any unit")
 

@@ -93,10 +93,8 @@ class TransferFunction:
         value = self.dead_time
         check_late(DEAD_TIME, value)
         if value and self.delay:
-            raise UsageError(
-                f"delay = {self.delay} and dead_time = {value!r} are both given: add the two in one key, and drop the "
-                "other"
-            )
+            whole = "" if value == ESTIMATE else ", and give the whole dead time in s as dead_time"
+            raise UsageError(f"delay = {self.delay} and dead_time = {value!r} are both given: leave delay out{whole}")
 
     @property
     def only_simulated(self) -> str:
@@ -135,7 +133,7 @@ class TransferFunction:
     def replace_lag(self, seconds: float | Literal["estimate"]) -> TransferFunction:
         if not seconds:
             return self
-        raise UsageError("a lag of a linear process is one of its poles: take n one larger")
+        raise UsageError("a lag of a linear process is one of its poles: leave lag out, and increase n by 1")
 
     at_lag = rename_method("at_lag", "replace_lag")
 
