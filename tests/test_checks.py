@@ -230,7 +230,7 @@ def cut(log: Logged, text: str) -> Mended:
 
 
 def stretched(log: Logged, text: str) -> Mended:
-    factor, rows = float(value_of(r"by (\S+) and use the latest", text)), np.arange(log.columns["u"].size)
+    factor, rows = float(value_of(r"by (\S+) and use its latest", text)), np.arange(log.columns["u"].size)
     latest = np.searchsorted(rows * factor, rows, side="right") - 1
     return Mended({**log.columns, "u": log.columns["u"][latest]}, {})
 

@@ -104,17 +104,23 @@ def choice(counts: list[float], edges: list[float], turn: float | None = None) -
 @pytest.mark.parametrize(
     ("counts", "edges", "answer"),
     [
-        ([0.1, 0.02, 0.005], [0.005, 0.001, 1e-4], "counts need steps of 0.001 m, edge times steps of 0.1 m"),
-        ([0.005, 0.02, 0.03], [np.nan, 0.001, 1e-4], "counts need finer steps than these, edge times steps of 0.01 m"),
+        ([0.1, 0.02, 0.005], [0.005, 0.001, 1e-4], "counts need steps of 0.001 m, and edge times need steps of 0.1 m"),
+        (
+            [0.005, 0.02, 0.03],
+            [np.nan, 0.001, 1e-4],
+            "counts need finer steps than these, and edge times need steps of 0.01 m",
+        ),
     ],
 )
 def test_an_encoder_suffices_if_all_finer_ones_do(counts: list[float], edges: list[float], answer: str) -> None:
-    assert choice(counts, edges).answer == f"mass to 1 %: {answer}"
+    assert choice(counts, edges).answer == f"to determine mass to 1 %, {answer}"
 
 
 def test_increments_name_the_encoders_of_a_rotary_axis() -> None:
     found = choice([0.1, np.nan, 0.005], [0.005, 0.001, 1e-4], turn=6.4)
-    assert found.answer == "mass to 1 %: counts need 6400 increments a turn, edge times 64 increments a turn"
+    assert found.answer == (
+        "to determine mass to 1 %, counts need 6400 increments a turn, and edge times need 64 increments a turn"
+    )
     assert found.summary().rows[1] == ("640", "unknown", "0.1")
     assert found.plot().axes[0].get_xlabel() == "increments per turn"
 

@@ -84,7 +84,7 @@ def test_a_stamp_beyond_all_clocks_is_a_bad_line(tmp_path: Path) -> None:
     parse = parser(tmp_path, b"t,u,counts\n")
     line = parse(b"1e308,1.0,3\n")
     assert line is not None
-    assert line.problem == "a time that is not finite, or beyond all clocks"
+    assert line.problem == "a time that is not finite, or larger than any clock shows"
 
 
 def test_two_columns_of_one_name_are_refused_in_a_pipe(tmp_path: Path) -> None:

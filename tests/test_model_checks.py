@@ -29,7 +29,7 @@ from pmfid.simulation.signals import prbs
 from tests.conftest import EMPS, TRUTH, cart_run, long_unless, needs_emps, unjudged
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
-WARNING = "Look here"
+WARNING = "Warning:"
 HEADINGS = (
     "Simulated from the input alone",
     "Residual over velocity and position",
@@ -142,13 +142,13 @@ def test_the_same_simulation_with_the_right_friction_is_left_in_peace() -> None:
 
 def test_stribeck_friction_is_seen_at_low_speed() -> None:
     said = sentences(other_drive(stribeck))
-    assert "Look here: the residual changes with velocity" in said["Residual over velocity and position"]
+    assert "Warning: the residual changes with velocity" in said["Residual over velocity and position"]
     assert "changes with position" not in said["Residual over velocity and position"]
 
 
 def test_quadratic_friction_is_seen_with_its_place() -> None:
     said = sentences(other_drive(quadratic))
-    assert "Look here: the residual changes with velocity" in said["Residual over velocity and position"]
+    assert "Warning: the residual changes with velocity" in said["Residual over velocity and position"]
     more = re.search(r"the friction is ([\d.]+) N (\w+) at (-?[\d.]+) m/s", said["Friction over velocity"])
     assert more is not None, said
     assert float(more[1]) > 0.1
@@ -156,20 +156,20 @@ def test_quadratic_friction_is_seen_with_its_place() -> None:
 
 def test_a_spring_is_seen_over_the_position() -> None:
     said = sentences(other_drive(linear, spring=3.0))
-    assert "Look here: the residual changes with position" in said["Residual over velocity and position"]
-    assert "Look here" in said["Correlation of the residual"]
+    assert "Warning: the residual changes with position" in said["Residual over velocity and position"]
+    assert "Warning" in said["Correlation of the residual"]
 
 
 def test_a_constant_load_is_seen() -> None:
     said = sentences(other_drive(linear, load=0.3))
-    assert "set offset = true" in said["Residual over velocity and position"]
+    assert "Set offset = true" in said["Residual over velocity and position"]
 
 
 def test_wrong_parameters_do_not_follow() -> None:
     wrong = replace(clean(), theta=TRUTH * [1.0, 1.3, 1.0])
     said = sentences(wrong)
-    assert "Look here: the model does not follow" in said["Simulated from the input alone"]
-    assert "Look here" in said["Friction over velocity"]
+    assert "Warning: the model does not follow" in said["Simulated from the input alone"]
+    assert "Warning" in said["Friction over velocity"]
 
 
 def test_the_residual_is_that_of_the_estimator_and_the_velocities_lie_on_each_other() -> None:
@@ -265,7 +265,7 @@ def test_with_forgetting_only_the_last_memories_are_judged() -> None:
     balance = balance_of(result)
     assert balance is not None
     assert balance.t[-1] - balance.t[0] == pytest.approx(6.0, abs=0.02)
-    assert "3 memories" in checks.model_checks(result)[0].text
+    assert "3 times the memory" in checks.model_checks(result)[0].text
 
 
 def test_report_has_the_motion_first_and_the_other_checks_last(tmp_path: Path) -> None:
@@ -287,7 +287,7 @@ def test_emps_report_has_the_checks(tmp_path: Path) -> None:
     said = sentences(result)
     assert tuple(said) == HEADINGS
     assert "The model follows the measured motion" in said["Simulated from the input alone"]
-    assert "Look here: the residual changes with velocity" in said["Residual over velocity and position"]
+    assert "Warning: the residual changes with velocity" in said["Residual over velocity and position"]
     write_result(tmp_path, result)
     page = (tmp_path / "report.html").read_text("utf-8")
     assert all(f"Model check: {heading}" in page for heading in HEADINGS)

@@ -142,10 +142,13 @@ REFUSED: dict[str, tuple[Callable[[list[Row]], Text], str]] = {
     ),
     "decimal commas": (lambda rows: [line.replace(b".", b",") for line in lines(rows[1:])], "cells in place of 3"),
     "semicolons": (lambda rows: [line.replace(b",", b";") for line in lines(rows)], "1 cells in place of 3"),
-    "a clock that stands": (lambda rows: lines(restamped(rows, 300, lambda t: 3.0)), "fits nowhere|cannot be used"),
+    "a clock that stands": (
+        lambda rows: lines(restamped(rows, 300, lambda t: 3.0)),
+        "does not continue the record|cannot be used",
+    ),
     "random stamps": (
         lambda rows: lines(restamped(rows, 0, lambda t: float(np.random.default_rng(int(1e6 * t)).random()))),
-        "lines cannot be used|the lines come every|fits nowhere",
+        "lines cannot be used|the lines come every|does not continue the record",
     ),
 }
 
@@ -238,7 +241,7 @@ def test_strays_without_end_are_refused() -> None:
     timeline = Timeline(DT)
     for _ in range(TUNING.most_strays):
         timeline.take(Line(0.0, 0.0, 0))
-    with pytest.raises(UsageError, match="fits nowhere, the last 0 s: correct the time column"):
+    with pytest.raises(UsageError, match="does not continue the record, the last 0 s: correct the time column"):
         timeline.take(Line(0.0, 0.0, 0))
 
 

@@ -94,7 +94,7 @@ def test_what_explains_every_count_needs_no_score_of_the_model_before() -> None:
     step = FittedCandidate(candidate, whole, 440.0, 24.0, np.inf, "")
     assert find_objection(step, [step]) == ""
     partly = replace(step, trial=replace(whole, best=replace(whole.best, noise=0.3)))
-    assert "not in other parts" in find_objection(partly, [partly])
+    assert "not confirmed by other parts" in find_objection(partly, [partly])
 
 
 def test_the_cutoff_that_a_short_record_asks_for_is_enough() -> None:

@@ -332,7 +332,7 @@ def simulation_sentence(balance: Balance) -> str:
     error = rms(balance.measured - balance.simulated)
     text = f"Fit of the simulated velocity: {balance.fit:.1f} %. "
     if balance.fit < TUNING.good_fit and error > TUNING.above_encoder * balance.encoder_noise:
-        text += "Look here: the model does not follow the measured motion, beyond what the encoder explains. "
+        text += "Warning: the model does not follow the measured motion, and the encoder does not explain this. "
     elif balance.fit < TUNING.good_fit:
         text += "The encoder's own error explains the rest. "
     else:
@@ -365,7 +365,7 @@ def _dependence(balance: Balance, found: Binned, name: str, cause: str) -> str:
         return f"The residual depends on {name} no more than by chance (the means differ by {size})."
     if found.change < TUNING.relevant_force * balance.friction_size:
         return f"The residual hardly changes with {name} (by {size})."
-    return f"Look here: the residual changes with {name} by {size}: {cause}."
+    return f"Warning: the residual changes with {name} by {size}. Possible cause: {cause}."
 
 
 def _constant(balance: Balance) -> list[str]:
@@ -375,9 +375,9 @@ def _constant(balance: Balance) -> list[str]:
         return []
     roles = balance.estimator.equation.roles
     known = roles[OFFSET] is not None or roles[COULOMB_FORWARD] != roles[COULOMB_BACKWARD]
-    remedy = "the constant load has changed" if known else "set offset = true to identify a constant load"
+    remedy = "The constant load has changed" if known else "Set offset = true in [model] to identify this load"
     force = balance.estimator.equation.motion.force
-    return [f"Look here: the residual contains a constant load of {mean:.2g} {force}: {remedy}."]
+    return [f"Warning: the residual contains a constant load of {mean:.2g} {force}. {remedy}."]
 
 
 def friction_sentence(balance: Balance) -> str:
@@ -396,7 +396,7 @@ def friction_sentence(balance: Balance) -> str:
     places = " and ".join(
         _describe_deviation(left, k, balance.estimator.equation.motion) for k in dict.fromkeys((worst, slowest))
     )
-    return text + f"Look here: compared with the model's line, the friction is {places}."
+    return text + f"Warning: compared with the model's line, the friction is {places}."
 
 
 def _describe_deviation(left: Binned, k: int, own: Units) -> str:
@@ -419,7 +419,7 @@ def correlation_sentence(balance: Balance) -> str:
         lasting > max(TUNING.balance_correlated, TUNING.significant * found.own_error)
         and lasting * part > TUNING.relevant_part
     ):
-        text += f"Look here: the residual keeps {size}, so the model leaves out slow forces. "
+        text += f"Warning: the residual keeps {size}, so the model leaves out slow forces. "
     else:
         text += f"At longer delays the residual is uncorrelated ({size}). "
     k = int(np.argmax(np.abs(found.cross)))
@@ -428,4 +428,5 @@ def correlation_sentence(balance: Balance) -> str:
         return text + f"The residual does not follow the input (correlation at most {peak:.2g})."
     order = f"{lag:.2g} s later" if lag > 0 else f"{-lag:.2g} s earlier" if lag < 0 else "at the same time"
     cause = "the input follows the residual, as under control" if lag < 0 else "the model misses a part of the dynamics"
-    return text + f"Look here: the residual correlates with the input ({peak:.2g}), and comes {order}: {cause}."
+    text += f"Warning: the residual correlates with the input ({peak:.2g}), and comes {order}. "
+    return text + f"Possible cause: {cause}."

@@ -494,15 +494,15 @@ def _find_hidden_effects(
     if isinstance(estimator, Simulating) and apart[worst] > ESTIMATOR_TUNING.adequacy_contradicted:
         yield Finding(
             "biased",
-            f"{estimator.names[worst]} = {theta[worst]:.4g} is biased by the method: the motion that explains the "
-            f"counts has {best[worst]:.4g}",
+            f"{estimator.names[worst]} = {theta[worst]:.4g} is biased by the method: the simulated motion that fits "
+            f"the counts needs {best[worst]:.4g}",
             'set method = "interval" or "output-error"',
-            detail="Under control through a coarse encoder, the encoder's error comes back through the input.",
+            detail="A controller with a coarse encoder feeds the encoder's error back into the input.",
         )
     if np.any(spread > std):
         yield Finding(
             "model_spread",
-            "friction or a dead time could hide in this record, with an effect beyond a standard error",
+            "this record cannot exclude friction or a dead time with an effect of more than a standard error",
             "use a finer encoder or a richer motion",
         )
     if np.any(found.unseen[: std.size] > std):
@@ -531,7 +531,7 @@ def _feedback(
     if not np.max(np.abs(error)) < ESTIMATOR_TUNING.batch_beyond:
         yield Finding(
             "unmodelled",
-            "the motion simulated with this estimate leaves the range of numbers",
+            "the motion simulated with this estimate exceeds the range of floating-point numbers",
             "do not use this estimate",
         )
         return

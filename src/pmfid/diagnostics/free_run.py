@@ -103,7 +103,10 @@ def drive_run(method: OE, theta: Floats, u: Floats, counts: Numbers, name: str) 
     check_size(u)
     leading = method.equation.leading
     if not theta[leading] > 0:
-        raise UsageError(f"{method.names[leading]} = {theta[leading]:g} allows no motion; identify the record again")
+        raise UsageError(
+            f"{method.names[leading]} = {theta[leading]:g} must be positive to simulate a motion; identify again, from "
+            "a record with more motion"
+        )
     y = method.position(counts)
     if not np.ptp(y) > 0 or not np.any(u):
         what = "axis does not move" if np.any(u) else "input is zero"
@@ -176,8 +179,8 @@ def finite(run: FreeRun) -> FreeRun:
     """Return the run, or raise UsageError if the simulation exceeds the range of numbers."""
     if not np.max(np.abs(run.error)) < TUNING.beyond:
         raise UsageError(
-            "the simulated output leaves the range of numbers: use the units of parameters, input and resolution with "
-            "which the parameters were identified"
+            "the simulated output exceeds the range of floating-point numbers: use the units of parameters, input and "
+            "resolution with which the parameters were identified"
         )
     return run
 
@@ -194,8 +197,8 @@ def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: floa
     unstable = poles[poles.real > 0]
     if unstable.size:
         raise UsageError(
-            f"the transfer function has a pole at {np.max(unstable.real):+.3g} rad/s, so a free run of any quality "
-            "runs away; compare closed loops"
+            f"the transfer function has a pole at {np.max(unstable.real):+.3g} rad/s, so every free run diverges, even "
+            "with exact parameters; compare simulations of the closed loop"
         )
     plain = replace(experiment, reference=None)
     n = poles.size

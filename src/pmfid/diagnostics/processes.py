@@ -258,8 +258,8 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment
     residual = [y - x for y, x in zip(measured, simulated, strict=True)]
     if not np.max([np.max(np.abs(e), initial=0.0) for e in residual]) < TUNING.beyond:
         raise NotIdentifiableError(
-            "the simulated output leaves the range of numbers: the records do not identify the transfer function; "
-            "excite the process more, or use fewer poles and zeros"
+            "the simulated output exceeds the range of floating-point numbers: the records do not identify the "
+            "transfer function; excite the process more, or use fewer poles and zeros"
         )
     left = sum(float(e @ e) for e in residual)
     whole = sum(float(np.sum((y - np.mean(y)) ** 2)) for y in measured)

@@ -255,7 +255,7 @@ class Pitched(Difference):
     def model_at(self, q: Floats) -> Drive:
         """Return the model with the pitch in q (q + 1,)."""
         if self.model is None:
-            raise TypeError("a difference with a pitch needs the model that has it")
+            raise TypeError("a difference with an unknown pitch needs the model of the cogging force: pass model")
         return change_arguments(self.model, {"cogging": float(np.ptp(self.y) / (TUNING.term_trials_hundred * q[-1]))})
 
     @property

@@ -506,9 +506,9 @@ def _fit_candidate(bench: Bench, trial: Trial, candidate: Candidate, number: int
 def find_objection(step: FittedCandidate, found: Sequence[FittedCandidate]) -> str:
     """Return the reason to refuse a term independently of other terms, or an empty text."""
     if step.gain < step.needed:
-        return "within chance"
+        return "gain within chance"
     if step.candidate.elsewhere <= 0 and not step.explains_all:
-        return "not in other parts of the record"
+        return "not confirmed by other parts of the record"
     return UNCLEAR if is_unclear(step, found) else ""
 
 

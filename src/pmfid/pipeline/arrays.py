@@ -393,7 +393,7 @@ def _encoder(encoder: Encoder | None, model: Model) -> dict[str, object]:
 def _model(model: Model) -> dict[str, object]:
     """Return the keys of [model] that describe the model."""
     if isinstance(model, TransferFunction) and model.initial_conditions:
-        raise UsageError("the fit always includes the starts of experiments: drop initial_conditions")
+        raise UsageError("the fit always includes the initial conditions of each experiment: drop initial_conditions")
     if isinstance(model, Drive | TransferFunction):
         keys = {key: getattr(model, key) for key in keys_of(type(model))}
         if keys.get("axis") == "linear":  # the unit of the encoder may say that the axis is rotary
@@ -405,7 +405,8 @@ def _model(model: Model) -> dict[str, object]:
     late, lag = equation.dead_time, equation.lag
     if equation != Equation(equation.unknown, equation.known, dead_time=late, lag=lag):
         raise UsageError(
-            "delay, only_simulated and further belong to a TransferFunction: give model = TransferFunction(...)"
+            "the arguments delay, only_simulated and further belong to a TransferFunction: give model = "
+            "TransferFunction(...)"
         )
     free = equation.at_once.unknown  # the unknown terms without the dead time
     unknown, known = ([asdict(term) for term in side] for side in (free, equation.known))

@@ -84,9 +84,10 @@ def check_direction(record: Record, axis: Axis) -> str:
     if not risen.relative_error < TUNING.drives_better * plain:
         return ""
     return (
-        f"the direction in [model] is the direction of the output's change, but {axis.record.output!r} is a velocity. "
-        f"The equation leaves {100 * plain:.2g} % unexplained, and {100 * risen.relative_error:.2g} % with the "
-        f"direction of the velocity: {INTEGRATE}, and raise every derivative of the output by one"
+        f"[model] takes the direction of motion from the change of the output, but {axis.record.output!r} is a "
+        "velocity. With the direction of this velocity, the part that the equation leaves unexplained falls from "
+        f"{100 * plain:.2g} % to {100 * risen.relative_error:.2g} %: {INTEGRATE}, and raise every derivative of the "
+        "output by one"
     )
 
 
@@ -438,7 +439,7 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
         return like(LS, estimator, model=model, prefilter_zeros=None)
     twin = like(ESTIMATORS["bcls" if estimator.instrumental else "ls"], estimator)
     if not isinstance(twin, BatchEstimator):
-        raise UsageError(f"no off-line method has the columns of {estimator.method}; use another method")
+        raise UsageError(f"no off-line method has the regressors of {estimator.method}; use another method")
     return twin
 
 
@@ -459,7 +460,7 @@ def _recursive(
     last = int(track.status[-1])
     if last & Status.STARTING:
         raise NotIdentifiableError(
-            "the record ends before the first estimate, with too little motion for every parameter; record longer"
+            "the record ends before its motion determines every parameter, so no estimate exists; record longer"
         )
     method: Estimator = estimator
     theta, std = track.theta[-1], track.theta_std[-1]

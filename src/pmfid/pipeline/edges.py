@@ -38,8 +38,8 @@ def make_edge_estimator(axis: Axis, record: Record, steps: bool = False) -> REdg
     model, config = axis.model.make(), axis.estimator
     if steps or not isinstance(model, Drive) or not is_plain(model):
         raise UsageError(
-            "edge times give only mass, viscous and Coulomb friction, and an offset, with a known input_gain and an "
-            'even clock; for other terms or clocks set method = "riv", which uses only the counts'
+            "edge times identify only mass, viscous and Coulomb friction, and an offset, and need a known input_gain "
+            'and a fixed sample period; otherwise set method = "riv", which uses only the counts'
         )
     memory = memory_of(config.forgetting, record.dt)
     return REdge(
@@ -101,7 +101,8 @@ def set_up_edges(axis: Axis, folder: Path, record: Record | None) -> EdgeSetup:
         )
     if normal is not None and abs(source.dt / normal.dt - 1) > 1e-3:
         raise UsageError(
-            f"the record has dt = {source.dt:g} s, the reference {normal.dt:g} s; take a reference with the same"
+            f"the record has dt = {source.dt:g} s, the reference {normal.dt:g} s; take a reference with the same "
+            "sample period"
         )
     estimator, watch = make_edge_estimator(axis, source), Watch(config.detector, config.mtbf_hours, config.tolerance)
     if config.nominal is not None:
@@ -114,7 +115,7 @@ def set_up_edges(axis: Axis, folder: Path, record: Record | None) -> EdgeSetup:
 
 def _learn_normal(axis: Axis, normal: Record) -> Floats:
     if normal.ages is None:
-        raise UsageError(f"the ages of edges of {normal.name} cannot be used; name another reference")
+        raise UsageError(f"{normal.name} has no usable ages of edges ([encoder] edge_age); name another reference")
     estimator = replace(make_edge_estimator(axis, normal), memory=None)
     estimator.run(normal.u, normal.counts, normal.ages)
     if estimator.status & (Status.STARTING | Status.DISTORTED):

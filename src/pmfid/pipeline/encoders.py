@@ -74,7 +74,10 @@ class EncoderChoice(Presentable):
     def answer(self) -> str:
         """The coarsest sufficient encoder of each kind, as a sentence."""
         found = [self._name_coarsest(bars) for bars in (self.counts, self.edges)]
-        return f"{self.parameter} to {100 * self.wanted:.3g} %: counts need {found[0]}, edge times {found[1]}"
+        return (
+            f"to determine {self.parameter} to {100 * self.wanted:.3g} %, counts need {found[0]}, and edge times need "
+            f"{found[1]}"
+        )
 
     def _name_coarsest(self, bars: Floats) -> str:
         enough = np.flatnonzero(~(bars <= self.wanted))

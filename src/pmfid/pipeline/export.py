@@ -82,7 +82,8 @@ def drive_samples(estimator: RecursiveEstimator | REdge, record: Record) -> tupl
         return record.u, record.counts
     if record.ages is None:
         raise UsageError(
-            f"the ages of edges of {record.name} cannot be used; give another record, or leave --record out"
+            f"{record.name} has no usable ages of edges ([encoder] edge_age); give another record, or leave --record "
+            "out"
         )
     return record.u, record.counts, record.ages
 

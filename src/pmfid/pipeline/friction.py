@@ -110,7 +110,7 @@ def _estimate_curve(
 ) -> FrictionCurve:
     model = axis.model.make()
     if not isinstance(model, Drive):
-        raise UsageError('a friction curve is of a machine with friction: give [model] kind = "drive"')
+        raise UsageError('a friction curve needs a machine with friction: give [model] kind = "drive"')
     check_numbers_known(axis, "a friction curve")
     if axis.estimator.cutoff is not None:
         check_sampling(axis, dt)

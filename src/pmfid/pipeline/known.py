@@ -130,4 +130,4 @@ def _describe_known(known: Known) -> Iterator[str]:
     yield from (f"{name} has the prior {mean:.6g} ± {std:.2g}" for name, (mean, std) in known.prior.items())
     if known.find_gain:
         names = " or ".join((*known.given, *known.prior))
-        yield f"input_gain follows from {names}, and inherits its error"
+        yield f"input_gain follows from {names}, and inherits the error of this value"

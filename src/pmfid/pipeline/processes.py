@@ -49,8 +49,8 @@ class Processes(Kind[Sequence[Experiment]]):
     def check_on_line(self, axis: Axis) -> None:
         if axis.record.hold != "zoh":
             raise UsageError(
-                f'{axis.estimator.method} needs a held input, [record] hold = "zoh", got {axis.record.hold!r}: sample '
-                "by sample the next value of a line is not known"
+                f"{axis.estimator.method} needs a held input, but [record] hold = {axis.record.hold!r} uses the next "
+                'sample, which is not known yet; set hold = "zoh"'
             )
 
     def read(self, paths: Sequence[Path], axis: Axis, coarse: Coarser | None = None) -> list[Experiment]:

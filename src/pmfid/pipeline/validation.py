@@ -89,7 +89,7 @@ class Validation(Presentable):
         }
 
     def summary(self) -> Summary:
-        header = ("record", "samples", "error", "fit [%]", "stands still", "unit")
+        header = ("record", "samples", "error", "fit [%]", "error at rest", "unit")
         return Summary(
             f"{self.method} against {len(self.runs)} record{'s' * (len(self.runs) != 1)}, simulated from the input",
             header,
@@ -101,7 +101,8 @@ class Validation(Presentable):
     def _line(self, run: FreeRun) -> str:
         error, fit, still = _numbers(run)
         unit = f" {self.unit}" if self.unit else ""
-        return f"{run.name}: error {error}{unit}, fit {fit} %; standing still {still}{unit}; {run.t.size} samples"
+        own = f"{run.name}: error {error}{unit}, fit {fit} %"
+        return f"{own}; a model at rest has an error of {still}{unit}; {run.t.size} samples"
 
     def columns(self) -> dict[str, object]:
         """The columns of a table with one row for each record."""

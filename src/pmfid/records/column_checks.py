@@ -59,7 +59,7 @@ def check_step_unit(axis: Axis, output: Floats) -> None:
     least = float(np.min(steps[steps > TUNING.record_rounding * number], initial=np.inf))
     if abs(least / number - 1) < TUNING.record_step_digits:
         raise UsageError(
-            f"the output column {config.output!r} has steps of {number:g}, the number of [encoder] resolution in "
+            f"the output column {config.output!r} has steps of {number:g}, which is [encoder] resolution in "
             f'{step.unit.name}: give [record] output_unit = "{step.unit.name}"'
         )
 
@@ -75,7 +75,7 @@ def round_counts(output: Floats) -> Counts:
     if len(bad):
         raise UsageError(
             f"counts must be integers below 2**53, got {output[bad[0]]:.9g} in row {bad[0] + 1}; "
-            f'set output_kind = "position" if the column is a position, or export without a sign between thousands'
+            'set output_kind = "position" if the column is a position, or export without a thousands separator'
         )
     return rounded.astype(np.int64)
 

@@ -490,7 +490,6 @@ def _scale_column(column: Floats, scale: float, key: str = "[record] input_scale
         scaled = scale * column
     if np.any(np.isinf(scaled) & np.isfinite(column)):
         raise UsageError(
-            f"{key} = {scale:g} takes the column beyond the range of numbers; correct the factor, by which every value "
-            "is multiplied"
+            f"{key} = {scale:g} multiplies the column beyond the range of floating-point numbers; correct this factor"
         )
     return scaled

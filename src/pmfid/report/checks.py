@@ -192,7 +192,6 @@ def _window(result: DriveResult, balance: Balance) -> str:
         return ""
     start, end = balance.t[0], balance.t[-1]
     return (
-        f"\n\nAll model checks are from {start:.4g} s to {end:.4g} s, {DIAGNOSTIC_TUNING.drives_memories:g} "
-        "memories of the estimate, with its "
-        "last value."
+        f"\n\nAll model checks use the last estimate and the samples from {start:.4g} s to {end:.4g} s. This time is "
+        f"{DIAGNOSTIC_TUNING.drives_memories:g} times the memory of the estimator, dt / (1 - forgetting)."
     )

@@ -416,7 +416,10 @@ class Machine:
             if not 0.0 <= value < np.inf:
                 raise ValueError(f"{name} must be finite and >= 0, got {value}; 0 is none")
         if self.uneven > self.drive.coulomb_friction:
-            raise ValueError(f"uneven must be at most Coulomb friction, got {self.uneven}; friction never drives")
+            raise ValueError(
+                f"uneven must be at most Coulomb friction, got {self.uneven}; lower it, because friction never drives "
+                "the axis"
+            )
         if not -1.0 < self.asymmetry < 1.0:
             raise ValueError(f"asymmetry must be in (-1, 1), got {self.asymmetry}; 0 is none")
 

@@ -94,7 +94,7 @@ class Faults:
             if not 0.0 <= value < end:
                 raise ValueError(f"{name} must be in [0, {end:g}), got {value}; {remedy}")
         check_whole("lines", self.lines, 1, 2**24, "give the counts per turn of the disc")
-        check_whole("seed", self.seed, 0, np.inf, "any whole number from 0 on will do")
+        check_whole("seed", self.seed, 0, np.inf, "give any whole number of at least 0")
 
     def draw(self, samples: int) -> tuple[Floats, Floats, float, int]:
         """Draw the faults for the kernel: line places (lines,), sample shifts [counts], `missed` and a seed.

@@ -253,7 +253,7 @@ def make_scenario(
     """
     if name not in SCENARIOS:
         raise ValueError(f"unknown scenario {name!r}; choose one of: {', '.join(SCENARIOS)}")
-    check_whole("seed", seed, 0, np.inf, "any whole number from 0 on will do")
+    check_whole("seed", seed, 0, np.inf, "give any whole number of at least 0")
     check_number("duration", duration, above=CART_DT, remedy="give the length of the run in seconds")
     recipe, rng, samples = SCENARIOS[name], np.random.default_rng(seed), round(duration / CART_DT)
     resolution = resolution_of(increments)

@@ -75,17 +75,18 @@ def find_frozen_counts(log: CheckedLog) -> Iterator[Finding]:
         size = counts[first[0]] * (1 if log.axis.record.output_kind == "counts" else log.record.resolution)
         yield Finding(
             "clipped",
-            f"the output column {output!r} ends at {size:.6g} while the axis moves on, first in {_rows(first)}",
+            f"the output column {output!r} stays at its limit {size:.6g} while the axis moves on, first in "
+            f"{_rows(first)}",
             f"use rows {_format_free_rows(ends, counts.size)}, the longest part without this, or record within the "
             "range",
-            detail=f"The output does so {_times(ends)}. The range of the counter or sensor ends at this value.",
+            detail=f"This happens {_times(ends)}. The range of the counter or sensor ends at this value.",
         )
         return
     yield Finding(
         "stuck",
         f"the output column {output!r} stands still while the axis moves on, first in {_rows(first)}",
         f"use rows {_format_free_rows(stops, counts.size)}, the longest part without this, and check the wiring",
-        detail=f"The output does so {_times(stops)}. The counter, or the program that reads it, was stuck.",
+        detail=f"This happens {_times(stops)}. The counter, or the program that reads it, was stuck.",
     )
 
 

@@ -160,8 +160,8 @@ def drifts(log: CheckedLog) -> Iterator[Finding]:
     yield Finding(
         "drift",
         f"input and output have two clocks, which drift apart by {abs(rate) * n:.2g} rows within {n}",
-        f"log both by one clock, or multiply the input's time by {1 + rate:.6f} and use the latest value",
-        detail="With that drift the motion explains the input better throughout.",
+        f"log both with one clock, or multiply the input's time by {1 + rate:.6f} and use its latest value in each row",
+        detail="With this drift corrected, the motion explains the input better.",
     )
 
 

@@ -37,7 +37,10 @@ def check_streamed(axis: Axis) -> None:
     if axis.record.known_force:
         raise UsageError("[record] known_force is for records; subtract the force from the input before the pipe")
     if axis.record.output_kind == "velocity" or axis.encoder.range is not None:
-        raise UsageError("a pipe needs counts, or positions that do not wrap: unwrap or integrate the output before")
+        raise UsageError(
+            "a pipe needs counts, or positions that do not wrap: integrate the velocity or unwrap the position before "
+            "the pipe"
+        )
 
 
 def wanted_columns(axis: Axis) -> tuple[str, ...]:
@@ -73,7 +76,7 @@ class Reading:
         except ValueError:
             time = _moment(str(value).strip())
         if not abs(time) < MOST_TIME:
-            raise ValueError("a time that is not finite, or beyond all clocks")
+            raise ValueError("a time that is not finite, or larger than any clock shows")
         return time
 
     def line(self, u: Value, output: Value, time: float = math.nan, age: object = math.nan) -> Line:

@@ -169,7 +169,8 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
         )
     if record is not None and normal is not None and abs(record.dt / normal.dt - 1) > 1e-3:
         raise UsageError(
-            f"the record has dt = {record.dt:g} s, the reference {normal.dt:g} s; take a reference with the same"
+            f"the record has dt = {record.dt:g} s, the reference {normal.dt:g} s; take a reference with the same "
+            "sample period"
         )
     on_line = kind_of(axis).prepare_axis(source, _configure_recursive(axis, source.dt))
     estimator = _estimator(_set_normal_gain(on_line, source), source, wraps=record is None)
@@ -223,8 +224,8 @@ def check_monitored(axis: Axis) -> None:
     reason = axis.model.make().equation.without_simulation
     if reason:
         raise UsageError(
-            f"the monitor is for a machine with friction that it can simulate, and of this equation {reason}. To "
-            "follow its parameters use pmfid identify with forgetting < 1 and bcrls, or rsrivc for a transfer function"
+            f"the monitor is for a machine with friction that it can simulate, but {reason}. To follow the parameters "
+            "of this equation use pmfid identify with forgetting < 1 and bcrls, or rsrivc for a transfer function"
         )
 
 

@@ -292,9 +292,9 @@ class Timeline:
         self._strays += 1
         if self._strays >= TUNING.most_strays:
             raise UsageError(
-                f"{TUNING.most_strays} lines in a row have a time that fits nowhere, the last {line.time:.9g} "
-                "s: correct the "
-                f"time column, which must step by {self.dt:.6g} s, or leave it out and give [record] dt"
+                f"{TUNING.most_strays} consecutive lines have a time that does not continue the record, the last "
+                f"{line.time:.9g} s: correct the time column, which must step by {self.dt:.6g} s, or drop [record] "
+                "time and give [record] dt"
             )
         needed = TUNING.timeline_ahead if self._held[0].time > self._expected else TUNING.timeline_late
         return found + self._restart_grid() if len(self._held) >= needed else found
