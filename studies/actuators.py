@@ -238,19 +238,32 @@ def measure(log: Log, method: Callable[[Log], tuple[Floats, Floats, bool]]) -> O
 def write_page(logs: Sequence[Sequence[Log]], found: dict[str, list[list[Outcome]]]) -> list[str]:
     errors = {name: [_rms_error(*pair) for pair in zip(logs, own, strict=True)] for name, own in found.items()}
     lines = ["# Servos: parameters from position commands", ""]
+    lines += [f"`python -m studies.actuators --servos {len(logs)} --seeds {len(logs[0])}` wrote this page: {len(logs)}"]
+    lines += [f"servos with the friction models M1 to M4 of BAM, {len(logs[0])} logs of {TIME:g} s each, kp known.", ""]
     lines += ["| servo | friction | " + " | ".join(found) + " |", "|---" * (len(found) + 2) + "|"]
     for number, servo in enumerate(logs):
         cells = " | ".join(f"{100 * errors[name][number]:.2f}" for name in found)
         lines.append(f"| {number + 1} | {servo[0].kind} | {cells} |")
     lines += ["", "Error of inertia, viscous and Coulomb friction and delay [%], root mean square over the logs.", ""]
-    lines += ["| method | median error [%] | covered [%] | silent beyond 3 bars [%] | processor time per log [s] |"]
-    lines.append("|---" * 5 + "|")
+    headings = (
+        "method",
+        "median error [%]",
+        "covered [%]",
+        "silent beyond 3 bars [%]",
+        "time per log [s]",
+        "times ours",
+    )
+    lines += [f"| {' | '.join(headings)} |", "|---" * len(headings) + "|"]
+    medians = {name: float(np.median([one.cpu for row in own for one in row])) for name, own in found.items()}
     for name, own in found.items():
         inside, silent = _count(logs, own)
-        cpu = np.median([one.cpu for row in own for one in row])
+        cpu = medians[name]
         shown = [f"{100 * part:.0f}" if math.isfinite(part) else "–" for part in (inside, silent)]
-        lines.append(f"| {name} | {100 * np.median(errors[name]):.2f} | {' | '.join(shown)} | {cpu:.2f} |")
-    return lines
+        lines.append(
+            f"| {name} | {100 * np.median(errors[name]):.2f} | {' | '.join(shown)} | {cpu:.2f} "
+            f"| {cpu / next(iter(medians.values())):.2g} |"
+        )
+    return [*lines, "", "Times are medians of the processor time."]
 
 
 def _rms_error(logs: Sequence[Log], found: Sequence[Outcome]) -> float:

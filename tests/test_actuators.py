@@ -327,3 +327,10 @@ def test_a_friction_may_rise_with_the_speed() -> None:
     assert slow[-1] > plain[-1]
     with pytest.raises(UsageError, match="load_friction must be"):
         Servo(STEP, {"load_friction": -0.1})
+
+
+def test_gravity_is_found_at_a_given_angle() -> None:
+    t, goal, position = make_log()
+    fit = fit_servo(Servo(STEP, {"kp": 8.0, "kd": 0.02, "gravity_angle": 0.0}), t, goal, position)
+    assert "gravity" in fit.added
+    assert abs(fit.theta[fit.names.index("gravity")] - TRUTH["gravity"]) < 0.02

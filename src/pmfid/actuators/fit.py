@@ -269,7 +269,7 @@ def _rank_terms(problem: ServoProblem, z: Floats, names: Sequence[str]) -> dict[
     def explain(name: str) -> float:
         wider, start = _widen(problem, z, name)
         columns = [wider.residual(start) - residual]
-        if name == "gravity":  # the angle is unknown, so that two angles a quarter of a turn apart are tried
+        if name == "gravity" and "gravity_angle" in wider.servo.unknown:  # two angles a quarter of a turn apart
             turned = start.copy()
             turned[wider.servo.unknown.index("gravity_angle")] = np.pi / 2
             columns.append(wider.residual(turned) - residual)

@@ -20,19 +20,24 @@ def write_joints(out: Path, found: Sequence[FittedJoint], name: str) -> None:
     )
     for file, content in make_files(found).items():
         replace_file(out / file, content.encode("utf-8", "replace"))
-    text = "The column std is one standard error. " + " ".join(f"{one.log.name}: {one.status}." for one in found)
+    doubted = [f"{_name_joint(one)}: {one.status}." for one in found if one.status != "none"]
+    text = " ".join(["The column std is one standard error.", *(doubted or ["Nothing casts doubt on any joint."])])
     rows = [row for one in found for row in one.rows]
     sections = [Section("Parameters", text, (HEADER, rows)), *(_draw_joint(one) for one in found)]
     write_report(out / "actuators.html", f"{name}: servos", sections)
+
+
+def _name_joint(joint: FittedJoint) -> str:
+    return joint.log.name if "joint" in joint.log.name.lower() else f"Joint {joint.log.name}"
 
 
 def _draw_joint(joint: FittedJoint) -> Section:
     log, fit = joint.log, joint.fit
     notes = [f"Note: {note}." for note in log.notes]
     if fit is None:
-        return Section(log.name, "\n\n".join([f"Refused: {joint.refused}.", *notes]))
+        return Section(_name_joint(joint), "\n\n".join([f"Refused: {joint.refused}.", *notes]))
     findings = [f"{finding.paragraph[0].upper()}{finding.paragraph[1:]}." for finding in fit.findings]
     deviation = f"The simulated motion deviates by {fit.residual / log.resolution:.2f} encoder steps (rms)."
     signals = (log.position, fit.simulated)
     figure = followed_figure(log.t, signals, "position [rad]", fit.simulated - log.position, "difference [rad]")
-    return Section(log.name, "\n\n".join([deviation, *findings, *notes]), svg=svg(figure))
+    return Section(_name_joint(joint), "\n\n".join([deviation, *findings, *notes]), svg=svg(figure))
