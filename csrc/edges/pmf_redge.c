@@ -11,8 +11,9 @@
 #define AGAINST 6U /* edges against the simulated motion, before it is given up */
 #define AWAY PMF_R(1.5) /* counts beyond the step of the count: the simulated motion is lost */
 #define AWAY_AFTER 3U /* samples without an edge */
-#define CHECKED 64U /* edges after given parameters, from which on others may contradict these, */
-#define YOUNG 200U /* and up to which they do */
+#define CHECKED 32U /* edges after given parameters, from which on others may contradict these, */
+#define YOUNG 1000U /* and up to which they do, */
+#define DEPARTED PMF_R(0.4) /* if a parameter is further from the given one, relative to it */
 #define STILL_HEARD PMF_R(10.0) /* edges that the instants' noise is taken from after an alarm, which may raise it */
 #define DOUBT PMF_R(10.0) /* edges that show the instants' noise, at which variances are twice as large */
 #define DRIFTING PMF_R(8.0) /* edges over which such an innovation has grown */
@@ -273,11 +274,22 @@ static uint32_t is_sound(const pmf_redge_config_t *config, const pmf_redge_state
     return sum - sum == PMF_R(0.0) ? sound : 0U;
 }
 
+/* Return 1 if a parameter is far from the given one. */
+static uint32_t has_departed(const pmf_redge_state_t *state)
+{
+    uint32_t i, far = 0U;
+    for (i = 0; i <= COULOMB; ++i) {
+        real_t given = state->start.theta[i], now = state->reference[i] * (PMF_R(1.0) + state->change[FIRST + i]);
+        far |= absolute(now - given) > DEPARTED * given ? 1U : 0U;
+    }
+    return far;
+}
+
 /* Return 1 if the first edges after given parameters contradict these. */
 static uint32_t is_refuted(const pmf_redge_state_t *state)
 {
     uint32_t young = state->start.known != 0U && state->edges > CHECKED && state->edges < YOUNG ? 1U : 0U;
-    return young != 0U && (is_late(state) != 0U || is_correlated(state) != 0U) ? 1U : 0U;
+    return young != 0U && has_departed(state) != 0U && (is_late(state) != 0U || is_correlated(state) != 0U) ? 1U : 0U;
 }
 
 void pmf_redge_expect(const pmf_redge_config_t *config, pmf_redge_state_t *state, const real_t *theta)

@@ -157,6 +157,7 @@ static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pm
         state->scatter = scatter;
         state->heard = heard;
     } else {
+        state->late = PMF_R(0.0);
         state->spread = FIRST_SPREAD;
         state->evidence = FIRST_EVIDENCE;
     }
