@@ -98,8 +98,8 @@ class Estimator:
         check_positive("cutoff", self.cutoff, "it is the pole of the filters in rad/s")
         if self.cutoff * self.dt > 2:
             raise UsageError(
-                f"cutoff * dt must be at most 2, got {self.cutoff * self.dt:g}: samples every {self.dt:g} s "
-                f"cannot show the pole of the filters; use a cutoff of at most {2 / self.dt:g} rad/s"
+                f"cutoff * dt must be at most 2, got {self.cutoff * self.dt:g}: the filters are too fast "
+                f"for samples every {self.dt:g} s; use a cutoff of at most {2 / self.dt:g} rad/s"
             )
         self._check_steps()
         self._check_late()

@@ -41,7 +41,7 @@ def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
     """
     given = np.asarray(ages, np.float64)
     if given.shape != counts.shape:
-        raise UsageError(f"ages must be an array (n,) like counts, got {given.shape} for {counts.shape}")
+        raise UsageError(f"ages must have the shape of counts, {counts.shape}, got {given.shape}")
     step, change = np.diff(t, prepend=t[0]), np.diff(counts, prepend=counts[:1])
     there = np.isfinite(given) & (change != 0)
     wrong = there & ~((given >= 0) & (given <= step * (1 + TUNING.edges_late)))

@@ -190,7 +190,7 @@ class REdge:
         known, whole = check_arrays(u, counts)
         given = np.ascontiguousarray(ages, np.float64)
         if given.shape != whole.shape:
-            raise UsageError(f"ages must be an array (n,) like counts, got {given.shape} for {whole.shape}")
+            raise UsageError(f"ages must have the shape of counts, {whole.shape}, got {given.shape}")
         theta, variance, innovation, running, status = self.kernel.run(known, whole, given)
         return Track(self.names, self.units, theta, variance, np.zeros_like(theta), innovation, running, status)
 

@@ -109,7 +109,9 @@ class Term:
         if self.signal == "place" and self.shape.of_speed:
             raise UsageError(f'{self.shape.reads} depends on the speed: use the signal "friction" instead of "place"')
         if self.name is None or self.coefficient != 1.0:
-            raise UsageError(f"the term of {self.signal} is unknown; give it a name, and leave its coefficient out")
+            raise UsageError(
+                f"the coefficient of the term of {self.signal} is estimated; give the term a name and no coefficient"
+            )
 
     @property
     def facts(self) -> SignalFacts:

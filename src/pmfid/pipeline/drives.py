@@ -439,7 +439,7 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
         return like(LS, estimator, model=model, prefilter_zeros=None)
     twin = like(ESTIMATORS["bcls" if estimator.instrumental else "ls"], estimator)
     if not isinstance(twin, BatchEstimator):
-        raise UsageError(f"no off-line method has the regressors of {estimator.method}; use another method")
+        raise UsageError(f"the method {estimator.method} has no off-line counterpart; use another method")
     return twin
 
 

@@ -59,8 +59,8 @@ def check_step_unit(axis: Axis, output: Floats) -> None:
     least = float(np.min(steps[steps > TUNING.record_rounding * number], initial=np.inf))
     if abs(least / number - 1) < TUNING.record_step_digits:
         raise UsageError(
-            f"the output column {config.output!r} has steps of {number:g}, which is [encoder] resolution in "
-            f'{step.unit.name}: give [record] output_unit = "{step.unit.name}"'
+            f"the output column {config.output!r} seems to be in {step.unit.name}, because its steps are "
+            f'{number:g}, as in [encoder] resolution: give [record] output_unit = "{step.unit.name}"'
         )
 
 
