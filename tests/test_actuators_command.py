@@ -81,7 +81,7 @@ def test_the_terminal_shows_one_table_and_the_status_of_each_joint(arm: Path) ->
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (["--goal", "aim_*"], 2, "no column is 'aim_*'"),
+        (["--goal", "aim_*"], 2, "no column matches 'aim_*'"),
         (["--goal", "goal_2", "--position", "position_2", "--bits", "12"], 3, "hardly moves"),
         (["--unit", "counts"], 2, "--bits or --resolution"),
         (["--bits", "12", "--resolution", "0.1"], 2, "give only one of them"),

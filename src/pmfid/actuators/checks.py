@@ -26,7 +26,7 @@ def check_joint(log: JointLog, others: Sequence[JointLog]) -> None:
             best, _ = correlate(log.t, np.interp(log.t, other.t, other.goal), log.position)
             if best > max(TUNING.exchanged, abs(own) + TUNING.better):
                 raise UsageError(
-                    f"the position follows the goal of joint {other.name} (correlation {best:.2f}), not its own one "
+                    f"the position follows the goal of joint {other.name} (correlation {best:.2f}), not its own goal "
                     f"({own:.2f}): exchange the columns"
                 )
     if abs(own) < TUNING.follows:
@@ -34,11 +34,11 @@ def check_joint(log: JointLog, others: Sequence[JointLog]) -> None:
             f"the position does not follow the goal (correlation {own:.2f}): check the columns, or turn the torque on"
         )
     if own < 0:
-        raise UsageError("the position moves against the goal: turn the sign of one column")
+        raise UsageError("the position moves against the goal: reverse the sign of one column")
     _check_units(log)
     if lag < -TUNING.early * float(np.median(np.diff(log.t))):
         raise UsageError(
-            f"the position moves {-1e3 * lag:.0f} ms before its goal: log a goal when it is sent, or shift its column"
+            f"the position moves {-1e3 * lag:.0f} ms before its goal: log the goal when it is sent, or shift its times"
         )
 
 

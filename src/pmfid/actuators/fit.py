@@ -169,7 +169,7 @@ def fit_servo(
     z, cost = problem.refine(z)
     if cost > 0.5 * float(np.square(problem.position - problem.position.mean()).sum()):
         raise NotIdentifiableError(
-            "no servo explains the motion: check that goal and position belong to one joint and have one unit and sign"
+            "no servo model explains the motion: check that goal and position are of one joint, with the same unit and sign"
         )
     if search:
         problem, z, cost, added = _search_terms(problem, z, cost, added)
@@ -231,7 +231,7 @@ def _check(servo: Servo, columns: Mapping[str, Floats]) -> list[Floats]:
     if not (np.diff(arrays[0]) > 0).all():
         raise UsageError(f"t does not rise after row {int(np.argmin(np.diff(arrays[0]) > 0))}: sort the rows by time")
     if np.ptp(arrays[1]) < 3 * servo.resolution or np.ptp(arrays[2]) < 3 * servo.resolution:
-        raise NotIdentifiableError("the servo hardly moves: command steps or sines of many encoder steps")
+        raise NotIdentifiableError("the servo hardly moves: send goals that move it by many encoder steps")
     if "force" in found and not found["force"].any():
         raise UsageError("the known force is zero: leave it out, or check its column")
     return arrays
@@ -373,7 +373,7 @@ def _find(
     if doubt > TUNING.doubted:
         more = doubt * TUNING.least_scatter
         sentence = f"in addition to rounding, the simulated motion deviates by {more:.2g} encoder steps for a while"
-        findings.append(Finding("unmodelled", sentence, "name a further term, or move one joint at a time"))
+        findings.append(Finding("unmodelled", sentence, "add a term to the model, or move one joint at a time"))
     elif deviation > TUNING.noisy / math.sqrt(12):
         sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
         # Stamps that jitter hide the inertia of a smooth motion in the delay.
@@ -382,11 +382,17 @@ def _find(
     unclear, zero = _open_parameters(servo, theta, std)
     if unclear:
         sentence = f"the log says too little on {', '.join(unclear)}"
-        findings.append(Finding("poor_excitation", sentence, "command steps and fast sines over the whole range"))
+        findings.append(
+            Finding("poor_excitation", sentence, "send goals with steps and fast sines over the whole range")
+        )
     if zero:
-        findings.append(Finding("zero", f"the log does not tell {', '.join(zero)} from zero", severity="note"))
+        findings.append(Finding("zero", f"the log does not distinguish {', '.join(zero)} from zero", severity="note"))
     if added:
-        findings.append(Finding("added", f"the log shows {', '.join(added)}, estimated as well", severity="note"))
+        findings.append(
+            Finding(
+                "added", f"the log shows {', '.join(added)}; the fit estimates these terms as well", severity="note"
+            )
+        )
     if servo.relative:
         remedy = "give kp, a known inertia, or gravity = m g l"
         findings.append(Finding("relative", "torques are multiples of kp", remedy, "note"))

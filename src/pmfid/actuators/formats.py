@@ -52,7 +52,7 @@ def _refuse(kind: str) -> Iterator[None]:
         raise UsageError(f"cannot read the log: {error.strerror}; give the path of a data file") from None
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, csv.Error):
         raise UsageError(
-            f"this is no {kind}: export the log as CSV with columns of time, goals and positions"
+            f"the file is no valid {kind}: export the log as CSV with columns of time, goals and positions"
         ) from None
 
 
@@ -114,7 +114,7 @@ def _read_lerobot(folder: Path, episode: int | None) -> RobotTable:
                 columns |= {name: values[rows] for name, values in _list_elements(table, key, own).items()}
             note = f"episode {chosen:.0f} of the data set, {rows.size} samples"
             return RobotTable(columns, notes=(note,), unitless=True)
-    raise UsageError(f"the data set has no episode {episode}: its folder data has other ones")
+    raise UsageError(f"the data set has no episode {episode}: its folder data contains other episodes")
 
 
 def _list_elements(table: Table, key: str, labels: Sequence[str]) -> dict[str, Floats]:
@@ -135,7 +135,7 @@ def _list_names(feature: Mapping[str, object]) -> list[str]:
 def _list_files(folder: Path, episode: int | None) -> list[Path]:
     paths = sorted((folder / "data").rglob("*.parquet"))
     if not paths:
-        raise UsageError("the data set has no Parquet file in its folder data: download it whole")
+        raise UsageError("the data set has no Parquet file in its folder data: download the complete data set")
     if episode is None:
         return [max(paths, key=lambda path: path.stat().st_size)]
     own = [path for path in paths if path.stem == f"episode_{episode:06d}"]

@@ -109,7 +109,7 @@ def _find_columns(table: Table, pattern: str | None, words: Sequence[str], other
         found = {name: inside.fullmatch(name) for name in table}
         columns = {match[1] if "*" in pattern else "": name for name, match in found.items() if match}
         if not columns:
-            raise UsageError(f"no column is {pattern!r}: available are {', '.join(list(table)[:30]) or 'none'}")
+            raise UsageError(f"no column matches {pattern!r}: available are {', '.join(list(table)[:30]) or 'none'}")
         return columns
     for word in words:
         columns = {}
@@ -131,7 +131,7 @@ def _find_forces(table: Table, pattern: str, joints: Sequence[str]) -> dict[str,
         return dict(zip(joints, found.values(), strict=True))
     if not any(joint in joints for joint in found):
         raise UsageError(
-            f"--known-force {pattern!r} is of no joint: put a star in place of the joint's name, as in 'gravity_*'; "
+            f"--known-force {pattern!r} matches no joint: put a star in place of the joint's name, as in 'gravity_*'; "
             f"the joints are {', '.join(joints)}"
         )
     return found

@@ -253,7 +253,7 @@ def _check(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> Non
     if left > TUNING.worst_fit * motion:
         raise NotIdentifiableError(
             f"the simulated position has an error of {left / max(motion, 1e-300):.0%} of the motion; check that "
-            "input_gain has the right sign and size, that the run starts at rest, and that the model includes every load"
+            "input_gain has the right sign and size, that the run starts at rest, and that the model has every load"
         )
     size = np.linalg.norm(J, axis=0)
     open_ = [name for name, s in zip(problem.names, size, strict=True) if not s > 1e-9 * size.max()]
