@@ -169,7 +169,7 @@ def fit_servo(
     z, cost = problem.refine(z)
     if cost > 0.5 * float(np.square(problem.position - problem.position.mean()).sum()):
         raise NotIdentifiableError(
-            "no servo model explains the motion: check that goal and position are of one joint, with the same unit and sign"
+            "no servo model explains the motion: check that goal and position have the same joint, unit and sign"
         )
     if search:
         problem, z, cost, added = _search_terms(problem, z, cost, added)
