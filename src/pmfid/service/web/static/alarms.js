@@ -42,7 +42,7 @@ export const sinceOf = (alarm) => `${alarm.silent ? "" : `Changed at ${moment(al
 // How sure an alarm is.
 const sureOf = (alarm) =>
   `How sure: the evidence is ${number(alarm.statistic / alarm.threshold, 2)} times what an alarm needs. ` +
-  "Normal work raises a false alarm once in mtbf_hours of [monitor].";
+  "In normal work, a false alarm occurs about once in the time set by mtbf_hours in AXIS.toml.";
 
 function settledOf(alarm) {
   const found = alarm.settled?.parameters?.[alarm.parameter];
