@@ -1,7 +1,7 @@
 // Alarms as cards, and the dialog in which one is acknowledged with a note.
 import { Problem, tell } from "./api.js";
 import { el } from "./dom.js";
-import { age, moment, number, percent, unitOf, wall, withError, words } from "./format.js";
+import { moment, number, percent, unitOf, wall, withError, words } from "./format.js";
 import { isOpen } from "./plant.js";
 import { icon } from "./states.js";
 
@@ -21,9 +21,9 @@ export function urgencyOf(alarm, alarms) {
   alike.sort((a, b) => a.number - b.number);
   const before = alike.filter((one) => one.number <= alarm.number);
   const size = alarm.tolerance > 0 ? [`The change is ${number(Math.abs(alarm.relative) / alarm.tolerance, 2)} times the tolerance of ${percent(alarm.tolerance).replace("+", "")}.`] : [];
-  if (alike.length > before.length) return [...size, "It goes on: see the later alarm."].join(" ");
+  if (alike.length > before.length) return [...size, "It has changed further since: see the later alarm."].join(" ");
   if (before.length > 1) return [...size, courseOf(before)].join(" ");
-  const since = alarm.settled ? "It is a single step so far." : "The new value is not known yet.";
+  const since = alarm.settled ? "So far it is one step." : "The new value is not known yet.";
   return [...size, since].join(" ");
 }
 
@@ -33,16 +33,16 @@ function courseOf(alike) {
   const total = alike.reduce((product, one) => product * (1 + one.relative), 1) - 1;
   const later = alike.slice(1).reduce((product, one) => product * (1 + one.relative), 1) - 1;
   const [unit, length] = [["day", 86400], ["hour", 3600], ["minute", 60]].find(([, known]) => seconds >= known) ?? [];
-  const rate = unit ? `, about ${percent((length * later) / seconds)} a${unit === "hour" ? "n" : ""} ${unit}` : "";
-  return `It goes on: ${alike.length} alarms in ${age(seconds)}, ${percent(total)} in all${rate}.`;
+  const rate = unit ? `, and after the first alarm about ${percent((length * later) / seconds)} a${unit === "hour" ? "n" : ""} ${unit}` : "";
+  return `It keeps changing: ${alike.length} alarms since ${wall(alike[0].wall)}, ${percent(total)} in all${rate}.`;
 }
 
-export const sinceOf = (alarm) => `${alarm.silent ? "" : `Changed at ${moment(alarm.changed_at)}. `}Noticed at ${wall(alarm.wall)}.`;
+export const sinceOf = (alarm) => (alarm.silent ? "" : `This change began at ${moment(alarm.changed_at)}. `) + `The service noticed it at ${wall(alarm.wall)}.`;
 
 // How sure an alarm is.
 const sureOf = (alarm) =>
   `How sure: the evidence is ${number(alarm.statistic / alarm.threshold, 2)} times what an alarm needs. ` +
-  "In normal work, a false alarm occurs about once in the time set by mtbf_hours in AXIS.toml.";
+  "While nothing is wrong, an alarm occurs about once in the time that mtbf_hours in AXIS.toml sets.";
 
 function settledOf(alarm) {
   const found = alarm.settled?.parameters?.[alarm.parameter];
