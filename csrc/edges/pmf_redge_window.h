@@ -9,9 +9,8 @@
 #define SHORTEST_WINDOW 12U
 #define LAST_WINDOW 0x40000000U
 #define PRIOR PMF_R(0.09) /* variance of a parameter relative to its square, from the direct start */
-#define LOOSE PMF_R(0.01) /* variance of a force relative to the squared input, from the direct start */
-#define WIDEST_PRIOR PMF_R(10.0) /* largest variance of a parameter, relative to its square */
-#define LEAST_FRICTION PMF_R(0.03) /* least Coulomb friction of a reference, relative to the present input */
+#define UNSEEN PMF_R(10.0) /* variance of friction that a start does not see, relative to the square of its least value */
+#define LEAST_FRICTION PMF_R(0.02) /* least Coulomb friction of a reference, relative to the present input */
 #define ANYWHERE PMF_R(0.1) /* variance of the place at the start of a window [counts^2] */
 #define FIRST_SPREAD PMF_R(0.01) /* variance of the lines before it is known [counts^2] */
 #define FIRST_EVIDENCE PMF_R(2.0) /* lines that this variance counts for */
@@ -136,17 +135,14 @@ static void open_prior(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     state->drift = PMF_R(0.0);
 }
 
-/* Open the prior of forces. The direct start knows them relative to the input: friction that it hardly sees may be
- * wrong by a factor. */
-static void widen_prior(const pmf_redge_config_t *config, pmf_redge_state_t *state)
+/* Open the prior of friction that the direct start does not see: its reference is larger than the value found. */
+static void open_unseen(pmf_redge_state_t *state)
 {
-    const pmf_start_t *start = &state->start;
     uint32_t i;
-    for (i = VISCOUS; i < config->parameters; ++i) {
-        real_t unit = unit_of(state->reference, i), variance;
-        variance = LOOSE * start->energy / (start->own[i][i] * unit * unit);
-        variance = smaller(larger(variance, PRIOR), WIDEST_PRIOR);
-        state->covariance[FIRST + i][FIRST + i] = state->opened[FIRST + i] = variance;
+    for (i = VISCOUS; i <= COULOMB; ++i) {
+        if (state->reference[i] > state->start.theta[i]) {
+            state->covariance[FIRST + i][FIRST + i] = state->opened[FIRST + i] = UNSEEN;
+        }
     }
 }
 
@@ -169,9 +165,7 @@ static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pm
     forget_lines(config, lines);
     begin_window(state);
     open_prior(config, state, state->velocity);
-    if (state->start.known == 0U) {
-        widen_prior(config, state);
-    }
+    open_unseen(state);
     state->drift = state->unrest > AGAIN ? drift : PMF_R(0.0);
     if (state->start.known != 0U && state->spread > PMF_R(0.0)) { /* the encoder is still the same */
         state->scatter = scatter;
