@@ -9,7 +9,7 @@
 #define SHORTEST_WINDOW 12U
 #define LAST_WINDOW 0x40000000U
 #define PRIOR PMF_R(0.09) /* variance of a parameter relative to its square, from the direct start */
-#define UNSEEN PMF_R(10.0) /* variance of friction that a start does not see, relative to the square of its least value */
+#define UNSEEN PMF_R(10.0) /* of friction that a start does not see: variance relative to its square */
 #define LEAST_FRICTION PMF_R(0.02) /* least Coulomb friction of a reference, relative to the present input */
 #define ANYWHERE PMF_R(0.1) /* variance of the place at the start of a window [counts^2] */
 #define FIRST_SPREAD PMF_R(0.01) /* variance of the lines before it is known [counts^2] */
