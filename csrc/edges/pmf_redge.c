@@ -14,7 +14,7 @@
 #define CHECKED 32U /* edges after given parameters, from which on others may contradict these, */
 #define YOUNG 1000U /* and up to which they do, */
 #define DEPARTED PMF_R(0.4) /* if a parameter is further from the given one, relative to it */
-#define STILL_HEARD PMF_R(10.0) /* edges that the instants' noise is taken from after an alarm, which may raise it */
+#define STILL_HEARD PMF_R(10.0) /* edges that the noise of the instants counts for after an alarm */
 #define DOUBT PMF_R(10.0) /* edges that show the instants' noise, at which variances are twice as large */
 #define DRIFTING PMF_R(8.0) /* edges over which such an innovation has grown */
 #define MOST_CHANGE 1000000 /* counts in a sample */

@@ -9,6 +9,8 @@
 #define SHORTEST_WINDOW 12U
 #define LAST_WINDOW 0x40000000U
 #define PRIOR PMF_R(0.09) /* variance of a parameter relative to its square, from the direct start */
+#define UNSEEN PMF_R(10.0) /* of friction that a start does not see: variance relative to its square */
+#define LEAST_FRICTION PMF_R(0.02) /* least Coulomb friction of a reference, relative to the present input */
 #define ANYWHERE PMF_R(0.1) /* variance of the place at the start of a window [counts^2] */
 #define FIRST_SPREAD PMF_R(0.01) /* variance of the lines before it is known [counts^2] */
 #define FIRST_EVIDENCE PMF_R(2.0) /* lines that this variance counts for */
@@ -133,6 +135,17 @@ static void open_prior(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     state->drift = PMF_R(0.0);
 }
 
+/* Open the prior of friction that the direct start does not see: its reference is larger than the value found. */
+static void open_unseen(pmf_redge_state_t *state)
+{
+    uint32_t i;
+    for (i = VISCOUS; i <= COULOMB; ++i) {
+        if (state->reference[i] > state->start.theta[i]) {
+            state->covariance[FIRST + i][FIRST + i] = state->opened[FIRST + i] = UNSEEN;
+        }
+    }
+}
+
 /* Begin at the direct start. The last edge was `travel` counts after the one before. */
 static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines, real_t place,
                   real_t travel)
@@ -142,7 +155,7 @@ static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pm
     real_t drift = state->drift, scatter = state->scatter, heard = state->heard;
     state->reference[MASS] = theta[MASS];
     state->reference[VISCOUS] = smaller(larger(theta[VISCOUS], slow), fast);
-    state->reference[COULOMB] = larger(theta[COULOMB], PMF_R(1e-3) * absolute(config->input_gain * state->input));
+    state->reference[COULOMB] = larger(theta[COULOMB], LEAST_FRICTION * absolute(config->input_gain * state->input));
 #if PMF_BODY > 3
     state->reference[OFFSET] = theta[OFFSET];
 #endif
@@ -152,6 +165,7 @@ static void begin(const pmf_redge_config_t *config, pmf_redge_state_t *state, pm
     forget_lines(config, lines);
     begin_window(state);
     open_prior(config, state, state->velocity);
+    open_unseen(state);
     state->drift = state->unrest > AGAIN ? drift : PMF_R(0.0);
     if (state->start.known != 0U && state->spread > PMF_R(0.0)) { /* the encoder is still the same */
         state->scatter = scatter;
