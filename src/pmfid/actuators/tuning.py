@@ -104,7 +104,7 @@ class ActuatorTuning:
     waves: tuple[float, float] = (3.0, 12.0)
     #: A torque of the position belongs to a servo that it makes likelier by this [natural units], if it gains this
     #: many times as much as the fast wave, and moves an estimate by this many standard errors. Seven servos with
-    #: cogging beside a known gravity and an empty status had more of each; none of 53 right servos had.
+    #: cogging next to a known gravity and an empty status had more of each; none of 53 right servos had.
     wave_gain: float = 9.0
     wave_ratio: float = 2.0
     wave_moves: float = 3.0
