@@ -68,6 +68,8 @@ class ActuatorTuning:
     places: tuple[float, ...] = (0.0, -0.3, -0.15, 0.15, 0.3)
     #: Least scatter [encoder steps] of the position before rounding. It stands for what any model neglects.
     least_scatter: float = 0.08
+    #: Sizes of deviations that are told apart while the scatter is sought.
+    bins: int = 256
     #: Largest deviation in the likelihood [encoder steps].
     widest: float = 1e4
     #: Phases of the start within one encoder step at which the effect of rounding in the loop is computed.
