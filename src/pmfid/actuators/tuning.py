@@ -68,7 +68,7 @@ class ActuatorTuning:
     places: tuple[float, ...] = (0.0, -0.3, -0.15, 0.15, 0.3)
     #: Least scatter [encoder steps] of the position before rounding. It stands for what any model neglects.
     least_scatter: float = 0.08
-    #: Sizes of deviations that are told apart while the scatter is sought.
+    #: Number of bins of the histogram of deviations in the search for the scatter.
     bins: int = 256
     #: Largest deviation in the likelihood [encoder steps].
     widest: float = 1e4
