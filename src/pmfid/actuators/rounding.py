@@ -85,18 +85,28 @@ def compute_weight(deviation: Floats, scatter: float) -> Floats:
 
 
 def find_scatter(deviation: Floats) -> float:
-    """Return the scatter [steps] that maximises the likelihood, and at least `TUNING.least_scatter`."""
+    """Return the scatter [steps] that maximises the likelihood, and at least `TUNING.least_scatter`.
+
+    Deviations of about one size count together, by their mean.
+    """
     from scipy.optimize import minimize_scalar  # slow to import
 
-    if compute_cost(deviation, 1.05 * TUNING.least_scatter) > compute_cost(deviation, TUNING.least_scatter):
+    size = _measure_size(deviation)
+    fine = np.log1p(size / TUNING.least_scatter)
+    bins = (fine * (TUNING.bins / max(float(fine.max()), 1e-9))).astype(int)
+    count = np.bincount(bins)
+    mean = np.bincount(bins, weights=size)[count > 0] / count[count > 0]
+    count = count[count > 0]
+
+    def cost(scatter: float) -> float:
+        return -float(count @ log_probability(mean, scatter))
+
+    if cost(1.05 * TUNING.least_scatter) > cost(TUNING.least_scatter):
         return TUNING.least_scatter
     low = np.log(TUNING.least_scatter)
-    high = max(np.log(2 * float(np.sqrt(np.mean(deviation**2))) + 1e-9), low + 0.1)
+    high = max(np.log(2 * float(np.sqrt(np.mean(size**2))) + 1e-9), low + 0.1)
     found = minimize_scalar(
-        lambda log: compute_cost(deviation, float(np.exp(log))),
-        bounds=(low, high),
-        method="bounded",
-        options={"xatol": 0.05},
+        lambda log: cost(float(np.exp(log))), bounds=(low, high), method="bounded", options={"xatol": 0.05}
     )
     return float(np.exp(found.x))
 
