@@ -197,7 +197,7 @@ def test_progress_without_a_terminal_is_sparse_and_short_work_is_silent(
     lines = capsys.readouterr().err.splitlines()
     assert 2 <= len(lines) <= 12
     assert lines[0] == "pmfid: runs: 25% after 0 s"
-    assert lines[-1] in ("pmfid: runs: after 0 s", "pmfid: runs: after 1 s")
+    assert lines[-1] in ("pmfid: runs: running for 0 s", "pmfid: runs: running for 1 s")
 
 
 def run_on_terminal(work: str, *, interrupt: bool) -> tuple[int, str]:
@@ -227,7 +227,7 @@ SHOWN = "from pmfid.cli.terminal import progress\n with progress('search'): "
 def test_a_terminal_shows_long_work_and_its_line_is_gone_at_the_end() -> None:
     code, text = run_on_terminal(SHOWN + "import time; time.sleep(2.5)\n print('result')", interrupt=False)
     assert code == 0
-    assert re.search(r"pmfid: search: after \d+ s", text)
+    assert re.search(r"pmfid: search: running for \d+ s", text)
     assert text.endswith("\r\x1b[Kresult\r\n")
 
 

@@ -119,8 +119,8 @@ class ProgressReport:
 
     @property
     def line(self) -> str:
-        part = f"{self.done:.0%} " if self.measured else ""
-        return f"pmfid: {self.what}: {part}after {time.monotonic() - self._start:.0f} s"
+        how = f"{self.done:.0%} after" if self.measured else "running for"
+        return f"pmfid: {self.what}: {how} {time.monotonic() - self._start:.0f} s"
 
     def end(self) -> None:
         self.over.set()
