@@ -42,7 +42,9 @@ def test_every_detector_is_made_and_reported_and_every_file_and_option_may_name_
     assert set(make_detectors(0.9)) == set(DETECTORS)
     (option,) = (parameter for parameter in monitor.params if parameter.name == "detector")
     assert tuple(option.to_info_dict()["type"]["choices"]) == DETECTORS
-    steps, _, choosing = (REPOSITORY / "docs/howto/monitoring.md").read_text(encoding="utf-8").partition("## Choosing")
+    steps, _, choosing = (
+        (REPOSITORY / "docs/howto/monitoring.md").read_text(encoding="utf-8").partition("## How to choose")
+    )
     for name in DETECTORS:
         assert MonitorConfig(detector=name).detector == name
         assert name in steps.partition("# detector =")[2].partition("\n")[0]

@@ -214,7 +214,7 @@ def run_on_terminal(work: str, *, interrupt: bool) -> tuple[int, str]:
     with suppress(OSError):  # raised at the end of the process
         while part := os.read(ours, 1000):
             text += part
-            if interrupt and re.search(rb"after \d+ s", text):
+            if interrupt and re.search(rb"running for \d+ s", text):
                 interrupt = False
                 process.send_signal(signal.SIGINT)
     os.close(ours)

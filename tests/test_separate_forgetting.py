@@ -64,7 +64,7 @@ def test_simulated_process_that_does_not_vary_is_the_one_that_cannot():
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"forgetting_of": {"b1": 1.0}}, "got 1.0 of 'b1'"),
+        ({"forgetting_of": {"b1": 1.0}}, "got 1.0 for 'b1'"),
         ({"forgetting_of": {"b0": 0.9}}, "from forgetting = 0.99 to 1"),
         ({"forgetting_of": {"b0": 1.1}}, "to 1"),
         ({"forgetting_of": {"b0": 1.0}, "forgetting_scheme": "window"}, "exponential scheme"),

@@ -171,7 +171,7 @@ def test_methods_without_a_simulated_motion_refuse_with_a_remedy(method: type[pm
 
 @pytest.mark.parametrize("method", [pmfid.IV, pmfid.RIV])
 def test_an_unknown_stribeck_speed_is_for_output_error(method: type[pmfid.IV]) -> None:
-    with pytest.raises(pmfid.UsageError, match=r"stribeck_speed is not.*output-error"):
+    with pytest.raises(pmfid.UsageError, match=r"stribeck_speed does not.*output-error"):
         method(pmfid.Drive(1.7, stribeck="estimate"), pmfid.Encoder(3e-5), 2e-3, 31.0)
 
 

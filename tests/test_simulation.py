@@ -362,7 +362,7 @@ RNG = np.random.default_rng(0)
             r"beyond 2\*\*53 counts.*larger resolution",
         ),
         (lambda: make_scenario("nothing"), "unknown scenario 'nothing'; choose one of: prbs, mass-step"),
-        (lambda: make_scenario("prbs", seed=-1), "seed .* got -1; any whole number"),
+        (lambda: make_scenario("prbs", seed=-1), "seed .* got -1; give any whole number"),
         (lambda: make_scenario("prbs", duration=0.0), "duration .* got 0.0; give the length"),
         (lambda: resolution_of(0), "increments .* got 0; give the counts per turn"),
     ],

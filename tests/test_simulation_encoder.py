@@ -93,7 +93,7 @@ def test_same_seed_same_faults() -> None:
         ({"jitter": float("nan")}, "jitter .* got nan"),
         ({"line_error": 0.5}, r"line_error must be in \[0, 0.5\), got 0.5; give less"),
         ({"lines": 0}, "lines .* got 0; give the counts per turn"),
-        ({"seed": -1}, "seed .* got -1; any whole number"),
+        ({"seed": -1}, "seed .* got -1; give any whole number"),
     ],
 )
 def test_bad_faults_name_the_remedy(options: dict[str, float], message: str) -> None:

@@ -387,7 +387,9 @@ def test_an_alarm_says_what_to_do_and_its_parameter_stands_first(browser: Any) -
         plant.alarm("spindle-b", "coulomb_friction", "N m")
         at_axis(page, there, "spindle-b")
         assert "Check brakes, guides, seals and belt tension for rubbing." in page.inner_text(".card.alarm")
-        assert re.search(r"This change began at \S.*\. The service noticed it at \S.*\.", page.inner_text(".card.alarm"))
+        assert re.search(
+            r"This change began at \S.*\. The service noticed it at \S.*\.", page.inner_text(".card.alarm")
+        )
         assert "is 1.7 times what an alarm needs" in page.inner_text(".card.alarm")
         assert "The change is 3.9 times the tolerance of 2.0\u00a0%" in page.inner_text(".card.alarm")
         plant.alarm("spindle-b", "coulomb_friction", "N m", 0.1)
