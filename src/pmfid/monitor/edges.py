@@ -222,6 +222,8 @@ class EdgeMonitor:
         theta, std = np.array(estimate.theta), np.array(estimate.theta_std)
         statistic, doubtful = self.weigh_deviations(theta, std, np.array(distorted), self.reference)
         self.statistic = float(statistic)
+        if doubtful and distorted and self.state == WATCHING:  # the recursion has opened its memory
+            return self._suspect()
         if doubtful:
             return self._enter(CANNOT_TELL, "poor excitation")
         if self.statistic > self.threshold:
