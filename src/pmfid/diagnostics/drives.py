@@ -502,7 +502,7 @@ def _find_hidden_effects(
     if np.any(spread > std):
         yield Finding(
             "model_spread",
-            "this record cannot exclude friction or a dead time with an effect of more than a standard error",
+            "friction or a dead time outside the model may shift an estimate by more than its standard error",
             "use a finer encoder or a richer motion",
         )
     if np.any(found.unseen[: std.size] > std):

@@ -104,8 +104,8 @@ class REdge:
     def _check_model(self) -> None:
         if not is_plain(self.model):
             raise UsageError(
-                "REdge accepts a Drive with a given input_gain, a mass, viscous and Coulomb friction, and an "
-                "offset; for further terms use EdgeFit off-line"
+                "REdge accepts only a Drive with a known input_gain, whose parameters are mass, viscous and Coulomb "
+                "friction, and offset; for further terms use EdgeFit off-line"
             )
 
     def _new_kernel(self) -> EdgeKernel:

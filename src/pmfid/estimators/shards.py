@@ -313,7 +313,7 @@ def read_listing(sequence: int, body: bytes) -> Listing:
         handles = _handles(body[_LENGTH.size + length :], places)
         for number, one in enumerate(shards):
             if handles.taken[number * size + one.rows : (number + 1) * size].any():
-                raise ValueError("it has axes in rows that were never used")
+                raise ValueError("rows that are marked as unused contain axes")
         return Listing(sequence, size, shards, handles, raw["mark"])
     except (KeyError, TypeError, IndexError, struct.error, RecursionError, OverflowError) as error:
         raise ValueError(f"it is not a checkpoint of a sharded fleet: {error!r}") from None

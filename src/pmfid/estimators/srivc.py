@@ -362,8 +362,8 @@ class RSRIVC(ProcessOnly, RecursiveEstimator):
             raise UsageError("rsrivc forgets the start of the process by itself; leave initial_conditions out")
         if self.model.integrators or self.model.unstable:
             raise UsageError(
-                "rsrivc simulates from rest, and without a stable process this simulation drifts away; use "
-                "srivc on records"
+                "rsrivc simulates from rest, and the simulation diverges if the process is not stable; record the "
+                "process and use srivc"
             )
         super().__post_init__()
 

@@ -185,7 +185,7 @@ def kind_of(source: Path) -> str:
     """Return "parquet" or "pmfb", by the present files. Raises UsageError for anything else."""
     if not source.is_dir():
         raise UsageError(
-            f"{source}: this is not a folder; give the folder into which files of blocks arrive, .parquet or .pmfb"
+            f"{source}: this is not a folder; give the folder that receives the files of blocks (.parquet or .pmfb)"
         )
     kinds = {path.suffix for path in source.iterdir() if path.suffix in (".parquet", ".pmfb")}
     if len(kinds) > 1:

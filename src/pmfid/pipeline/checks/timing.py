@@ -159,7 +159,7 @@ def drifts(log: CheckedLog) -> Iterator[Finding]:
         return
     yield Finding(
         "drift",
-        f"input and output have two clocks, which drift apart by {abs(rate) * n:.2g} rows within {n}",
+        f"input and output have two clocks, which drift apart by {abs(rate) * n:.2g} rows in {n} rows",
         f"log both with one clock, or multiply the input's time by {1 + rate:.6f} and use its latest value in each row",
         detail="With this drift corrected, the motion explains the input better.",
     )
