@@ -171,7 +171,7 @@ def test_ages_that_cannot_be_are_refused() -> None:
     method = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16)
     with pytest.raises(UsageError, match="needs the age of the last edge"):
         method.fit(u, counts)
-    with pytest.raises(UsageError, match="ages must be an array"):
+    with pytest.raises(UsageError, match="ages must have the shape of counts"):
         method.fit(u, counts, ages[1:])
     with pytest.raises(UsageError, match=r"the age in row \d+ is 5 s"):
         method.fit(u, counts, np.where(np.isfinite(ages), 5.0, np.nan))

@@ -220,7 +220,7 @@ def test_methods_that_cannot_take_them_say_which_can():
             LS(model, ONE, DT, 2.0)
     with pytest.raises(UsageError, match="use srivc or output-error"):
         IV(TransferFunction(2, 0, dead_time="estimate"), ONE, DT, 2.0)
-    with pytest.raises(UsageError, match="use srivc on records"):
+    with pytest.raises(UsageError, match="record the process and use srivc"):
         RSRIVC(TransferFunction(2, 0, integrators=1), ONE, DT, 2.0)
 
 

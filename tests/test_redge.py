@@ -276,7 +276,7 @@ def test_wrong_arguments_are_refused() -> None:
         REdge(Drive(2.0), Encoder(1e-3), DT, tick=1.0)
     with pytest.raises(UsageError, match="memory must be positive"):
         REdge(Drive(2.0), Encoder(1e-3), DT, memory=-1.0)
-    with pytest.raises(UsageError, match="ages must be an array"):
+    with pytest.raises(UsageError, match="ages must have the shape of counts"):
         estimator_of(1e-3).run([1.0, 2.0], [0, 1], [0.1])
 
 
