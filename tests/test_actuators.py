@@ -191,7 +191,7 @@ def test_arrays_that_no_fit_can_use_are_refused(changed, words: str) -> None:  #
 
 def test_a_motion_that_does_not_follow_the_command_is_refused() -> None:
     t, goal, position = make_log()
-    with pytest.raises(NotIdentifiableError, match="one joint"):
+    with pytest.raises(NotIdentifiableError, match="the same joint"):
         fit_servo(Servo(STEP), t, np.random.default_rng(0).permutation(goal), -position)
     with pytest.raises(NotIdentifiableError, match="hardly moves"):
         fit_servo(Servo(STEP), t, goal, 0 * position)

@@ -225,7 +225,7 @@ def pair(**changes: object) -> list[JointLog]:
         ({"goal": lambda own, _: np.degrees(own["goal"])}, "the goal is in degrees .* give --goal-unit deg"),
         ({"goal": lambda own, _: own["goal"] / STEP + 2048}, "the goal is in counts .* give --goal-unit counts"),
         ({"position": lambda own, _: np.degrees(own["position"])}, "the position is in degrees"),
-        ({"goal": lambda own, _: -own["goal"]}, "turn the sign"),
+        ({"goal": lambda own, _: -own["goal"]}, "reverse the sign"),
         ({"goal": lambda own, other: other.goal}, "does not follow the goal"),
         ({"position": lambda own, other: other.position}, "follows the goal of joint 2 .* exchange the columns"),
         ({"goal": lambda own, _: np.roll(own["goal"], 20)}, "ms before its goal"),

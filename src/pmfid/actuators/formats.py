@@ -52,7 +52,7 @@ def _refuse(kind: str) -> Iterator[None]:
         raise UsageError(f"cannot read the log: {error.strerror}; give the path of a data file") from None
     except (ValueError, KeyError, TypeError, IndexError, AttributeError, RecursionError, csv.Error):
         raise UsageError(
-            f"the file is no valid {kind}: export the log as CSV with columns of time, goals and positions"
+            f"this path is no {kind}: export the log as CSV with columns of time, goals and positions"
         ) from None
 
 
