@@ -165,14 +165,15 @@ def comparison_figure(
     """Draw one parameter by several methods on several records, with the true value, as in paper figure 4.
 
     The time t is (n,) [s]. `tracks` maps the title of a panel to the tracks of its labelled curves. `truth` (n,) has
-    the unit of the parameter. Raises UsageError if a length differs from the length of t.
+    the unit of the parameter. Curves have gaps where two standard errors exceed half of the value. Raises UsageError if
+    a length differs from the length of t.
     """
     named = {f"{title}, {name}": k.status for title, curves in tracks.items() for name, k in curves.items()}
     t, settled = _time(t, {"truth": truth, **named}), []
     with open_figure(0.9 + 1.9 * len(tracks), len(tracks), sharex=True, sharey=True) as (figure, panels):
         for (title, curves), axes in zip(tracks.items(), panels, strict=True):
             for colour, (label, track) in zip(cycle(COLOURS), curves.items(), strict=False):
-                _line(axes, t, _mask_start(track, parameter), color=colour, label=label)
+                _line(axes, t, _mask_uncertain(track, parameter), color=colour, label=label)
                 settled.append(_select_settled(track, track[parameter]))
             _line(axes, t, np.asarray(truth, float), color=MAGENTA, ls="--", label="truth")
             axes.set_title(title)
@@ -259,6 +260,12 @@ def _line(axes: Axes, t: Floats, y: Floats, **style: Any) -> None:
 def _mask_start(track: Track, name: str) -> Floats:
     """Return the track of one parameter, with NaN where no estimate exists yet."""
     return np.where(track.has_status(Status.STARTING), np.nan, track[name])
+
+
+def _mask_uncertain(track: Track, name: str) -> Floats:
+    """Return the track of one parameter, with NaN where its error may exceed half of its value."""
+    values, std = _mask_start(track, name), track.theta_std[:, track.names.index(name)]
+    return np.where(2 * std > np.abs(values) / 2, np.nan, values)
 
 
 def _select_settled(track: Track, y: Floats) -> Floats:
