@@ -141,7 +141,6 @@ def test_python_says_what_the_command_says() -> None:
     assert found[0].text == found_in("reversed sign")[0].text
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("bits", [12, 14, 32])
 def test_a_counter_narrower_than_its_encoder_is_named(bits: int) -> None:
     run = make_scenario("prbs", seed=SEED, increments=2048)
@@ -150,6 +149,7 @@ def test_a_counter_narrower_than_its_encoder_is_named(bits: int) -> None:
     assert (found[0].code, found[0].remedy) == ("wrapped", "give [encoder] bits = 10")
 
 
+@pytest.mark.long
 def test_an_input_that_acts_late_is_said_as_of_the_estimate() -> None:
     log = log_of(JUDGED)
     late = [finding for finding in found_in(JUDGED) if finding.code == "dead_time"]

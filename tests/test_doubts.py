@@ -37,6 +37,7 @@ def test_noise_alone_is_no_process(n, seed):
         identified(plain(y), model__n=n)
 
 
+@pytest.mark.long
 def test_a_wrong_structure_is_no_feedback():
     y = simulate_process(PLANT.b, PLANT.a, np.r_[np.zeros(3), PLANT.u[:-3]], PLANT.dt)
     rng = np.random.default_rng(1)
