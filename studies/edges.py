@@ -174,6 +174,13 @@ def watch_counts(u: Floats, counts: Counts) -> list[Alarm]:
     return [event for _, _, event in watched.run(u, counts).events if isinstance(event, Alarm)]
 
 
+def draw_change(name: str, factor: float, seed: int) -> tuple[float, Schedule, Floats, Counts]:
+    """Return the time of a change [s], its schedule, and the input and the finest counts of the cart, each (n,)."""
+    when = BEFORE + 3.0 * float(np.random.default_rng([seed, 35]).random())
+    schedule = Schedule(((0.0, CART), (when, changed(name, factor))))
+    return when, schedule, *changing(schedule, seed, FINEST, when + AFTER)
+
+
 def compare_monitors(seeds: range, hours: float) -> None:
     """Print delays and causes of both monitors for each change, and false alarms in `hours` of normal work."""
     print("| change | encoder | lines off [%] | late [us] | delay, median [s] | mean | most | right cause | early |")
@@ -181,9 +188,7 @@ def compare_monitors(seeds: range, hours: float) -> None:
     for change, (name, factor) in CHANGES.items():
         found: dict[str, list[tuple[float, bool, int]]] = {}
         for seed in seeds:
-            when = BEFORE + 3.0 * float(np.random.default_rng([seed, 35]).random())
-            schedule = Schedule(((0.0, CART), (when, changed(name, factor))))
-            u, counts = changing(schedule, seed, FINEST, when + AFTER)
+            when, schedule, u, counts = draw_change(name, factor, seed)
             for key, alarms in watch_all(u, counts, schedule, seed, product(WATCHED, FAULTS)).items():
                 after = [alarm for alarm in alarms if alarm.time >= when]
                 right = bool(after) and after[0].parameter == name and not after[0].others

@@ -305,7 +305,7 @@ def test_a_known_loop_has_narrower_bars() -> None:
 
 
 @pytest.mark.parametrize("cogging", [0.0, 0.02])
-def test_cogging_beside_a_known_gravity_is_doubted(cogging: float) -> None:
+def test_cogging_next_to_a_known_gravity_is_doubted(cogging: float) -> None:
     """Another gain explains most of such a torque, so that no residual shows it."""
     t, goal, _ = make_log(time=6.0)
     true = Servo(STEP, {"kp": 8.0, "gravity": 1.3, "gravity_angle": 0.0})

@@ -15,6 +15,7 @@ from pmfid.cli.main import main
 from pmfid.monitor import Alarm, EdgeMonitor, Settled, Watch
 from pmfid.monitor.events import Event, StateChange
 from pmfid.simulation import CART, Schedule, capture_edges, resolution_of, simulate_drive
+from studies.edges import draw_change, watch_edges
 from studies.monitoring.axis import changing
 from tests.edge_axes import AXIS, EVERY, TURN, Motion, cart_edges, heavier, write_record
 from tests.test_redge import DT, TRUTH
@@ -65,6 +66,19 @@ def test_a_change_has_an_alarm_with_its_cause_and_size(name: str, factor: float,
     )
     np.testing.assert_allclose(settled.theta, expected, rtol=5e-3)
     assert monitor.state == "watching"
+
+
+@pytest.mark.parametrize(
+    ("name", "factor", "fault"), [("coulomb_friction", 1.3, (0.0, 0.0)), ("input_gain", 0.9, (0.01, 1e-5))]
+)
+def test_a_change_is_seen_although_the_status_was_doubtful_before(
+    name: str, factor: float, fault: tuple[float, float]
+) -> None:
+    """Exact lines and late instants make the status doubtful. At the change, the recursion opens its memory."""
+    when, schedule, u, _ = draw_change(name, factor, 0)
+    alarms = [alarm for alarm in watch_edges(u, schedule, TURN, fault, 0) if alarm.time > when]
+    assert (alarms[0].parameter, alarms[0].others) == (name, ())
+    assert alarms[0].time < when + 2.0
 
 
 @pytest.mark.parametrize(("weight", "name", "change"), [(0.0, "offset", 0.5), (-5.0, "mass", 0.25)])

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
 from pmfid.actuators.rivals import choose_likeliest, measure_load_gain
-from pmfid.actuators.rounding import find_scatter, measure_correlation, measure_cost, measure_persistence, sharpen
+from pmfid.actuators.rounding import find_scatter, measure_cost, measure_independence, measure_persistence, sharpen
 from pmfid.actuators.servo import PARTNERS, SIGNED, UNITS, Servo
 from pmfid.actuators.standard_errors import standard_errors
 from pmfid.actuators.starts import find_start
@@ -312,7 +312,8 @@ def _refine_wider(problem: ServoProblem, z: Floats, name: str) -> tuple[ServoPro
 
 def _is_worth(problem: ServoProblem, z: Floats, less: float, cost: float) -> bool:
     """Return whether a squared residual of `less` in place of `cost`, which is that of `z`, is worth a term."""
-    chance = min(TUNING.beyond**2 / _independent(problem.residual(z)), TUNING.plain)
+    residual = problem.residual(z)
+    chance = min(TUNING.beyond**2 / (residual.size * measure_independence(residual)), TUNING.plain)
     return 1.0 - less / cost > max(TUNING.explains, chance)
 
 
@@ -340,17 +341,11 @@ def _refine_narrower(
 
 
 def _list_unclear(problem: ServoProblem, z: Floats, std: Floats, added: Sequence[str]) -> list[str]:
-    """Return the added terms that standard errors (p,) do not tell from zero, the least clear first."""
+    """Return the added terms that standard errors (p,) do not distinguish from zero, the least clear first."""
     errors = dict(zip(problem.servo.unknown, std.tolist(), strict=True))
     values = problem.list_values(z)
     clear = {name: abs(values[name]) / max(errors[name], 1e-300) for name in added}
     return sorted((name for name in added if not clear[name] > TUNING.clear), key=clear.__getitem__)
-
-
-def _independent(residual: Floats) -> float:
-    """Return the number of independent samples that a correlated residual (n,) is worth."""
-    rho = measure_correlation(residual)
-    return float(residual.size * (1 - rho) / (1 + rho))
 
 
 # --- findings ---

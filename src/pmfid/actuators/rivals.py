@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.actuators.problem import ServoProblem
-from pmfid.actuators.rounding import measure_correlation, measure_cost, sharpen
+from pmfid.actuators.rounding import measure_cost, measure_independence, sharpen
 from pmfid.actuators.servo import TORQUES
 from pmfid.actuators.tuning import TUNING
 from pmfid.types import Floats
@@ -36,9 +36,8 @@ def measure_load_gain(problem: ServoProblem, z: Floats) -> float:
     """Return how much likelier a friction in proportion to the load makes the log, in independent samples."""
     if problem.servo.has(LOAD_FRICTION) or problem.is_contradicted(z):
         return 0.0
-    rho = measure_correlation(problem.residual(z))
     gain = measure_cost(problem, z) - _fit_rival(problem, z, {LOAD_FRICTION: TUNING.rival_step})[2]
-    return gain * (1 - rho) / (1 + rho)
+    return gain * measure_independence(problem.residual(z))
 
 
 def compute_rival_changes(problem: ServoProblem, z: Floats) -> list[Floats]:
@@ -51,8 +50,7 @@ def compute_rival_changes(problem: ServoProblem, z: Floats) -> list[Floats]:
     if problem.is_contradicted(z):
         return []
     theta, cost = problem.theta(z), measure_cost(problem, z)
-    rho = measure_correlation(problem.residual(z))
-    worth = 0.5 * (1 - rho) / (1 + rho)
+    worth = 0.5 * measure_independence(problem.residual(z))
     changes = [(found - theta) / np.sqrt(max(2 * (more - cost), 1.0)) for found, _, more in _fit_rivals(problem, z)]
     for given in _list_absent(problem, z):
         found, _, more = _fit_rival(problem, z, given)

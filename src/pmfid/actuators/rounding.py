@@ -58,6 +58,12 @@ def measure_correlation(residual: Floats) -> float:
     return float(np.clip(centred[1:] @ centred[:-1] / max(centred @ centred, 1e-300), 0.0, 0.999))
 
 
+def measure_independence(residual: Floats) -> float:
+    """Return the part of correlated samples (n,) that counts as independent (Bayley and Hammersley 1946)."""
+    rho = measure_correlation(residual)
+    return (1 - rho) / (1 + rho)
+
+
 def measure_persistence(deviation: Floats, scatter: float) -> float:
     """Return the scatter [steps] if deviations (n,) [steps] persist from one sample to the next, and 0 if not."""
     return scatter if measure_correlation(deviation) > TUNING.correlated else 0.0

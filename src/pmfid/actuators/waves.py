@@ -16,7 +16,7 @@ from pmfid.actuators.rounding import (
     compute_score,
     compute_weight,
     evaluate_rounded,
-    measure_correlation,
+    measure_independence,
     solve_scaled,
 )
 from pmfid.actuators.tuning import TUNING
@@ -56,5 +56,4 @@ def _explain(problem: ServoProblem, z: Floats, now: RoundedFit, waves: float) ->
     own = columns - now.jacobian @ absorbed
     slope, bend = own.T @ score, (own * weight[:, None]).T @ own
     amplitude = -solve_scaled(bend, slope)
-    rho = measure_correlation(now.deviation)
-    return float(-0.5 * slope @ amplitude * (1 - rho) / (1 + rho)), -absorbed @ amplitude
+    return float(-0.5 * slope @ amplitude) * measure_independence(now.deviation), -absorbed @ amplitude

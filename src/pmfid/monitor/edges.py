@@ -222,11 +222,11 @@ class EdgeMonitor:
         theta, std = np.array(estimate.theta), np.array(estimate.theta_std)
         statistic, doubtful = self.weigh_deviations(theta, std, np.array(distorted), self.reference)
         self.statistic = float(statistic)
-        if doubtful and distorted and self.state == WATCHING:  # the recursion has opened its memory
-            return self._suspect()
-        if doubtful:
+        # If an estimate that was certain becomes both doubtful and distorted, the recursion has raised an alarm.
+        alarmed = doubtful and distorted and self.state == WATCHING
+        if doubtful and not alarmed:
             return self._enter(CANNOT_TELL, "poor excitation")
-        if self.statistic > self.threshold:
+        if alarmed or self.statistic > self.threshold:
             return self._suspect()
         if not distorted:
             self._base, self._armed = theta, True
