@@ -72,8 +72,8 @@ def _describe_machine(result: Result) -> str:
     if not others:
         return f"{says} (95 % interval)"
     worst = max(others, key=lambda index: np.inf if np.isnan(part[index]) else part[index])
-    rest = f"every other parameter {_format_part(float(part[worst]))} at most"
-    return f"{says}, {rest} (95 % intervals; worst: {result.names[worst]})"
+    rest = f"the least certain other parameter is {result.names[worst]} {_format_part(float(part[worst]))}"
+    return f"{says}; {rest} (95 % intervals)"
 
 
 def _half_intervals(result: Result) -> Floats:
