@@ -251,6 +251,7 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.accuracy --out results/accuracy.md
 	.venv/bin/python -m studies.dead_time --out results/dead_time.md
 	.venv/bin/python -m studies.no_settings --out results/no_settings.md
+	.venv/bin/python -m studies.referee --out results/referee.md
 	.venv/bin/python -m studies.verdict --out results/verdict.md
 	.venv/bin/python -m studies.known_mass --out results/known_mass.md
 	.venv/bin/python -m studies.design --out results/design.md
