@@ -15,7 +15,7 @@ from studies.referee.__main__ import main
 from studies.referee.cases import FAST, FAST_SUBSTEPS, PARAMETERS, SUBSTEPS, Case, excite, make_cases
 from studies.referee.judge import Answer, Row, judge
 from studies.referee.machines import KINDS, draw_machine
-from studies.referee.table import summarise
+from studies.referee.table import compare, summarise
 from tests.oracles.axis import Axes, Excitation, Motion, simulate_axes
 
 
@@ -80,11 +80,16 @@ def test_a_machine_does_not_depend_on_the_others_of_its_batch() -> None:
     assert alone.truth == third.truth
 
 
-def test_the_gain_of_a_bent_binary_input_belongs_to_the_truth() -> None:
-    bent, plain = make_cases(5, "bending", [0])[0], draw_machine(5, "bending", 0)
-    assert np.unique(np.abs(bent.u)).size == 1  # two levels
-    size = float(np.abs(bent.u[0])) / plain.scale.top
-    assert bent.truth["mass"] == pytest.approx(plain.scale.mass / (1 - plain.effect["bending"] * size))
+@pytest.mark.parametrize("gain", [1.0, 0.9])
+def test_a_bent_input_leaves_the_gain_open(gain: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = make_cases(5, "bending", [0])[0]
+    bent, largest = draw_machine(5, "bending", 0), np.max(np.abs(case.u))
+    assert np.unique(np.abs(case.u)).size == 1  # two levels
+    assert case.seen_gain == pytest.approx(1 - bent.effect["bending"] * largest / bent.scale.top)
+    case = replace(case, seen_gain=0.9)
+    theta = {name: value / gain for name, value in case.truth.items()}
+    monkeypatch.setattr(judging, "load_call", lambda _: lambda _: Answer(theta, theta, {}, (), ""))
+    assert [judge("", case)[f"{name}_error"] for name in PARAMETERS] == pytest.approx([0.0] * 3)
 
 
 def test_the_table_counts_silent_errors_coverage_and_length(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,6 +108,12 @@ def test_the_table_counts_silent_errors_coverage_and_length(monkeypatch: pytest.
     assert line["mass_covered"] == 50.0
     assert line["mass_most"] == pytest.approx(5.0)
     assert line["mass_length"] == pytest.approx(0.002 / np.sqrt((1 + 4 + 2 * 2500) / 4 * 1e-6))
+
+
+def test_a_larger_error_than_before_is_listed() -> None:
+    before = {"kind": "load"} | {f"{name}_{what}": 1.0 for name in PARAMETERS for what in ("median", "most")}
+    assert compare([before], [before]) == []
+    assert compare([before | {"mass_most": 1.2}], [before]) == ["load: mass most 1.2 %, before 1 %"]
 
 
 def endless(case: Case) -> Answer:

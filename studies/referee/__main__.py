@@ -17,7 +17,7 @@ from pathlib import Path
 from studies.referee.cases import Case, make_cases
 from studies.referee.judge import Row, judge
 from studies.referee.machines import KINDS, RIGHT
-from studies.referee.table import tabulate, write_page
+from studies.referee.table import compare, tabulate, write_page
 
 
 def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
@@ -29,6 +29,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--call", default="studies.referee.judge:identify", help="the fit, as module:function")
     parser.add_argument("--out", type=Path, default=Path("results/referee.md"), help="the page")
+    parser.add_argument("--against", type=Path, help="the table (.csv) of an earlier run; print what is worse")
     parser.add_argument("--resume", action="store_true", help="keep the machines of an interrupted run")
     return parser.parse_args(arguments)
 
@@ -83,7 +84,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"\r{count} of {len(cases)}", end="", file=sys.stderr, flush=True)
     lines = tabulate(sorted(rows, key=lambda row: [*KINDS].index(str(row["kind"]))))
     write_rows(options.out.with_suffix(".csv"), lines)
-    options.out.write_text(write_page(lines), encoding="utf-8")
+    options.out.write_text(write_page(lines, options.seed), encoding="utf-8")
+    for text in compare(lines, read_rows(options.against)) if options.against else []:
+        print(text)
     return 0
 
 

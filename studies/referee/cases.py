@@ -12,7 +12,7 @@ from studies.referee.machines import Machine, draw_machine
 from tests.oracles.axis import Axes, Excitation, Motion, simulate_axes
 
 PARAMETERS = ("mass", "viscous", "coulomb")
-#: Effects on the input. With two levels of the input they are a gain, so the truth is that of the gain in the record.
+#: Effects on the input, which may be a gain in a record: with two levels of the input they are nothing else.
 OF_INPUT = ("dead zone", "bending", "saturation")
 #: Steps of the integrator per sample, and those of the kinds with fast forces.
 SUBSTEPS, FAST_SUBSTEPS = 10, 30
@@ -24,7 +24,8 @@ class Case:
     """A record and its truth.
 
     u (n,) is the input, and counts (n,) is NaN where a count is missing. t (n,) are the instants [s] of an uneven
-    clock, or None. `resolution` is in m or rad per count, and `input_gain` in N or N m per unit of u.
+    clock, or None. `resolution` is in m or rad per count, and `input_gain` in N or N m per unit of u. `seen_gain` is
+    the gain of a bent input in this record, relative to its slope: sum(u force) / sum(u^2).
     """
 
     kind: str
@@ -38,6 +39,7 @@ class Case:
     rotary: bool
     input_gain: float
     truth: Mapping[str, float]
+    seen_gain: float
     facts: Mapping[str, float]
 
 
@@ -84,7 +86,6 @@ def make_case(machine: Machine, motion: Motion, column: int) -> Case:
     u, counts, force = (signal[log, column] for signal in (motion.u, motion.counts, motion.force))
     resolution = scale.turn / machine.increments
     top_force = scale.mass * resolution / (pace.mass * scale.dt**2)
-    gain = float(u @ force / (u @ u)) if machine.kind in OF_INPUT else 1.0
     friction = np.mean(np.broadcast_to(machine.effect.get("friction", 1.0), machine.step.shape)[log])
     uneven = bool(np.ptp(machine.step) > 0)
     missing = machine.missing
@@ -100,10 +101,11 @@ def make_case(machine: Machine, motion: Motion, column: int) -> Case:
         scale.rotary,
         top_force / scale.top,
         {
-            "mass": scale.mass / gain,
-            "viscous": pace.viscous * top_force * scale.dt / resolution / gain,
-            "coulomb": pace.coulomb * top_force * float(friction) / gain,
+            "mass": scale.mass,
+            "viscous": pace.viscous * top_force * scale.dt / resolution,
+            "coulomb": pace.coulomb * top_force * float(friction),
         },
+        float(u @ force / (u @ u)) if machine.kind in OF_INPUT else 1.0,
         {
             "samples": u.size,
             "increments": machine.increments,

@@ -15,6 +15,9 @@ NORMAL_95 = 1.96
 #: An error is wrong beyond three standard errors and the tolerance of `identify` ([estimator] tolerance).
 STANDARD_ERRORS, TOLERANCE = 3.0, 0.01
 
+#: Growth of an error that counts as worse.
+WORSE = 1.1
+
 
 def column(rows: Sequence[Row], name: str) -> Floats:
     """Return the values (rows, 3) of a column of each parameter."""
@@ -91,9 +94,9 @@ def tabulate(rows: Sequence[Row]) -> list[Row]:
 INTRODUCTION = """\
 # Referee
 
-`python -m studies.referee --out PAGE.md` wrote this page and its table as CSV. The machines are random, and an
-independent integrator simulates them. Each fit gets one record, the input gain and the encoder, and assumes a plain
-drive. Three numbers in a cell are those of the mass, viscous friction and Coulomb friction.
+`python -m studies.referee --seed {seed}` wrote this page, its table and a row for each machine as CSV. The machines are
+random, and an independent integrator simulates them. Each fit gets one record, the input gain and the encoder, and
+assumes a plain drive. Three numbers in a cell are those of the mass, viscous friction and Coulomb friction.
 
 - empty: runs without a status word. Wrong: runs with an error beyond three standard errors and 1 %.
 - silent: wrong runs without a status word. Silent, wide: the same, with the standard error of the 95 % interval.
@@ -105,7 +108,25 @@ drive. Three numbers in a cell are those of the mass, viscous friction and Coulo
 """
 
 
-def write_page(lines: Sequence[Row]) -> str:
+def write_number(value: float) -> str:
+    """Return a number with two digits, without an exponent."""
+    return f"{value:.0f}" if value >= 10 else "<0.0001" if value < 1e-4 else f"{value:.2g}"
+
+
+def compare(lines: Sequence[Row], before: Sequence[Row]) -> list[str]:
+    """Return the cells whose median or largest error is more than 1.1 times the error in the table `before`."""
+    former = {str(line["kind"]): line for line in before}
+    return [
+        f"{line['kind']}: {name} {what} {float(line[key]):.3g} %, before {float(former[str(line['kind'])][key]):.3g} %"
+        for line in lines
+        if line["kind"] in former
+        for name in PARAMETERS
+        for what in ("median", "most")
+        if float(line[key := f"{name}_{what}"]) > WORSE * float(former[str(line["kind"])][key])
+    ]
+
+
+def write_page(lines: Sequence[Row], seed: int) -> str:
     """Return the page for readers."""
     whole = {"runs": "runs", "refused": "refused", "empty": "empty", "wrong": "wrong", "silent": "silent"}
     whole |= {"silent_wide": "silent, wide"}
@@ -114,6 +135,10 @@ def write_page(lines: Sequence[Row]) -> str:
     text = [["truth", *whole.values(), *triples.values(), "CPU [s]"]]
     text.append(["---"] * len(text[0]))
     for line in lines:
-        cells = [" / ".join(f"{float(line[f'{name}_{what}']):.2g}" for name in PARAMETERS) for what in triples]
+        cells = [" / ".join(write_number(float(line[f"{name}_{what}"])) for name in PARAMETERS) for what in triples]
         text.append([str(line["kind"]), *(str(line[name]) for name in whole), *cells, f"{line['seconds_median']:.2g}"])
-    return INTRODUCTION + "\n".join(f"| {' | '.join(cells)} |".replace("nan", "–") for cells in text) + "\n"
+    return (
+        INTRODUCTION.format(seed=seed)
+        + "\n".join(f"| {' | '.join(cells)} |".replace("nan", "–") for cells in text)
+        + "\n"
+    )
