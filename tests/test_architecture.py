@@ -23,7 +23,8 @@ REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
 KERNELS = {"_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
-GROUND = {"deprecation", "errors", "types", "findings", "status", "presentation", "durable", "units"} | KERNELS
+SHARED = {"elementary", "deprecation", "errors", "types", "findings", "status", "presentation", "durable", "units"}
+GROUND = SHARED | KERNELS
 FILTERS = GROUND | {"models", "encoder", "edge_times"}
 ESTIMATORS = FILTERS | {"filters", "linear"}
 DIAGNOSTICS = ESTIMATORS | {"estimators"}
@@ -44,13 +45,14 @@ MAY_IMPORT: dict[str, set[str]] = {
     "_estimate": {"errors", "presentation", "status"},
     "_stage": set(),
     "durable": {"errors"},
+    "elementary": {"types"},
     "_detect": set(),
     "_watch": set(),
     "_edges": {"_estimate"},
     "_kernel": {"_estimate"},
     "_kernel32": {"_kernel64"},
     "_kernel64": {"_estimate"},
-    "kernel": {"errors", "pmfid", "_kernel32", "_kernel64"},
+    "kernel": {"elementary", "errors", "pmfid", "_kernel32", "_kernel64"},
     "models": GROUND,
     "encoder": GROUND,
     "edge_times": {"errors", "types"},
@@ -63,7 +65,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "records": RECORDS,
     "monitor": DIAGNOSTICS | {"lazy_imports"},
     "testing": DIAGNOSTICS,
-    "simulation": {"edge_times", "errors", "types"},
+    "simulation": {"edge_times", "elementary", "errors", "types"},
     "design": {"errors", "types", "presentation", "lazy_imports", "models", "simulation"},
     "actuators": {"errors", "estimators", "findings", "io", "presentation", "records", "simulation", "types"},
     "export": DIAGNOSTICS | {"pmfid"},

@@ -1,7 +1,7 @@
 # Block scores and detectors. Each axis is computed alone and in a fixed order, so that the bits do not depend on other
 # axes. Part of _stage.pyx.
 
-from libc.math cimport copysign, exp, sqrt
+from libc.math cimport copysign, sqrt
 from libc.stdint cimport uint8_t, uint32_t
 from libc.string cimport memcpy, memmove, memset
 
@@ -215,6 +215,22 @@ cdef inline double _sum_of(const Rule *rule, const double *x, const double *w, c
     return _two_sided(x, allowed, state, state + p, p)
 
 
+cdef inline double _decay(double x) noexcept nogil:
+    """Return exp(-x), x >= 0. The C library rounds by the kind of processor, and saved states keep the sums."""
+    cdef double less = 0.0  # exp(-x) - 1
+    cdef Py_ssize_t halvings = 0, k
+    if not x < 800.0:
+        return 0.0
+    while x > 0.125:
+        x *= 0.5
+        halvings += 1
+    for k in range(12, 0, -1):  # the first term that this series leaves out is 0.125**13 / 13! = 3e-22
+        less = -x / k * (1.0 + less)
+    for k in range(halvings):
+        less *= 2.0 + less
+    return 1.0 + less
+
+
 cdef inline double _sum_about_mean(const Rule *rule, const double *x, const double *w, const double *tolerance, double *state) noexcept nogil:
     cdef double allowed[MOST]
     cdef double apart[MOST]
@@ -224,7 +240,7 @@ cdef inline double _sum_about_mean(const Rule *rule, const double *x, const doub
     cdef Py_ssize_t p = rule.p, i
     for i in range(p):
         apart[i], allowed[i] = x[i] - w[i] * total[i] / weight[i], (rule.drift + tolerance[i]) * w[i]
-        keep = exp(-w[i] / rule.memory)
+        keep = _decay(w[i] / rule.memory)
         total[i], weight[i] = keep * total[i] + x[i], keep * weight[i] + w[i]
     return _two_sided(apart, allowed, state, state + p, p)
 

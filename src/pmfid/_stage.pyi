@@ -23,6 +23,7 @@ POWER: int
 def first_order(
     signal: ArrayLike, a: float, b0: float, b1: float = 0.0, memory: float = 0.0
 ) -> tuple[NDArray[np.float64], float]: ...
+def products(signals: ArrayLike) -> NDArray[np.float64]: ...
 def follow_states(
     phis: NDArray[np.float64],
     nows: NDArray[np.float64],

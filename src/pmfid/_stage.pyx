@@ -31,6 +31,25 @@ def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):
     return found, memory
 
 
+def products(signals):
+    """Return the sums (c, c) over time of the products of all pairs of signals (c, n).
+
+    A BLAS adds in an order that depends on the processor. This function adds from the first sample to the last.
+    """
+    cdef const double[:, ::1] x = np.ascontiguousarray(signals, dtype=np.float64)
+    cdef Py_ssize_t c = x.shape[0], i, j, k
+    cdef double total
+    found = np.empty((c, c))
+    cdef double[:, ::1] sums = found
+    for i in range(c):
+        for j in range(i, c):
+            total = 0.0
+            for k in range(x.shape[1]):
+                total += x[i, k] * x[j, k]
+            sums[i, j] = sums[j, i] = total
+    return found
+
+
 def follow_states(phis, nows, changes, const double[:, :] w, const double[:, :] start):
     """Return states (n, channels, N) from `start` (n, channels) by x[k+1] = phi x[k] + now w[k] + change (w[k+1] -
     w[k]).

@@ -105,10 +105,15 @@ class Encoder:
             "guard_leak": 0.0,
             "guard_hold": 0,
             "rate": 0.0,
-            "push": TRACKING_INDEX**2,
+            "push": TRACKING_INDEX * TRACKING_INDEX,
             "turns": 0,
             **tracker_gains(TRACKING_INDEX),
         }
+
+    @property
+    def rounding_variance(self) -> float:
+        """Variance of a rounding error that is spread evenly over one count [square of the unit of position]."""
+        return self.resolution * self.resolution / 12
 
     def _max_change(self, dt: float) -> int:
         if self.max_speed is None:
@@ -173,7 +178,7 @@ def tracker_gains(tracking_index: float) -> dict[str, float]:
     back to the velocities one and two samples earlier (Rauch, Tung and Striebel 1965).
     """
     # Plain numbers, because a BLAS rounds by the kind of processor, and these gains decide the bits of estimates.
-    noise, (xx, xv, vv) = tracking_index**2, (1.0, 0.0, 1.0)  # the predicted covariance
+    noise, (xx, xv, vv) = tracking_index * tracking_index, (1.0, 0.0, 1.0)  # the predicted covariance
     for _ in range(200):  # the Riccati recursion contracts by a constant factor, so the result after 200 steps is exact
         position, velocity = xx / (xx + 1.0), xv / (xx + 1.0)
         f_xx, f_xv, f_vv = xx - position * xx, xv - position * xv, vv - velocity * xv

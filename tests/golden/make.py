@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import csv
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import lfilter
 
+from pmfid.elementary import exp
 from pmfid.encoder import Encoder
 from pmfid.errors import PmfidError
 from pmfid.estimators.base import Estimator
@@ -17,6 +19,7 @@ from pmfid.models.drive import Drive
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.simulation import CART, CART_DT, SCENARIOS, make_scenario
 from pmfid.types import Counts, Floats
+from tests.golden import constants
 
 PLACE = Path(__file__).with_name("outputs.csv")
 HEADER = ("record", "method", "precision", "status", "theta", "theta_std")
@@ -71,8 +74,8 @@ def process(orders: tuple[int, int], noise: float) -> tuple[Floats, Counts]:
     """Return input and counts (n,) of a sampled process with these numbers of poles and zeros, with white noise."""
     rng = np.random.default_rng([*orders, 5])
     u = np.repeat(rng.choice([-1.0, 1.0], SAMPLES // 10), 10)
-    poles = np.exp(-CART_DT * np.array([4.0, 9.0, 15.0][: orders[0]]))
-    gain = np.prod(1 - poles)
+    poles = [exp(-CART_DT * pole) for pole in (4.0, 9.0, 15.0)[: orders[0]]]
+    gain = np.prod(1 - np.array(poles))
     zeros = [1.0, -0.9][: orders[1] + 1]
     y = lfilter(np.r_[0.0, gain * np.array(zeros) / np.sum(zeros)], np.poly(poles), u)
     return u, np.rint((y + noise * rng.standard_normal(SAMPLES)) / RESOLUTION).astype(np.int64)
@@ -96,10 +99,11 @@ def _text(values: Floats, digits: int) -> str:
 
 
 def main() -> None:
-    with PLACE.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(HEADER)
-        writer.writerows(rows())
+    for module in (constants, sys.modules[__name__]):
+        with module.PLACE.open("w", encoding="utf-8", newline="") as file:
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(module.HEADER)
+            writer.writerows(module.rows())
 
 
 if __name__ == "__main__":

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 import numpy as np
 
-from pmfid._stage import first_order
+from pmfid._stage import first_order, products
+from pmfid.elementary import exp
 from pmfid.estimators.base import Estimator, shapes_of
 from pmfid.estimators.configuration import like
 from pmfid.estimators.recursive import BCRLS, impulse_products
@@ -129,15 +130,15 @@ def _make_config(estimator: Estimator, forgetting: float, has_initial: bool, ada
         "input_gain": estimator.equation.input_gain,
         "position_gain": _position_gain(estimator),
         "smoothing": min(1.0, FOLLOWED * estimator.cutoff * estimator.dt / TUNING.copy_time_constants),
-        "memory": math.exp(-estimator.cutoff * estimator.dt / TUNING.check_time_constants),
+        "memory": exp(-estimator.cutoff * estimator.dt / TUNING.check_time_constants),
         "mismatch_limit": TUNING.mismatch_limit,
         "noise_power": _cache_result(estimator, _noise_power),
-        "lag_memory": math.exp(-estimator.cutoff * estimator.dt / TUNING.lag_time_constants),
+        "lag_memory": exp(-estimator.cutoff * estimator.dt / TUNING.lag_time_constants),
         "lag_samples": max(1.0, TUNING.alike_time_constants / (estimator.cutoff * estimator.dt)),
         "direct_index": _indices(_alike(direct.equation, estimator.equation)),
         "index": _indices(estimator.equation.roles),
         "initial": (),
-        "jump_gain": 1 - math.exp(-2 / estimator.order * estimator.cutoff * estimator.dt),
+        "jump_gain": 1 - exp(-2 / estimator.order * estimator.cutoff * estimator.dt),
         "sensitivities": len(causes),
         "cause": causes,
         "role": [estimator.equation.roles.index(i) for i in range(len(causes))],
@@ -187,9 +188,9 @@ def _check_of_model(estimator: Estimator) -> dict[str, object]:
     of the check.
     """
     network, columns, first, _ = auxiliary_columns(estimator)
-    products = impulse_products(estimator, network, columns[first : first + len(estimator.names)])
+    responses = impulse_products(estimator, network, columns[first : first + len(estimator.names)])
     return {
-        "noise": estimator.encoder.resolution**2 / 12 * products,
+        "noise": estimator.encoder.rounding_variance * responses,
         "unexplained": TUNING.auxiliary_unexplained,
         "check_samples": float(math.ceil(TUNING.model_check_time_constants / (estimator.cutoff * estimator.dt))),
     }
@@ -254,4 +255,4 @@ def _noise_power(estimator: Estimator) -> float:
         gain = estimator.cutoff / (2 / estimator.dt + estimator.cutoff)
         impulse, _ = first_order(impulse, pole, gain, gain)
     samples = TUNING.check_time_constants / (estimator.cutoff * estimator.dt)
-    return float(estimator.encoder.resolution**2 * np.sum(impulse**2) * samples)
+    return float(12 * estimator.encoder.rounding_variance * products(impulse[None])[0, 0] * samples)

@@ -294,8 +294,8 @@ class Instruments(ProcessSolver, Simulating):
         step.
         """
         network, columns, first, _ = auxiliary_columns(self)
-        products = impulse_products(self, network, columns[first : first + len(self.names)])
-        return np.asarray(self.encoder.resolution**2 / 12 * products)
+        responses = impulse_products(self, network, columns[first : first + len(self.names)])
+        return np.asarray(self.encoder.rounding_variance * responses)
 
     def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         return solve_with_instruments(columns)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmfid.elementary import geometric
 from pmfid.estimators.tuning import TUNING
 from pmfid.models.equation import Equation
 from pmfid.types import Counts, Floats
@@ -115,7 +116,7 @@ class LinearProcess(PlantDefaults):
     def candidate_zeros(self, cutoff: float, memory: float, needed: int) -> list[tuple[float, ...]]:
         ratios = TUNING.process_ratios if needed > 1 else TUNING.process_ratios[:1]
         return [
-            tuple(-cutoff * part * float(step) for step in np.geomspace(1, 1 / ratio, needed))
+            tuple(-cutoff * part * step for step in _spread(1.0, 1 / ratio, needed))
             for part in TUNING.process_fractions
             for ratio in ratios
         ]
@@ -172,5 +173,9 @@ def limit_zeros(fast: float, slow: float, memory: float) -> tuple[float, float]:
 def process_zeros(cutoff: float, n: int) -> tuple[float, ...]:
     """Return n pre-filter zeros for an unknown linear process. The zeros are evenly spaced on a logarithmic scale from
     half the cutoff to a twentieth."""
-    spread = np.geomspace(0.5, 0.05, n) if n > 1 else np.array([0.2])
-    return tuple(-cutoff * float(part) for part in spread)
+    return tuple(-cutoff * part for part in (_spread(0.5, 0.05, n) if n > 1 else [0.2]))
+
+
+def _spread(first: float, last: float, n: int) -> list[float]:
+    """Return n numbers from `first` to `last` on a logarithmic scale, or only the first one."""
+    return geometric(first, last, n).tolist() if n > 1 else [first]

@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
 from numbers import Real
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid._stage import first_order
+from pmfid._stage import first_order, products
+from pmfid.elementary import cos_sin, exp, geometric, power
 from pmfid.errors import UsageError, check_choice
 from pmfid.estimators import ForgettingScheme
 from pmfid.estimators.base import Estimator, memory_of
@@ -24,6 +26,7 @@ from pmfid.filters.columns import ColumnBuilder
 from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Network, Taps
 from pmfid.kernel.saved import MOST_WEIGHT
 from pmfid.kernel.structures import constants_of
+from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
@@ -38,15 +41,15 @@ def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[n
     takes resolution / sqrt(12), the value for white quantisation. Quantisation is white above about one count of motion
     per sample.
     """
-    sigma = estimator.encoder.resolution / np.sqrt(12.0) if noise_std is None else noise_std
+    variance = estimator.encoder.rounding_variance if noise_std is None else noise_std * noise_std
     network, columns = estimator._columns
-    return np.asarray(sigma**2 * impulse_products(estimator, network, columns[: len(estimator.names) + 1]))
+    return np.asarray(variance * impulse_products(estimator, network, columns[: len(estimator.names) + 1]))
 
 
 def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]) -> NDArray[np.float64]:
     """Return the sum (c, c) over time of all products of the columns' responses to one wrong position."""
     parts = impulse_responses(estimator, network, columns)
-    return np.asarray(sum((g @ g.T for g in parts), start=np.zeros(2 * (len(columns),))))
+    return np.asarray(sum((products(g) for g in parts), start=np.zeros(2 * (len(columns),))))
 
 
 def impulse_responses(estimator: Estimator, network: Network, columns: list[Taps]) -> Iterator[NDArray[np.float64]]:
@@ -74,20 +77,51 @@ def compute_encoder_floor(estimator: Estimator) -> float:
     """
     builder = ColumnBuilder(estimator.equation, estimator.spec)
     column = builder.coefficient(estimator.equation.unknown[estimator.equation.leading], "measured")
-    gain = np.max(np.abs(frequency_response(estimator, builder.network, column)))
-    return float(max(estimator.encoder.resolution / 2 * gain, TUNING.recursive_least) ** -2)  # float32 holds this value
+    real, imaginary = frequency_response(estimator, builder.network, column)
+    gain = math.sqrt(np.max(real * real + imaginary * imaginary))
+    error = max(estimator.encoder.resolution / 2 * gain, TUNING.recursive_least)  # float32 holds the inverse square
+    return 1 / (error * error)
 
 
-def frequency_response(estimator: Estimator, network: Network, column: Taps) -> NDArray[np.complex128]:
+#: Real and imaginary part (n,) of a complex signal. NumPy fuses the parts of a complex product on some processors.
+Complex = tuple[Floats, Floats]
+
+
+def _multiply(a: Complex, b: Complex) -> Complex:
+    return a[0] * b[0] - a[1] * b[1], a[0] * b[1] + a[1] * b[0]
+
+
+def _scale(a: Complex, factor: float | Floats) -> Complex:
+    return factor * a[0], factor * a[1]
+
+
+def _add(a: Complex, b: Complex) -> Complex:
+    return a[0] + b[0], a[1] + b[1]
+
+
+@lru_cache
+def _delay() -> Complex:
+    """Return the response of a delay by one sample at the frequencies of `frequency_response`."""
+    turns = geometric(0.5 * power(10.0, -TUNING.recursive_decades), 0.5, TUNING.recursive_frequencies)
+    cosine, sine = cos_sin(turns)
+    return cosine, -sine
+
+
+def frequency_response(estimator: Estimator, network: Network, column: Taps) -> Complex:
     """Return the response (recursive_frequencies,) of a column to position errors up to half the sampling frequency."""
-    late = np.exp(-1j * np.geomspace(np.pi * 10.0**-TUNING.recursive_decades, np.pi, TUNING.recursive_frequencies))
-    nodes = [np.zeros(TUNING.recursive_frequencies, complex) for _ in range(network.first)]
-    nodes[VELOCITY] = (1 - late) / estimator.dt
-    nodes[SPLIT_FORWARD] = late * nodes[VELOCITY]
-    nodes[LATE_POSITION] = (late + late**2) / 2
+    late, none = _delay(), (np.zeros(TUNING.recursive_frequencies), np.zeros(TUNING.recursive_frequencies))
+    nodes = [none for _ in range(network.first)]
+    nodes[VELOCITY] = _scale((1 - late[0], -late[1]), 1 / estimator.dt)
+    nodes[SPLIT_FORWARD] = _multiply(late, nodes[VELOCITY])
+    nodes[LATE_POSITION] = _scale(_add(late, _multiply(late, late)), 0.5)
     for source, a, b0, b1 in network.stages:
-        nodes.append((b0 + b1 * late) / (1 - a * late) * nodes[source])
-    return np.asarray(sum(weight * nodes[node] for node, weight in column), complex)
+        above, below = (b0 + b1 * late[0], b1 * late[1]), (1 - a * late[0], a * late[1])  # the conjugate of 1 - a late
+        response = _multiply(_multiply(above, below), nodes[source])
+        nodes.append(_scale(response, 1 / (below[0] * below[0] + below[1] * below[1])))
+    total = none
+    for node, weight in column:
+        total = _add(total, _scale(nodes[node], weight))
+    return total
 
 
 #: Number in the kernel for each forgetting scheme.
@@ -215,11 +249,14 @@ class RecursiveEstimator(Estimator):
         config["scheme"] = FORGETTING_SCHEMES[scheme]
         if forgetting < 1 and self.plant.rests:
             config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
-            config["haste"], config["leak"] = forgetting**TUNING.recursive_haste, math.exp(-TUNING.recursive_haste / 2)
+            config["haste"], config["leak"] = (
+                power(forgetting, TUNING.recursive_haste),
+                exp(-TUNING.recursive_haste / 2),
+            )
             config["leading"], config["shown"] = self.equation.leading, compute_encoder_floor(self)
             directions = parameters if scheme == "directional" else 1
             # a sample forgets one direction, and this power gives each direction the same memory
-            config["forgetting"] = forgetting**directions
+            config["forgetting"] = power(forgetting, directions)
             config["outgrown"] = TUNING.recursive_outgrown * LOOK
         # the accumulated right-hand side does not follow this forgetting: innovations only
         if self.forgetting_of and forgetting < 1:

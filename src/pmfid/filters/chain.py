@@ -11,14 +11,18 @@ its zero.
 from __future__ import annotations
 
 from collections.abc import Callable
+from decimal import Decimal, localcontext
 from math import comb
 
 import numpy as np
 
+from pmfid.elementary import PRECISE, exp, power
 from pmfid.filters.network import Network, Taps
 
 #: Function of (network, source, cutoff, order, dt) that returns the taps of F(s) for the held signal at `source`.
 HoldFilter = Callable[[Network, int, float, int, float], Taps]
+#: Steps of Newton's method that take a root from 12 digits to more than 60.
+REFINEMENTS = 4
 
 
 def lag(network: Network, source: int, pole: float, dt: float) -> int:
@@ -59,8 +63,8 @@ def matched_input(
     chain of integrators after a hold. The trapezoidal rule has (z+1)^r instead. Zeros at -1 cancel in the coefficients,
     and the other factors of B_r are first-order stages. The order must be at least derivative + relative_degree.
     """
-    roots = [root for root in np.roots(euler_frobenius(relative_degree)).real if abs(root + 1) > 1e-6]
-    for root in sorted(roots):
+    roots = [root for root in sampling_zeros(relative_degree) if root != -1]
+    for root in roots:
         source = network.stage(source, 0.0, 1 / (1 - root), -root / (1 - root))
     return chain(network, source, cutoff, order, dt, cancelled=len(roots) + 1)
 
@@ -70,13 +74,33 @@ def euler_frobenius(degree: int) -> list[int]:
     return [sum((-1) ** i * comb(degree + 1, i) * (k + 1 - i) ** degree for i in range(k + 1)) for k in range(degree)]
 
 
+def sampling_zeros(degree: int) -> list[float]:
+    """Return the real roots of B_r(z) in rising order, each rounded once.
+
+    LAPACK rounds by the kind of processor, so Newton's method with more digits continues from its roots.
+    """
+    coefficients = euler_frobenius(degree)
+    with localcontext(PRECISE):
+        return sorted(float(_refine_root(coefficients, Decimal(root))) for root in np.roots(coefficients).real.tolist())
+
+
+def _refine_root(coefficients: list[int], root: Decimal) -> Decimal:
+    for _ in range(REFINEMENTS):
+        value = slope = Decimal(0)
+        for coefficient in coefficients:
+            slope, value = slope * root + value, value * root + coefficient
+        root -= value / slope
+    return root
+
+
 def derivative(nodes: list[int], j: int, cutoff: float) -> Taps:
     """Return the taps of s^j F w on the stages of w, for j < order.
 
     With L for one stage, s^j L^N = cutoff^j sum_k C(j, k) (-1)^k L^(N-j+k).
     """
     first = len(nodes) - 1 - j
-    return [(nodes[first + k], cutoff**j * comb(j, k) * (-1.0) ** k) for k in range(j + 1)]
+    gain = power(cutoff, j)
+    return [(nodes[first + k], gain * comb(j, k) * (-1) ** k) for k in range(j + 1)]
 
 
 def hold_matched(network: Network, source: int, cutoff: float, order: int, dt: float) -> Taps:
@@ -90,11 +114,12 @@ def hold_exact(network: Network, source: int, cutoff: float, order: int, dt: flo
     """Return the taps of s^j F(s) after a zero-order hold, without approximation (paper section III-A). The stages
     have the pole exp(-cutoff dt).
     """
-    pole = float(np.exp(-cutoff * dt))
+    pole = exp(-cutoff * dt)
     nodes = [network.stage(source, pole, 1 - pole, 0.0)]
     for _ in range(order - 1):
         nodes.append(network.stage(nodes[-1], pole, 0.0, 1 - pole))
-    weights = np.linalg.solve(_stage_responses(pole, order).T, _hold_response(cutoff, order, dt, j))
+    with localcontext(PRECISE):
+        weights = _match_response(Decimal(pole), _hold_response(Decimal(cutoff), order, Decimal(dt), j))
     return [(node, float(weight)) for node, weight in zip(nodes, weights, strict=True)]
 
 
@@ -122,7 +147,7 @@ def correct_uneven_velocity(network: Network, nodes: list[int], cutoff: float, d
     """
     taps = [(network.delay(nodes[-1]), 1.0)]
     for node, weight in derivative(nodes, 1, cutoff):
-        taps.append((_mean_jerk(network, node, dt), -weight * dt**2 / 12))
+        taps.append((_mean_jerk(network, node, dt), -weight * dt * dt / 12))
     return taps
 
 
@@ -146,30 +171,35 @@ def _tustin_pole(pole: float, dt: float) -> float:
     return (2 / dt - pole) / (2 / dt + pole)
 
 
-def _stage_responses(pole: float, order: int) -> np.ndarray:
-    """Return the impulse responses of the stages of `hold_exact` (order, order): one row for each stage, one column
-    for each sample.
+def _match_response(pole: Decimal, response: list[Decimal]) -> list[Decimal]:
+    """Return the weights (order,) of the stages of `hold_exact`, whose sum has the given first samples (order,).
+
+    Stage i has i samples of delay, so each sample of the response determines one more weight.
     """
-    responses = np.zeros((order, order))
-    responses[0] = (1 - pole) * pole ** np.arange(order)
-    for i in range(1, order):
-        for k in range(1, order):
-            responses[i, k] = pole * responses[i, k - 1] + (1 - pole) * responses[i - 1, k - 1]
+    gain, weights = 1 - pole, list[Decimal]()
+    for k, value in enumerate(response):
+        for i, weight in enumerate(weights):
+            value -= weight * comb(k, i) * gain ** (i + 1) * pole ** (k - i)
+        weights.append(value / gain ** (k + 1))
+    return weights
+
+
+def _hold_response(cutoff: Decimal, order: int, dt: Decimal, j: int) -> list[Decimal]:
+    """Return the first `order` samples of the response of s^j F(s) to an input held for one interval.
+
+    Stage m of the chain after a unit step has the response 1 - sum_(i<=m) x^i exp(-x) / i!, with x = cutoff t.
+    """
+    taps = derivative(list(range(order)), j, 1.0)
+    steps = [_step_response(k * cutoff * dt, order) for k in range(order + 1)]
+    held = [[now - before for now, before in zip(*pair, strict=True)] for pair in zip(steps[1:], steps, strict=False)]
+    return [sum((cutoff**j * Decimal(weight) * row[node] for node, weight in taps), Decimal(0)) for row in held]
+
+
+def _step_response(x: Decimal, order: int) -> list[Decimal]:
+    """Return the responses (order,) of the stages to a unit step, after the time x / cutoff."""
+    term, rest, responses = (-x).exp(), Decimal(0), list[Decimal]()
+    for m in range(order):
+        rest += term
+        responses.append(1 - rest)
+        term *= x / (m + 1)
     return responses
-
-
-def _hold_response(cutoff: float, order: int, dt: float, j: int) -> np.ndarray:
-    """Return the first `order` samples of the response of s^j F(s) to an input held for one interval, by a matrix
-    exponential.
-    """
-    from scipy.linalg import expm  # slow to import
-
-    A = cutoff * (np.diag(np.ones(order - 1), -1) - np.eye(order))
-    B = np.zeros(order)
-    B[0] = cutoff
-    transition = expm(A * dt)
-    held = np.linalg.solve(A, (transition - np.eye(order)) @ B)
-    C = np.zeros(order)
-    for node, weight in derivative(list(range(order)), j, cutoff):
-        C[node] = weight
-    return np.array([C @ np.linalg.matrix_power(transition, k) @ held for k in range(order)])

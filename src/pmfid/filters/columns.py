@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import tanh
 
+from pmfid.elementary import tanh
 from pmfid.errors import UsageError
 from pmfid.filters.chain import (
     HOLD_FILTERS,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Literal, cast
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pmfid.elementary import exp, expm1
 from pmfid.kernel.structures import Structured, constants_of, structures
 
 if TYPE_CHECKING:
@@ -261,5 +262,5 @@ def decays(part: float, lag: float) -> list[Decay]:
 
 
 def _decay(time: float, lag: float) -> Decay:
-    rest, gone = math.exp(-time / lag), -math.expm1(-time / lag)
+    rest, gone = exp(-time / lag), -expm1(-time / lag)
     return rest, lag * gone, lag * (lag * gone - time * rest)

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.deprecation import rename_method
+from pmfid.elementary import exp
 from pmfid.errors import UsageError
 from pmfid.kernel.configuration import ShapeTable
 from pmfid.types import Floats
@@ -102,12 +103,11 @@ class Stribeck(Shape):
                 "the Stribeck speed is unknown: give the speed, or use output-error or interval to estimate it"
             )
         step = FADED / PIECES
-        speeds = step * np.arange(PIECES + 1)
+        speeds = [step * k for k in range(PIECES + 1)]
         # The mean over each piece equals the form's mean. Straight lines between the form's own values would lie on one
         # side of the form.
-        bend = (4 * speeds**2 - 2) * step**2 / 12
-        knots = np.exp(-(speeds**2)) * (1 - bend)
-        return ShapeTable("speed", tuple(knots.tolist()), step=step * self.speed, positive=self.positive)
+        knots = tuple(exp(-v * v) * (1 - (4 * v * v - 2) * step * step / 12) for v in speeds)
+        return ShapeTable("speed", knots, step=step * self.speed, positive=self.positive)
 
     @property
     def reads(self) -> str:

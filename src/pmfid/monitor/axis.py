@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pmfid._estimate import Estimate
 from pmfid._stage import Inputs, Watcher
+from pmfid.elementary import solve
 from pmfid.estimators.configuration import like
 from pmfid.estimators.facts import INPUT_GAIN, forces_of
 from pmfid.estimators.iv import IV
@@ -322,7 +323,7 @@ class WatchedAxis:
     def _end_settling(self) -> list[Event]:
         reference, gathered = self.reference, float(self._rest.gathered[0])
         p, found = reference.size, Blocks.from_rows(self._rest.settled, reference.size)
-        theta = reference + np.linalg.solve(found.cross[0] + 1e-12 * np.eye(p), found.score[0])
+        theta = reference + solve(found.cross[0] + 1e-12 * np.eye(p), found.score[0])
         size = float(self.watching.sizes(reference[None])[0])
         std = size * self.calibration.scale.sigma / np.sqrt(gathered)
         if not self.plausible(theta):

@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid._stage import centred, weights
+from pmfid.elementary import exp, log, power
 from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
@@ -203,7 +204,7 @@ class Tail:
 
     def threshold(self, mtbf_hours: float) -> float:
         """Return the threshold for a mean time between false alarms [h], raised by one standard error."""
-        careful = min(math.exp(self.doubt(mtbf_hours)), TUNING.calibration_careful)
+        careful = min(exp(self.doubt(mtbf_hours)), TUNING.calibration_careful)
         return _line(self.level, self.slope, self.rate, careful * mtbf_hours)
 
     def doubt(self, mtbf_hours: float) -> float:
@@ -218,7 +219,7 @@ class Tail:
 
 
 def _line(level: float, slope: float, rate: float, mtbf_hours: float) -> float:
-    return level + slope * math.log(max(mtbf_hours * rate, 1.0))
+    return level + slope * log(max(mtbf_hours * rate, 1.0))
 
 
 @dataclass(frozen=True)
@@ -290,7 +291,7 @@ def block_keep(estimator: Estimator) -> float:
     Without forgetting, the discount belongs to a memory of 10 blocks.
     """
     forgetting = float(getattr(estimator, "forgetting", 1.0))
-    return forgetting ** block_samples(estimator) if forgetting < 1 else 0.9
+    return power(forgetting, block_samples(estimator)) if forgetting < 1 else 0.9
 
 
 def simulated_hours(mtbf_hours: float) -> float:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pmfid.elementary import cos_sin
 from pmfid.simulation.encoder import check_number, check_signal, check_whole, sample_times
 from pmfid.types import Floats
 
@@ -133,8 +134,10 @@ def multisine(samples: int, dt: float, frequencies: ArrayLike, amplitude: float,
             "leave it out or take a smaller dt"
         )
     t = sample_times(samples, dt)
-    phases = rng.uniform(0.0, 2.0 * np.pi, tones.size)
-    total: Floats = np.sin(2.0 * np.pi * np.outer(t, tones) + phases).sum(axis=1)
+    phases = rng.uniform(0.0, 1.0, tones.size)
+    total = np.zeros(samples)
+    for tone, phase in zip(tones.tolist(), phases.tolist(), strict=True):
+        total += cos_sin(tone * t + phase)[1]
     return total * (amplitude / float(np.abs(total).max()))
 
 
@@ -153,7 +156,7 @@ def _smooth_step(tau: Floats) -> Floats:
     Velocity and acceleration are 0 at both ends.
     """
     tau = np.clip(tau, 0.0, 1.0)
-    return tau**3 * (10.0 + tau * (6.0 * tau - 15.0))
+    return tau * tau * tau * (10.0 + tau * (6.0 * tau - 15.0))
 
 
 def _trapezoid_step(tau: Floats) -> Floats:
