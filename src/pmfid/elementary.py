@@ -60,6 +60,14 @@ def geometric(first: float, last: float, n: int) -> Floats:
     return row
 
 
+def line_through(x: Floats, y: Floats) -> tuple[float, float]:
+    """Return slope and value at x = 0 of the line of least squares through the points (n,), n > 1."""
+    middle, height = np.mean(x), np.mean(y)
+    around = x - middle
+    slope = np.sum(around * (y - height)) / np.sum(around * around)
+    return float(slope), float(height - slope * middle)
+
+
 def solve(A: Floats, b: Floats) -> Floats:
     """Return x (n,) with A x = b by Gaussian elimination with partial pivoting, for a few unknowns.
 

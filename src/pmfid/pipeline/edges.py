@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -65,6 +67,19 @@ class EdgeSetup:
     def reported(self) -> Floats:
         """The nominal values (p,)."""
         return self.nominal
+
+    @cached_property
+    def baseline(self) -> str:
+        """Nominal values as text."""
+        return json.dumps({"nominal": self.nominal.tolist()})
+
+    def take_baseline(self, text: str) -> EdgeSetup:
+        """Return the same monitor at its start with the nominal values of an earlier run.
+
+        Raises ValueError, TypeError, KeyError or UsageError for a text that no such monitor has saved.
+        """
+        nominal = np.array(json.loads(text)["nominal"], np.float64)
+        return replace(self, monitor=EdgeMonitor(self.monitor.estimator, nominal, self.monitor.watch), nominal=nominal)
 
     def describe_start(self) -> dict[str, object]:
         """Return the settings of a monitored axis for `--json`."""

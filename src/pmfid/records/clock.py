@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.elementary import line_through
 from pmfid.errors import UsageError
 from pmfid.records.tuning import TUNING
 from pmfid.types import Flags, Floats
@@ -116,7 +117,7 @@ def even_grid(time: Floats) -> tuple[float, bool]:
         return 0.0, False
     k, since = np.arange(n, dtype=np.float64), time - time[0]
     k -= (n - 1) / 2
-    period = float(np.dot(k, since) * 12 / (n * (n * n - 1.0)))
+    period = float(np.sum(k * since) * 12 / (n * (n * n - 1.0)))
     if not period > 0:
         return 0.0, False
     if _furthest(np.diff(time), period) < TUNING.clock_plain * period:
@@ -409,7 +410,7 @@ def misses_lines(time: Floats, output: Floats) -> bool | None:
 def _even_stamps(time: Floats) -> Floats:
     """Return the stamps (n,) on the line through them, or unchanged if any stamp deviates by nearly a period."""
     k = np.arange(time.size, dtype=np.float64)
-    period, start = np.polyfit(k, time - time[0], 1)
+    period, start = line_through(k, time - time[0])
     line = time[0] + start + period * k
     return line if period > 0 and _furthest(np.abs(time - line), 0.0) < TUNING.clock_furthest * period else time
 
@@ -473,14 +474,14 @@ def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
 def _place_by_line(time: Floats, places: NDArray[np.intp]) -> tuple[NDArray[np.intp], float] | None:
     """Return sample numbers and period of stamps that scatter by chance, from approximate sample numbers (n,)."""
     for _ in range(TUNING.clock_turns):
-        period, start = np.polyfit(places, time - time[0], 1)
+        period, start = line_through(places.astype(np.float64), time - time[0])
         at = (time - time[0] - start) / period
         found = np.rint(at).astype(np.intp)
         if np.array_equal(found, places):
             break
         places = found
     rises = bool(np.min(np.diff(found)) > 0)
-    return (found - found[0], float(period)) if rises and np.std(at - found) < TUNING.clock_scatter else None
+    return (found - found[0], period) if rises and np.std(at - found) < TUNING.clock_scatter else None
 
 
 def _shorten_gaps(places: NDArray[np.intp]) -> NDArray[np.intp]:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pmfid.elementary import line_through
 from pmfid.records.clock import (
     even_grid,
     find_places,
@@ -119,10 +120,10 @@ def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:
     the period.
     """
     k = np.arange(stamps.size, dtype=np.float64)
-    period, start = np.polyfit(k, stamps, 1)
+    period, start = line_through(k, stamps)
     period *= 1 + slope_below((stamps - start - period * k) / period)
     half = stamps.size // 2
-    halves = [np.polyfit(k[part], stamps[part], 1)[0] for part in (slice(half), slice(half, None))]
+    halves = [line_through(k[part], stamps[part])[0] for part in (slice(half), slice(half, None))]
     jitter = (
         float(np.std(np.diff(stamps)) / period)
         if abs(halves[0] - halves[1]) > TUNING.resampling_same_period * period

@@ -14,8 +14,10 @@ from numpy.typing import NDArray
 
 from pmfid.durable import CheckpointFolder
 from pmfid.errors import UsageError
+from pmfid.monitor import Monitor
 from pmfid.monitor.saved import seal_parts
 from pmfid.pipeline.monitored.run import Monitored
+from pmfid.pipeline.monitored.setup import save_baseline
 from pmfid.stream.delivery import Block, Mark
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, Seat, make_fleet
@@ -122,7 +124,8 @@ def draft(engine: StreamEngine, room: StateBuffer) -> Draft:
         for index in np.flatnonzero(group.positions.alarm).tolist():
             seats.setdefault(str(index), {})["silent"] = int(group.positions.alarm[index])
         names, parts = [seat.name for seat in group.seats], [sum(map(len, state)), *map(len, own)]
-        head = {"digest": group.prepared.digest, "config": group.kindred.config, "axes": names}
+        prepared = group.prepared
+        head = {"digest": prepared.digest, "baseline": prepared.setup.baseline, "axes": names}
         groups.append({**head, "seats": seats, "parts": parts})
     text = json.dumps(
         {
@@ -194,11 +197,13 @@ def _read_held(held: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndar
 class Saved:
     """A group in a checkpoint.
 
-    `axes` has the names of the axes, `state` the state of their fleet. `seats` is an array of SEAT. `held` has the
+    `baseline` has the nominal values and thresholds of the group. `axes` has the names of the axes, `state` the state
+    of their fleet. `seats` is an array of SEAT. `held` has the
     waiting blocks. `rare` maps the number of an axis to data that only some axes have.
     """
 
     digest: str
+    baseline: str
     axes: tuple[str, ...]
     state: bytes
     seats: NDArray[np.void]
@@ -207,7 +212,7 @@ class Saved:
 
     def restore_group(self, prepared: Prepared, pace: Pace) -> Group:
         """Restore the group from its saved state. Raises ValueError for a state that no group has saved."""
-        group = Group(prepared, pace)
+        group = Group(prepared.take_baseline(self.baseline), pace)
         try:
             group.restore(self.axes, self.state)
             for name in _COLUMNS:
@@ -263,7 +268,9 @@ def read_snapshot(body: bytes) -> Snapshot:
                 own.append(body[place : place + size])
                 place += size
             seats = np.frombuffer(own[1], SEAT)
-            groups.append(Saved(one["digest"], tuple(one["axes"]), own[0], seats, own[2], one["seats"]))
+            groups.append(
+                Saved(one["digest"], one["baseline"], tuple(one["axes"]), own[0], seats, own[2], one["seats"])
+            )
         if place != len(body):
             raise ValueError("the lengths of its parts do not add up to the length of the file")
         marks = {str(name): dict(mark) for name, mark in raw["marks"].items()}
@@ -297,24 +304,26 @@ def _restore_held(seats: Sequence[Seat], held: bytes) -> None:
 
 
 def join_groups(groups: Sequence[Saved], prepared: Prepared) -> Saved:
-    """Join the axes of several groups, in order, into one group.
+    """Join the axes of several groups, in order, into one group with the baseline of the first.
 
     Raises ValueError for states of another configuration, and for an axis that occurs twice.
     """
     axes = tuple(name for group in groups for name in group.axes)
     if len(set(axes)) < len(axes):
         raise ValueError("it contains an axis twice")
-    fleet = make_fleet(prepared.setup.monitor)
+    fleet = make_fleet(prepared.take_baseline(groups[0].baseline).setup.monitor)
     starts = [0, *np.cumsum([len(group.axes) for group in groups]).tolist()]
     try:
         for group in groups:
-            fleet.join(group.state)
+            own = make_fleet(prepared.take_baseline(group.baseline).setup.monitor)
+            own.set_state(group.state)
+            fleet.append(own)  # type: ignore[arg-type]  # both are of the kind of `prepared`
     except UsageError as error:
         raise ValueError(str(error)) from None
     pairs = list(zip(groups, starts, strict=False))
     rare = {str(int(k) + start): own for group, start in pairs for k, own in group.rare.items()}
     seats = np.concatenate([group.seats for group in groups])
-    return Saved(groups[0].digest, axes, fleet.get_state(), seats, _join_held(groups, starts), rare)
+    return Saved(groups[0].digest, groups[0].baseline, axes, fleet.get_state(), seats, _join_held(groups, starts), rare)
 
 
 def _join_held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
@@ -349,6 +358,9 @@ def body_from(monitors: Mapping[str, Monitored], prepared: Prepared, pace: Pace)
     Any first number that arrives for an axis follows the axis' last sample. Raises ValueError for monitors of another
     configuration.
     """
+    first = next(iter(monitors.values()), None)
+    if isinstance(first, Monitor):
+        prepared = prepared.take_baseline(save_baseline(first))
     fleet, group = make_fleet(prepared.setup.monitor), Group(prepared, pace)
     try:
         for monitor in monitors.values():

@@ -7,8 +7,8 @@ import struct
 from bisect import insort
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from hashlib import blake2b, sha256
+from dataclasses import dataclass, field, replace
+from hashlib import blake2b, file_digest, sha256
 from operator import attrgetter
 from pathlib import Path
 
@@ -23,7 +23,7 @@ from pmfid.monitor.fleet import MonitorFleet
 from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.edges import EdgeSetup
 from pmfid.pipeline.monitored.run import Monitored
-from pmfid.pipeline.monitored.setup import Setup, set_up_record
+from pmfid.pipeline.monitored.setup import VERSION, Setup, set_up_record
 from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Line, Metronome, Sample, Saved, Timeline
 from pmfid.records.record import Record
 from pmfid.stream.delivery import Lines
@@ -190,7 +190,8 @@ def _piece(samples: list[Sample], received: float, turn: int) -> list[SamplePiec
 class Prepared:
     """A calibrated configuration from the AXIS.toml at `path`.
 
-    `digest` is a hash of all settings on which the monitors depend.
+    `digest` is a hash of the text of AXIS.toml and the bytes of its reference, on which the monitors depend. Numbers
+    that follow from them are no part of the hash, because a linear algebra rounds by the kind of processor.
     """
 
     path: Path
@@ -201,6 +202,18 @@ class Prepared:
     @property
     def dt(self) -> float:
         return self.setup.monitor.estimator.dt
+
+    def take_baseline(self, text: str) -> Prepared:
+        """Return the configuration with the nominal values and thresholds of an earlier run (`Setup.baseline`).
+
+        Raises ValueError for a text that no such configuration has saved.
+        """
+        if text == self.setup.baseline:
+            return self
+        try:
+            return replace(self, setup=self.setup.take_baseline(text))
+        except (TypeError, KeyError, UsageError) as error:
+            raise ValueError(f"the nominal values do not fit the configuration: {error}") from None
 
 
 def prepare(
@@ -213,9 +226,20 @@ def prepare(
     """
     axis = load_axis(path) if given is None else given
     setup = set_up_record(axis, path.parent, record, progress)
-    calibration = setup.path.name if isinstance(setup, Setup) else setup.monitor.estimator.method
-    digest = sha256(f"{axis.model_dump_json(warnings=False)} {calibration} {setup.nominal.tolist()}".encode())
-    return Prepared(path, axis, setup, digest.hexdigest())
+    return Prepared(path, axis, setup, _digest(path, axis, record))
+
+
+def _digest(path: Path, axis: Axis, record: Record | None) -> str:
+    digest = sha256(f"{VERSION} {axis.model_dump_json(warnings=False)}".encode())
+    if axis.monitor.reference is not None:
+        reference = path.parent / axis.monitor.reference
+        for file in sorted(reference.rglob("*")) if reference.is_dir() else [reference]:
+            if file.is_file():
+                with file.open("rb") as content:
+                    digest.update(file_digest(content, "sha256").digest())
+    elif record is not None:
+        digest.update(record.u.tobytes() + record.counts.tobytes())
+    return digest.hexdigest()
 
 
 def make_fleet(monitor: Monitored) -> MonitorFleet | EdgeFleet:

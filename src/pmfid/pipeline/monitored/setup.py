@@ -7,6 +7,7 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -70,8 +71,12 @@ def cached_calibration(
     return made, path, False
 
 
+def _text_of(calibration: Calibration) -> str:
+    return json.dumps(asdict(calibration), default=lambda array: array.tolist())
+
+
 def _write(path: Path, calibration: Calibration) -> None:
-    text = json.dumps(asdict(calibration), default=lambda array: array.tolist())
+    text = _text_of(calibration)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}")
@@ -90,19 +95,34 @@ def _read(path: Path) -> Calibration | None:
         digest, _, text = path.read_text(encoding="utf-8").partition("\n")
         if digest != _digest(text):
             return None  # the file is damaged, even if its numbers are valid
-        raw: dict[str, Any] = json.loads(text)  # another structure raises one of the errors below
-        return Calibration(
-            np.array(raw["theta"]),
-            _scale(raw["scale"]),
-            tuple(tuple(row) for row in raw["chi_square"]),
-            {name: _tail(tail) for name, tail in raw["tails"].items()},
-            np.array(raw["noise"]),
-            raw["hours"],
-            raw["record_hours"],
-            None if raw["work"] is None else _work(raw["work"]),
-        )
+        return _calibration_in(text)
     except (OSError, ValueError, TypeError, KeyError):
         return None  # without a file of this version, the calibration is computed again
+
+
+def _calibration_in(text: str) -> Calibration:
+    """Return the calibration in a text of `_text_of`. Raises ValueError, TypeError or KeyError for another text."""
+    raw: dict[str, Any] = json.loads(text)
+    return Calibration(
+        np.array(raw["theta"]),
+        _scale(raw["scale"]),
+        tuple(tuple(row) for row in raw["chi_square"]),
+        {name: _tail(tail) for name, tail in raw["tails"].items()},
+        np.array(raw["noise"]),
+        raw["hours"],
+        raw["record_hours"],
+        None if raw["work"] is None else _work(raw["work"]),
+    )
+
+
+def save_baseline(monitor: Monitor) -> str:
+    """Return the numbers that a monitor got from its reference, as text: nominal values, thresholds and input gain.
+
+    A linear algebra rounds them by the kind of processor and by the number of threads. States of a monitor therefore
+    travel together with its baseline.
+    """
+    gain = monitor.estimator.equation.input_gain
+    return json.dumps({"calibration": _text_of(monitor.calibration), "input_gain": gain})
 
 
 def _scale(raw: dict[str, Any]) -> Scale:
@@ -138,6 +158,28 @@ class Setup:
         """The nominal values (q,), with an estimated input gain at the end."""
         further = len(self.monitor.names) - len(self.monitor.estimator.names)
         return np.concatenate([self.nominal, [self.monitor.estimator.equation.input_gain] * further])
+
+    @cached_property
+    def baseline(self) -> str:
+        """Nominal values, thresholds and input gain, as `save_baseline` returns them."""
+        return save_baseline(self.monitor)
+
+    def take_baseline(self, text: str) -> Setup:
+        """Return the same monitor at its start with the baseline of an earlier run.
+
+        Raises ValueError, TypeError, KeyError or UsageError for a text that no such monitor has saved.
+        """
+        raw = json.loads(text)
+        calibration, known = _calibration_in(raw["calibration"]), self.monitor.known
+        estimator = self.monitor.estimator
+        if known is not None and known.find_gain:
+            estimator = replace(estimator, model=replace(estimator.model, input_gain=float(raw["input_gain"])))  # type: ignore[type-var]
+            known = replace(known, estimator=estimator)
+        nominal = calibration.theta
+        if isinstance(estimator, RIV):
+            estimator = replace(estimator, initial=dict(zip(estimator.names, nominal.tolist(), strict=True)))
+        monitor = Monitor(estimator, calibration, self.monitor.watch, known)
+        return replace(self, monitor=monitor, nominal=nominal, calibration=calibration)
 
     def describe_start(self) -> dict[str, object]:
         """Return the settings of a monitored axis for `--json`."""
