@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 
 import pmfid
+from tests.patience import PATIENCE
 
 PACKAGE = Path(pmfid.__file__).parent
 REPOSITORY = Path(__file__).parents[1]
@@ -351,7 +352,7 @@ def test_an_unknown_name_is_an_attribute_error() -> None:
 def modules_after(statement: str) -> set[str]:
     """Return the names in `sys.modules` of a fresh interpreter after a statement."""
     program = f"{statement}\nimport json, sys\nprint(json.dumps(sorted(sys.modules)))"
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=60)
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, timeout=PATIENCE)
     return set(json.loads(run.stdout))
 
 
@@ -397,7 +398,7 @@ for name in {rooms!r}:
 def test_a_room_needs_no_library_of_those_above(needs: tuple[str, ...]) -> None:
     rooms = [room for room in NEEDS if NEEDS[room] == set(needs)]
     program = ALONE.format(absent=OUTSIDE - set(needs), rooms=rooms)
-    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=PATIENCE)
     assert run.returncode == 0, run.stderr
 
 
@@ -521,7 +522,7 @@ def test_the_kernel_checks_find_what_they_are_for() -> None:
 @pytest.mark.parametrize("name", [name for name in KERNEL if name.endswith(".c")])
 def test_kernel_compiles_without_a_warning(name: str, precision: str) -> None:
     run = subprocess.run(
-        [str(COMPILER), *C_FLAGS, precision, str(CSRC / name)], capture_output=True, text=True, timeout=60
+        [str(COMPILER), *C_FLAGS, precision, str(CSRC / name)], capture_output=True, text=True, timeout=PATIENCE
     )
     assert run.returncode == 0, run.stderr
 
@@ -530,4 +531,4 @@ def test_kernel_compiles_without_a_warning(name: str, precision: str) -> None:
 def test_the_compiler_does_warn(tmp_path: Path) -> None:
     bad = tmp_path / "bad.c"
     bad.write_text("float f(double x);\nfloat f(double x) { return x; }\n")
-    assert subprocess.run([str(COMPILER), *C_FLAGS, str(bad)], capture_output=True, timeout=60).returncode != 0
+    assert subprocess.run([str(COMPILER), *C_FLAGS, str(bad)], capture_output=True, timeout=PATIENCE).returncode != 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
@@ -27,6 +26,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.io.csv_text import parse_csv
 from pmfid.simulation import CART, prbs, simulate_drive
 from tests.formats import write_wpilog
+from tests.patience import PATIENCE
 from tests.service.chromium import chromium, tab, until, violations
 
 DT = 0.005
@@ -99,8 +99,8 @@ def page() -> Iterator[Any]:
     with chromium() as browser, tab(browser, width=390) as opened:
         opened.asked = []
         opened.on("request", lambda request: opened.asked.append(request.url))
-        opened.goto(PAGE.as_uri(), timeout=60_000)
-        assert until(opened, "!document.getElementById('file').disabled", 120), opened.inner_text("#state")
+        opened.goto(PAGE.as_uri(), timeout=1000 * PATIENCE)
+        assert until(opened, "!document.getElementById('file').disabled"), opened.inner_text("#state")
         yield opened
 
 
@@ -108,7 +108,7 @@ def open_log(page: Any, path: Path) -> str:
     """Open a log on the page, and return the problem, or an empty text."""
     page.evaluate("document.getElementById('state').textContent = ''")
     page.set_input_files("#file", path)
-    assert until(page, "/^(Done|No)/.test(document.getElementById('state').textContent)", 60)
+    assert until(page, "/^(Done|No)/.test(document.getElementById('state').textContent)")
     return page.inner_text("#problem") if page.is_visible("#problem") else ""
 
 
@@ -116,7 +116,7 @@ def answer(page: Any, **answers: str) -> dict[str, Any]:
     """Submit the form with some answers, and return what the page shows."""
     page.evaluate("answers => { for (const key in answers) form.elements[key].value = answers[key] }", answers)
     page.evaluate("window.answer = null; form.requestSubmit()")
-    assert until(page, "window.answer !== null", 120)
+    assert until(page, "window.answer !== null")
     return dict(page.evaluate("window.answer"))
 
 
@@ -124,9 +124,7 @@ def answer(page: Any, **answers: str) -> dict[str, Any]:
 def test_five_logs_in_chromium_give_the_result_of_the_desktop(page: Any, tmp_path: Path) -> None:
     for path in write_logs(tmp_path):
         assert open_log(page, path) == ""
-        began = time.monotonic()
         found = answer(page, **({} if path.name == "german.csv" else ASKED))
-        assert time.monotonic() - began < 15, path.name
         own = identify(path, axis=tomllib.loads(found["axis"]))
         assert found["status"] == list(own.status), path.name
         assert found["findings"] == []

@@ -31,6 +31,7 @@ from pmfid.records.record import read_record
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 from pmfid.simulation.drive import Schedule, quantize, simulate_drive
 from tests.conftest import PROGRESS, long_unless
+from tests.patience import PATIENCE
 
 METHODS = ["auto", *methods_for(Drive(1.0))]
 #: One method of each family: automatic choice, recursive with instruments, compensated least squares, likelihood.
@@ -554,7 +555,7 @@ def test_an_old_command_works_with_a_warning(name: str, now: str, cart: Cart, tm
 
 def spawned(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = Path(sysconfig.get_path("scripts")) / "pmfid"
-    return subprocess.run([command, *arguments], capture_output=True, text=True, timeout=60, check=False)
+    return subprocess.run([command, *arguments], capture_output=True, text=True, timeout=PATIENCE, check=False)
 
 
 def test_the_installed_command_prints_json_alone(cart: Cart) -> None:
@@ -573,7 +574,7 @@ def test_the_installed_command_fails_in_one_line(tmp_path: Path) -> None:
 def test_help_answers_without_the_numerics() -> None:
     code = "import sys; from pmfid.cli.main import main; main(['identify', '--help'], standalone_mode=False)"
     check = f"{code}; print(sorted({{'numpy', 'scipy', 'polars', 'matplotlib'}} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", check], capture_output=True, text=True, timeout=PATIENCE, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
 
 
@@ -585,7 +586,7 @@ def test_a_reader_that_goes_away_is_no_error(cart: Cart) -> None:
     arguments = ["identify", str(cart.csv), "--config", str(AXIS), "--json"]
     try:
         done = subprocess.run(
-            [*command, *arguments], stdout=write_end, stderr=subprocess.PIPE, text=True, timeout=60, check=False
+            [*command, *arguments], stdout=write_end, stderr=subprocess.PIPE, text=True, timeout=PATIENCE, check=False
         )
     finally:
         os.close(write_end)

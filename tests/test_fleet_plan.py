@@ -11,6 +11,7 @@ import pytest
 from pmfid.fleet.data import Local, RowBudget
 from pmfid.fleet.plan import shards_of, slice_length
 from pmfid.fleet.tuning import TUNING
+from tests.patience import PATIENCE
 
 
 def survey(*rows: tuple[str, str, int, float, float]) -> pl.DataFrame:
@@ -54,6 +55,9 @@ def test_memory_knows_no_number_of_threads(rows: int, most: int) -> None:
             with lock:
                 inside += 1
                 largest = max(largest, inside)
+            end = time.monotonic() + PATIENCE
+            while largest < most and time.monotonic() < end:
+                time.sleep(0.001)
             time.sleep(0.005)
             with lock:
                 inside -= 1

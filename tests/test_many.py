@@ -18,6 +18,7 @@ from pmfid.estimators.registry import RECURSIVE
 from pmfid.estimators.runner import kept_samples
 from pmfid.kernel.structures import whole_words
 from tests.conftest import cart_run
+from tests.patience import PATIENCE
 from tests.test_architecture import C_FLAGS, COMPILER, CSRC
 
 DT, CUTOFF, AXES, SAMPLES = 0.01, 50.0, 21, 700
@@ -432,7 +433,7 @@ def test_all_but_windows_and_simulated_processes_run_side_by_side():
 def test_lanes_compile_without_a_warning(size, precision):
     flags = [*C_FLAGS, "-Wno-psabi", precision, f"-DPMF_LANE_BYTES={size}"]  # without options for wide vectors
     source = str(Path(CSRC) / "many" / "pmf_lanes.c")
-    run = subprocess.run([str(COMPILER), *flags, source], capture_output=True, text=True, timeout=60)
+    run = subprocess.run([str(COMPILER), *flags, source], capture_output=True, text=True, timeout=PATIENCE)
     assert run.returncode == 0, run.stderr
 
 

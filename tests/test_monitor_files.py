@@ -25,6 +25,7 @@ from pmfid.pipeline.monitored.stream import Stop
 from pmfid.report.html import replace_file
 from pmfid.simulation import CART_DT
 from studies.monitoring.pipe import lines, write_axis
+from tests.patience import PATIENCE
 
 #: A calibration of half an hour is enough here.
 START = (
@@ -71,7 +72,7 @@ def wait_for_rows(path: Path, rows: int, process: Any) -> None:
 
 
 def end(process: Any) -> tuple[str, str]:
-    out, error = process.communicate(timeout=120)
+    out, error = process.communicate(timeout=PATIENCE)
     return (out or b"").decode(), (error or b"").decode()
 
 

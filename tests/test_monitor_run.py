@@ -33,6 +33,7 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import lines, resident, write_axis
+from tests.patience import PATIENCE
 from tests.processes import run_process
 
 CHANGE = 15.0
@@ -289,7 +290,7 @@ def test_estimates_come_out_one_by_one(folder: Path) -> None:
             answer = process.stdout.readline().split(b",")
             assert len(answer) == 10
             assert k == 0 or float(answer[0]) == pytest.approx((k - 1) * CART_DT)
-        process.communicate(timeout=60)
+        process.communicate(timeout=PATIENCE)
     assert process.returncode == 0
 
 
@@ -311,7 +312,7 @@ def test_a_signal_ends_with_a_whole_file(folder: Path, kind: str, number: signal
         time.sleep(1.0)
         assert resident(process.pid) > 10
         process.send_signal(number)
-        rest, _ = process.communicate(timeout=60)
+        rest, _ = process.communicate(timeout=PATIENCE)
     end = json.loads(rest.splitlines()[-1])
     assert process.returncode == 0
     table = pl.read_csv(out) if kind == "csv" else pl.read_parquet(out)

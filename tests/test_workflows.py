@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import shlex
 import tomllib
 import zipfile
 from pathlib import Path
@@ -27,6 +28,16 @@ def test_workflows_call_targets_that_exist(path: Path) -> None:
     assert targets
     assert [target for target in targets if not re.search(rf"^{target}:", makefile, re.MULTILINE)] == []
     assert len(targets) >= len(commands) - 1  # the other one installs make on Windows
+
+
+def test_the_scheduled_tests_take_the_code_of_other_processors() -> None:
+    yaml = pytest.importorskip("ruamel.yaml")
+    workflow = yaml.YAML(typ="safe").load((REPOSITORY / ".github/workflows/processors.yml").read_text(encoding="utf-8"))
+    assert "schedule" in workflow["on"]
+    settings = workflow["jobs"]["test"]["strategy"]["matrix"]["setting"]
+    read = [dict(part.split("=", 1) for part in shlex.split(setting)) for setting in settings]
+    features = [{"NPY_DISABLE_CPU_FEATURES": names} for names in ("X86_V4", "X86_V3 X86_V4")]
+    assert read == [{}, *features, *({"OPENBLAS_CORETYPE": name} for name in ("Haswell", "SkylakeX", "Prescott"))]
 
 
 def test_forms_and_the_citation_are_valid() -> None:

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from pmfid.service.broker import BrokerSection
+from tests.patience import PATIENCE
 
 MOSQUITTO = shutil.which(
     "mosquitto", path=os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", "/usr/local/sbin"])
@@ -71,7 +72,8 @@ class Broker:
         config.write_text(CONFIG.format(port=self.port, folder=self.folder, user=user) + self.more)
         self._process = subprocess.Popen([str(MOSQUITTO), "-c", config], stderr=subprocess.DEVNULL)
         _STARTED.append(self)
-        for _ in range(500):
+        end = time.monotonic() + PATIENCE
+        while time.monotonic() < end:
             with socket.socket() as probe:
                 if probe.connect_ex(("127.0.0.1", self.port)) == 0:
                     return self

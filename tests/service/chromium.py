@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from tests.patience import PATIENCE
+
 CHROMIUM = shutil.which("chromium")
 AXE = Path(__file__).parent / "vendor" / "axe.min.js"
 
@@ -38,6 +40,7 @@ def tab(browser: Any, width: int = 1280, height: int = 800, theme: str = "light"
     """
     context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=theme)
     page = context.new_page()
+    page.set_default_timeout(1000 * PATIENCE)
     problems: list[str] = []
     page.on("pageerror", lambda error: problems.append(str(error)))
     page.on("console", lambda message: problems.append(message.text) if "Content Security" in message.text else None)
@@ -55,7 +58,7 @@ def violations(page: Any) -> list[str]:
     return [f"{one['id']}: {json.dumps([node['target'] for node in one['nodes'][:3]])}" for one in found]
 
 
-def until(page: Any, expression: str, seconds: float = 10.0) -> bool:
+def until(page: Any, expression: str, seconds: float = PATIENCE) -> bool:
     """Return whether the expression becomes true in time; poll from outside, because the page's policy forbids code
     from text.
     """

@@ -10,6 +10,7 @@ from typing import Any
 
 from pmfid.service.context import Source
 from pmfid.stream.delivery import Block, Delivery, Lines, Unusable, split_tables
+from tests.patience import PATIENCE
 
 
 @dataclass
@@ -65,7 +66,7 @@ class FakeEngine:
         return thread
 
 
-def wait_for(condition: Callable[[], object], seconds: float = 10.0) -> bool:
+def wait_for(condition: Callable[[], object], seconds: float = PATIENCE) -> bool:
     """Return whether a condition becomes true in time."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:

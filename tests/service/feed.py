@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from pmfid.stream.outcome import Counters, EstimateRows, Kindred, Notice
+from tests.patience import PATIENCE
 
 ALARM = {
     "event": "alarm",
@@ -117,7 +118,7 @@ class Faulty:
     def put(self, outcomes: list[EstimateRows | Notice]) -> None:
         self.puts += bool(outcomes)
         if self.hold is not None and outcomes:
-            self.hold.wait(20)
+            self.hold.wait(PATIENCE)
         if self.error:
             raise self.error
         if self.poison in numbers(outcomes):
@@ -128,7 +129,7 @@ class Faulty:
         self.closed += 1
 
 
-def until(true: Callable[[], object], seconds: float = 20.0) -> bool:
+def until(true: Callable[[], object], seconds: float = PATIENCE) -> bool:
     """Wait until the condition is true."""
     end = time.monotonic() + seconds
     while not true():

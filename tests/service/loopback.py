@@ -15,6 +15,7 @@ from urllib.parse import urlsplit
 
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.server import Page, serve
+from tests.patience import PATIENCE
 from tests.service.fake_engine import FakePlant
 
 
@@ -39,7 +40,7 @@ class Served:
         self, path: str, *, method: str = "GET", token: str | None = "", body: bytes | None = None, **headers: str
     ) -> tuple[int, dict[str, str], bytes]:
         """Send a request and return (status, headers, body); token "" sends the right token, None sends none."""
-        connection = http.client.HTTPConnection(*self.address, timeout=10)
+        connection = http.client.HTTPConnection(*self.address, timeout=PATIENCE)
         given = {name.replace("_", "-"): value for name, value in headers.items()}
         if token is not None:
             given["authorization"] = f"Bearer {token or self.token}"
@@ -62,7 +63,7 @@ class Served:
     @contextmanager
     def stream(self, path: str) -> Iterator[Iterator[dict[str, Any]]]:
         """Yield the lines of a stream as they arrive."""
-        connection = http.client.HTTPConnection(*self.address, timeout=10)
+        connection = http.client.HTTPConnection(*self.address, timeout=PATIENCE)
         try:
             connection.request("GET", path, headers={"authorization": f"Bearer {self.token}"})
             answer = connection.getresponse()
@@ -74,7 +75,7 @@ class Served:
 
     def raw(self, request: bytes) -> bytes:
         """Return the answer to these bytes, up to the end of the connection or a second of silence."""
-        with socket.create_connection(self.address, timeout=1) as line:
+        with socket.create_connection(self.address, timeout=PATIENCE) as line:
             line.sendall(request)
             return received(line)
 
@@ -83,11 +84,12 @@ class Served:
 
 
 def received(line: socket.socket) -> bytes:
-    """Return the bytes until the end of the connection or a timeout."""
+    """Return the bytes until the end of the connection, or until nothing follows the answer for a second."""
     found = b""
     try:
         while piece := line.recv(65536):
             found += piece
+            line.settimeout(1.0)
     except (TimeoutError, ConnectionResetError):
         pass
     return found
@@ -106,7 +108,7 @@ def served(plant: FakePlant, **config: Any) -> Iterator[Served]:
         page.stop()
 
 
-def until(true: Callable[[], object], seconds: float = 10.0) -> bool:
+def until(true: Callable[[], object], seconds: float = PATIENCE) -> bool:
     """Return whether the condition becomes true in time."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:

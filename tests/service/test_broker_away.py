@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.patience import PATIENCE
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.engine import FakeEngine, wait_for
 from tests.service.test_mqtt import connected, sender, source, stop
@@ -43,14 +44,14 @@ def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[
     ended.wait(seconds / 2)
     ended.set()
     feeder.join()
-    assert gateway.close(30), gateway.problem
+    assert gateway.close(PATIENCE), gateway.problem
     assert gateway.dropped == 0
 
     def complete() -> bool:
         engine.checkpoint()
         return engine.reached == sent
 
-    wait_for(complete, 30)
+    wait_for(complete)
     stop(hall, thread)
     broker.stop()
     return engine, sent

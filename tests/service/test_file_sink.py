@@ -15,6 +15,7 @@ import polars as pl
 import pytest
 
 from pmfid.service.sinks.file import FileSink, FileSinkSection
+from tests.patience import PATIENCE
 from tests.service.feed import Host, alarm, block, kindred, notice
 from tests.service.test_sqlite_sink import full_at
 
@@ -68,7 +69,7 @@ def test_events_alone_are_written_where_rows_are_not_wanted(tmp_path: Path) -> N
     outlet.start()
     outlet.rows(block(GROUP, 1))
     outlet.notice(alarm(2))
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert [line["number"] for line in lines_of(tmp_path / "events.jsonl")] == [2]
 
 
@@ -78,7 +79,7 @@ def test_estimates_alone_are_a_table(tmp_path: Path) -> None:
     outlet.notice(alarm(1))
     outlet.rows(replace(block(GROUP, 1), std=np.full((2, 2), np.inf)))
     outlet.rows(block(GROUP, 2, samples=200))
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     table = pl.read_ndjson(tmp_path / "rows.jsonl", infer_schema_length=None).unnest("theta")
     assert table["number"].to_list() == [number for number in range(1, 202) for _ in range(2)]
     assert table["mass"].to_list()[:4] == [1.0, 1.001, 2.0, 2.001]
@@ -146,6 +147,6 @@ def test_a_pipe_that_nobody_reads_holds_up_only_its_sink(tmp_path: Path) -> None
     outlet.start()
     for number in range(1, 500):
         outlet.rows(block(GROUP, number))
-    reader.join(20)
-    outlet.close(20)
+    reader.join(PATIENCE)
+    outlet.close(PATIENCE)
     assert json.loads(got[0])["axis"] == "x0"

@@ -19,6 +19,7 @@ from pmfid.service.context import Context, Source
 from pmfid.service.sources.file import Follower, Piped, Player
 from pmfid.stream.delivery import Block, Delivery, Lines, Mark
 from pmfid.stream.outcome import Counters
+from tests.patience import PATIENCE
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ class Taken:
         return [item for delivery in self.deliveries for item in delivery.items if isinstance(item, Block)]
 
     def until(self, holds: Callable[[], bool]) -> None:
-        end = time.monotonic() + 10
+        end = time.monotonic() + PATIENCE
         while not holds() and time.monotonic() < end:
             time.sleep(0.005)
         assert holds()
@@ -70,7 +71,7 @@ class Taken:
     def ended(self, stop: bool = True) -> Taken:
         if stop:
             self._source.stop()
-        self._thread.join(10)
+        self._thread.join(PATIENCE)
         assert not self._thread.is_alive()
         return self
 

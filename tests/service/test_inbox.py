@@ -9,6 +9,7 @@ import numpy as np
 from pmfid.stream.delivery import Block, Delivery, Table
 from pmfid.stream.engine import Inbox
 from pmfid.stream.tuning import TUNING
+from tests.patience import PATIENCE
 from tests.service.engine import wait_for
 
 
@@ -47,7 +48,7 @@ def test_a_source_waits_while_the_inbox_is_full_of_blocks() -> None:
     assert [one.source for one in inbox.take_deliveries(0.0)] == ["0", "1"]
     assert wait_for(lambda: len(put) == 11)
     inbox.close()
-    source.join(10.0)
+    source.join(PATIENCE)
     left = [one for _ in range(9) for one in inbox.take_deliveries(0.0)]
     assert [int(one.source) for one in left] == list(range(2, 11))
     assert inbox.closed

@@ -20,6 +20,7 @@ from pmfid.service.sources.mqtt import MqttSource, MqttSourceSection
 from pmfid.service.wire.sender import Sender
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block, Lines, Unusable
+from tests.patience import PATIENCE
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.engine import FakeEngine, wait_for
 from tests.service.test_lines import axis
@@ -44,7 +45,7 @@ def source(engine: FakeEngine, broker: Broker, client: str, *topics: str, **opti
 def stop(running: MqttSource, thread: threading.Thread) -> None:
     running.stop()
     running.stop()
-    thread.join(10)
+    thread.join(PATIENCE)
     assert not thread.is_alive()
 
 
@@ -142,7 +143,7 @@ def test_many_axes_go_in_one_message_and_numbers_go_on(broker: Broker) -> None:
     hall = source(engine, broker, "many")
     thread = engine.running(hall)
     assert connected(hall)
-    with sender(broker, "many/a", samples=50, size=2**16, delay=0.1) as gateway:
+    with sender(broker, "many/a", samples=50, size=2**16, delay=2.0) as gateway:
         for _ in range(3):
             for name in ("x1", "x2", "ümlaut"):
                 gateway.add(name, np.ones(30), np.arange(30))
@@ -173,7 +174,7 @@ def test_back_pressure_does_not_read_on(broker: Broker) -> None:
     engine.ends = True
     with sender(broker, "pressure/a", epoch=4) as gateway:
         gateway.add("x1", 0.0, 0)
-        thread.join(10)
+        thread.join(PATIENCE)
     assert not thread.is_alive(), "a source ends when nothing is taken any more"
 
 

@@ -17,6 +17,7 @@ from pmfid.service.broker import new_client
 from pmfid.service.sinks import mqtt, queued
 from pmfid.service.sinks.mqtt import BrokerLink, MqttSink, MqttSinkSection
 from pmfid.service.sinks.queued import Queued
+from tests.patience import PATIENCE
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.tuned import set_tuning
@@ -232,7 +233,7 @@ def test_a_broker_gets_all_and_keeps_the_alarm(tmp_path: Path, broker: Broker, s
         assert sorted((topic, retained) for topic, _, retained in late.got) == [(ALARM, True), (STATUS, True)]
         outlet.notice(notice(8, "acknowledged", alarm=7, note="seen"))
         assert until(lambda: late.last(ALARM) == b"")
-        assert outlet.close(20)
+        assert outlet.close(PATIENCE)
         assert until(lambda: late.last(STATUS) == b"offline")
     with Listener(broker) as later:
         assert until(lambda: later.got)
@@ -307,7 +308,7 @@ def test_no_alarm_is_lost_whatever_becomes_of_the_broker(
             broker.start()
         time.sleep(0.003)
     assert until(lambda: host.count("pmfid_sink_working", sink="m") == 1)
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     with Listener(broker) as listener:
         assert until(lambda: sum("/alarms/" in topic for topic, *_ in listener.got) >= 306)
         assert listener.last(STATUS) == b"offline"

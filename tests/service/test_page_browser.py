@@ -472,7 +472,7 @@ def test_a_lost_service_is_said_and_found_again(browser: Any) -> None:
             with pytest.MonkeyPatch.context() as patch:
                 patch.setenv("PAGE_TOKEN", token)
                 again = _again(plant, port)
-            assert until(page, "document.getElementById('lost').hidden", 20)
+            assert until(page, "document.getElementById('lost').hidden")
             plant.run(1.0)
             assert until(page, "document.getElementById('connection').textContent === 'live'")
             again.stop()

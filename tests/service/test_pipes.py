@@ -21,6 +21,7 @@ from pmfid.service.sources.serial import SerialSection, SerialSource
 from pmfid.service.wire.messages import LineSplitter
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block, Item, Lines, Unusable
+from tests.patience import PATIENCE
 from tests.service.engine import FakeEngine, wait_for
 from tests.service.test_lines import axis
 
@@ -52,7 +53,7 @@ def serial_source(engine: FakeEngine, folder: Path, **options: object) -> Serial
 
 def stop(running: SerialSource | ExecdSource, thread: threading.Thread) -> None:
     running.stop()
-    thread.join(10)
+    thread.join(PATIENCE)
     assert not thread.is_alive()
 
 
@@ -181,7 +182,7 @@ def test_telegraf_is_understood_and_lines_are_passed_on(tmp_path: Path, pass_on:
     for k in range(0, len(SENT), 37):
         os.write(telegraf, SENT[k : k + 37])
     os.close(telegraf)
-    thread.join(10)
+    thread.join(PATIENCE)
     assert not thread.is_alive(), "the end of the pipe is the end"
     os.close(write)
     passed = b""

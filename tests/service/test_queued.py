@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import threading
 import time
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ from pmfid.service.sinks import queued
 from pmfid.service.sinks.queued import OutcomeQueue, Queued, QueueLimits, size_of
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
+from tests.patience import PATIENCE
 from tests.service.feed import Faulty, Host, alarm, block, kindred, notice, numbers, until
 from tests.tuned import set_tuning
 
@@ -113,18 +115,20 @@ def test_a_sink_that_hangs_costs_the_engine_nothing(host: Host) -> None:
     assert slowest < 0.05
     assert host.count("pmfid_dropped_rows_total", sink="s") == 10 * offered - 1000
     sink.hold.set()
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert sum(one.axis.size for one in sink.got) == 1010
     assert host.count("pmfid_sink_rows_total", sink="s") == 1010
 
 
 def test_a_slow_sink_is_reported_once_and_what_is_dropped_is_counted(host: Host) -> None:
+    offers = [0.0]
+
     @dataclass
     class Slow(Faulty):
-        """A sink of 1 MB/s."""
+        """A sink that takes one piece in the time of twenty offers."""
 
         def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-            time.sleep(sum(size_of(one) for one in outcomes if isinstance(one, EstimateRows)) / 1e6)
+            assert until(lambda: offers[0] >= 20 * self.puts)
             super().put(outcomes)
 
     sink = Slow()
@@ -133,8 +137,10 @@ def test_a_slow_sink_is_reported_once_and_what_is_dropped_is_counted(host: Host)
     offered = 400
     for _ in range(offered):  # about 4 MB
         outlet.rows(rows)
+        offers[0] += 1
         time.sleep(0.0002)
-    outlet.close(20)
+    offers[0] = math.inf
+    outlet.close(PATIENCE)
     written = host.count("pmfid_sink_rows_total", sink="s")
     assert written == sum(one.axis.size for one in sink.got)
     assert written + host.count("pmfid_dropped_rows_total", sink="s") == 100 * offered
@@ -146,7 +152,7 @@ def test_offers_from_the_engine_go_on_in_order(host: Host) -> None:
     outlet = started(sink, host)
     for number in range(1, 200):
         outlet.rows(block(GROUP, number)) if number % 3 else outlet.notice(alarm(number))
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert numbers(sink.got) == list(range(1, 200))
     assert (sink.opened, sink.closed) == (1, 1)
 
@@ -158,7 +164,7 @@ def test_only_what_is_wanted_waits(host: Host) -> None:
     outlet.rows(block(GROUP))
     outlet.notice(notice(1, "gap"))
     outlet.notice(alarm(2))
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert numbers(sink.got) == [2]
 
 
@@ -176,7 +182,7 @@ def test_an_error_is_reported_once_and_the_end_of_it_too(host: Host) -> None:
     assert host.count("pmfid_sink_working", sink="s") == 0
     sink.error = None
     assert until(lambda: len(host.reported) == 2)
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert host.reported[0] == {
         "event": "sink",
         "sink": "s",
@@ -198,7 +204,7 @@ def test_a_sink_that_cannot_be_opened_is_tried_again(host: Host) -> None:
     assert until(lambda: sink.opened > 2)
     sink.open_error = None
     assert until(lambda: sink.got)
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert numbers(sink.got) == [1]
 
 
@@ -232,7 +238,7 @@ def test_what_a_sink_can_never_take_is_dropped_alone(host: Host) -> None:
     for number in range(1, 9):
         outlet.notice(alarm(number))
     sink.hold.set()
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert numbers(sink.got) == [1, 2, 3, 5, 6, 7, 8]
     assert host.count("pmfid_refused_total", sink="s") == 1
     assert [reported["problem"] for reported in host.reported] == ["refused: ValueError: number 4 is poison"]
@@ -260,7 +266,7 @@ def test_closing_does_not_wait_for_a_pause(host: Host) -> None:
     outlet = started(sink, host)
     outlet.rows(block(GROUP))
     assert until(lambda: host.reported)
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert sink.puts in (1, 2), "one more attempt"
     assert sink.closed == 1
     assert host.count("pmfid_dropped_rows_total", sink="s") == 10
@@ -276,7 +282,7 @@ def test_a_sink_is_looked_after_while_nothing_comes(host: Host, monkeypatch: pyt
     assert until(lambda: host.reported)
     sink.error = None
     assert until(lambda: len(host.reported) == 2)
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert [reported["works"] for reported in host.reported] == [False, True]
     assert sink.got == []
 
@@ -287,10 +293,10 @@ def test_what_is_kept_for_a_sink_is_what_it_may_still_get(host: Host) -> None:
     for number in range(1, 21):
         outlet.notice(alarm(number))
     assert until(lambda: host.reported)
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert sorted(one.number for one in outlet.unwritten()) == [16, 17, 18, 19, 20], "also after its end"
     assert host.count("pmfid_dropped_notices_total", sink="s") == 20
     written = started(Faulty(), host)
     written.notice(alarm(1))
-    assert written.close(20)
+    assert written.close(PATIENCE)
     assert written.unwritten() == []

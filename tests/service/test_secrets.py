@@ -24,6 +24,7 @@ from pmfid.service.plant import SINKS, SOURCES, load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog, json_line
 from pmfid.service.web.config import PageConfig
+from tests.patience import PATIENCE
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.loopback import until
 from tests.service.test_serve import Acting, called, folder  # noqa: F401 a fixture
@@ -154,7 +155,7 @@ class Running:
         """Send a request and keep the page's answer, or the beginning of a stream."""
         page = acting.service._page
         assert page is not None
-        connection = http.client.HTTPConnection(urlsplit(page.url).netloc, timeout=10)
+        connection = http.client.HTTPConnection(urlsplit(page.url).netloc, timeout=PATIENCE)
         headers = {"content-type": "application/json"} | ({} if token is None else {"authorization": f"Bearer {token}"})
         connection.request(method, path, b'{"note": "seen"}' if method == "POST" else None, headers)
         answer = connection.getresponse()
@@ -226,16 +227,16 @@ def test_no_secret_comes_out_anywhere(
         with (place / "log.csv").open("a") as file:
             file.write("".join(rows[:900]))
         acting.samples(800)
-        assert until(lambda: publish() or is_unusable_counted(), 30), "what comes before the source subscribes is lost"
+        assert until(lambda: publish() or is_unusable_counted()), "what comes before the source subscribes is lost"
         for path in PATHS:
             for token in (SECRETS["PAGE_TOKEN"], SECRETS["reader.token"], None, *GUESSES):
                 running.ask(acting, path, token)
         for token in (*GUESSES, SECRETS["reader.token"], SECRETS["PAGE_TOKEN"]):
             running.ask(acting, "/api/axis/x1/anew", token, "POST")
         assert running.ask(acting, "/api/plant", SECRETS["PAGE_TOKEN"]) == 200
-        assert until(lambda: counted("pmfid_sink_silent", sink="down") == 1, 30), "alarms of silence are among it"
+        assert until(lambda: counted("pmfid_sink_silent", sink="down") == 1), "alarms of silence are among it"
         _reload_of(place)
-        assert until(lambda: "reload" in acting.text.getvalue() or "read again" in acting.text.getvalue(), 20)
+        assert until(lambda: "reload" in acting.text.getvalue() or "read again" in acting.text.getvalue())
         for sink in ("down", "angry", "wrong"):
             assert counted("pmfid_sink_working", sink=sink) == 0
         for sink in ("hook", "phone"):

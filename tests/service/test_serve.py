@@ -26,6 +26,7 @@ from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
+from tests.patience import PATIENCE
 
 Events = list[dict[str, Any]]
 
@@ -253,13 +254,13 @@ class Acting:
         assert not errors, errors
 
     def until(self, *kinds: str, times: int = 1) -> None:
-        end = time.monotonic() + 20
+        end = time.monotonic() + PATIENCE
         while len(events(self.text.getvalue(), *kinds)) < times:
             assert time.monotonic() < end, self.text.getvalue()
             time.sleep(0.01)
 
     def samples(self, number: int) -> None:
-        end = time.monotonic() + 20
+        end = time.monotonic() + PATIENCE
         group = (("group", "axis.toml"),)
         while self.service.counters.values().get(("pmfid_samples_total", group), 0) < number:
             assert time.monotonic() < end, self.text.getvalue()
@@ -318,7 +319,7 @@ def test_systemd_is_reported(folder: Path, acting: Acting, tmp_path: Path, monke
     (folder / "plant.toml").write_text(PLANT)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
         channel.bind(str(tmp_path / "notify"))
-        channel.settimeout(10)
+        channel.settimeout(PATIENCE)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
         said: list[bytes] = []
 

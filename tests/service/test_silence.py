@@ -35,6 +35,7 @@ from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.outcome import Counters, Notice
 from pmfid.stream.tuning import TUNING
 from studies.service.processes import service
+from tests.patience import PATIENCE
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.feed import Faulty, Host, kindred, notice, until
 from tests.service.feed import block as rows_of
@@ -308,7 +309,7 @@ def test_by_default_the_webhook_posts_both(reported: list[Notice], tmp_path: Pat
         outlet.start()
         for one in reported:
             outlet.notice(one)
-        assert outlet.close(20)
+        assert outlet.close(PATIENCE)
     events = [json.loads(body)["event"] for _, _, body in server.got]
     assert events == ["alarm"] * 3 + ["cleared"] * 3
 
@@ -319,7 +320,7 @@ def test_files_have_both(reported: list[Notice], tmp_path: Path, kind: str) -> N
     outlet.start()
     for one in reported:
         outlet.notice(one)
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert events_of(tmp_path, kind) == ["alarm"] * 3 + ["cleared"] * 3
 
 
@@ -371,7 +372,7 @@ def test_a_queue_knows_whether_its_sink_takes_what_it_is_given(monkeypatch: pyte
     assert outlet.works(begun) is None, "it began after that"
     sink.error = None
     assert until(lambda: outlet.works(time.monotonic()) is True)
-    outlet.close(20)
+    outlet.close(PATIENCE)
 
 
 def test_a_sink_that_hangs_does_not_work() -> None:
@@ -383,7 +384,7 @@ def test_a_sink_that_hangs_does_not_work() -> None:
     assert sink.hold is not None
     sink.hold.set()
     assert until(lambda: outlet.works(time.monotonic()) is True)
-    outlet.close(20)
+    outlet.close(PATIENCE)
 
 
 def test_a_sink_that_refuses_all_it_is_given_does_not_work() -> None:
@@ -394,7 +395,7 @@ def test_a_sink_that_refuses_all_it_is_given_does_not_work() -> None:
     assert until(lambda: outlet.works(time.monotonic()) is False)
     time.sleep(0.05)
     assert outlet.works(time.monotonic()) is False
-    outlet.close(20)
+    outlet.close(PATIENCE)
 
 
 # --- the whole service ------------------------------------------------------------------------------------------------
@@ -440,9 +441,10 @@ def test_a_service_tells_silence_once_over_a_restart_and_its_end(folder: Path) -
     second = acting(folder)
 
     def back() -> None:
-        time.sleep(3.0)
+        shown = ("pmfid_sink_silent", (("sink", "lines"),))
+        assert until(lambda: second.service.counters.values().get(shown) == 1)
+        time.sleep(2.0)
         assert reported_in_order(second) == []
-        assert second.service.counters.values()["pmfid_sink_silent", (("sink", "lines"),)] == 1
         (folder / "folder").unlink()
         with (folder / "log.csv").open("a") as file:
             file.write("".join(rows[200:400]))
@@ -471,7 +473,7 @@ def test_the_plant_of_the_examples_is_silent_killed_and_back(
         plant.write_text(f'{text}\n{more}path = "a.jsonl"\nrows = false\n')
         with service(plant, tmp_path / "first.jsonl") as served:
             stopped = sent(broker, 15.0)
-            assert until(lambda: len(server.got) == 13, 30)
+            assert until(lambda: len(server.got) == 13)
             time.sleep(5.0)
             assert served.total("pmfid_axes_silent") == 12
             served.process.kill()
@@ -482,7 +484,7 @@ def test_the_plant_of_the_examples_is_silent_killed_and_back(
             assert served.total("pmfid_source_silent") == 1
             assert len(server.got) == 13, "nothing is reported twice"
             sent(broker, 12.0)
-            assert until(lambda: len(server.got) == 26, 30)
+            assert until(lambda: len(server.got) == 26)
             assert served.total("pmfid_axes_silent") == served.total("pmfid_source_silent") == 0
         posted = [json.loads(body)["event"] for _, _, body in server.got]
     by_sink = {

@@ -12,6 +12,7 @@ import pytest
 from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
 from pmfid.service.plant import SINKS
+from tests.patience import PATIENCE
 from tests.service.feed import Host, alarm, block, kindred, until
 from tests.tuned import set_tuning
 
@@ -68,7 +69,7 @@ def test_a_folder_that_nothing_can_be_written_to_is_reported_once_and_costs_only
         outlet.rows(block(kindred(3), number))
         outlet.notice(alarm(number))
     assert until(lambda: host.count("pmfid_sink_errors_total", sink="a") > 2)
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert host.reported[0]["works"] is False
     assert len(host.reported) <= 2, "and once more at the end"
     assert host.count("pmfid_sink_working", sink="a") == 0

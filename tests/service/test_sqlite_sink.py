@@ -18,6 +18,7 @@ from pmfid.errors import UsageError
 from pmfid.service.sinks import sqlite
 from pmfid.service.sinks.sqlite import SqliteSection, SqliteSink
 from pmfid.stream.outcome import EstimateRows, Notice
+from tests.patience import PATIENCE
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.kills import killed_after
 from tests.tuned import set_tuning
@@ -143,7 +144,7 @@ def test_a_sink_that_cannot_write_tells_and_goes_on_by_itself(tmp_path: Path, mo
     assert until(lambda: host.reported)
     blocked.unlink()
     assert until(lambda: len(host.reported) == 2)
-    assert outlet.close(20)
+    assert outlet.close(PATIENCE)
     assert "folder" in host.reported[0]["problem"]
     assert host.reported[1]["works"]
     assert of(tmp_path / "folder" / "a.sqlite", "SELECT number FROM alarms") == [(1,)]

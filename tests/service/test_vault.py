@@ -25,6 +25,7 @@ from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
+from tests.patience import PATIENCE
 from tests.tuned import set_tuning
 
 Report = list[dict[str, Any]]
@@ -195,7 +196,7 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(
         engine.urgent = True
         keeper.offer(engine)
         with keeper._changed:
-            assert keeper._changed.wait_for(lambda: keeper._job is None, 10.0)
+            assert keeper._changed.wait_for(lambda: keeper._job is None, PATIENCE)
 
     checkpoint(0)
     with monkeypatch.context() as patch:
@@ -239,7 +240,7 @@ def test_a_large_state_is_not_written_all_the_time(
         engine.changes += 1
         keeper.offer(engine)
         with keeper._changed:
-            assert keeper._changed.wait_for(lambda: keeper._job is None, 10.0)
+            assert keeper._changed.wait_for(lambda: keeper._job is None, PATIENCE)
         if k == 50:
             engine.urgent = True
     keeper.offer(engine, last=True)
@@ -272,7 +273,7 @@ def test_an_alarm_that_a_sink_got_is_in_no_checkpoint_for_long_though_nothing_el
     for _ in range(3):
         keeper.offer(engine)
         with keeper._changed:
-            assert keeper._changed.wait_for(lambda: keeper._job is None, 10.0)
+            assert keeper._changed.wait_for(lambda: keeper._job is None, PATIENCE)
         waiting.clear()
     assert keeper.vault.sequence == 2, "one with the alarm, one without, and no more"
     keeper.offer(engine, last=True)
@@ -297,7 +298,7 @@ def test_the_engine_does_not_wait_for_new_memory(
         engine.urgent = True
         keeper.offer(engine)
         with keeper._changed:
-            assert keeper._changed.wait_for(lambda: keeper._job is None, 10.0)
+            assert keeper._changed.wait_for(lambda: keeper._job is None, PATIENCE)
         assert done == list(range(k + 1 if k else 0))
     keeper.offer(engine, last=True)
     assert makers == ["checkpoints"]

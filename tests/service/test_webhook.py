@@ -17,6 +17,7 @@ from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
 from pmfid.service.context import RefusedError
 from pmfid.service.sinks.webhook import EVENTS, WebhookSection, WebhookSink
+from tests.patience import PATIENCE
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.web_servers import bad_server, web_server
 from tests.tuned import set_tuning
@@ -60,7 +61,7 @@ def test_after_its_queue_only_the_events_that_are_wanted_go_out(tmp_path: Path) 
         outlet.notice(notice(1, "gap"))
         outlet.notice(alarm(2))
         outlet.notice(notice(3, "settled"))
-        assert outlet.close(20)
+        assert outlet.close(PATIENCE)
     assert [json.loads(body)["number"] for _, _, body in server.got] == [2, 3]
 
 
@@ -74,7 +75,7 @@ def test_each_alarm_goes_out_once_whatever_fails_between(tmp_path: Path, monkeyp
             outlet.notice(alarm(number))
         outlet.start()
         assert until(lambda: len(server.got) == 8)
-        assert outlet.close(20)
+        assert outlet.close(PATIENCE)
     numbers = [json.loads(body)["number"] for _, _, body in server.got]
     assert numbers == [1, 2, 2, 2, 3, 3, 4, 5]
     assert host.count("pmfid_refused_total", sink="hook") == 1
@@ -116,7 +117,7 @@ def test_a_server_that_never_ends_its_answer_costs_bounded_time(tmp_path: Path, 
 
 def test_an_answer_with_an_endless_page_has_said_all_at_its_start(tmp_path: Path) -> None:
     with bad_server(b"HTTP/1.1 200 OK\r\nContent-Length: 9999999\r\n\r\nxx", 0.02) as port:
-        sink = hook(tmp_path, f"http://127.0.0.1:{port}", timeout_s=0.15)
+        sink = hook(tmp_path, f"http://127.0.0.1:{port}", timeout_s=2.0)
         sink.put([alarm(1), alarm(2)])
         assert len(sink._delivered) == 2
 
@@ -146,7 +147,7 @@ def test_nobody_listens_is_an_error_that_may_pass_and_tells_no_secret(tmp_path: 
     outlet.start()
     outlet.notice(alarm(1))
     assert until(lambda: host.reported)
-    outlet.close(20)
+    outlet.close(PATIENCE)
     assert host.reported[0]["problem"] == "Connection refused"
 
 
