@@ -13,6 +13,7 @@ from unittest import mock
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, settings
 
 import pmfid
 from pmfid.findings import Finding
@@ -21,6 +22,10 @@ from pmfid.simulation.scenarios import CART, CART_DT, resolution_of
 from pmfid.simulation.signals import prbs
 from pmfid.stream.groups import Prepared, prepare
 from studies.monitoring.pipe import write_axis
+
+#: The time of an example measures the machine, which may be busy with other work.
+settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("patient")
 
 #: Hours of simulated normal work: enough for thresholds on which no test relies.
 HOURS = 0.5

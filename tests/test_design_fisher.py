@@ -40,7 +40,7 @@ def problem(mass: float = 1.5, viscous: float = 6.0, coulomb: float = 0.6, **cha
 drives = st.tuples(st.floats(0.1, 20.0), st.floats(0.01, 50.0), st.floats(0.0, 5.0))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(drives, st.integers(0, 1000), st.integers(1, 3))
 def test_sensitivities_are_difference_quotients(drive: tuple[float, float, float], seed: int, samples: int) -> None:
     case = problem(*drive, scaled=False, samples_per_interval=samples)

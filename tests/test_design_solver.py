@@ -50,7 +50,7 @@ def test_the_same_seed_gives_the_same_input() -> None:
     assert one.predicted_std["mass"] == pytest.approx(np.sqrt(np.linalg.inv(one.fisher)[0, 0]))
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(
     st.floats(0.3, 5.0),
     st.floats(0.5, 20.0),

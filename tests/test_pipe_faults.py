@@ -199,7 +199,7 @@ def take_all(timeline: Timeline, times: list[float]) -> list[Any]:
     return taken + timeline.end()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(
     st.floats(-1e6, 1e6),
     st.lists(st.floats(-0.3, 0.3), min_size=5, max_size=80),
@@ -210,7 +210,7 @@ def test_even_stamps_are_the_samples(start: float, off: list[float]) -> None:
     assert [(s.time, s.counts, s.missing) for s in taken] == [(t, k, 0) for k, t in enumerate(times)]
 
 
-@settings(deadline=None, max_examples=100)
+@settings(max_examples=100)
 @given(st.lists(st.floats(-1e9, 1e9) | st.integers(0, 200).map(lambda k: k * DT), max_size=120))
 def test_every_line_is_reported_once(times: list[float]) -> None:
     """For any stamps, a line is a sample or skipped; counts and time stay in order between breaks."""
@@ -228,7 +228,7 @@ def test_every_line_is_reported_once(times: list[float]) -> None:
             assert abs((now.time - before.time) / DT - 1) < 2
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.integers(1, 200), st.integers(5, 60))
 def test_a_gap_is_as_long_as_it_is(lost: int, before: int) -> None:
     times = [k * DT for k in range(before)] + [(k + lost) * DT for k in range(before, before + 20)]

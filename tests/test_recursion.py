@@ -62,7 +62,7 @@ def test_state_saved_and_restored_continues_with_the_same_bits(drive):
         second.set_state(b"too short")
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     seed=st.integers(0, 10**6),
     increments=st.sampled_from([4096, 1024, 256]),

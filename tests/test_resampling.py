@@ -114,7 +114,8 @@ def test_a_model_that_asks_for_even_samples_is_resampled_and_says_so(tmp_path: P
 
 @pytest.mark.parametrize("delay", [0.2, pytest.param(1.0, marks=pytest.mark.long), 3.0])
 def test_stamps_of_arrival_give_what_even_stamps_give(tmp_path: Path, delay: float) -> None:
-    even, late = identified(tmp_path, *run("even")), identified(tmp_path, *run("even", delay))
+    method = '[estimator]\nmethod = "iv"\n'
+    even, late = (identified(tmp_path, *run("even", by), method) for by in (0.0, delay))
     np.testing.assert_allclose(late.theta, even.theta, rtol=2e-3)
     assert "uneven_clock" not in late.status
 

@@ -99,7 +99,7 @@ def test_stop_time_and_place(viscous: float) -> None:
 
 
 @given(drives, inputs, speeds)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_energy_balance(p: DriveParameters, u: list[float], v0: float) -> None:
     """The work of the input equals the change of kinetic energy plus losses, by quadrature of the velocity."""
     dt = 0.3
@@ -125,7 +125,7 @@ def test_energy_balance(p: DriveParameters, u: list[float], v0: float) -> None:
 
 
 @given(drives, st.floats(-3.0, 3.0), speeds, st.floats(0.01, 0.99))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 def test_an_interval_may_be_split(p: DriveParameters, u: float, v0: float, share: float) -> None:
     whole = step(p, u, 0.3, 0.1, v0)
     half = step(p, u, 0.3 * share, 0.1, v0)
@@ -136,7 +136,7 @@ def test_an_interval_may_be_split(p: DriveParameters, u: float, v0: float, share
 
 
 @given(drives, inputs, speeds)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 def test_fractions_agree_with_the_motion(p: DriveParameters, u: list[float], v0: float) -> None:
     motion = simulate_drive(p, [*u, 0.0], 0.2, 0.0, v0)
     for k in range(len(u)):
@@ -160,7 +160,7 @@ def test_coasting_without_friction_and_with_next_to_no_brake() -> None:
 
 
 @given(drives.filter(lambda p: p.coulomb_friction > 0.0), st.floats(0.01, 2.0))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_a_stop_at_the_end_of_the_interval_leaves_no_velocity_of_the_other_sign(p: DriveParameters, v0: float) -> None:
     p = replace(p, offset=0.0)
     moving = step(p, 0.0, 1e4, 0.0, v0)[3]

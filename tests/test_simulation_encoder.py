@@ -18,7 +18,7 @@ def counts_of(x: np.ndarray, lines: np.ndarray | None = None, missed: float = 0.
 
 
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50), st.floats(1e-3, 10.0), st.floats(0.0, 1.0))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_without_faults_it_is_the_floor(x: list[float], resolution: float, phase: float) -> None:
     places = np.zeros(3)
     read = read_encoder(np.array(x), resolution, phase, places, np.zeros(0), 0.0, 5)
@@ -26,7 +26,7 @@ def test_without_faults_it_is_the_floor(x: list[float], resolution: float, phase
 
 
 @given(st.lists(st.floats(-0.49, 0.49), min_size=1, max_size=7), st.lists(st.floats(-40.0, 40.0), max_size=50))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 def test_lines_lie_where_the_table_says_turn_after_turn(errors: list[float], x: list[float]) -> None:
     edges = np.array([k + errors[k % len(errors)] for k in range(-60, 60)])
     expected = np.searchsorted(edges, x, side="right") - 61

@@ -17,10 +17,6 @@ from pmfid.types import Floats
 
 #: Arithmetic with far more digits than a double, so that the last rounding is almost always the only one.
 PRECISE = Context(prec=60, Emin=-999999, Emax=999999, traps=[])
-#: Below this size exp(x) - 1 and tanh(x) are x, to the last bit.
-_TINY = 1e-20
-#: Number of halvings of an angle before the series, which then needs five terms.
-_HALVINGS = 6
 
 
 def exp(x: float) -> float:
@@ -29,8 +25,8 @@ def exp(x: float) -> float:
 
 
 def expm1(x: float) -> float:
-    """Return exp(x) - 1 without loss of digits near x = 0."""
-    return x if abs(x) < _TINY else float(PRECISE.subtract(PRECISE.exp(Decimal(x)), Decimal(1)))
+    """Return exp(x) - 1 without loss of digits near x = 0, where x is the nearest double."""
+    return x if abs(x) < 1e-20 else float(PRECISE.subtract(PRECISE.exp(Decimal(x)), Decimal(1)))
 
 
 def log(x: float) -> float:
@@ -39,11 +35,11 @@ def log(x: float) -> float:
 
 
 def tanh(x: float) -> float:
-    """Return the hyperbolic tangent of x."""
-    if abs(x) < _TINY:
+    """Return the hyperbolic tangent of x, for which x is the nearest double near x = 0."""
+    if abs(x) < 1e-20:
         return x
     decay = PRECISE.exp(Decimal(-2 * abs(x)))
-    return math.copysign(float(PRECISE.divide(1 - decay, PRECISE.add(Decimal(1), decay))), x)
+    return math.copysign(float(PRECISE.divide(PRECISE.subtract(Decimal(1), decay), PRECISE.add(Decimal(1), decay))), x)
 
 
 def power(base: float, exponent: float) -> float:
@@ -96,12 +92,13 @@ def cos_sin(turns: Floats) -> tuple[Floats, Floats]:
     The series of a small angle gives the sine s and v = 1 - cos. Doubling the angle takes (s, v) to (2 s (1 - v),
     2 s^2).
     """
-    angle = 2 * math.pi * (turns - np.rint(turns)) / 2**_HALVINGS
+    doublings = 6
+    angle = 2 * math.pi * (turns - np.rint(turns)) / 2**doublings
     square = angle * angle
     s, v = np.ones_like(angle), np.ones_like(angle)
     for k in (8, 6, 4, 2):
         s, v = 1 - square / (k * (k + 1)) * s, 1 - square / ((k + 1) * (k + 2)) * v
     s, v = angle * s, square / 2 * v
-    for _ in range(_HALVINGS):
+    for _ in range(doublings):
         s, v = 2 * s * (1 - v), 2 * s * s
     return 1 - v, s

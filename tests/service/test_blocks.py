@@ -82,7 +82,7 @@ any_block = st.builds(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(any_block, min_size=1, max_size=4))
 def test_what_is_sent_comes_out_to_the_bit(blocks: list[Block]) -> None:
     found = decode(b"".join(map(encode, blocks)))

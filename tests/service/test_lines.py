@@ -285,7 +285,7 @@ def slashed(text: object) -> object:
     return text.replace("\\", "/") if isinstance(text, str) else text
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(texts, st.dictionaries(texts, texts, max_size=3), st.dictionaries(texts, fields, min_size=1), st.integers(-5, 5))
 @example("\\=", {}, {"=": 0.0}, 0)
 @example("a\\", {"b\\": "c\\", "d": "\\,"}, {"e\\=": 1.0, "f": "\\"}, 5)

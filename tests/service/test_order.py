@@ -20,7 +20,7 @@ from tests.service.orders import DT, sending_of
 
 WINDOW = 100
 SEEDS = st.integers(0, 2**32)
-SOME = settings(max_examples=30, deadline=None, derandomize=True)
+SOME = settings(max_examples=30, derandomize=True)
 
 
 def put_in_order(blocks: Sequence[Block], window: int = WINDOW) -> tuple[list[SamplePiece], ItemReport]:

@@ -21,8 +21,6 @@ from pmfid.filters.network import Network, Taps
 
 #: Function of (network, source, cutoff, order, dt) that returns the taps of F(s) for the held signal at `source`.
 HoldFilter = Callable[[Network, int, float, int, float], Taps]
-#: Steps of Newton's method that take a root from 12 digits to more than 60.
-REFINEMENTS = 4
 
 
 def lag(network: Network, source: int, pole: float, dt: float) -> int:
@@ -85,7 +83,7 @@ def sampling_zeros(degree: int) -> list[float]:
 
 
 def _refine_root(coefficients: list[int], root: Decimal) -> Decimal:
-    for _ in range(REFINEMENTS):
+    for _ in range(4):  # from 12 digits to more than 60
         value = slope = Decimal(0)
         for coefficient in coefficients:
             slope, value = slope * root + value, value * root + coefficient
