@@ -69,7 +69,7 @@ def test_a_message_is_acknowledged_when_it_is_durable(broker: Broker) -> None:
     assert connected(hall)
     with sender(broker, "durable/a") as gateway:
         gateway.add("x1", np.arange(12.0), np.arange(12), time=5.0)
-        assert gateway.flush()
+        assert gateway.flush(PATIENCE)
     assert wait_for(lambda: len(engine.blocks) == 5)
     assert not wait_for(lambda: len(engine.blocks) > 5, 0.2), "more than receive_maximum came unacknowledged"
     engine.checkpoint()
@@ -111,11 +111,11 @@ def test_a_message_that_nobody_has_subscribed_to_is_kept(broker: Broker) -> None
     engine, gateway = FakeEngine(), sender(broker, "nobody/a")
     gateway.add("x1", np.zeros(5), np.zeros(5, int))
     assert not gateway.flush(0.3)
-    assert "No matching subscribers" in gateway.problem
+    assert wait_for(lambda: "No matching subscribers" in gateway.problem)
     hall = source(engine, broker, "nobody")
     thread = engine.running(hall)
     assert connected(hall)
-    assert gateway.close()
+    assert gateway.close(PATIENCE)
     assert wait_for(lambda: numbers(engine.blocks)[-1:] == [4])
     stop(hall, thread)
     assert list(dict.fromkeys(numbers(engine.blocks))) == [0, 1, 2, 3, 4]
@@ -167,7 +167,7 @@ def test_back_pressure_does_not_read_on(broker: Broker) -> None:
     assert connected(hall)
     with sender(broker, "pressure/a") as gateway:
         gateway.add("x1", np.zeros(20), np.zeros(20, int))
-        assert gateway.flush(), "the broker takes what the service does not"
+        assert gateway.flush(PATIENCE), "the broker takes what the service does not"
         assert len(engine.blocks) < 20
     assert wait_for(lambda: len(engine.blocks) == 20)
     assert numbers(engine.blocks) == list(range(20))
@@ -221,7 +221,7 @@ def test_what_the_broker_keeps_is_bounded_by_its_configuration(tmp_path: Path) -
     stop(hall, thread)
     with sender(small, "queue/a") as gateway:
         gateway.add("x1", np.zeros(100), np.zeros(100, int))
-        assert gateway.flush()
+        assert gateway.flush(PATIENCE)
         assert gateway.dropped == 0
     hall = source(engine, small, "queue")
     thread = engine.running(hall)
