@@ -84,6 +84,10 @@ _USUAL = ("mm", "deg", "rpm", "mA", "kN", "%")
 _LEAST_LETTERS = 2
 #: A single letter is a unit after the name of its quantity.
 _MEASURED = re.compile(r"((kraft|force)[\s_./]N|(strom|current)[\s_./]A|(spannung|voltage)[\s_./]V)$", re.IGNORECASE)
+#: A quantity divided by its unit, such as "F/N" (DIN 1313). A path of a topic has more strokes.
+_DIVIDED = re.compile(r"[^/]+/[^/]+$")
+#: A name that ends in "in" is an input, unless it begins with the name of a length.
+_INCHES = re.compile(r"(pos\w*|travel|stroke|dist\w*|displ\w*|length|height|weg|lage)[\W_]in$", re.IGNORECASE)
 
 
 class Quantity(float):
@@ -109,7 +113,7 @@ def _make_quantity(value: float, unit: Unit) -> Quantity:
 
 def unit_named(text: str, table: dict[str, Unit]) -> Unit | None:
     """Return the unit in a table that the text names, or None."""
-    plain = re.sub(r"[µμ]", "u", text.strip()).replace("·", " ").replace("*", " ").replace("^", "")
+    plain = re.sub(r"[·⋅∙•*]", " ", re.sub(r"[µμ]", "u", text.strip())).replace("^", "")
     close = plain.replace(" ", "").replace("-", "") if "N" in plain else plain.replace(" ", "")
     exact = {name.replace(" ", ""): unit for name, unit in table.items()}
     loose = {name.replace(" ", "").lower(): unit for name, unit in reversed(table.items())}
@@ -121,11 +125,16 @@ def column_unit(name: str, table: dict[str, Unit]) -> Unit | None:
     """Return the unit in a column's name, such as "Current [mA]", "pos_mm" or "phi (deg)", or None."""
     if found := re.search(r"[\[(]([^\])]*)[\])]\s*$", name):
         return unit_named(found.group(1), table)
+    if found := re.search(rf"[\s_.]({'|'.join((*_LENGTHS, *_ANGLES))})(?:_|_?p(?:er_?)?)s$", name):
+        return table.get(f"{found.group(1)}/s")
     last = re.search(r"[\s_.]([A-Za-zµμ°]+/[a-z]+)$", name) or re.search(r"[\s_/.]([A-Za-zµμ°%]+)$", name)
     if last is None:
         return None
-    clear = len(last.group(1)) >= _LEAST_LETTERS or last.group(1) in "°%" or _MEASURED.search(name)
-    return unit_named(last.group(1), table) if clear else None
+    unit = last.group(1)
+    if unit.lower() == "in" and not _INCHES.match(name):
+        return None
+    clear = len(unit) >= _LEAST_LETTERS or unit in "°%" or _MEASURED.search(name) or _DIVIDED.match(name)
+    return unit_named(unit, table) if clear else None
 
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")

@@ -23,8 +23,10 @@ from pmfid.errors import UsageError, printable
     metavar="AXIS.toml",
     help="File to write; an existing file is never overwritten.",
 )
+@click.option("--input", "driving", metavar="COLUMN", help="Column of the input, if the guess is wrong.")
 @click.option("--output", metavar="COLUMN", help="Column of the output, for example of one joint of several.")
-def init(record: Path, out: Path, output: str | None) -> None:
+@click.option("--time", metavar="COLUMN", help="Column of the time, if the guess is wrong.")
+def init(record: Path, out: Path, driving: str | None, output: str | None, time: str | None) -> None:
     """Write an AXIS.toml from RECORD, with a reason for each guess.
 
     The command guesses the columns of time, input and output, their units and the step of the encoder. On a terminal,
@@ -37,7 +39,7 @@ def init(record: Path, out: Path, output: str | None) -> None:
         raise UsageError(f"{out} already exists and is not overwritten; give another file with --out")
     on_terminal = sys.stdin.isatty() and sys.stdout.isatty()
     with progress("init") as tell:
-        from pmfid.pipeline.guess.axis_file import guess
+        from pmfid.pipeline.guess.axis_file import Choice, guess
 
         def ask(question: str, read: Callable[[str], float]) -> float | None:
             def convert(text: str) -> float | None:
@@ -53,7 +55,7 @@ def init(record: Path, out: Path, output: str | None) -> None:
             )
             return answer
 
-        found = guess(record, ask if on_terminal else None, output)
+        found = guess(record, ask if on_terminal else None, Choice(time, driving, output))
     with out.open("x", encoding="utf-8", newline="\n") as file:
         file.write(found.text)
     click.echo(printable(found.text))

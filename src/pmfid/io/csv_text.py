@@ -23,6 +23,8 @@ SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": 
 LOOKED_AT = 400
 #: Smallest percentage of fields in a line of data that are numbers, times or empty.
 NUMBERS = 50
+#: Largest number of stray lines, relative to the lines of data.
+MOST_STRAYS = 0.1
 #: Beginnings of lines without data.
 COMMENTS = ("#", "%", "//")
 _NUMBER = {
@@ -244,8 +246,8 @@ def parse_csv(data: bytes, stated: Stated = NOTHING) -> NotedTable:
     head = text[: find_end_of_line(text, LOOKED_AT)].decode("utf-8")
     layout = layout_of(head.splitlines(), stated)
     cut = () if text.endswith(b"\n") else (_describe_cut(text, layout),)
-    body = text[find_end_of_line(text, layout.first) :]
-    return NotedTable(_columns(body, layout), (*layout.notes, *filter(None, cut)))
+    table, strays = _columns(text[find_end_of_line(text, layout.first) :], layout)
+    return NotedTable(table, (*layout.notes, *strays, *filter(None, cut)))
 
 
 def _describe_cut(text: bytes, layout: Layout) -> str:
@@ -295,15 +297,48 @@ def find_end_of_line(text: bytes, lines: int) -> int:
     return place
 
 
-def _columns(body: bytes, layout: Layout) -> dict[str, object]:
+def _columns(body: bytes, layout: Layout) -> tuple[dict[str, object], tuple[str, ...]]:
+    """Return the columns of the lines of data, and a note on stray lines that are left out."""
     import polars as pl
 
-    body = strip_other_lines(body)
-    if not body or body.isspace():
-        return {name: pl.Series(name, [], dtype=pl.String) for name in layout.names}
-    if layout.separator == " ":
-        body = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", re.sub(rb"[ \t]+", b" ", body))
-    return named_columns(_frame(body, layout), layout)
+    lines, notes = strip_other_lines(body), tuple[str, ...]()
+    if not lines or lines.isspace():
+        return {name: pl.Series(name, [], dtype=pl.String) for name in layout.names}, ()
+    frame = _read(lines, layout, layout.numbers)
+    if frame is None:
+        lines, notes = drop_strays(body, layout)
+        frame = _read(lines, layout, layout.numbers) if notes else None
+    if frame is None:
+        frame, notes = _read(strip_other_lines(body), layout, ()), ()
+    if frame is None:
+        raise UsageError(
+            f"not every line from line {layout.first + 1} on has {len(layout.names)} columns: remove lines that are "
+            "not data, such as a sum at the end or settings at the beginning"
+        )
+    return named_columns(frame, layout), notes
+
+
+def drop_strays(body: bytes, layout: Layout) -> tuple[bytes, tuple[str, ...]]:
+    """Return the lines of data without stray lines, such as a message in the log of a serial monitor, and a note.
+
+    A stray line has less than half of the numbers of a line of data, or too many fields. Many such lines are another
+    layout, and are not left out.
+    """
+    kept, strays = [], []
+    for number, line in enumerate(body.decode("utf-8", "replace").split("\n"), layout.first + 1):
+        if not line.strip() or line.lstrip().startswith(COMMENTS):
+            continue
+        (strays if _is_stray(split(line, layout.separator), layout) else kept).append((number, line))
+    if not strays or len(strays) > MOST_STRAYS * len(kept):
+        return body, ()
+    number, line = strays[0]
+    others = f"{len(strays)} lines are no data and are left out, the first is" if len(strays) > 1 else "left out is"
+    return "\n".join(line for _, line in kept).encode(), (f"{others} line {number}: {line.strip()[:60]!r}",)
+
+
+def _is_stray(fields: Sequence[str], layout: Layout) -> bool:
+    known = sum(_is_data_field(fields[k], layout.decimal) for k in layout.numbers if k < len(fields))
+    return 2 * known < len(layout.numbers) or len(fields) > len(layout.names)
 
 
 def strip_other_lines(body: bytes) -> bytes:
@@ -313,15 +348,17 @@ def strip_other_lines(body: bytes) -> bytes:
     return body.rstrip().removesuffix(b"\nEOF") if body.endswith((b"\n\n", b"EOF", b"EOF\n", b" ", b"\t")) else body
 
 
-def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
-    """Return the columns with numbers in the first lines as numbers, and all other columns as text.
+def _read(body: bytes, layout: Layout, numbers: Sequence[int]) -> pl.DataFrame | None:
+    """Return the columns `numbers` as numbers and all other columns as text, or None if the text has another form.
 
-    If a later cell is not a number, all columns are text, because only a used column may cause an error.
+    If a later cell is not a number, all columns are read as text, because only a used column may cause an error.
     """
     import polars as pl
 
-    def read(numbers: Sequence[int]) -> pl.DataFrame:
-        kinds = {str(k): pl.Float64 if k in numbers else pl.String for k in range(len(layout.names))}
+    if layout.separator == " ":
+        body = re.sub(rb"(?m)^[ \t]+|[ \t]+$", b"", re.sub(rb"[ \t]+", b" ", body))
+    kinds = {str(k): pl.Float64 if k in numbers else pl.String for k in range(len(layout.names))}
+    try:
         return pl.read_csv(
             body,
             separator=layout.separator,
@@ -330,16 +367,8 @@ def _frame(body: bytes, layout: Layout) -> pl.DataFrame:
             null_values=MISSING,
             decimal_comma=layout.decimal == "," and bool(numbers),
         )
-
-    for numbers in (layout.numbers, ()) if layout.numbers else ((),):
-        try:
-            return read(numbers)
-        except pl.exceptions.ComputeError:
-            continue
-    raise UsageError(
-        f"not every line from line {layout.first + 1} on has {len(layout.names)} columns: remove lines that are not "
-        "data, such as a sum at the end or settings at the beginning"
-    )
+    except pl.exceptions.ComputeError:
+        return None
 
 
 def named_columns(frame: pl.DataFrame, layout: Layout) -> dict[str, object]:

@@ -25,13 +25,25 @@ def flatten_fields(arrays: Mapping[str, NDArray[np.generic]]) -> dict[str, objec
 
 def _fields(path: str, array: NDArray[np.generic], depth: int) -> Iterator[tuple[str, NDArray[np.generic]]]:
     if array.dtype.names is None or depth == 0:
-        yield path, array
+        yield from split_matrix(path, array)
         return
     for name in array.dtype.names:
         field: NDArray[np.generic] = array[name]  # type: ignore[call-overload]
         if field.dtype == object and field.size == 1 and isinstance(field.item(), np.ndarray):
             field = field.item()  # each field of a MATLAB structure is an array
         yield from _fields(f"{path}.{name}".lstrip("."), field, depth - 1)
+
+
+def split_matrix(name: str, array: NDArray[np.generic]) -> Iterator[tuple[str, NDArray[np.generic]]]:
+    """Yield the columns of a matrix, such as q_1 to q_7 for the joints of an arm, or any other array unchanged.
+
+    A matrix has more samples than signals, in its rows or in its columns.
+    """
+    if array.ndim != 2 or min(array.shape) < 2 or array.shape[0] == array.shape[1]:
+        yield name, array
+        return
+    rows = array if array.shape[0] > array.shape[1] else array.T
+    yield from ((f"{name or 'column'}_{k + 1}", rows[:, k]) for k in range(rows.shape[1]))
 
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"

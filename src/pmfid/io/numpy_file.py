@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,24 +22,10 @@ def parse_numpy(data: bytes) -> Table:
     arrays of objects, which would need unpickling, and ValueError for damage.
     """
     if data.startswith(ARRAY):
-        array = _array(data)
-        plain = array.dtype.names is None and array.ndim == 2
-        return {f"column_{k + 1}": array[:, k] for k in range(array.shape[1])} if plain else flatten_fields({"": array})
+        return flatten_fields({"": _array(data)})
     with checked_archive(data) as archive:
         names = [name for name in archive.namelist() if name.endswith(".npy")]
-        arrays = flatten_fields({name.removesuffix(".npy"): _array(archive.read(name)) for name in names})
-        return {key: part for name, array in arrays.items() for key, part in _split_matrix(name, array)}
-
-
-def _split_matrix(name: str, array: object) -> Iterator[tuple[str, object]]:
-    """Yield the columns of a matrix with more rows than columns, such as q_1 to q_7 for the joints of an arm.
-
-    Any other array is yielded unchanged.
-    """
-    if isinstance(array, np.ndarray) and array.ndim == 2 and 1 < array.shape[1] < array.shape[0]:
-        yield from ((f"{name}_{k + 1}", array[:, k]) for k in range(array.shape[1]))
-    else:
-        yield name, array
+        return flatten_fields({name.removesuffix(".npy"): _array(archive.read(name)) for name in names})
 
 
 def _array(data: bytes) -> NDArray[np.generic]:

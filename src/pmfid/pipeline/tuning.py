@@ -205,20 +205,42 @@ class PipelineTuning:
     columns_exact: float = 0.02
     #: Largest rounding of a log relative to a step. With more rounding, any step would be possible.
     most_rounded: float = 0.15
-    #: Largest difference between a set point and the output, relative to the output's standard deviation.
-    columns_set_point: float = 0.1
     #: Smallest part of the rows with a value, and the part below which a column belongs to one of several topics.
     columns_filled: float = 0.1
     columns_topic: float = 0.7
     #: Number of steps in the range of a column without visible steps.
     columns_fine: int = 2**20
+
+    # guess.instants
+    #: Smallest part of the steps of a time column that grow or are even.
+    columns_mostly: float = 0.9
+
+    # guess.pairs
+    #: Scores of a pair are logarithms of odds. `pairs_nothing` is the score of a log without an axis. A log without
+    #: names needs a motion that explains two thirds of the input. `pairs_clear` is the weight of a clear name,
+    #: `pairs_likely` the weight from which on a name excludes other roles, and
+    #: `pairs_computed` the weight of a word for a filtered value, or half of the weight of a word for a command.
+    pairs_nothing: float = 2.0
+    pairs_clear: float = 4.0
+    pairs_likely: float = 2.0
+    pairs_computed: float = 1.0
+    #: Weight of the logarithm of the unexplained part, which is at least `pairs_least`. Unmodelled friction leaves more
+    #: of the input unexplained than noise does, so that the power of the rows counts for no more than two rows.
+    pairs_motion: float = 2.0
+    pairs_least: float = 0.02
+    #: Weights of a relation that no input and output have, and of a joint that seems to move against its torque because
+    #: other joints drive it.
+    pairs_relation: float = 10.0
+    pairs_turned: float = 1.4
+    #: Difference of scores beyond which another pair does not matter. `pairs_sure` is the probability from which on a
+    #: pair is written without a doubt, and `pairs_explained` the smallest explained part.
+    pairs_negligible: float = 6.0
+    pairs_sure: float = 0.9
+    pairs_explained: float = 0.3
     #: Largest number of tried pairs of an input and an output.
     most_pairs: int = 36
     #: Smallest travel of a joint, relative to the largest travel of any joint.
     least_travel: float = 0.05
-    #: Factor that reduces the explained part for a joint that seems to move against its torque, because other joints
-    #: drive such a joint.
-    turned_joint: float = 0.5
     #: Greatest ratio of the part of the input that a pendulum leaves unexplained to the part that a plain drive leaves.
     #: `hanging_likely` is the smallest gravity in standard deviations. A pendulum without gravity costs little, because
     #: its gravity is then estimated as zero.
@@ -231,10 +253,14 @@ class PipelineTuning:
     columns_significant: float = 4.5
     #: Factor that increases the unexplained part for a reading that contradicts the column's name.
     columns_against: float = 3.0
-    #: Smallest part of usual steps in a time column. `columns_even` is the largest relative deviation of a usual step
-    #: from the median.
-    columns_mostly: float = 0.9
-    columns_even: float = 0.2
+
+    # guess.relations
+    #: Largest difference of two sensors of one quantity, relative to their standard deviation.
+    relations_copy: float = 0.05
+    #: Largest distance of the gain of a set point from 1. `relations_follows` is the largest part of a set point that
+    #: the output does not follow.
+    relations_gain: float = 0.05
+    relations_follows: float = 0.2
     #: Smallest jump of a column that is no motion, relative to its range, and smallest number of jumps in each
     #: direction.
     columns_jump: float = 0.4

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,15 +14,18 @@ from pmfid.errors import UsageError, did_you_mean
 from pmfid.findings import Finding
 from pmfid.io.reading import read_table
 from pmfid.io.tables import Table
-from pmfid.pipeline.guess.columns import Pair, numeric, pair_of, rounding_of, step_of, time_of
-from pmfid.pipeline.guess.roles import is_commanded, role_of
+from pmfid.pipeline.guess.columns import numeric, rounding_of, step_of
+from pmfid.pipeline.guess.instants import Stamps, time_of
+from pmfid.pipeline.guess.pairs import MOTION, Judgement, Pair, judge
+from pmfid.pipeline.guess.roles import role_of
+from pmfid.pipeline.guess.verdicts import describe_doubt, explain_refusal
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import UNITS, even_grid, named_unit
 from pmfid.records.outliers import wrap_of
 from pmfid.types import Floats
 from pmfid.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, gain, quantity
 
-__all__ = ["AxisGuess", "find_to_do", "guess", "guess_table"]
+__all__ = ["AxisGuess", "Choice", "find_to_do", "guess", "guess_table"]
 
 #: Reader of an answer. A reader raises ValueError with the remedy for an answer that cannot be used.
 Reader = Callable[[str], float]
@@ -65,66 +68,101 @@ def find_to_do(path: Path) -> list[Finding]:
     return []
 
 
-def guess(path: Path, ask: Ask | None = None, output: str | None = None) -> AxisGuess:
+@dataclass(frozen=True)
+class Choice:
+    """The columns of time, input and output that the user names, or None for a guess."""
+
+    time: str | None = None
+    input: str | None = None
+    output: str | None = None
+
+
+GUESSED = Choice()
+
+
+def guess(path: Path, ask: Ask | None = None, choice: Choice = GUESSED) -> AxisGuess:
     """Return the AXIS.toml that a record suggests.
 
-    `ask` asks for numbers that the record does not show. `output` is the column of the output, or None for a guess.
-    Raises UsageError if the record cannot be read, or if it has fewer than two columns of numbers.
+    `ask` asks for numbers that the record does not show. `choice` has the columns that the user names.
+    Raises UsageError if the record cannot be read, or if it does not show the input and the motion of an axis.
     """
     try:
         table = read_table(path)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
-    return guess_table(table, path, ask, output)
+    return guess_table(table, path, ask, choice)
 
 
-def guess_table(table: Table, path: Path, ask: Ask | None = None, output: str | None = None) -> AxisGuess:
+def guess_table(table: Table, path: Path, ask: Ask | None = None, choice: Choice = GUESSED) -> AxisGuess:
     """Return the AXIS.toml that the table of a file suggests. The arguments and errors are those of `guess`."""
+    try:
+        return _guess(table, path, ask, choice)
+    except UsageError as error:
+        raise UsageError(f"{path}: {error}") from None
+
+
+def _guess(table: Table, path: Path, ask: Ask | None, choice: Choice) -> AxisGuess:
     columns = numeric(table)
     if not columns:
-        raise UsageError(f"{path}: no column has numbers that change; export the record with its values")
-    found, dt = _time(table, columns, ask)
-    if output is not None and output not in columns:
-        raise UsageError(
-            f"{path}: the column {output!r} does not have numbers that change{did_you_mean(output, columns)}"
-        )
+        raise UsageError("no column has numbers that change; export the record with its values")
+    for name in (choice.input, choice.output):
+        if name is not None and name not in columns:
+            raise UsageError(f"the column {name!r} does not have numbers that change{did_you_mean(name, columns)}")
+    if choice.time is not None and choice.time not in table:
+        raise UsageError(f"there is no column {choice.time!r}{did_you_mean(choice.time, table)}")
+    stamps = time_of(table, columns, choice.time)
+    clock = _clock(stamps, ask)
     rest = {
         name: values
         for name, values in columns.items()
-        if name == output or (role_of(name) not in ("time", "number", "acceleration", "other") and name != found[0])
+        if name in (choice.input, choice.output) or not (name == clock.name or _is_clock(name, values))
     }
-    pair = pair_of(rest, dt, output)
+    judgement = judge(rest, clock.dt, choice.input, choice.output)
+    pair = judgement.best if choice.input is None or choice.output is None else next(iter(judgement.pairs), None)
     if pair is None:
-        listed = ", ".join(name if name in columns else f"{name} (constant)" for name in table) or "none"
-        raise UsageError(
-            f"{path}: no two columns can be input and output of an axis: {_shorten(listed)}; rename two, for example "
-            "to u and counts"
-        )
-    goal = next((name for name in columns if is_commanded(name) and role_of(name) == "other"), None)
-    if goal is not None and pair.explained == 0:
-        raise UsageError(
-            f"{path}: no column holds the force that drives {pair.output}; log force, torque, current or duty, or for "
-            f"a servo add the column u = {goal} - {pair.output}"
-        )
+        raise UsageError(explain_refusal(judgement, rest, list(table)))
     result = AxisGuess(path.name)
-    _record(result, pair, found, dt)
-    travel = _encoder(result, pair, columns[pair.output], dt, ask)
+    _record(result, pair, judgement, clock, choice)
+    travel = _encoder(result, pair, columns[pair.output], clock.dt, ask)
     _model(result, pair, travel, ask)
     _load(result, pair, ask)
     return result
 
 
-def _record(result: AxisGuess, pair: Pair, found: tuple[str, str, str], dt: float) -> None:
-    result.add("record", f"input = {quote_name(pair.input)}", pair.reason)
-    result.add("record", f"output = {quote_name(pair.output)}", _why(pair))
+def _is_clock(name: str, values: Floats) -> bool:
+    """Return whether a column is a further time or number, because it grows in every row or has such a name."""
+    return role_of(name) in ("time", "number") or bool(np.all(np.diff(values) > 0))
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time column, which has an empty name if there is none, its unit with the reason, and the sample period
+    [s].
+    """
+
+    name: str
+    unit: str
+    reason: str
+    dt: float
+
+
+def _record(result: AxisGuess, pair: Pair, judgement: Judgement, clock: Clock, choice: Choice) -> None:
+    doubt = describe_doubt(pair, judgement)
+    for key, name, chosen, why in (
+        ("input", pair.input, choice.input, _why_input(pair, judgement)),
+        ("output", pair.output, choice.output, _why(pair)),
+    ):
+        reason = "as given" if chosen else f"{TO_DO}check this column; {doubt}" if doubt else why
+        result.add("record", f"{key} = {quote_name(name)}", reason)
     result.add("record", f'output_kind = "{pair.kind}"', KINDS[pair.kind])
-    name, unit, reason = found
-    if not name:
-        result.add("record", f"dt = {dt:g}", reason)
+    if not clock.name:
+        result.add("record", f"dt = {clock.dt:g}", clock.reason)
         return
-    result.add("record", f"time = {quote_name(name)}", f"it grows from row to row, by a sample period of {dt:.6g} s")
-    if unit:
-        result.add("record", f'time_unit = "{unit}"', reason)
+    result.add(
+        "record", f"time = {quote_name(clock.name)}", f"it grows from row to row, by a sample period of {clock.dt:.6g} s"
+    )
+    if clock.unit:
+        result.add("record", f'time_unit = "{clock.unit}"', clock.reason)
 
 
 KINDS = {
@@ -134,49 +172,43 @@ KINDS = {
 }
 
 
+def _why_input(pair: Pair, judgement: Judgement) -> str:
+    others = [f"{one.input} and {one.output} {100 * one.explained:.3g} %" for one in judgement.pairs if one is not pair]
+    further = f"; {', '.join(others[:3])}" if others else ""
+    return f"the motion of {pair.output} explains it to {100 * pair.explained:.3g} %{further}"
+
+
 def _why(pair: Pair) -> str:
     role = role_of(pair.output)
-    return f"its name says {role}" if role else "the input drives it"
+    return f"its name says {role}" if role in MOTION else "the input drives it"
 
 
-def _time(table: Table, columns: Mapping[str, Floats], ask: Ask | None) -> tuple[tuple[str, str, str], float]:
-    """Return name, unit and reason of the time column, and the sample period [s].
-
-    The name is empty without a time column.
-    """
-    found = time_of(table, columns)
-    if found is None or _may_be_numbers(*found):
+def _clock(stamps: Stamps | None, ask: Ask | None) -> Clock:
+    """Return the clock of a time column, or of the sample period that the user gives."""
+    if stamps is None or stamps.may_be_numbers:
         answer = ask('sample period, in s or as "1 ms"', read_duration) if ask else None
         untold = f"{TO_DO}write the sample period in s, because no column has the time"
-        return ("", "", untold if answer is None else "as answered"), answer or TUNING.axis_file_usual
-    name, values, written = found
-    values = values if written else columns.get(name, values)
+        return Clock("", "", untold if answer is None else "as answered", answer or TUNING.axis_file_usual)
+    name, values = stamps.name, stamps.values
     mean, grid = even_grid(values)
     step = mean if grid else _mean_step(np.diff(values))
-    if not step > 0:
-        row = int(np.argmax(np.diff(values) < 0)) + 1
+    if np.any(np.diff(values) < 0) or not step > 0:
+        row = int(stamps.rows[np.argmax(np.diff(values) < 0)]) + 1
         raise UsageError(
-            f"the time {name!r} falls after row {row}: keep only the rows up to this one, or rename the column if it "
-            "is not a time"
+            f"the time {name!r} falls after row {row}: keep only the rows up to this one, or name another column with "
+            "--time"
         )
-    if written or named_unit(name):
-        return (name, "", ""), step * (1.0 if written else UNITS[named_unit(name) or "s"])
+    unit = named_unit(name)
+    if stamps.written or unit:
+        return Clock(name, "", "", step * (1.0 if stamps.written else UNITS[unit or "s"]))
     fitting = [
-        unit for unit, length in UNITS.items() if TUNING.axis_file_shortest <= step * length < TUNING.axis_file_longest
+        unit for unit, length in UNITS.items() if TUNING.axis_file_shortest <= step * length <= TUNING.axis_file_longest
     ]
     if "s" in fitting or not fitting:
-        return (name, "", ""), step
+        return Clock(name, "", "", step)
     unit = min(fitting, key=lambda one: abs(np.log(step * UNITS[one] / TUNING.axis_file_usual)))
-    return (
-        name,
-        unit,
-        f"{TO_DO}check this unit, because a step of {step:g} s is unusual; ticks of a clock are none of these units",
-    ), step * UNITS[unit]
-
-
-def _may_be_numbers(name: str, values: Floats, written: bool) -> bool:
-    """Return whether a column without a time in its name grows by 1 from row to row, as a sample number does."""
-    return not written and named_unit(name) is None and bool(np.all(np.diff(values) == 1))
+    reason = f"{TO_DO}check this unit, because a step of {step:g} s is unusual; ticks of a clock are none of these units"
+    return Clock(name, unit, reason, step * UNITS[unit])
 
 
 def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask | None) -> Unit | None:
@@ -278,10 +310,6 @@ def _sign(pair: Pair) -> str:
 def _mean_step(steps: Floats) -> float:
     """Return the mean of the steps, where a gap counts as the longest tenth of them."""
     return float(np.mean(np.minimum(steps, np.quantile(steps, 0.9))))
-
-
-def _shorten(text: str) -> str:
-    return text if len(text) <= TUNING.axis_file_listed else f"{text[: TUNING.axis_file_listed].rpartition(' ')[0]} ..."
 
 
 def read_duration(text: str) -> float:

@@ -1,8 +1,10 @@
-"""The role of a column, its joint, and whether it was measured, according to its name."""
+"""The evidence in a column's name for the role of the column, its joint, and whether it was measured."""
 
 from __future__ import annotations
 
 import re
+from dataclasses import dataclass, field
+from functools import cache
 from typing import Literal
 
 from pmfid.records.clock import named_unit
@@ -10,54 +12,167 @@ from pmfid.units import INPUTS, OUTPUTS, column_unit
 
 Role = Literal["time", "number", "counts", "position", "velocity", "acceleration", "input", "other", ""]
 
-#: Role of a column for each word in its name. The pattern matches a whole word or the end of a word, and the first
-#: match counts.
-_WORDS: tuple[tuple[Role, str], ...] = (
-    ("other", r"soll\w*|target|ref\w*|set\w*|desired|demand|goal|error|err|fehler|schleppfehler|status|temp\w*|"
-              r"limit|fric\w*|rigid|enable\w*|mask"),
-    ("time", r"t|time|zeit|timestamp|zeitstempel|stamp|secs?|seconds|sekunden|datum|date|uhrzeit"),
-    ("number", r"index|idx|sample|samples|row|zeile|nr|no|number|nummer|k|n|cycle|zyklus"),
-    ("acceleration", r"a|acc|accel\w*|beschl\w*|qdd|ddq"),
-    ("counts", r"counts?|cnt|enc|encoder\w*|ticks?|ink\w*|incs?|increments?|zaehler\w*|zähler\w*|impulse?|pulses?"),
-    ("velocity", r"v|vel|velocity|speed|geschw\w*|drehzahl|rpm|omega|w|qd|dq"),
-    ("position", r"y|x|pos\w*|weg|lage|angle|winkel|phi|theta|q|s|istposition|drehwinkel|auslenkung"),
-    ("input", r"u|i|iq|input|torque|moment|drehmoment|current|strom|force|kraft|volts?|voltage|spannung|pwm|effort|tau|"
-              r"duty|stell\w*|motor|m|f|eingang|drive|load|last|cmd|command\w*"),
+#: Words of a set point or command, of a measured value, and of a value that was computed from a measurement.
+_COMMANDED = """cmd command commanded con ctrl control controller target goal des desired demand demanded ref reference
+    set setpoint soll sollwert request requested req vorgabe führungsgrösse"""
+_CHANGED = "filt filtered filter smooth smoothed est estimate estimated model pred predicted kalman gefiltert geglättet"
+_NEUTRAL = "meas measured act actual ist fb feedback gemessen mess sensor axis achse joint gelenk"
+#: Roles of words with the weight of each as evidence (logarithm of odds). A weight of 4 is a clear word of the field,
+#: and a weight of 1 only hints. A word may have several roles.
+_WORDS: tuple[tuple[Role, float, str], ...] = (
+    ("time", 4, """time zeit timestamp zeitstempel stamp uhrzeit datum date clock elapsed millis micros secs seconds
+        sekunden timestep zeitpunkt"""),
+    ("time", 2, "t ts sec ms us"),
+    ("time", 0.5, "s tick ticks"),
+    ("number", 4, "index idx sample samples row zeile nummer number lfd"),
+    ("number", 2, "nr no k cycle zyklus num"),
+    ("number", 1, "n step steps schritt schritte id"),
+    ("counts", 4, """count counts cnt cnts counter enc encoder ink inkrement inkremente inc incs increment increments
+        zaehler zähler zählerstand zaehlerstand impuls impulse pulse pulses qei"""),
+    ("counts", 3, "tick ticks"),
+    ("counts", 1.5, "step steps schritt schritte"),
+    ("position", 4, """position pos weg lage angle winkel theta phi drehwinkel auslenkung displacement dist distance
+        travel stroke hub verfahrweg height hoehe höhe stellung"""),
+    ("position", 3, "q"),
+    ("position", 2, "x y alpha output ausgang istwert ist act actual"),
+    ("position", 1.5, "s fb feedback"),
+    ("position", 1, "z beta r p qm"),
+    ("position", 0.5, "out"),
+    ("velocity", 4, "velocity vel speed geschw geschwindigkeit drehzahl rpm omega tacho"),
+    ("velocity", 3, """dq qd dx xd dy dtheta dphi dpos qdot xdot ydot thetadot phidot posdot dot winkelgeschwindigkeit
+        gyro"""),
+    ("velocity", 2, "v w"),
+    ("velocity", 1.5, "n rate"),
+    ("acceleration", 4, "acceleration acc accel beschl beschleunigung"),
+    ("acceleration", 4, "ddq qdd ddx xdd ddtheta ddphi qddot xddot ddot"),
+    ("acceleration", 1, "a"),
+    ("input", 4, """torque moment drehmoment current strom force kraft voltage spannung volt volts pwm effort tau duty
+        stellgrösse stellgroesse stellgröße stellwert stellsignal stellspannung amp amps ampere iq uq vq thrust"""),
+    ("input", 3, "input eingang stell throttle"),
+    ("input", 2.5, "u in cmd command control ctrl"),
+    ("input", 1.5, "i f m e"),
+    ("input", 1, "motor drive antrieb load last v id signal out"),
+    ("other", 5, """error err fehler schleppfehler regelabweichung abweichung deviation status temp temperature
+        temperatur limit fric friction reibung rigid enable enabled mask mode fault alarm bus supply batt battery bat
+        versorgung zwischenkreis"""),
+    ("other", 3, "power leistung energy energie pressure druck noise humidity valid flag"),
 )  # fmt: skip
-#: Role of a column for the quantity of its unit.
+#: Role of a column for the quantity of its unit, and the weight of a unit.
 _MEASURED: dict[str, Role] = {
     "length": "position",
     "angle": "position",
     "speed": "velocity",
     "angular speed": "velocity",
 }
+_UNIT_WEIGHT = 6.0
+#: Units in brackets that are neither travel, speed nor input.
+_COUNTED = re.compile(r"(inc|counts?|cts|cnts?|ticks?|pulses?|steps?|ink\w*|impulse?)$", re.IGNORECASE)
+_FOREIGN = re.compile(r"(°C|degC|K|W|kW|Hz|kHz|bar|Pa|kg|J|dB|lux)$")
+_BRACKETS = re.compile(r"\s*[\[(]([^\])]*)[\])]\s*$")
+
+
+def _vocabulary() -> dict[str, list[tuple[Role, float]]]:
+    words: dict[str, list[tuple[Role, float]]] = {}
+    for role, weight, text in _WORDS:
+        for word in text.split():
+            words.setdefault(word, []).append((role, weight))
+    for word in (_COMMANDED + _CHANGED + _NEUTRAL).split():
+        words.setdefault(word, [])
+    return words
+
+
+_KNOWN = _vocabulary()
+#: Words that may be a part of a longer word, longest first. Short parts may only begin a word.
+_PARTS = sorted((word for word in _KNOWN if len(word) > 2), key=len, reverse=True)
+_BEGINS = 3
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """Evidence in a name: the weight of each role, and whether the column is a command or was computed."""
+
+    weights: dict[Role, float] = field(default_factory=dict)
+    commanded: bool = False
+    changed: bool = False
+
+    @property
+    def role(self) -> Role:
+        """The likeliest role, or an empty text without any. A set point of a motion is "other"."""
+        best = max(self.weights, key=lambda role: self.weights[role], default="")
+        if self.commanded and self.weights.get("input", 0.0) < max(self.weights.values(), default=1.0):
+            return "other"
+        return best
+
+    def lean(self, *roles: Role) -> float:
+        """Return the log-odds of the best of some roles against all other roles."""
+        good = max((self.weights.get(role, 0.0) for role in roles), default=0.0)
+        return good - max((weight for role, weight in self.weights.items() if role not in roles), default=0.0)
+
+
+@cache
+def evidence_of(name: str) -> Evidence:
+    """Return the evidence in a name."""
+    words = _words_and_letters(name)
+    weights: dict[Role, float] = {}
+    last = max((k for k, word in enumerate(words) if _weight(word) > 2), default=-1)
+    for k, word in enumerate(words):
+        for role, weight in _KNOWN.get(word, ()):
+            # The last clear word of a name is its noun: a motor position is a position, a position error an error.
+            weights[role] = max(weights.get(role, 0.0), weight if k == last or last < 0 else min(weight, 2.5))
+    if words and words[0] != "dot" and "dot" in words:
+        weights.pop("position", None)
+    output, driven = column_unit(name, OUTPUTS), column_unit(name, INPUTS)
+    bracket = _BRACKETS.search(name)
+    inside = bracket.group(1).strip() if bracket else ""
+    if output is not None or driven is not None:
+        role: Role = "input" if output is None else _MEASURED[output.of]
+        weights[role] = _UNIT_WEIGHT
+    elif unit := named_unit(name):
+        bare = name.strip()[-2:-1] in "_ ." and unit == "s"
+        weights["time"] = weights.get("time", 0.0) + (1.0 if bare else 3.0)
+    elif _COUNTED.match(inside):
+        weights["counts"] = max(weights.get("counts", 0.0), 4.0)
+    elif _FOREIGN.match(inside):
+        weights["other"] = _UNIT_WEIGHT
+    pair = re.fullmatch(r"[a-z]_d", name.strip().lower())
+    commanded = bool(pair) and name.strip().lower()[0] in "qxyvw"
+    return Evidence(weights, commanded or any(word in _COMMANDED.split() for word in words), _is_changed(words))
+
+
+def _weight(word: str) -> float:
+    return max((weight for _, weight in _KNOWN.get(word, ())), default=0.0)
+
+
+def _is_changed(words: list[str]) -> bool:
+    return any(word in _CHANGED.split() for word in words)
+
+
+def _words_and_letters(name: str) -> list[str]:
+    """Return the known words of a name. A letter after the first word is a unit or an index, and does not count."""
+    bare = _BRACKETS.sub("", name) or name
+    words = words_of(bare)
+    if joined := [word for word in ("".join(words), "".join(words[:2])) if word in _KNOWN and len(words) > 1]:
+        return [joined[0], *words[2:]] if joined[0] not in ("qd", "xd", "id") or "_" not in bare else words[:1]
+    letters = [word for k, word in enumerate(words) if len(word) > 1 or k == 0]
+    return [part for word in letters for part in _split_compound(word)]
+
+
+@cache
+def _split_compound(word: str) -> list[str]:
+    """Return the known words in a compound, such as "ist" and "position" in "istposition"."""
+    if not word or word in _KNOWN:
+        return [word] if word else []
+    for part in _PARTS:
+        if word.startswith(part):
+            return [part, *_split_compound(word.removeprefix(part))]
+        if word.endswith(part) and (len(part) > _BEGINS or part in ("pos", "ref", "cmd", "soll", "vel", "ist")):
+            return [*_split_compound(word.removesuffix(part)), part]
+    return []
 
 
 def role_of(name: str) -> Role:
-    """Return the role of the column with this name, or an empty text if the name shows no role."""
-    bare = re.sub(r"\s*[\[(][^\])]*[\])]\s*$", "", name)
-    output, driven = column_unit(name, OUTPUTS), column_unit(name, INPUTS)
-    split = re.sub(r"([a-zäöüß0-9])([A-ZÄÖÜ])", r"\1 \2", bare)  # "MotorTorque" has two words
-    words = [word.rstrip("0123456789") or word for word in re.split(r"[\s_.,:/()\[\]-]+", split.lower()) if word]
-    if len(words) > 1 and re.search(r"[\s_.,:/-][AVN]$", bare):
-        words = words[:-1]  # "i_A", "u_V": the letter is a unit here, and "a" or "v" alone is not
-    if output is not None or driven is not None:  # a unit decides on the role, except for set points
-        set_point = any(re.fullmatch(_WORDS[0][1], word) for word in words)
-        return "other" if set_point else "input" if output is None else _MEASURED[output.of]
-    joined, long_words = "".join(words), [word for word in words if len(word) > 1]  # a letter may be a unit or an index
-    for role, pattern in _WORDS:
-        if any(re.fullmatch(pattern, word) for word in long_words or [joined, *words]):
-            return role
-    for role, pattern in _WORDS:
-        long = "|".join(part for part in pattern.split("|") if len(part.replace(r"\w*", "")) > 3)
-        if re.search(rf"({long})$", joined) or re.match(rf"({long})", joined):
-            return role
-    return "time" if named_unit(name) else ""
-
-
-#: Words of a torque or a position that was not measured or is not the raw measurement.
-_COMMANDED = r"cmd|command\w*|con|ctrl|control\w*|target|goal|desired|demand|ref\w*|set\w*|soll\w*"
-_CHANGED = r"filt\w*|smooth\w*|est|estimate\w*|model|pred\w*|kalman"
+    """Return the likeliest role of the column with this name, or an empty text if the name shows no role."""
+    return evidence_of(name).role
 
 
 def words_of(name: str) -> list[str]:
@@ -68,7 +183,7 @@ def words_of(name: str) -> list[str]:
 
 def is_commanded(name: str) -> bool:
     """Return whether the name says that the column is a command and not a measurement."""
-    return any(re.fullmatch(_COMMANDED, word) for word in words_of(name))
+    return evidence_of(name).commanded
 
 
 def is_position(name: str) -> bool:
@@ -77,12 +192,6 @@ def is_position(name: str) -> bool:
     The only single letter for a position is q, the angle of a joint.
     """
     return role_of(name) in ("position", "counts") and any(len(word) > 1 or word == "q" for word in words_of(name))
-
-
-def distance_from_measured(name: str) -> int:
-    """Return by the name 0 for a measured column, 1 for a filtered or estimated column and 2 for a command."""
-    changed = any(re.fullmatch(_CHANGED, word) for word in words_of(name))
-    return 2 if is_commanded(name) else int(changed)
 
 
 def number_of(name: str) -> str:

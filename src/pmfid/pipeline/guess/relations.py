@@ -1,0 +1,89 @@
+"""Relations between two columns of a log: one quantity twice, a set point, a rate, and a motion with jumps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmfid.pipeline.tuning import TUNING
+from pmfid.types import Floats
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """The best multiple of a column that equals another column, as first = gain * second + offset.
+
+    `shift` is the delay of the second column [rows]. `left` is the standard deviation of the difference, and `offset`
+    the constant part, both relative to the standard deviation of the first column.
+    """
+
+    gain: float
+    left: float
+    offset: float
+    shift: int
+
+    @property
+    def alike(self) -> bool:
+        """Whether one column is the other, except for a gain, a constant and a delay."""
+        return self.gain > 0 and self.left < TUNING.relations_copy
+
+    @property
+    def one_quantity(self) -> bool:
+        """Whether the columns are copies, or two sensors of one quantity."""
+        return self.alike and abs(self.shift) <= 1
+
+    @property
+    def set_point(self) -> bool:
+        """Whether one column is the set point of the other: their gain is 1, with a delay and without an offset."""
+        near = abs(self.gain - 1) < TUNING.relations_gain and self.left < TUNING.relations_follows
+        return near and abs(self.offset) < TUNING.relations_follows
+
+
+def compare(first: Floats, second: Floats) -> Likeness:
+    """Return the likeness of two columns (n,) at their best shift, of at most a tenth of the rows."""
+    n = first.size
+    a, b = first - first.mean(), second - second.mean()
+    size = 1 << (2 * n - 1).bit_length()
+    cross = np.fft.irfft(np.fft.rfft(a, size).conj() * np.fft.rfft(b, size), size)
+    most = n // 10
+    shifts = np.r_[0 : most + 1, -most:0]
+    shift = int(shifts[np.argmax(cross[shifts])])
+    a, b = (first[: n - shift], second[shift:]) if shift >= 0 else (first[-shift:], second[:shift])
+    spread, level = float(np.std(b)), float(np.std(a))
+    if not (spread > 0 and level > 0):
+        return Likeness(0.0, 1.0, 0.0, shift)
+    gain = float(np.mean((a - a.mean()) * (b - b.mean()))) / spread**2
+    rest = a - gain * b
+    return Likeness(gain, float(np.std(rest)) / level, float(rest.mean()) / level, shift)
+
+
+def is_rate(rate: Floats, motion: Floats) -> bool:
+    """Return whether a column (n,) is the velocity of the motion (n,), up to a factor and a constant.
+
+    The integral of the rate is compared, because neither the steps of an encoder nor noise hide it. The rate must
+    explain nearly all of the motion that a line leaves.
+    """
+    total = np.cumsum(rate - rate.mean())
+    k = np.linspace(-1.0, 1.0, motion.size)
+    rest, total = (values - np.polyval(np.polyfit(k, values, 1), k) for values in (motion, total))
+    size = float(np.std(rest) * np.std(total))
+    likeness = float(np.mean(rest * total)) / size if size > 0 else 0.0
+    change = np.gradient(motion)
+    size = float(np.std(rate) * np.std(change))
+    direct = float(np.mean((rate - rate.mean()) * (change - change.mean()))) / size if size > 0 else 0.0
+    return direct > TUNING.columns_same or likeness > float(np.sqrt(1 - TUNING.relations_copy**2))
+
+
+def jumps(values: Floats) -> bool:
+    """Return whether a column (n,) crosses much of its range within a sample in both directions, as a relay does.
+
+    A mass cannot jump. A counter that wraps moves in the opposite direction before it jumps.
+    """
+    change = np.diff(values)
+    at = np.flatnonzero(np.abs(change) > TUNING.columns_jump * np.ptp(values))
+    at = at[at > 0]
+    if min(np.sum(change[at] > 0), np.sum(change[at] < 0)) < TUNING.few_jumps:
+        return False
+    wraps = change[at - 1] * change[at] < 0
+    return bool(np.mean(wraps) < 0.8)
