@@ -190,7 +190,7 @@ class PipelineTuning:
     # guess.axis_file
     #: Shortest, longest and most common sample period of an axis [s].
     axis_file_shortest: float = 1e-5
-    axis_file_longest: float = 0.1
+    axis_file_longest: float = 0.1001
     axis_file_usual: float = 1e-3
     #: A step of an angle is a rounded part of a turn if the counts of a turn are this close to a whole number.
     whole_turn: float = 0.05
@@ -259,7 +259,7 @@ class PipelineTuning:
     relations_copy: float = 0.05
     #: Largest distance of the gain of a set point from 1. `relations_follows` is the largest part of a set point that
     #: the output does not follow.
-    relations_gain: float = 0.05
+    relations_gain: float = 0.03
     relations_follows: float = 0.2
     #: Smallest jump of a column that is no motion, relative to its range, and smallest number of jumps in each
     #: direction.

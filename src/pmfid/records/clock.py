@@ -68,6 +68,8 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
     _check_unit(mean, factor, config, epoch, _counts_samples(time, config))
     varies = jitter > TUNING.clock_same_steps
     notes = [f"time steps vary by up to {jitter:.1%} of their median"] if varies else []
+    if mean * factor > TUNING.slow_period:
+        notes.append(f"a sample period of {mean * factor:g} s is slow for an axis")
     if grid and jitter > TUNING.clock_even:
         notes.append(f"the stamps scatter around an even grid of {mean * factor:g} s, and the grid replaces them")
     if factor != 1:
@@ -83,7 +85,7 @@ def _check_name(step: float, config: RecordConfig) -> None:
     named = named_unit(config.time or "")
     if named is None or config.time_unit in (None, named):
         return
-    if TUNING.shortest_plain_period <= step * UNITS[named] < TUNING.longest_plain_period:
+    if TUNING.shortest_plain_period <= step * UNITS[named] <= TUNING.longest_plain_period:
         raise UsageError(
             f'the name of the column {config.time!r} says {named}, but [record] time_unit = "{config.time_unit}": '
             f'write time_unit = "{named}", or rename the column'
@@ -120,7 +122,7 @@ def even_grid(time: Floats) -> tuple[float, bool]:
     period = float(np.sum(k * since) * 12 / (n * (n * n - 1.0)))
     if not period > 0:
         return 0.0, False
-    if _furthest(np.diff(time), period) < TUNING.clock_plain * period:
+    if _furthest(np.diff(time), period) < TUNING.clock_plain * period or is_rounded(time):
         return period, True
     since -= np.mean(since)
     since /= period
@@ -132,6 +134,21 @@ def even_grid(time: Floats) -> tuple[float, bool]:
     even = furthest < TUNING.clock_furthest and np.std(late) < np.std(np.diff(late)) and of_group < 0.25 + chance
     del together
     return float(period) * (1 + slope_below(late) if even else 1.0), bool(even)
+
+
+def is_rounded(time: Floats) -> bool:
+    """Return whether rounding explains the stamps (n,) of an even clock whose period is shorter than their last digit.
+
+    All steps are then 0 or one digit, and no stamp deviates from the line through the stamps by more than the rounding.
+    """
+    steps = np.diff(time)
+    digit = float(np.max(steps, initial=0.0))
+    single = np.abs(steps - digit) < TUNING.clock_whole * digit
+    if not (digit > 0 and np.all(single | (steps == 0)) and np.mean(single) < TUNING.clock_furthest):
+        return False
+    k = np.arange(time.size, dtype=np.float64)
+    late = time - time[0] - np.polyval(np.polyfit(k, time - time[0], 1), k)
+    return bool(np.max(np.abs(late)) < (0.5 + TUNING.clock_early / 3) * digit)
 
 
 def slope_below(late: Floats) -> float:
@@ -197,7 +214,7 @@ def _epoch(first: float, step: float, config: RecordConfig) -> str | None:
         unit for unit, length in UNITS.items() if TUNING.clock_epochs[0] <= first * length < TUNING.clock_epochs[1]
     ]
     return next(
-        (unit for unit in dated if TUNING.shortest_plain_period <= step * UNITS[unit] < TUNING.longest_plain_period),
+        (unit for unit in dated if TUNING.shortest_plain_period <= step * UNITS[unit] <= TUNING.longest_plain_period),
         None,
     )
 
@@ -219,11 +236,8 @@ def _check_unit(
         raise UsageError(
             f"[record] dt = {config.dt:g} s, but the time column {config.time!r} steps by {step:g}; {remedy}"
         )
-    if (
-        epoch
-        or config.time_unit is not None
-        or TUNING.shortest_plain_period <= step * factor < TUNING.longest_plain_period
-    ):
+    longest = TUNING.longest_named_period if named_unit(config.time or "") else TUNING.longest_plain_period
+    if epoch or config.time_unit is not None or TUNING.shortest_plain_period <= step * factor <= longest:
         return
     if counted:
         raise UsageError(
@@ -234,7 +248,7 @@ def _check_unit(
     others = [
         unit
         for unit, length in UNITS.items()
-        if TUNING.shortest_plain_period <= step * length < TUNING.longest_plain_period
+        if TUNING.shortest_plain_period <= step * length <= TUNING.longest_plain_period
     ]
     ways = " or ".join(f'"{unit}" ({step * UNITS[unit]:g} s)' for unit in others)
     raise UsageError(
@@ -349,27 +363,6 @@ def _take_rows(values: NDArray[Number], rows: NDArray[np.intp]) -> NDArray[Numbe
     return values if rows.size == values.size else values[rows]
 
 
-def left_out(
-    time: Floats | None, samples: int, config: RecordConfig, mask: Floats | None
-) -> tuple[Flags, tuple[str, ...]]:
-    """Mark the rows (N,) that [record] mask and exclude leave out, and return notes for people.
-
-    `mask` (N,) is the column that [record] mask names.
-    """
-    out, notes = np.zeros(samples, bool), []
-    if mask is not None:
-        out |= ~(mask == 0)
-        notes.append(f"{np.count_nonzero(out)} rows are left out by the mask {config.mask!r}")
-    if config.exclude:
-        t = np.arange(samples) * (config.dt or 0.0) if time is None else time * time_factor(config)
-        inside = np.zeros(samples, bool)
-        for first, last in config.exclude:
-            inside |= (t >= first) & (t <= last)
-        notes.append(f"{np.count_nonzero(inside)} rows are left out by exclude")
-        out |= inside
-    return out, tuple(notes)
-
-
 def is_steady(time: Floats) -> bool:
     """Return whether the time (n,) rises without a step that contains missing samples."""
     steps = np.diff(time)
@@ -419,7 +412,7 @@ def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tupl
     """Return the rows without exact repetitions of the previous row and its time."""
     again = np.r_[False, np.diff(_take_rows(time, rows)) == 0] & _take_rows(repeated, rows)
     count = int(np.count_nonzero(again))
-    if not count:
+    if not count or is_rounded(_take_rows(time, rows)):
         return rows, ()
     note = "rows repeat the row before with its time and are" if count > 1 else "row repeats the row before and is"
     return rows[~again], (f"{count} {note} left out",)
@@ -433,7 +426,7 @@ def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp],
     stamps = _take_rows(time, rows)
     steps = np.diff(stamps)
     early = (
-        np.r_[False, (steps > 0) & (steps < TUNING.clock_early * np.median(steps))]
+        np.r_[False, (steps >= 0) & (steps < TUNING.clock_early * np.median(steps))]
         if steps.size
         else np.zeros(rows.size, bool)
     )

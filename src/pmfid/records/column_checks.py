@@ -1,4 +1,4 @@
-"""Checks of the columns of a record: their lengths, their kind, and their unit."""
+"""Checks of the columns of a record: their lengths, kind and unit, and the rows that the user leaves out."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 
 from pmfid.config.record import RecordConfig
 from pmfid.errors import UsageError
+from pmfid.records.clock import time_factor
 from pmfid.records.tuning import TUNING
-from pmfid.types import Counts, Floats
+from pmfid.types import Counts, Flags, Floats
 from pmfid.units import OUTPUTS, Quantity, column_unit
 
 if TYPE_CHECKING:
@@ -96,3 +97,24 @@ def check_not_empty(label: str, values: Floats) -> None:
     """Raise UsageError for a column (n,) without a number."""
     if not (np.isfinite(values[0]) or np.any(np.isfinite(values))):
         raise UsageError(f"{label} is empty: missing, NaN or infinite in every row; name another column, or record it")
+
+
+def left_out(
+    time: Floats | None, samples: int, config: RecordConfig, mask: Floats | None
+) -> tuple[Flags, tuple[str, ...]]:
+    """Mark the rows (N,) that [record] mask and exclude leave out, and return notes for people.
+
+    `mask` (N,) is the column that [record] mask names.
+    """
+    out, notes = np.zeros(samples, bool), []
+    if mask is not None:
+        out |= ~(mask == 0)
+        notes.append(f"{np.count_nonzero(out)} rows are left out by the mask {config.mask!r}")
+    if config.exclude:
+        t = np.arange(samples) * (config.dt or 0.0) if time is None else time * time_factor(config)
+        inside = np.zeros(samples, bool)
+        for first, last in config.exclude:
+            inside |= (t >= first) & (t <= last)
+        notes.append(f"{np.count_nonzero(inside)} rows are left out by exclude")
+        out |= inside
+    return out, tuple(notes)

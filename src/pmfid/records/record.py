@@ -17,19 +17,20 @@ from pmfid.io.csv_text import Stated
 from pmfid.io.reading import read_table
 from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, notes_of, times, whole_name
 from pmfid.linear.experiment import Experiment
-from pmfid.records.clock import PlacedRows, left_out, named_unit, place_rows, time_factor
+from pmfid.records.clock import PlacedRows, named_unit, place_rows, time_factor
 from pmfid.records.column_checks import (
     check_counts,
     check_lengths,
     check_not_empty,
     check_position,
     check_step_unit,
+    left_out,
     round_counts,
 )
 from pmfid.records.edge_ages import Coarser, make_edge_ages, read_edge_ages
 from pmfid.records.gaps import describe_missing, fill_gaps, is_held
 from pmfid.records.repeats import drop_stale_rows
-from pmfid.records.resampling import OwnSamples, Resampled, resample_uneven
+from pmfid.records.resampling import OwnSamples, Resampled, integrate_stamps, resample_uneven
 from pmfid.records.topics import join_topics
 from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
@@ -291,7 +292,7 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         columns = {key: values[rows.rows] for key, values in columns.items()}
     columns.pop("time", None)
     y = _scale_column(columns["output"], units.y, "the unit of the output")
-    travel, motion_notes = _measure_travel(y, rows, axis)
+    travel, motion_notes = (y, ()) if found is not None else _measure_travel(y, rows, axis)
     counts, count_notes = counts_of(travel, axis)
     resolution = axis.encoder.resolution
     fine = None
@@ -391,10 +392,11 @@ def _resample(
     """Return the columns of an uneven clock on an even grid, the resampled data, and notes.
 
     The resampled data are None for an even clock. `y_scale` is the factor of the output. Rows that `mask` (n,) or
-    [record] exclude leave out become gaps. A record keeps its clock if its output is a velocity or has a range.
+    [record] exclude leave out become gaps. The velocity of an uneven clock is integrated over its own steps. A record
+    keeps its clock if its output has a range.
     """
     given, config, encoder = columns, axis.record, axis.encoder
-    if "time" not in columns or config.output_kind == "velocity" or encoder.range is not None:
+    if "time" not in columns or encoder.range is not None:
         return columns, None, ()
     out, out_notes = left_out(columns["time"], columns["time"].size, config, mask)
     if np.any(out):
@@ -406,13 +408,20 @@ def _resample(
         columns = columns | {"output": unwrap_counts(columns["output"], encoder.bits)}
         apart = columns["output"] - np.where(np.isfinite(columns["output"]), given["output"], 0.0)
         wraps = int(np.count_nonzero(np.diff(apart[np.isfinite(apart)])))
-    columns, stale = drop_stale_rows(columns, 1.0 if config.output_kind == "counts" else encoder.resolution / y_scale)
+    notes, stale = list[str](), 0
+    if config.output_kind == "velocity":
+        travel = integrate_stamps(columns["time"], columns["output"], columns["input"])
+        if travel is None:
+            return given, None, ()
+        columns = columns | {"output": travel * time_factor(config)}
+        notes.append("the velocity is integrated over the steps of the clock, along lines between samples")
+    else:
+        columns, stale = drop_stale_rows(columns, 1.0 if config.output_kind == "counts" else encoder.resolution / y_scale)
     found = resample_uneven(columns["time"], columns["input"], columns["output"], thinned=stale > 0)
     if found is None:
         return given, None, ()
     period = (found.time[1] - found.time[0]) * time_factor(config)
     note = "the stamps scatter around an even grid like times of arrival, and the grid replaces them"
-    notes = []
     if found.dt_error > 0:
         notes.append(
             f"the period of the grid is known to {100 * found.dt_error:.1g} %; the intervals contain this error"

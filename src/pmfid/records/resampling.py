@@ -15,6 +15,7 @@ from pmfid.records.clock import (
     even_grid,
     find_places,
     has_same_steps,
+    is_rounded,
     is_steady,
     misses_lines,
     period_error,
@@ -90,6 +91,23 @@ def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False
     return Resampled(grid, np.where(gap, np.nan, np.diff(total) / period), np.where(gap, np.nan, position), apart, own)
 
 
+def integrate_stamps(time: Floats, velocity: Floats, u: Floats) -> Floats | None:
+    """Return the travel (N,) of a velocity (N,) at the instants of an uneven clock, with NaN in rows without a number.
+
+    The velocity is linear between samples. The result is None if the stamps are not the instants of the samples, or if
+    their steps are even.
+    """
+    known = np.isfinite(time) & np.isfinite(velocity) & np.isfinite(u)
+    if np.count_nonzero(known) < TUNING.resampling_fewest or (np.all(known) and has_same_steps(time)):
+        return None
+    stamps, values = time[known], velocity[known]
+    if not np.all(np.diff(stamps) >= 0) or not _is_uneven(stamps, values) or _are_late(stamps, values):
+        return None
+    travel = np.full(time.size, np.nan)
+    travel[known] = np.append(0.0, np.cumsum((values[1:] + values[:-1]) / 2 * np.diff(stamps)))
+    return travel
+
+
 def _drifts(steps: Floats) -> bool:
     """Return whether the mean steps (n,) of the two halves of a record differ by more than chance."""
     half = steps.size // 2
@@ -141,7 +159,7 @@ def _usual_step(steps: Floats) -> float:
 def _drop_repeats(stamps: Floats, u: Floats, y: Floats) -> tuple[Floats, Floats, Floats]:
     """Return the samples (n,) without rows that repeat the previous row, with its time."""
     again = (np.diff(stamps) == 0) & (np.diff(u) == 0) & (np.diff(y) == 0)
-    kept = np.append(True, ~again) if np.any(again) else slice(None)
+    kept = np.append(True, ~again) if np.any(again) and not is_rounded(stamps) else slice(None)
     return stamps[kept], u[kept], y[kept]
 
 

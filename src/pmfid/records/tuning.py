@@ -10,10 +10,12 @@ class RecordTuning:
     """Thresholds and counts of `pmfid.records`, grouped by module."""
 
     # clock
-    #: Range of the sample periods of machine axes [s], as drives log every 10 us to 100 ms. The upper limit is
-    #: excluded.
+    #: Range of the sample periods of machine axes [s], as drives log every 10 us to 100 ms. A name with a unit is
+    #: believed up to `longest_named_period`. A period from `slow_period` on is slow for any axis.
     shortest_plain_period: float = 0.999e-5
-    longest_plain_period: float = 0.1
+    longest_plain_period: float = 0.1001
+    longest_named_period: float = 1.001
+    slow_period: float = 0.0999
     #: Seconds since 1970 at the beginning of 2000 and of 2100.
     clock_epochs: tuple[float, float] = (946_684_800.0, 4_102_444_800.0)
     #: Relative deviation of steps from their median that needs no note.

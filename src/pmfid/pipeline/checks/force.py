@@ -8,7 +8,8 @@ import numpy as np
 
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog
-from pmfid.pipeline.guess.roles import is_commanded
+from pmfid.pipeline.guess.relations import compare
+from pmfid.pipeline.guess.roles import evidence_of, is_commanded
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
@@ -81,3 +82,12 @@ def find_command(log: CheckedLog) -> Iterator[Finding]:
     elif is_commanded(name):
         sentence = f"the input column {name!r} has the name of a command, and the drive may have given another torque"
         yield Finding("command", sentence, "use the measured torque or current if the log has one", "note")
+    elif not log.place_matters and evidence_of(name).lean("input") < TUNING.pairs_clear:
+        moved = y if log.axis.record.output_kind != "velocity" else np.gradient(y) / log.record.dt
+        if (likeness := compare(u[log.part], moved[log.part])).set_point:
+            yield Finding(
+                "command",
+                f"the input column {name!r} has the gain {likeness.gain:.2f} of {output!r}, as a set point has",
+                f"log the torque or current that drives {output}, and use it as the input",
+                "wrong",
+            )

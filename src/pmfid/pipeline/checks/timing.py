@@ -12,6 +12,7 @@ from pmfid.diagnostics.drives import counts_per_sample
 from pmfid.estimators.stretches import liveliest
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog, View, hasty, view, with_friction
+from pmfid.pipeline.guess.columns import step_of
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Counts, Floats
 
@@ -106,10 +107,15 @@ def _sums(view: View, n: int) -> _Sums:
 
 
 def too_slow(log: CheckedLog) -> Iterator[Finding]:
-    """Yield a finding if the velocity changes by much of its size within a sample period."""
+    """Yield a finding if the velocity changes by much of its size within a sample period.
+
+    The steps of a coarse sensor, which may be many counts, change the velocity as well, and say nothing.
+    """
     change = np.diff(log.known.counts)
     moving = np.abs(change[change != 0])
     if moving.size < 2 or float(np.median(moving)) < TUNING.timing_fine:
+        return
+    if float(np.median(moving)) < TUNING.timing_fine * step_of(log.known.counts.astype(np.float64))[0]:
         return
     jumps = hasty(change)
     if not (jumps > TUNING.timing_hasty or (jumps > TUNING.timing_rather and _misses_input(log))):

@@ -76,7 +76,7 @@ def _vocabulary() -> dict[str, list[tuple[Role, float]]]:
     for role, weight, text in _WORDS:
         for word in text.split():
             words.setdefault(word, []).append((role, weight))
-    for word in (_COMMANDED + _CHANGED + _NEUTRAL).split():
+    for word in " ".join((_COMMANDED, _CHANGED, _NEUTRAL)).split():
         words.setdefault(word, [])
     return words
 
