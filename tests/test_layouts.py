@@ -200,8 +200,9 @@ def test_no_lines_make_the_program_wait() -> None:
 
 def test_what_is_in_the_file_next_to_data_is_named(tmp_path: Path) -> None:
     same(read(tmp_path, text() + "# end of measurement"))
-    with pytest.raises(UsageError, match=r"has 3 columns: remove lines that are not data"):
-        read(tmp_path, text() + "sum,1,2,3\n")
+    summed = read(tmp_path, text() + "sum,1,2,3\n")
+    same(summed)
+    assert "left out is line 302: 'sum,1,2,3'" in summed.notes
     with pytest.raises(UsageError, match=r"'Total' in row 301; .* remove lines that are not data"):
         read(tmp_path, text() + "Total,1,2\n")
 

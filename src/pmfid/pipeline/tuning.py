@@ -259,7 +259,7 @@ class PipelineTuning:
     relations_copy: float = 0.05
     #: Largest distance of the gain of a set point from 1. `relations_follows` is the largest part of a set point that
     #: the output does not follow.
-    relations_gain: float = 0.03
+    relations_gain: float = 0.05
     relations_follows: float = 0.2
     #: Smallest jump of a column that is no motion, relative to its range, and smallest number of jumps in each
     #: direction.

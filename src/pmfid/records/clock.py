@@ -55,6 +55,8 @@ def sample_period(time: Floats | None, config: RecordConfig) -> tuple[float, tup
         if config.dt is None:
             raise UsageError("[record] has neither time nor dt; give one of them")
         return config.dt, ()
+    if time.size < TUNING.min_samples:
+        raise UsageError(f"the time column {config.time!r} has {time.size} numbers: name another column, or give dt")
     mean, grid = even_grid(time)
     median, jitter = (mean, 0.0) if grid and has_same_steps(time) else _steps_of(time)
     if not grid:
@@ -349,7 +351,7 @@ def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: Record
             found = find_places(stamps)
         if found is not None:
             places, period = found
-            stamps = stamps[0] + period * np.arange(places[-1] + 1)
+            stamps = stamps[0] + period * np.arange(stamps.size)
     dt, notes = sample_period(stamps, config)  # `sample_period` refuses stamps without a grid
     counts = kept[rows]
     at = np.arange(rows.size) if places is None else places
@@ -379,7 +381,7 @@ def misses_lines(time: Floats, output: Floats) -> bool | None:
     """
     steps = np.diff(time)
     median = float(np.median(steps)) if steps.size else 0.0
-    if not median > 0:
+    if not median > 1 / TUNING.largest_number:
         return None
     steps /= median
     times = np.rint(steps)
@@ -446,12 +448,12 @@ def find_places(time: Floats) -> tuple[NDArray[np.intp], float] | None:
     gives the grid.
     """
     steps = np.diff(time)
-    if not (steps.size and np.min(steps) > 0):
+    if not (steps.size and np.min(steps) > 1 / TUNING.largest_number):
         return None
     period = float(np.median(steps))
     period = float(np.mean(steps[np.abs(steps - period) <= (TUNING.clock_missing - 1) * period]))
     for _ in range(TUNING.clock_turns):
-        numbers = np.maximum(1, np.rint(steps / period)).astype(np.intp)
+        numbers = np.clip(np.rint(steps / period), 1, TUNING.clock_most).astype(np.intp)
         short = numbers <= TUNING.clock_short
         before, period = period, float(np.sum(steps[short]) / np.sum(numbers[short]))
         if abs(period - before) <= TUNING.clock_settled * period:

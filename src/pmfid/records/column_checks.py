@@ -93,6 +93,17 @@ def check_lengths(columns: Mapping[str, Floats], keys: Mapping[str, str | None])
         )
 
 
+def drop_extremes(values: Floats) -> Floats:
+    """Return a column (n,) in which numbers beyond `largest_number` are missing, as infinite numbers are.
+
+    No sensor gives such numbers. They mark missing values, and their squares and differences overflow.
+    """
+    most = TUNING.largest_number
+    if values.size == 0 or max(np.fmax.reduce(values), -np.fmin.reduce(values)) <= most:
+        return values
+    return np.where(np.abs(values) > most, np.nan, values)
+
+
 def check_not_empty(label: str, values: Floats) -> None:
     """Raise UsageError for a column (n,) without a number."""
     if not (np.isfinite(values[0]) or np.any(np.isfinite(values))):

@@ -24,6 +24,7 @@ from pmfid.records.column_checks import (
     check_not_empty,
     check_position,
     check_step_unit,
+    drop_extremes,
     left_out,
     round_counts,
 )
@@ -243,10 +244,11 @@ def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, d
     if isinstance(table, ClockedSignals):
         others = (*(found[key] for key in ("input", "reference") if key in found), *config.known_force)
         table = table.align(found["output"], others)
-    columns = {key: column(table, key, name) for key, name in found.items() if key != "time"}
+    columns = {key: drop_extremes(column(table, key, name)) for key, name in found.items() if key != "time"}
     changed: dict[str, str] = dict(found)
     if "time" in found:
         columns["time"], written = times(table, found["time"])
+        columns["time"] = drop_extremes(columns["time"])
         if written and config.time_unit not in (None, "s"):
             raise UsageError(
                 f"[record] time_unit = {config.time_unit!r}: the time column has dates or times of day; drop time_unit"

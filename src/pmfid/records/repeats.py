@@ -22,7 +22,7 @@ def drop_stale_rows(columns: Mapping[str, Floats], step: float) -> tuple[dict[st
     would move the jump. The output of a row with a jump comes from the cubic through the neighbouring rows.
     """
     time, u, y = columns["time"], columns["input"], columns["output"]
-    if not (np.all(np.isfinite(u + y + time)) and np.all(np.diff(time) > 0)):
+    if not (all(np.all(np.isfinite(values)) for values in (u, y, time)) and np.all(np.diff(time) > 0)):
         return dict(columns), 0
     stale = find_stale_rows(time, y / step)
     count = int(np.count_nonzero(stale))

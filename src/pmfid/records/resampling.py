@@ -67,7 +67,9 @@ def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False
     if not thinned and np.all(known) and has_same_steps(time):
         return None
     stamps, u, y = _drop_repeats(time[known], u[known], y[known])
-    if stamps.size < TUNING.resampling_fewest or not (thinned or _is_uneven(stamps, y)):
+    if stamps.size < TUNING.resampling_fewest or not np.ptp(stamps) > stamps.size / TUNING.largest_number:
+        return None
+    if not (thinned or _is_uneven(stamps, y)):
         return None
     from scipy.interpolate import PchipInterpolator
 

@@ -67,6 +67,8 @@ class RecordTuning:
     long_steps: int = 5
     #: Longest gap on the grid [samples]. Longer gaps are shortened, because the motion restarts after any gap.
     clock_longest: int = 1000
+    #: Largest number of periods in a step, for sums without an overflow.
+    clock_most: float = 2.0**40
 
     # filling
     #: Variance of a count [counts^2].
@@ -172,6 +174,8 @@ class RecordTuning:
     record_step_digits: float = 1e-3
     # Limit of counts, because neighbouring integers beyond 2**53 share one float64 and a count would be silently wrong.
     max_count: float = 2.0**53
+    #: Largest number of a column. No unit of any quantity needs more.
+    largest_number: float = 1e100
     #: Number of rows that are tested for counts. A column holds counts if all tested numbers are whole and more than
     #: `most_whole` of them are distinct.
     record_distinct: int = 10_000

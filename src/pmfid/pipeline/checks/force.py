@@ -89,5 +89,5 @@ def find_command(log: CheckedLog) -> Iterator[Finding]:
                 "command",
                 f"the input column {name!r} has the gain {likeness.gain:.2f} of {output!r}, as a set point has",
                 f"log the torque or current that drives {output}, and use it as the input",
-                "wrong",
+                "wrong" if evidence_of(name).lean("input") <= 0 else "doubt",
             )
