@@ -127,14 +127,16 @@ def column_unit(name: str, table: dict[str, Unit]) -> Unit | None:
         return unit_named(found.group(1), table)
     if found := re.search(rf"[\s_.]({'|'.join((*_LENGTHS, *_ANGLES))})(?:_|_?p(?:er_?)?)s$", name):
         return table.get(f"{found.group(1)}/s")
+    if _DIVIDED.match(name) and (unit := unit_named(name.partition("/")[2], table)):
+        return unit
     last = re.search(r"[\s_.]([A-Za-zµμ°]+/[a-z]+)$", name) or re.search(r"[\s_/.]([A-Za-zµμ°%]+)$", name)
     if last is None:
         return None
-    unit = last.group(1)
-    if unit.lower() == "in" and not _INCHES.match(name):
+    last_word = last.group(1)
+    if last_word.lower() == "in" and not _INCHES.match(name):
         return None
-    clear = len(unit) >= _LEAST_LETTERS or unit in "°%" or _MEASURED.search(name) or _DIVIDED.match(name)
-    return unit_named(unit, table) if clear else None
+    clear = len(last_word) >= _LEAST_LETTERS or last_word in "°%" or _MEASURED.search(name)
+    return unit_named(last_word, table) if clear else None
 
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")

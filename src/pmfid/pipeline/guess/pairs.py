@@ -159,7 +159,7 @@ def _name_weight(u: str, y: str, chosen_input: str | None, chosen_output: str | 
     weight += _bound(moving.lean(*MOTION) if y != chosen_output else np.inf)
     weight -= TUNING.pairs_computed * (driving.changed + moving.changed + 2 * driving.commanded)
     numbers = number_of(u), number_of(y)
-    both_named = bool(driving.role and moving.role and all(numbers))
+    both_named = driving.role == "input" and moving.role in MOTION and all(numbers)
     return weight - TUNING.pairs_relation * (both_named and numbers[0] != numbers[1])
 
 
@@ -218,13 +218,13 @@ def _try_pair(columns: Mapping[str, Floats], u: str, y: str, dt: float) -> Pair 
         return _weigh(Pair(u, y, _whole(y, columns[y], kinds[0]), False, 0.0, against=against), 1.0)
     kind, view = min(seen, key=lambda pair: _cost_of_kind(role, *pair))
     against = _relations(columns[u], columns[y], kind == "velocity") or _pure_mass(view)
-    explained = max(0.0, 1 - _cost(view))
-    load = view.shows_load(TUNING.hanging_better, TUNING.hanging_likely)
-    pair = Pair(u, y, kind, is_turned(view), explained, load=load, against=against)
-    if kind != "velocity":
-        gravity = _hangs(columns[u], columns[y], unit, dt, view.unexplained)
-        pair = replace(pair, kind=_whole(y, columns[y], kind), gravity=gravity, load=load and not gravity)
-    return _weigh(pair, _cost(view))
+    left, gravity = _cost(view), False
+    if kind != "velocity" and (hanging := _view_pendulum(columns[u], columns[y], unit, dt, view.unexplained)):
+        left, gravity = hanging.unexplained if role in MOTION else _cost(hanging), True
+    load = view.shows_load(TUNING.hanging_better, TUNING.hanging_likely) and not gravity
+    kind = kind if kind == "velocity" else _whole(y, columns[y], kind)
+    pair = Pair(u, y, kind, is_turned(view), max(0.0, 1 - left), gravity=gravity, load=load, against=against)
+    return _weigh(pair, left)
 
 
 def _weigh(pair: Pair, left: float) -> Pair:
@@ -252,26 +252,27 @@ def _cost_of_kind(role: Role, kind: str, view: View) -> float:
     return _cost(view) * (TUNING.columns_against if role else 1.0)
 
 
-def _hangs(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> bool:
-    """Return whether gravity in the sine of the output explains much of the input u (n,) that a plain drive leaves
-    unexplained.
+def _view_pendulum(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> View | None:
+    """Return the view with gravity in the sine of the output, if gravity explains much of the input u (n,) that a plain
+    drive leaves unexplained.
 
     Gravity must also explain more than a spring does. `plain` is the part of the input that the drive leaves. The
-    function returns False if the output y (n,) is no angle or turns little.
+    result is None if the output y (n,) is no angle or turns little.
     """
     angle = y * (unit.factor if unit else 1.0)
     if is_whole(y) if unit is None else unit.of != "angle":
-        return False
+        return None
     if not TUNING.readings_turned < np.ptp(angle) < TUNING.most_turned:
-        return False
+        return None
     encoder, counts = fine_counts(angle)
     part = liveliest(counts, TUNING.view_most_samples)
     forms = (replace(PLAIN, gravity=True), replace(PLAIN, spring=True))
     hanging, sprung = (best_view(u[part], counts[part], encoder, dt, model=form) for form in forms)
     if hanging is None or hanging.unexplained > TUNING.hanging_better * plain:
-        return False
+        return None
     sure = max(abs(hanging.sure(row)) for row in np.eye(hanging.theta.size)[-2:])
-    return sure > TUNING.hanging_likely and (sprung is None or hanging.unexplained < sprung.unexplained)
+    better = sprung is None or hanging.unexplained < sprung.unexplained
+    return hanging if sure > TUNING.hanging_likely and better else None
 
 
 def _kinds(evidence: Evidence, unit: Unit | None) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ Role = Literal["time", "number", "counts", "position", "velocity", "acceleration
 _COMMANDED = """cmd command commanded con ctrl control controller target goal des desired demand demanded ref reference
     set setpoint soll sollwert request requested req vorgabe führungsgrösse"""
 _CHANGED = "filt filtered filter smooth smoothed est estimate estimated model pred predicted kalman gefiltert geglättet"
-_NEUTRAL = "meas measured act actual ist fb feedback gemessen mess sensor axis achse joint gelenk"
+_NEUTRAL = "meas measured act actual ist istwert fb feedback gemessen"
 #: Roles of words with the weight of each as evidence (logarithm of odds). A weight of 4 is a clear word of the field,
 #: and a weight of 1 only hints. A word may have several roles.
 _WORDS: tuple[tuple[Role, float, str], ...] = (
@@ -34,8 +34,8 @@ _WORDS: tuple[tuple[Role, float, str], ...] = (
     ("position", 4, """position pos weg lage angle winkel theta phi drehwinkel auslenkung displacement dist distance
         travel stroke hub verfahrweg height hoehe höhe stellung"""),
     ("position", 3, "q"),
-    ("position", 2, "x y alpha output ausgang istwert ist act actual"),
-    ("position", 1.5, "s fb feedback"),
+    ("position", 2, "x y alpha output ausgang"),
+    ("position", 1.5, "s"),
     ("position", 1, "z beta r p qm"),
     ("position", 0.5, "out"),
     ("velocity", 4, "velocity vel speed geschw geschwindigkeit drehzahl rpm omega tacho"),
@@ -46,25 +46,29 @@ _WORDS: tuple[tuple[Role, float, str], ...] = (
     ("acceleration", 4, "acceleration acc accel beschl beschleunigung"),
     ("acceleration", 4, "ddq qdd ddx xdd ddtheta ddphi qddot xddot ddot"),
     ("acceleration", 1, "a"),
-    ("input", 4, """torque moment drehmoment current strom force kraft voltage spannung volt volts pwm effort tau duty
-        stellgrösse stellgroesse stellgröße stellwert stellsignal stellspannung amp amps ampere iq uq vq thrust"""),
-    ("input", 3, "input eingang stell throttle"),
-    ("input", 2.5, "u in cmd command control ctrl"),
-    ("input", 1.5, "i f m e"),
+    ("input", 4, "torque moment drehmoment current strom force kraft effort tau amp amps ampere iq thrust"),
+    ("input", 3, """voltage spannung volt volts pwm duty stellgrösse stellgroesse stellgröße stellwert stellsignal stell
+        stellspannung input eingang throttle uq vq ia im cur curr"""),
+    ("input", 2.5, "u ua um in cmd command control ctrl"),
+    ("input", 1.5, "i f m"),
+    ("other", 2, "e"),
     ("input", 1, "motor drive antrieb load last v id signal out"),
     ("other", 5, """error err fehler schleppfehler regelabweichung abweichung deviation status temp temperature
         temperatur limit fric friction reibung rigid enable enabled mask mode fault alarm bus supply batt battery bat
         versorgung zwischenkreis"""),
     ("other", 3, "power leistung energy energie pressure druck noise humidity valid flag"),
 )  # fmt: skip
-#: Role of a column for the quantity of its unit, and the weight of a unit.
+#: Role of a column without any other word than that for a measured value.
+_ACTUAL: tuple[Role, float] = ("position", 2.0)
+#: Role of a column for the quantity of its unit, and the weight of a unit. A voltage or a ratio may stand for any
+#: quantity, as on an oscilloscope.
 _MEASURED: dict[str, Role] = {
     "length": "position",
     "angle": "position",
     "speed": "velocity",
     "angular speed": "velocity",
 }
-_UNIT_WEIGHT = 6.0
+_UNIT_WEIGHT, _ANALOG_WEIGHT = 6.0, 1.5
 #: Units in brackets that are neither travel, speed nor input.
 _COUNTED = re.compile(r"(inc|counts?|cts|cnts?|ticks?|pulses?|steps?|ink\w*|impulse?)$", re.IGNORECASE)
 _FOREIGN = re.compile(r"(°C|degC|K|W|kW|Hz|kHz|bar|Pa|kg|J|dB|lux)$")
@@ -119,6 +123,8 @@ def evidence_of(name: str) -> Evidence:
         for role, weight in _KNOWN.get(word, ()):
             # The last clear word of a name is its noun: a motor position is a position, a position error an error.
             weights[role] = max(weights.get(role, 0.0), weight if k == last or last < 0 else min(weight, 2.5))
+    if not weights and any(word in _NEUTRAL.split() for word in words):
+        weights = dict([_ACTUAL])
     if words and words[0] != "dot" and "dot" in words:
         weights.pop("position", None)
     output, driven = column_unit(name, OUTPUTS), column_unit(name, INPUTS)
@@ -126,7 +132,8 @@ def evidence_of(name: str) -> Evidence:
     inside = bracket.group(1).strip() if bracket else ""
     if output is not None or driven is not None:
         role: Role = "input" if output is None else _MEASURED[output.of]
-        weights[role] = _UNIT_WEIGHT
+        analog = driven is not None and driven.of in ("voltage", "ratio")
+        weights[role] = max(weights.get(role, 0.0), _ANALOG_WEIGHT if analog else _UNIT_WEIGHT)
     elif unit := named_unit(name):
         bare = name.strip()[-2:-1] in "_ ." and unit == "s"
         weights["time"] = weights.get("time", 0.0) + (1.0 if bare else 3.0)
