@@ -10,7 +10,7 @@ from pmfid.types import Floats
 
 Signals = dict[str, Floats]
 #: Step of the simulation [s], and its length in steps.
-STEP, N = 1e-3, 12_000
+STEP, N = 1e-3, 9000
 MASS, VISCOUS, COULOMB = 0.5, 0.8, 0.4
 
 
@@ -36,29 +36,7 @@ def simulate(kind: str, seed: int) -> Signals:
         if kind != "rest":
             v += STEP * push / MASS
             x += STEP * v
-    x, v, force, pull = rows.T
-    t = STEP * np.arange(N)
-    noise = rng.normal(size=(4, N))
-    return {
-        "t": t,
-        "index": np.arange(N, dtype=float),
-        "wanted": wanted,
-        "force": force + 0.01 * noise[0],
-        "current": force / 0.35 + 0.03 * noise[1],
-        "voltage": 1.2 * force / 0.35 + 2.5 * v,
-        "duty": np.round(255 * np.clip(wanted / 6, -1, 1)),
-        "position": x,
-        "counts": np.floor(x / 1e-4),
-        "second": x + 1e-3 * np.sin(40 * x),
-        "velocity": v,
-        "tacho": v + 0.002 * noise[2],
-        "pull": pull,
-        "goal": goal,
-        "goal_speed": goal_speed,
-        "error": goal - x,
-        "warm": 31.0 + 3 * (1 - np.exp(-t / 6)) + 0.05 * noise[3],
-        "status": np.where(t < 0.05, 0.0, 39.0),
-    }
+    return _signals(rows, wanted, goal, goal_speed, rng)
 
 
 def _goals(kind: str, rng: np.random.Generator) -> tuple[Floats, Floats]:
@@ -70,3 +48,43 @@ def _goals(kind: str, rng: np.random.Generator) -> tuple[Floats, Floats]:
     places = np.repeat(rng.uniform(-0.3, 0.3, N // 1000 + 1), 1000)[:N]
     goal = np.convolve(np.convolve(places, np.ones(300) / 300), np.ones(150) / 150)[:N]
     return goal, np.gradient(goal) / STEP
+
+
+def _signals(rows: Floats, wanted: Floats, goal: Floats, goal_speed: Floats, rng: np.random.Generator) -> Signals:
+    """Return the signals of a run from position, velocity, force and acceleration (N, 4)."""
+    x, v, force, pull = rows.T
+    t, noise = STEP * np.arange(N), rng.normal(size=(4, N))
+    fine = np.floor(x / 1e-4) * 1e-4
+    return {
+        "t": t,
+        "ms": 1e3 * t,
+        "us": np.round(1e6 * t) + 4_120_008,
+        "index": np.arange(N, dtype=float),
+        "wanted": wanted,
+        "force": force + 0.01 * noise[0],
+        "current": force / 0.35 + 0.03 * noise[1],
+        "late": np.r_[force[:10] * 0, force[:-10]] / 0.35,
+        "voltage": 1.2 * force / 0.35 + 2.5 * v,
+        "duty": np.round(255 * np.clip(wanted / 6, -1, 1)),
+        "position": x,
+        "fine": fine,
+        "mm": 1e3 * x,
+        "deg": x * 180 / np.pi,
+        "counts": np.floor(x / 1e-4),
+        "second": x + 1e-3 * np.sin(40 * x),
+        "again": fine + 1e-5 * np.sin(t),
+        "velocity": v,
+        "tacho": v + 0.002 * noise[2],
+        "rpm": (v + 0.002 * noise[2]) * 30 / np.pi,
+        "pull": pull,
+        "goal": goal,
+        "goal_mm": 1e3 * goal,
+        "goal_counts": 1e4 * goal,
+        "goal_speed": goal_speed,
+        "goal_rpm": goal_speed * 30 / np.pi,
+        "error": goal - x,
+        "warm": 31.0 + 3 * (1 - np.exp(-t / 6)) + 0.05 * noise[3],
+        "status": np.where(t < 0.05, 0.0, 39.0),
+        "bus": 24 + 0.02 * np.sin(t),
+        "ripple": 0.02 * np.cos(7 * t),
+    }

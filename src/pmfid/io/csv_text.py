@@ -324,7 +324,7 @@ def drop_strays(body: bytes, layout: Layout) -> tuple[bytes, tuple[str, ...]]:
     A stray line has less than half of the numbers of a line of data, or too many fields. Many such lines are another
     layout, and are not left out.
     """
-    kept, strays = [], []
+    kept, strays = list[tuple[int, str]](), list[tuple[int, str]]()
     for number, line in enumerate(body.decode("utf-8", "replace").split("\n"), layout.first + 1):
         if not line.strip() or line.lstrip().startswith(COMMENTS):
             continue

@@ -159,7 +159,9 @@ def _record(result: AxisGuess, pair: Pair, judgement: Judgement, clock: Clock, c
         result.add("record", f"dt = {clock.dt:g}", clock.reason)
         return
     result.add(
-        "record", f"time = {quote_name(clock.name)}", f"it grows from row to row, by a sample period of {clock.dt:.6g} s"
+        "record",
+        f"time = {quote_name(clock.name)}",
+        f"it grows from row to row, by a sample period of {clock.dt:.6g} s",
     )
     if clock.unit:
         result.add("record", f'time_unit = "{clock.unit}"', clock.reason)
@@ -207,7 +209,9 @@ def _clock(stamps: Stamps | None, ask: Ask | None) -> Clock:
     if "s" in fitting or not fitting:
         return Clock(name, "", "", step)
     unit = min(fitting, key=lambda one: abs(np.log(step * UNITS[one] / TUNING.axis_file_usual)))
-    reason = f"{TO_DO}check this unit, because a step of {step:g} s is unusual; ticks of a clock are none of these units"
+    reason = (
+        f"{TO_DO}check this unit, because a step of {step:g} s is unusual; ticks of a clock are none of these units"
+    )
     return Clock(name, unit, reason, step * UNITS[unit])
 
 

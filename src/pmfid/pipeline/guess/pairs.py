@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -174,9 +174,7 @@ def _output_penalty(y: str, motions: list[str], columns: Mapping[str, Floats]) -
     """
     others = [name for name in motions if name != y and columns[name].size == columns[y].size]
     unnamed = evidence_of(y).lean(*MOTION) < 1
-    rates = (
-        _is_rate(columns[y], columns[name]) or _named_rate(y, name) for name in others if not jumps(columns[name])
-    )
+    rates = (_is_rate(columns[y], columns[name]) or _named_rate(y, name) for name in others if not jumps(columns[name]))
     return TUNING.pairs_relation if (unnamed and jumps(columns[y])) or any(rates) else 0.0
 
 

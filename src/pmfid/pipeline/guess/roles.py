@@ -102,7 +102,7 @@ class Evidence:
     @property
     def role(self) -> Role:
         """The likeliest role, or an empty text without any. A set point of a motion is "other"."""
-        best = max(self.weights, key=lambda role: self.weights[role], default="")
+        best: Role = max(self.weights, key=lambda role: self.weights[role], default="")
         if self.commanded and self.weights.get("input", 0.0) < max(self.weights.values(), default=1.0):
             return "other"
         return best
@@ -131,9 +131,9 @@ def evidence_of(name: str) -> Evidence:
     bracket = _BRACKETS.search(name)
     inside = bracket.group(1).strip() if bracket else ""
     if output is not None or driven is not None:
-        role: Role = "input" if output is None else _MEASURED[output.of]
+        measured: Role = "input" if output is None else _MEASURED[output.of]
         analog = driven is not None and driven.of in ("voltage", "ratio")
-        weights[role] = max(weights.get(role, 0.0), _ANALOG_WEIGHT if analog else _UNIT_WEIGHT)
+        weights[measured] = max(weights.get(measured, 0.0), _ANALOG_WEIGHT if analog else _UNIT_WEIGHT)
     elif unit := named_unit(name):
         bare = name.strip()[-2:-1] in "_ ." and unit == "s"
         weights["time"] = weights.get("time", 0.0) + (1.0 if bare else 3.0)

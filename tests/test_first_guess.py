@@ -1,0 +1,39 @@
+"""`pmfid init` finds time, input and output in logs of four loggers, with names in English and German and without."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from pmfid.errors import UsageError
+from pmfid.pipeline.guess.axis_file import guess
+from tests.first_guess.logs import LOGS, Log
+
+
+@pytest.mark.parametrize(
+    ("seed", "log"), enumerate(LOGS), ids=[f"{log.logger} {', '.join(log.columns)}" for log in LOGS]
+)
+def test_the_columns_of_a_log_are_found(tmp_path: Path, seed: int, log: Log) -> None:
+    path = log.write(tmp_path, seed)
+    if log.answer is None:
+        with pytest.raises(UsageError, match=r"no column|no two columns|does not move"):
+            guess(path)
+        return
+    record = tomllib.loads(guess(path).text)["record"]
+    assert (record.get("time", ""), record["input"], record["output"]) == log.answer
+
+
+def test_a_close_second_is_a_doubt_in_numbers(tmp_path: Path) -> None:
+    """Two currents of one machine explain the motion alike, and no name says which drives it."""
+    (log,) = (log for log in LOGS if log.columns.get("i1_filt"))
+    renamed = {"t": "t", "a": "current", "b": "voltage", "x": "position"}
+    text = guess(Log("matlab", "open", renamed, log.answer).write(tmp_path, 3)).text
+    doubt = re.search(
+        r'input = "a"  # TO DO: check this column; the pair has a probability of (\d+) %; next: (.*)', text
+    )
+    assert doubt is not None
+    assert 50 <= int(doubt[1]) < 90
+    assert "--input b --output x" in doubt[2]
