@@ -14,7 +14,7 @@ from tests.first_guess.logs import LOGS, Log
 
 
 @pytest.mark.parametrize(
-    ("seed", "log"), enumerate(LOGS), ids=[f"{log.logger} {', '.join(log.columns)}" for log in LOGS]
+    ("seed", "log"), list(enumerate(LOGS)), ids=[f"{log.logger} {', '.join(log.columns)}" for log in LOGS]
 )
 def test_the_columns_of_a_log_are_found(tmp_path: Path, seed: int, log: Log) -> None:
     path = log.write(tmp_path, seed)

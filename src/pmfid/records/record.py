@@ -368,32 +368,18 @@ def _resample(
     out, out_notes = left_out(columns["time"], columns["time"].size, config, mask)
     if np.any(out):
         columns = columns | {key: np.where(out, np.nan, columns[key]) for key in ("input", "output")}
-    if config.output_kind == "position":
-        check_position(columns["output"], axis)  # the check needs the values of the file
-    wraps = 0
-    if config.output_kind == "counts" and encoder.bits is not None:
-        columns = columns | {"output": unwrap_counts(columns["output"], encoder.bits)}
-        apart = columns["output"] - np.where(np.isfinite(columns["output"]), given["output"], 0.0)
-        wraps = int(np.count_nonzero(np.diff(apart[np.isfinite(apart)])))
-    notes, stale = list[str](), 0
-    if config.output_kind == "velocity":
-        travel = integrate_stamps(columns["time"], columns["output"], columns["input"])
-        if travel is None:
-            return given, None, ()
-        columns = columns | {"output": travel * time_factor(config)}
-        notes.append("the velocity is integrated over the steps of the clock, along lines between samples")
-    else:
-        columns, stale = drop_stale_rows(
-            columns, 1.0 if config.output_kind == "counts" else encoder.resolution / y_scale
-        )
+    own = _integrate(axis, columns) if config.output_kind == "velocity" else _take_new(axis, columns, y_scale)
+    if own is None:
+        return given, None, ()
+    columns, stale, notes = own
     found = resample_uneven(columns["time"], columns["input"], columns["output"], thinned=stale > 0)
     if found is None:
         return given, None, ()
     period = (found.time[1] - found.time[0]) * time_factor(config)
     note = "the stamps scatter around an even grid like times of arrival, and the grid replaces them"
     if found.dt_error > 0:
-        notes.append(
-            f"the period of the grid is known to {100 * found.dt_error:.1g} %; the intervals contain this error"
+        notes.insert(
+            0, f"the period of the grid is known to {100 * found.dt_error:.1g} %; the intervals contain this error"
         )
     if found.jitter:
         note = f"the steps of the clock vary by {100 * found.jitter:.2g} %, around {period:.4g} s"
@@ -401,10 +387,33 @@ def _resample(
         part = stale / (stale + columns["time"].size)
         note = f"{part:.0%} of the rows repeat the output of the row before and are left out: log only new values"
     y = np.rint(found.y) if config.output_kind == "counts" else found.y
-    new = columns | {"time": found.time, "input": found.u, "output": y}
-    if wraps:
-        notes.append(f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)")
-    return new, found, (*out_notes, note, *notes)
+    return columns | {"time": found.time, "input": found.u, "output": y}, found, (*out_notes, note, *notes)
+
+
+def _integrate(axis: Axis, columns: dict[str, Floats]) -> tuple[dict[str, Floats], int, list[str]] | None:
+    """Return the columns with the integral of a velocity over the steps of its clock, no stale rows, and a note.
+
+    The result is None for an even clock.
+    """
+    travel = integrate_stamps(columns["time"], columns["output"], columns["input"])
+    if travel is None:
+        return None
+    note = "the velocity is integrated over the steps of the clock, along lines between samples"
+    return columns | {"output": travel * time_factor(axis.record)}, 0, [note]
+
+
+def _take_new(axis: Axis, columns: dict[str, Floats], y_scale: float) -> tuple[dict[str, Floats], int, list[str]]:
+    """Return the columns with an unwrapped counter and without stale rows, the number of these rows, and notes."""
+    config, encoder, notes = axis.record, axis.encoder, list[str]()
+    if config.output_kind == "position":
+        check_position(columns["output"], axis)  # the check needs the values of the file
+    if config.output_kind == "counts" and encoder.bits is not None:
+        unwrapped = unwrap_counts(columns["output"], encoder.bits)
+        apart = (unwrapped - columns["output"])[np.isfinite(unwrapped)]
+        if wraps := int(np.count_nonzero(np.diff(apart))):
+            notes.append(f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)")
+        columns = columns | {"output": unwrapped}
+    return *drop_stale_rows(columns, 1.0 if config.output_kind == "counts" else encoder.resolution / y_scale), notes
 
 
 def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tuple[str, ...]]:
