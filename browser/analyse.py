@@ -18,7 +18,7 @@ from pmfid.io.reading import ENDINGS, READERS, format_of
 from pmfid.io.safety import readable, unpack_file
 from pmfid.io.tables import Table
 from pmfid.pipeline.conclusion import conclude
-from pmfid.pipeline.guess.axis_file import TO_DO, Choice, guess_table, read_duration, read_gain, read_travel
+from pmfid.pipeline.guess.axis_file import TO_DO, NamedColumns, guess_table, read_duration, read_gain, read_travel
 from pmfid.pipeline.guess.columns import numeric
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.kinds import Records, parameters_of
@@ -51,7 +51,7 @@ def suggest(output: str | None = None) -> str:
     log["axis"] = {}
     found: dict[str, Any] = {"columns": log["names"], "left_out": log["left_out"]}
     try:
-        text = guess_table(log["table"], Path(log["name"]), None, Choice(output=output)).text
+        text = guess_table(log["table"], Path(log["name"]), None, NamedColumns(output=output)).text
         log["axis"] = tomllib.loads(text)
         for line in text.splitlines():
             key = line.partition(" = ")[0]

@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from pmfid.cli.main import main
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
-from pmfid.pipeline.guess.axis_file import Choice, Reader, guess, read_duration, read_gain, read_travel, read_yes
+from pmfid.pipeline.guess.axis_file import NamedColumns, Reader, guess, read_duration, read_gain, read_travel, read_yes
 from pmfid.pipeline.guess.columns import step_of
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.identify import kind_of
@@ -289,11 +289,11 @@ def test_a_joint_is_named_and_a_few_digits_are_no_encoder(tmp_path: Path) -> Non
     frame = {"t": run().motion.t[:1000], "u1": run().motion.u[:1000], "y1": position()[:1000]}
     frame |= {"u2": run().motion.u[:1000], "y2": np.array(angle[:1000])}
     pl.DataFrame(frame).write_csv(tmp_path / "log.csv")
-    text = guess(tmp_path / "log.csv", choice=Choice(output="y2")).text
+    text = guess(tmp_path / "log.csv", choice=NamedColumns(output="y2")).text
     assert 'input = "u2"' in text
     assert "resolution = 0.001 " in text
     with pytest.raises(UsageError, match="did you mean 'y2'"):
-        guess(tmp_path / "log.csv", choice=Choice(output="y22"))
+        guess(tmp_path / "log.csv", choice=NamedColumns(output="y22"))
 
 
 def test_a_servo_without_a_torque_is_refused_with_what_its_controller_gives(tmp_path: Path) -> None:

@@ -39,7 +39,7 @@ def init(record: Path, out: Path, driving: str | None, output: str | None, time:
         raise UsageError(f"{out} already exists and is not overwritten; give another file with --out")
     on_terminal = sys.stdin.isatty() and sys.stdout.isatty()
     with progress("init") as tell:
-        from pmfid.pipeline.guess.axis_file import Choice, guess
+        from pmfid.pipeline.guess.axis_file import NamedColumns, guess
 
         def ask(question: str, read: Callable[[str], float]) -> float | None:
             def convert(text: str) -> float | None:
@@ -55,7 +55,7 @@ def init(record: Path, out: Path, driving: str | None, output: str | None, time:
             )
             return answer
 
-        found = guess(record, ask if on_terminal else None, Choice(time, driving, output))
+        found = guess(record, ask if on_terminal else None, NamedColumns(time, driving, output))
     with out.open("x", encoding="utf-8", newline="\n") as file:
         file.write(found.text)
     click.echo(printable(found.text))

@@ -23,8 +23,6 @@ SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": 
 LOOKED_AT = 400
 #: Smallest percentage of fields in a line of data that are numbers, times or empty.
 NUMBERS = 50
-#: Largest number of stray lines, relative to the lines of data.
-MOST_STRAYS = 0.1
 #: Beginnings of lines without data.
 COMMENTS = ("#", "%", "//")
 _NUMBER = {
@@ -321,15 +319,15 @@ def _columns(body: bytes, layout: Layout) -> tuple[dict[str, object], tuple[str,
 def drop_strays(body: bytes, layout: Layout) -> tuple[bytes, tuple[str, ...]]:
     """Return the lines of data without stray lines, such as a message in the log of a serial monitor, and a note.
 
-    A stray line has less than half of the numbers of a line of data, or too many fields. Many such lines are another
-    layout, and are not left out.
+    A stray line has less than half of the numbers of a line of data, or too many fields. If every tenth line is such a
+    line, the text has another layout, and no line is left out.
     """
     kept, strays = list[tuple[int, str]](), list[tuple[int, str]]()
     for number, line in enumerate(body.decode("utf-8", "replace").split("\n"), layout.first + 1):
         if not line.strip() or line.lstrip().startswith(COMMENTS):
             continue
         (strays if _is_stray(split(line, layout.separator), layout) else kept).append((number, line))
-    if not strays or len(strays) > MOST_STRAYS * len(kept):
+    if not strays or 10 * len(strays) > len(kept):
         return body, ()
     number, line = strays[0]
     others = f"{len(strays)} lines are no data and are left out, the first is" if len(strays) > 1 else "left out is"

@@ -269,6 +269,11 @@ class PipelineTuning:
     #: input.
     columns_same: float = 0.99
 
+    # guess.roles
+    #: Weights of a unit in a name. A voltage or a ratio may stand for any quantity, as on an oscilloscope.
+    roles_unit: float = 6.0
+    roles_analog: float = 1.5
+
     # monitored.lines
     #: Largest number of stored sets of field names for one axis. The limit is necessary, because names with different
     #: units in brackets make different sets.

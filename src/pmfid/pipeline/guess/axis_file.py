@@ -20,12 +20,12 @@ from pmfid.pipeline.guess.pairs import MOTION, Judgement, Pair, judge
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.guess.verdicts import describe_doubt, explain_refusal
 from pmfid.pipeline.tuning import TUNING
-from pmfid.records.clock import UNITS, even_grid, named_unit
+from pmfid.records.clock import UNITS, even_grid, is_rounded, named_unit
 from pmfid.records.outliers import wrap_of
 from pmfid.types import Floats
 from pmfid.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, gain, quantity
 
-__all__ = ["AxisGuess", "Choice", "find_to_do", "guess", "guess_table"]
+__all__ = ["AxisGuess", "NamedColumns", "find_to_do", "guess", "guess_table"]
 
 #: Reader of an answer. A reader raises ValueError with the remedy for an answer that cannot be used.
 Reader = Callable[[str], float]
@@ -69,7 +69,7 @@ def find_to_do(path: Path) -> list[Finding]:
 
 
 @dataclass(frozen=True)
-class Choice:
+class NamedColumns:
     """The columns of time, input and output that the user names, or None for a guess."""
 
     time: str | None = None
@@ -77,10 +77,10 @@ class Choice:
     output: str | None = None
 
 
-GUESSED = Choice()
+GUESSED = NamedColumns()
 
 
-def guess(path: Path, ask: Ask | None = None, choice: Choice = GUESSED) -> AxisGuess:
+def guess(path: Path, ask: Ask | None = None, choice: NamedColumns = GUESSED) -> AxisGuess:
     """Return the AXIS.toml that a record suggests.
 
     `ask` asks for numbers that the record does not show. `choice` has the columns that the user names.
@@ -93,7 +93,7 @@ def guess(path: Path, ask: Ask | None = None, choice: Choice = GUESSED) -> AxisG
     return guess_table(table, path, ask, choice)
 
 
-def guess_table(table: Table, path: Path, ask: Ask | None = None, choice: Choice = GUESSED) -> AxisGuess:
+def guess_table(table: Table, path: Path, ask: Ask | None = None, choice: NamedColumns = GUESSED) -> AxisGuess:
     """Return the AXIS.toml that the table of a file suggests. The arguments and errors are those of `guess`."""
     try:
         return _guess(table, path, ask, choice)
@@ -101,7 +101,7 @@ def guess_table(table: Table, path: Path, ask: Ask | None = None, choice: Choice
         raise UsageError(f"{path}: {error}") from None
 
 
-def _guess(table: Table, path: Path, ask: Ask | None, choice: Choice) -> AxisGuess:
+def _guess(table: Table, path: Path, ask: Ask | None, choice: NamedColumns) -> AxisGuess:
     columns = numeric(table)
     if not columns:
         raise UsageError("no column has numbers that change; export the record with its values")
@@ -131,11 +131,11 @@ def _guess(table: Table, path: Path, ask: Ask | None, choice: Choice) -> AxisGue
 
 def _is_clock(name: str, values: Floats) -> bool:
     """Return whether a column is a further time or number, because it grows in every row or has such a name."""
-    return role_of(name) in ("time", "number") or bool(np.all(np.diff(values) > 0))
+    return role_of(name) in ("time", "number") or bool(np.all(np.diff(values) > 0)) or is_rounded(values)
 
 
 @dataclass(frozen=True)
-class Clock:
+class GuessedClock:
     """The time column, which has an empty name if there is none, its unit with the reason, and the sample period
     [s].
     """
@@ -146,7 +146,7 @@ class Clock:
     dt: float
 
 
-def _record(result: AxisGuess, pair: Pair, judgement: Judgement, clock: Clock, choice: Choice) -> None:
+def _record(result: AxisGuess, pair: Pair, judgement: Judgement, clock: GuessedClock, choice: NamedColumns) -> None:
     doubt = describe_doubt(pair, judgement)
     for key, name, chosen, why in (
         ("input", pair.input, choice.input, _why_input(pair, judgement)),
@@ -185,12 +185,12 @@ def _why(pair: Pair) -> str:
     return f"its name says {role}" if role in MOTION else "the input drives it"
 
 
-def _clock(stamps: Stamps | None, ask: Ask | None) -> Clock:
+def _clock(stamps: Stamps | None, ask: Ask | None) -> GuessedClock:
     """Return the clock of a time column, or of the sample period that the user gives."""
     if stamps is None or stamps.may_be_numbers:
         answer = ask('sample period, in s or as "1 ms"', read_duration) if ask else None
         untold = f"{TO_DO}write the sample period in s, because no column has the time"
-        return Clock("", "", untold if answer is None else "as answered", answer or TUNING.axis_file_usual)
+        return GuessedClock("", "", untold if answer is None else "as answered", answer or TUNING.axis_file_usual)
     name, values = stamps.name, stamps.values
     mean, grid = even_grid(values)
     step = mean if grid else _mean_step(np.diff(values))
@@ -202,17 +202,17 @@ def _clock(stamps: Stamps | None, ask: Ask | None) -> Clock:
         )
     unit = named_unit(name)
     if stamps.written or unit:
-        return Clock(name, "", "", step * (1.0 if stamps.written else UNITS[unit or "s"]))
+        return GuessedClock(name, "", "", step * (1.0 if stamps.written else UNITS[unit or "s"]))
     fitting = [
         unit for unit, length in UNITS.items() if TUNING.axis_file_shortest <= step * length <= TUNING.axis_file_longest
     ]
     if "s" in fitting or not fitting:
-        return Clock(name, "", "", step)
+        return GuessedClock(name, "", "", step)
     unit = min(fitting, key=lambda one: abs(np.log(step * UNITS[one] / TUNING.axis_file_usual)))
     reason = (
         f"{TO_DO}check this unit, because a step of {step:g} s is unusual; ticks of a clock are none of these units"
     )
-    return Clock(name, unit, reason, step * UNITS[unit])
+    return GuessedClock(name, unit, reason, step * UNITS[unit])
 
 
 def _encoder(result: AxisGuess, pair: Pair, output: Floats, dt: float, ask: Ask | None) -> Unit | None:

@@ -13,7 +13,7 @@ from pmfid.errors import UsageError
 from pmfid.io.tables import Table, times
 from pmfid.pipeline.guess.roles import evidence_of
 from pmfid.pipeline.tuning import TUNING
-from pmfid.records.clock import named_unit
+from pmfid.records.clock import is_rounded, named_unit
 from pmfid.types import Floats
 
 
@@ -39,7 +39,8 @@ def rises(values: Floats) -> bool:
     The rows at the start of some loggers are equal, and a clock with few digits repeats stamps.
     """
     steps = np.diff(values)
-    return bool(np.all(steps >= 0)) and float(np.mean(steps > 0)) > TUNING.columns_mostly
+    grows = float(np.mean(steps > 0)) > TUNING.columns_mostly or is_rounded(values)
+    return grows and bool(np.all(steps >= 0))
 
 
 def time_of(table: Table, columns: Mapping[str, Floats], given: str | None = None) -> Stamps | None:
@@ -86,8 +87,8 @@ def _value_weight(stamps: Stamps) -> float:
     if stamps.values.size <= 10 or not np.any(steps > 0):
         return -np.inf
     if np.mean(steps >= 0) < TUNING.columns_mostly:
-        return -8.0
-    mean = float(np.mean(np.minimum(steps, np.quantile(steps, TUNING.columns_mostly))))
-    even = float(np.mean(np.abs(steps - np.median(steps)) <= 0.5 * mean))
-    falls = 0.0 if np.all(steps >= 0) else 4.0
-    return 3.0 * (2 * even - 1) + 4.0 * bool(np.mean(steps > 0) > TUNING.columns_mostly) - falls - stamps.may_be_numbers
+        return -2 * TUNING.pairs_clear
+    usual = np.minimum(steps, np.quantile(steps, TUNING.columns_mostly))
+    even = is_rounded(stamps.values) or float(np.mean(np.abs(steps - np.median(steps)) <= np.mean(usual) / 2))
+    grows, falls = np.mean(steps > 0) > TUNING.columns_mostly, np.any(steps < 0)
+    return TUNING.pairs_clear * (2 * even - 1 + float(grows) - float(falls)) - stamps.may_be_numbers

@@ -14,7 +14,7 @@ from pmfid.pipeline.checks.readings import integrate_velocity, is_turned
 from pmfid.pipeline.checks.view import MASS, PLAIN, View, best_view, solve_least_squares
 from pmfid.pipeline.guess.columns import is_whole, step_of
 from pmfid.pipeline.guess.relations import Likeness, compare, is_rate, jumps
-from pmfid.pipeline.guess.roles import Evidence, Role, evidence_of, number_of, role_of
+from pmfid.pipeline.guess.roles import NameEvidence, Role, evidence_of, number_of, role_of
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.outliers import wrap_of
 from pmfid.types import Floats
@@ -273,7 +273,7 @@ def _view_pendulum(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: fl
     return hanging if sure > TUNING.hanging_likely and better else None
 
 
-def _kinds(evidence: Evidence, unit: Unit | None) -> tuple[str, ...]:
+def _kinds(evidence: NameEvidence, unit: Unit | None) -> tuple[str, ...]:
     """Return the possible kinds of an output, from a clear name or the unit in its name."""
     if evidence.role == "velocity":
         return ("velocity",)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Literal
 
+from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import named_unit
 from pmfid.units import INPUTS, OUTPUTS, column_unit
 
@@ -60,15 +61,13 @@ _WORDS: tuple[tuple[Role, float, str], ...] = (
 )  # fmt: skip
 #: Role of a column without any other word than that for a measured value.
 _ACTUAL: tuple[Role, float] = ("position", 2.0)
-#: Role of a column for the quantity of its unit, and the weight of a unit. A voltage or a ratio may stand for any
-#: quantity, as on an oscilloscope.
+#: Role of a column for the quantity of its unit.
 _MEASURED: dict[str, Role] = {
     "length": "position",
     "angle": "position",
     "speed": "velocity",
     "angular speed": "velocity",
 }
-_UNIT_WEIGHT, _ANALOG_WEIGHT = 6.0, 1.5
 #: Units in brackets that are neither travel, speed nor input.
 _COUNTED = re.compile(r"(inc|counts?|cts|cnts?|ticks?|pulses?|steps?|ink\w*|impulse?)$", re.IGNORECASE)
 _FOREIGN = re.compile(r"(°C|degC|K|W|kW|Hz|kHz|bar|Pa|kg|J|dB|lux)$")
@@ -86,13 +85,13 @@ def _vocabulary() -> dict[str, list[tuple[Role, float]]]:
 
 
 _KNOWN = _vocabulary()
-#: Words that may be a part of a longer word, longest first. Short parts may only begin a word.
+#: Words that may begin a longer word, longest first, and words that may end it. Other short words end many words.
 _PARTS = sorted((word for word in _KNOWN if len(word) > 2), key=len, reverse=True)
-_BEGINS = 3
+_ENDS = [word for word in _PARTS if len(word) > 3 or word in ("pos", "ref", "cmd", "vel", "ist")]
 
 
 @dataclass(frozen=True)
-class Evidence:
+class NameEvidence:
     """Evidence in a name: the weight of each role, and whether the column is a command or was computed."""
 
     weights: dict[Role, float] = field(default_factory=dict)
@@ -114,7 +113,7 @@ class Evidence:
 
 
 @cache
-def evidence_of(name: str) -> Evidence:
+def evidence_of(name: str) -> NameEvidence:
     """Return the evidence in a name."""
     words = _words_and_letters(name)
     weights: dict[Role, float] = {}
@@ -133,17 +132,17 @@ def evidence_of(name: str) -> Evidence:
     if output is not None or driven is not None:
         measured: Role = "input" if output is None else _MEASURED[output.of]
         analog = driven is not None and driven.of in ("voltage", "ratio")
-        weights[measured] = max(weights.get(measured, 0.0), _ANALOG_WEIGHT if analog else _UNIT_WEIGHT)
+        weights[measured] = max(weights.get(measured, 0.0), TUNING.roles_analog if analog else TUNING.roles_unit)
     elif unit := named_unit(name):
         bare = name.strip()[-2:-1] in "_ ." and unit == "s"
         weights["time"] = weights.get("time", 0.0) + (1.0 if bare else 3.0)
     elif _COUNTED.match(inside):
         weights["counts"] = max(weights.get("counts", 0.0), 4.0)
     elif _FOREIGN.match(inside):
-        weights["other"] = _UNIT_WEIGHT
+        weights["other"] = TUNING.roles_unit
     pair = re.fullmatch(r"[a-z]_d", name.strip().lower())
     commanded = bool(pair) and name.strip().lower()[0] in "qxyvw"
-    return Evidence(weights, commanded or any(word in _COMMANDED.split() for word in words), _is_changed(words))
+    return NameEvidence(weights, commanded or any(word in _COMMANDED.split() for word in words), _is_changed(words))
 
 
 def _weight(word: str) -> float:
@@ -172,7 +171,7 @@ def _split_compound(word: str) -> list[str]:
     for part in _PARTS:
         if word.startswith(part):
             return [part, *_split_compound(word.removeprefix(part))]
-        if word.endswith(part) and (len(part) > _BEGINS or part in ("pos", "ref", "cmd", "soll", "vel", "ist")):
+        if part in _ENDS and word.endswith(part):
             return [*_split_compound(word.removesuffix(part)), part]
     return []
 
