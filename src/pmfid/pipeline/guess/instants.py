@@ -88,7 +88,7 @@ def _value_weight(stamps: Stamps) -> float:
         return -np.inf
     if np.mean(steps >= 0) < TUNING.columns_mostly:
         return -2 * TUNING.pairs_clear
-    usual = np.minimum(steps, np.quantile(steps, TUNING.columns_mostly))
+    usual = np.clip(steps, 0, np.quantile(steps, TUNING.columns_mostly))
     even = is_rounded(stamps.values) or float(np.mean(np.abs(steps - np.median(steps)) <= np.mean(usual) / 2))
     grows, falls = np.mean(steps > 0) > TUNING.columns_mostly, np.any(steps < 0)
     return TUNING.pairs_clear * (2 * even - 1 + float(grows) - float(falls)) - stamps.may_be_numbers
