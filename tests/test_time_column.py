@@ -10,11 +10,12 @@ import polars as pl
 import pytest
 
 from pmfid.config.axis import Axis, load_axis
+from pmfid.config.record import RecordConfig
 from pmfid.errors import UsageError
 from pmfid.pipeline.identify import identify
 from pmfid.pipeline.monitored.stream import Stop, line_samples
 from pmfid.records.clock import PlacedRows, named_unit, place_rows, sample_period
-from pmfid.records.record import read_experiment, read_record
+from pmfid.records.record import read_experiment, read_record, record_of
 from pmfid.types import Floats
 from tests.conftest import cart_run
 
@@ -161,13 +162,7 @@ def test_rounded_stamps_of_an_even_clock_stay_even(period: float) -> None:
 
 
 def place(time: Floats, output: Floats) -> PlacedRows:
-    config = Axis.model_validate(
-        {
-            "record": {"input": "u", "output": "y", "time": "t", "time_unit": "s"},
-            "encoder": {"resolution": 1e-3},
-            "model": {"input_gain": 1.0},
-        }
-    ).record
+    config = axis_config()
     every = np.ones(time.size, bool)
     return place_rows(time, every, ~every, config, output)
 
@@ -180,3 +175,80 @@ def test_many_gaps_are_not_to_be_cut(tmp_path: Path) -> None:
     steps[[20, 50, 60, 90, 150]] = 10.0
     with pytest.raises(UsageError, match=r"6 gaps.*dt in place of time"):
         sample_period(0.01 * np.cumsum(steps), config)
+
+
+@pytest.mark.parametrize(
+    ("name", "step"), [("time(ms)", 100), ("time_s", 0.1), ("Zeit [s]", 0.25), ("t_us", 1_000_000)]
+)
+def test_a_slow_clock_with_its_unit_in_the_name_is_believed_with_a_note(tmp_path: Path, name: str, step: float) -> None:
+    record = read_record(logged(tmp_path, name, step), axis_of(tmp_path, name))
+    assert record.dt == pytest.approx(step * UNITS[named_unit(name) or "s"])
+    assert any("is slow for an axis" in note for note in record.notes)
+
+
+@pytest.mark.parametrize(("period", "digit"), [(0.0004, 0.001), (0.00025, 0.001), (0.003, 0.01)])
+def test_stamps_rounded_to_more_than_a_period_are_an_even_clock(period: float, digit: float) -> None:
+    """At rest, rows with one stamp repeat each other, and are samples nevertheless."""
+    k = np.arange(3000)
+    stamps = np.floor(period * k / digit + 0.3) * digit
+    config = axis_config()
+    rows = place_rows(stamps, np.ones(k.size, bool), k % 7 > 2, config, np.cumsum(np.sin(0.01 * k)))
+    assert rows.dt == pytest.approx(period, rel=1e-4)
+    np.testing.assert_array_equal(rows.places, k)
+
+
+def axis_config() -> RecordConfig:
+    record = {"input": "u", "output": "y", "time": "t", "time_unit": "s"}
+    return Axis.model_validate({"record": record, "encoder": {"resolution": 1e-3}, "model": {"input_gain": 1.0}}).record
+
+
+@pytest.mark.parametrize("factor", [1.0, 1e3])
+@pytest.mark.parametrize("steps", [(10, 12), (4, 5, 9), (20, 21, 22, 26)])
+def test_a_velocity_on_an_uneven_clock_gives_the_travel_of_its_position(steps: tuple[int, ...], factor: float) -> None:
+    """The stamps are in s or ms. The record was once refused for its clock, while a position was accepted."""
+    rng = np.random.default_rng(2)
+    t = 366.377 + 1e-3 * np.cumsum(rng.choice(steps, 1200))
+    phase = 2.0 * (t - t[0])
+    name = "s" if factor == 1 else "ms"
+    axes = [
+        Axis.model_validate(
+            {
+                "record": {"input": "u", "output": "y", "time": "t", "time_unit": name, "output_kind": kind},
+                "encoder": {"resolution": 1e-6},
+                "model": {"input_gain": 1.0},
+            }
+        )
+        for kind in ("position", "velocity")
+    ]
+    u = np.sign(np.sin(phase))
+    place, speed = (
+        record_of({"t": factor * t, "u": u, "y": y}, axis)
+        for y, axis in zip((1 - np.cos(phase), 2.0 * np.sin(phase)), axes, strict=True)
+    )
+    assert speed.dt == pytest.approx(place.dt, rel=1e-9)
+    travel = [(record.counts - record.counts[0]) * record.resolution for record in (place, speed)]
+    np.testing.assert_allclose(travel[1], travel[0], atol=2e-3)
+    np.testing.assert_allclose(speed.u, place.u)
+    assert speed.own is not None
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("value", [1e308, -1.7e308, 3.4e38 * 1e80, np.inf])
+@pytest.mark.parametrize("column", ["t", "u", "y"])
+@pytest.mark.parametrize("kind", ["position", "velocity"])
+def test_numbers_that_no_sensor_gives_are_missing(column: str, value: float, kind: str) -> None:
+    """Differences of such numbers once overflowed with a warning of NumPy."""
+    k = np.arange(400)
+    table = {"t": 0.01 * (k + (k > 200)), "u": np.sign(np.sin(k / 9)), "y": np.round(np.sin(k / 30), 3)}
+    table[column] = table[column].copy()
+    table[column][[50, 51, 300]] = value
+    axis = Axis.model_validate(
+        {
+            "record": {"input": "u", "output": "y", "time": "t", "time_unit": "s", "output_kind": kind},
+            "encoder": {"resolution": 1e-3},
+            "model": {"input_gain": 1.0},
+        }
+    )
+    record = record_of(table, axis)
+    assert record.there is not None
+    assert np.flatnonzero(~record.there).tolist() == [50, 51, 201, 301]
