@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pmfid.findings import Finding
+from pmfid.findings import Finding, Severity
 from pmfid.pipeline.checks.view import CheckedLog
 from pmfid.pipeline.guess.relations import compare
 from pmfid.pipeline.guess.roles import evidence_of, is_commanded
@@ -79,15 +79,23 @@ def find_command(log: CheckedLog) -> Iterator[Finding]:
     if is_commanded(name) and float(np.corrcoef(u, y)[0, 1]) > TUNING.force_alike:
         sentence = f"the input column {name!r} is the set point of {output!r}, not a force"
         yield Finding("command", sentence, f"log torque or current, or use {name} - {output} as the input", "wrong")
+    elif (gain := _measure_gain(log, u, y)) is not None:
+        sentence = f"the input column {name!r} has the gain {gain:.2f} of {output!r}, as a set point has"
+        severity: Severity = "wrong" if is_commanded(name) or evidence_of(name).lean("input") <= 0 else "doubt"
+        remedy = f"log the torque or current that drives {output}, and use it as the input"
+        yield Finding("command", sentence, remedy, severity)
     elif is_commanded(name):
         sentence = f"the input column {name!r} has the name of a command, and the drive may have given another torque"
         yield Finding("command", sentence, "use the measured torque or current if the log has one", "note")
-    elif not log.place_matters and evidence_of(name).lean("input") < TUNING.pairs_clear:
-        moved = y if log.axis.record.output_kind != "velocity" else np.gradient(y) / log.record.dt
-        if (likeness := compare(u[log.part], moved[log.part])).set_point:
-            yield Finding(
-                "command",
-                f"the input column {name!r} has the gain {likeness.gain:.2f} of {output!r}, as a set point has",
-                f"log the torque or current that drives {output}, and use it as the input",
-                "wrong" if evidence_of(name).lean("input") <= 0 else "doubt",
-            )
+
+
+def _measure_gain(log: CheckedLog, u: Floats, y: Floats) -> float | None:
+    """Return the gain from a set point u (n,) to the output, or None if the input is no set point.
+
+    The name of a force, and a model with a force that depends on the position y (n,), explain a gain of 1.
+    """
+    if log.place_matters or evidence_of(log.axis.record.input).lean("input") >= TUNING.pairs_clear:
+        return None
+    moved = np.gradient(y) / log.record.dt if log.axis.record.output_kind == "velocity" else y
+    likeness = compare(u[log.part], moved[log.part])
+    return likeness.gain if likeness.set_point else None
