@@ -15,9 +15,7 @@ from pmfid.types import Floats
 from tests.first_guess.bench import simulate
 
 
-def findings(
-    u: Floats, y: Floats, dt: float, kind: str, resolution: float, names: tuple[str, str]
-) -> dict[str, Finding]:
+def log_of(u: Floats, y: Floats, dt: float, kind: str, resolution: float, names: tuple[str, str]) -> CheckedLog:
     axis = Axis.model_validate(
         {
             "record": {"input": names[0], "output": names[1], "dt": dt, "output_kind": kind},
