@@ -96,7 +96,7 @@ INTRODUCTION = """\
 
 `python -m studies.referee --seed {seed}` wrote this page, its table and a row for each machine as CSV. The machines are
 random, and an independent integrator simulates them. Each fit gets one record, the input gain and the encoder, and
-assumes a plain drive. Three numbers in a cell are those of the mass, viscous friction and Coulomb friction.
+assumes a plain drive. The three numbers in a cell belong to mass, viscous friction and Coulomb friction.
 
 - empty: runs without a status word. Wrong: runs with an error beyond three standard errors and 1 %.
 - silent: wrong runs without a status word. Silent, wide: the same, with the standard error of the 95 % interval.
