@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Unpack, cast, overload
 
@@ -28,11 +28,11 @@ from pmfid.pipeline.identify import check as checked
 from pmfid.pipeline.identify import identify as run
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.kinds import Records, parameters_of
-from pmfid.pipeline.result import Result
+from pmfid.pipeline.result import ProcessResult, Result
 from pmfid.pipeline.terms import TermSearch, list_periodic_forces, search_drive
 from pmfid.pipeline.validation import Validation, validate_parameters
 from pmfid.records.joining import join_records
-from pmfid.records.record import Record, record_of
+from pmfid.records.record import Record, record_of, travel_of
 
 #: Names of input and output in messages.
 INPUT, OUTPUT = "u", "y"
@@ -90,7 +90,7 @@ def identify(
         The input. A missing sample is NaN. Several records are [(u, y), (u, y)], or several `Experiment`. With `axis`,
         u is a table of pandas, Polars or Arrow, or one or several paths of files.
     y : array_like (n,), optional
-        For a machine, the counts of its encoder as integers (see `quantize`). For a transfer function, its output.
+        With an encoder, its counts as integers (see `quantize`). Without an encoder, the output of a transfer function.
     model : Drive, EquationModel or TransferFunction
         The plant. Not allowed with `axis`.
     axis : path, str, dict or Axis
@@ -99,7 +99,7 @@ def identify(
     dt : float
         Sample period [s].
     encoder : Encoder
-        The encoder of a machine.
+        The encoder, which every machine needs. With an encoder, the output of a transfer function is in counts.
     **settings
         Keys of [estimator] in AXIS.toml: method ("auto"), cutoff, order, forgetting, forgetting_scheme, discretization,
         prefilter_zeros and precision. The cutoff is the pole of the filters [rad/s]. By default, the record of a
@@ -143,7 +143,8 @@ def identify(
         raise UsageError("model and axis are both missing: give a Drive as model, or an AXIS.toml as axis")
     if isinstance(model, TransferFunction):
         experiments = _experiments(u, y, dt)
-        return run(experiments, axis_of(model, encoder, experiments[0].period, {**settings}))
+        whole = axis_of(model, encoder, experiments[0].period, {**settings})
+        return run(_scale_outputs(experiments, whole), whole)
     pairs = _pairs(u) if y is None else [(cast(ArrayLike, u), y)]
     if not pairs or dt is None or encoder is None:
         raise UsageError(f"{model.kind} needs u, counts, dt and encoder: pass all four, u and counts as arrays (n,)")
@@ -268,8 +269,11 @@ def validate(
     if isinstance(own.model, TransferFunction):
         period = own.dt if dt is None and y is not None else dt
         experiments = _experiments(u, y, period)
-        axis = axis_of(own.model, encoder, experiments[0].period, {"cutoff": own.cutoff})
-        data = [[part] for part in experiments]
+        counted = isinstance(result, ProcessResult) and result.counted
+        axis = axis_of(
+            own.model, encoder or (own.encoder if counted else None), experiments[0].period, {"cutoff": own.cutoff}
+        )
+        data = [[part] for part in _scale_outputs(experiments, axis)]
     elif y is None:
         raise UsageError(f"validation of a {own.model.kind} needs u and counts (n,); give both")
     else:
@@ -416,6 +420,21 @@ def _model(model: Model) -> dict[str, object]:
         if own.shape is not None:
             term["shape"]["form"] = next(form for form, made in SHAPES.items() if made is type(own.shape))
     return {"kind": model.kind, "unknown": unknown, "known": known, "dead_time": late, "lag": lag}
+
+
+def _scale_outputs(experiments: Sequence[Experiment], axis: Axis) -> list[Experiment]:
+    """Return the experiments with counts converted to travel. Without an encoder, the outputs already have their unit."""
+    if axis.record.output_kind != "counts":
+        return list(experiments)
+    for experiment in experiments:
+        off = np.flatnonzero(np.isfinite(experiment.y) & (experiment.y != np.rint(experiment.y)))
+        if off.size:
+            raise UsageError(
+                f"with an encoder, the output must be counts (whole numbers), got {experiment.y[off[0]]:.6g} in row "
+                f"{off[0] + 1} of {experiment.name}; leave out encoder if the output has its unit, or pass quantize(y, "
+                "resolution)"
+            )
+    return [replace(experiment, y=travel_of(experiment.y, axis)) for experiment in experiments]
 
 
 def _experiments(u: object, y: ArrayLike | None, dt: float | None) -> list[Experiment]:

@@ -78,10 +78,7 @@ def _describe_machine(result: Result) -> str:
 
 def _half_intervals(result: Result) -> Floats:
     """Return half of each 95 % interval (p,), from the standard errors alone if the model spread is unknown."""
-    if result.interval_95 is not None and result.model_spread is not None:
-        spread = np.where(np.isfinite(result.model_spread), result.model_spread, 0.0)
-    else:
-        spread = np.zeros(result.theta.size)
+    spread = 0.0 if result.model_spread is None else np.nan_to_num(result.model_spread)
     return np.asarray(TUNING.normal_95 * np.hypot(result.theta_std, spread))
 
 

@@ -95,7 +95,8 @@ class Processes(Kind[Sequence[Experiment]]):
         found = [*findings_on(data, checks, process, flags, unstable), *doubts(estimator, theta, std, checks)]
         found += make_notes("reference", [IGNORED.format(method=method)] * (problem.referenced and not referenced))
         findings = sort_findings((*status_findings(bits), *found))
-        return ProcessResult(estimator, theta, std, findings, tuple(data), process, checks)
+        counted = axis.record.output_kind == "counts"
+        return ProcessResult(estimator, theta, std, findings, tuple(data), process, checks, counted)
 
 
 def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Estimator:

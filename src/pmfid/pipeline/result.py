@@ -46,7 +46,7 @@ class Parametric(Protocol):
     @property
     def model_spread(self) -> Floats | None: ...
     @property
-    def interval_95(self) -> Floats | None: ...
+    def interval_95(self) -> Floats: ...
     @property
     def beforehand(self) -> Mapping[str, str]: ...
     @property
@@ -55,18 +55,16 @@ class Parametric(Protocol):
 
 def parameter_header(result: Parametric) -> tuple[str, ...]:
     """Return the names of the columns of `parameter_rows`."""
-    beyond = () if result.model_spread is None else FOLDED
-    return ("parameter", "value", "std", *beyond, "unit")
+    return ("parameter", "value", "std", *(FOLDED[1:] if result.model_spread is None else FOLDED), "unit")
 
 
 def parameter_rows(result: Parametric) -> list[list[str]]:
-    """Return one row of text for each parameter. For a machine, the row includes the model spread and the interval that
-    contains it."""
+    """Return one row of text for each parameter. For a machine, the row includes the model spread."""
     names, units = result.names, result.units
-    found = zip(names, result.theta, result.theta_std, _list_beyond_noise(result), units, strict=True)
+    found = zip(names, result.theta, result.theta_std, _list_intervals(result), units, strict=True)
     return [
-        [_format_name(result, name), format_value(value, std), f"{std:.2g}", *beyond, unit]
-        for name, value, std, beyond, unit in found
+        [_format_name(result, name), format_value(value, std), f"{std:.2g}", *interval, unit]
+        for name, value, std, interval, unit in found
     ]
 
 
@@ -107,13 +105,13 @@ def format_interval(low: float, high: float) -> str:
     return f"{low:.{digits}g} to {high:.{digits}g}"
 
 
-def _list_beyond_noise(result: Parametric) -> list[list[str]]:
-    if result.model_spread is None or result.interval_95 is None:
-        return [[]] * len(result.names)
-    return [
-        [f"{spread:.2g}", format_interval(low, high)] if np.isfinite(spread) else [UNKNOWN, UNKNOWN]
-        for spread, (low, high) in zip(result.model_spread, result.interval_95, strict=True)
-    ]
+def _list_intervals(result: Parametric) -> list[list[str]]:
+    """Return the cells of each parameter for the model spread, if the result has one, and for the interval."""
+    intervals = [format_interval(low, high) if np.isfinite(low) else UNKNOWN for low, high in result.interval_95]
+    if result.model_spread is None:
+        return [[interval] for interval in intervals]
+    spreads = [f"{spread:.2g}" if np.isfinite(spread) else UNKNOWN for spread in result.model_spread]
+    return [list(cells) for cells in zip(spreads, intervals, strict=True)]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -182,15 +180,13 @@ class Result(Presentable):
         return {}
 
     @property
-    def interval_95(self) -> Floats | None:
-        """The intervals (p, 2) that hold the parameters in 95 % of the records, including the model spread.
+    def interval_95(self) -> Floats:
+        """The intervals (p, 2) that hold the parameters in 95 % of the records.
 
-        An unknown interval is NaN. The property is None without a model spread. The interval of a positive mass or
-        friction does not extend below zero.
+        The intervals of a machine include the model spread, and are NaN if it is unknown. The intervals of a transfer
+        function cover random errors. The interval of a positive mass or friction does not extend below zero.
         """
-        if self.model_spread is None:
-            return None
-        half = DIAGNOSTIC_TUNING.normal_95 * np.hypot(self.theta_std, self.model_spread)
+        half = DIAGNOSTIC_TUNING.normal_95 * np.hypot(self.theta_std, 0.0 if self.model_spread is None else self.model_spread)
         positive = np.zeros(self.theta.size, dtype=bool)
         positive[: len(self.estimator.equation.names)] = self.estimator.equation.positive
         low = self.theta - half
@@ -217,7 +213,7 @@ class Result(Presentable):
     def __str__(self) -> str:
         """Return a line for each parameter, and then the status and the findings."""
         lines = [self.title, *(f"  {line}" for line in self._lines)]
-        lines += [f"  95 % with unmodelled effects: {line}" for line in self._list_beyond_noise()]
+        lines += [f"  {line}" for line in self._list_interval_lines()]
         return "\n".join([*lines, *self._remarks])
 
     @property
@@ -241,47 +237,42 @@ class Result(Presentable):
         return Summary(self.title, parameter_header(self), parameter_rows(self), self._lines, self._remarks)
 
     def columns(self) -> dict[str, object]:
-        """The columns of a table with one row for each parameter. For a machine, the columns include model_spread, and
-        low and high of the 95 % interval."""
-        own = Parameters(self.names, self.units, self.theta, self.theta_std).columns
-        if self.model_spread is None or self.interval_95 is None:
-            return own
+        """The columns of a table with one row for each parameter, with low and high of the 95 % interval. For a
+        machine, the columns include model_spread."""
+        columns = Parameters(self.names, self.units, self.theta, self.theta_std).columns
+        spread = {} if self.model_spread is None else {"model_spread": self.model_spread}
         low, high = self.interval_95.T
-        return own | {"model_spread": self.model_spread, "low": low, "high": high}
+        return columns | spread | {"low": low, "high": high}
 
     def to_dict(self) -> dict[str, object]:
         """Return the object that `--json` prints, as plain values."""
         return plain_dict(self.to_json())
 
-    def _list_beyond_noise(self) -> list[str]:
-        """Return one line for each parameter with a known model spread."""
-        if self.model_spread is None or self.interval_95 is None:
-            return []
-        rows = zip(self.names, self.model_spread, self.interval_95, strict=True)
+    def _list_interval_lines(self) -> list[str]:
+        """Return one line for each parameter with a known interval."""
+        kind, spreads = "95 %", [""] * len(self.names)
+        if self.model_spread is not None:
+            kind = "95 % with unmodelled effects"
+            spreads = [f" (model spread {spread:.2g})" for spread in self.model_spread]
+        rows = zip(self.names, self.interval_95, spreads, strict=True)
         return [
-            f"{name} {low:.6g} to {high:.6g} (model spread {spread:.2g})"
-            for name, spread, (low, high) in rows
-            if np.isfinite(spread)
+            f"{kind}: {name} {low:.6g} to {high:.6g}{spread}" for name, (low, high), spread in rows if np.isfinite(low)
         ]
 
-    def _describe_beyond_noise(self) -> dict[str, dict[str, object]]:
-        """Return the entries of `to_json` on the model spread by parameter. An unknown spread is null."""
-        names = self.names
-        if self.model_spread is None or self.interval_95 is None:
-            return {name: {} for name in names}
-        return {
-            name: {
-                "model_spread": float(spread) if np.isfinite(spread) else None,
-                "interval_95": interval.tolist() if np.all(np.isfinite(interval)) else None,
-            }
-            for name, spread, interval in zip(names, self.model_spread, self.interval_95, strict=True)
-        }
+    def _describe_intervals(self) -> dict[str, dict[str, object]]:
+        """Return the entries of `to_json` on intervals by parameter. An unknown interval or spread is null."""
+        entries: list[dict[str, object]] = [{} for _ in self.names]
+        if self.model_spread is not None:
+            entries = [{"model_spread": spread if np.isfinite(spread) else None} for spread in self.model_spread.tolist()]
+        for entry, interval in zip(entries, self.interval_95, strict=True):
+            entry["interval_95"] = interval.tolist() if np.all(np.isfinite(interval)) else None
+        return dict(zip(self.names, entries, strict=True))
 
     def to_json(self) -> dict[str, object]:
         """Return the object that `--json` prints."""
         estimator = self.estimator
         rows = zip(self.names, self.units, self.theta, self.theta_std, strict=True)
-        further = self._describe_beyond_noise()
+        further = self._describe_intervals()
         return {
             "model": estimator.model.kind,
             "method": estimator.method,
@@ -357,11 +348,13 @@ class DriveResult(Result):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class ProcessResult(Result):
-    """The result of a transfer function `process`. `assessment` covers all records."""
+    """The result of a transfer function `process`. `assessment` covers all records. `counted` says that an encoder
+    counted the output."""
 
     experiments: tuple[Experiment, ...]
     process: Process
     assessment: Assessment
+    counted: bool = False
 
     @property
     def name(self) -> str:

@@ -159,10 +159,8 @@ def _read_parameter(result: Result, name: str) -> tuple[float, float, float]:
     """Return an estimate and the ends of its 95 % interval."""
     index = result.names.index(name)
     value, half = float(result.theta[index]), DIAGNOSTIC_TUNING.normal_95 * float(result.theta_std[index])
-    interval: Floats | None = result.interval_95
-    if interval is not None and np.isfinite(interval[index]).all():
-        return value, float(interval[index][0]), float(interval[index][1])
-    return value, value - half, value + half
+    low, high = result.interval_95[index].tolist()
+    return (value, low, high) if np.isfinite(low) else (value, value - half, value + half)
 
 
 # --- findings ---------------------------------------------------------------------------------------------------------

@@ -159,9 +159,7 @@ def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
     y, t = columns["output"], columns.get("time")
     t = None if t is None else t * _stated_factor(config)
     if config.output_kind == "counts":
-        resolution = axis.encoder.resolution
-        step = 1.0 if resolution == NO_ENCODER else resolution
-        y = _scale_column(unwrap_counts(y, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
+        y = travel_of(y, axis)
     return Experiment(
         _scale_column(columns["input"], scale),
         y,
@@ -172,6 +170,13 @@ def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
         reference=columns.get("reference"),
         name=name,
     )
+
+
+def travel_of(counts: Floats, axis: Axis) -> Floats:
+    """Return the middle (n,) of the step of each count. A missing count remains NaN. Raises UsageError for fractions."""
+    round_counts(counts[np.isfinite(counts)])
+    step = 1.0 if axis.encoder.resolution == NO_ENCODER else axis.encoder.resolution
+    return _scale_column(unwrap_counts(counts, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
 
 
 def read_record(path: Path, axis: Axis, coarse: Coarser | None = None) -> Record:

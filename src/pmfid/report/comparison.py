@@ -27,8 +27,8 @@ def write_comparison(out: Path, comparison: Comparison) -> None:
 
 
 def _thin(comparison: Comparison) -> str:
-    known = any(result.interval_95 is not None for result in comparison.results.values())
-    return "Thin lines: 95 % intervals, including unmodelled effects." if known else ""
+    machine = any(result.model_spread is not None for result in comparison.results.values())
+    return f"Thin lines: 95 % intervals{', including unmodelled effects' if machine else ''}."
 
 
 def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
@@ -67,8 +67,7 @@ def comparison_dots(comparison: Comparison) -> Figure:
                 if name not in result.names:
                     continue
                 i = result.names.index(name)
-                if result.interval_95 is not None:
-                    panel.plot(result.interval_95[i], [row, row], color=GREY, linewidth=1.4, zorder=2)
+                panel.plot(result.interval_95[i], [row, row], color=GREY, linewidth=1.4, zorder=2)
                 panel.errorbar(result.theta[i], row, xerr=2 * result.theta_std[i], fmt="o", color=COLOURS[0], capsize=3)
             panel.set_xlabel(f"{name.replace('_', ' ')} in {unit}" if unit else name.replace("_", " "))
             panel.locator_params(axis="x", nbins=4)
