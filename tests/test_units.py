@@ -14,8 +14,10 @@ import polars as pl
 import pytest
 
 from pmfid.config.axis import Axis
+from pmfid.config.record import conversion
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
+from pmfid.pipeline.guess.axis_file import guess
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.monitored.stream import Stop, line_samples
 from pmfid.records.record import Record, read_record
@@ -98,11 +100,54 @@ def test_units_of_outputs(name: str, unit: str | None) -> None:
         ("F_kN", "kN"),
         ("u_v", None),
         ("u", None),
+        ("iq_A", "A"),
+        ("I / A", "A"),
+        ("motor_i_A", "A"),
+        ("iq_A_filt", "A"),
+        ("Iq[A].1", "A"),
+        ("current_ampere", "A"),
+        ("uq_V", "V"),
+        ("Fx_N", "N"),
+        ("motor_A", None),
+        ("tau(1)", None),
     ],
 )
 def test_units_of_inputs(name: str, unit: str | None) -> None:
     found = column_unit(name, INPUTS)
     assert (found and found.name) == unit
+
+
+@pytest.mark.parametrize(
+    ("name", "gain", "per", "right"),
+    [
+        ("iq_A", "0.35 N m/V", "V", "A"),
+        ("u_V", "0.35 N m/A", "A", "V"),
+        ("I / A", "3 N/V", "V", "A"),
+        ("iq [A] raw", "0.35 N m/%", "%", "A"),
+        ("torque_cmd [%]", "0.35 N m/A", "A", "%"),
+    ],
+)
+def test_the_unit_in_any_name_must_be_that_of_the_gain(name: str, gain: str, per: str, right: str) -> None:
+    """A current "iq_A" with a gain per volt was accepted once."""
+    with pytest.raises(UsageError, match=f"input_gain is per {per}: write it per {right}, or rename the column"):
+        conversion(axis("y", name, input_gain=gain), name, "y")
+
+
+def test_a_gain_without_a_unit_is_per_percent_of_a_column_in_percent(tmp_path: Path) -> None:
+    """Only "0.02 N/1" was accepted once."""
+    path = logged(tmp_path, "y", input_name="torque_cmd [%]")
+    record = same(read_record(path, axis("y", "torque_cmd [%]", input_gain=2.0)))
+    assert "input_gain = 2 is per % of 'torque_cmd [%]'" in record.notes
+    stated = axis("y", "torque_cmd [%]", input_gain="2 N/%")
+    masses = [identify(read_record(path, one), one)["mass"] for one in (stated, axis("y", "torque_cmd [%]"))]
+    assert masses == pytest.approx([1.07, 1.07], rel=0.02)
+    text = guess(path).text
+    assert "input_gain = 1.0" in text and "force or torque per % of the input" in text
+
+
+def test_a_gain_without_a_unit_of_input_is_ambiguous_for_a_converted_column() -> None:
+    with pytest.raises(UsageError, match=r'write \[model\] input_gain = "0.35 N m/mA" or "0.35 N m/A"'):
+        conversion(axis("y", "iq_mA", input_gain="0.35 N m"), "iq_mA", "y")
 
 
 def test_numbers_with_units() -> None:
@@ -162,7 +207,7 @@ def test_an_input_in_another_unit(tmp_path: Path) -> None:
     assert identify(same(read_record(path, right)), right)["mass"] == pytest.approx(1.07, rel=0.02)
     per_unit = axis("y", "Current [mA]", input_gain="0.002 N/mA")
     assert per_unit.model.input_gain == pytest.approx(2.0)
-    with pytest.raises(UsageError, match=r"is in mA, and .* input_gain is per voltage: write it per A"):
+    with pytest.raises(UsageError, match=r"is in mA, and .* input_gain is per V: write it per A"):
         read_record(path, axis("y", "Current [mA]", input_gain="2 N/V"))
     scaled = read_record(path, axis("y", "Current [mA]", record_input_scale=1e-3))
     same(scaled)  # the user converts

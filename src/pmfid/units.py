@@ -75,6 +75,7 @@ _ALIASES = {
     "°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "dps": "deg/s", "u": "rev", "turns": "rev",
     "1/min": "rpm", "u/min": "rpm", "min-1": "rpm", "r/min": "rpm", "1/s": "rev/s", "rps": "rev/s", "m.s-1": "m/s",
     "pct": "%", "percent": "%", "‰": "permille", "arms": "A", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
+    "ampere": "A", "amperes": "A", "newtons": "N", "newtonmeter": "N m", "newtonmetre": "N m",
     "newton": "N", "metre": "m", "meter": "m", "millimeter": "mm", "radian": "rad", "radians": "rad",
 }  # fmt: skip
 #: Units that messages name in addition to the SI units.
@@ -82,12 +83,19 @@ _USUAL = ("mm", "deg", "rpm", "mA", "kN", "%")
 #: Smallest number of letters of a unit after an underscore, stroke, blank or point. A single letter is usually an
 #: index.
 _LEAST_LETTERS = 2
-#: A single letter is a unit after the name of its quantity.
-_MEASURED = re.compile(r"((kraft|force)[\s_./]N|(strom|current)[\s_./]A|(spannung|voltage)[\s_./]V)$", re.IGNORECASE)
 #: A quantity divided by its unit, such as "F/N" (DIN 1313). A path of a topic has more strokes.
 _DIVIDED = re.compile(r"[^/]+/[^/]+$")
 #: A name that ends in "in" is an input, unless it begins with the name of a length.
 _INCHES = re.compile(r"(pos\w*|travel|stroke|dist\w*|displ\w*|length|height|weg|lage)[\W_]in$", re.IGNORECASE)
+#: A single letter is a unit if a word before it is a symbol of its quantity or ends with its name.
+_MEASURED = {
+    "A": re.compile(r"i[abcdmqs]?|curr|amps?|.*(current|strom)"),
+    "V": re.compile(r"[uv][abcdmqs]?|.*(volts?|voltage|spannung)"),
+    "N": re.compile(r"f[xyz]?|thrust|.*(force|kraft)"),
+}
+_IN_BRACKETS = re.compile(r"[\[(]([^\])\d]*)[\])]")
+#: Words after the unit.
+_AFTER_UNIT = re.compile(r"([\s_.]+(filt\w*|smooth\w*|raw|meas\w*|act|actual|avg|mean|rms))+$", re.IGNORECASE)
 
 
 class Quantity(float):
@@ -123,20 +131,32 @@ def unit_named(text: str, table: dict[str, Unit]) -> Unit | None:
 
 def column_unit(name: str, table: dict[str, Unit]) -> Unit | None:
     """Return the unit in a column's name, such as "Current [mA]", "pos_mm" or "phi (deg)", or None."""
-    if found := re.search(r"[\[(]([^\])]*)[\])]\s*$", name):
-        return unit_named(found.group(1), table)
-    if found := re.search(rf"[\s_.]({'|'.join((*_LENGTHS, *_ANGLES))})(?:_|_?p(?:er_?)?)s$", name):
+    for text in reversed(_IN_BRACKETS.findall(name)):
+        if unit := unit_named(text, table):
+            return unit
+    bare = _AFTER_UNIT.sub("", name.strip())
+    if found := re.search(rf"[\s_.]({'|'.join((*_LENGTHS, *_ANGLES))})(?:_|_?p(?:er_?)?)s$", bare):
         return table.get(f"{found.group(1)}/s")
-    if _DIVIDED.match(name) and (unit := unit_named(name.partition("/")[2], table)):
+    if _DIVIDED.match(bare) and (unit := unit_named(bare.partition("/")[2], table)):
         return unit
-    last = re.search(r"[\s_.]([A-Za-zµμ°]+/[a-z]+)$", name) or re.search(r"[\s_/.]([A-Za-zµμ°%]+)$", name)
+    last = re.search(r"[\s_.]([A-Za-zµμ°]+/[a-z]+)$", bare) or re.search(r"[\s_/.,]([A-Za-zµμ°%]+)$", bare)
     if last is None:
         return None
     last_word = last.group(1)
-    if last_word.lower() == "in" and not _INCHES.match(name):
+    if last_word.lower() == "in" and not _INCHES.match(bare):
         return None
-    clear = len(last_word) >= _LEAST_LETTERS or last_word in "°%" or _MEASURED.search(name)
+    clear = len(last_word) >= _LEAST_LETTERS or last_word in "°%" or _follows_quantity(bare[: last.start()], last_word)
     return unit_named(last_word, table) if clear else None
+
+
+def _follows_quantity(before: str, letter: str) -> bool:
+    """Return whether the text before a single letter names the quantity that the letter measures."""
+    split = re.sub(r"([a-z])([A-Z])", r"\1 \2", before)
+    words = [word for word in re.split(r"[\W_\d]+", split.lower()) if word]
+    pattern = _MEASURED.get(letter.upper())
+    return pattern is not None and any(
+        pattern.fullmatch(word) for word in words if letter.isupper() or len(word) > _LEAST_LETTERS
+    )
 
 
 _NUMBER = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*$")

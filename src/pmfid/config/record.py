@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal, Self
 
 from pydantic import AfterValidator, Field, model_validator
@@ -197,6 +197,8 @@ def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
         said.append(
             f"input_gain is 1, so forces are in the unit of {input_name!r}; for forces in N give [model] input_gain"
         )
+    elif u is not None and u.of == "ratio" and u.name != "1" and type(axis.model.input_gain) is float:
+        said.append(f"input_gain = {axis.model.input_gain:.9g} is per {u.name} of {input_name!r}")
     return Conversion(u.factor if u else 1.0, y.factor if y else 1.0, kind, tuple(said))
 
 
@@ -292,20 +294,29 @@ def _input_unit(axis: Sections, name: str) -> Unit | None:
     if unit is None or isinstance(gain, str) or gain is None:
         return unit
     if isinstance(gain, Quantity):
-        of = gain.unit.of.partition("/")[2]
-        if of not in (unit.of, "ratio"):
+        force, per = gain.unit.name.split("/")
+        if gain.unit.of.endswith(f"/{unit.of}"):
+            return unit
+        if per != "1":
             raise UsageError(
-                f"the input column {name!r} is in {unit.name}, and [model] input_gain is per {of}: write it per "
-                f"{SI[unit.of]}"
+                f"the input column {name!r} is in {unit.name}, and [model] input_gain is per {per}: write it per "
+                f"{_base(unit)}, or rename the column if its unit is {per}"
             )
-    elif not unit.plain:
+    else:
         force = "N m" if axis.model.axis == "rotary" else "N"
+        if unit.of == "ratio":  # no other unit is usual
+            return replace(unit, factor=1.0)
+    if not unit.plain:
+        value = f"{gain / (gain.unit.factor if isinstance(gain, Quantity) else 1.0):.9g} {force}"
         raise UsageError(
-            f"the input column {name!r} is in {unit.name}, and input_gain = {gain:.9g} may be meant for {unit.name} or "
-            f'for {SI[unit.of]}: write [model] input_gain = "{gain:.9g} {force}/{unit.name}" or "{gain:.9g} '
-            f'{force}/{SI[unit.of]}"'
+            f"the input column {name!r} is in {unit.name}, and input_gain = {value} may be meant for {unit.name} or "
+            f'for {SI[unit.of]}: write [model] input_gain = "{value}/{unit.name}" or "{value}/{SI[unit.of]}"'
         )
     return unit
+
+
+def _base(unit: Unit) -> str:
+    return unit.name if unit.of == "ratio" else SI[unit.of]
 
 
 def _format_unit(unit: Unit) -> str:

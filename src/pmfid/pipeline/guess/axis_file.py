@@ -284,15 +284,16 @@ def _model(result: AxisGuess, pair: Pair, travel: Unit | None, ask: Ask | None) 
         written = repr(own) if unit.plain else f'"{own:g} {SI[unit.of]}/{SI[unit.of]}"'
         result.add("model", f"input_gain = {written}", f"the input is a {unit.of}{_sign(pair)}")
         return
-    per = f"per {SI[unit.of]} of" if unit else "per unit of"
-    example = f"{'0.42' if force == 'N m' else '55'} {force}/{SI[unit.of] if unit else 'A'}"
+    base = "" if unit is None else unit.name if unit.of == "ratio" else SI[unit.of]
+    per = f"per {base or 'unit'} of"
+    example = f"{'0.42' if force == 'N m' else '55'} {force}/{base or 'A'}"
     question = f'force or torque {per} the input, in N or N m, or as "{example}"'
     usual = Unit(f"{force}/{SI[unit.of] if unit else ''}", "torque" if rotary else "force" if travel else "", 1.0)
     answer = ask(question, lambda text: read_gain(text, usual)) if ask else None
     reason = f"{TO_DO}force or torque {per} the input; with 1 results are {per} it"
     value = 1.0 if answer is None else answer
-    if not isinstance(value, Quantity) and unit is not None and not unit.plain:
-        value = Quantity(value, Unit(f"{force}/{SI[unit.of]}", "gain", 1.0))
+    if not isinstance(value, Quantity) and unit is not None and not unit.plain and unit.of != "ratio":
+        value = Quantity(value, Unit(f"{force}/{base}", "gain", 1.0))
     written = _format_answer(value, pair.turned)
     result.add("model", f"input_gain = {written}", (reason if answer is None else "as answered") + _sign(pair))
 
