@@ -13,12 +13,14 @@ if TYPE_CHECKING:
 
 def print_appraisal(appraisal: Appraisal, out: Path | None) -> None:
     """Print a design in comparison with the standard inputs, its predicted standard deviations, and its warnings."""
-    from pmfid.report.design import criteria_table, price_words, proof, std_table
+    from pmfid.report.design import criteria_table, price_words, proof, recommendation, shows_encoder, std_table
 
     unknown = ", ".join(name.replace("_", " ") for name in appraisal.design.problem.unknown)
     _table(f"Input for {unknown}", criteria_table(appraisal))
-    _table("Predicted standard deviation after one run", std_table(appraisal))
-    _lines(proof(appraisal.design), f"Recommended: {appraisal.recommended.replace('_', ' ')}.")
+    counted = shows_encoder(appraisal)
+    title = "Predicted standard deviation after one run" + (", estimated from the counts" if counted else "")
+    _table(title, std_table(appraisal, through_encoder=counted))
+    _lines(proof(appraisal.design), recommendation(appraisal))
     _lines(*(f"warning: {text}" for text in appraisal.warnings))
     if appraisal.price is not None:
         _lines(price_words(appraisal.price))

@@ -157,11 +157,21 @@ class Appraisal(Presentable):
         covariances = {name: worth.covariance for name, worth in self.worths.items()}
         return best_input(self.design.problem, self.rule, covariances)
 
+    @property
+    def ranking(self) -> tuple[str, ...]:
+        """The names of all inputs, the recommended input first."""
+        return (self.recommended, *(name for name in self.worths if name != self.recommended))
+
+    def expect_std(self, name: str) -> dict[str, float]:
+        """Return the standard deviation of each unknown parameter that decides on the recommendation."""
+        return stds(self.design.problem, self.worths[name].covariance)
+
     def summary(self) -> Summary:
         """Return the predicted standard deviations of each input, with lines for the design and the recommended
         input."""
         unknown = self.design.problem.unknown
-        rows = [(name, *(f"{worth.predicted_std[own]:.2g}" for own in unknown)) for name, worth in self.worths.items()]
+        predicted = {name: self.worths[name].predicted_std for name in self.ranking}
+        rows = [(name, *(f"{std[own]:.2g}" for own in unknown)) for name, std in predicted.items()]
         title = f"{self.design.criterion}, standard deviations after one run; to be run: {self.recommended}"
         own = [row for row in rows if row[0] in ("design", self.recommended)]
         lines = [

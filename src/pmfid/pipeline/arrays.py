@@ -423,7 +423,7 @@ def _model(model: Model) -> dict[str, object]:
 
 
 def _scale_outputs(experiments: Sequence[Experiment], axis: Axis) -> list[Experiment]:
-    """Return the experiments with counts converted to travel. Without an encoder, the outputs already have their unit."""
+    """Return the experiments with counts converted to travel. Without an encoder, nothing needs conversion."""
     if axis.record.output_kind != "counts":
         return list(experiments)
     for experiment in experiments:

@@ -41,6 +41,7 @@ from pmfid.models.drive import EquationModel
 from pmfid.models.equation import ESTIMATE, LATE, Equation
 from pmfid.models.shapes import Square
 from pmfid.pipeline import checks
+from pmfid.pipeline.checks.inputs import note_one_level
 from pmfid.pipeline.checks.readings import INTEGRATE, convert_velocity
 from pmfid.pipeline.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.pipeline.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
@@ -168,7 +169,8 @@ class Drives(Kind[Record]):
         known = repair_as_configured(data, axis)
         result = try_both_signs(axis, lambda own: _identify_by_method(known.record, own, axis, progress))
         result = replace(result, theta_std=np.hypot(_widen_errors(result, data), _period_errors(result, data, axis)))
-        return result.with_findings(*known.findings, *_clock_findings(data))
+        scaling = "the gain was estimated" if finds_gain(axis) else "all parameters scale with the gain"
+        return result.with_findings(*known.findings, *_clock_findings(data), *note_one_level([data.u], scaling))
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
         whole = unbroken(data)

@@ -28,6 +28,7 @@ from pmfid.io.tables import Table
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.order import DELAYS, ORDERS, UNSTABLE, OrderCandidate, Search, accepted_first, search_structure
 from pmfid.models.transfer_function import TransferFunction
+from pmfid.pipeline.checks.inputs import note_one_level
 from pmfid.pipeline.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.pipeline.result import ProcessResult, delay_of, expects_unstable
 from pmfid.pipeline.stored import Stored
@@ -94,6 +95,7 @@ class Processes(Kind[Sequence[Experiment]]):
         flags = flags_on(checks, process, referenced, unstable)
         found = [*findings_on(data, checks, process, flags, unstable), *doubts(estimator, theta, std, checks)]
         found += make_notes("reference", [IGNORED.format(method=method)] * (problem.referenced and not referenced))
+        found += note_one_level([part.u for part in data], "the numerator scales with the gain")
         findings = sort_findings((*status_findings(bits), *found))
         counted = axis.record.output_kind == "counts"
         return ProcessResult(estimator, theta, std, findings, tuple(data), process, checks, counted)

@@ -186,7 +186,8 @@ class Result(Presentable):
         The intervals of a machine include the model spread, and are NaN if it is unknown. The intervals of a transfer
         function cover random errors. The interval of a positive mass or friction does not extend below zero.
         """
-        half = DIAGNOSTIC_TUNING.normal_95 * np.hypot(self.theta_std, 0.0 if self.model_spread is None else self.model_spread)
+        spread = 0.0 if self.model_spread is None else self.model_spread
+        half = DIAGNOSTIC_TUNING.normal_95 * np.hypot(self.theta_std, spread)
         positive = np.zeros(self.theta.size, dtype=bool)
         positive[: len(self.estimator.equation.names)] = self.estimator.equation.positive
         low = self.theta - half
@@ -261,12 +262,15 @@ class Result(Presentable):
 
     def _describe_intervals(self) -> dict[str, dict[str, object]]:
         """Return the entries of `to_json` on intervals by parameter. An unknown interval or spread is null."""
-        entries: list[dict[str, object]] = [{} for _ in self.names]
-        if self.model_spread is not None:
-            entries = [{"model_spread": spread if np.isfinite(spread) else None} for spread in self.model_spread.tolist()]
-        for entry, interval in zip(entries, self.interval_95, strict=True):
-            entry["interval_95"] = interval.tolist() if np.all(np.isfinite(interval)) else None
-        return dict(zip(self.names, entries, strict=True))
+        entries: dict[str, dict[str, object]] = {
+            name: {"interval_95": interval.tolist() if np.all(np.isfinite(interval)) else None}
+            for name, interval in zip(self.names, self.interval_95, strict=True)
+        }
+        if self.model_spread is None:
+            return entries
+        spreads = [spread if np.isfinite(spread) else None for spread in self.model_spread.tolist()]
+        rows = zip(entries.items(), spreads, strict=True)
+        return {name: {"model_spread": spread} | entry for (name, entry), spread in rows}
 
     def to_json(self) -> dict[str, object]:
         """Return the object that `--json` prints."""

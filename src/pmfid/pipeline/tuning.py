@@ -21,6 +21,9 @@ class PipelineTuning:
     # checks.inputs
     #: Number of values below which an input consists of steps.
     inputs_levels: int = 20
+    #: Relative width of a level of a measured input, and largest part of the rows between the levels.
+    one_level: float = 0.1
+    one_level_rows: float = 0.02
     #: Smallest part of the record at a limit. `inputs_piled` is the smallest ratio of rows at the limit to rows at one
     #: of the `inputs_neighbours` nearest values.
     at_limit: float = 0.005
@@ -95,6 +98,10 @@ class PipelineTuning:
     #: the number of counts per sample above which the encoder itself does not change the velocity by so much.
     timing_hasty: float = 0.42
     timing_fine: float = 3.0
+    #: Time in which the velocity of a machine changes by its size [s]. A longer or a shorter time is doubted if the
+    #: sample period is also beyond the periods of usual logs.
+    timing_slowest: float = 1.0
+    timing_fastest: float = 1e-4
     #: Limits for records that are too short for filters. `timing_rather` is the relative change of the velocity.
     #: `timing_astray` is the part of the change that the logged input does not explain. `timing_counts` is the smallest
     #: standard deviation of the change [counts]. `timing_rows` is the smallest number of rows.

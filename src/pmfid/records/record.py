@@ -173,7 +173,7 @@ def experiment_of(table: Table, axis: Axis, name: str = "record") -> Experiment:
 
 
 def travel_of(counts: Floats, axis: Axis) -> Floats:
-    """Return the middle (n,) of the step of each count. A missing count remains NaN. Raises UsageError for fractions."""
+    """Return the middle (n,) of the step of each count, or NaN. Raises UsageError for fractions."""
     round_counts(counts[np.isfinite(counts)])
     step = 1.0 if axis.encoder.resolution == NO_ENCODER else axis.encoder.resolution
     return _scale_column(unwrap_counts(counts, axis.encoder.bits) + 0.5, step, "[encoder] resolution")

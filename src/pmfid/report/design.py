@@ -154,7 +154,8 @@ def criteria_table(appraisal: Appraisal) -> Rows:
     """
     header = ["input", appraisal.design.criterion, "gain of design", "survives stiction", "profile"]
     rows = []
-    for name, worth in appraisal.worths.items():
+    for name in appraisal.ranking:
+        worth = appraisal.worths[name]
         standard = appraisal.standard.get(name)
         surviving = "-" if worth.surviving is None else f"{worth.surviving:.3f}"
         bent = "" if standard is None else "bent" if standard.bent else "exact"
@@ -168,10 +169,16 @@ def std_table(appraisal: Appraisal, *, through_encoder: bool = False) -> Rows:
     problem = appraisal.design.problem
     header = ["input", *(f"{_words(name)} [% of {problem.nominal[name]:.4g}]" for name in problem.unknown)]
     rows = []
-    for key, worth in appraisal.worths.items():
+    for key in appraisal.ranking:
+        worth = appraisal.worths[key]
         std = worth.std_encoder if through_encoder else worth.predicted_std
         rows.append([key.replace("_", " "), *(_percent(std[name], problem.nominal[name]) for name in problem.unknown)])
     return header, rows
+
+
+def shows_encoder(appraisal: Appraisal) -> bool:
+    """Return whether an encoder counts the position and the design determines a parameter from the counts."""
+    return any(np.isfinite(std) for std in appraisal.worths["design"].std_encoder.values())
 
 
 def _percent(std: float, nominal: float) -> str:
@@ -203,8 +210,23 @@ def _sections(appraisal: Appraisal) -> list[Section]:
     return sections
 
 
+def recommendation(appraisal: Appraisal) -> str:
+    """Return the recommended input, with the standard deviations that decide against the design."""
+    best, problem = appraisal.recommended, appraisal.design.problem
+    if best == "design":
+        return "Recommended: design."
+    other, own = appraisal.expect_std("design"), appraisal.expect_std(best)
+    worst = max(problem.unknown, key=lambda name: other[name] / own[name] if np.isfinite(other[name]) else np.inf)
+    left, right = (_percent(std[worst], problem.nominal[worst]) for std in (own, other))
+    against = f"{right} % after the design" if right != "-" else "unknown after the design"
+    return (
+        f"Recommended: {best.replace('_', ' ')}. As estimated from one run, the standard deviation of {_words(worst)} "
+        f"is {left} % after this input, and {against}."
+    )
+
+
 def _encoder_sections(appraisal: Appraisal) -> list[Section]:
-    if not any(np.isfinite(std) for std in appraisal.worths["design"].std_encoder.values()):
+    if not shows_encoder(appraisal):
         return []
     return [Section("Deviations with this encoder", _ENCODER_TEXT, std_table(appraisal, through_encoder=True))]
 
@@ -266,7 +288,8 @@ def _summary(appraisal: Appraisal) -> str:
     design = appraisal.design
     meaning = f"Criterion {design.criterion}: {CRITERIA[design.criterion]}; larger is better."
     price = [price_words(appraisal.price)] if appraisal.price is not None else []
-    return "\n\n".join([meaning, proof(design), *price, *(f"Warning: {text}." for text in appraisal.warnings)])
+    warnings = [f"Warning: {text}." for text in appraisal.warnings]
+    return "\n\n".join([meaning, recommendation(appraisal), proof(design), *price, *warnings])
 
 
 def motions_of(appraisal: Appraisal) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:

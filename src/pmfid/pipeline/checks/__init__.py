@@ -14,7 +14,7 @@ from pmfid.pipeline.checks.counter import find_frozen_counts, forgotten_bits, he
 from pmfid.pipeline.checks.force import find_command, find_unsigned
 from pmfid.pipeline.checks.inputs import find_saturation, held_input
 from pmfid.pipeline.checks.readings import find_gravity, find_load, no_inertia, no_motion, read_as
-from pmfid.pipeline.checks.timing import drifts, too_fast, too_slow
+from pmfid.pipeline.checks.timing import drifts, odd_period, too_fast, too_slow
 from pmfid.pipeline.checks.view import CheckedLog
 from pmfid.records.joining import unbroken
 from pmfid.records.record import Record
@@ -30,7 +30,7 @@ SOON: tuple[tuple[Check, ...], ...] = (
     (read_as,),
     (find_load,),
     (held_output, find_frozen_counts, held_input, find_saturation),
-    (too_slow, jump),
+    (too_slow, odd_period, jump),
 )
 LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
 

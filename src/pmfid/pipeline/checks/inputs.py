@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from pmfid.pipeline.checks.view import CheckedLog, View, view, with_friction
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
-__all__ = ["find_saturation", "held_input"]
+__all__ = ["find_saturation", "held_input", "note_one_level"]
 
 LARGER = "log the force or current with a larger range, or record a smaller motion"
 
@@ -53,6 +53,28 @@ def find_saturation(log: CheckedLog) -> Iterator[Finding]:
         yield Finding("saturated", sentence, LARGER, detail=f"The log cuts off the force. {first}")
     else:
         yield Finding("saturated", sentence, f"if the drive gave more than that, {LARGER}", "note", first)
+
+
+def note_one_level(inputs: Sequence[Floats], scaling: str) -> list[Finding]:
+    """Return a note if the inputs (n,) show the gain at one level only. `scaling` says what depends on the gain."""
+    u = np.concatenate([part[np.isfinite(part)] for part in inputs])
+    levels = _list_levels(u)
+    if not levels:
+        return []
+    sentence = f"{scaling} at the input {' and '.join(levels)}, and this record does not show the gain at other inputs"
+    return [Finding("gain_level", sentence, "record an input of several sizes to check the amplifier", "note")]
+
+
+def _list_levels(u: Floats) -> list[str]:
+    """Return the two values of an input (n,) or its one size besides zero, or an empty list for any other input."""
+    values = np.unique(u)
+    if values.size <= 2:
+        same = np.allclose(values, -values[::-1])
+        return [f"±{values[-1]:.4g}"] if same else [f"{value:.4g}" for value in values]
+    size = np.abs(u)
+    level = float(np.median(size[2 * size > size.max()]))
+    others = (size > TUNING.one_level * level) & (np.abs(size - level) > TUNING.one_level * level)
+    return [] if np.mean(others) > TUNING.one_level_rows else [f"±{level:.4g}"]
 
 
 def _varies(u: Floats) -> bool:
