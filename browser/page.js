@@ -106,7 +106,8 @@ function fill({ columns, resolution, axis: { record = {}, encoder = {}, model = 
 
 function show(answer) {
   for (const name of ["sentence", "action", "axis"]) at(name).textContent = answer[name];
-  const row = (kind, cells) => cells.reduce((line, cell) => (line.append(Object.assign(document.createElement(kind), { textContent: cell })), line), document.createElement("tr"));
+  const spare = answer.header.map((name) => ["std", "model spread"].includes(name) && answer.header.includes("95 %"));
+  const row = (kind, cells) => cells.reduce((line, cell, column) => (line.append(Object.assign(document.createElement(kind), { textContent: cell, className: spare[column] ? "spare" : "" })), line), document.createElement("tr"));
   at("head").replaceChildren(row("th", answer.header));
   at("rows").replaceChildren(...answer.rows.map((cells) => row("td", cells)));
   for (const name of ["findings", "notes"]) {

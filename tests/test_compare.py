@@ -92,7 +92,7 @@ def test_a_transfer_function_by_every_method(tmp_path):
         assert result["fit"] == pytest.approx(90.1, abs=0.3)
     printed = run(str(record), str(record), "--config", str(config), "--out", str(tmp_path))
     assert "fit" in printed
-    assert "ls has no answer: ls takes one evenly spaced record" in printed
+    assert "ls has no answer: ls needs one evenly spaced record" in printed
     assert "a0 in s^-2" in (tmp_path / "compare.html").read_text()
 
 

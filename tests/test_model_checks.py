@@ -275,7 +275,7 @@ def test_report_has_the_motion_first_and_the_other_checks_last(tmp_path: Path) -
     found = re.findall(r"<h2>(?:Model check: )?(.*)</h2>", page)
     assert [found[1], *found[-3:]] == list(HEADINGS)
     assert "<p>Note: one.</p>\n<p>Note: two.</p>" in page
-    assert "input u" in page
+    assert "input [N]" in page
     assert "unit of u" not in page
 
 

@@ -266,7 +266,7 @@ def test_it_is_not_known_where_nothing_simulates_the_equation() -> None:
     assert "model spread" not in str(found)
 
 
-def test_a_transfer_function_has_none() -> None:
+def test_a_transfer_function_has_an_interval_of_its_standard_errors() -> None:
     rng = np.random.default_rng(2)
     u = np.repeat(np.sign(rng.standard_normal(60)), 10)
     y = np.zeros(u.size)
@@ -276,8 +276,9 @@ def test_a_transfer_function_has_none() -> None:
         u, y + 0.01 * rng.standard_normal(y.size), model=pmfid.TransferFunction(1, 0), dt=0.1, cutoff=2
     )
     assert found.model_spread is None
-    assert found.interval_95 is None
-    assert parameter_header(found) == ("parameter", "value", "std", "unit")
+    np.testing.assert_allclose(np.diff(found.interval_95)[:, 0], 2 * 1.96 * found.theta_std, rtol=1e-3)
+    assert parameter_header(found) == ("parameter", "value", "std", "95 %", "unit")
+    assert found.to_json()["parameters"]["b0"]["interval_95"] == found.interval_95[1].tolist()  # type: ignore[index]
 
 
 def test_an_interval_has_the_digits_of_its_width() -> None:

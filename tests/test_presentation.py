@@ -176,7 +176,7 @@ def test_figures_take_times_and_nominal_values() -> None:
 def test_what_cannot_be_simulated_has_a_figure_too() -> None:
     drive, process = gallery()["drive"], gallery()["process"]
     nonsense = replace(drive, theta=-drive.theta)  # type: ignore[type-var, union-attr]
-    assert [axes.get_ylabel() for axes in nonsense.plot().axes] == ["input u", "velocity [m/s]"]
+    assert [axes.get_ylabel() for axes in nonsense.plot().axes] == ["input [N]", "velocity [m/s]"]
     unstable = replace(process, process=replace(process.process, a=np.array([-1.0])))  # type: ignore[type-var, union-attr]
     assert "fit unknown, unstable" in repr(unstable)
     assert [axes.get_ylabel() for axes in unstable.plot().axes] == ["magnitude [dB]", "phase [degrees]"]

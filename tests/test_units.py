@@ -142,7 +142,8 @@ def test_a_gain_without_a_unit_is_per_percent_of_a_column_in_percent(tmp_path: P
     masses = [identify(read_record(path, one), one)["mass"] for one in (stated, axis("y", "torque_cmd [%]"))]
     assert masses == pytest.approx([1.07, 1.07], rel=0.02)
     text = guess(path).text
-    assert "input_gain = 1.0" in text and "force or torque per % of the input" in text
+    assert "input_gain = 1.0" in text
+    assert "force or torque per % of the input" in text
 
 
 def test_a_gain_without_a_unit_of_input_is_ambiguous_for_a_converted_column() -> None:

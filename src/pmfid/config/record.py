@@ -169,13 +169,15 @@ class Sections:
 class Conversion:
     """Factors to SI of u and y.
 
-    `kind` is the kind of the axis, or None if it is undetermined. `notes` are sentences for people.
+    `kind` is the kind of the axis, or None if it is undetermined. `notes` are sentences for people. `input_unit` is the
+    unit of u after the conversion, or empty if it is unknown.
     """
 
     u: float
     y: float
     kind: AxisKind | None
     notes: tuple[str, ...]
+    input_unit: str
 
 
 def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
@@ -188,7 +190,7 @@ def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
     if axis.model.kind != "drive":  # the user defines the units, which all numbers share
         columns = " and ".join(f"{key} in {unit.name}" for key, unit in own.items() if unit)
         notes = (f"the file has {columns}: the results are in these units",) if columns else ()
-        return Conversion(1.0, 1.0, None, notes)
+        return Conversion(1.0, 1.0, None, notes, own["u"].name if own["u"] else "")
     y, u = _output_unit(axis, output_name), _input_unit(axis, input_name)
     kind = axis_kind(axis, y)
     named = [f"{key} in {_format_unit(unit)}" for key, unit in (("u", u), ("y", y)) if unit]
@@ -199,7 +201,15 @@ def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
         )
     elif u is not None and u.of == "ratio" and u.name != "1" and type(axis.model.input_gain) is float:
         said.append(f"input_gain = {axis.model.input_gain:.9g} is per {u.name} of {input_name!r}")
-    return Conversion(u.factor if u else 1.0, y.factor if y else 1.0, kind, tuple(said))
+    return Conversion(u.factor if u else 1.0, y.factor if y else 1.0, kind, tuple(said), _converted_unit(axis, u))
+
+
+def _converted_unit(axis: Sections, unit: Unit | None) -> str:
+    """Return the unit of the converted input. Without a unit in the column, the gain may be per unit of input."""
+    if unit is not None:
+        return unit.name if unit.plain else SI[unit.of]
+    gain = axis.model.input_gain
+    return SI[gain.unit.of.partition("/")[2]] if isinstance(gain, Quantity) else ""
 
 
 def axis_kind(axis: Sections, unit: Unit | None = None) -> AxisKind | None:

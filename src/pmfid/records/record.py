@@ -113,6 +113,7 @@ class Record:
     between its samples. `in_counts` says whether lengths are in counts, because the travel of a count is unknown.
     `ages` (n,) is the time from the last edge of the encoder to the sample [s], NaN without an edge, or None.
     `dt_error` is the relative standard error of the sample period, if the stamps scatter around an even grid.
+    `input_unit` is the unit of u, or empty if neither column nor gain has one.
     """
 
     u: Floats
@@ -130,6 +131,7 @@ class Record:
     in_counts: bool = False
     ages: Floats | None = None
     dt_error: float = 0.0
+    input_unit: str = ""
 
     @property
     def times(self) -> Floats:
@@ -285,7 +287,7 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     if found is not None and found.own is not None:
         before = found.own.before * (rows.dt / found.own.before[0])
         own = _own_record(found.own, SampleSteps(before), scale * units.u, units.y, coarse, axis)
-        own = replace(own, notes=notes, name=name, rotary=rotary, in_counts=in_counts)
+        own = replace(own, notes=notes, name=name, rotary=rotary, in_counts=in_counts, input_unit=units.input_unit)
     obstacle = (
         "the steps of the clock vary"
         if found is not None
@@ -319,6 +321,7 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         in_counts=in_counts,
         ages=ages,
         dt_error=dt_error,
+        input_unit=units.input_unit,
     )
 
 

@@ -14,6 +14,7 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.gridspec import GridSpec
 from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
@@ -71,6 +72,28 @@ def open_figure(height: float, rows: int = 1, columns: int = 1, **subplots: Any)
     with figure_style():
         figure = Figure(figsize=(TUNING.figures_width, height), layout="constrained")
         yield figure, list(figure.subplots(rows, columns, squeeze=False, **subplots).ravel())
+
+
+def narrow_figure(figure: Figure) -> None:
+    """Change a figure to the width of a phone, with panels of equal width below each other."""
+    height, panels = figure.get_figheight(), figure.axes
+    grid = panels[0].get_gridspec()
+    if grid is not None and grid.ncols > 1 and np.ptp(np.asarray(grid.get_width_ratios(), float)) == 0:
+        shown = [panel for panel in panels if panel.get_visible() and panel.axison]
+        height *= len(shown) / grid.nrows
+        stack = GridSpec(len(shown), 1, figure=figure)
+        for row, panel in enumerate(shown):
+            panel.set_subplotspec(stack[row, 0])
+            panel.tick_params(labelleft=True)
+    for legend in (*figure.legends, *filter(None, (panel.get_legend() for panel in panels))):
+        if legend.get_window_extent().width > 0.95 * TUNING.figures_phone * figure.dpi:
+            labels = [text.get_text() for text in legend.get_texts()]
+            handles = [handle for handle in legend.legend_handles if handle is not None]
+            columns = 2 if max(map(len, labels)) <= TUNING.figures_label else 1
+            legend.remove()
+            figure.legend(handles, labels, loc="outside upper center", ncols=columns)
+            height += 0.2 * len(labels) / columns
+    figure.set_size_inches(TUNING.figures_phone, height)
 
 
 def plain_ticks(axis: Axis) -> None:

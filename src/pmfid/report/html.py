@@ -17,7 +17,7 @@ import jinja2
 from matplotlib.figure import Figure
 
 from pmfid.errors import UsageError
-from pmfid.report.figures import figure_style
+from pmfid.report.figures import figure_style, narrow_figure
 from pmfid.report.tuning import TUNING
 
 
@@ -78,7 +78,13 @@ class Section:
 
 
 def svg(figure: Figure) -> str:
-    """Return the figure as an <svg> element for HTML. Equal figures give equal text."""
+    """Return the figure as two <svg> elements for HTML, the second one for a phone. Equal figures give equal text."""
+    wide = _draw(figure)
+    narrow_figure(figure)
+    return f"{wide}\n{_own_ids(_draw(figure), 'phone-')}"
+
+
+def _draw(figure: Figure) -> str:
     buffer = io.StringIO()
     with figure_style(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing")  # the reader's fonts have the glyphs

@@ -155,7 +155,7 @@ def _drive(result: DriveResult) -> Figure:
     except PmfidError:
         balance = None
     if balance is None:
-        return motion_figure(result.record, result.estimator.equation.motion.speed)
+        return motion_figure(result.record, result.estimator.equation)
     return simulation_figure(balance)
 
 

@@ -15,7 +15,7 @@ from pmfid.estimators.output_error import Following
 from pmfid.io.row_file import fresh
 from pmfid.linear.order import Search
 from pmfid.linear.process import Process
-from pmfid.models.axes import LINEAR
+from pmfid.models.equation import Equation
 from pmfid.pipeline.conclusion import conclude
 from pmfid.pipeline.processes import search_json
 from pmfid.pipeline.result import DriveResult, ProcessResult, Result, findings_lines, parameter_header, parameter_rows
@@ -96,18 +96,19 @@ def _drive_notes(result: DriveResult) -> Section:
     )
 
 
-def motion_figure(record: Record, speed: str = LINEAR.speed) -> Figure:
-    """Draw input and velocity of a record, with `speed` as the unit of the velocity."""
+def motion_figure(record: Record, equation: Equation) -> Figure:
+    """Draw input and velocity of a record. An input of unknown unit is drawn as the force of the equation."""
     velocity = np.gradient(record.counts * record.resolution, record.times)
-    signals = signals_figure(record.times, record.u, velocity, velocity_unit=speed)
-    signals.axes[0].set_ylabel("input u")  # a record does not contain the unit
-    return signals
+    u, unit = record.u, record.input_unit
+    if not unit:
+        u, unit = equation.input_gain * record.u, equation.motion.force
+    return signals_figure(record.times, u, velocity, input_unit=unit, velocity_unit=equation.motion.speed)
 
 
 def _figures(result: DriveResult) -> list[Section]:
     record, own = result.record, result.estimator.equation.motion
     t = record.times
-    sections = [Section("Input and motion", svg=svg(motion_figure(record, own.speed)))]
+    sections = [Section("Input and motion", svg=svg(motion_figure(record, result.estimator.equation)))]
     if result.track is not None:
         sections.insert(0, Section("Estimates", svg=svg(estimate_figure(t, result.track, None))))
         sections.append(Section("Status", svg=svg(status_figure(t, result.track.status))))
