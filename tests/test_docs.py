@@ -55,6 +55,12 @@ def test_methods_named_are_the_methods_there_are():
     assert table == {name: cls.__name__ for name, cls in ESTIMATORS.items()}
 
 
+def test_the_comparison_with_mujoco_leaves_its_intervals():
+    section = (ROOT / "docs" / "coming_from.md").read_text("utf-8").partition("## mujoco.sysid")[2]
+    assert "Both give confidence intervals" in section
+    assert "error bar" not in section
+
+
 def test_version_is_one():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert project["version"] == pmfid.__version__

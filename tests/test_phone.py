@@ -110,5 +110,7 @@ def test_the_table_of_the_browser_page_shows_the_interval(phone: Any) -> None:
     start = "const at = id => document.getElementById(id); let drawn; const draw = () => {};"
     phone.evaluate(f"answer => {{ {start} {show} show(answer) }}", answer)
     assert phone.evaluate(CUT) == 0
-    shown = phone.evaluate("[...document.querySelectorAll('#head th')].filter(e => e.offsetWidth).map(e => e.innerText)")
+    shown = phone.evaluate(
+        "[...document.querySelectorAll('#head th')].filter(e => e.offsetWidth).map(e => e.innerText)"
+    )
     assert shown == ["parameter", "value", "95 %", "unit"]

@@ -122,6 +122,17 @@ def test_wrong_options_are_type_errors(complaints: dict[int, str]) -> None:
         assert "error: " in complaints.get(number, ""), line
 
 
+def test_documented_code_passes_mypy(tmp_path: Path) -> None:
+    """`result.interval_95[0]` was an error, because the intervals could be None."""
+    for page in (REPOSITORY / "README.md", *(REPOSITORY / "docs").rglob("*.md")):
+        blocks = re.findall(r"^```python\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)
+        (tmp_path / f"{'_'.join(page.relative_to(REPOSITORY).with_suffix('').parts)}.py").write_text("\n".join(blocks))
+    scripts = [str(script) for script in tmp_path.glob("*.py")]
+    command = [sys.executable, "-m", "mypy", "--no-pretty", "--strict", *scripts]
+    run = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout
+
+
 @pytest.mark.parametrize(
     ("typed", "section"),
     [

@@ -355,25 +355,47 @@ def _conclude(problem: ServoProblem, z: Floats, std: Floats, added: tuple[str, .
     servo, residual, theta = problem.servo, problem.residual(z), problem.theta(z)
     limited = problem.run(z)[2]
     rms = float(np.sqrt(np.mean(residual**2)))
-    findings = _find(servo, theta, std, rms, _measure_doubt(problem, z), limited, added)
+    doubt, advice = _measure_doubt(problem, z), advise_log(problem.t, problem.goal)
+    findings = _find(servo, theta, std, rms, doubt, limited, added, advice)
     if not any(finding.code == "unmodelled" for finding in findings):
         findings += _find_hidden(problem, z, std)
     return ServoFit(servo, theta, std, residual + problem.position, rms, limited, added, tuple(sort_findings(findings)))
 
 
+MORE_TERMS = "add a term to the model, or move one joint at a time"
+
+
+def advise_log(t: Floats, goal: Floats) -> str:
+    """Return the advice for a log with times t (n,) and goals (n,) whose motion the model does not follow.
+
+    Stamps that jitter hide the inertia of a smooth motion in the delay. Even times are no stamps of readings.
+    """
+    steps, changes = np.diff(t), np.abs(np.diff(goal))
+    even = np.ptp(steps) < TUNING.stamped * np.mean(steps)
+    smooth = np.max(changes, initial=0.0) < TUNING.goal_step * np.ptp(goal)
+    stamp, command = "stamp each sample when the position is read", "command steps as well"
+    advice = [text for text, missing in ((stamp, even), (command, smooth)) if missing]
+    return ", and ".join(advice) or MORE_TERMS
+
+
 def _find(
-    servo: Servo, theta: Floats, std: Floats, rms: float, doubt: float, limited: float, added: tuple[str, ...]
+    servo: Servo,
+    theta: Floats,
+    std: Floats,
+    rms: float,
+    doubt: float,
+    limited: float,
+    added: tuple[str, ...],
+    advice: str,
 ) -> list[Finding]:
     findings, deviation = [], rms / servo.resolution
     if doubt > TUNING.doubted:
         more = doubt * TUNING.least_scatter
         sentence = f"in addition to rounding, the simulated motion deviates by {more:.2g} encoder steps for a while"
-        findings.append(Finding("unmodelled", sentence, "add a term to the model, or move one joint at a time"))
+        findings.append(Finding("unmodelled", sentence, MORE_TERMS))
     elif deviation > TUNING.noisy / math.sqrt(12):
         sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
-        # Stamps that jitter hide the inertia of a smooth motion in the delay.
-        remedy = "stamp each sample when the position is read, and command steps as well"
-        findings.append(Finding("unmodelled", sentence, remedy))
+        findings.append(Finding("unmodelled", sentence, advice))
     unclear, zero = _open_parameters(servo, theta, std)
     if unclear:
         sentence = f"the log says too little on {', '.join(unclear)}"

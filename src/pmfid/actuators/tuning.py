@@ -133,6 +133,10 @@ class ActuatorTuning:
     doubted: float = 1.7
     #: The residual contradicts the model from this multiple of the rounding on, also if it is not correlated.
     noisy: float = 3.0
+    #: Smallest scatter of the steps of stamps relative to their mean, and smallest jump of a commanded step relative to
+    #: the range of the goals.
+    stamped: float = 1e-3
+    goal_step: float = 0.1
     #: A parameter is open from this relative standard error on.
     open_from: float = 0.5
     #: The torque is limited during so much of the record that a limit belongs to the model.

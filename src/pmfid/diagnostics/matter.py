@@ -52,7 +52,7 @@ FLAGS = {
     "refused": "pmfid identify gives no estimate for this record; the finding gives the reason",
     "little_motion": "the axis moves too little or too evenly: record reversals and varying speed",
     "rate_low": "the velocity changes too much from row to row: record at a shorter sample period",
-    "odd_period": "no machine moves like this at this sample period: give the period in s, or the unit of the time",
+    "odd_period": "no machine moves like this at this sample period: give dt in s",
     "rate_high": "nearly all rows repeat the last count: keep every n-th row, with the mean input up to the next one",
     "uneven_clock": "the time steps differ, so the record was resampled for this method: log at a fixed rate",
     "drift": "input and output have two different clocks: log both with one clock",

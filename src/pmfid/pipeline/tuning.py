@@ -24,6 +24,9 @@ class PipelineTuning:
     #: Relative width of a level of a measured input, and largest part of the rows between the levels.
     one_level: float = 0.1
     one_level_rows: float = 0.02
+    #: Largest ratio of the part that held inputs leave unexplained to the part that straight lines leave, if the drive
+    #: holds its input. The ratio is 0.03 to 0.78 for held inputs, and at least 0.96 for inputs that change in between.
+    inputs_held: float = 0.9
     #: Smallest part of the record at a limit. `inputs_piled` is the smallest ratio of rows at the limit to rows at one
     #: of the `inputs_neighbours` nearest values.
     at_limit: float = 0.005

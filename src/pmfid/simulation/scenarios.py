@@ -4,6 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
+from typing import TypedDict
 
 import numpy as np
 
@@ -47,13 +48,21 @@ def change_parameters(parameters: DriveParameters, at: float, ramp: float = 0.0,
     return Schedule(((0.0, parameters), (at, replace(parameters, **changes))), (0.0, ramp))
 
 
+class ControlGains(TypedDict):
+    """The gains of `position_control`: kp [V/m], kd [V s/m] and the largest input [V]."""
+
+    kp: float
+    kd: float
+    u_max: float
+
+
 CART = DriveParameters(mass=1.07, viscous_friction=12.8, coulomb_friction=0.8, input_gain=2.0)
 CART_LOADED = replace(CART, mass=1.44)
 CART_DT = 0.01
 CART_INCREMENTS = 4096
 CART_RESOLUTION = 22.75e-6
 #: Gains of the cart's PD position control on the bench [V/m, V s/m], and the largest input [V].
-CART_CONTROL = {"kp": 200.0, "kd": 5.0, "u_max": 6.0}
+CART_CONTROL: ControlGains = {"kp": 200.0, "kd": 5.0, "u_max": 6.0}
 STROKE, MOVE_TIME, DWELL_TIME = 0.2, 0.8, 0.5
 #: Frequencies of the multisine [Hz].
 TONES = (0.2, 0.5, 0.9, 1.4, 2.1, 3.0, 4.3, 6.2)

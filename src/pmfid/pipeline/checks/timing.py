@@ -14,7 +14,6 @@ from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog, View, hasty, view, with_friction
 from pmfid.pipeline.guess.columns import step_of
 from pmfid.pipeline.tuning import TUNING
-from pmfid.records.clock import named_unit
 from pmfid.types import Counts, Floats
 
 __all__ = ["Drift", "drift_of"]
@@ -158,12 +157,12 @@ def too_fast(log: CheckedLog) -> Iterator[Finding]:
 
 
 def odd_period(log: CheckedLog) -> Iterator[Finding]:
-    """Yield a finding for a period that no usual log has, at which the velocity also changes as no machine's does.
+    """Yield a finding for a `dt` that no usual log has, at which the velocity also changes as no machine's does.
 
-    A time column with a unit is evidence for its period.
+    The unit of a time column is checked on reading.
     """
-    config, dt = log.axis.record, log.record.dt
-    if not log.is_machine or (config.time is not None and (config.time_unit or named_unit(config.time))):
+    dt = log.record.dt
+    if not log.is_machine or log.axis.record.time is not None:
         return
     hurry = hasty(np.diff(log.known.counts))
     per_row = counts_per_sample(log.known.counts)
@@ -171,17 +170,11 @@ def odd_period(log: CheckedLog) -> Iterator[Finding]:
     fast = dt < TUNING.axis_file_shortest and dt < TUNING.timing_fastest * hurry and per_row >= 1
     if not (hurry > 0 and (slow or fast)):
         return
-    if config.time is not None:
-        remedy = f'give [record] time_unit = "{"ms" if slow else "s"}" if {config.time!r} is in {"ms" if slow else "s"}'
-    elif slow:
-        remedy = f"dt is in s: give {dt / 1e3:.6g} if {dt:.6g} ms was meant"
-    else:
-        remedy = "dt is in s: give the time from one row to the next"
     yield Finding(
         "odd_period",
         f"with a sample period of {dt:.6g} s and {per_row:.3g} counts per row, the velocity takes {dt / hurry:.3g} s "
         f"to change, which is unusually {'long' if slow else 'short'} for a machine",
-        remedy,
+        "dt is in s: give " + (f"{dt / 1e3:.6g} if {dt:.6g} ms was meant" if slow else "the time between two rows"),
     )
 
 
