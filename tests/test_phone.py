@@ -52,7 +52,7 @@ def beside_an_axis() -> Figure:
     with open_figure(3.2) as (figure, (axes,)):
         for number in range(4):
             axes.plot([0, 1], [number, 1], label=f"record number {number}")
-        axes.set_xlabel("restarted every [s]; last point: never (dotted: standstill)")
+        axes.set_xlabel("restarted every [s]; last point: never (dotted: standstill; dashed: encoder alone)")
         axes.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=4, borderaxespad=0.2)
     return figure
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from itertools import cycle, pairwise
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
 import matplotlib
@@ -93,6 +94,8 @@ def narrow_figure(figure: Figure) -> None:
             legend.remove()
             figure.legend(handles, labels, loc="outside upper center", ncols=columns)
             height += 0.2 * len(labels) / columns
+    for panel in panels:
+        panel.set_xlabel(fill(panel.get_xlabel(), TUNING.figures_line))
     figure.set_size_inches(TUNING.figures_phone, height)
 
 

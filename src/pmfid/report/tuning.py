@@ -26,8 +26,9 @@ class ReportTuning:
     max_points: int = 2000
     figures_width: float = 9.0
     figures_phone: float = 4.5
-    #: Longest label of a legend with two columns on a phone.
+    #: Longest label of a legend with two columns, and longest line of the label of an axis on a phone.
     figures_label: int = 18
+    figures_line: int = 48
 
     # fleet
     #: Number of names in a panel, least change [%] with a name, and numbers of the map's rows and periods.
