@@ -491,7 +491,7 @@ def test_out_writes_the_report_the_numbers_and_the_track(
     assert json.loads((out / "result.json").read_text()) == printed
     html = (out / "report.html").read_text()
     assert f"<h1>cart.csv: {printed['method']}</h1>" in html
-    assert html.count("<svg") >= 2
+    assert html.count("<figure") >= 2
     if track:
         last = pl.read_parquet(out / "track.parquet").row(-1, named=True)
         assert {name: last[name] for name in TRUTH} == values(printed)

@@ -68,7 +68,7 @@ def test_table_and_report(record, tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == {"compare.html", "compare.json"}
     page = (tmp_path / "compare.html").read_text()
     assert "mass in kg" in page
-    assert page.count("<svg") == 1
+    assert page.count("<figure") == 1
 
 
 def test_nothing_to_identify_is_said_once(tmp_path):

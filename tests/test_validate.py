@@ -99,7 +99,7 @@ def test_what_identify_writes_is_what_validate_reads(tmp_path: Path) -> None:
     assert "parameters by ls" in result.stdout
     assert "run2.csv" in result.stdout
     page = (tmp_path / "out" / "validation.html").read_text("utf-8")
-    assert page.count("<svg") == 3
+    assert page.count("<figure") == 3
     stored = json.loads((tmp_path / "out" / "validation.json").read_text())
     assert stored == json.loads(called(arguments, "--json").stdout)
 
