@@ -73,8 +73,9 @@ def note_one_level(inputs: Sequence[Floats], scaling: str) -> list[Finding]:
     levels = _list_levels(u)
     if not levels:
         return []
-    sentence = f"{scaling} at the input {' and '.join(levels)}, and this record does not show the gain at other inputs"
-    return [Finding("gain_level", sentence, "record an input of several sizes to check the amplifier", "note")]
+    sentence = f"{scaling} at the input {' and '.join(levels)}, and the record has no other input"
+    detail = "An input of several sizes shows whether the amplifier is linear."
+    return [Finding("gain_level", sentence, severity="note", detail=detail)]
 
 
 def _list_levels(u: Floats) -> list[str]:
