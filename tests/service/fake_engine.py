@@ -13,7 +13,7 @@ from threading import Event, Thread
 
 import numpy as np
 
-from pmfid.monitor.events import STATES, Alarm
+from pmfid.monitor.events import STATES, Alarm, Change
 from pmfid.pipeline.monitored.run import event_object
 from pmfid.records.record import Record
 from pmfid.service.web.board import Board
@@ -127,8 +127,9 @@ class FakePlant:
 
     def alarm(self, axis: str, parameter: str = "mass", unit: str = "kg", relative: float = 0.078) -> int:
         t = self.samples * DT
-        sizes = {"change": 2.05 * relative, "std": 0.011, "relative": relative, "statistic": 31.2, "threshold": 17.9}
-        return self.tell(axis, **event_object(Alarm(t, t - 1.4, parameter, unit, **sizes, tolerance=0.02), ()))
+        change = Change(parameter, unit, change=2.05 * relative, std=0.011, relative=relative)
+        alarm = Alarm(t, t - 1.4, (change,), statistic=31.2, threshold=17.9, tolerance=0.02)
+        return self.tell(axis, **event_object(alarm, ()))
 
     # --- requests of the page ---
 

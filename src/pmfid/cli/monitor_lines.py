@@ -32,15 +32,18 @@ def _describe_source(event: Notice) -> str:
 
 
 def _alarm(event: Notice) -> str:
-    name = event["parameter"].replace("_", " ")
-    size = f"{event['change']:+.3g} ± {event['std']:.1g} {event['unit']}".rstrip()
-    part = f"{100 * event['relative']:+.1f} %"
+    what = " and ".join(_change(one) for one in (event, *event.get("further", ())))
     others = f", or {event['others'].replace('_', ' ')}" if "others" in event else ""
-    text = f"{event['time']:.2f} s  ALARM  {name} {part} ({size}) since {event['changed_at']:.2f} s{others}"
+    text = f"{event['time']:.2f} s  ALARM  {what} since {event['changed_at']:.2f} s{others}"
     if event.get("tolerance"):
         times = abs(event["relative"]) / event["tolerance"]
         text += f"; {times:.2g} times the tolerance of {100 * event['tolerance']:g} %"
     return f"{text}. {event['advice']}" if "advice" in event else text
+
+
+def _change(event: Notice) -> str:
+    size = f"{event['change']:+.3g} ± {event['std']:.1g} {event['unit']}".rstrip()
+    return f"{event['parameter'].replace('_', ' ')} {100 * event['relative']:+.1f} % ({size})"
 
 
 def _describe_reference(event: Notice) -> str:

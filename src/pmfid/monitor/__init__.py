@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from pmfid.monitor.edge_fleet import EdgeFleet as EdgeFleet
     from pmfid.monitor.edges import EdgeMonitor as EdgeMonitor
     from pmfid.monitor.events import Alarm as Alarm
+    from pmfid.monitor.events import Change as Change
     from pmfid.monitor.events import FleetRows as FleetRows
     from pmfid.monitor.events import Outlier as Outlier
     from pmfid.monitor.events import Settled as Settled
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 _PUBLIC = {
     "Alarm": "events",
     "Calibration": "calibration",
+    "Change": "events",
     "EdgeFleet": "edge_fleet",
     "EdgeMonitor": "edges",
     "FleetRows": "events",

@@ -18,7 +18,7 @@ from pmfid.estimators.iv import IV
 from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.calibration import Calibration
-from pmfid.monitor.cause import Cause, ChangeEvidence, explain, new_gain
+from pmfid.monitor.cause import TRANSITION, Cause, ChangeEvidence, explain, new_gain, start_of
 from pmfid.monitor.detectors import Detector
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Alarm, Event, Settled, StateChange, Watch
 from pmfid.monitor.scores import Blocks, Disturbed, Scale, ScoreFilter, Scoring, Watched, start_blocks
@@ -239,49 +239,39 @@ class WatchedAxis:
         return [StateChange(self._time, state, reason)]
 
     def _alarm(self, estimate: Estimate) -> list[Event]:
-        units, begun = self._rest.recent(0, int(self._own.units[0]))
-        cause, gathered = self._cause(units, estimate), float(self._rest.gathered[0])
-        ends = gathered >= TUNING.cause_information and cause.largest <= self.watch.tolerance  # usually a single fault
-        if gathered < _enough(cause) and not ends:
+        """Return an alarm once the changes are clear. A deviation that is surely within the tolerance ends the
+        suspicion."""
+        evidence, gathered = self._evidence(estimate), float(self._rest.gathered[0])
+        if evidence is None or gathered < TUNING.cause_information:
             return []
-        if ends or abs(cause.relative) <= self.watch.tolerance:
+        fixed = () if self.known is None else tuple(self.known.given)
+        cause = explain(evidence, self.reference, self.estimator.equation, self.watch.tolerance, fixed)
+        ends = cause.largest <= self.watch.tolerance
+        growth = (TUNING.cause_blocks if self.calibration.work is None else TUNING.cause_units) / gathered
+        if not ends and growth > 1 and cause.is_open(growth):
+            return []
+        if ends or cause.size <= self.watch.tolerance:
             self.watching.restart(self._own)
             return self._enter(WATCHING, "the deviation is within the tolerance")
-        alarm = self._make_alarm(cause, float(begun[cause.start]))
+        alarm = self._make_alarm(cause)
         self._rest.gathered[0], self._rest.refined[0] = 0.0, 0
-        self._rest.by_gain[0] = cause.name == INPUT_GAIN
-        return [alarm, *self._enter(SETTLING, f"measuring the new {cause.name}")]
+        self._rest.by_gain[0] = cause.names == (INPUT_GAIN,)
+        return [alarm, *self._enter(SETTLING, f"measuring the new {' and '.join(cause.names)}")]
 
-    def _make_alarm(self, cause: Cause, begun: float) -> Alarm:
-        units = dict(zip(self._front.names, self._front.units, strict=True))
-        moves = cause.name in (INPUT_GAIN, *forces_of(self._front.equation))
-        scale = float(self._rest.gain[0]) if moves else 1.0
+    def _make_alarm(self, cause: Cause) -> Alarm:
+        units, begun = self._rest.recent(0, int(self._own.units[0]))
+        latest = max(0, len(units) - int(self._rest.suspected[0])) + TRANSITION
+        start = start_of(Blocks.from_rows(units, self.reference.size), cause.deviation, latest)
+        gain, moved = float(self._rest.gain[0]), (INPUT_GAIN, *forces_of(self.estimator.equation))
         return Alarm(
             self._time,
-            max(0.0, begun),
-            cause.name,
-            units.get(cause.name, ""),
-            scale * cause.change,
-            scale * cause.std,
-            cause.relative,
+            max(0.0, float(begun[start])),
+            tuple(one.scale(gain) if one.parameter in moved else one for one in cause.changes),
             float(self._rest.crossed[0]),
             self.threshold,
-            cause.others or (),
+            cause.others,
             self.watch.tolerance,
         )
-
-    def _cause(self, units: Floats, estimate: Estimate) -> Cause:
-        reference, scale = self.reference, self.watching.rescale(self._own.sigma[0])
-        latest = max(0, len(units) - int(self._rest.suspected[0])) + TUNING.cause_transition
-        names, gain = self._front.names, self._given_gain
-        fixed = () if self.known is None else tuple(self.known.given)
-        friction = self._friction()
-        recent = Blocks.from_rows(units, reference.size)
-        return explain(recent, scale, reference, names, gain, latest, fixed, friction, self._evidence(estimate))
-
-    @property
-    def _given_gain(self) -> float:
-        return float(self.estimator.equation.input_gain)
 
     def _evidence(self, estimate: Estimate) -> ChangeEvidence | None:
         """Return the evidence of the estimate on the cause, or None while no estimate exists.
@@ -294,16 +284,6 @@ class WatchedAxis:
             found = ChangeEvidence(found.theta - work.offset, found.covariance + np.diag(work.scale.sigma**2))
         silent = estimate.status & UNUSABLE or not np.all(np.isfinite(np.r_[found.theta, found.covariance.ravel()]))
         return None if silent else found
-
-    def _friction(self) -> Floats | None:
-        """Return the frictions (p,) of the reference, or None if they cannot have a common cause.
-
-        The result is None if the reference has only one friction. The result is also None if causes are named within a
-        few blocks. A few blocks cannot separate growth of all frictions from growth of one.
-        """
-        equation, reference = self.estimator.equation, self.reference
-        kinds = np.array(equation.positive) & (np.arange(reference.size) != equation.leading)
-        return np.where(kinds, reference, 0.0) if self.calibration.work is not None and kinds.sum() > 1 else None
 
     def _settle(self, rows: Floats, information: float, estimate: Estimate) -> list[Event]:
         """Make the estimate the model. Later the model, corrected by the blocks, becomes the reference."""
@@ -343,7 +323,7 @@ class WatchedAxis:
         """
         if not self._rest.by_gain[0] or self.known is not None:
             return None
-        return new_gain(ChangeEvidence(theta, np.diag(std**2)), self._rest.before[0], self._given_gain)
+        return new_gain(ChangeEvidence(theta, np.diag(std**2)), self._rest.before[0], self.estimator.equation)
 
     def _usable(self, estimate: Estimate) -> bool:
         return not estimate.status & UNUSABLE and self.plausible(np.array(estimate.theta))
@@ -354,9 +334,3 @@ class WatchedAxis:
         never_negative = np.array(equation.positive)
         return bool(np.all(np.isfinite(theta)) and theta[equation.leading] > 0 and np.all(theta[never_negative] >= 0))
 
-
-def _enough(cause: Cause) -> float:
-    """Return the information at which a cause is named."""
-    if cause.others is None:
-        return TUNING.cause_blind
-    return TUNING.cause_latest if cause.others else TUNING.cause_information

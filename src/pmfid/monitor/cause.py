@@ -1,42 +1,38 @@
-"""The cause that explains the block scores best, with its parameter, size and time."""
+"""The sets of changes that explain a deviation, compared by their marginal likelihood.
+
+`compare` is a function of the information on the parameters and of the score. A set of changes contains parameters, the
+input gain, the scale of the encoder, or all frictions together. Sizes are relative.
+"""
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
-from pmfid.estimators.facts import INPUT_GAIN
-from pmfid.monitor.scores import Blocks, Scale
-from pmfid.monitor.tuning import TUNING
-from pmfid.types import Flags, Floats
+from pmfid.estimators.facts import INPUT_GAIN, forces_of
+from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, Equation
+from pmfid.monitor.events import ENCODER_SCALE, Change
+from pmfid.monitor.scores import Blocks
+from pmfid.types import Floats
 
 #: A dry guide has more friction of every kind.
 FRICTION = "friction"
 
-
-@dataclass(frozen=True)
-class Cause:
-    """A possible cause of a change.
-
-    `name` is the parameter, INPUT_GAIN or FRICTION. `change` and `std` have the unit of the parameter, but are relative
-    for FRICTION. `relative` is the change over the reference value, or over `std` if the reference value is 0. `start`
-    is the index of the first block that shows the change. `others` has the causes that are equally likely, or None if
-    no estimate existed for a comparison.
-    """
-
-    name: str
-    change: float
-    std: float
-    relative: float
-    start: int
-    others: tuple[str, ...] | None = None
-
-    @property
-    def largest(self) -> float:
-        """Largest relative size within three standard errors."""
-        return abs(self.relative) * (1 + 3 * self.std / abs(self.change)) if self.change else np.inf
+#: Prior standard deviations of relative changes, with equal weights. The mixture is nearly flat over the logarithm of a
+#: size from 2 % to the fivefold, so that it prefers no size.
+SPREADS = (0.05, 0.2, 0.8, 3.2)
+#: Prior odds of each further change at the same time. Two faults rarely occur together, but one event may cause both.
+FURTHER = 0.2
+#: Odds against a set that exclude it, which is strong evidence (Kass and Raftery 1995).
+STRONG = 20.0
+#: Number of blocks over which a change may be spread. The filters carry the change into the next block.
+TRANSITION = 2
+TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)
@@ -47,169 +43,290 @@ class ChangeEvidence:
     covariance: Floats
 
 
+@dataclass(frozen=True)
+class Candidates:
+    """The changes that are possible.
+
+    `names` (p,) are the parameters, and `sizes` (p,) their values to which changes are relative. `free` (p,) is true
+    for parameters that may change. `scales` has the effect of each common factor on the relative parameters (p,).
+    """
+
+    names: tuple[str, ...]
+    sizes: tuple[float, ...]
+    free: tuple[bool, ...]
+    scales: tuple[tuple[str, tuple[float, ...]], ...]
+
+    @property
+    def directions(self) -> dict[str, Floats]:
+        """The effect of each change on the relative parameters (p,). Common factors come first."""
+        unit = np.eye(len(self.names))
+        single = {name: unit[i] for i, name in enumerate(self.names) if self.free[i]}
+        return {name: np.array(way) for name, way in self.scales} | single
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Sets of changes that explain alike, because they move the parameters in the same space.
+
+    `log_odds` is the logarithm of the posterior probability, except for a constant. `spread` is the most likely prior
+    standard deviation of the changes.
+    """
+
+    sets: tuple[tuple[str, ...], ...]
+    log_odds: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class Cause:
+    """The changes that explain a deviation best, the largest first, and the sets that explain it as well.
+
+    `deviation` (p,) is the effect of the changes on the parameters. `best` has the changes, and `near` are the sets
+    with other effects that the evidence does not exclude.
+    """
+
+    changes: tuple[Change, ...]
+    deviation: Floats
+    best: Explanation
+    near: tuple[Explanation, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(one.parameter for one in self.changes)
+
+    @property
+    def others(self) -> tuple[str, ...]:
+        """All other sets that explain the deviation as well."""
+        sets = [*self.best.sets[1:], *(one for each in self.near for one in each.sets)]
+        return tuple(" and ".join(one) for one in sets)
+
+    @property
+    def size(self) -> float:
+        """Largest relative change."""
+        return max(abs(one.relative) for one in self.changes)
+
+    @property
+    def largest(self) -> float:
+        """Largest relative change within three standard errors."""
+        return max(abs(one.relative) + 3 * one.relative_std for one in self.changes)
+
+    def is_open(self, growth: float) -> bool:
+        """Return whether `growth` times the information may exclude a further set.
+
+        Logarithms of odds grow in proportion to the information. Between one change and several the evidence decides,
+        however small the odds are now.
+        """
+        single = len(self.names) == 1
+        return any(
+            single or len(one.sets[0]) == 1 or (self.best.log_odds - one.log_odds) * growth > math.log(STRONG)
+            for one in self.near
+        )
+
+
+def candidates_of(
+    equation: Equation, theta: Floats, information: Floats, fixed: Collection[str] = ()
+) -> Candidates:
+    """Return the possible changes of the parameters theta (p,) of an equation, except the constant ones in `fixed`.
+
+    Changes are relative to theta. Changes of a force that may have either sign are relative to Coulomb friction if that
+    is larger. If the reference is 0, they are relative to the value that has as much effect as all other parameters, by
+    the information (p, p).
+    """
+    terms, names = equation.unknown, equation.names
+    coulomb = max(equation.role_values(theta)[COULOMB_FORWARD : COULOMB_BACKWARD + 1])
+    signed = [not one and term.signal in ("moving", "place") for one, term in zip(equation.positive, terms, strict=True)]
+    sizes = np.maximum(np.abs(theta), np.where(signed, coulomb, 0.0))
+    effect = math.sqrt(max(float(theta @ information @ theta), 0.0)) / np.sqrt(np.maximum(np.diagonal(information), TINY))
+    sizes = np.where(sizes > 0, sizes, np.maximum(effect, TINY))
+    part = theta / sizes
+    frictions = [
+        one and i != equation.leading and term.signal != "input"
+        for i, (one, term) in enumerate(zip(equation.positive, terms, strict=True))
+    ]
+    forces = forces_of(equation)
+    affected = {INPUT_GAIN: [name in forces for name in names]}
+    if not equation.shaped:
+        affected[ENCODER_SCALE] = [term.facts.measured for term in terms]
+    if sum(part[frictions] > 0) > 1:
+        affected[FRICTION] = frictions
+    scales = tuple((name, tuple((part * flags).tolist())) for name, flags in affected.items())
+    return Candidates(names, tuple(sizes.tolist()), tuple(name not in fixed for name in names), scales)
+
+
+def compare(information: Floats, score: Floats, candidates: Candidates, tolerance: float) -> list[Explanation]:
+    """Return the sets of changes, the most likely first.
+
+    `information` (p, p) and `score` (p,) belong to the deviation d of the relative parameters: the likelihood of d is
+    exp(score^T d - d^T information d / 2). A change c along the directions V of a set has the prior N(0, spread^2), and
+    every free parameter deviates by N(0, (tolerance / 2)^2) without a change. The marginal likelihood of a set is then
+    closed, with Q = spread^2 V V^T + (tolerance / 2)^2 I:
+
+        log L = score^T Q (I + information Q)^-1 score / 2 - log det(I + information Q) / 2.
+    """
+    spaces = _spaces(candidates.names, candidates.free, candidates.scales)
+    effect = np.array([space @ space.T for _, space in spaces])
+    prior = _normal(candidates, tolerance) + np.square(SPREADS)[:, None, None, None] * effect
+    matrix = np.eye(len(score)) + information @ prior
+    fit = np.linalg.solve(matrix, score[:, None])[..., 0]
+    logs = (np.einsum("i,skij,skj->sk", score, prior, fit) - np.linalg.slogdet(matrix)[1]) / 2
+    further = np.array([space.shape[1] - 1 for _, space in spaces])
+    odds = np.logaddexp.reduce(logs, axis=0) + math.log(FURTHER) * further
+    spread = np.array(SPREADS)[np.argmax(logs, axis=0)]
+    order = np.argsort(-odds, kind="stable")
+    return [Explanation(spaces[k][0], float(odds[k]), float(spread[k])) for k in order.tolist()]
+
+
+def measure(
+    information: Floats, score: Floats, candidates: Candidates, names: Sequence[str], spread: float, tolerance: float
+) -> tuple[Floats, Floats]:
+    """Return the relative changes (k,) of a set and their standard deviations, from the posterior of `compare`.
+
+    Parameters may deviate within the tolerance in addition. The change of a parameter contains this deviation.
+    """
+    wide = [name for name in candidates.directions if name in names]
+    mean, covariance = _posterior(information, score, candidates, wide, spread, tolerance)
+    sizes, steps = _changes(mean, wide, candidates), 1e-6 * np.eye(mean.size)
+    slope = np.array([(_changes(mean + step, wide, candidates) - sizes) / 1e-6 for step in steps])
+    stds = np.sqrt(np.maximum(np.einsum("ik,ij,jk->k", slope, covariance, slope), 0.0))
+    order = [wide.index(name) for name in names]
+    return sizes[order], stds[order]
+
+
 def explain(
-    blocks: Blocks,
-    scale: Scale,
-    theta: Floats,
-    names: Sequence[str],
-    input_gain: float,
-    latest: int | None = None,
-    fixed: Collection[str] = (),
-    friction: Floats | None = None,
-    evidence: ChangeEvidence | None = None,
+    evidence: ChangeEvidence, theta: Floats, equation: Equation, tolerance: float, fixed: Collection[str] = ()
 ) -> Cause:
-    """Return the most likely single change, which starts with one of the blocks.
+    """Return the changes from the reference theta (p,) that explain an estimate best.
 
-    For a direction v and the sums S, W, Z of the blocks from a start, the ratio
-
-        gain = (v^T W^T Z^-1 S)^2 / (v^T W^T Z^-1 W v)
-
-    is the generalised likelihood ratio of theta0 + size v (Willsky and Jones 1976), except for the noise. theta (p,) is
-    the reference. The directions are all parameters except the constant ones in `fixed`. The direction theta itself
-    stands for a loss of force, which looks as if all parameters had grown alike. `latest` is the last possible start,
-    because the deviation was noticed then. `friction` (p,) is theta with 0 for all other parameters, if all frictions
-    may grow alike.
-
-    The blocks use a motion that is simulated with the reference. The simulated motion of the reference reverses at
-    other instants than the changed plant, which looks like a part of the change. The simulated motion of the estimate
-    reverses at the same time as the plant. Causes that the estimate excludes are therefore left out, and the size
-    combines blocks and estimate.
+    `tolerance` is the relative deviation that is no change. Parameters in `fixed` are constant.
     """
-    S, W, Z = (np.cumsum(part[::-1], axis=0)[::-1] for part in (blocks.score, blocks.cross, blocks.square))
-    Z = Z + TUNING.cause_ridge * np.diag(np.diagonal(Z[0]))
-    free = [i for i, name in enumerate(names) if name not in fixed]
-    further = {INPUT_GAIN: theta} | ({} if friction is None else {FRICTION: friction})
-    directions, called = np.vstack([np.eye(theta.size)[free], *further.values()]), [*(names[i] for i in free), *further]
-    weighted = np.linalg.solve(Z, W @ directions.T)  # the shape is (n, p, directions)
-    match = np.einsum("npd,np->nd", weighted, S)
-    known = np.maximum(np.einsum("npd,npd->nd", weighted, W @ directions.T), np.finfo(float).tiny)
-    gain = match**2 / known
-    start = _start(gain[: None if latest is None else latest + 1])
-    possible = np.ones(len(called), bool) if evidence is None else _possible(evidence, theta, directions)
-    which = int(np.argmax(np.where(possible, gain[start], -np.inf)))
-    others = None if evidence is None else tuple(called[k] for k in np.flatnonzero(possible) if k != which)
-    size = _combine_sizes(_size(blocks, scale, directions[which], start), evidence, theta, directions[which])
-    return _scale_cause(Cause(called[which], 0.0, 0.0, 0.0, start, others), *size, theta, names, input_gain)
+    information, score, candidates = _relative(evidence, theta, equation, fixed)
+    best, *rest = compare(information, score, candidates, tolerance)
+    names, spread = best.sets[0], best.spread
+    sizes = zip(names, *measure(information, score, candidates, names, spread, tolerance), strict=True)
+    changes = [_change(name, size, std, candidates, equation) for name, size, std in sizes]
+    near = tuple(one for one in rest if best.log_odds - one.log_odds < math.log(STRONG))
+    mean = _posterior(information, score, candidates, names, spread, tolerance)[0][: len(names)]
+    effect = mean @ np.array([candidates.directions[name] for name in names])
+    order = sorted(changes, key=lambda one: -abs(one.relative))
+    return Cause(tuple(order), effect * candidates.sizes, best, near)
 
 
-def name_cause(evidence: ChangeEvidence, theta: Floats, names: Sequence[str], input_gain: float) -> Cause:
-    """Return the most likely single change of an estimate from theta (p,): of a parameter, or of the input gain."""
-    directions, called = np.vstack([np.eye(theta.size), theta]), [*names, INPUT_GAIN]
-    size, known, _ = _measure_along(evidence, theta, directions)
-    which = int(np.argmax(size**2 * known))
-    others = tuple(called[k] for k in np.flatnonzero(_possible(evidence, theta, directions)) if k != which)
-    cause = Cause(called[which], 0.0, 0.0, 0.0, 0, others)
-    return _scale_cause(cause, float(size[which]), float(known[which] ** -0.5), theta, names, input_gain)
-
-
-def _measure_along(evidence: ChangeEvidence, theta: Floats, directions: Floats) -> tuple[Floats, Floats, float]:
-    """Return sizes (k,) and information (k,) of a change in a single direction, for each of the directions (k, p).
-
-    The third result is the squared deviation of the estimate from theta (p,) in standard errors.
-    """
-    precision = np.linalg.pinv(evidence.covariance, hermitian=True)
-    deviation, weighted = evidence.theta - theta, directions @ precision
-    known = np.maximum(np.einsum("kp,kp->k", weighted, directions), np.finfo(float).tiny)
-    return weighted @ deviation / known, known, float(deviation @ precision @ deviation)
-
-
-def _possible(evidence: ChangeEvidence, theta: Floats, directions: Floats) -> Flags:
-    """Return whether the estimate leaves a change along each of the directions (k, p) possible, (k,)."""
-    size, known, total = _measure_along(evidence, theta, directions)
-    left = total - size**2 * known
-    return np.asarray(left < left.min() + TUNING.cause_excluded)
-
-
-def _combine_sizes(
-    by_blocks: tuple[float, float], evidence: ChangeEvidence | None, theta: Floats, direction: Floats
-) -> tuple[float, float]:
-    """Return the size along a direction (p,) and its standard deviation, from blocks and estimate.
-
-    A difference beyond their standard errors is an error of the blocks.
-    """
-    size, std = by_blocks
-    doubt = std**2 + (TUNING.cause_moved * size) ** 2
-    if evidence is None:
-        return size, float(np.sqrt(doubt))
-    other, known, _ = (np.ravel(part)[0] for part in _measure_along(evidence, theta, direction[None]))
-    doubt += max((other - size) ** 2 - std**2 - 1 / known, 0.0)
-    total = known + 1 / doubt
-    return float((known * other + size / doubt) / total), float(total**-0.5)
-
-
-def new_gain(evidence: ChangeEvidence, theta: Floats, input_gain: float) -> tuple[float, float, float]:
+def new_gain(evidence: ChangeEvidence, theta: Floats, equation: Equation) -> tuple[float, float, float]:
     """Return the new input gain, its standard deviation and the previous gain.
 
-    A changed gain must explain the whole move of theta (p,).
+    A changed gain must explain the whole move from theta (p,).
     """
-    size, known, _ = (np.ravel(part)[0] for part in _measure_along(evidence, theta, theta[None]))
-    cause = _scale_cause(Cause(INPUT_GAIN, 0.0, 0.0, 0.0, 0), float(size), float(known**-0.5), theta, (), input_gain)
-    return input_gain + cause.change, cause.std, input_gain
+    information, score, candidates = _relative(evidence, theta, equation, ())
+    size, std = measure(information, score, candidates, (INPUT_GAIN,), SPREADS[-1], 0.0)
+    gain = equation.input_gain
+    return gain * (1 + float(size[0])), abs(gain) * float(std[0]), gain
 
 
-def _scale_cause(
-    cause: Cause, size: float, std: float, theta: Floats, names: Sequence[str], input_gain: float
-) -> Cause:
-    """Return the cause with its size converted to a change of the parameter."""
-    if cause.name == FRICTION:
-        return replace(cause, change=size, std=std, relative=size)
-    if cause.name != INPUT_GAIN:
-        reference = abs(float(theta[list(names).index(cause.name)])) or max(std, np.finfo(float).tiny)
-        return replace(cause, change=size, std=std, relative=size / reference)
-    factor = 1 / max(1 + size, 0.01)
-    relative = factor - 1
-    return replace(cause, change=relative * input_gain, std=std * factor**2 * abs(input_gain), relative=relative)
+def start_of(blocks: Blocks, deviation: Floats, latest: int) -> int:
+    """Return the index of the first block that shows a deviation (p,), at most `latest`.
 
-
-def _start(gain: Floats) -> int:
-    """Return the start whose best cause explains most.
-
-    Among equal starts the last counts, because no block before it shows the change.
+    For the sums S, W, Z of the blocks from a start and v the deviation, the generalised likelihood ratio (Willsky and
+    Jones 1976) is (v^T W^T Z^-1 S)^2 / (v^T W^T Z^-1 W v), except for the noise. Among equal starts the last counts,
+    because no block before it shows the change.
     """
-    late = gain[::-1]
-    return len(gain) - 1 - int(np.argmax(late.max(axis=1) >= (1 - 1e-9) * late.max()))
+    S, W, Z = (np.cumsum(part[::-1], axis=0)[::-1] for part in (blocks.score, blocks.cross, blocks.square))
+    unit = np.sqrt(np.maximum(np.diagonal(Z[0]), TINY))
+    moved = (W @ deviation) / unit
+    weighted = np.einsum("nij,nj->ni", np.linalg.pinv(Z / np.outer(unit, unit), rcond=1e-6, hermitian=True), moved)
+    match = np.einsum("ni,ni->n", weighted, S / unit)
+    ratio = match**2 / np.maximum(np.einsum("ni,ni->n", weighted, moved), TINY)
+    late = ratio[latest::-1]
+    return len(late) - 1 - int(np.argmax(late >= (1 - 1e-9) * late.max()))
 
 
-def _size(blocks: Blocks, scale: Scale, direction: Floats, start: int) -> tuple[float, float]:
-    """Return the change along a direction (p,), and its standard deviation.
+def _relative(
+    evidence: ChangeEvidence, theta: Floats, equation: Equation, fixed: Collection[str]
+) -> tuple[Floats, Floats, Candidates]:
+    """Return information (p, p) and score (p,) of the relative parameters, and the possible changes."""
+    std = np.sqrt(np.maximum(np.diagonal(evidence.covariance), TINY))
+    precision = np.linalg.pinv(evidence.covariance / np.outer(std, std), hermitian=True) / np.outer(std, std)
+    candidates = candidates_of(equation, theta, precision, fixed)
+    size = np.array(candidates.sizes)
+    information = precision * np.outer(size, size)
+    return information, information @ ((evidence.theta - theta) / size), candidates
 
-    Blocks in which the change occurs and the filters settle show only a part of the change. Blocks with a part of the
-    change are left out if enough information remains. The uncertainty of the start is the change of the size by one
-    more block, or one fewer.
+
+def _normal(candidates: Candidates, tolerance: float) -> Floats:
+    """Return the prior covariance (p, p) of deviations that are no change."""
+    return np.diag(np.where(candidates.free, (tolerance / 2) ** 2, 0.0))
+
+
+def _posterior(
+    information: Floats,
+    score: Floats,
+    candidates: Candidates,
+    names: Sequence[str],
+    spread: float,
+    tolerance: float,
+) -> tuple[Floats, Floats]:
+    """Return mean (k + p,) and covariance of the changes along the directions of a set, and of further deviations."""
+    p = len(score)
+    effect = np.hstack([np.array([candidates.directions[name] for name in names]).T, np.eye(p)])
+    prior = np.diag(np.r_[np.full(len(names), spread**2), np.diagonal(_normal(candidates, tolerance))])
+    seen = effect @ prior
+    matrix = np.eye(p) + information @ seen @ effect.T
+    mean = seen.T @ np.linalg.solve(matrix, score)
+    return mean, prior - seen.T @ np.linalg.solve(matrix, information @ seen)
+
+
+def _changes(along: Floats, names: Sequence[str], candidates: Candidates) -> Floats:
+    """Return the relative changes (k,) of a set from its parts `along` (k + p,) of a deviation.
+
+    Common factors come first in `names`. Every factor applies to the parameters that the ones before it have changed.
     """
-    by_block = scale.standardise(blocks)[1][:, direction != 0].mean(axis=1)  # of the moved parameters
-    information = np.cumsum(by_block[::-1])[::-1]
-    possible = range(start, min(start + TUNING.cause_transition + 1, len(information)))
-    found = [_fit(blocks[k:], scale, direction) for k in possible if k == start or information[k] > 0]
-    chosen = sum(information[k] > TUNING.least_information for k in possible[1 : len(found)])
-    size, std = found[chosen]
-    others = [abs(other - size) for other, _ in found[max(0, chosen - 1) :]] if len(found) > 1 else [std]
-    return size, float(np.hypot(std, min(max(others), abs(size))))
+    scales, factor, found = dict(candidates.scales), np.ones(len(candidates.names)), []
+    for name, size in zip(names, along[: len(names)], strict=True):
+        if name in scales:
+            affected = np.array(scales[name]) != 0
+            grown = max(1 + size / factor[affected][0], 0.01)
+            factor = np.where(affected, grown * factor, factor)
+            found.append((grown if name == FRICTION else 1 / grown) - 1)
+        else:
+            i = candidates.names.index(name)
+            found.append((size + along[len(names) + i]) / factor[i])
+    return np.array(found)
 
 
-def _fit(blocks: Blocks, scale: Scale, direction: Floats) -> tuple[float, float]:
-    """Return the change along a direction (p,) that all blocks show, and its standard deviation.
+def _change(name: str, relative: float, std: float, candidates: Candidates, equation: Equation) -> Change:
+    """Return a change with its unit."""
+    if name not in candidates.names:
+        scale = equation.input_gain if name == INPUT_GAIN else 1.0
+        return Change(name, "", float(relative * scale), float(std * abs(scale)), float(relative))
+    i = candidates.names.index(name)
+    size = candidates.sizes[i]
+    return Change(name, equation.units[i], float(relative * size), float(std * size), float(relative))
 
-    The standard deviation is the larger of two values. The first comes from the noise of normal work. The second comes
-    from the unexplained part of the blocks, with its correlation.
+
+@cache
+def _spaces(
+    names: tuple[str, ...], free: tuple[bool, ...], scales: tuple[tuple[str, tuple[float, ...]], ...]
+) -> tuple[tuple[tuple[tuple[str, ...], ...], Floats], ...]:
+    """Return the sets of changes by the space (p, k) of their effect.
+
+    The sets are the single changes, all pairs, and all parameters together. Friction as a whole and one of its kinds
+    are no pair, because two kinds are.
     """
-    W, Z = blocks.cross.sum(axis=0), blocks.square.sum(axis=0)
-    weight = np.linalg.solve(
-        Z + TUNING.cause_ridge * np.diag(np.diagonal(Z)) + np.finfo(float).tiny * np.eye(len(Z)), W @ direction
-    )
-    match, known = blocks.score @ weight, blocks.cross @ direction @ weight
-    total = max(float(known.sum()), np.finfo(float).tiny)
-    size = float(match.sum()) / total
-    # the noise concerns only parameters that the direction moves
-    noise = float(np.mean((scale.sigma**2 / scale.energy)[direction != 0]))
-    rest = match - size * known
-    n = len(rest)
-    spread = float(
-        rest @ rest
-        + 2
-        * sum(
-            (1 - k / (TUNING.cause_lags + 1)) * (rest[k:] @ rest[:-k]) for k in range(1, min(n, TUNING.cause_lags + 1))
-        )
-    )
-    spread = max(spread, 0.0) * n / max(1, n - 1)
-    return size, float(np.sqrt(max(noise / total, spread / total**2)))
+    ways = Candidates(names, (), free, scales).directions
+    parameters = tuple(name for name in ways if name in names)
+    frictions = {name for name, part in zip(names, dict(scales).get(FRICTION, ()), strict=False) if part}
+    pairs = [one for one in itertools.combinations(ways, 2) if not (FRICTION in one and frictions & set(one))]
+    sets = [*((name,) for name in ways), *pairs, *([parameters] if len(parameters) > 2 else [])]
+    found = list[tuple[list[tuple[str, ...]], Floats]]()
+    for one in sorted(sets, key=lambda one: len(set(one) - set(parameters))):
+        space = np.array([ways[name] for name in one]).T
+        rank = np.linalg.matrix_rank(space)
+        like = [alike for alike, other in found if other.shape == space.shape and _rank(other, space) == rank]
+        if rank == len(one) and like:
+            like[0].append(one)
+        elif rank == len(one):
+            found.append(([one], space))
+    return tuple((tuple(alike), space) for alike, space in found)
+
+
+def _rank(*spaces: Floats) -> int:
+    return int(np.linalg.matrix_rank(np.hstack(spaces), tol=1e-9))

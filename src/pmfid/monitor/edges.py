@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid._estimate import Estimate
 from pmfid.errors import UsageError
 from pmfid.estimators.redge import REdge
-from pmfid.monitor.cause import Cause, ChangeEvidence, name_cause
+from pmfid.monitor.cause import Cause, ChangeEvidence, explain
 from pmfid.monitor.events import (
     CANNOT_TELL,
     SETTLING,
@@ -248,49 +248,37 @@ class EdgeMonitor:
         self._since = 0
         return self._enter(SUSPICIOUS, "a deviation was found, and its cause is not clear yet")
 
-    @property
-    def _gain(self) -> float:
-        return float(self.estimator.model.input_gain)
-
     def _weigh(self, estimate: Estimate) -> list[Event]:
-        """Return an alarm if a change of a single parameter, or of the gain, is beyond the tolerance and chance.
+        """Return an alarm if the changes that explain the estimate are beyond the tolerance and chance.
 
         A change that is certainly within the tolerance ends the suspicion without an alarm. Until the recursion moves
         its reference, the estimate has errors of second order, which can hide the cause.
         """
         evidence = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov))
-        moved = evidence.theta - self._base
+        moved, tolerance = evidence.theta - self._base, self.watch.tolerance
         bend = min(float(np.max(np.abs(moved) / self._sizes_of(self._base))), TUNING.edge_bend)
         doubtful = replace(evidence, covariance=evidence.covariance + np.diag((bend * moved) ** 2))
-        cause, sure = (self._name_cause(one) for one in (doubtful, evidence))
+        cause, sure = (explain(one, self._base, self.estimator.equation, tolerance) for one in (doubtful, evidence))
         sizes = self._sizes_of(self.reference)
         relative = (evidence.theta - self.reference) / sizes
         error = self.threshold * np.array(estimate.theta_std) / sizes
         late = self._since >= TUNING.edge_confirmed * self.patience
-        size = abs(sure.relative) - self.watch.tolerance
-        self.statistic = size * abs(sure.change / sure.relative) / sure.std if sure.relative else 0.0
-        if self.statistic > self.threshold and (late or not cause.others):
+        self.statistic = max((abs(one.relative) - tolerance) / one.relative_std for one in sure.changes)
+        if self.statistic > self.threshold and (late or not cause.near):
             return self._alarm(cause)
-        if np.all(np.abs(relative) + error < self.watch.tolerance) or (late and error.max() < TUNING.edge_known):
+        if np.all(np.abs(relative) + error < tolerance) or (late and error.max() < TUNING.edge_known):
             self._base = evidence.theta
             return self._enter(WATCHING, "the deviation is within the tolerance")
         return []
 
-    def _name_cause(self, evidence: ChangeEvidence) -> Cause:
-        cause = name_cause(evidence, self._base, self.names, self._gain)
-        if cause.name not in self.names:
-            return cause
-        return replace(cause, relative=cause.change / float(self._sizes_of(self._base)[self.names.index(cause.name)]))
-
     def _alarm(self, cause: Cause) -> list[Event]:
-        units = dict(zip(self.names, self.units, strict=True))
         begun, self._before = self._time - self._since * self.estimator.dt, self.reference.copy()
-        std = math.hypot(cause.std, cause.relative * cause.change)  # the estimate may still have errors of second order
-        numbers = cause.change, std, cause.relative, self.statistic, self.threshold
-        others, tolerance = cause.others or (), self.watch.tolerance
-        alarm = Alarm(self._time, begun, cause.name, units.get(cause.name, ""), *numbers, others, tolerance)
+        # the estimate may still have errors of second order
+        changes = tuple(replace(one, std=math.hypot(one.std, one.relative * one.change)) for one in cause.changes)
+        numbers = self.statistic, self.threshold
+        alarm = Alarm(self._time, begun, changes, *numbers, cause.others, self.watch.tolerance)
         self._since = 0
-        return [alarm, *self._enter(SETTLING, f"measuring the new {cause.name}")]
+        return [alarm, *self._enter(SETTLING, f"measuring the new {' and '.join(cause.names)}")]
 
     def _settle(self, estimate: Estimate) -> list[Event]:
         """Make the estimate the reference, once it is sure."""

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +12,9 @@ from pmfid.errors import UsageError, check_choice
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.monitor.names import DETECTORS, DetectorName
 from pmfid.types import Flags, Floats
+
+#: The measured motion over the true motion, as a cause of a change.
+ENCODER_SCALE = "encoder_scale"
 
 STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING = (
     "starting",
@@ -61,8 +65,49 @@ class Watch:
 
 
 @dataclass(frozen=True)
+class Change:
+    """A change of one parameter, or of a common factor of several parameters.
+
+    Attributes
+    ----------
+    parameter
+        Name of the parameter; "input_gain"; "encoder_scale", the measured over the true motion; or "friction" if all
+        frictions changed alike.
+    unit
+        Unit of the parameter.
+    change, std
+        Size of the change and its standard deviation [unit]; relative for "encoder_scale" and "friction".
+    relative
+        Change over the reference value. The change of an offset is relative to Coulomb friction if that is larger.
+
+    Examples
+    --------
+    >>> from pmfid.monitor import Change
+    >>> Change("mass", "kg", change=0.37, std=0.02, relative=0.35).scale(2.0).change
+    0.74
+    """
+
+    parameter: str
+    unit: str
+    change: float
+    std: float
+    relative: float
+
+    @property
+    def relative_std(self) -> float:
+        """Standard deviation of `relative`."""
+        return self.std * abs(self.relative / self.change) if self.change else math.inf
+
+    def scale(self, factor: float) -> Change:
+        """Return the same relative change of a parameter that is larger by a factor."""
+        return replace(self, change=factor * self.change, std=abs(factor) * self.std)
+
+
+@dataclass(frozen=True)
 class Alarm:
-    """A change of a parameter.
+    """One change, or several at the same time.
+
+    `parameter`, `unit`, `change`, `std` and `relative` belong to the largest change.
 
     Attributes
     ----------
@@ -70,45 +115,63 @@ class Alarm:
         Time of the alarm [s].
     changed_at
         Time at which the change began to show [s].
-    parameter
-        Name of the parameter, or "input_gain", or "friction" if all frictions grew alike.
-    unit
-        Unit of the parameter.
-    change, std
-        Size of the change and its standard deviation [unit]; relative if the parameter is "friction".
-    relative
-        Change over the reference, or over std if the reference is 0.
+    changes
+        The changes, the largest first.
     statistic, threshold
         Statistic at the first suspicion, and its threshold.
     others
-        Other causes that the samples so far do not exclude.
+        Other causes that explain the samples so far as well, such as "input_gain and mass".
     tolerance
         Relative deviation that is no change, or 0 if unknown.
 
     Examples
     --------
-    >>> from pmfid.monitor import Alarm
-    >>> alarm = Alarm(12.5, 11.9, "mass", "kg", change=0.37, std=0.02, relative=0.35, statistic=30.0, threshold=12.0)
+    >>> from pmfid.monitor import Alarm, Change
+    >>> mass = Change("mass", "kg", change=0.37, std=0.02, relative=0.35)
+    >>> alarm = Alarm(12.5, 11.9, (mass,), statistic=30.0, threshold=12.0)
     >>> alarm.parameter, alarm.relative, alarm.others
     ('mass', 0.35, ())
     """
 
     time: float
     changed_at: float
-    parameter: str
-    unit: str
-    change: float
-    std: float
-    relative: float
+    changes: tuple[Change, ...]
     statistic: float
     threshold: float
     others: tuple[str, ...] = ()
     tolerance: float = 0.0
 
     @property
+    def parameter(self) -> str:
+        return self.changes[0].parameter
+
+    @property
+    def unit(self) -> str:
+        return self.changes[0].unit
+
+    @property
+    def change(self) -> float:
+        return self.changes[0].change
+
+    @property
+    def std(self) -> float:
+        return self.changes[0].std
+
+    @property
+    def relative(self) -> float:
+        return self.changes[0].relative
+
+    @property
+    def causes(self) -> frozenset[str]:
+        """The names of all changes."""
+        return frozenset(one.parameter for one in self.changes)
+
+    @property
     def advice(self) -> str:
-        """Sentence that says what people check first."""
-        return next((text for name, text in _ADVICE if self.parameter.startswith(name)), _USUAL_ADVICE)
+        """Sentences that say what people check first, for every possible cause."""
+        causes = [*(one.parameter for one in self.changes), *(name for one in self.others for name in one.split(" and "))]
+        found = (next((text for name, text in _ADVICE if one.startswith(name)), _USUAL_ADVICE) for one in causes)
+        return " ".join(dict.fromkeys(found))
 
 
 #: What people check first, by the beginning of the parameter's name.
@@ -118,7 +181,8 @@ _ADVICE = (
     (("coulomb", "stribeck"), "Check brakes, guides, seals and belt tension for rubbing."),
     (("offset", "gravity"), "Check the counterweight and the load."),
     (("stiffness", "cogging"), "Check springs, couplings and the motor."),
-    ((INPUT_GAIN,), "Check the drive, its supply and the sensor of the input. The axis itself has not changed."),
+    ((INPUT_GAIN,), "Check the drive, its supply and the sensor of the input."),
+    ((ENCODER_SCALE,), "Check the resolution of the encoder, its coupling, and the belt or gear in front of it."),
 )
 _USUAL_ADVICE = "Compare the charts of the axis with its reference record."
 

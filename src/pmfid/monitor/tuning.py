@@ -16,12 +16,13 @@ class MonitorTuning:
     #: Information, in average blocks, until the estimate after an alarm serves as a model, and then as a reference.
     model_information: float = 15.0
     reference_information: float = 60.0
-    #: Information at which a cause is named. `cause_information` holds if all other causes are excluded. In other cases
-    #: `cause_blind` holds without an estimate, and `cause_latest` with an estimate. If friction is small, only braking
-    #: separates mass from gain.
+    #: Information from which an estimate after a suspicion counts, in blocks or units.
     cause_information: float = 4.0
-    cause_blind: float = 16.0
-    cause_latest: float = 32.0
+    #: Information at which the wait for an exclusion of further causes ends, in blocks and in units. If friction is
+    #: small, only braking separates mass from gain. More units are no surer, because the evidence has the scatter of
+    #: one unit (`python -m studies.alarms`).
+    cause_blocks: float = 32.0
+    cause_units: float = 8.0
     #: Largest information that counts for a single block, because a wrong model errs differently in each block.
     most_information: float = 1.5
     #: Share of the earlier information that the estimator keeps at the first suspicion.
@@ -86,22 +87,6 @@ class MonitorTuning:
     least_blocks: int = 200
     #: Least number of blocks in a record of normal work. The scatter of fewer blocks does not determine the noise.
     least_record_blocks: int = 8
-
-    # cause
-    #: Ridge that keeps the instruments of a few blocks independent.
-    cause_ridge: float = 1e-6
-    #: Number of blocks over which a change may be spread. The filters carry the change into the next block.
-    cause_transition: int = 2
-    #: Least information, in average blocks, that remains for the size without the blocks of the transition.
-    least_information: float = 2.0
-    #: Difference between the unexplained deviations of two causes [squared standard errors] that excludes the worse
-    #: cause.
-    cause_excluded: float = 9.0
-    #: Relative error of a size from blocks, in addition to its standard error. The simulated motion reverses at other
-    #: instants than the changed plant.
-    cause_moved: float = 0.05
-    #: Number of neighbours with which the deviation of a block correlates.
-    cause_lags: int = 2
 
     # fleet
     #: Number of axes that are computed together, so that their arrays stay in the processor's cache.

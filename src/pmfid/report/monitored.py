@@ -232,7 +232,10 @@ def _headline(run: MonitoredRun) -> str:
     if not run.alarms:
         return "no alarm"
     first, more = run.alarms[0], len(run.alarms) - 1
-    what = f"{first['parameter'].replace('_', ' ')} {100 * first['relative']:+.1f} % at {first['changed_at']:.1f} s"
+    changes = [
+        f"{one['parameter'].replace('_', ' ')} {100 * one['relative']:+.1f} %" for one in (first, *first.get("further", ()))
+    ]
+    what = f"{' and '.join(changes)} at {first['changed_at']:.1f} s"
     return what + (f", and {more} more alarm{'s' * (more > 1)}" if more else "")
 
 
@@ -251,24 +254,30 @@ def _verdict(setup: Setup | EdgeSetup, run: MonitoredRun) -> Section:
     text = "\n\n".join([" ".join(lines), *(f"Note: {note}." for note in setup.notes)])
     if not run.alarms:
         return Section("No alarm", text)
-    head = ("alarm [s]", "since [s]", "parameter", "change [%]", "change", "std", "unit", "settled on")
-    rows = [_alarm_row(run, alarm) for alarm in run.alarms[: TUNING.shown_alarms]]
+    head = ("alarm [s]", "since [s]", "parameter", "change [%]", "change", "std", "unit", "settled on", "or")
+    rows = [row for alarm in run.alarms[: TUNING.shown_alarms] for row in _alarm_rows(run, alarm)]
     return Section("Alarms", text, (head, rows))
 
 
-def _alarm_row(run: MonitoredRun, alarm: Notice) -> list[str]:
-    """Return the row of an alarm, with the settled value of the parameter if it settled before the next alarm."""
+def _alarm_rows(run: MonitoredRun, alarm: Notice) -> list[list[str]]:
+    """Return a row for each change of an alarm, with its value if it settled before the next alarm."""
     later = [event for event in run.events if event["event"] in ("settled", "alarm") and event["time"] > alarm["time"]]
-    found = later[0]["parameters"].get(alarm["parameter"]) if later and later[0]["event"] == "settled" else None
+    settled = later[0]["parameters"] if later and later[0]["event"] == "settled" else {}
+    others = alarm.get("others", "").replace("_", " ")
     return [
-        f"{alarm['time']:.2f}",
-        f"{alarm['changed_at']:.2f}",
-        alarm["parameter"].replace("_", " "),
-        f"{100 * alarm['relative']:+.1f}",
-        f"{alarm['change']:+.4g}",
-        f"{alarm['std']:.1g}",
-        alarm["unit"],
-        f"{found['value']:.4g} ± {found['std']:.1g}" if found else "–",
+        [
+            f"{alarm['time']:.2f}",
+            f"{alarm['changed_at']:.2f}",
+            change["parameter"].replace("_", " "),
+            f"{100 * change['relative']:+.1f}",
+            f"{change['change']:+.4g}",
+            f"{change['std']:.1g}",
+            change["unit"],
+            f"{found['value']:.4g} ± {found['std']:.1g}" if found else "–",
+            others,
+        ]
+        for change in (alarm, *alarm.get("further", ()))
+        for found in [settled.get(change["parameter"])]
     ]
 
 

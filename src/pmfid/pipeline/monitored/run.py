@@ -11,7 +11,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.estimators.known import Seen
 from pmfid.monitor.edges import EdgeMonitor
-from pmfid.monitor.events import Event, Outlier, Settled, StateChange
+from pmfid.monitor.events import Change, Event, Outlier, Settled, StateChange
 from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.monitored.rows import Nowhere, RowSink
 from pmfid.pipeline.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
@@ -180,18 +180,25 @@ def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> No
     return {
         "event": "alarm",
         "time": event.time + shift,
-        "parameter": event.parameter,
-        "direction": "up" if event.change > 0 else "down",
-        "change": event.change,
-        "std": event.std,
-        "unit": event.unit,
-        "relative": event.relative,
+        **_format_change(event.changes[0]),
         "changed_at": event.changed_at + shift,
         "statistic": event.statistic,
         "threshold": event.threshold,
         "tolerance": event.tolerance,
         "advice": event.advice,
-        **({"others": ", ".join(event.others)} if event.others else {}),
+        **({"further": [_format_change(one) for one in event.changes[1:]]} if event.changes[1:] else {}),
+        **({"others": ", or ".join(event.others)} if event.others else {}),
+    }
+
+
+def _format_change(change: Change) -> Notice:
+    return {
+        "parameter": change.parameter,
+        "direction": "up" if change.change > 0 else "down",
+        "change": change.change,
+        "std": change.std,
+        "unit": change.unit,
+        "relative": change.relative,
     }
 
 

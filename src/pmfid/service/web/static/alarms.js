@@ -5,14 +5,21 @@ import { moment, number, percent, unitOf, wall, withError, words } from "./forma
 import { isOpen } from "./plant.js";
 import { icon } from "./states.js";
 
+// All changes of an alarm, the largest first.
+const changesOf = (alarm) => [alarm, ...(alarm.further ?? [])];
+
 export function causeOf(alarm) {
   if (alarm.silent) return alarm.problem;
-  const std = Number.isFinite(alarm.std) ? ` ± ${number(alarm.std, 2)}` : "";
-  const size = Number.isFinite(alarm.change) ? ` (${alarm.change > 0 ? "+" : ""}${number(alarm.change, 3)}${std}${unitOf(alarm.unit)})` : "";
   const others = alarm.others ? `, or ${words(alarm.others)}` : "";
-  if (!Number.isFinite(alarm.relative)) return `${words(alarm.parameter)} has changed${size}${others}`;
-  const way = alarm.relative < 0 ? "lower" : "higher";
-  return `${words(alarm.parameter)} is ${percent(Math.abs(alarm.relative)).replace("+", "")} ${way} than normal${size}${others}`;
+  return changesOf(alarm).map(changeOf).join(" and ") + others;
+}
+
+function changeOf(change) {
+  const std = Number.isFinite(change.std) ? ` ± ${number(change.std, 2)}` : "";
+  const size = Number.isFinite(change.change) ? ` (${change.change > 0 ? "+" : ""}${number(change.change, 3)}${std}${unitOf(change.unit)})` : "";
+  if (!Number.isFinite(change.relative)) return `${words(change.parameter)} has changed${size}`;
+  const way = change.relative < 0 ? "lower" : "higher";
+  return `${words(change.parameter)} is ${percent(Math.abs(change.relative)).replace("+", "")} ${way} than normal${size}`;
 }
 
 // How urgent an alarm is: its size against the tolerance, and whether the parameter keeps changing.
@@ -45,8 +52,11 @@ const sureOf = (alarm) =>
   "While nothing is wrong, an alarm occurs about once in the time that mtbf_hours in AXIS.toml sets.";
 
 function settledOf(alarm) {
-  const found = alarm.settled?.parameters?.[alarm.parameter];
-  return found ? `Now ${words(alarm.parameter)} ${withError(found.value, found.std)}${unitOf(alarm.unit)}.` : null;
+  const settled = changesOf(alarm).flatMap((change) => {
+    const found = alarm.settled?.parameters?.[change.parameter];
+    return found ? [`${words(change.parameter)} ${withError(found.value, found.std)}${unitOf(change.unit)}`] : [];
+  });
+  return settled.length ? `Now ${settled.join(", ")}.` : null;
 }
 
 export function alarmCard(alarm, alarms, mayWrite, withAxis = true) {

@@ -110,12 +110,12 @@ export class Rows {
     const group = plant.groups[plant.groupOf[i]];
     const lead = plant.lead[plant.groupOf[i]];
     const known = Number.isFinite(plant.received[i]);
-    // a weaker motor looks like more of every parameter: then the gain is shown, and no mass that nobody put on
+    // a weaker motor, or a wrong scale of the encoder, looks like more of every parameter: then this factor is shown
     const changed = plant.changed(i);
-    const gain = changed?.parameter === "input_gain" ? changed : null;
+    const factor = ["input_gain", "encoder_scale"].includes(changed?.parameter) ? changed : null;
     const value = known ? `${words(group.names[lead])} ${withError(plant.value[i], plant.std[i])}${unitOf(group.units[lead])}` : "–";
-    const deviation = gain ? gain.relative : plant.deviation[i];
-    say(cells.value, gain ? "input gain" : value);
+    const deviation = factor ? factor.relative : plant.deviation[i];
+    say(cells.value, factor ? words(factor.parameter) : value);
     say(cells.percent, percent(deviation));
     const off = Math.max(-0.1, Math.min(0.1, deviation || 0));
     cells.bar.style.setProperty("--off", off / 0.1);
