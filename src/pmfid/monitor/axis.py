@@ -254,7 +254,7 @@ class WatchedAxis:
             self.watching.restart(self._own)
             return self._enter(WATCHING, "the deviation is within the tolerance")
         alarm = self._make_alarm(cause)
-        self._rest.gathered[0], self._rest.refined[0] = 0.0, 0
+        self._rest.refined[0] = 0  # the information since the suspicion counts for the new model
         self._rest.by_gain[0] = cause.names == (INPUT_GAIN,)
         return [alarm, *self._enter(SETTLING, f"measuring the new {' and '.join(cause.names)}")]
 
@@ -333,4 +333,3 @@ class WatchedAxis:
         equation = self.estimator.equation
         never_negative = np.array(equation.positive)
         return bool(np.all(np.isfinite(theta)) and theta[equation.leading] > 0 and np.all(theta[never_negative] >= 0))
-

@@ -123,9 +123,7 @@ class Cause:
         )
 
 
-def candidates_of(
-    equation: Equation, theta: Floats, information: Floats, fixed: Collection[str] = ()
-) -> Candidates:
+def candidates_of(equation: Equation, theta: Floats, information: Floats, fixed: Collection[str] = ()) -> Candidates:
     """Return the possible changes of the parameters theta (p,) of an equation, except the constant ones in `fixed`.
 
     Changes are relative to theta. Changes of a force that may have either sign are relative to Coulomb friction if that
@@ -134,9 +132,13 @@ def candidates_of(
     """
     terms, names = equation.unknown, equation.names
     coulomb = max(equation.role_values(theta)[COULOMB_FORWARD : COULOMB_BACKWARD + 1])
-    signed = [not one and term.signal in ("moving", "place") for one, term in zip(equation.positive, terms, strict=True)]
+    signed = [
+        not one and term.signal in ("moving", "place") for one, term in zip(equation.positive, terms, strict=True)
+    ]
     sizes = np.maximum(np.abs(theta), np.where(signed, coulomb, 0.0))
-    effect = math.sqrt(max(float(theta @ information @ theta), 0.0)) / np.sqrt(np.maximum(np.diagonal(information), TINY))
+    effect = math.sqrt(max(float(theta @ information @ theta), 0.0)) / np.sqrt(
+        np.maximum(np.diagonal(information), TINY)
+    )
     sizes = np.where(sizes > 0, sizes, np.maximum(effect, TINY))
     part = theta / sizes
     frictions = [
@@ -217,7 +219,7 @@ def new_gain(evidence: ChangeEvidence, theta: Floats, equation: Equation) -> tup
     A changed gain must explain the whole move from theta (p,).
     """
     information, score, candidates = _relative(evidence, theta, equation, ())
-    size, std = measure(information, score, candidates, (INPUT_GAIN,), SPREADS[-1], 0.0)
+    size, std = measure(information, score, candidates, (INPUT_GAIN,), 1e3, 0.0)  # a flat prior
     gain = equation.input_gain
     return gain * (1 + float(size[0])), abs(gain) * float(std[0]), gain
 

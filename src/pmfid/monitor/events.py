@@ -169,7 +169,10 @@ class Alarm:
     @property
     def advice(self) -> str:
         """Sentences that say what people check first, for every possible cause."""
-        causes = [*(one.parameter for one in self.changes), *(name for one in self.others for name in one.split(" and "))]
+        causes = [
+            *(one.parameter for one in self.changes),
+            *(name for one in self.others for name in one.split(" and ")),
+        ]
         found = (next((text for name, text in _ADVICE if one.startswith(name)), _USUAL_ADVICE) for one in causes)
         return " ".join(dict.fromkeys(found))
 

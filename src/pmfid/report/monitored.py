@@ -233,7 +233,8 @@ def _headline(run: MonitoredRun) -> str:
         return "no alarm"
     first, more = run.alarms[0], len(run.alarms) - 1
     changes = [
-        f"{one['parameter'].replace('_', ' ')} {100 * one['relative']:+.1f} %" for one in (first, *first.get("further", ()))
+        f"{one['parameter'].replace('_', ' ')} {100 * one['relative']:+.1f} %"
+        for one in (first, *first.get("further", ()))
     ]
     what = f"{' and '.join(changes)} at {first['changed_at']:.1f} s"
     return what + (f", and {more} more alarm{'s' * (more > 1)}" if more else "")
