@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pmfid.fleet.changes import step_of, trend_of
 from pmfid.fleet.series import Series, mean_of, widen_errors
-from pmfid.fleet.verdicts import CHANGED, DRIFTS, AxisVerdict, follow_axis, judge_axes, sentence
+from pmfid.fleet.verdicts import CHANGED, DRIFTS, STOPPED, AxisVerdict, follow_axis, judge_axes, sentence
 from pmfid.types import Floats
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
@@ -61,7 +63,7 @@ def test_a_step_in_a_segment_that_says_nothing_came_there() -> None:
 
 def test_a_drift_of_minutes_is_not_reported_per_day() -> None:
     quick = AxisVerdict(DRIFTS, 2.0, "mass", size=27.0, std=5.0, days=0.01)
-    assert sentence(quick) == "mass drifts by +27 % ± 5 % within 0:14:24"
+    assert sentence(quick) == "mass drifts by +27.0 % ± 5.0 % within 0:14:24"
     assert "per day" in sentence(AxisVerdict(DRIFTS, 2.0, "mass", size=0.01, std=0.001, days=9.0))
 
 
@@ -93,3 +95,38 @@ def test_a_segment_too_sure_of_itself_is_no_change() -> None:
         first, bar = mean_of(widen_errors(one)[:3])
         assert np.all(np.abs(first - 1) < 4 * bar)
     assert named == 0
+
+
+def test_a_drift_has_one_size_with_an_honest_bar() -> None:
+    """The headline was once "+11 % ± 0.04 %" for a drift of +10.4 %, and the table of slopes had another number."""
+    rng, n, days = np.random.default_rng(4), 72, 3.0
+    time = np.linspace(0.0, days, n)
+    theta = np.tile([90.0, 120.0, 18.0], (n, 1))
+    theta[:, 1] *= 1 + 0.104 * time
+    std = np.tile([0.1, 0.5, 0.2], (n, 1)) * (1 + 0.3 * time[:, None])  # later segments say less
+    noise = std * rng.standard_normal((n, 3))
+    noise[:, 1] -= 2 * noise[:, 2]
+    drifting = replace(series(theta + noise, std), start=86_400 * time, end=86_400 * time + SEGMENT)
+    follow = follow_axis("a", "", widen_errors(drifting), NAMES, 0.02)
+    verdict = judge_axes([follow], NAMES, 0.02)[0]
+    assert (verdict.kind, verdict.cause) == (DRIFTS, "viscous_friction")
+    assert abs(verdict.size - 0.104) < 3 * verdict.std
+    assert verdict.std < 0.005
+    assert follow.trend is not None
+    assert 86_400 * follow.trend.slopes[1] == pytest.approx(verdict.size)
+    assert 86_400 * follow.trend.stds[1] == pytest.approx(verdict.std)
+    assert (
+        sentence(replace(verdict, size=0.10612, std=0.0004)) == "viscous friction drifts by +10.61 % ± 0.04 % per day"
+    )
+
+
+def test_an_axis_that_stopped_delivering_is_named() -> None:
+    rng = np.random.default_rng(6)
+    whole = [series(1 + 0.01 * rng.standard_normal((N, 3)), np.full((N, 3), 0.01)) for _ in range(5)]
+    follows = [follow_axis(f"x{k}", "", one[: 8 if k == 2 else N], NAMES, 0.02) for k, one in enumerate(whole)]
+    verdicts = judge_axes(follows, NAMES, 0.02)
+    assert [verdict.named for verdict in verdicts] == [k == 2 for k in range(5)]
+    assert verdicts[2].kind == STOPPED
+    assert sentence(verdicts[2]) == "no motion in the log since 0:08:00"
+    few = [follow_axis(f"x{k}", "", one[: 8 if k else N], NAMES, 0.02) for k, one in enumerate(whole)]
+    assert not any(verdict.named for verdict in judge_axes(few, NAMES, 0.02)), "most axes have stopped: a shift ended"

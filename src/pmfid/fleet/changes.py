@@ -51,7 +51,7 @@ class Trend:
 
     `cause` is as in `Step`. `size` and `std` belong to the change over the history, relative to its begin. `span` is
     the length of the history [s]. `score` is this change beyond the tolerance, in standard deviations. `misfit` is as
-    in `Step`. `slopes` and `stds` (p,) belong to all parameters, relative to their means [1/s].
+    in `Step`. `slopes` and `stds` (p,) belong to all parameters, relative to the value of the line at the begin [1/s].
     """
 
     cause: str
@@ -133,7 +133,8 @@ def attribute_change(
     """Return the cause that explains relative changes (p,) best, with its relative size and standard deviation.
 
     A cause is a parameter, all frictions in the same proportion, or the input gain. A lower gain looks as if all
-    parameters had grown in the same proportion.
+    parameters had grown in the same proportion. The size of a parameter is its own. The size of a common cause is a
+    weighted mean, whose error contains the differences between its parameters.
     """
     covariance = correlation * np.outer(stds, stds) + TUNING.changes_floor**2 * np.eye(stds.size)
     friction = np.array([FRICTION in name for name in names], float)
@@ -143,8 +144,14 @@ def attribute_change(
     weighted = {name: np.linalg.solve(covariance, way) for name, way in directions.items()}
     gains = {name: float(relative @ way) ** 2 / float(directions[name] @ way) for name, way in weighted.items()}
     name = max(gains, key=lambda key: gains[key])
-    known = float(directions[name] @ weighted[name])
-    size, std = float(relative @ weighted[name]) / known, known**-0.5
+    if name in names:
+        i = list(names).index(name)
+        return name, float(relative[i]), float(stds[i])
+    moved = directions[name] > 0
+    known = stds[moved] ** -2.0
+    size = float(relative[moved] @ known / known.sum())
+    excess = float((relative[moved] - size) ** 2 @ known) / max(1, moved.sum() - 1)
+    std = float(known.sum() ** -0.5) * max(1.0, excess**0.5)
     if name != INPUT_GAIN:
         return name, size, std
     factor = 1 / max(1 + size, 0.01)
@@ -186,9 +193,11 @@ def trend_of(series: Series, names: Sequence[str], tolerance: float) -> Trend | 
     stds = known**-0.5 * np.maximum(1.0, lasting(rest))
     span, size = float(time[-1] - time[0]), np.maximum(np.abs(mean), np.finfo(float).tiny)
     scores = (np.abs(slope) * span - tolerance * size) / (stds * span)
-    slopes, stds = slope / size, stds / size
-    begin = np.maximum(1 - slopes * span / 2, TUNING.least_begin)
-    cause = attribute_change(slopes * span / begin, stds * span / begin**2, _correlation(rest), names)
+    begin = mean - slope * (centre - time[0])
+    least = np.maximum(np.abs(begin), TUNING.least_begin * size)
+    stds = np.hypot(mean * stds, slope * total**-0.5) / least**2
+    slopes = slope / least
+    cause = attribute_change(slopes * span, stds * span, _correlation(rest), names)
     return Trend(*cause, span, float(np.max(scores)), float(np.sum(rest**2)), slopes, stds)
 
 

@@ -20,6 +20,7 @@ from pmfid.types import Floats
 
 #: Kinds of verdicts, in words.
 CHANGED, DRIFTS, DIFFERS, WANDERS, UNKNOWN = "changed", "drifts", "differs", "wanders", "no estimate"
+STOPPED = "stopped"
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,8 @@ class Follow:
     wander: Beyond | None = None
     dt: float = math.nan
     codes: frozenset[str] = frozenset()
+    last: float = math.nan
+    pause: float = math.inf
 
     @property
     def quality(self) -> str:
@@ -62,7 +65,8 @@ class AxisVerdict:
     relative. A drift has a size per day. A wandering axis has the root mean square about its mean. `since` and `until`
     are the limits of the time of the change [s]. `days` is the length of the history. `deviation` (p,) is relative to
     the median of the axis' kind, NaN for too few axes. `visible` is the relative step of any parameter in the middle of
-    the history that would be named, infinite for too few segments.
+    the history that would be named, infinite for too few segments. `silent` is the time [s] since which the axis has
+    delivered no motion although most axes have, otherwise NaN.
     """
 
     kind: str
@@ -75,6 +79,7 @@ class AxisVerdict:
     days: float = 0.0
     deviation: Floats = field(default_factory=lambda: np.empty(0))
     visible: float = math.inf
+    silent: float = math.nan
 
     @property
     def weight(self) -> float:
@@ -89,7 +94,7 @@ class AxisVerdict:
     @property
     def named(self) -> bool:
         """Whether the axis needs attention."""
-        return self.kind in (CHANGED, DRIFTS, DIFFERS)
+        return self.kind in (CHANGED, DRIFTS, DIFFERS, STOPPED)
 
 
 def follow_axis(axis: str, kind: str, series: Series, names: Sequence[str], tolerance: float) -> Follow:
@@ -109,7 +114,10 @@ def follow_axis(axis: str, kind: str, series: Series, names: Sequence[str], tole
     theta, std = mean_of(late)
     codes = frozenset(standing(series) | (codes_of(late) if late.start.size else set()))
     dt = float(np.median(used.dt)) if used.dt.size else math.nan
-    return Follow(axis, kind, int(used.start.size), theta, std, step, trend, wander, dt, codes)
+    last = float(series.end.max()) if series.end.size else math.nan
+    pauses = series.start[1:] - series.end[:-1]
+    pause = float(np.max(pauses, initial=0.0)) if series.end.size >= TUNING.verdicts_sure else math.inf
+    return Follow(axis, kind, int(used.start.size), theta, std, step, trend, wander, dt, codes, last, pause)
 
 
 def judge_axes(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[AxisVerdict]:
@@ -120,10 +128,31 @@ def judge_axes(follows: Sequence[Follow], names: Sequence[str], tolerance: float
         _verdict(one, names, deviation, excess, len(follows), limit)
         for one, (deviation, excess) in zip(follows, deviations, strict=True)
     )
-    trials = len(follows) * len(names)
+    trials, silent = len(follows) * len(names), _silent_since(follows)
     return [
-        replace(verdict, visible=_visible(one, trials, tolerance)) for one, verdict in zip(follows, found, strict=True)
+        _stop(replace(verdict, visible=_visible(one, trials, tolerance)), since)
+        for one, verdict, since in zip(follows, found, silent, strict=True)
     ]
+
+
+def _silent_since(follows: Sequence[Follow]) -> list[float]:
+    """Return the time [s] since which each axis has been silent, NaN for an axis that still delivers.
+
+    An axis has stopped if it has been silent for more than twice its longest pause, while most axes still delivered.
+    """
+    ends = np.array([one.last for one in follows if math.isfinite(one.last)])
+    usual = float(np.median(ends)) if ends.size else math.nan
+    return [one.last if usual - one.last > 2 * max(one.pause, TUNING.series_pause) else math.nan for one in follows]
+
+
+def _stop(verdict: AxisVerdict, since: float) -> AxisVerdict:
+    """Return a verdict with the time since which the axis has been silent, if any."""
+    silent = replace(verdict, silent=since)
+    return (
+        replace(silent, kind=STOPPED, cause="", size=math.nan, std=math.nan, since=since)
+        if math.isfinite(since) and not verdict.named
+        else silent
+    )
 
 
 def _visible(one: Follow, trials: int, tolerance: float) -> float:
@@ -260,7 +289,7 @@ def spread_of(apart: Floats) -> Floats:
 
 def ranking(verdicts: Iterable[AxisVerdict]) -> list[int]:
     """Return the places of the verdicts, where axes with need of attention come first."""
-    order = {CHANGED: 0, DRIFTS: 0, DIFFERS: 0, UNKNOWN: 1, WANDERS: 2, "": 3}
+    order = {CHANGED: 0, DRIFTS: 0, DIFFERS: 0, STOPPED: 0, UNKNOWN: 1, WANDERS: 2, "": 3}
     pairs = enumerate(verdicts)
     return [k for k, one in sorted(pairs, key=lambda pair: (order[pair[1].kind], -pair[1].weight, pair[0]))]
 
@@ -287,19 +316,31 @@ def format_span(since: float, until: float) -> str:
     return f"between {first} and {last.partition(' ')[2] if same else last}"
 
 
+def with_error(size: float, std: float) -> str:
+    """Format a relative size in %, with the digits that its standard error justifies."""
+    if not math.isfinite(std):
+        return f"{100 * size:+.2g} %"
+    digits = min(2, max(0, 1 - math.floor(math.log10(max(100 * std, 1e-4)))))
+    return f"{100 * size:+.{digits}f} % ± {max(100 * std, 0.01):.{digits}f} %"
+
+
 def sentence(verdict: AxisVerdict) -> str:
     """Return the reason for attention, or another remark on the axis. The text may be empty."""
+    silent = f"no motion in the log since {when(verdict.silent)}" if math.isfinite(verdict.silent) else ""
+    return "; ".join(part for part in (_finding(verdict), silent) if part)
+
+
+def _finding(verdict: AxisVerdict) -> str:
     what = _WORDS.get(verdict.cause, verdict.cause.replace("_", " "))
-    size, std = 100 * verdict.size, 100 * verdict.std
     if verdict.kind == CHANGED:
-        return f"{what} {size:+.1f} % ± {std:.1f} % {format_span(verdict.since, verdict.until)}"
+        return f"{what} {with_error(verdict.size, verdict.std)} {format_span(verdict.since, verdict.until)}"
     if verdict.kind == DRIFTS:
         if verdict.days >= 1:
-            return f"{what} drifts by {size:+.2g} % ± {std:.1g} % per day"
+            return f"{what} drifts by {with_error(verdict.size, verdict.std)} per day"
         span = when(verdict.days * 86_400.0)
-        return f"{what} drifts by {size * verdict.days:+.2g} % ± {std * verdict.days:.1g} % within {span}"
+        return f"{what} drifts by {with_error(verdict.total, verdict.std * verdict.days)} within {span}"
     if verdict.kind == WANDERS:
-        return f"{what} wanders by {size:.2g} % about its mean"
+        return f"{what} wanders by {100 * verdict.size:.2g} % about its mean"
     if verdict.kind == DIFFERS:
-        return f"{what} {size:+.0f} % from the median of its type"
+        return f"{what} {100 * verdict.size:+.0f} % from the median of its type"
     return "no estimate: see its findings" if verdict.kind == UNKNOWN else ""

@@ -30,6 +30,9 @@ SPREADS = (0.05, 0.2, 0.8, 3.2)
 FURTHER = 0.2
 #: Odds against a set that exclude it, which is strong evidence (Kass and Raftery 1995).
 STRONG = 20.0
+#: Odds against a set that end the wait for more evidence. They are larger, because the odds scatter and waiting is
+#: cheap: with 20, three times as many pairs of changes were taken for one (`python -m studies.alarms`).
+CLEAR = 30.0
 #: Number of blocks over which a change may be spread. The filters carry the change into the next block.
 TRANSITION = 2
 TINY = float(np.finfo(float).tiny)
@@ -81,14 +84,22 @@ class Explanation:
 class Cause:
     """The changes that explain a deviation best, the largest first, and the sets that explain it as well.
 
-    `deviation` (p,) is the effect of the changes on the parameters. `best` has the changes, and `near` are the sets
-    with other effects that the evidence does not exclude.
+    `deviation` (p,) is the effect of the changes on the parameters. `best` has the changes, and `rest` are the sets
+    with other effects, the most likely first.
     """
 
     changes: tuple[Change, ...]
     deviation: Floats
     best: Explanation
-    near: tuple[Explanation, ...]
+    rest: tuple[Explanation, ...]
+
+    @property
+    def near(self) -> tuple[Explanation, ...]:
+        """The sets with other effects that the evidence does not exclude."""
+        return self._within(STRONG)
+
+    def _within(self, odds: float) -> tuple[Explanation, ...]:
+        return tuple(one for one in self.rest if self.best.log_odds - one.log_odds < math.log(odds))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -118,8 +129,8 @@ class Cause:
         """
         single = len(self.names) == 1
         return any(
-            single or len(one.sets[0]) == 1 or (self.best.log_odds - one.log_odds) * growth > math.log(STRONG)
-            for one in self.near
+            single or len(one.sets[0]) == 1 or (self.best.log_odds - one.log_odds) * growth > math.log(CLEAR)
+            for one in self._within(CLEAR)
         )
 
 
@@ -206,11 +217,10 @@ def explain(
     names, spread = best.sets[0], best.spread
     sizes = zip(names, *measure(information, score, candidates, names, spread, tolerance), strict=True)
     changes = [_change(name, size, std, candidates, equation) for name, size, std in sizes]
-    near = tuple(one for one in rest if best.log_odds - one.log_odds < math.log(STRONG))
     mean = _posterior(information, score, candidates, names, spread, tolerance)[0][: len(names)]
     effect = mean @ np.array([candidates.directions[name] for name in names])
     order = sorted(changes, key=lambda one: -abs(one.relative))
-    return Cause(tuple(order), effect * candidates.sizes, best, near)
+    return Cause(tuple(order), effect * candidates.sizes, best, tuple(rest))
 
 
 def new_gain(evidence: ChangeEvidence, theta: Floats, equation: Equation) -> tuple[float, float, float]:

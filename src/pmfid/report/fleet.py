@@ -19,7 +19,7 @@ from matplotlib.patches import Patch
 from pmfid.errors import printable
 from pmfid.fleet.history import History
 from pmfid.fleet.tuning import TUNING as FLEET_TUNING
-from pmfid.fleet.verdicts import when
+from pmfid.fleet.verdicts import when, with_error
 from pmfid.report.figures import COLOURS, GREY, open_figure
 from pmfid.report.html import Cell, Section, Table, svg, write_json, write_report
 from pmfid.report.tuning import TUNING
@@ -29,9 +29,15 @@ if TYPE_CHECKING:
     import polars as pl
 
 #: Colours for the verdicts, and for the quality of a period, with the worst first.
-KINDS = {"changed": COLOURS[1], "drifts": COLOURS[3], "differs": COLOURS[0], "wanders": COLOURS[5]}
+KINDS = {
+    "changed": COLOURS[1],
+    "drifts": COLOURS[3],
+    "differs": COLOURS[0],
+    "wanders": COLOURS[5],
+    "stopped": COLOURS[2],
+}
 #: Markers of the verdicts for prints without colour, and styles for overlaid lines of parameters.
-MARKERS = {"changed": "o", "drifts": "^", "differs": "s", "wanders": "d"}
+MARKERS = {"changed": "o", "drifts": "^", "differs": "s", "wanders": "d", "stopped": "v"}
 LINES = (("-", "o"), ("--", "^"), (":", "s"), ("-.", "d"))
 MAP = {"change": COLOURS[1], "no estimate": "#333333", "doubt": COLOURS[3], "good": "#cfe8dc", "no data": "#f4f4f4"}
 #: Kinds of verdicts with a course over time, and the least height [%] of their panels.
@@ -209,11 +215,16 @@ def _attention(found: History) -> Section:
     kinds = Counter(named["kind"].to_list())
     causes = Counter(named.filter(named["kind"] == "changed")["why"].str.extract(r"^(.*?) [+-]").to_list())
     what = ", ".join(f"{many} {cause}" for cause, many in causes.most_common() if cause)
-    words = {"changed": f"changed ({what})", "drifts": "drift{s}", "differs": "differ{s} from the others"}
+    words = {
+        "changed": f"changed ({what})",
+        "drifts": "drift{s}",
+        "differs": "differ{s} from the others",
+        "stopped": "stopped delivering motion",
+    }
     text = ", ".join(f"{many} {words[kind].format(s='s' * (many == 1))}" for kind, many in kinds.most_common())
     if not named.height:
         known = found.unknown.height < found.axes.height
-        text = "No axis changed, drifts or differs from the others beyond chance and tolerance."
+        text = "No axis changed, drifts, stopped, or differs from the others beyond chance and tolerance."
         text = (
             text
             if known
@@ -311,8 +322,8 @@ def _trends(found: History) -> Section | None:
         return None
     text = (
         "The estimates of the first axes that change or drift, with bars of 1.96 standard deviations and the first "
-        "period as 100 %. The table gives the slope of a straight line through all periods, with one standard "
-        "deviation. The slopes of all axes, per day, are in axes.parquet."
+        "period as 100 %. The table gives the slope of a straight line through all periods, relative to its begin, with "
+        "one standard deviation. The slopes of all axes, per day, are in axes.parquet."
     )
     first, last = found.periods["first"].min(), found.periods["last"].max()
     days = min(1.0, (float(last or 0.0) - float(first or 0.0)) / FLEET_TUNING.plan_day)  # type: ignore[arg-type]
@@ -326,9 +337,7 @@ def _trends(found: History) -> Section | None:
 
 
 def _slope(slope: float, std: float) -> str:
-    """Format a slope in %, with the digits that its standard error justifies, at most two after the point."""
-    digits = min(2, max(0, 1 - math.floor(math.log10(max(100 * std, 1e-9))))) if math.isfinite(std) else 2
-    return f"{100 * slope:+.{digits}f} ± {max(100 * std, 0.01):.2g}" if math.isfinite(slope) else ""
+    return with_error(slope, std).replace(" %", "") if math.isfinite(slope) else ""
 
 
 def _spread(found: History) -> Section | None:
