@@ -38,6 +38,10 @@ CHANGES: tuple[Mapping[str, float], ...] = (
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 #: Benches on which several parameters change, and limits of the factors (or of their inverses).
 SEVERAL, FACTORS = ("cart", "rotary", "stage", "gantry"), (1.06, 1.4)
+NAMED: tuple[Mapping[str, float], ...] = (
+    {"viscous_friction": 1.15, "coulomb_friction": 1.15},
+    {"mass": 1.1, "coulomb_friction": 1.1},
+)
 #: Limits of Coulomb friction on random machines, as a fraction of the force.
 LEAST, MOST = 0.05, 0.6
 #: Times in moves: length of the calibration record, earliest change and its variation, and time after the change.
@@ -129,18 +133,16 @@ class Said:
     def bars(self) -> float:
         """Return the largest error of a size, divided by its bar."""
         assert self.alarm is not None
-        true = self.truth | {"friction": float(np.mean([self.truth.get(name, 1.0) for name in NAMES[1:]]))}
+        true = {**self.truth, "friction": float(np.mean([self.truth.get(name, 1.0) for name in NAMES[1:]]))}
         return max(abs(one.relative + 1 - true[one.parameter]) / one.relative_std for one in self.alarm.changes)
 
 
 def drawn_changes(seed: int) -> Mapping[str, float]:
-    """Return two parameters with random factors. Each fourth pair is one of the two of the fourth trials."""
+    """Return two parameters with random factors. Each fourth pair is one of two that were once misread."""
     rng = np.random.default_rng([seed, 91])
     if seed % 4 == 3:
-        return ({"viscous_friction": 1.15, "coulomb_friction": 1.15}, {"mass": 1.1, "coulomb_friction": 1.1})[
-            seed // 4 % 2
-        ]
-    sizes = np.exp(rng.choice([-1, 1], 2) * rng.uniform(*np.log(FACTORS), 2))
+        return NAMED[seed // 4 % 2]
+    sizes = np.exp(rng.choice([-1, 1], 2) * rng.uniform(np.log(FACTORS[0]), np.log(FACTORS[1]), 2))
     return dict(zip(rng.choice(NAMES, 2, replace=False).tolist(), sizes.tolist(), strict=True))
 
 

@@ -63,7 +63,7 @@ def test_a_step_in_a_segment_that_says_nothing_came_there() -> None:
 
 def test_a_drift_of_minutes_is_not_reported_per_day() -> None:
     quick = AxisVerdict(DRIFTS, 2.0, "mass", size=27.0, std=5.0, days=0.01)
-    assert sentence(quick) == "mass drifts by +27.0 % ± 5.0 % within 0:14:24"
+    assert sentence(quick) == "mass drifts by +27 % ± 5 % within 0:14:24"
     assert "per day" in sentence(AxisVerdict(DRIFTS, 2.0, "mass", size=0.01, std=0.001, days=9.0))
 
 

@@ -320,7 +320,7 @@ def with_error(size: float, std: float) -> str:
     """Format a relative size in %, with the digits that its standard error justifies."""
     if not math.isfinite(std):
         return f"{100 * size:+.2g} %"
-    digits = min(2, max(0, 1 - math.floor(math.log10(max(100 * std, 1e-4)))))
+    digits = min(2, max(0, -math.floor(math.log10(max(100 * std, 1e-4)))))
     return f"{100 * size:+.{digits}f} % ± {max(100 * std, 0.01):.{digits}f} %"
 
 

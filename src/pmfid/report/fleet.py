@@ -322,8 +322,8 @@ def _trends(found: History) -> Section | None:
         return None
     text = (
         "The estimates of the first axes that change or drift, with bars of 1.96 standard deviations and the first "
-        "period as 100 %. The table gives the slope of a straight line through all periods, relative to its begin, with "
-        "one standard deviation. The slopes of all axes, per day, are in axes.parquet."
+        "period as 100 %. The table gives the slope of a straight line through all periods, relative to its begin, "
+        "with one standard deviation. The slopes of all axes, per day, are in axes.parquet."
     )
     first, last = found.periods["first"].min(), found.periods["last"].max()
     days = min(1.0, (float(last or 0.0) - float(first or 0.0)) / FLEET_TUNING.plan_day)  # type: ignore[arg-type]
