@@ -68,7 +68,7 @@ def test_the_likelihood_is_that_of_a_gaussian_prior() -> None:
     """The odds of two sets agree with the density of the deviation under both priors."""
     from scipy.stats import multivariate_normal
 
-    from pmfid.monitor.cause import FURTHER, SPREADS
+    from pmfid.monitor.tuning import TUNING
 
     covariance, deviation = np.diag([1e-3, 2e-3, 3e-3]) + 5e-4, np.array([0.1, 0.02, 0.15])
     information = np.linalg.inv(covariance)
@@ -77,11 +77,11 @@ def test_the_likelihood_is_that_of_a_gaussian_prior() -> None:
 
     def log_density(columns: list[int]) -> float:
         chosen = np.diag(np.isin(np.arange(3), columns).astype(float))
-        parts = [covariance + 1e-4 * np.eye(3) + spread**2 * chosen for spread in SPREADS]
+        parts = [covariance + 1e-4 * np.eye(3) + spread**2 * chosen for spread in TUNING.cause_spreads]
         return float(np.log(sum(multivariate_normal.pdf(deviation, cov=part) for part in parts)))
 
     apart = odds["mass", "coulomb_friction"] - odds["mass",]
-    assert apart == pytest.approx(log_density([0, 2]) - log_density([0]) + np.log(FURTHER))
+    assert apart == pytest.approx(log_density([0, 2]) - log_density([0]) + np.log(TUNING.cause_further))
 
 
 def test_an_offset_is_relative_to_friction_and_a_zero_to_its_effect() -> None:

@@ -18,7 +18,7 @@ from pmfid.estimators.iv import IV
 from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.calibration import Calibration
-from pmfid.monitor.cause import TRANSITION, Cause, ChangeEvidence, explain, new_gain, start_of
+from pmfid.monitor.cause import Cause, ChangeEvidence, explain, new_gain, start_of
 from pmfid.monitor.detectors import Detector
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Alarm, Event, Settled, StateChange, Watch
 from pmfid.monitor.scores import Blocks, Disturbed, Scale, ScoreFilter, Scoring, Watched, start_blocks
@@ -260,7 +260,7 @@ class WatchedAxis:
 
     def _make_alarm(self, cause: Cause) -> Alarm:
         units, begun = self._rest.recent(0, int(self._own.units[0]))
-        latest = max(0, len(units) - int(self._rest.suspected[0])) + TRANSITION
+        latest = max(0, len(units) - int(self._rest.suspected[0])) + TUNING.cause_transition
         start = start_of(Blocks.from_rows(units, self.reference.size), cause.deviation, latest)
         gain, moved = float(self._rest.gain[0]), (INPUT_GAIN, *forces_of(self.estimator.equation))
         return Alarm(

@@ -18,23 +18,12 @@ from pmfid.estimators.facts import INPUT_GAIN, forces_of
 from pmfid.models.equation import COULOMB_BACKWARD, COULOMB_FORWARD, Equation
 from pmfid.monitor.events import ENCODER_SCALE, Change
 from pmfid.monitor.scores import Blocks
+from pmfid.monitor.tuning import TUNING
 from pmfid.types import Floats
 
 #: A dry guide has more friction of every kind.
 FRICTION = "friction"
 
-#: Prior standard deviations of relative changes, with equal weights. The mixture is nearly flat over the logarithm of a
-#: size from 2 % to the fivefold, so that it prefers no size.
-SPREADS = (0.05, 0.2, 0.8, 3.2)
-#: Prior odds of each further change at the same time. Two faults rarely occur together, but one event may cause both.
-FURTHER = 0.2
-#: Odds against a set that exclude it, which is strong evidence (Kass and Raftery 1995).
-STRONG = 20.0
-#: Odds against a set that end the wait for more evidence. They are larger, because the odds scatter and waiting is
-#: cheap: with 20, three times as many pairs of changes were taken for one (`python -m studies.alarms`).
-CLEAR = 30.0
-#: Number of blocks over which a change may be spread. The filters carry the change into the next block.
-TRANSITION = 2
 TINY = float(np.finfo(float).tiny)
 
 
@@ -96,9 +85,9 @@ class Cause:
     @property
     def near(self) -> tuple[Explanation, ...]:
         """The sets with other effects that the evidence does not exclude."""
-        return self._within(STRONG)
+        return self.find_within(TUNING.cause_strong)
 
-    def _within(self, odds: float) -> tuple[Explanation, ...]:
+    def find_within(self, odds: float) -> tuple[Explanation, ...]:
         return tuple(one for one in self.rest if self.best.log_odds - one.log_odds < math.log(odds))
 
     @property
@@ -129,8 +118,10 @@ class Cause:
         """
         single = len(self.names) == 1
         return any(
-            single or len(one.sets[0]) == 1 or (self.best.log_odds - one.log_odds) * growth > math.log(CLEAR)
-            for one in self._within(CLEAR)
+            single
+            or len(one.sets[0]) == 1
+            or (self.best.log_odds - one.log_odds) * growth > math.log(TUNING.cause_clear)
+            for one in self.find_within(TUNING.cause_clear)
         )
 
 
@@ -178,13 +169,13 @@ def compare(information: Floats, score: Floats, candidates: Candidates, toleranc
     """
     spaces = _spaces(candidates.names, candidates.free, candidates.scales)
     effect = np.array([space @ space.T for _, space in spaces])
-    prior = _normal(candidates, tolerance) + np.square(SPREADS)[:, None, None, None] * effect
+    prior = _normal(candidates, tolerance) + np.square(TUNING.cause_spreads)[:, None, None, None] * effect
     matrix = np.eye(len(score)) + information @ prior
     fit = np.linalg.solve(matrix, score[:, None])[..., 0]
     logs = (np.einsum("i,skij,skj->sk", score, prior, fit) - np.linalg.slogdet(matrix)[1]) / 2
     further = np.array([space.shape[1] - 1 for _, space in spaces])
-    odds = np.logaddexp.reduce(logs, axis=0) + math.log(FURTHER) * further
-    spread = np.array(SPREADS)[np.argmax(logs, axis=0)]
+    odds = np.logaddexp.reduce(logs, axis=0) + math.log(TUNING.cause_further) * further
+    spread = np.array(TUNING.cause_spreads)[np.argmax(logs, axis=0)]
     order = np.argsort(-odds, kind="stable")
     return [Explanation(spaces[k][0], float(odds[k]), float(spread[k])) for k in order.tolist()]
 

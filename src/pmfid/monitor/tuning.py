@@ -88,6 +88,20 @@ class MonitorTuning:
     #: Least number of blocks in a record of normal work. The scatter of fewer blocks does not determine the noise.
     least_record_blocks: int = 8
 
+    # cause
+    #: Prior standard deviations of relative changes, with equal weights. The mixture is nearly flat over the logarithm
+    #: of a size from 2 % to the fivefold, so that it prefers no size.
+    cause_spreads: tuple[float, ...] = (0.05, 0.2, 0.8, 3.2)
+    #: Prior odds of each further change at the same time.
+    cause_further: float = 0.2
+    #: Odds against a set that exclude it, which is strong evidence (Kass and Raftery 1995).
+    cause_strong: float = 20.0
+    #: Odds against a set that end the wait for more evidence. They are larger, because odds scatter and waiting is
+    #: cheap: with 20, three times as many pairs of changes were taken for one (`python -m studies.alarms`).
+    cause_clear: float = 30.0
+    #: Number of blocks over which a change may be spread. The filters carry the change into the next block.
+    cause_transition: int = 2
+
     # fleet
     #: Number of axes that are computed together, so that their arrays stay in the processor's cache.
     fleet_group: int = 256
