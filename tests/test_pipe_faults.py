@@ -33,7 +33,7 @@ from tests.conftest import long_unless
 from tests.pipe_faults import FAULTS, HEADER, Row, Text, lines, restamped
 
 THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
-CHANGE, SECONDS = 8.0, 11.5
+CHANGE, SECONDS = 8.0, 13.5
 #: Good lines that a fault may cost.
 COST = 10
 #: Places of each fault: the beginning, a place before the clock is known, and some later places.

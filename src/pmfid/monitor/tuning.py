@@ -21,7 +21,7 @@ class MonitorTuning:
     #: Information at which the wait for an exclusion of further causes ends, in blocks and in units. If friction is
     #: small, only braking separates mass from gain. More units are no surer, because the evidence has the scatter of
     #: one unit (`python -m studies.alarms`).
-    cause_blocks: float = 32.0
+    cause_blocks: float = 24.0
     cause_units: float = 8.0
     #: Largest information that counts for a single block, because a wrong model errs differently in each block.
     most_information: float = 1.5
