@@ -6,7 +6,7 @@ import time
 from typing import Any
 
 from pmfid.service.context import Take
-from pmfid.service.run import Running
+from pmfid.service.running import Running
 from pmfid.stream.delivery import Delivery, Mark
 from pmfid.stream.engine import Inbox
 

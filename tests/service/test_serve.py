@@ -77,9 +77,9 @@ def test_the_log_is_for_people(folder: Path) -> None:
     options = ("--speed", "0", "--until-end", "--port", "0")
     out = called("serve", str(folder / "axis.toml"), "--from", str(folder / "run.csv"), *options)
     lines = out.splitlines()
-    assert lines[1].startswith("serving axis: 1 axis")
-    assert lines[2].startswith("page: http://127.0.0.1:")
-    assert "#token=" not in lines[2]
+    assert lines[0].startswith("serving axis: 1 axis")
+    assert lines[1].startswith("page: http://127.0.0.1:")
+    assert "#token=" not in lines[1]
     assert any("[page] token_file" in line for line in lines)
     assert any("ALARM  mass +" in line for line in lines)
     assert lines[-1] == "ended"
@@ -371,7 +371,7 @@ def test_a_counter_that_wraps_changes_nothing(folder: Path, tmp_path: Path, unwr
 def test_what_costs_nothing_is_looked_at_before_the_calibration(
     folder: Path, monkeypatch: pytest.MonkeyPatch, change: Callable[[str], str], said: str
 ) -> None:
-    monkeypatch.setattr(Configurations, "load_all", lambda *_: pytest.fail("calibrated first"))
+    monkeypatch.setattr(Configurations, "calibrate", lambda *_: pytest.fail("calibrated first"))
     plant = folder / "early.toml"
     plant.write_text(change(PLANT))
     assert re.search(said, called("serve", str(plant), "--until-end", code=2))

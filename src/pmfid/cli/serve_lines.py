@@ -46,6 +46,8 @@ def _configuration(what: Fields) -> str:
 
 
 def _calibration(what: Fields) -> str:
+    if "awaited" in what:
+        return f"{_axes(what['watched'])} watched, {_axes(what['awaited'])} still being calibrated"
     return f"{what['config']}: calibration {100 * what['part']:.0f} %"
 
 

@@ -103,7 +103,7 @@ def _make_readable(array: Numbers, readable: tuple[type[N], ...], other: type[N]
 def threads(workers: int | None) -> int:
     """Return the number of threads. None means all processors. Raises UsageError for an invalid number."""
     remedy = "it is the number of threads; None uses one thread for each processor"
-    return _processors() if workers is None else whole_number("workers", workers, 1, remedy)
+    return processors() if workers is None else whole_number("workers", workers, 1, remedy)
 
 
 class SideBySide:
@@ -154,7 +154,8 @@ class SideBySide:
         return (range(start, min(start + size, self.axes)) for start in range(0, self.axes, size))
 
 
-def _processors() -> int:
+def processors() -> int:
+    """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

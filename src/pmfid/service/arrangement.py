@@ -5,10 +5,12 @@ This module also keeps the history of configurations, which is part of a checkpo
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from time import monotonic, time
+from typing import TypeVar
 
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import PmfidError
@@ -16,13 +18,16 @@ from pmfid.pipeline.edges import EdgeSetup
 from pmfid.records.record import Record
 from pmfid.service.context import Tell
 from pmfid.service.tuning import TUNING
+from pmfid.service.workers import Workers
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, prepare
+
+Made = TypeVar("Made")
 
 
 @dataclass
 class Configurations:
-    """The configurations of a plant, calibrated one after the other, each once.
+    """The configurations of a plant, each calibrated once.
 
     A configuration that fails is reported, and only its own axes are lost. `record` is the record on which the only
     axis is watched, or None if samples come from a source.
@@ -31,41 +36,76 @@ class Configurations:
     tell: Tell
     record: Record | None = None
     _known: dict[Path, tuple[str, Prepared]] = field(default_factory=dict, init=False)
+    _stamps: dict[Path, str] = field(default_factory=dict, init=False)
+    _workers: Workers | None = field(default=None, init=False)
+
+    def read(self, axes: Mapping[str, Path]) -> dict[Path, Axis]:
+        """Return the content of each usable AXIS.toml.
+
+        Raises PmfidError or OSError if the only file has never been usable.
+        """
+        paths = dict.fromkeys(axes.values())
+        found = {path: self._try(path, partial(self._read, path), only=len(paths) == 1) for path in paths}
+        return {path: axis for path, axis in found.items() if axis is not None}
+
+    def _read(self, path: Path) -> Axis:
+        axis = load_axis(path)
+        self._stamps[path] = _stamp(path, axis)
+        return axis
+
+    def calibrate(self, configs: Mapping[Path, Axis]) -> Iterator[tuple[Path, Prepared | None]]:
+        """Yield the calibration of each configuration that was read as soon as it is ready, or None if it fails.
+
+        Several configurations are calibrated by processes on all cores. Raises PmfidError or OSError if the only
+        configuration has never been usable.
+        """
+        stamps = {path: self._stamps[path] for path in configs}
+        due = [path for path in configs if path not in self._known or self._known[path][0] != stamps[path]]
+        yield from ((path, self._known[path][1]) for path in configs if path not in due)
+        if len(due) > 1:
+            self._workers = Workers(_equal_ones_last(due, stamps))
+            made: Iterable[tuple[Path, Callable[[], Prepared]]] = self._workers.run()
+        else:
+            made = ((path, partial(self._calibrate_here, path, configs[path])) for path in due)
+        for path, take in made:
+            prepared = self._try(path, take, only=len(configs) == 1)
+            if prepared is not None:
+                self._known[path] = stamps[path], prepared
+                self._tell_calibrated(prepared)
+            yield path, prepared
 
     def load_all(self, axes: Mapping[str, Path]) -> dict[str, Prepared]:
         """Return the configuration of each axis that has a usable one, by the axis' name.
 
-        If the present configuration of an axis fails, the previous one holds. Raises PmfidError or OSError if the only
-        configuration has never been usable.
+        If the present configuration of an axis fails, the previous one holds.
         """
-        paths = dict.fromkeys(axes.values())
-        loaded = {path: self._load_one(path, only=len(paths) == 1) for path in paths}
-        return {name: prepared for name, path in axes.items() if (prepared := loaded[path]) is not None}
+        loaded = dict(self.calibrate(self.read(axes)))
+        earlier = {path: prepared for path, (_, prepared) in self._known.items()}
+        found = {name: loaded.get(path) or earlier.get(path) for name, path in axes.items()}
+        return {name: prepared for name, prepared in found.items() if prepared is not None}
 
-    def _load_one(self, path: Path, only: bool) -> Prepared | None:
-        before = self._known.get(path)
+    def stop(self) -> None:
+        """End calibrations in other processes."""
+        if self._workers is not None:
+            self._workers.stop()
+
+    def _try(self, path: Path, make: Callable[[], Made], only: bool) -> Made | None:
+        """Return the result of `make`, or None after an error that has been reported."""
         try:
-            axis = load_axis(path)
-            # The text changes with the configuration and with its reference record.
-            reference = axis.monitor.reference
-            status = None if reference is None else (path.parent / reference).stat()
-            state = status and (status.st_size, status.st_mtime_ns, status.st_ino)
-            stamp = f"{axis.model_dump_json(warnings=False)} {state}"
-            if before is None or before[0] != stamp:
-                self._known[path] = stamp, self._calibrate(path, axis)
-            return self._known[path][1]
+            return make()
         except (PmfidError, OSError) as error:
-            if only and before is None:
+            before = path in self._known
+            if only and not before:
                 raise
             left = (
-                "the service does not watch the axes of this file"
-                if before is None
-                else "the axes of this file keep their previous configuration"
+                "the axes of this file keep their previous configuration"
+                if before
+                else "the service does not watch the axes of this file"
             )
             self.tell({"event": "configuration", "config": path.name, "problem": f"{error}; {left}"})
-            return None if before is None else before[1]
+            return None
 
-    def _calibrate(self, path: Path, axis: Axis) -> Prepared:
+    def _calibrate_here(self, path: Path, axis: Axis) -> Prepared:
         reported = [monotonic()]
 
         def progress(part: float) -> None:
@@ -73,14 +113,26 @@ class Configurations:
                 reported[0] = monotonic()
                 self.tell({"event": "calibration", "config": path.name, "part": part})
 
-        made = prepare(path, self.record, progress, axis)
-        what = {
-            "event": "configuration",
-            "config": path.name,
-            "cached": isinstance(made.setup, EdgeSetup) or made.setup.cached,
-        }
+        return prepare(path, self.record, progress, axis)
+
+    def _tell_calibrated(self, made: Prepared) -> None:
+        cached = isinstance(made.setup, EdgeSetup) or made.setup.cached
+        what = {"event": "configuration", "config": made.path.name, "cached": cached}
         self.tell({**what, "notes": list(made.setup.notes)})
-        return made
+
+
+def _stamp(path: Path, axis: Axis) -> str:
+    """Return a text that changes with the configuration and with its reference record."""
+    reference = axis.monitor.reference
+    status = None if reference is None else (path.parent / reference).stat()
+    state = status and (status.st_size, status.st_mtime_ns, status.st_ino)
+    return f"{axis.model_dump_json(warnings=False)} {state}"
+
+
+def _equal_ones_last(paths: Iterable[Path], stamps: Mapping[Path, str]) -> list[Path]:
+    """Return the paths, with equal configurations at the end, whose calibration is then in the cache."""
+    first = {stamps[path]: path for path in reversed(list(paths))}
+    return sorted(paths, key=lambda path: first[stamps[path]] is not path)
 
 
 def arrange_groups(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: Pace) -> tuple[list[Group], list[str]]:
@@ -115,10 +167,12 @@ def remember(engine: StreamEngine) -> None:
     del engine.history[: -TUNING.arrangement_most]
 
 
-def tell_configurations(engine: StreamEngine) -> None:
-    """Report the present configurations to the sinks, which keep a configuration that differs from the last one."""
+def tell_configurations(engine: StreamEngine, told: Container[str] = ()) -> None:
+    """Report the present configurations except `told` to the sinks, which keep a configuration that differs from the
+    last one.
+    """
     present = {group.prepared.digest for group in engine.groups}
     for entry in engine.history:
-        if entry["digest"] in present:
+        if entry["digest"] in present and entry["digest"] not in told:
             content = {key: entry[key] for key in ("config", "digest", "nominal")}
             engine.notices.publish_own("", {"event": "configuration", **content})

@@ -16,6 +16,7 @@ from pmfid.stream.outcome import Counters
 #: Meanings of the service's counters. Any other counter is described by the words of its name.
 HELP: dict[str, str] = {
     "pmfid_axes": "Axes that use a configuration.",
+    "pmfid_axes_calibrating": "Axes that are not watched yet, because their calibration is not finished.",
     "pmfid_axes_silent": "Axes with an open alarm because they send nothing.",
     "pmfid_checkpoint_bytes": "Size of the last checkpoint, in bytes.",
     "pmfid_checkpoint_errors_total": "Checkpoints that could not be written.",

@@ -7,12 +7,12 @@ import os
 import signal
 import socket
 import time
-import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from threading import Event, Thread
+from pathlib import Path
+from threading import Thread
 from time import monotonic
 from types import FrameType
 from typing import TYPE_CHECKING, Any
@@ -22,21 +22,24 @@ from pmfid.errors import PmfidError, UsageError
 from pmfid.pipeline.monitored.stream import catch_signals
 from pmfid.records.record import Record, read_record
 from pmfid.service.arrangement import Configurations, arrange_groups, remember, tell_configurations
-from pmfid.service.context import Context, Source, Tell
+from pmfid.service.context import Context
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.plant import Plant, page_config
+from pmfid.service.running import Running
 from pmfid.service.sinks.plain import NoticeLog
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.board import Board
 from pmfid.stream.checkpoint import Snapshot, Vault, read_snapshot
-from pmfid.stream.delivery import Delivery, Mark
-from pmfid.stream.engine import Inbox, StreamEngine
+from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.outcome import Counters, Notice, Outlet
 
 if TYPE_CHECKING:
     from pmfid.service.web.server import Page
+
+
+_NOTHING = "no axis can be watched; correct the configurations that the log reports"
 
 
 @dataclass
@@ -70,71 +73,14 @@ def notify(state: str) -> None:
 
 
 @dataclass
-class Running:
-    """A source in its thread.
-
-    `failed` is the reported error that ended the source. `ended` is true if no further delivery will come.
-    """
-
-    source: Source
-    inbox: Inbox
-    tell: Tell
-    marks: Mapping[str, Mark]
-    failed: PmfidError | None = field(default=None, init=False)
-    ended: bool = field(default=False, init=False)
-    _mark: Mark | None = field(default=None, init=False)
-    _broken: bool = field(default=False, init=False)
-    _stopped: Event = field(default_factory=Event, init=False)
-
-    def start(self) -> None:
-        self._thread = Thread(target=self._run, name=f"source {self.source.name}", daemon=True)
-        self._thread.start()
-
-    def _take(self, delivery: Delivery) -> bool:
-        if self._broken:
-            self._broken = False
-            self.tell({"event": "source", "source": self.source.name, "problem": ""})
-        taken = self.inbox.put(delivery)
-        if taken and delivery.mark is not None:
-            self._mark = delivery.mark  # at a restart the marks of the engine are older
-        return taken
-
-    def _run(self) -> None:
-        pause = TUNING.run_first_pause
-        while not self._stopped.is_set():
-            try:
-                self.source.run(self._take, self._mark or self.marks.get(self.source.name))
-                break
-            except PmfidError as error:
-                self.failed = error
-                self.tell({"event": "source", "source": self.source.name, "problem": str(error), "ended": True})
-                break
-            except Exception as error:
-                place = traceback.extract_tb(error.__traceback__)[-1]
-                problem = (
-                    f"{type(error).__name__}: {error} ({place.name}, line {place.lineno}); this part of the "
-                    "service starts again"
-                )
-                self._broken = True
-                self.tell({"event": "source", "source": self.source.name, "problem": problem})
-                self._stopped.wait(pause)
-                pause = min(2 * pause, TUNING.run_longest_pause)
-        self.ended = True
-
-    def stop(self) -> None:
-        self._stopped.set()
-        self.source.stop()
-
-    def join(self) -> None:
-        self._thread.join(TUNING.run_ending)
-
-
-@dataclass
 class Service:
     """A service with its sources, engine and sinks.
 
     `load` reads the plant at the start and at SIGHUP. Notices are printed to `log`. With `until_end`, the service ends
     with its last source. `record` is an already read record on which the only axis is watched.
+
+    The page starts first. Axes join the engine as they are calibrated, and a source that delivers a single axis waits
+    for this axis. The axes of a checkpoint are restored together, and all sources wait for them.
     """
 
     load: Callable[[], Plant]
@@ -149,18 +95,17 @@ class Service:
         self._page: Page | None = None
         self._stopping = self._reload_due = False
         self._reloading: Thread | None = None
-        self._prepare(plant)  # Opening may take minutes. A signal ends it immediately, because no thread runs yet.
+        self._prepare(plant)
         with catch_signals(self._handle_signal):
             try:
                 self._start(plant)
-                gc.freeze()  # existing objects stay, so the collector need not examine them repeatedly
                 gc.set_threshold(TUNING.run_collected)
                 notify("READY=1")
                 self._watch()
             finally:
                 notify("STOPPING=1")
                 self._end()
-        if (failed := self._failed) is not None:
+        if (failed := self._unusable or self._failed) is not None:
             raise failed
 
     def _handle_signal(self, number: int, frame: FrameType | None) -> None:
@@ -187,20 +132,30 @@ class Service:
         self._engine.silence.limit, self._engine.silence.sources = plant.service.silence, tuple(plant.sources)
         self._unwritten: dict[str, list[Notice]] = {}
         self._sources: list[Running] = []
+        self._reported = time.monotonic()
         self._pace = Pace(plant.service.window, plant.service.every)
         self._configurations = Configurations(self._tell_now, self.record)
-        vault: Vault | None = None
+        self._axes: dict[str, Prepared] = {}
+        self._vault: Vault | None = None
+        self._unusable: BaseException | None = None
+        self._opened = False
         try:
-            vault = self._check_plant(plant)
-            self._axes: dict[str, Prepared] = self._configurations.load_all(plant.axes)
-            if not self._axes:
-                raise UsageError("no axis can be watched; correct the configurations that the log reports")
-            self._restore(plant, vault)
+            self._vault = self._check_plant(plant)
+            self._configs = self._configurations.read(plant.axes)
+            self._engine.set_awaited(name for name, path in plant.axes.items() if path in self._configs)
+            self._saved = None if self._vault is None else self._vault.load(read_snapshot, self._tell_now)
+            if not self._configs:
+                raise UsageError(_NOTHING)
         except BaseException:
-            if vault is not None:
-                vault.close()
+            if self._vault is not None:
+                self._vault.close()
             self._log.close(TUNING.run_ending)
             raise
+        restored = set() if self._saved is None else set(self._saved.axes())
+        self._needed = {path for name, path in plant.axes.items() if name in restored} & self._configs.keys()
+        self._engine.waiting = bool(self._needed)
+        if self._saved is not None:
+            self._restore_rest(self._saved)
 
     def _check_plant(self, plant: Plant) -> Vault | None:
         """Check the plant and report problems before the calibration of axes, which may take minutes."""
@@ -210,38 +165,44 @@ class Service:
             self._tell_now({"event": "source", "source": "", "problem": problem})
         return None if plant.state is None else Vault(plant.state)
 
-    def _restore(self, plant: Plant, vault: Vault | None) -> None:
-        if vault is None:
-            self._arrange([])
-            return
-        found = vault.load(self._read, self._tell_now)
+    def _restore_rest(self, saved: Snapshot) -> None:
+        """Restore the part of a checkpoint outside its groups."""
+        saved.restore(self._engine)
+        self._unwritten = saved.unwritten
+        for notice in self._engine.notices.replay_alarms(saved.alarms):
+            self._board.notice(notice)
+
+    def _restore(self, plant: Plant, vault: Vault) -> None:
+        """Restore the axes of the checkpoint, all of which are calibrated."""
         engine = self._engine
         engine.keeper = Checkpoints(vault, plant.service.checkpoint, self.counters, engine.tell)
-        if found is None:
-            self._arrange([])
-            self._tell_now({"event": "checkpoint", "restored": 0, "fresh": len(self._axes)})
-            return
-        saved, groups = found
-        saved.restore(engine)
-        self._unwritten = saved.unwritten
-        for notice in engine.notices.replay_alarms(saved.alarms):
-            self._board.notice(notice)
+        saved, awaited = self._saved, len(engine.awaited)
+        try:
+            groups = [] if saved is None else self._restore_groups(saved)
+        except ValueError:  # the older checkpoint takes its place
+            saved, groups = vault.load(self._read, self._tell_now) or (None, [])
+            if saved is not None:
+                self._restore_rest(saved)
         fresh = self._arrange(groups)
+        started = len(fresh) + awaited
+        if saved is None:
+            self._tell_now({"event": "checkpoint", "restored": 0, "fresh": started})
+            return
         known = set(saved.axes())
         changed = [name for name in fresh if name in known]
-        restored = {"event": "checkpoint", "restored": len(self._axes) - len(fresh), "fresh": len(fresh)}
+        restored = {"event": "checkpoint", "restored": len(self._axes) - len(fresh), "fresh": started}
         more = {"changed": changed[: TUNING.most_names]} if changed else {}
         self._tell_now({**restored, "made": saved.wall, **more})
 
     def _read(self, body: bytes) -> tuple[Snapshot, list[Group]]:
-        """Return a checkpoint, and its groups with a configuration that still exists.
-
-        Raises ValueError for an invalid checkpoint.
-        """
+        """Return a checkpoint with its groups. Raises ValueError for an invalid checkpoint."""
         saved = read_snapshot(body)
+        return saved, self._restore_groups(saved)
+
+    def _restore_groups(self, saved: Snapshot) -> list[Group]:
+        """Return the groups with a configuration that still exists."""
         present = {prepared.digest: prepared for prepared in self._axes.values()}
-        groups = [one.restore_group(present[one.digest], self._pace) for one in saved.groups if one.digest in present]
-        return saved, groups
+        return [one.restore_group(present[one.digest], self._pace) for one in saved.groups if one.digest in present]
 
     def _tell_now(self, what: dict[str, Any]) -> None:
         self._engine.notices.publish_own("", what)
@@ -265,30 +226,83 @@ class Service:
         for queued in self._sinks:
             for notice in self._unwritten.get(queued.name, ()):
                 queued.notice(notice)
-        sources = [section.make(name, context) for name, section in plant.sources.items()]
+        marks = self._engine.marks
+        self._sources = [
+            Running(section.make(name, context), self._engine.inbox, tell, marks, getattr(section, "axis", None) or "")
+            for name, section in plant.sources.items()
+        ]
         self._serve_page(plant)
         for queued in self._sinks:
             queued.start()
             self._outlets.append(queued)
         self._say_started(plant)
-        tell_configurations(self._engine)
+        self._configurations.tell = tell
+        if not self._needed:
+            self._admit(plant)
         self._thread = Thread(target=self._run_engine, name="engine", daemon=True)
         self._problem: BaseException | None = None
         self._thread.start()
-        self._sources = [
-            Running(source, self._engine.inbox, self._engine.tell, self._engine.marks) for source in sources
-        ]
+        self._reloading = Thread(target=self._calibrate, args=(plant,), name="calibration", daemon=True)
+        self._reloading.start()
+
+    def _calibrate(self, plant: Plant) -> None:
+        """Calibrate the axes, which join the engine as they are ready."""
+        names: dict[Path, list[str]] = {}
+        for name, path in plant.axes.items():
+            names.setdefault(path, []).append(name)
+        try:
+            for path, prepared in self._configurations.calibrate(dict(self._configs)):
+                self._engine.ask(partial(self._join, plant, path, dict.fromkeys(names[path], prepared)))
+            self._engine.ask(self._end_start)
+        except BaseException as error:
+            self._unusable = error
+
+    def _join(self, plant: Plant, path: Path, axes: dict[str, Prepared | None]) -> None:
+        """Take calibrated axes, or axes that cannot be used, in the engine's thread, between two ticks."""
+        self._axes.update({name: prepared for name, prepared in axes.items() if prepared is not None})
+        self._engine.set_awaited(self._engine.awaited - axes.keys())
+        self._needed.discard(path)
+        if not self._needed:
+            self._admit(plant)
+
+    def _admit(self, plant: Plant) -> None:
+        """Let the calibrated axes join the engine, and start the sources that do not wait for others."""
+        reported = {group.prepared.digest for group in self._engine.groups}
+        if self._opened:
+            self._arrange(self._engine.groups)
+        elif self._vault is not None:
+            self._restore(plant, self._vault)
+        else:
+            self._arrange([])
+        self._opened, self._engine.waiting = True, False
+        tell_configurations(self._engine, reported)
         for running in self._sources:
-            running.start()
+            if running.axis not in self._engine.awaited:
+                running.start()
+        self._report_progress()
+
+    def _report_progress(self) -> None:
+        left, now = len(self._engine.awaited), time.monotonic()
+        if left and self._axes and now - self._reported > TUNING.arrangement_progress:
+            self._reported = now
+            self._tell_now({"event": "calibration", "watched": len(self._axes), "awaited": left})
+
+    def _end_start(self) -> None:
+        """End the start of the service, after the last calibration."""
+        if not self._axes:
+            self._unusable = UsageError(_NOTHING)
+        gc.freeze()  # existing objects stay, so the collector need not examine them repeatedly
 
     def _find_axis(self, name: str) -> Axis | None:
-        prepared = self._axes.get(name)
-        return None if prepared is None else prepared.axis
+        prepared, path = self._axes.get(name), self._plant.axes.get(name)
+        if prepared is not None:
+            return prepared.axis
+        return None if path is None else self._configs.get(path)
 
     def _say_started(self, plant: Plant) -> None:
         """Report the start to all outlets. The log also gets the address of the page, and a terminal a new token."""
         state = None if plant.state is None else str(plant.state)
-        serving = {"event": "serving", "name": plant.service.name, "axes": len(self._axes), "state": state}
+        serving = {"event": "serving", "name": plant.service.name, "axes": len(self._engine.awaited), "state": state}
         self._outlets.remove(self._log)
         number = self._engine.notices.publish_own("", serving).number
         self._outlets.append(self._log)
@@ -356,7 +370,7 @@ class Service:
             if self._reload_due:
                 self._reload_due = False
                 self._reload()
-            if all(one.ended for one in self._sources) and (self.until_end or self._failed):
+            if self._unusable or (all(one.ended for one in self._sources) and (self.until_end or self._failed)):
                 return
             if time.monotonic() - alive > 1 and self._alive():
                 alive = time.monotonic()
@@ -378,7 +392,6 @@ class Service:
     def _read_again(self) -> None:
         try:
             plant = self.load()
-            self._configurations.tell = self._engine.tell
             axes = self._configurations.load_all(plant.axes)
         except (PmfidError, OSError) as error:
             self._engine.tell(
@@ -407,6 +420,7 @@ class Service:
 
     def _end(self) -> None:
         """End the sources first, then the engine after their last delivery, then the outlets."""
+        self._configurations.stop()
         for running in self._sources:
             running.stop()
         for running in self._sources:
@@ -417,6 +431,8 @@ class Service:
             self._tell_now({"event": "ended"})
         else:
             self._engine.keeper.offer(self._engine, last=True)
+        if self._vault is not None and not self._opened:
+            self._vault.close()
         if self._page is not None:
             self._page.stop()
         for sink in self._sinks:

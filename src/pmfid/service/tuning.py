@@ -112,6 +112,10 @@ class ServiceTuning:
     #: Time without a byte that ends a read [s].
     serial_silence: float = 0.1
 
+    # workers
+    #: Priority by which calibrations yield to the service.
+    workers_nice: int = 10
+
     # web.api
     #: Number of trends in one request, and number of characters in a note.
     api_trends: int = 200

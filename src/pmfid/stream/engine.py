@@ -129,7 +129,7 @@ class StreamEngine:
     `marks` has the positions of the sources after the last stepped delivery. `history` has the configurations and the
     times at which they began. `numbered` is the last number given to an axis. `beat` is `time.monotonic()` of the last
     tick. `changes` counts the changes to the content of a checkpoint. If `urgent` is set, a checkpoint is due soon,
-    because no source repeats a command.
+    because no source repeats a command. `waiting` is true while no source may deliver, so that silence means nothing.
     """
 
     counters: Counters
@@ -145,6 +145,7 @@ class StreamEngine:
     beat: float = field(default=0.0, init=False)
     changes: int = field(default=0, init=False)
     urgent: bool = field(default=False, init=False)
+    waiting: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         self.notices = Notices(self.outlets)
@@ -203,11 +204,12 @@ class StreamEngine:
         """Step the waiting deliveries. Returns False once the inbox is closed and empty."""
         batch = self.inbox.take_deliveries(timeout)
         self.beat = monotonic()
-        self.silence.tick(self.beat)
+        if not self.waiting:
+            self.silence.tick(self.beat)
         if batch:
             self.process(batch)
         self._obey()
-        if self.silence.look(self.groups):
+        if not self.waiting and self.silence.look(self.groups):
             self.changes += 1
             self.urgent = True
         self._speak()
@@ -223,6 +225,15 @@ class StreamEngine:
                 seat.number = self.numbered
         for group in self.groups:
             self.counters.put("pmfid_axes", len(group.seats), group=group.kindred.config)
+
+    @property
+    def awaited(self) -> frozenset[str]:
+        """Names of axes that are still being calibrated, whose data are dropped and counted."""
+        return self._intake.awaited
+
+    def set_awaited(self, axes: Iterable[str]) -> None:
+        self._intake.awaited = frozenset(axes)
+        self.counters.put("pmfid_axes_calibrating", len(self._intake.awaited))
 
     def seat(self, axis: str) -> Seat | None:
         """Return the seat of an axis by its name, or None."""

@@ -110,11 +110,15 @@ class Ordered:
 
 @dataclass
 class Intake:
-    """The intake, which assigns items to axes. `tell` receives notices on a source or an axis."""
+    """The intake, which assigns items to axes. `tell` receives notices on a source or an axis.
+
+    `awaited` has the names of axes that will get a seat. Until then, their items are dropped and counted.
+    """
 
     counters: Counters
     tell: Callable[[dict[str, Any], str], None]
     seats: dict[str, Seat] = field(default_factory=dict, init=False)
+    awaited: frozenset[str] = field(default=frozenset(), init=False)
     _seatings: Seatings = field(default_factory=lambda: Seatings({}), init=False)
     _unusable: set[tuple[str, str]] = field(default_factory=set, init=False)
     _turn: int = field(default=0, init=False)
@@ -189,6 +193,9 @@ class Intake:
             self._refuse(delivery.source, item)
             return
         seat = self.seats.get(item.axis)
+        if seat is None and item.axis in self.awaited:
+            self.counters.add("pmfid_unusable_total", source=delivery.source, reason="calibrating")
+            return
         if seat is None:
             problem = f"the plant has no axis {item.axis!r}; add it to PLANT.toml, or correct the name in the sender"
             self._refuse(delivery.source, Unusable("axis", problem, item.axis))
