@@ -169,7 +169,7 @@ def watch_edges(u: Floats, schedule: Schedule, increments: int, fault: tuple[flo
 
 def watch_counts(u: Floats, counts: Counts) -> list[Alarm]:
     """Return the alarms of `Monitor` on the cart with the finest encoder."""
-    found = calibration(FINEST, Watch().mtbf_hours)
+    found = calibration(FINEST)
     watched = Monitor(make_riv(FINEST, found.theta), found, Watch())
     return [event for _, _, event in watched.run(u, counts).events if isinstance(event, Alarm)]
 

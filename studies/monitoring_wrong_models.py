@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 
 from pmfid.estimators.iv import RIV
-from pmfid.monitor.calibration import Calibration, simulated_hours
+from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.names import DETECTORS, DetectorName
 from pmfid.monitor.scores import Blocks, scores, start_blocks
+from pmfid.monitor.tuning import TUNING
 from pmfid.simulation import Machine
 from studies.friction_axes import BENCHES
 from studies.machines import Axis
@@ -45,15 +46,13 @@ def tasks(seeds: int) -> list[Task]:
 def work_hours(bench: str, friction: str, seeds: int) -> dict[str, Any]:
     """Return the results of `_hours` for one machine, learned from one hour."""
     axis, machine = BENCHES[bench], FRICTIONS[friction](BENCHES[bench])
-    return _hours(
-        axis, machine, *learned(axis, machine, REFERENCE, simulated_hours(MTBF_HOURS)), HOURS_PER_SEED * seeds
-    )
+    return _hours(axis, machine, *learned(axis, machine, REFERENCE, TUNING.calibration_hours), HOURS_PER_SEED * seeds)
 
 
 def work_growth(bench: str, friction: str, seeds: int) -> dict[str, list[dict[str, Any]]]:
     """Return the results of `_growth` for one machine, by detector."""
     axis, machine = BENCHES[bench], FRICTIONS[friction](BENCHES[bench])
-    estimator, found = learned(axis, machine, REFERENCE, simulated_hours(MTBF_HOURS))
+    estimator, found = learned(axis, machine, REFERENCE, TUNING.calibration_hours)
     return {name: _growth(axis, machine, estimator, found, name, seeds) for name in DETECTORS}
 
 

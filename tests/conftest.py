@@ -122,7 +122,7 @@ def plant_folder(plant_place: Path) -> Iterator[Path]:
     """Return the folder of the axis with short calibrations, which a file of tests shares."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PMFID_CACHE", str(plant_place / "cache"))
-        patch.setattr("pmfid.pipeline.monitored.setup.simulated_hours", lambda hours: HOURS)
+        patch.setattr("pmfid.pipeline.monitored.setup.HOURS", HOURS)
         yield plant_place
 
 

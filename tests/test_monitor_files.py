@@ -28,10 +28,7 @@ from studies.monitoring.pipe import lines, write_axis
 from tests.patience import PATIENCE
 
 #: A calibration of half an hour is enough here.
-START = (
-    "import pmfid.pipeline.monitored.setup as m; m.simulated_hours = lambda h: 0.5; "
-    "from pmfid.cli.main import main; main()"
-)
+START = "import pmfid.pipeline.monitored.setup as m; m.HOURS = 0.5; from pmfid.cli.main import main; main()"
 N = 400
 
 
@@ -41,7 +38,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     write_axis(place, 60.0)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PMFID_CACHE", str(place / "cache"))
-        patch.setattr("pmfid.pipeline.monitored.setup.simulated_hours", lambda hours: 0.5)
+        patch.setattr("pmfid.pipeline.monitored.setup.HOURS", 0.5)
         yield place
 
 

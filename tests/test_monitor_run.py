@@ -39,10 +39,7 @@ from tests.processes import run_process
 CHANGE = 15.0
 #: Hours of a calibration that is enough here, also for the command in its own process.
 HOURS = 4.0
-START = (
-    f"import pmfid.pipeline.monitored.setup as m; m.simulated_hours = lambda h: {HOURS}; "
-    "from pmfid.cli.main import main; main()"
-)
+START = f"import pmfid.pipeline.monitored.setup as m; m.HOURS = {HOURS}; from pmfid.cli.main import main; main()"
 SKIPPED = ("bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps")
 
 
@@ -59,7 +56,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     (place / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("PMFID_CACHE", str(place / "cache"))
-        patch.setattr("pmfid.pipeline.monitored.setup.simulated_hours", lambda hours: HOURS)
+        patch.setattr("pmfid.pipeline.monitored.setup.HOURS", HOURS)
         yield place
 
 

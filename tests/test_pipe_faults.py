@@ -258,7 +258,7 @@ def test_a_refused_pipe_ends_with_its_totals(tmp_path: Path, monkeypatch: pytest
 
     path = write_axis(tmp_path, 60.0)
     monkeypatch.setenv("PMFID_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("pmfid.pipeline.monitored.setup.simulated_hours", lambda hours: 0.5)
+    monkeypatch.setattr("pmfid.pipeline.monitored.setup.HOURS", 0.5)
     body = [f"{0.008 * k:.3f},0,0\n".encode() for k in range(60)]
     arguments = ["monitor", "-", "--config", str(path), "--json", "--out", str(tmp_path / "x.csv")]
     result = CliRunner().invoke(main, arguments, input=HEADER + b"".join(body))

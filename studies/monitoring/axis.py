@@ -9,7 +9,8 @@ import numpy as np
 from pmfid.encoder import Encoder
 from pmfid.estimators.iv import IV, RIV
 from pmfid.models.drive import Drive
-from pmfid.monitor.calibration import Calibration, calibrate, simulated_hours
+from pmfid.monitor.calibration import Calibration, calibrate
+from pmfid.monitor.tuning import TUNING
 from pmfid.simulation.drive import Schedule, position_control
 from pmfid.simulation.scenarios import CART, CART_CONTROL, CART_DT, resolution_of
 from pmfid.types import Counts, Floats
@@ -71,21 +72,20 @@ def make_riv(increments: int, theta: Floats | None = None) -> RIV:
     return RIV(plain.model, plain.encoder, CART_DT, CUTOFF, forgetting=FORGETTING, initial=initial)
 
 
-#: Calibrations by increments and mean time between false alarms; filled once, for all processes.
-CALIBRATIONS: dict[tuple[int, float], Calibration] = {}
+#: Calibrations by increments; filled once, for all processes.
+CALIBRATIONS: dict[int, Calibration] = {}
 
 
-def calibration(increments: int, mtbf_hours: float) -> Calibration:
+def calibration(increments: int) -> Calibration:
     """Return the calibration of `calibrated`, computed once."""
-    key = (increments, mtbf_hours)
-    if key not in CALIBRATIONS:
-        CALIBRATIONS[key] = calibrated(*key)
-    return CALIBRATIONS[key]
+    if increments not in CALIBRATIONS:
+        CALIBRATIONS[increments] = calibrated(increments)
+    return CALIBRATIONS[increments]
 
 
-def calibrated(increments: int, mtbf_hours: float) -> Calibration:
+def calibrated(increments: int) -> Calibration:
     """Calibrate from a reference record; its parameters come from `iv`, as in `pmfid monitor`."""
     u, counts = normal_work(REFERENCE_SEED, increments, REFERENCE_HOURS)
     riv = make_riv(increments)
     theta = IV(riv.model, riv.encoder, CART_DT, CUTOFF).fit(u, counts).theta
-    return calibrate(riv, theta, u, counts, hours=simulated_hours(mtbf_hours))
+    return calibrate(riv, theta, u, counts, hours=TUNING.calibration_hours)

@@ -57,7 +57,7 @@ def work(detector: DetectorName, change: str, tolerance: float, seed: int) -> di
     name, factor = CHANGES[change]
     when = _when(seed)
     u, counts = changing(Schedule(((0.0, CART), (when, changed(name, factor)))), seed, INCREMENTS, when + AFTER)
-    found = calibration(INCREMENTS, MTBF_HOURS)
+    found = calibration(INCREMENTS)
     monitor = Monitor(make_riv(INCREMENTS, found.theta), found, Watch(detector, MTBF_HOURS, tolerance))
     alarms = watch_run(monitor, u, counts)[0]
     after = [alarm for alarm in alarms if alarm.time >= when]
@@ -81,7 +81,7 @@ def recovery(increments: int, seed: int) -> tuple[float, float]:
     when = _when(seed)
     loaded = Schedule(((0.0, CART), (when, replace(CART, mass=LOADED))))
     u, counts = changing(loaded, seed, increments, when + AFTER)
-    found = calibration(increments, MTBF_HOURS)
+    found = calibration(increments)
     constant = make_riv(increments, found.theta).run(u, counts).theta
     monitor = Monitor(make_riv(increments, found.theta), found, Watch("glr", MTBF_HOURS))
     return settled_after(constant[:, 0], when), settled_after(watch_run(monitor, u, counts)[1][:, 0], when)
@@ -104,7 +104,7 @@ def standstill(detector: DetectorName, seed: int, hours: float = 1.0) -> dict[st
     still = np.full(round(hours * 3600 / CART_DT), part[-1])
     reference = np.concatenate([part, still, part[-1] + part])
     u, counts = drive(CART, reference, INCREMENTS, rng)
-    found = calibration(INCREMENTS, MTBF_HOURS)
+    found = calibration(INCREMENTS)
     monitor = Monitor(make_riv(INCREMENTS, found.theta), found, Watch(detector, MTBF_HOURS, 0.0))
     alarms, theta = watch_run(monitor, u, counts)
     end = part.size + still.size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -23,17 +24,13 @@ HOLD = 15.0
 def work(task: int, increments: int = INCREMENTS) -> dict[str, Any]:
     """Count the alarms of every detector for every requested time in RUNS_PER_TASK runs, at tolerance 0. The result
     includes the hours, and the correlation of blocks one and two apart."""
-    made = {asked: calibration(increments, asked) for asked in ASKED}
-    riv, one = make_riv(increments), made[ASKED[0]]
+    riv, found = make_riv(increments), calibration(increments)
     seeds = [1000 + RUNS_PER_TASK * task + k for k in range(RUNS_PER_TASK)]
-    blocks = [scores(riv, one.theta, *normal_work(seed, increments, RUN_HOURS)) for seed in seeds]
-    alarms = {}
-    for asked, found in made.items():
-        pairs = [found.scale.standardise(part) for part in blocks]
-        x, w = np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
-        for name, detector in _detectors(riv, found).items():
-            hold = round(HOLD / (block_samples(riv) * CART_DT))
-            alarms[name, asked] = count_alarms(detector, x, w, found.tails[name].threshold(asked), hold)
+    blocks = [scores(riv, found.theta, *normal_work(seed, increments, RUN_HOURS)) for seed in seeds]
+    x, w = map(np.stack, zip(*(found.scale.standardise(part) for part in blocks), strict=True))
+    hold, alarms = round(HOLD / (block_samples(riv) * CART_DT)), {}
+    for asked, (name, detector) in product(ASKED, _detectors(riv, found).items()):
+        alarms[name, asked] = count_alarms(detector, x, w, found.tails[name].threshold(asked), hold)
     block_hours = block_samples(riv) * CART_DT / 3600
     return {"alarms": alarms, "hours": x.shape[0] * x.shape[1] * block_hours, "correlation": _correlation(x)}
 

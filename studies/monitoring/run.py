@@ -17,7 +17,6 @@ from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.names import DETECTORS
 from studies.monitoring import detection, false_alarms, page
 from studies.monitoring.axis import CALIBRATIONS, INCREMENTS, calibrated
-from studies.monitoring.detection import MTBF_HOURS
 from studies.monitoring.detection import RECOVERY_INCREMENTS as RECOVERY
 from studies.monitoring.pipe import measure
 
@@ -46,7 +45,7 @@ WORK: dict[str, Callable[..., Any]] = {
 }
 
 
-def _know(made: dict[tuple[int, float], Calibration]) -> None:
+def _know(made: dict[int, Calibration]) -> None:
     CALIBRATIONS.update(made)
 
 
@@ -65,9 +64,9 @@ def results_of(every: dict[str, list[tuple[Any, ...]]], jobs: int) -> dict[str, 
     flat = [(name, arguments) for name, rows in every.items() for arguments in rows]
     console = Console(stderr=True)
     context = multiprocessing.get_context("spawn")
-    needed = sorted({(INCREMENTS, asked) for asked in false_alarms.ASKED} | {(inc, MTBF_HOURS) for inc in RECOVERY})
+    needed = sorted({INCREMENTS, *RECOVERY})
     with context.Pool(jobs) as pool:
-        made = dict(zip(needed, pool.starmap(calibrated, needed, chunksize=1), strict=True))
+        made = dict(zip(needed, pool.map(calibrated, needed, chunksize=1), strict=True))
     with context.Pool(jobs, _know, (made,)) as pool:
         found = pool.imap(_work, flat)
         shown = list(track(found, "monitoring", total=len(flat), console=console, disable=not console.is_terminal))

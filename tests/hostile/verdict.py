@@ -89,7 +89,7 @@ def _limited() -> Iterator[None]:
 @contextlib.contextmanager
 def _cheap_calibration(folder: Path) -> Iterator[None]:
     with (
-        mock.patch("pmfid.pipeline.monitored.setup.simulated_hours", return_value=HOURS),
+        mock.patch("pmfid.pipeline.monitored.setup.HOURS", HOURS),
         mock.patch.dict(vars(TUNING), run_time=RUN_TIME),
         mock.patch.dict(os.environ, {"PMFID_CACHE": str(folder / "cache")}),
     ):

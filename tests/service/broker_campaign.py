@@ -195,7 +195,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     given = parser.parse_args(arguments)
     if MISSING:
         sys.exit(MISSING)
-    setup.simulated_hours = lambda hours: HOURS
+    setup.HOURS = HOURS
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         os.environ["PMFID_CACHE"] = str(folder / "cache")

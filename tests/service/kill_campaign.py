@@ -365,7 +365,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--edges", action="store_true", help="axes with the ages of edges")
     given = parser.parse_args(arguments)
-    setup.simulated_hours = lambda hours: HOURS
+    setup.HOURS = HOURS
     with tempfile.TemporaryDirectory() as name, suppress(KeyboardInterrupt):
         folder = Path(name)
         os.environ["PMFID_CACHE"] = str(folder / "cache")

@@ -21,7 +21,7 @@ import pytest
 from tests.tuned import set_tuning
 from pmfid.pipeline.monitored import setup
 set_tuning(pytest.MonkeyPatch(), "pmfid.service.tuning", process_stood=0.5)
-setup.simulated_hours = lambda hours: 0.5
+setup.HOURS = 0.5
 from pmfid.cli.main import main
 main(["serve", sys.argv[1], "--json"])
 """

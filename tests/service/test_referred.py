@@ -26,7 +26,7 @@ def looked_at(plant: Plant, refer: bool = False) -> tuple[Referred, list[float]]
             acting.until("reference")
 
     def look() -> None:
-        acting.until("serving")
+        acting.until("checkpoint")
         (group,) = service._engine.groups
         found.append((service._board.list_referred(), group.fleet.references()[0].tolist()))
 

@@ -23,7 +23,7 @@ QUICK = {"spark.driver.memory": "700m", "spark.default.parallelism": "2"}
 
 def plan_of(folder: Path, shards: int) -> StreamPlan:
     """Return the plan of the stream in a folder."""
-    setup.simulated_hours = lambda hours: HOURS
+    setup.HOURS = HOURS
     os.environ["PMFID_CACHE"] = str(folder / "cache")
     return StreamPlan(prepare(folder / "axis.toml"), PACE, shards)
 

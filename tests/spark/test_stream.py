@@ -34,7 +34,7 @@ SHARDS = 2
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Write axis.toml and calibrate the axis."""
-    monkeypatch.setattr(setup, "simulated_hours", lambda hours: 0.5)
+    monkeypatch.setattr(setup, "HOURS", 0.5)
     monkeypatch.setenv("PMFID_CACHE", str(tmp_path / "cache"))
     write_axis(tmp_path, 60.0)
     return tmp_path
@@ -122,7 +122,7 @@ def test_a_state_goes_from_firmware_through_spark_and_back(spark: SparkSession, 
 
 def test_kills_leave_no_trace(spark: SparkSession, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A small form of the campaign of `python -m tests.spark.kill_campaign`."""
-    monkeypatch.setattr(setup, "simulated_hours", setup.simulated_hours)
+    monkeypatch.setattr(setup, "HOURS", setup.HOURS)
     monkeypatch.setenv("PMFID_CACHE", str(tmp_path / "cache"))
     assert campaign(tmp_path, kills=2, axes=3, seconds=10.0, files=8).kills == 2
 

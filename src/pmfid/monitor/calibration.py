@@ -294,11 +294,6 @@ def block_keep(estimator: Estimator) -> float:
     return power(forgetting, block_samples(estimator)) if forgetting < 1 else 0.9
 
 
-def simulated_hours(mtbf_hours: float) -> float:
-    """Return the time to simulate [h] for a mean time between false alarms [h]."""
-    return min(max(TUNING.hours_per_mtbf * mtbf_hours, TUNING.least_hours), TUNING.most_hours)
-
-
 def calibrate(
     estimator: Estimator,
     theta: Floats,
@@ -384,9 +379,9 @@ def _calibrate_by_work(plain: Calibration, estimator: Estimator, u: Floats, coun
     _check_units(len(x), u.size * estimator.dt)
     found = replace(found, chi_square=_precision(ChiSquare(TUNING.unit_keep), x[None], w[None]))
     rng, unit_time, length = np.random.default_rng(seed), 3600 * record_hours / len(x), piece_length(x)
-    size = math.ceil(TUNING.calibration_resampled * plain.hours * 3600 / unit_time / TUNING.calibration_runs)
+    size = math.ceil(plain.hours * TUNING.calibration_resampled * 3600 / unit_time / TUNING.calibration_runs)
     detectors = found.detectors(estimator)
-    top = round(TUNING.calibration_resampled * TUNING.calibration_tail)
+    top = TUNING.calibration_parts * TUNING.calibration_tail
     whole = _tails(detectors, *resample_units(x, w, (TUNING.calibration_runs, size), length, rng), unit_time, top)
     quarters = [
         _tails(

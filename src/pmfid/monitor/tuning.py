@@ -63,17 +63,15 @@ class MonitorTuning:
     #: Length of one simulated run [s], and of the intervals whose maxima count [s].
     run_time: float = 1800.0
     interval_time: float = 30.0
-    #: Simulated time over the mean time between false alarms, and the limits of the simulated time [h].
-    hours_per_mtbf: float = 4.0
-    least_hours: float = 20.0
-    most_hours: float = 100.0
+    #: Simulated time [h], from which thresholds are extrapolated: about 3 s of processor time for an axis at 100 Hz.
+    calibration_hours: float = 24.0
     #: Number of maxima to which the line of the tail is fitted.
     calibration_tail: int = 100
     #: Difference between a record's noise and the simulated noise, in standard errors, above which the record's noise
     #: counts.
     calibration_noisier: float = 3.0
     #: Hours of resampled work for each hour of simulated work, and the number of resampled runs.
-    calibration_resampled: float = 4.0
+    calibration_resampled: float = 16.0
     calibration_runs: int = 64
     #: Number of parts of a record whose thresholds are compared. The record leaves doubt, so alarms are made rarer than
     #: asked, by a factor of at most `calibration_careful`. Fewer false alarms are better than more.

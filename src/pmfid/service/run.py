@@ -231,6 +231,7 @@ class Service:
             Running(section.make(name, context), self._engine.inbox, tell, marks, getattr(section, "axis", None) or "")
             for name, section in plant.sources.items()
         ]
+        self._engine.beat = time.monotonic()
         self._serve_page(plant)
         for queued in self._sinks:
             queued.start()

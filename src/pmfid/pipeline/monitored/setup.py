@@ -24,11 +24,12 @@ from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known import Known
 from pmfid.estimators.recursive import RLS, RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
-from pmfid.monitor.calibration import Calibration, NormalWork, Tail, block_keep, calibrate, simulated_hours
+from pmfid.monitor.calibration import Calibration, NormalWork, Tail, block_keep, calibrate
 from pmfid.monitor.detectors import make_detectors
 from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Scale
+from pmfid.monitor.tuning import TUNING as MONITOR_TUNING
 from pmfid.pipeline.drives import make_estimator
 from pmfid.pipeline.edges import EdgeSetup, describe_monitor, set_up_edges, takes_edges
 from pmfid.pipeline.identify import kind_of
@@ -38,7 +39,9 @@ from pmfid.records.record import Record, read_record
 from pmfid.types import Floats
 
 #: Version of the calibration and its file. Every change of either needs a new version.
-VERSION = 6
+VERSION = 7
+#: Simulated time of a calibration [h].
+HOURS = MONITOR_TUNING.calibration_hours
 
 
 def cache_dir() -> Path:
@@ -223,8 +226,7 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     if normal is None:
         notes.append("no reference record: thresholds hold for the encoder's noise alone; name one in [monitor]")
     counts = None if normal is None else source.counts
-    hours = simulated_hours(config.mtbf_hours)
-    calibration, path, cached = cached_calibration(estimator, nominal, source.u, counts, hours, progress)
+    calibration, path, cached = cached_calibration(estimator, nominal, source.u, counts, HOURS, progress)
     notes += calibration_notes(calibration, config.detector, config.mtbf_hours)
     watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
     return Setup(Monitor(estimator, calibration, watch, known), nominal, calibration, path, cached, tuple(notes))
