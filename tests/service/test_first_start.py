@@ -56,7 +56,7 @@ def test_the_page_answers_before_the_calibration(folder: Path, monkeypatch: pyte
 def test_processes_calibrate_and_report_errors(folder: Path) -> None:  # noqa: F811
     (folder / "lonely.toml").write_text((folder / "axis.toml").read_text().replace("normal.csv", "nowhere.csv"))
     found = dict(Workers([folder / "axis.toml", folder / "lonely.toml"]).run())
-    with pytest.raises((UsageError, OSError), match="nowhere.csv"):
+    with pytest.raises((UsageError, OSError), match=r"nowhere\.csv"):
         found[folder / "lonely.toml"]()
     made, expected = found[folder / "axis.toml"](), prepare(folder / "axis.toml")
     np.testing.assert_array_equal(made.setup.nominal, expected.setup.nominal)

@@ -121,6 +121,17 @@ def test_another_period_is_refused_and_reported_once() -> None:
     assert [reported["event"] for reported in verdict.events] == ["period"]
 
 
+@pytest.mark.parametrize(("samples", "begins"), [(2**53, True), (9_000_000, True), (8_000_000, False)])
+def test_numbers_beyond_a_day_begin_a_new_epoch(samples: int, begins: bool) -> None:
+    pieces, verdict = put_in_order([block(0, 10), block(samples, 10), block(samples + 10, 10)], window=0)
+    assert [event["event"] for event in verdict.events] == ["epoch" if begins else "gap"]
+    assert [(piece.lead, piece.apart) for piece in pieces] == [
+        (0, True),
+        (UNKNOWN_GAP, True) if begins else (samples - 10, False),
+        (0, False),
+    ]
+
+
 @pytest.mark.parametrize("jump", [-3600.0, 3600.0])
 def test_a_clock_that_is_set_is_reported_and_the_numbers_rule(jump: float) -> None:
     blocks = [block(10 * k, 10, time=100 + 10 * k * DT + (jump if k > 3 else 0.0)) for k in range(8)]

@@ -162,6 +162,7 @@ def test_an_axis_that_sends_what_cannot_be_used_is_silent(watched: Watched) -> N
 def test_a_slow_axis_has_the_time_of_some_samples(watched: Watched) -> None:
     (group,) = watched.engine.groups
     group.dt = 30.0
+    watched.engine.silence.sources = ("lab",)
     watched.run(149)
     assert [name for _, kind, name in watched.taken() if kind == "axis"] == []
     watched.run(3)
@@ -250,14 +251,37 @@ def test_an_axis_that_restarts_stays_silent_until_it_sends(watched: Watched) -> 
 
 def test_many_axes_at_once_share_an_alarm(prepared: Prepared) -> None:
     axes = [f"c{k}" for k in range(TUNING.notices_most + 1)]
-    watched = Watched(prepared, axes)
-    watched.run(1, *axes)
-    watched.run(LIMIT + 5)
-    assert watched.taken() == [("alarm", "axes", f"{len(axes)} axes"), ("alarm", "source", "hall")]
-    watched.run(2, *axes[1:])
-    assert watched.taken() == [("cleared", "source", "hall")], "one is silent still"
-    watched.run(1, axes[0])
+    watched = Watched(prepared, [*axes, "c"])
+    watched.run(1, *axes, "c")
+    watched.run(LIMIT + 5, "c")
+    assert watched.taken() == [("alarm", "axes", f"{len(axes)} axes")]
+    watched.run(2, *axes[1:], "c")
+    assert watched.taken() == [], "one is silent still"
+    watched.run(1, axes[0], "c")
     assert watched.taken() == [("cleared", "axes", f"{len(axes)} axes")]
+
+
+def test_a_silent_source_is_one_alarm_that_names_its_axes(watched: Watched) -> None:
+    watched.run(2, "x1", "x2")
+    watched.run(2, "x1")
+    watched.run(1, "x3", source="lab", other="hall")
+    watched.run(LIMIT - 3, "x3", source="lab", other="")
+    watched.run(20, "x3", source="lab", other="")
+    (alarm,) = [notice.what for notice in watched.outlet.reported if notice.what["event"] == "alarm"]
+    assert (alarm["silent"], alarm["name"], alarm["axes"]) == ("source", "hall", ["x1", "x2"])
+    assert "hall delivered nothing for 60 s, so 2 axes have no data (x1, x2); check" in alarm["problem"]
+    assert watched.level("pmfid_axes_silent", group="axis.toml") == 2
+    watched.taken()
+    watched.again()
+    watched.run(3 * LIMIT, "x3", source="lab", other="")
+    assert watched.taken() == [], "a restart changes nothing"
+    watched.run(LIMIT + 3, "x1", other="lab")
+    assert watched.taken() == [("cleared", "source", "hall"), ("alarm", "axis", "x2"), ("alarm", "axis", "x3")]
+
+
+def test_axes_without_any_data_are_those_of_a_source_that_never_delivered(watched: Watched) -> None:
+    watched.run(LIMIT + 3, other="lab")
+    assert watched.taken() == [("alarm", "source", "hall")]
 
 
 def test_nothing_is_silent_with_a_limit_of_0(prepared: Prepared) -> None:

@@ -53,6 +53,26 @@ def test_an_alarm_is_posted_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert (json.loads(other)["alarm"], json.loads(other)["note"]) == (7, '"<é>')
 
 
+def test_an_alarm_is_posted_as_a_sentence_for_a_phone(tmp_path: Path) -> None:
+    silent = {"silent": "source", "problem": "the source hall delivered nothing for 60 s"}
+    further = [{"parameter": "viscous_friction", "relative": -0.1, "change": -1.25, "std": 0.2, "unit": "N s/m"}]
+    alarms = [alarm(7, advice="Check the load."), alarm(8, std=math.nan, further=further), alarm(9, "", **silent)]
+    with web_server() as server:
+        hook(tmp_path, server.url, format="text").put(
+            [*alarms, notice(10, "cleared", alarm=1, silent="axis", seconds=9.6)]
+        )
+        hook(tmp_path, server.url).put([alarms[0]])
+    assert [body.decode() for *_, body in server.got[:4]] == [
+        "x1: mass is 20 % higher than normal (+0.41 ± 0.011 kg). Check the load.",
+        "x1: mass is 20 % higher than normal (+0.41 kg) and viscous friction is 10 % lower than normal "
+        "(-1.25 ± 0.2 N s/m)",
+        "the source hall delivered nothing for 60 s",
+        "x1: data arrive again after 10 s",
+    ]
+    assert server.got[0][1]["Content-Type"] == "text/plain; charset=utf-8"
+    assert json.loads(server.got[4][2])["text"] == server.got[0][2].decode()
+
+
 def test_after_its_queue_only_the_events_that_are_wanted_go_out(tmp_path: Path) -> None:
     with web_server() as server:
         outlet = WebhookSection(url=server.url, events=("alarm", "settled")).outlet("hook", Host(tmp_path))

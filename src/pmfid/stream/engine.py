@@ -150,7 +150,7 @@ class StreamEngine:
     def __post_init__(self) -> None:
         self.notices = Notices(self.outlets)
         self.silence = Silence(self.notices, self.counters)
-        self._intake = Intake(self.counters, lambda what, axis: self.tell(what, axis))
+        self._intake = Intake(self.counters, lambda what, axis: self.tell(what, axis), self.silence.number_source)
         self._said: deque[tuple[str, dict[str, Any]]] = deque()
         self._asked: deque[tuple[Callable[[], None], bool]] = deque()  # changes, with True if urgent
 

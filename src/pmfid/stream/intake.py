@@ -110,13 +110,15 @@ class Ordered:
 
 @dataclass
 class Intake:
-    """The intake, which assigns items to axes. `tell` receives notices on a source or an axis.
+    """The intake, which assigns items to axes. `tell` receives notices on a source or an axis. `number_source` returns
+    the number of a source, for `Positions`.
 
     `awaited` has the names of axes that will get a seat. Until then, their items are dropped and counted.
     """
 
     counters: Counters
     tell: Callable[[dict[str, Any], str], None]
+    number_source: Callable[[str], int] = lambda source: -1
     seats: dict[str, Seat] = field(default_factory=dict, init=False)
     awaited: frozenset[str] = field(default=frozenset(), init=False)
     _seatings: Seatings = field(default_factory=lambda: Seatings({}), init=False)
@@ -160,7 +162,9 @@ class Intake:
         table = Table.join([table for table, _ in tables])
         size = len(table.axes)
         turns = np.arange(self._turn + 1, self._turn + 1 + size)
-        received = np.repeat([one.received for _, one in tables], [len(one.axes) for one, _ in tables])
+        sizes = [len(one.axes) for one, _ in tables]
+        received = np.repeat([one.received for _, one in tables], sizes)
+        sources = np.repeat([self.number_source(one.source) for _, one in tables], sizes)
         self._turn += size
         rest = np.ones(size, np.bool_)
         for group, index in seating:
@@ -169,6 +173,7 @@ class Intake:
             taken = take_expected(group.positions, group.dt, index, table)
             if taken.any():
                 rows = slice(None) if taken.all() else np.flatnonzero(taken)
+                group.positions.source[index[rows]] = sources[rows]
                 at, offset = index[rows], np.zeros(np.count_nonzero(taken), np.int64)
                 u, counts, time = table.u[rows], table.counts[rows], table.time[rows]
                 ages = table.ages[rows] if group.takes_ages and table.ages is not None else None
@@ -200,6 +205,7 @@ class Intake:
             problem = f"the plant has no axis {item.axis!r}; add it to PLANT.toml, or correct the name in the sender"
             self._refuse(delivery.source, Unusable("axis", problem, item.axis))
             return
+        seat.group.positions.source[seat.index] = self.number_source(delivery.source)
         pieces = list[SamplePiece]()
         try:
             if isinstance(item, Block):

@@ -11,9 +11,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid.errors import list_some
 from pmfid.stream.groups import Group, Seat
 from pmfid.stream.outcome import AlarmRecord, Alarms, Counters, Notice, Outlet
 from pmfid.stream.tuning import TUNING
+from pmfid.types import Flags
 
 
 @dataclass
@@ -95,6 +97,8 @@ class Taker(Protocol):
 class Silence:
     """A monitor of silence that raises and clears alarms.
 
+    An axis whose source is silent has no alarm of its own: the alarm of the source names its axes.
+
     `limit` is the time after which silence is an alarm [s]. 0 raises no alarm. `sources` has the names of the expected
     sources, `sinks` the watched sinks. `tick` advances the clock, whose time is `now` [s]. An alarm lasts until its
     source, its sink or the last of its axes is back. The alarms of a checkpoint restore this object after a restart.
@@ -109,6 +113,7 @@ class Silence:
     _open: dict[int, Notice | AlarmRecord] = field(default_factory=dict, init=False)
     _alarms: dict[Key, int] = field(default_factory=dict, init=False)  # alarms of sources and sinks
     _heard: dict[Key, float] = field(default_factory=dict, init=False)
+    _numbers: dict[str, int] = field(default_factory=dict, init=False)  # sources that have delivered
     _ticked: float | None = field(default=None, init=False)
     _looked: float = field(default=-math.inf, init=False)
     _looked_at: float = field(default=-math.inf, init=False)  # by the clock of `tick`
@@ -129,14 +134,19 @@ class Silence:
     def note_delivery(self, source: str) -> None:
         """Note that a source has handed over a delivery."""
         self._heard["source", source] = self.now
+        self.number_source(source)
+
+    def number_source(self, source: str) -> int:
+        """Return the number of a source that delivers."""
+        return self._numbers.setdefault(source, len(self._numbers))
 
     def look(self, groups: Sequence[Group]) -> bool:
         """Raise and clear alarms if a test is due, and return whether any alarm changed."""
         if self.now - self._looked < TUNING.notices_look:
             return False
         before = self.notices.last
+        self._look_at_others(groups)
         self._look_at_axes(groups)
-        self._look_at_others()
         self._clear(groups)
         self._count(groups)
         self._looked, self._looked_at = self.now, self._ticked or self._looked_at
@@ -154,12 +164,27 @@ class Silence:
                 group.positions.alarm[k] = self._raise("axis", group.kindred.axes[k])
 
     def _find_silent(self, group: Group) -> NDArray[np.int64]:
-        """Return the numbers of the silent axes without an alarm, and clear the alarm of axes that are back."""
+        """Return the numbers of the silent axes that need an alarm, and clear the alarm of axes that are back."""
         known = group.positions
         known.heard[np.isnan(known.heard)] = self.now
         silent = self.now - known.heard > max(self.limit or math.inf, TUNING.notices_periods * group.dt)
         known.alarm[~silent] = 0
-        return np.flatnonzero(silent & (known.alarm == 0))
+        own = silent & (known.alarm == 0)
+        for source in self.sources:
+            here = own & self._delivers(source, group)
+            number, heard = self._alarms.get(("source", source)), self._heard["source", source]
+            if number:
+                known.alarm[here] = number
+            # The source itself may be silent if its last delivery is nearer to the data of the axis than to now.
+            waits = known.heard > 2 * heard - self.now
+            own &= np.logical_not(here & (waits | bool(number)))
+        return np.flatnonzero(own)
+
+    def _delivers(self, source: str, group: Group) -> Flags:
+        """Return whether a source delivers the axes of a group (axes,). A source that never delivered anything may be
+        the source of the axes without any data.
+        """
+        return np.asarray(group.positions.source == self._numbers.get(source, -1))
 
     def _raise_for_many(self, found: Sequence[tuple[Group, NDArray[np.int64]]]) -> None:
         names = [group.kindred.axes[k] for group, index in found for k in index.tolist()]
@@ -169,20 +194,42 @@ class Silence:
 
     # --- sources and sinks --------------------------------------------------------------------------------------------
 
-    def _look_at_others(self) -> None:
+    def _look_at_others(self, groups: Sequence[Group]) -> None:
         for sink in self.sinks:
             works = sink.works(self._looked_at)
             if works or (works is None and ("sink", sink.name) not in self._alarms):
                 self._heard["sink", sink.name] = self.now
         here = [*(("source", name) for name in self.sources), *(("sink", sink.name) for sink in self.sinks)]
         silent = [key for key in here if self.now - self._heard.setdefault(key, self.now) > (self.limit or math.inf)]
-        self._alarms = {key: self._alarms.get(key) or self._raise(*key) for key in silent}
+        for key in self._alarms.keys() - set(silent):
+            self._forgive(self._alarms[key], groups)
+        self._alarms = {key: self._alarms.get(key) or self._raise_for(key, groups) for key in silent}
+
+    def _raise_for(self, key: Key, groups: Sequence[Group]) -> int:
+        """Raise the alarm of a sink, or of a source with the names of its axes."""
+        kind, name = key
+        here = [(group, self._delivers(name, group) & (group.positions.alarm == 0)) for group in groups]
+        axes = [group.kindred.axes[k] for group, own in here for k in np.flatnonzero(own).tolist()]
+        if kind == "sink" or not axes:
+            return self._raise(kind, name)
+        count = "1 axis has" if len(axes) == 1 else f"{len(axes)} axes have"
+        covered = f", so {count} no data ({list_some(axes)})"
+        number = self._raise(kind, name, covered, axes=axes[: TUNING.notices_most_names])
+        for group, own in here:
+            group.positions.alarm[own] = number
+        return number
+
+    def _forgive(self, number: int, groups: Sequence[Group]) -> None:
+        """Give the axes of a source that is back the usual time until their silence is an alarm of their own."""
+        for group in groups:
+            here = group.positions.alarm == number
+            group.positions.alarm[here], group.positions.heard[here] = 0, self.now
 
     # --- alarms -------------------------------------------------------------------------------------------------------
 
-    def _raise(self, kind: str, name: str, **more: object) -> int:
+    def _raise(self, kind: str, name: str, covered: str = "", **more: object) -> int:
         what = {"event": "alarm", "silent": kind, "name": name, "seconds": self.limit, **more}
-        problem = _PROBLEMS[kind].format(name=name, limit=self.limit)
+        problem = _PROBLEMS[kind].format(name=name, limit=self.limit, covered=covered)
         notice = self.notices.publish_own(name if kind == "axis" else "", {**what, "problem": problem})
         self._open[notice.number] = notice
         return notice.number
@@ -213,6 +260,6 @@ class Silence:
 _PROBLEMS = {
     "axis": "no usable sample for {limit:g} s; check its sender and the source",
     "axes": "no usable sample of {name} for {limit:g} s; check their senders and the source",
-    "source": "the source {name} delivered nothing for {limit:g} s; check its connection and its senders",
+    "source": "the source {name} delivered nothing for {limit:g} s{covered}; check its connection and its senders",
     "sink": "the sink {name} accepted nothing for {limit:g} s; check its destination, because alarms wait for it",
 }

@@ -27,7 +27,8 @@ class Positions(RowArrays):
     measurement of the clock's rate began. `wrong_rate` is true if the last measured rate was outside its tolerance.
     `wrong_period` is true after a notice on samples of another period. `waits` is true if some blocks are early.
     `heard` is the time of the last used samples by the clock of `Silence` [s], NaN without samples. `alarm` is the
-    number of the alarm on the silence of the axis, or 0.
+    number of the alarm on the silence of the axis or of its source, or 0. `source` is the number that `Silence` gives
+    to the source of the last item, or -1.
     """
 
     epoch: NDArray[np.int64]
@@ -41,13 +42,14 @@ class Positions(RowArrays):
     waits: Flags
     heard: Floats
     alarm: NDArray[np.int64]
+    source: NDArray[np.int64]
 
     @classmethod
     def fresh(cls, axes: int) -> Positions:
         zeros, unknown, no = np.zeros(axes, np.int64), np.full(axes, np.nan), np.zeros(axes, np.bool_)
         clock = unknown, zeros.copy(), unknown.copy(), zeros.copy()
         flags = no, no.copy(), no.copy()
-        return cls(zeros - 1, zeros, *clock, *flags, unknown.copy(), zeros.copy())
+        return cls(zeros - 1, zeros, *clock, *flags, unknown.copy(), zeros.copy(), zeros - 1)
 
     def add(self, axes: int) -> None:
         """Add rows of axes without any data."""
@@ -56,7 +58,7 @@ class Positions(RowArrays):
     def forget(self, index: int) -> None:
         """Reset the row of an axis, except for the duration of its silence."""
         here, fresh = slice(index, index + 1), Positions.fresh(1)
-        fresh.heard, fresh.alarm = self.heard[here], self.alarm[here]
+        fresh.heard, fresh.alarm, fresh.source = self.heard[here], self.alarm[here], self.source[here]
         self.put(here, fresh)
 
     def fall_silent(self, index: int, alarm: int) -> None:
@@ -338,7 +340,7 @@ class Order:
             return None
         if block.epoch == self.epoch:
             missing = block.first - self.expected
-            return missing if missing <= TUNING.most_missing else UNKNOWN_GAP
+            return missing if missing * self.dt <= TUNING.longest_absence else UNKNOWN_GAP
         return self._count_epoch_gap(block)
 
     def _must_wait(self, block: Block) -> bool:
@@ -363,7 +365,7 @@ class Order:
     def _give(
         self, block: Block, lead: int, received: float, turn: int, pieces: list[SamplePiece], verdict: ItemReport
     ) -> None:
-        fresh, apart = self.epoch < 0, block.epoch != self.epoch
+        fresh, apart = self.epoch < 0, block.epoch != self.epoch or lead == UNKNOWN_GAP
         if apart:
             self._begin(block, fresh, verdict)
         elif lead:
@@ -382,7 +384,7 @@ class Order:
         pieces.append(SamplePiece(lead, apart, u, counts, block.time, known, received, turn, None, ages))
 
     def _begin(self, block: Block, fresh: bool, verdict: ItemReport) -> None:
-        """Begin a higher epoch, or the first one."""
+        """Begin a higher epoch, the first one, or numbers that do not follow the last ones."""
         if not fresh:
             ahead = block.time - self.clock.expected
             jump = ahead if math.isfinite(ahead) else None

@@ -70,9 +70,10 @@ class StreamTuning:
     order_rate: float = 0.005
     #: Tolerance of the sender's sample period, relative to the period of the configuration.
     order_period: float = 1e-3
-    #: Longest gap between two epochs [s], and largest number of missing samples between two numbers.
+    #: Longest gap between two epochs [s], and longest gap between two numbers [s]. A sender that skips more numbers has
+    #: restarted.
     longest_gap: float = 3600.0
-    most_missing: int = 2**40
+    longest_absence: float = 86400.0
     #: Number of remembered gaps, which distinguish late samples from repeated ones.
     order_gaps: int = 32
     #: Time without a new sample after which a sender is reported [s]. No broker repeats samples for a longer time.

@@ -14,11 +14,12 @@ from urllib.parse import SplitResult, urlsplit
 from pydantic import AfterValidator, Field, model_validator
 
 from pmfid.config.model import Name, Positive
-from pmfid.errors import UsageError, did_you_mean
+from pmfid.errors import UsageError, did_you_mean, printable
 from pmfid.service.broker import is_here, secret
 from pmfid.service.context import Context, RefusedError
 from pmfid.service.sinks.plain import as_json, notice_object
 from pmfid.service.sinks.queued import SinkSection
+from pmfid.service.sinks.sentences import sentence
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 
@@ -162,6 +163,11 @@ class WebhookSection(SinkSection):
         None, description="the environment variable that holds the address, if the address is a secret"
     )
     url_file: Name | None = Field(None, description="the file that holds the address, if the address is a secret")
+    format: Literal["json", "text"] = Field(
+        "json",
+        description='"json" for an object with all fields, and with a sentence in the field text; "text" for this '
+        "sentence alone, which ntfy shows on a phone",
+    )
     # The field is not strict, because TOML has lists and a frozen object needs a tuple.
     events: Annotated[tuple[Name, ...], Field(strict=False, min_length=1), AfterValidator(_check_events)] = Field(
         ("alarm", "cleared"), description='the events to send, for example ["alarm", "settled", "acknowledged"]'
@@ -202,7 +208,8 @@ class WebhookSection(SinkSection):
         address = check_address(url.strip(), value, label)
         headers = {"User-Agent": "pmfid"} | ({} if value is None else {self.secret_header: value})
         ca = None if self.ca is None else folder / Path(self.ca)
-        return WebhookSink(name, context.name, Poster(address, headers, self.timeout_s, ca))
+        poster = Poster(address, headers, self.timeout_s, ca)
+        return WebhookSink(name, context.name, poster, as_json=self.format == "json")
 
 
 class WebhookSink:
@@ -211,9 +218,9 @@ class WebhookSink:
     A notice that repeats after a restart is sent again with its old `Idempotency-Key`.
     """
 
-    def __init__(self, name: str, service: str, poster: Poster) -> None:
+    def __init__(self, name: str, service: str, poster: Poster, as_json: bool) -> None:
         self.name = name
-        self._service, self._poster = service, poster
+        self._service, self._poster, self._json = service, poster, as_json
         self._delivered: dict[str, None] = {}
 
     def open(self) -> None:
@@ -235,8 +242,10 @@ class WebhookSink:
         key = sha256(as_json([self._service, notice.axis, notice.number, notice.what]).encode()).hexdigest()[:32]
         if key in self._delivered:
             return
-        body = as_json({"service": self._service, **notice_object(notice)}).encode()
-        self._poster.post(body, {"Content-Type": "application/json", "Idempotency-Key": key})
+        told = sentence(notice)
+        body = as_json({"service": self._service, **notice_object(notice), "text": told}) if self._json else told
+        kind = "application/json" if self._json else "text/plain; charset=utf-8"
+        self._poster.post(printable(body).encode(), {"Content-Type": kind, "Idempotency-Key": key})
         self._delivered[key] = None
         while len(self._delivered) > TUNING.webhook_remembered:
             del self._delivered[next(iter(self._delivered))]

@@ -1,0 +1,79 @@
+"""Notices as sentences for a phone, in the words of the page."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from pmfid.stream.outcome import Notice
+
+Fields = Mapping[str, Any]
+
+
+def sentence(notice: Notice) -> str:
+    """Return the sentence of a notice, with the name of its axis at the beginning."""
+    what = notice.what
+    text = _SENTENCES.get(str(what.get("event")), _describe_other)(what)
+    return f"{notice.axis}: {text}" if notice.axis else text
+
+
+def _alarm(what: Fields) -> str:
+    if "silent" in what:
+        return str(what["problem"])
+    others = f", or {_words(what['others'])}" if what.get("others") else ""
+    text = " and ".join(map(_change, (what, *what.get("further", ())))) + others
+    return f"{text}. {what['advice']}" if what.get("advice") else text
+
+
+def _change(what: Fields) -> str:
+    name, relative = _words(what["parameter"]), _finite(what.get("relative"))
+    error = "" if (std := _finite(what.get("std"))) is None else f" ± {std:.2g}"
+    unit = f" {what['unit']}" if what.get("unit") else ""
+    size = "" if (change := _finite(what.get("change"))) is None else f" ({change:+.3g}{error}{unit})"
+    if relative is None:
+        return f"{name} has changed{size}"
+    return f"{name} is {100 * abs(relative):.3g} % {'lower' if relative < 0 else 'higher'} than normal{size}"
+
+
+def _cleared(what: Fields) -> str:
+    name = "data" if what.get("silent") == "axis" else f"data of {what.get('name')}"
+    return f"{name} arrive again after {float(what['seconds']):.0f} s"
+
+
+def _settled(what: Fields) -> str:
+    values = what.get("parameters", {}).items()
+    return "now " + ", ".join(f"{_words(name)} {float(found['value']):.4g}" for name, found in values)
+
+
+def _acknowledged(what: Fields) -> str:
+    note = f': "{what["note"]}"' if what.get("note") else ""
+    return f"alarm {what.get('alarm', what.get('number'))} acknowledged{note}"
+
+
+def _describe_other(what: Fields) -> str:
+    if what.get("problem"):
+        return str(what["problem"])
+    shown = {key: value for key, value in what.items() if key not in ("event", "time") and not _is_table(value)}
+    details = ", ".join(f"{_words(key)} {value}" for key, value in shown.items() if value not in ("", None))
+    return f"{what.get('event')}: {details}" if details else str(what.get("event"))
+
+
+def _is_table(value: object) -> bool:
+    return isinstance(value, dict | list | tuple)
+
+
+def _finite(value: object) -> float | None:
+    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+
+
+def _words(name: object) -> str:
+    return str(name).replace("_", " ")
+
+
+_SENTENCES: dict[str, Callable[[Fields], str]] = {
+    "alarm": _alarm,
+    "cleared": _cleared,
+    "settled": _settled,
+    "acknowledged": _acknowledged,
+}
