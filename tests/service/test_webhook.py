@@ -63,11 +63,11 @@ def test_an_alarm_is_posted_as_a_sentence_for_a_phone(tmp_path: Path) -> None:
         )
         hook(tmp_path, server.url).put([alarms[0]])
     assert [body.decode() for *_, body in server.got[:4]] == [
-        "x1: mass is 20 % higher than normal (+0.41 ± 0.011 kg). Check the load.",
-        "x1: mass is 20 % higher than normal (+0.41 kg) and viscous friction is 10 % lower than normal "
+        "x1: mass is 20 % higher than normal (+0.21 ± 0.02 kg). Check the load.",
+        "x1: mass is 20 % higher than normal (+0.21 kg) and viscous friction is 10 % lower than normal "
         "(-1.25 ± 0.2 N s/m)",
         "the source hall delivered nothing for 60 s",
-        "x1: data arrive again after 10 s",
+        "x1: the silence is over after 10 s",
     ]
     assert server.got[0][1]["Content-Type"] == "text/plain; charset=utf-8"
     assert json.loads(server.got[4][2])["text"] == server.got[0][2].decode()

@@ -27,7 +27,7 @@ def _alarm(what: Fields) -> str:
 
 
 def _change(what: Fields) -> str:
-    name, relative = _words(what["parameter"]), _finite(what.get("relative"))
+    name, relative = _words(what.get("parameter", "a parameter")), _finite(what.get("relative"))
     error = "" if (std := _finite(what.get("std"))) is None else f" ± {std:.2g}"
     unit = f" {what['unit']}" if what.get("unit") else ""
     size = "" if (change := _finite(what.get("change"))) is None else f" ({change:+.3g}{error}{unit})"
@@ -37,13 +37,13 @@ def _change(what: Fields) -> str:
 
 
 def _cleared(what: Fields) -> str:
-    name = "data" if what.get("silent") == "axis" else f"data of {what.get('name')}"
-    return f"{name} arrive again after {float(what['seconds']):.0f} s"
+    name = "" if what.get("silent") == "axis" else f" of {what.get('silent')} {what.get('name')}"
+    return f"the silence{name} is over after {what.get('seconds', 0.0):.0f} s"
 
 
 def _settled(what: Fields) -> str:
     values = what.get("parameters", {}).items()
-    return "now " + ", ".join(f"{_words(name)} {float(found['value']):.4g}" for name, found in values)
+    return "now " + ", ".join(f"{_words(name)} {found['value']:.4g}" for name, found in values)
 
 
 def _acknowledged(what: Fields) -> str:
