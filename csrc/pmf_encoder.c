@@ -216,7 +216,7 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
 static whole_t bridged(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, integer_t change,
                        integer_t motion)
 {
-    truth_t close = (change - motion <= 1) & (motion - change <= 1);
+    truth_t close = (((whole_t)change - (whole_t)motion + 1U) & 0xffffffffU) <= 2U; /* signed, this may overflow */
     return PMF_BIT(close & (magnitude(motion) >= FAST_COUNTS) & (state->guard.doubt == 0U) &
                        (state->guard.wait <= CALM(config)),
                    PMF_BRIDGED);

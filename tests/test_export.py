@@ -442,6 +442,19 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
 
 
 @needs(GCC)
+@pytest.mark.parametrize("cls", [pmfid.BCRLS, pmfid.RIV])
+def test_a_counter_that_jumps_by_half_of_its_range_overflows_nothing(
+    cls: type[RecursiveEstimator], tmp_path: Path
+) -> None:
+    estimator = make(cls)
+    pmfid.export_firmware(replace(estimator, encoder=pmfid.Encoder(estimator.encoder.resolution)), tmp_path)
+    sanitize = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
+    program = compiled(tmp_path, "axis", GCC, HERE / "jumps.c", "-O1", *sanitize)
+    done = command([f"./{program.name}"], tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@needs(GCC)
 @needs(Target("", "valgrind"))
 @pytest.mark.long
 def test_valgrind_finds_nothing(tmp_path: Path) -> None:

@@ -74,12 +74,12 @@ static int is_recursion_finite(const pmf_recursion_state_t *state)
 {
     return FINITE(state->sums) && FINITE(state->peak) && FINITE(state->factor) && FINITE(state->inverse_pivot) &&
            FINITE(state->estimate) && FINITE(state->mass) && FINITE(state->weight) &&
-           FINITE(state->innovation_square) && FINITE(state->score) && FINITE(state->spread) && FINITE(state->trace);
+           FINITE(state->innovation_square) && FINITE(state->score) && FINITE(state->trace);
 }
 
 static int is_state_finite(const pmf_state_t *state)
 {
-    int fine = FINITE(state->network) && is_recursion_finite(&state->direct) && FINITE(state->encoder.velocity) &&
+    int fine = FINITE(state->network.memory) && is_recursion_finite(&state->direct) && FINITE(state->encoder.velocity) &&
                FINITE(state->encoder.position) && FINITE(state->encoder.input) && FINITE(state->encoder.mean_velocity);
 #if PMF_WITH_AUXILIARY
     fine = fine && is_recursion_finite(&state->instrument) && FINITE(state->auxiliary.parameter) &&
