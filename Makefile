@@ -221,7 +221,7 @@ format: .venv/tools
 
 # Peers for the benchmarks only, because sippy_unipi also installs CasADi.
 .venv/peers: requirements-bench.txt | .venv/tools
-	$(PIP) install -r requirements-bench.txt
+	$(PIP) install --no-deps --require-hashes -r requirements-bench.txt
 	touch $@
 
 bench: .venv/peers

@@ -78,6 +78,17 @@ def test_the_terminal_shows_one_table_and_the_status_of_each_joint(arm: Path) ->
     assert "give kp, a known inertia, or gravity" in result.stdout
 
 
+@pytest.mark.parametrize("value", [1e308, -1e200, 1e17, np.inf])
+def test_a_damaged_position_is_left_out(value: float, tmp_path: Path) -> None:
+    t, goal, position = make_log(seed=2, kd=0.0)
+    whole = position.copy()
+    position[t.size // 2] = value
+    pl.DataFrame({"t": t, "goal_1": goal, "position_1": position}).write_csv(tmp_path / "arm.csv")
+    (log,) = read_joints(tmp_path / "arm.csv", LogLayout(resolution=STEP))
+    assert log.position.tolist() == np.delete(whole, t.size // 2).tolist()
+    assert "1 rows without a number are left out" in log.notes
+
+
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
