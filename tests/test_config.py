@@ -243,6 +243,17 @@ def test_the_examples_load() -> None:
     )
 
 
+def test_a_message_stops_after_ten_problems(tmp_path: Path) -> None:
+    keys = "\n".join(f"wrong{k} = 1" for k in range(40_000))
+    (tmp_path / "axis.toml").write_text(f"[record]\n{keys}\n")
+    with pytest.raises(UsageError) as refused:
+        load_axis(tmp_path / "axis.toml")
+    lines = str(refused.value).splitlines()
+    assert len(lines) == 11
+    assert "wrong0 is an unknown key" in lines[0]
+    assert "more problems" in lines[-1]
+
+
 def test_an_unknown_kind_is_the_only_problem(tmp_path: Path) -> None:
     """Only the kind decides whether an encoder is needed."""
     text = (Path(__file__).parents[1] / "examples" / "second_order.toml").read_text()

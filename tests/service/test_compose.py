@@ -53,3 +53,20 @@ def test_prometheus_asks_the_page_of_the_service(tmp_path: Path) -> None:
     page = page_config(load_plant(tmp_path / "PLANT.toml"))
     assert job["static_configs"][0]["targets"][0] in page.hosts
     assert (page.token_env, page.read_token_env) == ("PMFID_TOKEN", "PMFID_READ_TOKEN")
+
+
+def test_images_are_pinned_and_every_port_is_of_this_machine() -> None:
+    services = read_yaml("compose.yaml")["services"].values()
+    images = [str(service["image"]) for service in services if "image" in service]
+    bases = re.findall(r"^FROM (\S+)", (REPOSITORY / "deploy/Containerfile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert [image for image in [*images, *bases] if not re.search(r"@sha256:[0-9a-f]{64}$", image)] == []
+    ports = [port for service in services for port in service.get("ports", ())]
+    assert [port for port in ports if not port.startswith("127.0.0.1:")] == []
+
+
+def test_actions_and_requirements_are_pinned() -> None:
+    workflows = (REPOSITORY / ".github" / "workflows").glob("*.yml")
+    used = [name for one in workflows for name in re.findall(r"uses: (\S+)", one.read_text(encoding="utf-8"))]
+    assert [name for name in used if not re.search(r"@[0-9a-f]{40}$", name)] == []
+    text = (REPOSITORY / "requirements-bench.txt").read_text(encoding="utf-8")
+    assert len(re.findall(r"==", text)) == len(re.findall(r"== ?\S+.*\\\n    --hash=sha256:[0-9a-f]{64}", text)) > 0
