@@ -157,10 +157,6 @@ def _own_unit(name: str) -> str | None:
 # --- values -----------------------------------------------------------------------------------------------------------
 
 
-#: Magnitude beyond which a double shows no step of an encoder, in any unit. Such a number is damaged.
-MOST = 2.0**53
-
-
 def _make_joint(
     robot: RobotTable, t: Floats, joint: str, names: tuple[str, str], known: Sequence[str], layout: LogLayout
 ) -> JointLog:
@@ -169,7 +165,7 @@ def _make_joint(
     forces = [column(robot.columns, "known_force", name) for name in known]
     if any(own.size != t.size for own in (*values, *forces)):
         raise UsageError(f"{label}: the columns of time, goal and position differ in length: export one table")
-    there = (np.abs([t, *values, *forces]) < MOST).all(axis=0)
+    there = (np.abs([t, *values, *forces]) < TUNING.largest_number).all(axis=0)
     if robot.unitless and layout.unit is None:
         raise UsageError("a data set of LeRobot does not state its unit: give --unit deg, or rad")
     notes = [*robot.notes, *(f"{key} is {value:.4g} by the file" for key, value in robot.given.items())]

@@ -10,6 +10,8 @@ class ActuatorTuning:
     """One value for each decision of `pmfid.actuators`, by module."""
 
     # logs
+    #: Magnitude beyond which a double shows no step of an encoder, in any unit. Such a number is damaged.
+    largest_number: float = 2.0**53
     #: Standard acceleration of free fall [m/s2], for a file that states a mass and a length.
     free_fall: float = 9.80665
     #: Stamps of SAGE beyond this are in microseconds [s].

@@ -20,10 +20,6 @@ from pmfid.errors import UsageError, did_you_mean, list_some
 __all__ = ["FileSection", "load_sections", "override_sections", "show_value", "validate_sections"]
 
 
-#: Largest number of problems in one message. A user corrects some and tries again.
-MOST_PROBLEMS = 10
-
-
 class FileSection(BaseModel):
     """A section of a file, or a whole file."""
 
@@ -86,8 +82,8 @@ def validate_sections(
     # A value that is neither a number nor a name fails twice at one place. Therefore the message has only one text for
     # each place.
     places = {detail["loc"][:2]: detail for detail in details}
-    problems = [_problem(whole, detail, raw, given or {}) for detail in list(places.values())[:MOST_PROBLEMS]]
-    more = [f"and {len(places) - MOST_PROBLEMS} more problems"] if len(places) > MOST_PROBLEMS else []
+    problems = [_problem(whole, detail, raw, given or {}) for detail in list(places.values())[:10]]
+    more = [f"and {len(places) - len(problems)} more problems"] if len(places) > len(problems) else []
     raise UsageError("\n  ".join(problems + more))
 
 

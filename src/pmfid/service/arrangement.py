@@ -167,12 +167,13 @@ def remember(engine: StreamEngine) -> None:
     del engine.history[: -TUNING.arrangement_most]
 
 
-def tell_configurations(engine: StreamEngine, told: Container[str] = ()) -> None:
-    """Report the present configurations except `told` to the sinks, which keep a configuration that differs from the
-    last one.
+def tell_configurations(engine: StreamEngine, reported: Container[str] = ()) -> None:
+    """Report the present configurations, except those `reported`, to the sinks.
+
+    A sink keeps a configuration that differs from the last one.
     """
     present = {group.prepared.digest for group in engine.groups}
     for entry in engine.history:
-        if entry["digest"] in present and entry["digest"] not in told:
+        if entry["digest"] in present and entry["digest"] not in reported:
             content = {key: entry[key] for key in ("config", "digest", "nominal")}
             engine.notices.publish_own("", {"event": "configuration", **content})

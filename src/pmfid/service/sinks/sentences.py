@@ -18,35 +18,35 @@ def sentence(notice: Notice) -> str:
     return f"{notice.axis}: {text}" if notice.axis else text
 
 
-def _alarm(what: Fields) -> str:
+def _describe_alarm(what: Fields) -> str:
     if "silent" in what:
         return str(what["problem"])
-    others = f", or {_words(what['others'])}" if what.get("others") else ""
-    text = " and ".join(map(_change, (what, *what.get("further", ())))) + others
+    others = f", or {_write_words(what['others'])}" if what.get("others") else ""
+    text = " and ".join(map(_describe_change, (what, *what.get("further", ())))) + others
     return f"{text}. {what['advice']}" if what.get("advice") else text
 
 
-def _change(what: Fields) -> str:
-    name, relative = _words(what.get("parameter", "a parameter")), _finite(what.get("relative"))
-    error = "" if (std := _finite(what.get("std"))) is None else f" ± {std:.2g}"
+def _describe_change(what: Fields) -> str:
+    name, relative = _write_words(what.get("parameter", "a parameter")), _get_finite(what.get("relative"))
+    error = "" if (std := _get_finite(what.get("std"))) is None else f" ± {std:.2g}"
     unit = f" {what['unit']}" if what.get("unit") else ""
-    size = "" if (change := _finite(what.get("change"))) is None else f" ({change:+.3g}{error}{unit})"
+    size = "" if (change := _get_finite(what.get("change"))) is None else f" ({change:+.3g}{error}{unit})"
     if relative is None:
         return f"{name} has changed{size}"
     return f"{name} is {100 * abs(relative):.3g} % {'lower' if relative < 0 else 'higher'} than normal{size}"
 
 
-def _cleared(what: Fields) -> str:
+def _describe_end(what: Fields) -> str:
     name = "" if what.get("silent") == "axis" else f" of {what.get('silent')} {what.get('name')}"
     return f"the silence{name} is over after {what.get('seconds', 0.0):.0f} s"
 
 
-def _settled(what: Fields) -> str:
+def _describe_values(what: Fields) -> str:
     values = what.get("parameters", {}).items()
-    return "now " + ", ".join(f"{_words(name)} {found['value']:.4g}" for name, found in values)
+    return "now " + ", ".join(f"{_write_words(name)} {found['value']:.4g}" for name, found in values)
 
 
-def _acknowledged(what: Fields) -> str:
+def _describe_acknowledgement(what: Fields) -> str:
     note = f': "{what["note"]}"' if what.get("note") else ""
     return f"alarm {what.get('alarm', what.get('number'))} acknowledged{note}"
 
@@ -55,7 +55,7 @@ def _describe_other(what: Fields) -> str:
     if what.get("problem"):
         return str(what["problem"])
     shown = {key: value for key, value in what.items() if key not in ("event", "time") and not _is_table(value)}
-    details = ", ".join(f"{_words(key)} {value}" for key, value in shown.items() if value not in ("", None))
+    details = ", ".join(f"{_write_words(key)} {value}" for key, value in shown.items() if value not in ("", None))
     return f"{what.get('event')}: {details}" if details else str(what.get("event"))
 
 
@@ -63,17 +63,17 @@ def _is_table(value: object) -> bool:
     return isinstance(value, dict | list | tuple)
 
 
-def _finite(value: object) -> float | None:
+def _get_finite(value: object) -> float | None:
     return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
 
 
-def _words(name: object) -> str:
+def _write_words(name: object) -> str:
     return str(name).replace("_", " ")
 
 
 _SENTENCES: dict[str, Callable[[Fields], str]] = {
-    "alarm": _alarm,
-    "cleared": _cleared,
-    "settled": _settled,
-    "acknowledged": _acknowledged,
+    "alarm": _describe_alarm,
+    "cleared": _describe_end,
+    "settled": _describe_values,
+    "acknowledged": _describe_acknowledgement,
 }

@@ -242,8 +242,8 @@ class WebhookSink:
         key = sha256(as_json([self._service, notice.axis, notice.number, notice.what]).encode()).hexdigest()[:32]
         if key in self._delivered:
             return
-        told = sentence(notice)
-        body = as_json({"service": self._service, **notice_object(notice), "text": told}) if self._json else told
+        text = sentence(notice)
+        body = as_json({"service": self._service, **notice_object(notice), "text": text}) if self._json else text
         kind = "application/json" if self._json else "text/plain; charset=utf-8"
         self._poster.post(printable(body).encode(), {"Content-Type": kind, "Idempotency-Key": key})
         self._delivered[key] = None
