@@ -56,6 +56,7 @@ def test_causes_with_the_same_effect_are_all_named() -> None:
     viscous = replace(PLAIN, unknown=PLAIN.unknown[:2])
     alike = found([1.25, 1.25], equation=viscous)
     assert (alike.names, alike.others[0]) == (("input_gain",), "encoder_scale")
+    assert found([1.1, 1.1, 1]).others == ("mass and viscous_friction",)
     assert found([1.2, 1, 1], percent=8).others, "a vague estimate excludes little"
 
 
@@ -132,7 +133,7 @@ def test_two_changes_at_once_are_one_alarm_with_both(calibration: Calibration, s
 def test_an_encoder_of_four_times_the_step_is_no_mass(calibration: Calibration) -> None:
     """The alarm was once "mass +340 %"."""
     alarm = alarm_after(calibration, 1, scale=0.25)
-    assert (alarm.parameter, alarm.unit, alarm.others) == ("encoder_scale", "", ())
+    assert (alarm.parameter, alarm.unit, alarm.others) == ("encoder_scale", "", ("mass and viscous_friction",))
     assert alarm.relative == pytest.approx(-0.75, abs=0.02)
     assert alarm.advice.startswith("Check the resolution of the encoder")
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -206,12 +206,23 @@ def explain(
     information, score, candidates = _relative(evidence, theta, equation, fixed)
     best, *rest = compare(information, score, candidates, tolerance)
     names, spread = best.sets[0], best.spread
+    best = replace(best, sets=(*best.sets, *_find_equal_pair(names, candidates)))
     sizes = zip(names, *measure(information, score, candidates, names, spread, tolerance), strict=True)
     changes = [_change(name, size, std, candidates, equation) for name, size, std in sizes]
     mean = _posterior(information, score, candidates, names, spread, tolerance)[0][: len(names)]
     effect = mean @ np.array([candidates.directions[name] for name in names])
     order = sorted(changes, key=lambda one: -abs(one.relative))
     return Cause(tuple(order), effect * candidates.sizes, best, tuple(rest))
+
+
+def _find_equal_pair(names: tuple[str, ...], candidates: Candidates) -> list[tuple[str, ...]]:
+    """Return the two parameters whose equal changes are the same as a scale of the encoder, if this is the only change.
+
+    No evidence separates the two causes, however rare equal changes are.
+    """
+    scale = dict(candidates.scales).get(ENCODER_SCALE, ())
+    moved = tuple(name for name, part in zip(candidates.names, scale, strict=False) if part)
+    return [moved] if names == (ENCODER_SCALE,) and len(moved) == 2 else []
 
 
 def new_gain(evidence: ChangeEvidence, theta: Floats, equation: Equation) -> tuple[float, float, float]:
