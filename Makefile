@@ -265,6 +265,7 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.glitches --out results/glitches.md
 	.venv/bin/python -m studies.glitches_watched --out results/glitches_watched.md
 	.venv/bin/python -m studies.scale --out results/scale.md
+	.venv/bin/python -m studies.honest_recursions --out results/honest_recursions.md
 	.venv/bin/python -m studies.prediction --out results/prediction.md
 	.venv/bin/python -m studies.terms --out results/terms.md
 	.venv/bin/python -m studies.logs --out results/logs.md

@@ -70,7 +70,12 @@ enum {
     PMF_START = PMF_AUXILIARY +
         1, /* 1 in the first interval, delayed like the other signals, for the effect of the initial state */
     /* signal of direct methods without an auxiliary model if the step varies: */
-    PMF_TURN = PMF_AUXILIARY /* effect of a reversal inside the interval on the mean velocity, per 1/12 of m v' */
+    PMF_TURN = PMF_AUXILIARY, /* effect of a reversal inside the interval on the mean velocity, per 1/12 of m v' */
+    /* signals of direct methods without an auxiliary model: largest plausible errors of three signals, because counts
+       show a start, a stop or a reversal late (pmf_misread.h) */
+    PMF_MISREAD_INPUT = PMF_AUXILIARY + 2,
+    PMF_MISREAD_DIRECTION = PMF_AUXILIARY + 3,
+    PMF_MISREAD_MOVING = PMF_AUXILIARY + 4
 };
 
 /* Roles of parameters in the auxiliary model. */
@@ -145,6 +150,9 @@ typedef struct {
     scalar_t guard_leak; /* leak of the learned values, per sample in motion */
     uint32_t guard_hold; /* number of samples left out from a suspicious sample on */
 #endif
+#if PMF_WITH_MISREAD
+    uint32_t misread; /* 1: the errors of direction and moving fraction are signals */
+#endif
 #if PMF_WITH_STEPS
     scalar_t rate; /* samples per second if each sample comes with its step, otherwise 0 */
     scalar_t push; /* variance of the acceleration that the tracker expects, in counts per squared sample period */
@@ -161,6 +169,14 @@ typedef struct {
 } pmf_tracker_t;
 #endif
 
+#if PMF_WITH_MISREAD
+/* Intervals without a count, which may hide a stop or a reversal. */
+typedef struct {
+    real_t pause, usual; /* intervals since the last count, and before that count */
+    real_t held, held_input; /* intervals of this pause that did not count as misread, and the sum of their inputs */
+    real_t begun; /* samples since the first count after a standstill; 0: the start is known */
+} pmf_misread_state_t;
+#endif
 
 #if PMF_WITH_GUARD
 /* Guard against samples that no motion explains. */
@@ -203,6 +219,9 @@ typedef struct {
 #if PMF_WITH_STEPS
     real_t ratio, ratio_before; /* steps of this interval and of the preceding one, over the sample period */
     pmf_tracker_t tracker;
+#endif
+#if PMF_WITH_MISREAD
+    pmf_misread_state_t misread;
 #endif
 #if PMF_WITH_GUARD
     pmf_guard_state_t guard;
@@ -297,6 +316,12 @@ typedef struct {
     uint32_t growing; /* power of the sample number as the weight of early samples, whose model is poor; above 1 only
                          with shapes */
 #endif
+#if PMF_WITH_MISREAD
+    uint32_t n_misread; /* number of regressors with an error from misread counts */
+    uint32_t misread_column; /* first column of these errors, followed by the error of the target; 0: none */
+    uint32_t misread_index[PMF_MAX_PARAMETERS]; /* parameters of these regressors */
+    uint32_t biased; /* 1: the standard errors include the bias from the known noise */
+#endif
 #if PMF_WITH_NOISE
     scalar_t unexplained; /* ratio of mean square innovation to the known noise, above which the model is wrong; 0: no
                              check */
@@ -315,8 +340,8 @@ typedef struct {
 typedef struct {
     real_t theta[PMF_MAX_PARAMETERS];
     real_t variance_factor[PMF_MAX_PARAMETERS]; /* diagonal of P */
-    real_t inflation[PMF_MAX_PARAMETERS]; /* factor of the variances for coloured innovations and unequal weights of
-                                             samples */
+    real_t inflation[PMF_MAX_PARAMETERS]; /* factor of the variances for coloured innovations, unequal weights of
+                                             samples, and known causes of bias */
     real_t innovation, innovation_variance;
 } pmf_estimate_t;
 
@@ -350,6 +375,10 @@ typedef struct {
     whole_t frozen; /* 1: too little information is left for further forgetting */
 #if PMF_WITH_PROCESS
     real_t lift; /* effect of `lowest` on the constant of the output itself */
+#endif
+#if PMF_WITH_MISREAD
+    real_t misread[PMF_MAX_PARAMETERS]; /* sums of the sizes of errors from misread counts, over the diagonal of P */
+    real_t spread[PMF_MAX_PARAMETERS]; /* inflation without these errors */
 #endif
 #if PMF_WITH_NOISE
     pmf_check_t check, check_before; /* checks of the model in this stretch of samples and in the last */

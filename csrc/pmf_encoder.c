@@ -6,6 +6,7 @@
  * one step). With less than two counts per sample the tracker would only follow the staircase. In slow motion the last
  * count therefore gives the direction. */
 #include "pmf_guard.h"
+#include "pmf_misread.h"
 
 /* The code has branches but no loop. Small code is therefore also fast on a microcontroller. */
 #if defined(PMF_PARAMETERS) && defined(__GNUC__) && !defined(PMF_STRAIGHT)
@@ -288,6 +289,10 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     integer_t change = PMF_IF(started, signed_count(mask, (count - state->count) & mask), 0), motion;
     whole_t counts = magnitude(change), status = check(config, state, &input, &change, &counts), fast;
     real_t changed, predicted, innovation;
+#if PMF_WITH_MISREAD
+    truth_t moved = state->moving > PMF_R(0.0);
+    real_t direction = state->direction;
+#endif
 #if PMF_STEPS
     real_t ratio = ratio_of(config, state, &status);
     uint32_t ticks = ticks_of(config, ratio);
@@ -336,6 +341,11 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     status |= note_motion(config, state, motion, ticks);
 #else
     status |= note_motion(config, state, motion);
+#endif
+#if PMF_WITH_MISREAD
+    if (config->misread != 0U) {
+        emit_misread(state, motion, moved, direction, (fast > 0U) | (state->fast > 0U), signal);
+    }
 #endif
     state->mean_velocity = signal[PMF_VELOCITY];
 #if PMF_WITH_SPLIT

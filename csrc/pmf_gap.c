@@ -21,6 +21,9 @@ static void begin_encoder(const pmf_encoder_config_t *config, pmf_encoder_state_
     state->idle = 0U;
     state->fast = 0U;
     state->position = PMF_R(0.5);
+#if PMF_WITH_MISREAD
+    pmf_clear(&state->misread, (uint32_t)sizeof state->misread);
+#endif
     state->velocity = state->velocity_before = state->innovation = state->mean_velocity = PMF_R(0.0);
 #if PMF_WITH_GUARD
     state->guard.seen = state->guard.suspect = state->guard.doubt = state->guard.wait = state->guard.sound =

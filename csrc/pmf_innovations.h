@@ -161,6 +161,93 @@ PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_st
     state->block_updates = PMF_IF(where, PMF_W(0), state->block_updates);
 }
 
+#if PMF_WITH_MISREAD
+/* Part of a parameter's information that is noise, above which least squares know nothing. */
+#define MOST_NOISE PMF_R(0.9)
+/* Ratio of noise to information above which instruments know nothing: a correlation of 0.2 between instruments and
+ * noise would change the parameter by as much as itself, and control through the encoder causes such a correlation. */
+#define MOST_HIDDEN PMF_R(25.0)
+
+/* Return the variance of an error over the variance of white innovations, 0 if it is no number. */
+PMF_INLINE real_t over_white(const pmf_estimate_t *estimate, real_t error, uint32_t i)
+{
+    real_t ratio = error * error / (estimate->variance_factor[i] * estimate->innovation_variance);
+    return PMF_IF(ratio - ratio == PMF_R(0.0), ratio, PMF_R(0.0));
+}
+
+/* Add the largest effect of misread counts to the standard errors. An error e of an equation moves theta by P zeta e.
+ * The signs of the errors are unknown, so that the sizes add up. Over the diagonal of P the sums are discounted like
+ * information. `kept` is the weight of the past. */
+PMF_INLINE void note_misread(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                             const real_t *error, const real_t *zeta, real_t kept, uint32_t p, uint32_t instrumental,
+                             projection_t *projection)
+{
+    real_t move[N], sum = -error[config->n_misread];
+    uint32_t i;
+    for (i = 0; i < config->n_misread; ++i) {
+        sum += state->estimate.theta[config->misread_index[i]] * error[i];
+    }
+    for (i = 0; i < p; ++i) {
+        move[i] = zeta[i] * sum;
+    }
+    if (instrumental != 0U) {
+        project_more(p, projection, move);
+    }
+    solve(state, p, move);
+    for (i = 0; i < p; ++i) {
+        real_t factor = state->estimate.variance_factor[i];
+        real_t now = kept * state->misread[i] + PMF_SIZE(move[i]) / factor;
+        state->misread[i] = PMF_IF(where & (now - now == PMF_R(0.0)), now, state->misread[i]);
+        state->estimate.inflation[i] += over_white(&state->estimate, factor * state->misread[i], i);
+    }
+}
+
+#if PMF_WITH_NOISE
+/* Return the largest ratio of the known noise in a parameter's products to the information on the parameter. */
+PMF_INLINE real_t noise_ratio(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t p)
+{
+    real_t most = PMF_R(0.0);
+    uint32_t i;
+    for (i = 0; i < p; ++i) {
+        real_t ratio = state->estimate.variance_factor[i] * state->sums.weight * config->noise[i][i];
+        most = PMF_IF(ratio > most, ratio, most);
+    }
+    return most;
+}
+
+/* Add the bias from the known noise to the standard errors of least squares. The noise moves theta by -P (weight noise)
+ * theta, where theta and P hold for the information without the noise. */
+PMF_INLINE void add_bias(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t part, uint32_t p)
+{
+    real_t move[N];
+    uint32_t i, j;
+    for (i = 0; i < p; ++i) {
+        move[i] = PMF_R(0.0);
+        for (j = 0; j < p; ++j) {
+            move[i] += state->sums.weight * config->noise[i][j] * state->estimate.theta[j];
+        }
+    }
+    solve(state, p, move);
+    part = PMF_R(1.0) - PMF_IF(part < MOST_NOISE, part, MOST_NOISE);
+    for (i = 0; i < p; ++i) {
+        state->estimate.inflation[i] += over_white(&state->estimate, move[i] / part, i);
+    }
+}
+
+/* Include the known noise in the standard errors. Returns poor excitation if the noise hides the motion. */
+PMF_INLINE whole_t note_bias(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t p,
+                             uint32_t instrumental)
+{
+    real_t ratio = noise_ratio(config, state, p);
+    if (instrumental != 0U) {
+        return PMF_BIT(ratio > MOST_HIDDEN, PMF_POOR_EXCITATION);
+    }
+    add_bias(config, state, ratio, p);
+    return PMF_BIT(ratio > MOST_NOISE, PMF_POOR_EXCITATION);
+}
+#endif
+#endif
+
 /* Accumulate the innovations of a block. */
 PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                            const real_t *zeta, uint32_t p)

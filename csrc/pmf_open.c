@@ -134,6 +134,10 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
     pmf_clear(state->score, (uint32_t)sizeof state->score);
     for (i = 0; i < config->n_parameters; ++i) {
         state->estimate.inflation[i] = config->correlated;
+#if PMF_WITH_MISREAD
+        state->spread[i] = config->correlated;
+        state->misread[i] *= parameter == PMF_NO_PARAMETER || parameter == i ? keep : PMF_R(1.0); /* the bias stays */
+#endif
     }
 }
 

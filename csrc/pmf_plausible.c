@@ -78,6 +78,12 @@ PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_
 #if PMF_WITH_GUARD
            & check_guard(config, &state->guard)
 #endif
+#if PMF_WITH_MISREAD
+           & within(&state->misread.pause, 1U, PMF_R(0.0), MOST_COUNTS) &
+           within(&state->misread.usual, 1U, PMF_R(0.0), MOST_COUNTS) &
+           within(&state->misread.held, 1U, PMF_R(0.0), MOST_COUNTS) &
+           within(&state->misread.begun, 1U, PMF_R(0.0), MOST_COUNTS) & all_finite(&state->misread.held_input, 1U)
+#endif
         ;
 }
 
@@ -147,6 +153,9 @@ PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const 
 #endif
 #if PMF_WITH_PROCESS
            all_finite(&state->lift, 1U) &
+#endif
+#if PMF_WITH_MISREAD
+           not_negative(state->misread, REALS(state->misread)) & not_negative(state->spread, REALS(state->spread)) &
 #endif
            not_negative(state->reference, REALS(state->reference)) & not_negative(&state->trace, 1U);
 }

@@ -134,9 +134,15 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
 {
     real_t information[N][N], move[N], pivot, own;
     projection_t projection;
-    whole_t status, compensated = PMF_W(0), unmodelled = PMF_W(0);
+    whole_t status, compensated = PMF_W(0), unmodelled = PMF_W(0), hidden = PMF_W(0);
     truth_t waits = state->started == 0U, starts, looks, moves, scored, ends;
     uint32_t i, j;
+#if PMF_WITH_MISREAD
+    real_t before = state->sums.weight;
+    for (i = 0; i < p && config->misread_column != 0U; ++i) {
+        state->estimate.inflation[i] = state->spread[i];
+    }
+#endif
     state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
         state->estimate.innovation -= column[i] * state->estimate.theta[i];
@@ -206,10 +212,26 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             end_block(config, state, ends, p, instrumental, &projection);
         }
     }
+#if PMF_WITH_MISREAD
+    if (config->misread_column != 0U) {
+        for (i = 0; i < p; ++i) {
+            state->spread[i] = state->estimate.inflation[i];
+        }
+        note_misread(config, state, PMF_NOT(waits), &column[config->misread_column],
+                     instrumental != 0U ? &column[p + 1U] : column,
+                     PMF_IF(before > PMF_R(0.0), (state->sums.weight - PMF_R(1.0)) / before, PMF_R(0.0)), p,
+                     instrumental, &projection);
+#if PMF_WITH_NOISE
+        if (config->biased != 0U) {
+            hidden = note_bias(config, state, p, instrumental);
+        }
+#endif
+    }
+#endif
     if (instrumental != 0U) {
         status |= PMF_BIT(status != 0U, PMF_COMPENSATION_HELD);
     }
-    return PMF_IF(waits, PMF_W(PMF_STARTING | PMF_POOR_EXCITATION), status | unmodelled);
+    return PMF_IF(waits, PMF_W(PMF_STARTING | PMF_POOR_EXCITATION), status | unmodelled | hidden);
 }
 
 /* Check the sums as well, because an overflow would show in theta much later, or never. The check adds row by row, so

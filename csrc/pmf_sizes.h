@@ -27,6 +27,7 @@
 #define PMF_WITH_ENDLESS 1 /* float32 with so little forgetting that sums may be full */
 #define PMF_WITH_SPLIT 1 /* signals beyond input, velocity and direction */
 #define PMF_WITH_NOISE 1 /* known covariance of the noise */
+#define PMF_WITH_MISREAD 1 /* standard errors include the late direction of coarse counts */
 #define PMF_WITH_STEPS 1 /* each sample has the time since the preceding sample */
 #define PMF_WITH_NETWORK 1 /* the network is part of the configuration; otherwise it is code */
 

@@ -480,16 +480,16 @@ def test_fuzzing_for_a_while_finds_nothing(cls: type[RecursiveEstimator], tmp_pa
 
 @needs(M4F)
 def test_a_bcrls_drive_is_small(tmp_path: Path) -> None:
-    """BCRLS, float32, Cortex-M4F, without the guard: flash 4.2 kB, state under 700 bytes, stack under 400 bytes, 1300
+    """BCRLS, float32, Cortex-M4F, without the guard: flash 6 kB, state under 800 bytes, stack under 400 bytes, 1650
     instructions.
     """
     estimator = make(pmfid.BCRLS)
     pmfid.export_firmware(replace(estimator, encoder=replace(estimator.encoder, guard=False)), tmp_path)
     measured = cost(tmp_path, "axis")
-    assert 2000 < measured.flash < 4200
+    assert 2000 < measured.flash < 6000
     assert 100 < measured.stack < 400
-    assert 500 < measured.mean <= measured.most < 1300
-    assert "RAM 588 bytes" in (tmp_path / "axis.h").read_text()
+    assert 500 < measured.mean <= measured.most < 1650
+    assert "RAM 700 bytes" in (tmp_path / "axis.h").read_text()
     names = {name for name, _ in kept((tmp_path / "drive.map").read_text())}
     assert all(name.endswith("-drive.o") for name in names), "nothing of the C library"
 

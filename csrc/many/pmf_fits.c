@@ -50,11 +50,25 @@ static uint32_t level_fits(const pmf_recursion_config_t *recursion)
                : 0U;
 }
 
+/* The errors from misread counts follow all other columns. */
+static uint32_t misread_fits(const pmf_recursion_config_t *recursion)
+{
+    uint32_t i,
+        fits = recursion->n_misread <= PMF_MAX_PARAMETERS && recursion->misread_column < PMF_MAX_COLUMNS &&
+                       recursion->first_column + recursion->misread_column < PMF_MAX_COLUMNS - recursion->n_misread
+                   ? 1U
+                   : 0U;
+    for (i = 0; i < recursion->n_misread && fits != 0U; ++i) {
+        fits &= recursion->misread_index[i] < PMF_MAX_PARAMETERS ? 1U : 0U;
+    }
+    return fits;
+}
+
 static uint32_t recursion_fits(const pmf_recursion_config_t *recursion)
 {
     return columns_fit(recursion->first_column, recursion->n_parameters, recursion->instrumental) != 0U &&
                    recursion->leading < PMF_MAX_PARAMETERS && level_fits(recursion) != 0U &&
-                   recursion->scheme <= PMF_SEPARATE
+                   recursion->scheme <= PMF_SEPARATE && misread_fits(recursion) != 0U
                ? 1U
                : 0U;
 }

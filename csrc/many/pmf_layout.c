@@ -11,6 +11,7 @@
 #define IN_STATE(member) (uint32_t)offsetof(pmf_state_t, member)
 #define END_IN_STATE(member) (IN_STATE(member) + (uint32_t)sizeof(((pmf_state_t *)0)->member))
 #define IN_RECURSION(member) (uint32_t)offsetof(pmf_recursion_state_t, member)
+#define N_BYTES (PMF_MAX_PARAMETERS * (uint32_t)sizeof(scalar_t)) /* size of a vector of parameters */
 
 typedef struct {
     uint32_t from, to;
@@ -100,6 +101,12 @@ static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_c
     leave_tail(unused, at + IN_RECURSION(score), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(reference), p, sizeof(scalar_t));
     leave_estimate(unused, at + IN_RECURSION(estimate), p);
+    if (config->misread_column == 0U) {
+        leave_out(unused, at + IN_RECURSION(misread), at + IN_RECURSION(spread) + N_BYTES);
+    } else {
+        leave_tail(unused, at + IN_RECURSION(misread), p, sizeof(scalar_t));
+        leave_tail(unused, at + IN_RECURSION(spread), p, sizeof(scalar_t));
+    }
     if (!(config->unexplained > PMF_SCALAR(0.0))) {
         leave_out(unused, at + IN_RECURSION(check), at + IN_RECURSION(unmodelled) + 4U);
     }
@@ -124,6 +131,9 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
         leave_estimate(unused, IN_STATE(lifted), config->direct.n_parameters);
     } else {
         leave_out(unused, IN_STATE(lifted), END_IN_STATE(lifted));
+    }
+    if (config->encoder.misread == 0U) {
+        leave_out(unused, IN_STATE(encoder.misread), END_IN_STATE(encoder.misread));
     }
     if (config->encoder.guard == 0U) {
         leave_out(unused, IN_STATE(hold), END_IN_STATE(hold));

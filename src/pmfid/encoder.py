@@ -107,6 +107,7 @@ class Encoder:
             "rate": 0.0,
             "push": TRACKING_INDEX * TRACKING_INDEX,
             "turns": 0,
+            "misread": 0,
             **tracker_gains(TRACKING_INDEX),
         }
 

@@ -40,6 +40,7 @@ class Direct(BCRLS):
     """
 
     method: ClassVar[str] = ""
+    misreads: ClassVar[bool] = False
 
     @classmethod
     def refuses(cls, equation: Equation) -> str:

@@ -73,6 +73,8 @@ class Estimator:
     method: ClassVar[str] = ""
     #: The kernel has columns of instruments in addition to the regressors.
     instrumental: ClassVar[bool] = False
+    #: The standard errors include the direction that coarse counts show late.
+    misreads: ClassVar[bool] = False
     #: The method simulates the motion, from which it takes friction that depends on the speed.
     knows_shapes: ClassVar[bool] = False
     #: The method accepts a step that varies.
@@ -286,16 +288,28 @@ class Estimator:
             columns += builder.instruments()
         return builder.network, columns
 
+    @cached_property
+    def _misread_columns(self) -> tuple[Network, list[int], list[Taps]]:
+        """Network, parameters and columns of the errors from misread counts, which follow the other columns. They are
+        empty if the method or the equation has none."""
+        network, _ = self._columns
+        if not self.misreads or not self.plant.rests or self._extra:
+            return network, [], []
+        return network, *ColumnBuilder(self.equation, self.spec, network).misread()
+
     def make_kernel(self, forgetting: float = 1.0) -> Kernel:
         """Return a new kernel in its initial state."""
-        network, columns = self._columns
+        columns = self._columns[1]
+        network, misread, errors = self._misread_columns
         direct = self.recursion_config(len(self.names), self.instrumental, forgetting)
+        direct |= {"n_misread": len(misread), "misread_index": misread}
+        direct["misread_column"] = len(columns) if errors else 0
         try:
             config = make_config(
                 self.precision,
                 network.stages,
-                columns,
-                encoder=self.encoder_config | {"turns": int(self._has_turns(network))},
+                [*columns, *errors],
+                encoder=self.encoder_config | {"turns": int(self._has_turns(network)), "misread": int(bool(errors))},
                 direct=direct,
                 settle_samples=self.settle_samples,
                 first_samples=self.first_samples,
@@ -386,6 +400,10 @@ class Estimator:
             "growing": 0,
             "unexplained": 0.0,
             "check_samples": 0.0,
+            "n_misread": 0,
+            "misread_column": 0,
+            "misread_index": (),
+            "biased": 0,
         }
 
 

@@ -247,6 +247,8 @@ class RecursiveEstimator(Estimator):
             config["lift"] = level.ratio * self.encoder.resolution
         scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
         config["scheme"] = FORGETTING_SCHEMES[scheme]
+        if self.misreads and self._misread_columns[2]:
+            config["biased"], config["noise"] = 1, noise_covariance(self, None)[:-1, :-1].tolist()
         if forgetting < 1 and self.plant.rests:
             config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
             config["haste"], config["leak"] = (
@@ -369,9 +371,9 @@ class RLS(RecursiveEstimator):
 
     Notes
     -----
-    A noisy or coarse output makes the estimate biased, and the standard errors do not contain this bias. The standard
-    errors of `BCRLS` exclude the bias from the direction of coarse counts. `identify` reports both biases as a model
-    spread and as findings.
+    A coarse output makes the estimate biased. The standard errors contain the bias from the known step of the encoder,
+    and the largest plausible bias from a direction that counts show late. So do the standard errors of `BCRLS` for the
+    direction. For other noise of the output, use `BCRLS` or `RIV`.
 
     Examples
     --------
@@ -383,6 +385,7 @@ class RLS(RecursiveEstimator):
     """
 
     method: ClassVar[str] = "rls"
+    misreads: ClassVar[bool] = True
 
     def scheme_refused(self) -> str:
         return ""
@@ -423,3 +426,4 @@ class BCRLS(RecursiveEstimator):
 
     method: ClassVar[str] = "bcrls"
     instrumental: ClassVar[bool] = True
+    misreads: ClassVar[bool] = True

@@ -29,6 +29,9 @@ from pmfid.filters.network import (
     INPUT,
     LATE_INPUT,
     LATE_POSITION,
+    MISREAD_DIRECTION,
+    MISREAD_INPUT,
+    MISREAD_MOVING,
     MODEL_POSITION,
     MOVING,
     ONE,
@@ -47,6 +50,14 @@ from pmfid.models.equation import Equation, Term
 
 #: Nodes of the signals that are constant during a sampling interval, in the block from the counts.
 HELD = {"input": INPUT, "direction": DIRECTION, "moving": MOVING, "forward": FORWARD, "backward": BACKWARD}
+#: Error of each held signal from misread counts, as taps.
+MISREAD: dict[str, Taps] = {
+    "input": [(MISREAD_INPUT, 1.0)],
+    "direction": [(MISREAD_DIRECTION, 1.0)],
+    "moving": [(MISREAD_MOVING, 1.0)],
+    "forward": [(MISREAD_DIRECTION, 0.5), (MISREAD_MOVING, 0.5)],
+    "backward": [(MISREAD_DIRECTION, 0.5), (MISREAD_MOVING, -0.5)],
+}
 #: Weight of a reversal in each signal.
 TURNS = {"direction": 1.0, "forward": 0.5, "backward": 0.5}
 #: Nodes of the velocity in one direction, in the block from the counts.
@@ -101,6 +112,24 @@ class ColumnBuilder:
         for term in terms:
             taps += self.coefficient(term, source)
         return taps
+
+    def misread(self) -> tuple[list[int], list[Taps]]:
+        """Return the parameters whose regressors depend on the direction, and the errors of these regressors and of the
+        target from misread counts.
+        """
+        errors = [self._misread((term,)) for term in self.equation.unknown]
+        parameters = [i for i, taps in enumerate(errors) if taps]
+        target = self._misread(self.equation.known) or [(MISREAD_INPUT, 0.0)]  # the kernel's columns have a tap
+        return parameters, [*(errors[i] for i in parameters), target]
+
+    def _misread(self, terms: tuple[Term, ...]) -> Taps:
+        return [
+            (node, term.coefficient * part * weight)
+            for term in terms
+            if term.signal in MISREAD and term.derivative == 0 and term.shape is None
+            for signal, part in MISREAD[term.signal]
+            for node, weight in self._hold(signal)
+        ]
 
     def instruments(self) -> list[Taps]:
         """Return the regressors, with the filtered input after 1/f(s) in place of the noisy ones."""

@@ -26,6 +26,7 @@ LATE_INPUT, LATE_POSITION = _nodes("LATE_INPUT", "LATE_POSITION")
 (ACCELERATION,) = _nodes("ACCELERATION")
 POSITION, SPLIT_POSITION, MODEL_POSITION = _nodes("POSITION", "SPLIT_POSITION", "MODEL_POSITION")
 (TURN,) = _nodes("TURN")  # node of direct methods if the step varies
+MISREAD_INPUT, MISREAD_DIRECTION, MISREAD_MOVING = _nodes("MISREAD_INPUT", "MISREAD_DIRECTION", "MISREAD_MOVING")
 ONE, START = _nodes("ONE", "START")  # nodes of a linear process, which has no auxiliary model
 (SIGNALS,) = _nodes("SIGNALS")
 

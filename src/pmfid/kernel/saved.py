@@ -42,7 +42,9 @@ def shape_of(config: Structured) -> KernelSizes:
     recursions = recursions_of(config)
     columns = columns_of(config)
     parameters = max(int(recursion["n_parameters"]) for recursion in recursions)
-    noise = any(recursion["compensated"] or recursion["unexplained"] > 0 for recursion in recursions)
+    noise = any(
+        recursion["compensated"] or recursion["biased"] or recursion["unexplained"] > 0 for recursion in recursions
+    )
     schemes = {int(recursion["scheme"]) for recursion in recursions}
     process = config["encoder"]["process"] or any(np.any(recursion["target_noise"]) for recursion in recursions)
     nodes = {*network["stage"]["source"].tolist(), *network["tap"]["node"].tolist()}
@@ -74,6 +76,7 @@ def shape_of(config: Structured) -> KernelSizes:
             or any(node in split_signals(bool(config["encoder"]["turns"])) for node in nodes)
         ),
         with_noise=int(noise),
+        with_misread=int(config["encoder"]["misread"]),
         with_steps=int(config["encoder"]["rate"] > 0),
     )
 
@@ -112,10 +115,12 @@ def columns_of(config: Structured) -> int:
 
 
 def split_signals(turns: bool) -> list[int]:
-    """Return the nodes that only some models and methods use. With `turns` the node of reversals is not among them."""
+    """Return the nodes that only some models and methods use. With `turns` the node of reversals is not among them. Nor
+    are the nodes of misread counts."""
     constants = constants_of(None)
+    others = {constants[f"PMF_MISREAD_{name}"] for name in ("INPUT", "DIRECTION", "MOVING")}
     nodes = range(constants["PMF_MOVING"], constants["PMF_SIGNALS"])
-    return [node for node in nodes if not (turns and node == constants["PMF_TURN"])]
+    return [node for node in nodes if node not in others and not (turns and node == constants["PMF_TURN"])]
 
 
 def tight_state(kernel: Kernel, precision: str, shape: KernelSizes, *, kept: bool = False) -> Structured:

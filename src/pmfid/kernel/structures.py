@@ -70,6 +70,7 @@ class KernelSizes:
     with_endless: int
     with_split: int
     with_noise: int
+    with_misread: int
     with_steps: int
     with_network: int = 1
 

@@ -1,0 +1,44 @@
+"""Recursions from counts alone: standard errors contain the late direction and the encoder's noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pmfid import Status
+from studies.honest_recursions import MOTIONS, bench, record, verdict
+
+#: Machines that the study does not have.
+NUMBERS = (103, 104)
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("method", ["rls", "bcrls"])
+def test_hardly_any_sample_is_silently_wrong(method: str, motion: str) -> None:
+    runs = [verdict(method, motion, increments, number) for increments in (4096, 256) for number in NUMBERS]
+    assert np.mean([run.silent for run in runs]) < 0.005
+
+
+@pytest.mark.parametrize("motion", ["prbs", "trapezoids"])
+@pytest.mark.parametrize("method", ["rls", "bcrls"])
+def test_right_estimates_are_not_doubted(method: str, motion: str) -> None:
+    runs = [verdict(method, motion, 1024, number) for number in NUMBERS]
+    assert np.mean([run.doubted for run in runs]) < 0.05
+
+
+def test_a_random_input_and_a_fine_encoder_give_small_standard_errors() -> None:
+    """Bars of any size would pass the tests above."""
+    runs = [verdict(method, "prbs", 4096, number) for method in ("rls", "bcrls") for number in NUMBERS]
+    assert max(np.median(run.bar[600:]) for run in runs) < 0.3
+
+
+def test_least_squares_of_noise_are_flagged() -> None:
+    """Until the first switch of a coarse random input, the acceleration is noise and the innovations vanish."""
+    from pmfid import RLS, Drive, Encoder
+
+    one = bench(6)
+    run = record(one, "prbs", 64, 6)
+    rls = RLS(Drive(one.drive.input_gain), Encoder(run.resolution), one.dt, 1 / (3 * one.dt), forgetting=0.998)
+    track = rls.run(run.u[:137], run.counts[:137])
+    assert track["mass"][-1] < 0.1 * one.drive.mass
+    assert track.has_status(Status.POOR_EXCITATION)[-1]
