@@ -1,0 +1,71 @@
+/* One mass with friction: its motion under a held input, and the exact derivatives of the motion by every parameter.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ *   m v' = g - d v - e |v| - F sign(v) - c - sum_j a_j h_j(x, v, column_j),   lag g' = u(t - delay) - g
+ *
+ * Between switches of the input, stops and parts of an interval, the motion has a closed form. Forces h_j are held
+ * within a part at their value in the middle of the part. A stop moves in time: the derivatives of the velocity scale
+ * with the acceleration after and before the stop. */
+#ifndef PMF_BODY_H
+#define PMF_BODY_H
+
+/* Places of the parameters. The sizes a_j of the forces follow, then the free constants of the forces. */
+enum {
+    PMF_BODY_MASS,
+    PMF_BODY_VISCOUS,
+    PMF_BODY_COULOMB,
+    PMF_BODY_OFFSET, /* c, also half the difference of the Coulomb frictions of both directions */
+    PMF_BODY_DIRECTIONAL, /* e, half the difference of the viscous frictions of both directions */
+    PMF_BODY_DELAY, /* [s], >= 0 */
+    PMF_BODY_LAG, /* [s], >= 0; 0 means no lag */
+    PMF_BODY_X0,
+    PMF_BODY_V0,
+    PMF_BODY_BASE
+};
+
+/* Kinds of forces h(x, v). Constants p and q belong to the kind; s is the direction of motion. */
+enum {
+    PMF_FORCE_STRIBECK, /* s exp(-(v/p)^2) */
+    PMF_FORCE_POWER, /* s |v/q|^p */
+    PMF_FORCE_WAVE, /* sin(2 pi x / p + q) */
+    PMF_FORCE_RUB, /* s sin(2 pi x / p + q) */
+    PMF_FORCE_SPRING, /* x */
+    PMF_FORCE_HAT, /* s times a hat function of |v|: 1 at p, 0 at the neighbouring nodes; direction q */
+    PMF_FORCE_SPEED, /* s times a table over |v|, with values at p + q i */
+    PMF_FORCE_PLACE, /* a table over x */
+    PMF_FORCE_RUB_PLACE, /* s times a table over x */
+    PMF_FORCE_COLUMN, /* a column of the record, for example a measured force */
+    PMF_FORCE_COLUMN_FRICTION, /* s times a column, for example a temperature */
+    PMF_FORCE_COLUMN_VISCOUS /* v times a column */
+};
+
+typedef struct {
+    int kind;
+    int column; /* row of the columns, for the kinds with a column */
+    int free; /* 1 if the constant p is a parameter */
+    int knots; /* length of the table */
+    const double *table; /* (knots) values of a table, or nodes of the hats */
+    double p, q;
+} pmf_force;
+
+typedef struct {
+    int n; /* intervals between instants */
+    int parts; /* parts of an interval if there are forces or a lag */
+    int forces, shapes; /* numbers of forces and of free constants */
+    int rows; /* number of instants in the result */
+    const int *row; /* (rows) rising instants in the result, 0 to n */
+    const double *step; /* (n) lengths of the intervals [s] */
+    const double *u; /* (n) force of the input in each interval [N], or its value */
+    const pmf_force *force;
+    const double *column; /* (columns, n) */
+} pmf_body;
+
+/* Number of parameters w. */
+int pmf_body_width(const pmf_body *body);
+/* Simulate the motion at theta (w): positions y (rows), velocities v (rows), derivatives S (rows, w) of y.
+ *
+ * v and S may be null. `work` has room for 6 w numbers. Returns the number of rows before the motion overflows. */
+int pmf_body_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work);
+
+#endif

@@ -1,0 +1,24 @@
+import numpy as np
+from numpy.typing import NDArray
+
+BASE: int
+KINDS: dict[str, int]
+
+def run(
+    forces: list[tuple[int, int, bool, NDArray[np.float64], float, float]],
+    step: NDArray[np.float64],
+    u: NDArray[np.float64],
+    row: NDArray[np.int32],
+    columns: NDArray[np.float64],
+    theta: NDArray[np.float64],
+    parts: int,
+    slopes: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]: ...
+def whiten(
+    X: NDArray[np.float64],
+    step: NDArray[np.float64],
+    variance: NDArray[np.float64],
+    rate: float,
+    force: tuple[float, float],
+    position: tuple[float, float],
+) -> float: ...

@@ -1,0 +1,109 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
+"""One mass with friction and its exact derivatives (csrc/fit/body.h), and whitening (csrc/fit/whiten.h)."""
+
+import numpy as np
+
+cimport numpy as cnp
+from libc.stdlib cimport calloc, free
+
+cnp.import_array()
+
+cdef extern from "fit/body.h":
+    enum:
+        PMF_BODY_BASE
+        PMF_FORCE_STRIBECK, PMF_FORCE_POWER, PMF_FORCE_WAVE, PMF_FORCE_RUB, PMF_FORCE_SPRING, PMF_FORCE_HAT
+        PMF_FORCE_SPEED, PMF_FORCE_PLACE, PMF_FORCE_RUB_PLACE
+        PMF_FORCE_COLUMN, PMF_FORCE_COLUMN_FRICTION, PMF_FORCE_COLUMN_VISCOUS
+    ctypedef struct pmf_force:
+        int kind, column, free, knots
+        const double *table
+        double p, q
+    ctypedef struct pmf_body:
+        int n, parts, forces, shapes, rows
+        const int *row
+        const double *step
+        const double *u
+        const pmf_force *force
+        const double *column
+    int pmf_body_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work) nogil
+
+cdef extern from "fit/whiten.h":
+    ctypedef struct pmf_wander:
+        double rate, force_sd, force_memory, position_sd, position_memory
+    double pmf_whiten(const pmf_wander *wander, int n, int w, const double *step, const double *variance, double *X,
+                      double *work) nogil
+
+BASE = PMF_BODY_BASE
+KINDS = {
+    "stribeck": PMF_FORCE_STRIBECK, "power": PMF_FORCE_POWER, "wave": PMF_FORCE_WAVE, "rub": PMF_FORCE_RUB,
+    "spring": PMF_FORCE_SPRING, "hat": PMF_FORCE_HAT, "speed": PMF_FORCE_SPEED, "place": PMF_FORCE_PLACE, "rub_place": PMF_FORCE_RUB_PLACE,
+    "column": PMF_FORCE_COLUMN, "column_friction": PMF_FORCE_COLUMN_FRICTION,
+    "column_viscous": PMF_FORCE_COLUMN_VISCOUS,
+}
+
+
+def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.ndarray[double, mode="c"] u not None,
+        cnp.ndarray[int, mode="c"] row not None, cnp.ndarray[double, ndim=2, mode="c"] columns not None,
+        cnp.ndarray[double, mode="c"] theta not None, int parts, bint slopes):
+    """Return positions, velocities (rows,) and derivatives (rows, w), and the number of finite rows.
+
+    forces: tuples (kind, column, free, table, p, q). step, u: (n,). row: (rows,) rising, 0 to n. columns: (c, n).
+    theta: (w,). Without `slopes`, the derivatives are (rows, 0).
+    """
+    cdef Py_ssize_t n = step.shape[0], rows = row.shape[0], count = len(forces), k
+    cdef int shapes = sum(bool(force[2]) for force in forces), done
+    cdef Py_ssize_t w = PMF_BODY_BASE + count + shapes
+    if n < 1 or rows < 1 or u.shape[0] != n or theta.shape[0] != w or columns.shape[1] != n or parts < 1:
+        raise ValueError(f"lengths of step, u, columns or theta do not fit: {n}, {u.shape[0]}, {columns.shape[1]}, "
+                         f"{theta.shape[0]} for {w} parameters")
+    if row[0] < 0 or row[rows - 1] > n or np.any(np.diff(row) <= 0):
+        raise ValueError("row must rise from 0 to n at most")
+    y, v = np.full(rows, np.inf), np.full(rows, np.inf)
+    S = np.zeros((rows, w if slopes else 0))
+    cdef cnp.ndarray[double, mode="c"] yy = y
+    cdef cnp.ndarray[double, mode="c"] vv = v
+    cdef cnp.ndarray[double, ndim=2, mode="c"] SS = S
+    cdef cnp.ndarray[double, mode="c"] work = np.empty(6 * w)
+    cdef cnp.ndarray[double, mode="c"] table
+    cdef pmf_force *list_ = <pmf_force *>calloc(count + 1, sizeof(pmf_force))
+    cdef pmf_body body
+    cdef double *slope = <double *>SS.data if slopes else NULL
+    if list_ == NULL:
+        raise MemoryError
+    try:
+        for k in range(count):
+            kind, column, is_free, values, p, q = forces[k]
+            table = values
+            list_[k].kind, list_[k].column, list_[k].free, list_[k].knots = kind, column, is_free, table.shape[0]
+            list_[k].table, list_[k].p, list_[k].q = <double *>table.data, p, q
+            if kind >= PMF_FORCE_COLUMN and not 0 <= column < columns.shape[0]:
+                raise ValueError(f"force {k} has no column {column}")
+        body.n, body.parts, body.forces, body.shapes, body.rows = n, parts, count, shapes, rows
+        body.row, body.step, body.u = <int *>row.data, <double *>step.data, <double *>u.data
+        body.force, body.column = list_, <double *>columns.data
+        with nogil:
+            done = pmf_body_run(&body, <double *>theta.data, <double *>yy.data, <double *>vv.data, slope,
+                                <double *>work.data)
+    finally:
+        free(list_)
+    return y, v, S, done
+
+
+def whiten(cnp.ndarray[double, ndim=2, mode="c"] X not None, cnp.ndarray[double, mode="c"] step not None,
+           cnp.ndarray[double, mode="c"] variance not None, double rate, tuple force, tuple position):
+    """Whiten the columns of X (n, w) in place, and return the sum of the logarithms of the innovation variances.
+
+    step, variance: (n,). force, position: standard deviation and memory.
+    """
+    cdef Py_ssize_t n = X.shape[0], w = X.shape[1]
+    cdef pmf_wander wander
+    cdef double total
+    cdef cnp.ndarray[double, mode="c"] work = np.empty(4 * w)
+    if step.shape[0] != n or variance.shape[0] != n:
+        raise ValueError(f"step and variance must have {n} values, got {step.shape[0]} and {variance.shape[0]}")
+    wander.rate, wander.force_sd, wander.force_memory = rate, force[0], force[1]
+    wander.position_sd, wander.position_memory = position[0], position[1]
+    with nogil:
+        total = pmf_whiten(&wander, n, w, <double *>step.data, <double *>variance.data, <double *>X.data,
+                           <double *>work.data)
+    return total

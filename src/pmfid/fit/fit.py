@@ -1,0 +1,362 @@
+"""The fit of a machine to a record: blind start, comparison of forces, noise, and the intervals of the counts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmfid.fit.compare import ODDS, Local
+from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
+from pmfid.fit.machine import BASE, COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, Machine
+from pmfid.fit.posterior import allowed_region
+from pmfid.fit.problem import Problem
+from pmfid.fit.solve import START, Likelihood, Solution, normal_of, solve
+from pmfid.fit.starts import blind_start
+from pmfid.fit.terms import TABLE, WAVES, Candidate, Sizes, waves
+from pmfid.types import Floats
+
+#: Spreads of a white error in addition to rounding [counts], in falling order.
+SPREADS = (0.3, 0.1, 0.03, 0.01, 0.003)
+#: Largest spread at which a model explains every count. Beyond it the error is not white, and the noise describes it.
+EXPLAINED = 0.01
+#: Rounds of fit, noise and comparison, which settle in two to four.
+ROUNDS = 8
+#: Most effects that repeat along the travel, and the number of wavenumbers that a record is searched for.
+MOST_WAVES, WAVENUMBERS = 3, 100
+#: Largest change of the mass between rounds that counts as settled, relative.
+SETTLED = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A fit with the forces that the comparison added.
+
+    `theta` (p,) and `covariance` (p, p) belong to the machine's parameters, `spread` (p,) to the models next to the
+    chosen one. `solution` belongs to `problem`, whose candidates are the chosen ones. `likelihood` is that of the
+    residuals, and `plain` are the machine's parameters without candidates, in the same noise.
+    """
+
+    problem: Problem
+    solution: Solution
+    likelihood: Gaussian | Intervals
+    theta: Floats
+    covariance: Floats
+    spread: Floats
+    plain: Floats
+
+    @property
+    def residuals(self) -> list[Floats]:
+        """Residuals (k,) of each stretch [counts]."""
+        return [block.e for block in self.problem.linearise(self.solution.q, self.solution.starts)]
+
+
+def sizes_of(problem: Problem, start: Problem, solution: Solution) -> Sizes:
+    """Return the sizes that scale the priors, from the record and its blind start."""
+    u = np.concatenate([one.drive.u for one in problem.stretches])
+    y = np.concatenate([one.y for one in problem.stretches])
+    (_, v), *_ = start.motion(solution.q, solution.starts)
+    theta = start.theta(solution.q)
+    force, top = float(np.sqrt(np.mean(u**2))), float(np.max(np.abs(u)))
+    speed = float(np.quantile(np.abs(v[np.isfinite(v)]), 0.98))
+    acting = np.abs(u[np.abs(u) > 1e-6 * top])
+    return Sizes(
+        force,
+        top,
+        speed,
+        max(float(theta[2]), 0.05 * force),
+        max(float(theta[1]), 0.05 * force / speed),
+        max(float(np.ptp(y)) / 2, problem.resolution),
+        float(np.mean([np.mean(one.drive.step) for one in problem.stretches])),
+        sum(float(np.sum(one.drive.step)) for one in problem.stretches),
+        bool(np.ptp(acting) > 1e-3 * top),
+    )
+
+
+def candidates_of(machine: Machine, sizes: Sizes) -> list[Candidate]:
+    """Return the rows of the table that the machine does not have already."""
+    has = {row for row in (OFFSET, DIRECTIONAL, DELAY) if np.any(machine.lift[row] != 0)}
+    if np.any(machine.lift[LAGGING] != 0):
+        has.add(DELAY)  # a short lag acts as a dead time
+    kinds = {(force.kind, force.p if force.kind == "power" else 0.0) for force in machine.forces}
+    rows = [one for row in TABLE for one in row(sizes)]
+    return [
+        one
+        for one in rows
+        if one.base not in has
+        and (one.force is None or (one.force.kind, one.force.p if one.force.kind == "power" else 0.0) not in kinds)
+    ]
+
+
+def with_columns(problem: Problem, candidates: Sequence[Candidate]) -> tuple[Problem, list[Candidate]]:
+    """Return the problem with the candidates' columns, and the candidates with the numbers of their columns."""
+    first = problem.stretches[0].drive.columns.shape[0]
+    makers = [one.column for one in candidates if one.column is not None]
+    clocks = np.append(0.0, np.cumsum([float(np.sum(one.drive.step)) for one in problem.stretches]))
+    stretches = []
+    for stretch, begin in zip(problem.stretches, clocks, strict=False):
+        t = begin + np.cumsum(stretch.drive.step)
+        t = np.append(t, clocks[-1])  # the columns know how long the whole record is
+        rows = [make(np.append(stretch.drive.u, 0.0), t)[:-1] for make in makers]
+        columns = np.ascontiguousarray(np.vstack([stretch.drive.columns, *rows]))
+        stretches.append(replace(stretch, drive=replace(stretch.drive, columns=columns)))
+    numbers = iter(range(first, first + len(makers)))
+    placed = [one if one.column is None else one.placed(next(numbers)) for one in candidates]
+    return replace(problem, stretches=tuple(stretches)), placed
+
+
+def first_theta(machine: Machine, start: Floats, sizes: Sizes) -> Floats:
+    """Return the machine's parameters (p,) at the blind start (mass, viscous, Coulomb, load)."""
+    body = np.zeros(len(machine.rest))
+    body[[MASS, VISCOUS, COULOMB, OFFSET]] = start
+    body[[DELAY, LAGGING]] = 0.5 * sizes.step
+    for j, force in enumerate(machine.forces):
+        body[BASE + j] = 0.2 * sizes.coulomb if force.free else 0.0
+    body[BASE + len(machine.forces) :] = 0.05 * sizes.speed
+    rows = np.any(machine.lift != 0, axis=1)
+    return np.asarray(np.linalg.lstsq(machine.lift[rows], body[rows], rcond=None)[0])
+
+
+class Search:
+    """The state of a fit: the table of candidates, the chosen ones, the noise and the solution."""
+
+    def __init__(self, problem: Problem) -> None:
+        start, solution = blind_start(problem.stretches, problem.resolution)
+        self.sizes = sizes_of(problem, start, solution)
+        self.plain, self.table = with_columns(problem, candidates_of(problem.machine, self.sizes))
+        self.chosen = [i for i, one in enumerate(self.table) if one.base == OFFSET]
+        theta = first_theta(problem.machine, start.theta(solution.q), self.sizes)
+        self.problem = self._chosen_problem()
+        self.q = self.problem.start(theta)
+        self.starts = np.zeros((len(problem.stretches), 2))
+        if self.chosen:
+            self.q[-1] = start.theta(solution.q)[3] / self.table[self.chosen[0]].sd
+        self.noise = Gaussian(self.plain.stretches)
+        self.solution: Solution | None = None
+
+    @property
+    def own(self) -> int:
+        return len(self.plain.machine.names)
+
+    def _chosen_problem(self) -> Problem:
+        return self.plain.with_candidates([self.table[i].freed() for i in self.chosen])
+
+    def prior(self, problem: Problem) -> Floats:
+        """Return the prior precisions (p,): 1 for the size of a candidate, 0 for everything else."""
+        further = [value for one in problem.candidates for value in ([1.0, 0.0] if one.free else [1.0])]
+        return np.append(np.zeros(self.own), further)
+
+    def solve(self, likelihood: Likelihood, steps: int = 30) -> Solution:
+        found = solve(self.problem, likelihood, self.q, self.starts, self.prior(self.problem), steps)
+        self.q, self.starts, self.solution = found.q, found.starts, found
+        return found
+
+    @property
+    def rate(self) -> float:
+        body, _, _ = self.problem._body(self.q)
+        return max(0.0, float(body[VISCOUS] / body[MASS]))
+
+    def estimate_noise(self, kinds: Sequence[str]) -> Gaussian:
+        """Return the noise of the residuals, with the rests of the simulated motion."""
+        motion = self.problem.motion(self.q, self.starts)
+        stretches = tuple(
+            replace(one, rest=v == 0) for one, (_, v) in zip(self.plain.stretches, motion, strict=True)
+        )
+        return noise_of(stretches, _errors(self), self.rate, kinds)
+
+    def choose(self, chosen: Sequence[int]) -> None:
+        """Take a set of candidates, with the sizes of those that were in before."""
+        sizes = self._sizes()
+        self.chosen = sorted(chosen)
+        self.problem = self._chosen_problem()
+        theta = self.q[: self.own]
+        self.q = self.problem.start(self.plain.theta(theta))
+        k = self.own
+        for i in self.chosen:
+            size, constant = sizes.get(i, (0.02, 1.0))
+            self.q[k] = size
+            k += 1
+            if self.table[i].freed().free:
+                self.q[k] = constant
+                k += 1
+
+    def _sizes(self) -> dict[int, tuple[float, float]]:
+        found, k = {}, self.own
+        for i in self.chosen:
+            free = self.table[i].freed().free
+            found[i] = (float(self.q[k]), float(self.q[k + 1]) if free else 1.0)
+            k += 1 + free
+        return found
+
+    def local(self, likelihood: Likelihood) -> Local:
+        """Return the quadratic log likelihood by the machine's parameters and by all candidates of the table, about
+        size 0 of each candidate."""
+        sizes = self._sizes()
+        every = self.plain.with_candidates(
+            [one.freed() if i in self.chosen else one for i, one in enumerate(self.table)]
+        )
+        q, kept, at = every.start(self.plain.theta(self.q[: self.own])), list(range(self.own)), np.zeros(len(self.table))
+        k = self.own
+        for i, one in enumerate(every.candidates):
+            kept.append(k)
+            at[i] = q[k] = sizes.get(i, (0.0, 1.0))[0]
+            if one.free:
+                q[k + 1] = sizes[i][1]
+            k += 1 + one.free
+        normal = normal_of(likelihood(every.linearise(q, self.starts))[1], self.starts)
+        A, g = normal.A[np.ix_(kept, kept)], normal.g[kept]
+        return Local(A, g - A[:, self.own :] @ at, self.own)
+
+
+def fit(problem: Problem) -> Fitted:
+    """Fit a machine to a record.
+
+    Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
+    """
+    search = Search(problem)
+    allowed = list(range(len(search.table)))
+    _settle(search, allowed, 0)
+    search.solve(search.noise)
+    for _ in range(MOST_WAVES):
+        if not search.noise.wanders or not _add_wave(search):
+            break
+        allowed = list(range(len(search.table)))
+        _settle(search, allowed, 2)
+        search.solve(search.noise)
+    return _conclude(search, _sharpest(search), allowed)
+
+
+def _settle(search: Search, allowed: Sequence[int], first: int) -> None:
+    """Fit, estimate the noise and compare in turn. The first two rounds find the noise of the model as it is."""
+    for turn in range(first, ROUNDS):
+        before = search.q[: search.own].copy()
+        search.solve(search.noise)
+        search.noise = search.estimate_noise(("force",) if turn < 2 else ("force", "position"))
+        better = search.local(search.noise).best(search.chosen, allowed) if turn > 1 else search.chosen
+        same = better == search.chosen
+        lead = search.plain.machine.lead
+        if turn > 1 and same and abs(search.q[lead] - before[lead]) < SETTLED:
+            break
+        if not same:
+            search.choose(better)
+
+
+def _add_wave(search: Search) -> bool:
+    """Add the effect with a period along the travel that the residuals show best, if they show one."""
+    reach = 2 * search.sizes.travel
+    kind, wavenumber, gain = _strongest(search, np.arange(1, WAVENUMBERS + 1) / (2 * reach), tuple(WAVES))
+    step = 1 / (2 * reach)
+    for _ in range(3):
+        step /= 4
+        nearby = wavenumber + step * np.arange(-3, 4)
+        _, wavenumber, gain = _strongest(search, nearby[nearby > 0], (kind,))
+    if gain < math.log(WAVENUMBERS * len(WAVES)) - 2 * ODDS:
+        return False
+    size = search.problem.resolution * 3 if not kind else 0.3 * search.sizes.coulomb
+    first = len(search.table)
+    search.table += waves(kind, 1 / wavenumber, size)
+    search.choose([*search.chosen, first, first + 1])
+    return True
+
+
+def _strongest(search: Search, wavenumbers: Floats, kinds: Sequence[str]) -> tuple[str, float, float]:
+    """Return kind, wavenumber [1/unit] and gain of log evidence of the strongest wave."""
+    best = ("", 0.0, -math.inf)
+    for kind in kinds:
+        size = search.problem.resolution * 3 if not kind else 0.3 * search.sizes.coulomb
+        pairs = [one for w in wavenumbers.tolist() for one in waves(kind, 1 / w, size)]
+        problem = replace(search.problem, candidates=(*search.problem.candidates, *pairs))
+        q = np.append(search.q, np.zeros(len(pairs)))
+        normal = normal_of(search.noise(problem.linearise(q, search.starts))[1], search.starts)
+        prior = search.prior(problem)
+        gains = pair_gains(normal.A + np.diag(prior), normal.g + prior * q, search.q.size)
+        top = int(np.argmax(gains))
+        if gains[top] > best[2]:
+            best = (kind, float(wavenumbers[top]), float(gains[top]))
+    return best
+
+
+def pair_gains(A: Floats, g: Floats, base: int) -> Floats:
+    """Return the gain (m,) of log evidence by each of m pairs of parameters after the first `base`."""
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    A, g = A / np.outer(size, size), g / size
+    solved = np.linalg.solve(A[:base, :base] + 1e-12 * np.eye(base), np.column_stack([A[:base, base:], g[:base]]))
+    inner = A[base:, base:] - A[base:, :base] @ solved[:, :-1]
+    pull = g[base:] - A[base:, :base] @ solved[:, -1]
+    m = pull.size // 2
+    blocks = inner.reshape(m, 2, m, 2)[range(m), :, range(m), :]
+    step = np.linalg.solve(blocks, pull.reshape(m, 2, 1))[..., 0]
+    logs = np.log(np.maximum(np.linalg.det(blocks), 1e-300)) + 2 * np.log(size[base:]).reshape(m, 2).sum(axis=1)
+    return np.asarray(0.5 * np.sum(step * pull.reshape(m, 2), axis=1) - 0.5 * logs)
+
+
+def _errors(search: Search) -> list[Floats]:
+    return [block.e for block in search.problem.linearise(search.q, search.starts)]
+
+
+def _sharpest(search: Search) -> Gaussian | Intervals:
+    """Return the likelihood that explains the counts best, and move the search to its optimum."""
+    best: Gaussian | Intervals = search.noise
+    top = search.noise.evidence(_errors(search))[0]
+    at = search.q, search.starts
+    before = -np.inf
+    for spread in SPREADS:
+        tried = Intervals(search.plain.stretches, spread)
+        value = -search.solve(tried, 15).cost
+        if value > top and spread <= EXPLAINED:
+            best, top, at = tried, value, (search.q, search.starts)
+        if value <= before:
+            break
+        before = value
+    search.q, search.starts = at
+    if isinstance(best, Gaussian):
+        search.solve(best)
+    return best
+
+
+def _conclude(search: Search, likelihood: Gaussian | Intervals, allowed: Sequence[int]) -> Fitted:
+    found = solve(search.problem, likelihood, search.q, search.starts, search.prior(search.problem), 5)
+    theta, covariance = _estimate(search, found, likelihood)
+    local = search.local(likelihood)
+    spread = local.spread(search.chosen, allowed)
+    lift = np.ones(search.own)
+    lift[search.plain.machine.lead] = theta[search.plain.machine.lead]
+    plain = search.plain.theta(search.q[: search.own])
+    return Fitted(
+        search.problem,
+        found,
+        likelihood,
+        theta,
+        covariance * np.outer(lift, lift),
+        spread * lift,
+        plain,
+    )
+
+
+def _estimate(search: Search, found: Solution, likelihood: Gaussian | Intervals) -> tuple[Floats, Floats]:
+    """Return the machine's parameters (p,), and their covariance with the mass as a logarithm."""
+    prior = search.prior(search.problem)
+    A = found.normal.A + np.diag(prior)
+    own = search.own
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    covariance = np.linalg.inv(A / np.outer(size, size) + 1e-13 * np.eye(len(A))) / np.outer(size, size)
+    if isinstance(likelihood, Intervals) and  len(found.starts) == 1:
+        return _bounded_estimate(search, found, covariance)
+    return search.problem.theta(found.q), covariance[:own, :own]
+
+
+def _bounded_estimate(search: Search, found: Solution, covariance: Floats) -> tuple[Floats, Floats]:
+    (block,) = search.problem.linearise(found.q, found.starts)
+    (weighted,) = found.normal.blocks
+    J = np.column_stack([block.J, block.K])
+    W = np.column_stack([weighted.J, weighted.K])
+    prior = np.append(search.prior(search.problem), START)
+    A = W.T @ W + np.diag(prior)
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    wide = np.linalg.inv(A / np.outer(size, size) + 1e-13 * np.eye(len(A))) / np.outer(size, size)
+    bound = np.full(block.e.size, max(0.5, float(np.max(np.abs(block.e))) + 1e-3))
+    mean, inner = allowed_region(block.e, J, bound, wide, np.random.default_rng(1))
+    q = found.q + mean[: found.q.size]
+    return search.problem.theta(q), inner[: search.own, : search.own]

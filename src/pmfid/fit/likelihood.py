@@ -1,0 +1,164 @@
+"""Likelihoods of the residuals: a Gaussian with a disturbance that wanders, and the intervals of the counts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmfid._body import whiten
+from pmfid.fit.problem import Block, Stretch
+from pmfid.types import Floats
+
+#: Variance of the rounding of a count [counts^2].
+ROUNDING = 1 / 12
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """White errors of known variance, times `scale`, and a force or an error of the position that wanders.
+
+    `rate` is viscous friction over mass [1/s]. `force` has the standard deviation [counts/s^2] and the time constant
+    [s] of an Ornstein-Uhlenbeck process, and `position` those of an error of the position [counts].
+    """
+
+    stretches: Sequence[Stretch]
+    rate: float = 0.0
+    force: tuple[float, float] = (0.0, 1.0)
+    position: tuple[float, float] = (0.0, 1.0)
+    scale: float = 1.0
+
+    @property
+    def wanders(self) -> bool:
+        return self.force[0] > 0 or self.position[0] > 0
+
+    def __call__(self, blocks: Sequence[Block]) -> tuple[float, list[Block]]:
+        weighted = [self._weigh(stretch, block) for stretch, block in zip(self.stretches, blocks, strict=True)]
+        return 0.5 * sum(float(block.e @ block.e) for block in weighted), weighted
+
+    def _weigh(self, stretch: Stretch, block: Block) -> Block:
+        size = math.sqrt(self.scale)
+        if not self.wanders:
+            weight = 1 / np.sqrt(stretch.variance) / size
+            return Block(block.e * weight, block.J * weight[:, None], block.K * weight[:, None])
+        rows = np.column_stack([block.e, block.K, block.J])
+        whiten(rows, stretch.signed_steps, stretch.variance, self.rate, self.force, self.position)
+        rows /= size
+        return Block(rows[:, 0], rows[:, 3:], rows[:, 1:3])
+
+    def evidence(self, errors: Sequence[Floats]) -> tuple[float, float]:
+        """Return the log likelihood of residuals (k,) for each stretch at the best scale of at least 1, and the
+        scale."""
+        squares, logs, count = 0.0, 0.0, 0
+        for stretch, e in zip(self.stretches, errors, strict=True):
+            if self.wanders:
+                rows = np.ascontiguousarray(e[:, None]).copy()
+                logs += whiten(rows, stretch.signed_steps, stretch.variance, self.rate, self.force, self.position)
+                squares += float(np.sum(rows**2))
+            else:
+                logs += float(np.sum(np.log(stretch.variance)))
+                squares += float(np.sum(e**2 / stretch.variance))
+            count += e.size
+        scale = max(1.0, squares / count)
+        return -0.5 * (squares / scale + count * math.log(2 * math.pi * scale) + logs), scale
+
+
+#: Time constants of a wandering disturbance, in mean steps; the last one is a tenth of the record.
+MEMORIES = (3.0, 30.0)
+#: Observations that decide on the noise, in equal pieces of the record.
+MOST_ROWS, PIECES = 20_000, 4
+
+
+def noise_of(
+    stretches: Sequence[Stretch], errors: Sequence[Floats], rate: float, kinds: Sequence[str] = ("force", "position")
+) -> Gaussian:
+    """Return the noise of maximum likelihood for residuals (k,) [counts] of each stretch.
+
+    A disturbance has two parameters and enters if it gains more than their cost by Schwarz (1978).
+    """
+    chosen = _pieces(stretches, errors)
+    parts, residuals = [one for one, _ in chosen], [e for _, e in chosen]
+    plain = Gaussian(parts, rate)
+    best, (top, scale) = plain, plain.evidence(residuals)
+    step = float(np.mean([np.mean(one.steps) for one in parts]))
+    rows = sum(e.size for e in residuals)
+    cost = math.log(rows)
+    for memory in (*(m * step for m in MEMORIES), rows * step / 10):
+        for kind in kinds:
+            unit = 1 / min(memory, 30 * step) ** 2 if kind == "force" else 1.0
+            size, value, times = _largest(plain, kind, unit, memory, residuals)
+            if value - cost > top:
+                best, top, scale = replace(plain, **{kind: (size, memory)}), value - cost, times
+    return replace(best, stretches=stretches, scale=scale)
+
+
+def _largest(
+    plain: Gaussian, kind: str, unit: float, memory: float, errors: Sequence[Floats]
+) -> tuple[float, float, float]:
+    """Return the size of maximum likelihood, its log likelihood and the scale, to a fifth of an octave."""
+
+    def value(log: float) -> tuple[float, float]:
+        return replace(plain, **{kind: (unit * math.exp(log), memory)}).evidence(errors)
+
+    grid = {x: value(x) for x in np.arange(-6.0, 14.0, 2.0).tolist()}
+    for half in (1.0, 0.5, 0.25, 0.125):
+        top = max(grid, key=lambda x: grid[x][0])
+        grid |= {x: value(x) for x in (top - half, top + half)}
+    top = max(grid, key=lambda x: grid[x][0])
+    return unit * math.exp(top), *grid[top]
+
+
+def _pieces(stretches: Sequence[Stretch], errors: Sequence[Floats]) -> list[tuple[Stretch, Floats]]:
+    """Return pieces of stretches and of their residuals with at most about `MOST_ROWS` observations."""
+    total = sum(e.size for e in errors)
+    if total <= MOST_ROWS:
+        return list(zip(stretches, errors, strict=True))
+    found = []
+    for stretch, e in zip(stretches, errors, strict=True):
+        length = max(1, e.size * MOST_ROWS // total // PIECES)
+        for first in np.linspace(0, e.size - length, PIECES).astype(int).tolist():
+            chosen = np.zeros(e.size, bool)
+            chosen[first : first + length] = True
+            found.append((stretch.keep(chosen), e[chosen]))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Intervals:
+    """Counts as intervals: the position is in its count, but for a white error of `spread` counts.
+
+    The likelihood of a residual e is Phi((1/2 - e) / spread) - Phi((-1/2 - e) / spread), which is log-concave. Rows
+    that are no counts have the Gaussian likelihood of their variance.
+    """
+
+    stretches: Sequence[Stretch]
+    spread: float
+
+    def __call__(self, blocks: Sequence[Block]) -> tuple[float, list[Block]]:
+        cost, weighted = 0.0, []
+        for stretch, block in zip(self.stretches, blocks, strict=True):
+            value, slope, curvature = interval_terms(block.e, self.spread)
+            if not np.all(stretch.counted):
+                other, v = ~stretch.counted, stretch.variance
+                value[other] = -0.5 * (block.e[other] ** 2 / v[other] + np.log(2 * np.pi * v[other]))
+                slope[other], curvature[other] = -block.e[other] / v[other], 1 / v[other]
+            root = np.sqrt(curvature)
+            weighted.append(Block(-slope / root, block.J * root[:, None], block.K * root[:, None]))
+            cost -= float(np.sum(value))
+        return cost, weighted
+
+
+def interval_terms(e: Floats, spread: float) -> tuple[Floats, Floats, Floats]:
+    """Return the log likelihood (k,) of residuals e (k,) [counts], its derivative and minus its second derivative."""
+    from scipy.special import log_ndtr
+
+    x = np.abs(e)
+    a, b = (0.5 - x) / spread, (-0.5 - x) / spread
+    upper, lower = log_ndtr(a), log_ndtr(b)
+    value = upper + np.log1p(-np.exp(lower - upper))
+    pa, pb = (np.exp(np.minimum(-0.5 * z * z - value, 600.0)) / math.sqrt(2 * math.pi) for z in (a, b))
+    slope = (pb - pa) / spread
+    curvature = slope**2 + (a * pa - b * pb) / spread**2
+    return value, slope * np.sign(e), np.maximum(curvature, 1e-12)

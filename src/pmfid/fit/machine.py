@@ -1,0 +1,143 @@
+"""From the equation of a machine to the parameters of the simulated body (csrc/fit/body.h)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmfid._body import BASE, KINDS, run
+from pmfid.errors import UsageError
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation, Term
+from pmfid.models.shapes import Shape, Square, Stribeck, Wave
+from pmfid.types import Floats
+
+MASS, VISCOUS, COULOMB, OFFSET, DIRECTIONAL, DELAY, LAGGING, X0, V0 = range(BASE)
+
+#: Share of each term of the body's first parameters. Friction in one direction is the mean of both directions and half
+#: of their difference.
+SHARES: dict[tuple[str, int], dict[int, float]] = {
+    ("output", 2): {MASS: 1.0},
+    ("output", 1): {VISCOUS: 1.0},
+    ("forward_output", 1): {VISCOUS: 0.5, DIRECTIONAL: 0.5},
+    ("backward_output", 1): {VISCOUS: 0.5, DIRECTIONAL: -0.5},
+    ("direction", 0): {COULOMB: 1.0},
+    ("forward", 0): {COULOMB: 0.5, OFFSET: 0.5},
+    ("backward", 0): {COULOMB: 0.5, OFFSET: -0.5},
+    ("moving", 0): {OFFSET: 1.0},
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Force:
+    """A force of given form: one of `KINDS`, with the constants p and q, a table, or the number of a column. A free
+    force has its constant p among the parameters."""
+
+    kind: str
+    p: float = 0.0
+    q: float = 0.0
+    table: Floats = field(default_factory=lambda: np.zeros(1))
+    column: int = 0
+    free: bool = False
+
+    def packed(self) -> tuple[int, int, bool, Floats, float, float]:
+        return KINDS[self.kind], self.column, self.free, self.table, self.p, self.q
+
+
+@dataclass(frozen=True, eq=False)
+class Machine:
+    """Body of an equation with p parameters.
+
+    The parameters of the body (w,) are `rest` (w,) + `lift` (w, p) theta. `lead` is the index of the mass, and
+    `lowest` (p,) are the lower bounds of the parameters.
+    """
+
+    names: tuple[str, ...]
+    forces: tuple[Force, ...]
+    rest: Floats
+    lift: Floats
+    lead: int
+    lowest: Floats
+
+    def body(self, theta: Floats) -> Floats:
+        """Return the parameters (w,) of the body without its start state."""
+        return np.asarray(self.rest + self.lift @ theta)
+
+
+def force_of(term: Term) -> Force:
+    """Return the force of a term with a shape, or of a spring."""
+    shape, rubs = term.shape, term.signal == "friction"
+    if shape is None:
+        return Force("spring")
+    if isinstance(shape, Stribeck):
+        return Force("stribeck", 1.0 if shape.free else float(shape.speed), free=shape.free)
+    if isinstance(shape, Square):
+        return Force("power", 2.0, 1.0)
+    if isinstance(shape, Wave):
+        return Force("rub" if rubs else "wave", shape.period, np.pi / 2 if shape.cosine else 0.0)
+    return _table(shape, rubs)
+
+
+def _table(shape: Shape, rubs: bool) -> Force:
+    table = shape.table()
+    kind = "speed" if shape.of_speed else "rub_place" if rubs else "place"
+    return Force(kind, table.start, table.step, np.asarray(table.knots, np.float64))
+
+
+def machine_of(equation: Equation) -> Machine:
+    """Return the body of an equation. Raises UsageError for an equation that no body simulates."""
+    if equation.without_simulation:
+        raise UsageError(f"the motion cannot be simulated, because {equation.without_simulation}")
+    shaped = [
+        i for i, term in enumerate(equation.unknown) if term.shape is not None or term.place[:2] == ("output", 0)
+    ]
+    forces = tuple(force_of(equation.unknown[i]) for i in shaped)
+    names = equation.names + tuple(name for name, _ in equation.further)
+    free = [j for j, force in enumerate(forces) if force.free]
+    lift = np.zeros((BASE + len(forces) + len(free), len(names)))
+    for i, term in enumerate(equation.unknown):
+        for row, share in SHARES.get((term.signal, term.derivative), {}).items():
+            lift[row, i] = share * term.coefficient
+    for j, i in enumerate(shaped):
+        lift[BASE + j, i] = equation.unknown[i].coefficient
+    for name, row in _further_rows(equation, free, shaped, BASE + len(forces)).items():
+        lift[row, names.index(name)] = 1.0
+    rest = np.zeros(len(lift))
+    rest[DELAY] = 0.0 if equation.dead_time == ESTIMATE else float(equation.dead_time)
+    rest[LAGGING] = 0.0 if equation.lag == ESTIMATE else float(equation.lag)
+    lowest = np.where(np.any(lift[[DELAY, LAGGING, *range(BASE + len(forces), len(lift))]] > 0, axis=0), 0.0, -np.inf)
+    return Machine(names, forces, rest, lift, equation.leading, lowest)
+
+
+def _further_rows(equation: Equation, free: Sequence[int], shaped: Sequence[int], first: int) -> dict[str, int]:
+    """Return the row of each parameter in which the motion is not linear."""
+    rows = {DEAD_TIME: DELAY} if equation.dead_time == ESTIMATE else {}
+    if equation.lag == ESTIMATE:
+        rows[LAG] = LAGGING
+    speeds = [f"{equation.unknown[shaped[j]].name}_speed".replace("_friction", "") for j in free]
+    return rows | {name: first + j for j, name in enumerate(speeds)}
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """Input of a body over n intervals: lengths `step` (n,) [s], forces `u` (n,), `columns` (c, n) of the record, and
+    the instants `row` (k,) in the result, 0 to n."""
+
+    step: Floats
+    u: Floats
+    row: NDArray[np.int32]
+    columns: Floats
+
+
+def simulate(
+    drive: Drive, forces: Sequence[Force], body: Floats, parts: int, slopes: bool = True
+) -> tuple[Floats, Floats, Floats]:
+    """Return positions (k,), velocities (k,) and derivatives (k, w) of the positions by the body's parameters (w,).
+
+    The positions are infinite after an overflow.
+    """
+    packed = [force.packed() for force in forces]
+    y, v, S, _ = run(packed, drive.step, drive.u, drive.row, drive.columns, np.ascontiguousarray(body), parts, slopes)
+    return y, v, S

@@ -1,0 +1,236 @@
+"""A record as a list of observations, and its linearisation around parameters and start states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmfid.fit.machine import BASE, MASS, V0, X0, Drive, Force, Machine, simulate
+from pmfid.fit.terms import Candidate
+from pmfid.types import Flags, Floats
+
+#: Parts of an interval in which forces are held at the value of their middle. The error of a motion falls with the
+#: square of the number: 0.002 counts for a force of the size of friction and one count a sample.
+PARTS = 2
+#: Largest residual [counts], which keeps sums of squares finite after an overflow.
+FAR = 1e8
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A part of a record without a gap, which has a start state of its own.
+
+    `drive` is the input. `y` (k,) are the observed positions [unit] at `drive.row`, each in the middle of its count.
+    `variance` (k,) are the variances of their errors [counts^2], and `counted` (k,) is True for a count, whose error
+    is that of rounding, and False for the instant of an edge. `rest` (k,) is True while the simulated axis rests.
+    `first` is the index of the first sample in the record.
+    """
+
+    drive: Drive
+    y: Floats
+    variance: Floats
+    counted: Flags
+    rest: Flags
+    first: int = 0
+
+    @property
+    def times(self) -> Floats:
+        """Times (k,) of the observations from the start of the stretch [s]."""
+        return np.append(0.0, np.cumsum(self.drive.step))[self.drive.row]
+
+    @property
+    def steps(self) -> Floats:
+        """Times (k,) from each observation to the next [s]; the last one is the mean."""
+        change = np.diff(self.times)
+        return np.append(change, np.mean(change) if change.size else 1.0)
+
+    @property
+    def signed_steps(self) -> Floats:
+        """The steps (k,), negative while the axis rests."""
+        return np.where(self.rest, -self.steps, self.steps)
+
+    def keep(self, chosen: Flags) -> Stretch:
+        """Return the stretch with some of its observations (k,)."""
+        drive = replace(self.drive, row=np.ascontiguousarray(self.drive.row[chosen]))
+        return Stretch(drive, self.y[chosen], self.variance[chosen], self.counted[chosen], self.rest[chosen], self.first)
+
+    def cut(self, first: float, last: float) -> Stretch:
+        """Return the observations between two times [s], with the input from the first of them on."""
+        ends = np.append(0.0, np.cumsum(self.drive.step))
+        begin = int(np.clip(np.searchsorted(ends, first, side="right") - 1, 0, self.drive.step.size - 1))
+        end = int(np.clip(np.searchsorted(ends, last), begin + 1, self.drive.step.size))
+        chosen = (self.drive.row >= begin) & (self.drive.row <= end)
+        row = np.ascontiguousarray(self.drive.row[chosen] - np.int32(begin))
+        part = slice(begin, end)
+        drive = Drive(
+            np.ascontiguousarray(self.drive.step[part]),
+            np.ascontiguousarray(self.drive.u[part]),
+            row,
+            np.ascontiguousarray(self.drive.columns[:, part]),
+        )
+        return Stretch(drive, self.y[chosen], self.variance[chosen], self.counted[chosen], self.rest[chosen], self.first + begin)
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Residuals e (k,) of a stretch [counts], their derivatives J (k, p) by the parameters and K (k, 2) by the start
+    state, which is a position [counts] and a velocity [counts per mean step]."""
+
+    e: Floats
+    J: Floats
+    K: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A machine with further forces, and the stretches of a record.
+
+    The parameters q are those of the machine, the mass as a logarithm, and then the size of each candidate in standard
+    deviations of its prior.
+    """
+
+    machine: Machine
+    stretches: tuple[Stretch, ...]
+    resolution: float
+    candidates: tuple[Candidate, ...] = ()
+
+    @property
+    def size(self) -> int:
+        """Number of parameters."""
+        return len(self.machine.names) + sum(1 + one.free for one in self.candidates)
+
+    @property
+    def rows(self) -> int:
+        """Number of observations."""
+        return sum(one.y.size for one in self.stretches)
+
+    def with_candidates(self, candidates: Sequence[Candidate]) -> Problem:
+        return replace(self, candidates=tuple(candidates))
+
+    def lowest(self) -> Floats:
+        """Return the lower bounds (p,) of the parameters."""
+        further = [bound for one in self.candidates for bound in ([one.lowest, 1e-3] if one.free else [one.lowest])]
+        return np.append(self.machine.lowest, further)
+
+    def theta(self, q: Floats) -> Floats:
+        """Return the machine's parameters in their units."""
+        theta = q[: len(self.machine.names)].copy()
+        theta[self.machine.lead] = np.exp(np.clip(theta[self.machine.lead], -300, 300))
+        return theta
+
+    def start(self, theta: Floats) -> Floats:
+        """Return q at theta, with candidates of size 0 and their constants at their first values."""
+        q = np.zeros(self.size)
+        q[: theta.size] = theta
+        q[self.machine.lead] = np.log(theta[self.machine.lead])
+        k = theta.size
+        for one in self.candidates:
+            k += 1
+            if one.free:
+                q[k] = 1.0
+                k += 1
+        return q
+
+    def scales(self) -> Iterator[float]:
+        """Yield the unit of the start velocity [1/s] of each stretch."""
+        return (1.0 / float(np.mean(one.steps)) for one in self.stretches)
+
+    def linearise(self, q: Floats, starts: Floats) -> list[Block]:
+        """Return a block for each stretch at q (p,) and the start states (m, 2)."""
+        body, forces, lift = self._body(q)
+        blocks = [
+            self._block(stretch, state, scale, body, forces, lift)
+            for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True)
+        ]
+        if any(one.reading is not None for one in self.candidates):
+            blocks = [self._read(block, one.y, q) for block, one in zip(blocks, self.stretches, strict=True)]
+        return blocks
+
+    def _read(self, block: Block, measured: Floats, q: Floats) -> Block:
+        """Return a block with the errors of the encoder, which depend on the position."""
+        y = block.e * self.resolution + measured
+        e, slope, J = block.e.copy(), np.ones(y.size), block.J.copy()
+        k = len(self.machine.names)
+        for one in self.candidates:
+            if one.reading is not None:
+                period, phase = one.reading
+                angle = 2 * np.pi / period * y + phase
+                J[:, k] = np.sin(angle) * one.sd / self.resolution
+                e += q[k] * J[:, k]
+                slope += q[k] * one.sd * 2 * np.pi / period * np.cos(angle)
+            k += 1 + one.free
+        plain = [i for i in range(J.shape[1]) if i not in self._readings()]
+        J[:, plain] *= slope[:, None]
+        return Block(e, J, block.K * slope[:, None])
+
+    def _readings(self) -> set[int]:
+        """Return the indices of the errors of the encoder among the parameters."""
+        found, k = set(), len(self.machine.names)
+        for one in self.candidates:
+            if one.reading is not None:
+                found.add(k)
+            k += 1 + one.free
+        return found
+
+    def motion(self, q: Floats, starts: Floats) -> list[tuple[Floats, Floats]]:
+        """Return the positions and velocities (k,) at the observations of each stretch [unit, unit/s]."""
+        body, forces, _ = self._body(q)
+        found = []
+        for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True):
+            at = self._started(stretch, state, scale, body)
+            found.append(simulate(stretch.drive, forces, at, PARTS, slopes=False)[:2])
+        return found
+
+    def _body(self, q: Floats) -> tuple[Floats, list[Force], Floats]:
+        """Return the body's parameters (w,), its forces, and the derivatives (w, p) of the parameters by q."""
+        m = self.machine
+        own, count = len(m.names), len(m.forces)
+        shapes = m.lift.shape[0] - BASE - count
+        extra = [one.force for one in self.candidates if one.force is not None]
+        w = m.lift.shape[0] + len(extra) + sum(one.free for one in self.candidates)
+        # rows: base, forces of the machine, further forces, constants of the machine, further constants
+        place = [*range(BASE + count), *range(BASE + count + len(extra), BASE + count + len(extra) + shapes)]
+        body, lift = np.zeros(w), np.zeros((w, self.size))
+        body[place], lift[np.ix_(place, range(own))] = m.body(self.theta(q)), m.lift
+        lift[:, m.lead] *= self.theta(q)[m.lead]
+        row, constant, k = BASE + count, BASE + count + len(extra) + shapes, own
+        for one in self.candidates:
+            if one.reading is not None:
+                k += 1
+                continue
+            target = row if one.force is not None else one.base
+            body[target] += q[k] * one.sd
+            lift[target, k] += one.sd
+            if one.force is not None:
+                row += 1
+            if one.free:
+                k += 1
+                body[constant], lift[constant, k] = q[k] * one.constant, one.constant
+                constant += 1
+            k += 1
+        return body, [*m.forces, *extra], lift
+
+    def _started(self, stretch: Stretch, state: Floats, scale: float, body: Floats) -> Floats:
+        at = body.copy()
+        at[X0], at[V0] = stretch.y[0] + state[0] * self.resolution, state[1] * self.resolution * scale
+        return at
+
+    def _block(
+        self, stretch: Stretch, state: Floats, scale: float, body: Floats, forces: Sequence[Force], lift: Floats
+    ) -> Block:
+        at = self._started(stretch, state, scale, body)
+        if not (np.all(np.isfinite(at)) and at[MASS] > 0):
+            return Block(np.full(stretch.y.size, FAR), np.zeros((stretch.y.size, lift.shape[1])), np.zeros((stretch.y.size, 2)))
+        y, _, S = simulate(stretch.drive, forces, at, PARTS)
+        e = np.clip(np.nan_to_num((y - stretch.y) / self.resolution, nan=FAR, posinf=FAR, neginf=-FAR), -FAR, FAR)
+        J = np.nan_to_num(S @ lift) / self.resolution
+        K = np.column_stack([S[:, X0], S[:, V0] * scale])
+        return Block(e, J, np.nan_to_num(K))
+
+
+def thin(stretches: Sequence[Stretch], most: int) -> tuple[Stretch, ...]:
+    """Return the stretches with about `most` observations, evenly chosen."""
+    every = -(-sum(one.y.size for one in stretches) // most)
+    return tuple(stretches) if every <= 1 else tuple(one.keep(np.arange(one.y.size) % every == 0) for one in stretches)

@@ -1,0 +1,129 @@
+"""The solver: Levenberg (1944) and Marquardt (1963) with start states eliminated, for any likelihood."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from pmfid.fit.problem import Block, Problem
+from pmfid.types import Floats
+
+#: Precisions of the start states about zero [1/counts^2, and of counts per mean step]: weak, because an axis at rest
+#: says nothing about its start velocity.
+START = np.array([1e-2, 1e-6])
+
+
+class Likelihood(Protocol):
+    """A likelihood takes the blocks of a problem, and returns minus its logarithm and weighted blocks. The gradient is
+    the sum of J' e of the weighted blocks, the curvature that of J' J."""
+
+    def __call__(self, blocks: Sequence[Block]) -> tuple[float, list[Block]]: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Normal:
+    """Normal equations with start states eliminated: information A (p, p) and gradient g (p,), with a prior."""
+
+    A: Floats
+    g: Floats
+    blocks: Sequence[Block]
+    inner: Sequence[Floats]
+
+    def starts(self, step: Floats) -> Floats:
+        """Return the steps (m, 2) of the start states that go with a step (p,) of the parameters."""
+        return np.array([-(h[:, 0] + h[:, 1:] @ step) for h in self.inner])
+
+
+def normal_of(blocks: Sequence[Block], starts: Floats, damping: float = 0.0) -> Normal:
+    """Return the normal equations of weighted blocks."""
+    p = blocks[0].J.shape[1]
+    A, g, inner = np.zeros((p, p)), np.zeros(p), []
+    for block, state in zip(blocks, starts, strict=True):
+        cross, own = block.K.T @ block.J, block.K.T @ block.K + np.diag(START)
+        pull = block.K.T @ block.e + START * state
+        own = own + damping * np.diag(np.diag(own))
+        solved = np.linalg.solve(own, np.column_stack([pull, cross]))
+        A += block.J.T @ block.J - cross.T @ solved[:, 1:]
+        g += block.J.T @ block.e - cross.T @ solved[:, 0]
+        inner.append(solved)
+    return Normal(A, g, blocks, inner)
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """Parameters q (p,), start states (m, 2), the cost, and the normal equations there without prior and damping.
+    `settled` is False if the steps ended before the cost did."""
+
+    q: Floats
+    starts: Floats
+    cost: float
+    normal: Normal
+    settled: bool
+
+
+def solve(
+    problem: Problem,
+    likelihood: Likelihood,
+    q: Floats,
+    starts: Floats,
+    prior: Floats,
+    steps: int = 30,
+    small: float = 1e-3,
+) -> Solution:
+    """Minimise minus the log likelihood, plus that of a prior with precisions (p,) about zero.
+
+    The search ends when a step gains less than `small`, in units of the log likelihood.
+    """
+    damping, lowest, settled = 1e-4, problem.lowest(), False
+    at = _Point(problem, likelihood, q, starts, prior)
+    for _ in range(steps):
+        better, damping = _descend(at, damping, lowest)
+        if better is None:
+            settled = True
+            break
+        gain, at = at.cost - better.cost, better
+        if gain < small:
+            settled = True
+            break
+    return Solution(at.q, at.starts, at.cost, normal_of(at.blocks, at.starts), settled)
+
+
+class _Point:
+    """A point of the search with its cost and its weighted blocks."""
+
+    def __init__(self, problem: Problem, likelihood: Likelihood, q: Floats, starts: Floats, prior: Floats) -> None:
+        self.problem, self.likelihood, self.q, self.starts, self.prior = problem, likelihood, q, starts, prior
+        cost, self.blocks = likelihood(problem.linearise(q, starts))
+        self.cost = float(cost + 0.5 * prior @ q**2 + 0.5 * np.sum(START * starts**2))
+
+    def moved(self, step: Floats, starts: Floats, lowest: Floats) -> _Point:
+        q = np.maximum(self.q + step, lowest)
+        return _Point(self.problem, self.likelihood, q, self.starts + starts, self.prior)
+
+
+def _descend(at: _Point, damping: float, lowest: Floats) -> tuple[_Point | None, float]:
+    """Return a better point or None, and the next damping."""
+    for _ in range(12):
+        normal = normal_of(at.blocks, at.starts, damping)
+        step = damped_step(normal.A + np.diag(at.prior), normal.g + at.prior * at.q, damping)
+        tried = at.moved(step, normal.starts(step), lowest)
+        if np.isfinite(tried.cost) and tried.cost < at.cost:
+            return tried, max(damping / 10, 1e-10)
+        damping *= 10
+    return None, damping
+
+
+def damped_step(A: Floats, g: Floats, damping: float) -> Floats:
+    """Return the step of Marquardt. Parameters without information do not move."""
+    size = np.sqrt(np.diag(A))
+    size = np.where(size > 0, size, 1.0)
+    scaled = A / np.outer(size, size) + np.diag(np.where(np.diag(A) > 0, damping + 1e-14, 1.0))
+    try:
+        return np.asarray(-np.linalg.solve(scaled, g / size) / size)
+    except np.linalg.LinAlgError:
+        return np.zeros_like(g)
+
+

@@ -1,0 +1,89 @@
+"""Blind starts: the parameters of a mass with friction from nothing but the record."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.findings import MOVE
+from pmfid.fit.likelihood import Gaussian
+from pmfid.fit.machine import BASE, COULOMB, MASS, OFFSET, VISCOUS, Machine
+from pmfid.fit.problem import Problem, Stretch
+from pmfid.fit.solve import Solution, solve
+from pmfid.types import Floats
+
+#: Changes of the counts, and observations, in the first window.
+FEWEST_CHANGES, FEWEST_ROWS = 60, 200
+#: Factors of the first guess of mass, viscous friction and Coulomb friction.
+GUESSES = (0.1, 0.3, 1.0, 3.0), (0.1, 0.5), (0.03, 0.2)
+
+
+def plain_machine(load: bool) -> Machine:
+    """Return a mass with viscous and Coulomb friction and a load, as logarithms but for the load.
+
+    A machine without an offset still starts with one, because a load hides every other parameter.
+    """
+    lift = np.zeros((BASE, 4))
+    lift[[MASS, VISCOUS, COULOMB, OFFSET], range(4)] = 1.0
+    return Machine(("m", "d", "F", "load"), (), np.zeros(BASE), lift, 0, np.array([-np.inf, 0.0, 0.0, -np.inf]))
+
+
+def blind_start(stretches: tuple[Stretch, ...], resolution: float) -> tuple[Problem, Solution]:
+    """Return the fit of a mass with friction and a load to the liveliest stretch.
+
+    Raises NotIdentifiableError if the axis does not move.
+    """
+    stretch = max(stretches, key=lambda one: float(np.sum(np.abs(np.diff(one.y)))))
+    windows = list(_windows(stretch, resolution))
+    problem = Problem(plain_machine(True), (windows[0],), resolution)
+    force = float(np.sqrt(np.mean(windows[0].drive.u ** 2)))
+    if not force > 0:
+        raise NotIdentifiableError(f"the input is zero while the axis moves; {MOVE}")
+    prior = np.array([0.0, 0.0, 0.0, 1 / (0.5 * force) ** 2])
+    best: Solution | None = None
+    for guess in _guesses(windows[0], force):
+        tried = solve(problem, _soft((windows[0],)), problem.start(guess), np.zeros((1, 2)), prior, 25, 0.1)
+        if best is None or tried.cost < best.cost:
+            best = tried
+    assert best is not None
+    for window in windows[1:]:
+        problem = replace(problem, stretches=(window,))
+        starts = best.starts if window.first == problem.stretches[0].first else np.zeros((1, 2))
+        best = solve(problem, _soft((window,)), best.q, starts, prior)
+    return problem, best
+
+
+def _soft(stretches: tuple[Stretch, ...]) -> Gaussian:
+    """Return a likelihood with three times the rounding, because the first guesses are far away."""
+    return Gaussian(stretches, scale=9.0)
+
+
+def _guesses(window: Stretch, force: float) -> Iterator[Floats]:
+    """Yield (mass, viscous friction, Coulomb friction, load) from the speeds and accelerations of a window."""
+    t, width = window.times, max(3, window.y.size // 60)
+    smooth = np.ones(width) / width
+    v = np.gradient(np.convolve(window.y - window.y[0], smooth, "same"), t)[width:-width]
+    a = np.gradient(np.convolve(v, smooth, "same"), t[width:-width])
+    tiny = 1e-12 * float(np.ptp(window.y)) / float(t[-1] - t[0])
+    speed, change = float(np.percentile(np.abs(v), 90)) + tiny, float(np.percentile(np.abs(a), 80)) + tiny / float(t[-1])
+    for mass, viscous, coulomb in product(*GUESSES):
+        yield np.array([force / change * mass, force / speed * viscous, force * coulomb, 0.0])
+
+
+def _windows(stretch: Stretch, resolution: float) -> Iterator[Stretch]:
+    """Yield windows from the first motion on, each twice as long as the one before, up to the whole stretch."""
+    changes = np.abs(np.diff(stretch.y)) / resolution
+    if not np.any(changes > 0):
+        raise NotIdentifiableError(f"the axis never moves; {MOVE}")
+    times, total = stretch.times, np.append(0.0, np.cumsum(changes))
+    first = max(0, int(np.argmax(total > 0)) - 5)
+    count = max(FEWEST_ROWS, stretch.y.size // 10)
+    while first + count < stretch.y.size:
+        if total[first + count] >= FEWEST_CHANGES:
+            yield stretch.cut(float(times[first]), float(times[first + count]))
+        count *= 2
+    yield stretch
