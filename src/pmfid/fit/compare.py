@@ -15,21 +15,22 @@ import numpy as np
 
 from pmfid.types import Floats
 
-#: Prior odds of a candidate to its absence: one force of ten is there.
+#: Prior odds of a row of the table to its absence: one force of ten is there. The candidates of a row share the odds.
 ODDS = math.log(0.1)
 #: Most candidates in a set, beyond which no record tells the forces of one axis apart.
-MOST = 8
+MOST = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Local:
     """A quadratic log likelihood around a fit: information A (p, p) and gradient g (p,) of minus the log likelihood by
     the parameters, of which the first `plain` are always in the model and the others are candidates with unit priors
-    about `-offset` (p,)."""
+    and `odds` (p - plain,), as logarithms."""
 
     A: Floats
     g: Floats
     plain: int
+    odds: Floats
 
     def evidence(self, chosen: Sequence[int]) -> tuple[float, Floats, Floats]:
         """Return the log evidence of a set of candidates, the parameters' step (k,) and covariance (k, k), for the
@@ -38,22 +39,20 @@ class Local:
         A = self.A[np.ix_(index, index)].copy()
         A[range(self.plain, len(index)), range(self.plain, len(index))] += 1.0
         size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-        root = np.linalg.cholesky(A / np.outer(size, size) + 1e-13 * np.eye(len(index)))
+        root = np.linalg.cholesky(A / np.outer(size, size) + 1e-9 * np.eye(len(index)))
         half = np.linalg.solve(root, -self.g[index] / size)
         inverse = np.linalg.solve(root, np.eye(len(index)))
         covariance = inverse.T @ inverse / np.outer(size, size)
         value = 0.5 * float(half @ half) - float(np.sum(np.log(np.diag(root)) + np.log(size)))
-        return value + ODDS * len(chosen), np.linalg.solve(root.T, half) / size, covariance
+        return value + float(np.sum(self.odds[list(chosen)])), np.linalg.solve(root.T, half) / size, covariance
 
-    def best(self, first: Sequence[int], allowed: Sequence[int]) -> list[int]:
-        """Return the set of candidates with the largest evidence that steps of one candidate reach from `first`."""
-        chosen, value = list(first), self.evidence(first)[0]
-        while True:
-            sets = self.neighbours(chosen, allowed)
-            values = [self.evidence(one)[0] for one in sets]
-            if not values or max(values) <= value:
-                return sorted(chosen)
-            value, chosen = max(values), sets[int(np.argmax(values))]
+    def best_step(self, chosen: Sequence[int], allowed: Sequence[int]) -> list[int] | None:
+        """Return the set with one candidate more or less that has the largest evidence, or None if none gains."""
+        sets = self.neighbours(chosen, allowed)
+        values = [self.evidence(one)[0] for one in sets]
+        if not values or max(values) <= self.evidence(chosen)[0]:
+            return None
+        return sorted(sets[int(np.argmax(values))])
 
     def neighbours(self, chosen: Sequence[int], allowed: Sequence[int]) -> list[list[int]]:
         """Return the sets with one candidate more or less."""
@@ -61,15 +60,34 @@ class Local:
         more = [[*chosen, j] for j in allowed if j not in chosen] if len(chosen) < MOST else []
         return [*fewer, *more]
 
-    def spread(self, chosen: Sequence[int], allowed: Sequence[int]) -> Floats:
-        """Return the standard deviations (plain,) of the plain parameters over the sets next to `chosen`, beyond their
-        standard errors within that set."""
-        value, step, covariance = self.evidence(chosen)
-        weight, total = 1.0, np.zeros(self.plain)
+    def half_length(self, chosen: Sequence[int], allowed: Sequence[int], covariance: Floats) -> Floats:
+        """Return the half length (plain,) of the intervals that hold 95 % of the posterior over the sets next to
+        `chosen`. `covariance` (plain, plain) is that of the parameters within that set.
+
+        The set itself has a normal distribution about 0, and each set next to it another one.
+        """
+        value, step, inner = self.evidence(chosen)
+        weights, shifts, sds = [1.0], [np.zeros(self.plain)], [np.sqrt(np.diag(covariance))]
         for one in self.neighbours(chosen, allowed):
             other, moved, wider = self.evidence(one)
-            share = math.exp(min(other - value, 50.0))
-            more = np.diag(wider)[: self.plain] - np.diag(covariance)[: self.plain]
-            total += share * ((moved - np.append(step, np.zeros(moved.size))[: moved.size])[: self.plain] ** 2 + more)
-            weight += share
-        return np.sqrt(np.maximum(total / weight, 0.0))
+            more = np.diag(wider)[: self.plain] - np.diag(inner)[: self.plain]
+            weights.append(math.exp(min(other - value, 50.0)))
+            shifts.append((moved[: self.plain] - step[: self.plain]))
+            sds.append(np.sqrt(np.maximum(np.diag(covariance) + more, 1e-300)))
+        return mixture_half_length(np.array(weights), np.array(shifts), np.array(sds))
+
+
+def mixture_half_length(weights: Floats, shifts: Floats, sds: Floats) -> Floats:
+    """Return the half length (p,) of the interval about 0 with 95 % of a mixture of normal distributions.
+
+    weights: (m,); shifts, sds: (m, p).
+    """
+    from scipy.special import ndtr
+
+    weights = weights / np.sum(weights)
+    low, high = np.zeros(shifts.shape[1]), np.max(np.abs(shifts) + 3.0 * sds, axis=0)
+    for _ in range(60):
+        middle = (low + high) / 2
+        inside = weights @ (ndtr((middle - shifts) / sds) - ndtr((-middle - shifts) / sds))
+        low, high = np.where(inside < 0.95, middle, low), np.where(inside < 0.95, high, middle)
+    return np.asarray(high)

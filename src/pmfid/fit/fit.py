@@ -8,7 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.fit.compare import ODDS, Local
+from pmfid.errors import NotIdentifiableError
+from pmfid.findings import MOVE
+from pmfid.fit.compare import MOST, ODDS, Local
 from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
 from pmfid.fit.machine import BASE, COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, Machine
 from pmfid.fit.posterior import allowed_region
@@ -19,13 +21,16 @@ from pmfid.fit.terms import TABLE, WAVES, Candidate, Sizes, waves
 from pmfid.types import Floats
 
 #: Spreads of a white error in addition to rounding [counts], in falling order.
-SPREADS = (0.3, 0.1, 0.03, 0.01, 0.003)
-#: Largest spread at which a model explains every count. Beyond it the error is not white, and the noise describes it.
-EXPLAINED = 0.01
-#: Rounds of fit, noise and comparison, which settle in two to four.
-ROUNDS = 8
-#: Most effects that repeat along the travel, and the number of wavenumbers that a record is searched for.
-MOST_WAVES, WAVENUMBERS = 3, 100
+SPREADS = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0003)
+#: Spread down to which the intervals must narrow for the model to explain every count.
+EXPLAINED = 0.003
+#: Mean square of residuals [counts^2] up to which a model may explain every count, tries to find that motion, and their
+#: distance in standard errors of least squares.
+MOST_SQUARES, TRIES, NEARBY = 0.15, 8, 2.0
+#: Rounds of fit and noise, which settle in two to four, and most steps of the comparison.
+ROUNDS, MOST_STEPS = 5, 12
+#: Number of wavenumbers that a record is searched for.
+WAVENUMBERS = 100
 #: Largest change of the mass between rounds that counts as settled, relative.
 SETTLED = 1e-4
 
@@ -34,8 +39,8 @@ SETTLED = 1e-4
 class Fitted:
     """A fit with the forces that the comparison added.
 
-    `theta` (p,) and `covariance` (p, p) belong to the machine's parameters, `spread` (p,) to the models next to the
-    chosen one. `solution` belongs to `problem`, whose candidates are the chosen ones. `likelihood` is that of the
+    `theta` (p,) and `covariance` (p, p) belong to the machine's parameters, `half` (p,) is the half length of the 95 % intervals over
+    the chosen model and the models next to it. `solution` belongs to `problem`, whose candidates are the chosen ones. `likelihood` is that of the
     residuals, and `plain` are the machine's parameters without candidates, in the same noise.
     """
 
@@ -44,7 +49,7 @@ class Fitted:
     likelihood: Gaussian | Intervals
     theta: Floats
     covariance: Floats
-    spread: Floats
+    half: Floats
     plain: Floats
 
     @property
@@ -60,7 +65,10 @@ def sizes_of(problem: Problem, start: Problem, solution: Solution) -> Sizes:
     (_, v), *_ = start.motion(solution.q, solution.starts)
     theta = start.theta(solution.q)
     force, top = float(np.sqrt(np.mean(u**2))), float(np.max(np.abs(u)))
-    speed = float(np.quantile(np.abs(v[np.isfinite(v)]), 0.98))
+    moving = np.abs(v[np.isfinite(v) & (v != 0)])
+    if not moving.size:
+        raise NotIdentifiableError(f"no motion under this input follows the record; {MOVE}")
+    speed = float(np.quantile(moving, 0.98))
     acting = np.abs(u[np.abs(u) > 1e-6 * top])
     return Sizes(
         force,
@@ -126,19 +134,25 @@ class Search:
         start, solution = blind_start(problem.stretches, problem.resolution)
         self.sizes = sizes_of(problem, start, solution)
         self.plain, self.table = with_columns(problem, candidates_of(problem.machine, self.sizes))
+        self.first = start.theta(solution.q)
         self.chosen = [i for i, one in enumerate(self.table) if one.base == OFFSET]
-        theta = first_theta(problem.machine, start.theta(solution.q), self.sizes)
-        self.problem = self._chosen_problem()
-        self.q = self.problem.start(theta)
-        self.starts = np.zeros((len(problem.stretches), 2))
-        if self.chosen:
-            self.q[-1] = start.theta(solution.q)[3] / self.table[self.chosen[0]].sd
-        self.noise = Gaussian(self.plain.stretches)
+        self.restart(self.chosen)
         self.solution: Solution | None = None
 
     @property
     def own(self) -> int:
         return len(self.plain.machine.names)
+
+    def restart(self, chosen: Sequence[int]) -> None:
+        """Return to the blind start, with a set of candidates that may have the load of the start."""
+        theta = first_theta(self.plain.machine, self.first, self.sizes)
+        self.chosen = list(chosen)
+        self.problem = self._chosen_problem()
+        self.q = self.problem.start(theta)
+        self.starts = self.plain.first_starts()
+        for i in self.chosen:
+            self.q[self.own] = self.first[3] / self.table[i].sd
+        self.noise = Gaussian(self.plain.stretches)
 
     def _chosen_problem(self) -> Problem:
         return self.plain.with_candidates([self.table[i].freed() for i in self.chosen])
@@ -161,9 +175,7 @@ class Search:
     def estimate_noise(self, kinds: Sequence[str]) -> Gaussian:
         """Return the noise of the residuals, with the rests of the simulated motion."""
         motion = self.problem.motion(self.q, self.starts)
-        stretches = tuple(
-            replace(one, rest=v == 0) for one, (_, v) in zip(self.plain.stretches, motion, strict=True)
-        )
+        stretches = tuple(one.resting(v == 0) for one, (_, v) in zip(self.plain.stretches, motion, strict=True))
         return noise_of(stretches, _errors(self), self.rate, kinds)
 
     def choose(self, chosen: Sequence[int]) -> None:
@@ -181,6 +193,11 @@ class Search:
             if self.table[i].freed().free:
                 self.q[k] = constant
                 k += 1
+
+    def _odds(self) -> Floats:
+        """Return the log odds of each candidate. The candidates of one name share those of their row."""
+        names = [one.name for one in self.table]
+        return np.array([ODDS - math.log(names.count(name)) for name in names])
 
     def _sizes(self) -> dict[int, tuple[float, float]]:
         found, k = {}, self.own
@@ -207,40 +224,53 @@ class Search:
             k += 1 + one.free
         normal = normal_of(likelihood(every.linearise(q, self.starts))[1], self.starts)
         A, g = normal.A[np.ix_(kept, kept)], normal.g[kept]
-        return Local(A, g - A[:, self.own :] @ at, self.own)
+        return Local(A, g - A[:, self.own :] @ at, self.own, self._odds())
 
 
 def fit(problem: Problem) -> Fitted:
     """Fit a machine to a record.
 
+    A model that explains every count is the end. Otherwise the comparison adds or drops one force at a time, in the
+    noise of the residuals, until the counts are explained or no force gains evidence.
+
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
     search = Search(problem)
-    allowed = list(range(len(search.table)))
-    _settle(search, allowed, 0)
+    likelihood: Gaussian | Intervals | None = None
+    for chosen in ([], search.chosen) if search.chosen else ([],):
+        search.restart(chosen)
+        search.solve(search.noise)
+        likelihood = _explain(search)
+        if likelihood is not None:
+            break
+    if likelihood is None:
+        likelihood = _build(search)
+    return _conclude(search, likelihood, range(len(search.table)))
+
+
+def _build(search: Search) -> Gaussian | Intervals:
+    """Add and drop forces until the counts are explained or no force gains evidence, and return the likelihood."""
+    lead, kinds = search.plain.machine.lead, ("force",)
+    for _ in range(MOST_STEPS):
+        for _ in range(ROUNDS):
+            before = search.q[lead]
+            search.noise = search.estimate_noise(kinds)
+            search.solve(search.noise)
+            if abs(search.q[lead] - before) < SETTLED:
+                break
+        kinds = ("force", "position")
+        step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
+        if step is not None:
+            search.choose(step)
+        elif not (search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
+            break
+        search.solve(search.noise)
+        explained = _explain(search)
+        if explained is not None:
+            return explained
+    search.noise = search.estimate_noise(kinds)
     search.solve(search.noise)
-    for _ in range(MOST_WAVES):
-        if not search.noise.wanders or not _add_wave(search):
-            break
-        allowed = list(range(len(search.table)))
-        _settle(search, allowed, 2)
-        search.solve(search.noise)
-    return _conclude(search, _sharpest(search), allowed)
-
-
-def _settle(search: Search, allowed: Sequence[int], first: int) -> None:
-    """Fit, estimate the noise and compare in turn. The first two rounds find the noise of the model as it is."""
-    for turn in range(first, ROUNDS):
-        before = search.q[: search.own].copy()
-        search.solve(search.noise)
-        search.noise = search.estimate_noise(("force",) if turn < 2 else ("force", "position"))
-        better = search.local(search.noise).best(search.chosen, allowed) if turn > 1 else search.chosen
-        same = better == search.chosen
-        lead = search.plain.machine.lead
-        if turn > 1 and same and abs(search.q[lead] - before[lead]) < SETTLED:
-            break
-        if not same:
-            search.choose(better)
+    return search.noise
 
 
 def _add_wave(search: Search) -> bool:
@@ -296,31 +326,79 @@ def _errors(search: Search) -> list[Floats]:
     return [block.e for block in search.problem.linearise(search.q, search.starts)]
 
 
-def _sharpest(search: Search) -> Gaussian | Intervals:
-    """Return the likelihood that explains the counts best, and move the search to its optimum."""
-    best: Gaussian | Intervals = search.noise
-    top = search.noise.evidence(_errors(search))[0]
+def _explain(search: Search) -> Intervals | None:
+    """Return the likelihood of the intervals if a motion explains every count, and move the search to its optimum.
+
+    Stops and starts of the axis make the likelihood rough. Where the residuals are as small as rounding, further tries
+    begin at random places around the optimum of least squares.
+    """
     at = search.q, search.starts
-    before = -np.inf
+    rng, likelihood = np.random.default_rng(1), _narrow(search)
+    for _ in range(TRIES if likelihood is None and _as_rounding(search) else 0):
+        search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
+        search.solve(Gaussian(search.plain.stretches), 10)
+        likelihood = _narrow(search)
+        if likelihood is not None:
+            return likelihood
+    if likelihood is None:
+        search.q, search.starts = at
+    return likelihood
+
+
+def _narrow(search: Search) -> Intervals | None:
+    """Narrow the intervals down to the counts; None if that stops to pay."""
+    before, best = -math.inf, None
     for spread in SPREADS:
-        tried = Intervals(search.plain.stretches, spread)
-        value = -search.solve(tried, 15).cost
-        if value > top and spread <= EXPLAINED:
-            best, top, at = tried, value, (search.q, search.starts)
+        likelihood = Intervals(search.plain.stretches, spread)
+        value = -search.solve(likelihood, 15).cost
         if value <= before:
             break
-        before = value
-    search.q, search.starts = at
-    if isinstance(best, Gaussian):
-        search.solve(best)
-    return best
+        before, best = value, (likelihood, search.q, search.starts)
+    assert best is not None
+    likelihood, search.q, search.starts = best
+    return likelihood if likelihood.spread <= EXPLAINED else None
+
+
+def _as_rounding(search: Search) -> bool:
+    e = np.concatenate(_errors(search))
+    return float(np.mean(e**2)) < MOST_SQUARES
+
+
+def _nearby(search: Search, q: Floats, starts: Floats, rng: np.random.Generator) -> Floats:
+    """Return parameters a few standard errors of least squares away."""
+    noise = Gaussian(search.plain.stretches)
+    normal = normal_of(noise(search.problem.linearise(q, starts))[1], starts)
+    A = normal.A + np.diag(search.prior(search.problem))
+    values, vectors = np.linalg.eigh(_scaled(A)[0])
+    step = vectors @ (rng.standard_normal(q.size) / np.sqrt(np.maximum(values, 1e-6)))
+    return np.asarray(np.maximum(q + NEARBY * step / _scaled(A)[1], search.problem.lowest()))
+
+
+def _nearby_starts(search: Search, rng: np.random.Generator) -> Floats:
+    """Return start states near those that the first counts show. An axis at rest shows nothing of its speed."""
+    starts = search.plain.first_starts()
+    starts[:, 0] += 0.3 * rng.standard_normal(len(starts))
+    starts[:, 1] += (0.3 + 0.3 * np.abs(starts[:, 1])) * rng.standard_normal(len(starts))
+    return starts
+
+
+def inverse(A: Floats) -> Floats:
+    """Return the inverse of an information matrix, with a large variance where it has no information."""
+    scaled, size = _scaled(A)
+    return np.asarray(np.linalg.inv(scaled + 1e-12 * np.eye(len(A))) / np.outer(size, size))
+
+
+def _scaled(A: Floats) -> tuple[Floats, Floats]:
+    """Return a matrix with a unit diagonal, and the roots of the diagonal."""
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    return A / np.outer(size, size), size
 
 
 def _conclude(search: Search, likelihood: Gaussian | Intervals, allowed: Sequence[int]) -> Fitted:
     found = solve(search.problem, likelihood, search.q, search.starts, search.prior(search.problem), 5)
     theta, covariance = _estimate(search, found, likelihood)
-    local = search.local(likelihood)
-    spread = local.spread(search.chosen, allowed)
+    local = search.local(Intervals(search.plain.stretches, EXPLAINED) if isinstance(likelihood, Intervals) else likelihood)
+    half = local.half_length(search.chosen, allowed, covariance)
     lift = np.ones(search.own)
     lift[search.plain.machine.lead] = theta[search.plain.machine.lead]
     plain = search.plain.theta(search.q[: search.own])
@@ -330,7 +408,7 @@ def _conclude(search: Search, likelihood: Gaussian | Intervals, allowed: Sequenc
         likelihood,
         theta,
         covariance * np.outer(lift, lift),
-        spread * lift,
+        half * lift,
         plain,
     )
 
@@ -338,10 +416,7 @@ def _conclude(search: Search, likelihood: Gaussian | Intervals, allowed: Sequenc
 def _estimate(search: Search, found: Solution, likelihood: Gaussian | Intervals) -> tuple[Floats, Floats]:
     """Return the machine's parameters (p,), and their covariance with the mass as a logarithm."""
     prior = search.prior(search.problem)
-    A = found.normal.A + np.diag(prior)
-    own = search.own
-    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    covariance = np.linalg.inv(A / np.outer(size, size) + 1e-13 * np.eye(len(A))) / np.outer(size, size)
+    own, covariance = search.own, inverse(found.normal.A + np.diag(prior))
     if isinstance(likelihood, Intervals) and  len(found.starts) == 1:
         return _bounded_estimate(search, found, covariance)
     return search.problem.theta(found.q), covariance[:own, :own]
@@ -353,10 +428,8 @@ def _bounded_estimate(search: Search, found: Solution, covariance: Floats) -> tu
     J = np.column_stack([block.J, block.K])
     W = np.column_stack([weighted.J, weighted.K])
     prior = np.append(search.prior(search.problem), START)
-    A = W.T @ W + np.diag(prior)
-    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    wide = np.linalg.inv(A / np.outer(size, size) + 1e-13 * np.eye(len(A))) / np.outer(size, size)
-    bound = np.full(block.e.size, max(0.5, float(np.max(np.abs(block.e))) + 1e-3))
+    wide = inverse(W.T @ W + np.diag(prior))
+    bound = np.full(block.e.size, max(0.5, float(np.max(np.abs(block.e))) + 1e-5))
     mean, inner = allowed_region(block.e, J, bound, wide, np.random.default_rng(1))
     q = found.q + mean[: found.q.size]
     return search.problem.theta(q), inner[: search.own, : search.own]

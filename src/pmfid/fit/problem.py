@@ -51,6 +51,15 @@ class Stretch:
         """The steps (k,), negative while the axis rests."""
         return np.where(self.rest, -self.steps, self.steps)
 
+    def resting(self, rest: Flags) -> Stretch:
+        """Return the stretch with the rests (k,) of a motion. The counts of one rest share one error of rounding, so
+        that each has the variance of all together."""
+        change = np.flatnonzero(np.diff(np.r_[False, rest, False].astype(np.int8)))
+        variance = np.where(self.counted, 1 / 12, self.variance)
+        for first, last in change.reshape(-1, 2).tolist():
+            variance[first:last] *= last - first
+        return replace(self, rest=rest, variance=variance)
+
     def keep(self, chosen: Flags) -> Stretch:
         """Return the stretch with some of its observations (k,)."""
         drive = replace(self.drive, row=np.ascontiguousarray(self.drive.row[chosen]))
@@ -132,6 +141,10 @@ class Problem:
                 q[k] = 1.0
                 k += 1
         return q
+
+    def first_starts(self) -> Floats:
+        """Return start states (m, 2) from the first counts of each stretch."""
+        return np.array([[0.0, _first_speed(one, self.resolution)] for one in self.stretches])
 
     def scales(self) -> Iterator[float]:
         """Yield the unit of the start velocity [1/s] of each stretch."""
@@ -228,6 +241,18 @@ class Problem:
         J = np.nan_to_num(S @ lift) / self.resolution
         K = np.column_stack([S[:, X0], S[:, V0] * scale])
         return Block(e, J, np.nan_to_num(K))
+
+
+def _first_speed(stretch: Stretch, resolution: float) -> float:
+    """Return the first speed in counts per mean step, over the observations that it takes for three counts, or 0 if
+    that is more than ten."""
+    change = (stretch.y[1:11] - stretch.y[0]) / resolution
+    enough = np.flatnonzero(np.abs(change) >= 3)
+    last = int(enough[0]) + 1 if enough.size else min(10, change.size)
+    if not change.size or not np.any(change != 0):
+        return 0.0
+    step = float(np.mean(stretch.steps))
+    return float(change[last - 1] * step / (stretch.times[last] - stretch.times[0]))
 
 
 def thin(stretches: Sequence[Stretch], most: int) -> tuple[Stretch, ...]:

@@ -46,13 +46,14 @@ def blind_start(stretches: tuple[Stretch, ...], resolution: float) -> tuple[Prob
     prior = np.array([0.0, 0.0, 0.0, 1 / (0.5 * force) ** 2])
     best: Solution | None = None
     for guess in _guesses(windows[0], force):
-        tried = solve(problem, _soft((windows[0],)), problem.start(guess), np.zeros((1, 2)), prior, 25, 0.1)
+        tried = solve(problem, _soft((windows[0],)), problem.start(guess), problem.first_starts(), prior, 25, 0.1)
         if best is None or tried.cost < best.cost:
             best = tried
     assert best is not None
     for window in windows[1:]:
+        starts = best.starts if window.first == problem.stretches[0].first else None
         problem = replace(problem, stretches=(window,))
-        starts = best.starts if window.first == problem.stretches[0].first else np.zeros((1, 2))
+        starts = problem.first_starts() if starts is None else starts
         best = solve(problem, _soft((window,)), best.q, starts, prior)
     return problem, best
 

@@ -136,7 +136,13 @@ def saturation(s: Sizes) -> Iterator[Candidate]:
 
 
 def _column(of_input: Callable[[Floats], Floats]) -> Callable[[Floats, Floats], Floats]:
-    return lambda u, t: of_input(u)
+    """Return a column modulo the gain: the gain of the input is the user's, and no record of one axis shows it."""
+
+    def column(u: Floats, t: Floats) -> Floats:
+        h = of_input(u)
+        return np.asarray(h - u * float(h @ u) / max(float(u @ u), 1e-300))
+
+    return column
 
 
 TABLE: tuple[Row, ...] = (
