@@ -278,17 +278,19 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
     }
 }
 
-/* The input switches to `next`: derivatives by the delay. */
+/* The input switches to `next`: derivatives by the delay, and by a lag of zero, which is a delay to first order. */
 static void switch_input(state *t, int i, double before, double next)
 {
     const double lag = t->theta[PMF_BODY_LAG], offset = t->theta[PMF_BODY_OFFSET], m = t->theta[PMF_BODY_MASS];
-    double s;
-    if (lag > 0)
-        t->g_delay += (before - next) / lag;
-    else if (t->v != 0)
-        t->dv[PMF_BODY_DELAY] += (before - next) / m;
-    else
-        t->dv[PMF_BODY_DELAY] += (start_force(t, before - offset, i, &s) - start_force(t, next - offset, i, &s)) / m;
+    double s, change = before - next;
+    if (lag > 0) {
+        t->g_delay += change / lag;
+        return;
+    }
+    if (t->v == 0)
+        change = start_force(t, before - offset, i, &s) - start_force(t, next - offset, i, &s);
+    t->dv[PMF_BODY_DELAY] += change / m;
+    t->dv[PMF_BODY_LAG] += change / m;
 }
 
 /* Move for h seconds with one input. */

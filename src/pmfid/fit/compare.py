@@ -39,7 +39,10 @@ class Local:
         A = self.A[np.ix_(index, index)].copy()
         A[range(self.plain, len(index)), range(self.plain, len(index))] += 1.0
         size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-        root = np.linalg.cholesky(A / np.outer(size, size) + 1e-9 * np.eye(len(index)))
+        try:
+            root = np.linalg.cholesky(A / np.outer(size, size) + 1e-9 * np.eye(len(index)))
+        except np.linalg.LinAlgError:  # the motion overflows
+            return -math.inf, np.zeros(len(index)), np.full((len(index), len(index)), np.inf)
         half = np.linalg.solve(root, -self.g[index] / size)
         inverse = np.linalg.solve(root, np.eye(len(index)))
         covariance = inverse.T @ inverse / np.outer(size, size)

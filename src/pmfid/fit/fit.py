@@ -31,6 +31,8 @@ MOST_SQUARES, TRIES, NEARBY = 0.15, 8, 2.0
 ROUNDS, MOST_STEPS = 5, 12
 #: Number of wavenumbers that a record is searched for.
 WAVENUMBERS = 100
+#: Largest distance of the mass from the blind start, as a logarithm. A fit that goes further follows noise.
+FAR = 3.0
 #: Largest change of the mass between rounds that counts as settled, relative.
 SETTLED = 1e-4
 
@@ -85,9 +87,7 @@ def sizes_of(problem: Problem, start: Problem, solution: Solution) -> Sizes:
 
 def candidates_of(machine: Machine, sizes: Sizes) -> list[Candidate]:
     """Return the rows of the table that the machine does not have already."""
-    has = {row for row in (OFFSET, DIRECTIONAL, DELAY) if np.any(machine.lift[row] != 0)}
-    if np.any(machine.lift[LAGGING] != 0):
-        has.add(DELAY)  # a short lag acts as a dead time
+    has = {row for row in (OFFSET, DIRECTIONAL, DELAY, LAGGING) if np.any(machine.lift[row] != 0)}
     kinds = {(force.kind, force.p if force.kind == "power" else 0.0) for force in machine.forces}
     rows = [one for row in TABLE for one in row(sizes)]
     return [
@@ -135,6 +135,7 @@ class Search:
         self.sizes = sizes_of(problem, start, solution)
         self.plain, self.table = with_columns(problem, candidates_of(problem.machine, self.sizes))
         self.first = start.theta(solution.q)
+        self.plain = replace(self.plain, mass=tuple(np.log(self.first[0]) + np.array([-FAR, FAR])))
         self.chosen = [i for i, one in enumerate(self.table) if one.base == OFFSET]
         self.restart(self.chosen)
         self.solution: Solution | None = None
@@ -187,12 +188,25 @@ class Search:
         self.q = self.problem.start(self.plain.theta(theta))
         k = self.own
         for i in self.chosen:
-            size, constant = sizes.get(i, (0.02, 1.0))
+            size, constant = sizes.get(i, (0.3 if self.table[i].lowest == 0.0 else 0.02, 1.0))
             self.q[k] = size
             k += 1
             if self.table[i].freed().free:
                 self.q[k] = constant
                 k += 1
+
+    def choose_best(self, sets: Sequence[Sequence[int]]) -> None:
+        """Take the set of candidates whose motion fits best in the present noise."""
+        at, found = (self.chosen, self.q, self.starts), []
+        for one in sets:
+            self.chosen, self.q, self.starts = at
+            self.choose(one)
+            if len(sets) > 1:
+                found.append((self.solve(self.noise, 10).cost, self.chosen, self.q, self.starts))
+        if found:
+            _, chosen, q, starts = min(found, key=lambda one: one[0])
+            self.chosen, self.problem = chosen, self.plain.with_candidates([self.table[i].freed() for i in chosen])
+            self.q, self.starts = q, starts
 
     def _odds(self) -> Floats:
         """Return the log odds of each candidate. The candidates of one name share those of their row."""
@@ -236,16 +250,17 @@ def fit(problem: Problem) -> Fitted:
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
     search = Search(problem)
-    likelihood: Gaussian | Intervals | None = None
-    for chosen in ([], search.chosen) if search.chosen else ([],):
+    with_load, costs = list(search.chosen), []
+    for chosen in ([], with_load) if with_load else ([],):
         search.restart(chosen)
-        search.solve(search.noise)
+        costs.append(search.solve(search.noise).cost)
         likelihood = _explain(search)
         if likelihood is not None:
-            break
-    if likelihood is None:
-        likelihood = _build(search)
-    return _conclude(search, likelihood, range(len(search.table)))
+            return _conclude(search, likelihood)
+    if with_load and search.plain.rows * math.log(costs[0] / costs[1]) < 2 * math.log(search.plain.rows):
+        search.restart([])  # no load
+        search.solve(search.noise)
+    return _conclude(search, _build(search))
 
 
 def _build(search: Search) -> Gaussian | Intervals:
@@ -261,16 +276,46 @@ def _build(search: Search) -> Gaussian | Intervals:
         kinds = ("force", "position")
         step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
         if step is not None:
-            search.choose(step)
+            search.choose_best(_alternatives(search, step))
         elif not (search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
             break
         search.solve(search.noise)
         explained = _explain(search)
         if explained is not None:
-            return explained
+            return _prune(search, explained)
     search.noise = search.estimate_noise(kinds)
     search.solve(search.noise)
     return search.noise
+
+
+def _alternatives(search: Search, step: Sequence[int]) -> list[Sequence[int]]:
+    """Return a set, and the set with a lag in place of a new dead time or the reverse: near zero they are the same."""
+    late = {i: one.name for i, one in enumerate(search.table) if one.base in (DELAY, LAGGING)}
+    new = [i for i in step if i in late and i not in search.chosen]
+    other = [i for i in late if i not in step]
+    return [step, sorted([*(i for i in step if i not in new), *other])] if new and other else [step]
+
+
+def _prune(search: Search, likelihood: Intervals) -> Intervals:
+    """Drop candidates without which the motion still explains every count."""
+    for i in list(search.chosen):
+        if len(search.chosen) < 2:
+            break
+        kept = search.chosen, search.q, search.starts
+        search.choose([j for j in search.chosen if j != i])
+        shorter = _narrow(search) if _follows(search) else None
+        if shorter is None:
+            search.choose(kept[0])
+            search.q, search.starts = kept[1], kept[2]
+        else:
+            likelihood = shorter
+    return likelihood
+
+
+def _follows(search: Search) -> bool:
+    """Return whether least squares ends near rounding."""
+    search.solve(Gaussian(search.plain.stretches), 10)
+    return _as_rounding(search)
 
 
 def _add_wave(search: Search) -> bool:
@@ -371,7 +416,7 @@ def _nearby(search: Search, q: Floats, starts: Floats, rng: np.random.Generator)
     A = normal.A + np.diag(search.prior(search.problem))
     values, vectors = np.linalg.eigh(_scaled(A)[0])
     step = vectors @ (rng.standard_normal(q.size) / np.sqrt(np.maximum(values, 1e-6)))
-    return np.asarray(np.maximum(q + NEARBY * step / _scaled(A)[1], search.problem.lowest()))
+    return search.problem.bounded(q + NEARBY * step / _scaled(A)[1])
 
 
 def _nearby_starts(search: Search, rng: np.random.Generator) -> Floats:
@@ -394,7 +439,8 @@ def _scaled(A: Floats) -> tuple[Floats, Floats]:
     return A / np.outer(size, size), size
 
 
-def _conclude(search: Search, likelihood: Gaussian | Intervals, allowed: Sequence[int]) -> Fitted:
+def _conclude(search: Search, likelihood: Gaussian | Intervals) -> Fitted:
+    allowed = range(len(search.table))
     found = solve(search.problem, likelihood, search.q, search.starts, search.prior(search.problem), 5)
     theta, covariance = _estimate(search, found, likelihood)
     local = search.local(Intervals(search.plain.stretches, EXPLAINED) if isinstance(likelihood, Intervals) else likelihood)
@@ -429,7 +475,10 @@ def _bounded_estimate(search: Search, found: Solution, covariance: Floats) -> tu
     W = np.column_stack([weighted.J, weighted.K])
     prior = np.append(search.prior(search.problem), START)
     wide = inverse(W.T @ W + np.diag(prior))
-    bound = np.full(block.e.size, max(0.5, float(np.max(np.abs(block.e))) + 1e-5))
+    beyond = max(0.0, float(np.max(np.abs(block.e))) - 0.5)
+    bound = np.full(block.e.size, 0.5 + 2 * beyond + 1e-5)
     mean, inner = allowed_region(block.e, J, bound, wide, np.random.default_rng(1))
-    q = found.q + mean[: found.q.size]
-    return search.problem.theta(q), inner[: search.own, : search.own]
+    own, p = search.own, found.q.size
+    if not np.all(np.diag(inner)[:own] < 100 * np.diag(wide)[:own]):
+        return search.problem.theta(found.q), wide[:own, :own]
+    return search.problem.theta(found.q + mean[:p]), inner[:own, :own]

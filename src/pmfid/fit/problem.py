@@ -97,13 +97,14 @@ class Problem:
     """A machine with further forces, and the stretches of a record.
 
     The parameters q are those of the machine, the mass as a logarithm, and then the size of each candidate in standard
-    deviations of its prior.
+    deviations of its prior. `mass` has the bounds of the logarithm of the mass.
     """
 
     machine: Machine
     stretches: tuple[Stretch, ...]
     resolution: float
     candidates: tuple[Candidate, ...] = ()
+    mass: tuple[float, float] = (-np.inf, np.inf)
 
     @property
     def size(self) -> int:
@@ -118,10 +119,12 @@ class Problem:
     def with_candidates(self, candidates: Sequence[Candidate]) -> Problem:
         return replace(self, candidates=tuple(candidates))
 
-    def lowest(self) -> Floats:
-        """Return the lower bounds (p,) of the parameters."""
+    def bounded(self, q: Floats) -> Floats:
+        """Return q (p,) within the bounds of the parameters."""
         further = [bound for one in self.candidates for bound in ([one.lowest, 1e-3] if one.free else [one.lowest])]
-        return np.append(self.machine.lowest, further)
+        q = np.maximum(q, np.append(self.machine.lowest, further))
+        q[self.machine.lead] = np.clip(q[self.machine.lead], *self.mass)
+        return q
 
     def theta(self, q: Floats) -> Floats:
         """Return the machine's parameters in their units."""

@@ -77,10 +77,10 @@ def solve(
 
     The search ends when a step gains less than `small`, in units of the log likelihood.
     """
-    damping, lowest, settled = 1e-4, problem.lowest(), False
+    damping, settled = 1e-4, False
     at = _Point(problem, likelihood, q, starts, prior)
     for _ in range(steps):
-        better, damping = _descend(at, damping, lowest)
+        better, damping = _descend(at, damping)
         if better is None:
             settled = True
             break
@@ -99,17 +99,17 @@ class _Point:
         cost, self.blocks = likelihood(problem.linearise(q, starts))
         self.cost = float(cost + 0.5 * prior @ q**2 + 0.5 * np.sum(START * starts**2))
 
-    def moved(self, step: Floats, starts: Floats, lowest: Floats) -> _Point:
-        q = np.maximum(self.q + step, lowest)
+    def moved(self, step: Floats, starts: Floats) -> _Point:
+        q = self.problem.bounded(self.q + step)
         return _Point(self.problem, self.likelihood, q, self.starts + starts, self.prior)
 
 
-def _descend(at: _Point, damping: float, lowest: Floats) -> tuple[_Point | None, float]:
+def _descend(at: _Point, damping: float) -> tuple[_Point | None, float]:
     """Return a better point or None, and the next damping."""
     for _ in range(12):
         normal = normal_of(at.blocks, at.starts, damping)
         step = damped_step(normal.A + np.diag(at.prior), normal.g + at.prior * at.q, damping)
-        tried = at.moved(step, normal.starts(step), lowest)
+        tried = at.moved(step, normal.starts(step))
         if np.isfinite(tried.cost) and tried.cost < at.cost:
             return tried, max(damping / 10, 1e-10)
         damping *= 10
@@ -118,7 +118,7 @@ def _descend(at: _Point, damping: float, lowest: Floats) -> tuple[_Point | None,
 
 def damped_step(A: Floats, g: Floats, damping: float) -> Floats:
     """Return the step of Marquardt. Parameters without information do not move."""
-    size = np.sqrt(np.diag(A))
+    size = np.sqrt(np.maximum(np.diag(A), 0.0))
     size = np.where(size > 0, size, 1.0)
     scaled = A / np.outer(size, size) + np.diag(np.where(np.diag(A) > 0, damping + 1e-14, 1.0))
     try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 from itertools import product
@@ -18,6 +19,8 @@ from pmfid.types import Floats
 
 #: Changes of the counts, and observations, in the first window.
 FEWEST_CHANGES, FEWEST_ROWS = 60, 200
+#: Largest distance of the mass from the first guess, as a logarithm.
+FAR = 7.0
 #: Factors of the first guess of mass, viscous friction and Coulomb friction.
 GUESSES = (0.1, 0.3, 1.0, 3.0), (0.1, 0.5), (0.03, 0.2)
 
@@ -44,8 +47,11 @@ def blind_start(stretches: tuple[Stretch, ...], resolution: float) -> tuple[Prob
     if not force > 0:
         raise NotIdentifiableError(f"the input is zero while the axis moves; {MOVE}")
     prior = np.array([0.0, 0.0, 0.0, 1 / (0.5 * force) ** 2])
+    guesses = list(_guesses(windows[0], force))
+    middle = math.log(float(np.median([guess[0] for guess in guesses])))
+    problem = replace(problem, mass=(middle - FAR, middle + FAR))
     best: Solution | None = None
-    for guess in _guesses(windows[0], force):
+    for guess in guesses:
         tried = solve(problem, _soft((windows[0],)), problem.start(guess), problem.first_starts(), prior, 25, 0.1)
         if best is None or tried.cost < best.cost:
             best = tried

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.fit.machine import DELAY, DIRECTIONAL, OFFSET, Force
+from pmfid.fit.machine import DELAY, DIRECTIONAL, LAGGING, OFFSET, Force
 from pmfid.types import Floats
 
 
@@ -81,6 +81,10 @@ def dead_time(s: Sizes) -> Iterator[Candidate]:
     yield Candidate("dead_time", "a dead time of the input", remedy, s.step, base=DELAY, lowest=0.0)
 
 
+def lag(s: Sizes) -> Iterator[Candidate]:
+    yield Candidate("lag", "a lag of the input", 'set lag = "estimate"', s.step, base=LAGGING, lowest=0.0)
+
+
 def stribeck(s: Sizes) -> Iterator[Candidate]:
     for share in (0.01, 0.03, 0.1, 0.3):
         force = Force("stribeck", share * s.speed)
@@ -149,6 +153,7 @@ TABLE: tuple[Row, ...] = (
     load,
     directional,
     dead_time,
+    lag,
     stribeck,
     quadratic,
     root,
