@@ -63,21 +63,29 @@ class Local:
         more = [[*chosen, j] for j in allowed if j not in chosen] if len(chosen) < MOST else []
         return [*fewer, *more]
 
-    def half_length(self, chosen: Sequence[int], allowed: Sequence[int], covariance: Floats) -> Floats:
+    def half_length(
+        self, chosen: Sequence[int], allowed: Sequence[int], covariance: Floats
+    ) -> tuple[Floats, int | None]:
         """Return the half length (plain,) of the intervals that hold 95 % of the posterior over the sets next to
-        `chosen`. `covariance` (plain, plain) is that of the parameters within that set.
+        `chosen`, and the candidate that widens them most. `covariance` (plain, plain) is that within the set.
 
         The set itself has a normal distribution about 0, and each set next to it another one.
         """
         value, step, inner = self.evidence(chosen)
         weights, shifts, sds = [1.0], [np.zeros(self.plain)], [np.sqrt(np.diag(covariance))]
-        for one in self.neighbours(chosen, allowed):
+        sets = [one for one in self.neighbours(chosen, allowed) if np.isfinite(self.evidence(one)[0])]
+        for one in sets:
             other, moved, wider = self.evidence(one)
             more = np.diag(wider)[: self.plain] - np.diag(inner)[: self.plain]
             weights.append(math.exp(min(other - value, 50.0)))
-            shifts.append((moved[: self.plain] - step[: self.plain]))
+            shifts.append(moved[: self.plain] - step[: self.plain])
             sds.append(np.sqrt(np.maximum(np.diag(covariance) + more, 1e-300)))
-        return mixture_half_length(np.array(weights), np.array(shifts), np.array(sds))
+        half = mixture_half_length(np.array(weights), np.array(shifts), np.array(sds))
+        if not sets:
+            return half, None
+        squares = (np.array(shifts[1:]) ** 2 + np.array(sds[1:]) ** 2) / np.maximum(np.diag(covariance), 1e-300)
+        widest = sets[int(np.argmax(np.array(weights[1:]) * np.max(squares, axis=1)))]
+        return half, next(iter(set(widest) ^ set(chosen)))
 
 
 def mixture_half_length(weights: Floats, shifts: Floats, sds: Floats) -> Floats:

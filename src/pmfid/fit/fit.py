@@ -41,9 +41,10 @@ SETTLED = 1e-4
 class Fitted:
     """A fit with the forces that the comparison added.
 
-    `theta` (p,) and `covariance` (p, p) belong to the machine's parameters, `half` (p,) is the half length of the 95 % intervals over
-    the chosen model and the models next to it. `solution` belongs to `problem`, whose candidates are the chosen ones. `likelihood` is that of the
-    residuals, and `plain` are the machine's parameters without candidates, in the same noise.
+    `theta` (p,) and `covariance` (p, p) belong to the machine's parameters. `half` (p,) is the half length of the 95 %
+    intervals over the chosen model and the models next to it. `solution` belongs to `problem`, whose candidates are the
+    chosen ones. `likelihood` is that of the residuals. `plain` (p,) are the machine's parameters without candidates.
+    `rival` names the force that widens the intervals most.
     """
 
     problem: Problem
@@ -53,6 +54,7 @@ class Fitted:
     covariance: Floats
     half: Floats
     plain: Floats
+    rival: str
 
     @property
     def residuals(self) -> list[Floats]:
@@ -440,14 +442,15 @@ def _scaled(A: Floats) -> tuple[Floats, Floats]:
 
 
 def _conclude(search: Search, likelihood: Gaussian | Intervals) -> Fitted:
-    allowed = range(len(search.table))
-    found = solve(search.problem, likelihood, search.q, search.starts, search.prior(search.problem), 5)
+    allowed, prior = range(len(search.table)), search.prior(search.problem)
+    found = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
     theta, covariance = _estimate(search, found, likelihood)
-    local = search.local(Intervals(search.plain.stretches, EXPLAINED) if isinstance(likelihood, Intervals) else likelihood)
-    half = local.half_length(search.chosen, allowed, covariance)
+    soft = Intervals(search.plain.stretches, EXPLAINED) if isinstance(likelihood, Intervals) else likelihood
+    local = search.local(soft)
+    half, rival = local.half_length(search.chosen, allowed, covariance)
     lift = np.ones(search.own)
     lift[search.plain.machine.lead] = theta[search.plain.machine.lead]
-    plain = search.plain.theta(search.q[: search.own])
+    shift = local.evidence([])[1][: search.own] - local.evidence(search.chosen)[1][: search.own]
     return Fitted(
         search.problem,
         found,
@@ -455,7 +458,8 @@ def _conclude(search: Search, likelihood: Gaussian | Intervals) -> Fitted:
         theta,
         covariance * np.outer(lift, lift),
         half * lift,
-        plain,
+        theta + shift * lift,
+        search.table[rival].words if rival is not None else "",
     )
 
 

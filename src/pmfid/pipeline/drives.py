@@ -43,6 +43,7 @@ from pmfid.models.shapes import Square
 from pmfid.pipeline import checks
 from pmfid.pipeline.checks.inputs import note_one_level
 from pmfid.pipeline.checks.readings import INTEGRATE, convert_velocity
+from pmfid.pipeline.fitted import identify_by_fit, uses_fit
 from pmfid.pipeline.kinds import Kind, Progress, method_of, settings, simulator
 from pmfid.pipeline.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
 from pmfid.pipeline.result import DriveResult
@@ -125,7 +126,7 @@ class Drives(Kind[Record]):
 
     def prepare_axis(self, data: Record, axis: Axis) -> Axis:
         axis = match_kind(data, axis)
-        if axis.estimator.cutoff is not None or data.counts.size == 0:
+        if axis.estimator.cutoff is not None or data.counts.size == 0 or (uses_fit(axis) and data.ages is None):
             return axis
         known = repair_as_configured(data, axis).record
         either = [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]
@@ -135,7 +136,7 @@ class Drives(Kind[Record]):
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
 
     def complete_record(self, data: Record, axis: Axis) -> Record:
-        if data.there is None or np.all(data.there | np.isnan(data.u)):
+        if data.there is None or np.all(data.there | np.isnan(data.u)) or uses_fit(axis):
             return data
         known = repair_as_configured(data, axis).record
         for one in [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]:
@@ -167,7 +168,10 @@ class Drives(Kind[Record]):
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
         data = take_own_instants(data, axis)
         known = repair_as_configured(data, axis)
-        result = try_both_signs(axis, lambda own: _identify_by_method(known.record, own, axis, progress))
+        if uses_fit(axis) and data.ages is None:
+            result = try_both_signs(axis, lambda own: identify_by_fit(data, own, axis))
+        else:
+            result = try_both_signs(axis, lambda own: _identify_by_method(known.record, own, axis, progress))
         result = replace(result, theta_std=np.hypot(_widen_errors(result, data), _period_errors(result, data, axis)))
         scaling = "the gain was estimated" if finds_gain(axis) else "all parameters scale with the gain"
         return result.with_findings(*known.findings, *_clock_findings(data), *note_one_level([data.u], scaling))
@@ -241,6 +245,8 @@ def take_own_instants(record: Record, axis: Axis) -> Record:
     """Return the record at its own instants if its clock is uneven and the method supports varying steps."""
     if record.own is None:
         return record
+    if uses_fit(axis):
+        return record.own
     with suppress(UsageError):
         estimator = _construct(set_any_gain(axis), record.own)
         if not (isinstance(estimator, RecursiveEstimator) and (axis.estimator.given or axis.estimator.prior)):

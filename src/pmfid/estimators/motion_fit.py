@@ -1,0 +1,88 @@
+"""The off-line method of first choice: maximum likelihood of the simulated motion, with forces compared (theory of
+`pmfid.fit`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.base import Simulating
+from pmfid.estimators.batch import BatchEstimator
+from pmfid.estimators.configuration import check_arrays, check_size
+from pmfid.estimators.results import Fit
+from pmfid.findings import MOVE
+from pmfid.fit.fit import Fitted, fit
+from pmfid.fit.machine import Drive, machine_of
+from pmfid.fit.problem import Problem, Stretch
+from pmfid.types import Counts, Flags, Floats
+
+
+@dataclass(frozen=True)
+class MotionFit(Simulating, BatchEstimator):
+    """Maximum likelihood: the motion, simulated from the input alone, that the counts allow.
+
+    Each count is an interval for the position. If no motion of the model is in all intervals, forces that the model
+    lacks enter with Gaussian priors, and the rest is a force or an error of the encoder that wanders. The filters of
+    other methods, `cutoff` and `order`, are not used.
+    """
+
+    method: ClassVar[str] = "fit"
+
+    def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        return self.summarise(self.examine(*check_arrays(u, counts)))
+
+    def examine(self, u: Floats, counts: Counts, there: Flags | None = None) -> Fitted:
+        """Return the fit of a record, u (n,) and counts (n,), with its comparison of forces.
+
+        An input of NaN is a gap, after which the motion starts again. `there` (n,) marks the counts in use, None all.
+        Raises NotIdentifiableError if the axis does not move, or if no motion of the model follows it.
+        """
+        check_size(u)
+        self.steps_before(u.size)
+        stretches = tuple(self._stretches(u, counts, np.ones(u.size, bool) if there is None else there))
+        if not stretches:
+            raise NotIdentifiableError(f"the record has no stretch of samples with input and counts; {MOVE}")
+        with np.errstate(all="ignore"):  # motions far from the record may overflow
+            return fit(Problem(machine_of(self.equation), stretches, self.encoder.resolution))
+
+    def position(self, counts: Counts) -> Floats:
+        """Return the unwrapped position (n,) of the counts, without the jumps beyond max_speed."""
+        y = self.encoder.position(counts)
+        if self.encoder.max_speed is None:
+            return y
+        change = np.diff(y)
+        jump = np.abs(change) > self.encoder.max_speed * self.dt + self.encoder.resolution
+        return np.asarray(y[0] + np.r_[0.0, np.cumsum(np.where(jump, 0.0, change))])
+
+    def summarise(self, fitted: Fitted) -> Fit:
+        """Return the parameters and their covariance. The residual is that of the motion [unit of y]."""
+        residual = np.concatenate(fitted.residuals) * self.encoder.resolution
+        travel = np.concatenate([one.y - np.mean(one.y) for one in fitted.problem.stretches])
+        relative = float(np.linalg.norm(residual) / np.linalg.norm(travel))
+        return Fit(self.names, self.units, fitted.theta, fitted.covariance, residual.size, residual, relative, 0)
+
+    def _stretches(self, u: Floats, counts: Counts, there: Flags) -> Iterator[Stretch]:
+        """Yield the stretches of a record between gaps of the input, with at least two counts that differ."""
+        force, position = u * self.equation.input_gain, self.position(counts)
+        position = position - position[0]
+        intervals = np.broadcast_to(self.intervals, u.shape)
+        known = np.isfinite(u)
+        edges = np.flatnonzero(np.diff(np.r_[False, known, False].astype(np.int8)))
+        for first, last in edges.reshape(-1, 2).tolist():
+            row = np.flatnonzero(there[first:last]).astype(np.int32)
+            if row.size < 3:
+                continue
+            part = slice(first, last - 1)
+            drive = Drive(
+                np.ascontiguousarray(intervals[part], np.float64),
+                np.ascontiguousarray(force[part]),
+                row,
+                np.zeros((0, last - 1 - first)),
+            )
+            flags = np.ones(row.size, bool)
+            yield Stretch(drive, position[first:last][row], np.full(row.size, 1 / 12), flags, ~flags, first)

@@ -1,0 +1,86 @@
+"""What to think of a fit, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pmfid.findings import MOVE, Finding
+from pmfid.fit.fit import Fitted
+from pmfid.fit.likelihood import Gaussian
+from pmfid.types import Flags, Floats
+
+#: Status words of candidates that have a word of their own; all others are "unmodelled".
+OWN_WORDS = {"dead_time": "dead_time", "lag": "dead_time"}
+#: Part of the travel that may stay unexplained before the model follows nothing.
+MOST_LEFT = 0.3
+
+
+def findings_of(
+    fitted: Fitted, names: tuple[str, ...], positive: Flags, sizes: Floats, tolerance: float
+) -> Iterator[Finding]:
+    """Yield the findings on a fit.
+
+    `positive` (p,) marks inertia and friction. `sizes` (p,) are those to which the errors of the parameters are
+    relative, and `tolerance` is the negligible part.
+    """
+    yield from _forces(fitted, names, sizes, tolerance)
+    yield from _wandering(fitted)
+    yield from _unknown(fitted, names, positive)
+    half, std = fitted.half, np.sqrt(np.diag(fitted.covariance))
+    hidden = half > np.maximum(tolerance * sizes, 2 * 1.96 * std)
+    if np.any(hidden):
+        worst = int(np.argmax(np.where(hidden, half / sizes, 0.0)))
+        yield Finding(
+            "model_spread",
+            f"the record does not exclude {fitted.rival}, which may move {names[worst]} by "
+            f"{100 * half[worst] / sizes[worst]:.2g} %",
+            "record an input of several sizes, with reversals and rests",
+            "note",
+        )
+
+
+def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: float) -> Iterator[Finding]:
+    """Yield a finding for each force that the comparison added. It matters if the parameters without it are wrong."""
+    moved = np.abs(fitted.plain - fitted.theta) / sizes
+    worst = int(np.argmax(moved))
+    matters = bool(moved[worst] > tolerance)
+    seen = set()
+    for one in fitted.problem.candidates:
+        if one.words in seen:
+            continue
+        seen.add(one.words)
+        without = f"; without it {names[worst]} would be {100 * moved[worst]:.2g} % off" if matters else ""
+        yield Finding(
+            OWN_WORDS.get(one.name, "unmodelled"),
+            f"the record shows {one.words}, and the estimate allows for it{without}",
+            one.remedy,
+            "doubt" if matters else "note",
+        )
+
+
+def _wandering(fitted: Fitted) -> Iterator[Finding]:
+    noise = fitted.likelihood
+    if isinstance(noise, Gaussian) and noise.wanders:
+        what = "a force" if noise.force[0] > 0 else "an error of the position"
+        yield Finding(
+            "unmodelled",
+            f"{what} that no term explains wanders with a time constant of about "
+            f"{(noise.force if noise.force[0] > 0 else noise.position)[1]:.2g} s; the intervals include it",
+            "compare the motion with the record (--out), and add the missing effect to [model]",
+        )
+    elif isinstance(noise, Gaussian) and noise.scale > 1.5:
+        yield Finding(
+            "unmodelled",
+            f"the motion deviates from the counts by {np.sqrt(noise.scale):.2g} times the rounding of the encoder",
+            "check [encoder] resolution, or add the missing effect to [model]",
+        )
+
+
+def _unknown(fitted: Fitted, names: tuple[str, ...], positive: Flags) -> Iterator[Finding]:
+    for name, value, half, never_negative in zip(names, fitted.theta, fitted.half, positive, strict=True):
+        if never_negative and value + 1.5 * half < 0:
+            yield Finding("implausible", f"{name} is negative", "check sign and scale of the input and the encoder", "wrong")
+        elif never_negative and half > abs(value):
+            yield Finding("uncertain", f"the error of {name} may exceed half its value", MOVE)

@@ -1,0 +1,123 @@
+"""The way from a record to the result of the fit (`pmfid.fit`), which is the off-line method of first choice."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pmfid.config.axis import Axis
+from pmfid.diagnostics.matter import Matter, sizes
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.auto import AUTO
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.motion_fit import MotionFit
+from pmfid.findings import MOVE, make_notes, sort_findings
+from pmfid.fit.findings import MOST_LEFT, findings_of
+from pmfid.fit.fit import Fitted
+from pmfid.pipeline.known import known_of, put_together
+from pmfid.pipeline.result import DriveResult
+from pmfid.records.outliers import repair_as_configured
+from pmfid.records.record import Record
+from pmfid.types import Flags, Floats
+
+#: Half length of the 95 % interval of a normal distribution, in standard deviations.
+NORMAL_95 = 1.96
+
+
+def uses_fit(axis: Axis) -> bool:
+    """Return whether the fit estimates the parameters of a configuration."""
+    method = axis.estimator.method == MotionFit.method or (
+        axis.estimator.method == AUTO and axis.estimator.forgetting == 1
+    )
+    return method and not axis.model.make().equation.without_simulation
+
+
+def make_fit(axis: Axis, record: Record) -> MotionFit:
+    """Return the method for a record. Its cutoff only serves the figures."""
+    return MotionFit(
+        axis.model.make(),
+        axis.encoder.make_encoder(record.resolution),
+        record.dt,
+        axis.estimator.cutoff or 0.2 / record.dt,
+        steps=record.steps,
+    )
+
+
+def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
+    """Return the result of the fit. The configured axis `asked` contains the prior information.
+
+    Raises NotIdentifiableError if no motion of the model follows the record.
+    """
+    known_record = repair_as_configured(record, axis).record
+    method = make_fit(axis, record)
+    fitted = method.examine(known_record.u, known_record.counts, _counts_in_use(record, known_record))
+    fit = method.summarise(fitted)
+    if not fit.relative_error < MOST_LEFT:
+        raise NotIdentifiableError(
+            f"no motion of the model follows the measured motion; {fit.relative_error:.0%} of the motion stays "
+            f"unexplained. Advice: check input_gain, sign and scale of input and output, and [encoder] bits"
+        )
+    known = known_of(asked, method)
+    estimator: Estimator = method
+    if known is not None and known.find_gain:
+        known, scaled = known.rescale(fit)
+        estimator, fit = known.estimator, replace(fit, theta=scaled.theta, theta_cov=scaled.theta_cov)
+    spread = _spread(fitted, fit.theta_std)
+    size = sizes(estimator, fit.theta)
+    equation = estimator.equation
+    positive = np.append(equation.positive, np.zeros(len(equation.further), bool))
+    findings = list(findings_of(fitted, estimator.names, positive, size, axis.estimator.tolerance))
+    notes = make_notes("record", record.notes)
+    matter = _matter(fitted, estimator.names, size, axis.estimator.tolerance)
+    result = DriveResult(
+        estimator,
+        fit.theta,
+        fit.theta_std,
+        sort_findings((*findings, *notes)),
+        record,
+        fit.relative_error,
+        matter,
+        fit=fit,
+        model_spread=spread,
+    )
+    if known is None:
+        _check_mass(result)
+        return result
+    return put_together(result, known, axis, known.combine(fit, spread))
+
+
+def _counts_in_use(record: Record, repaired: Record) -> Flags:
+    """Return the counts (n,) that were measured and that no repair replaced."""
+    there = np.ones(record.u.size, bool) if record.there is None else record.there
+    return np.asarray(there & (_steps(record.counts) == _steps(repaired.counts)))
+
+
+def _steps(counts: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
+    return counts - counts[0]
+
+
+def _spread(fitted: Fitted, std: Floats) -> Floats:
+    """Return the spread (p,) that widens normal intervals of the standard errors std (p,) to those of the fit.
+
+    The standard errors may have another gain of the input than the fit.
+    """
+    own = np.sqrt(np.diag(fitted.covariance))
+    return np.asarray(np.sqrt(np.maximum((fitted.half / NORMAL_95) ** 2 - own**2, 0.0)) * (std / own))
+
+
+def _matter(fitted: Fitted, names: tuple[str, ...], size: Floats, tolerance: float) -> Matter:
+    part = fitted.half / size
+    worst = int(np.argmax(part))
+    own = np.sqrt(np.diag(fitted.covariance))
+    beyond = bool(np.any(fitted.half > np.maximum(tolerance * size, 2 * NORMAL_95 * own)))
+    return Matter(names[worst], float(part[worst]), beyond)
+
+
+def _check_mass(result: DriveResult) -> None:
+    leading = result.estimator.equation.leading
+    mass, std = result.theta[leading], result.theta_std[leading]
+    if not std < mass:
+        raise NotIdentifiableError(
+            f"{result.names[leading]} comes out as {mass:.3g} with a standard deviation of {std:.2g}. Advice: {MOVE}"
+        )
