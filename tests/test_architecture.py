@@ -27,7 +27,8 @@ KERNELS = {"_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
 SHARED = {"elementary", "deprecation", "errors", "types", "findings", "status", "presentation", "durable", "units"}
 GROUND = SHARED | KERNELS
 FILTERS = GROUND | {"models", "encoder", "edge_times"}
-ESTIMATORS = FILTERS | {"filters", "linear"}
+FIT = {"errors", "types", "findings", "models", "_body"}
+ESTIMATORS = FILTERS | {"filters", "linear", "fit"}
 DIAGNOSTICS = ESTIMATORS | {"estimators"}
 CONFIG = DIAGNOSTICS | {"diagnostics", "monitor"}
 RECORDS = CONFIG | {"config", "io"}
@@ -45,6 +46,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "presentation": {"errors", "lazy_imports"},
     "_estimate": {"errors", "presentation", "status"},
     "_stage": set(),
+    "_body": set(),
+    "fit": FIT,
     "durable": {"errors"},
     "elementary": {"types"},
     "_detect": set(),

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.estimators import output_error
 from pmfid.estimators.output_error import OE, IntervalML
 from pmfid.estimators.uncertainty import block_scatter
 from studies.machines import AXES, machine_record, truth
@@ -74,18 +73,3 @@ def test_noise_that_cancels_over_a_block_is_no_scatter():
     sharp = np.mean([np.var(series.reshape(-1, 25).sum(axis=1)) * 120 for series in scores])
     assert found < sharp / 10
     assert 0.5 * observed < found
-
-
-def test_the_motion_that_fits_is_looked_for_once(tmp_path, monkeypatch):
-    from pmfid.config.axis import load_axis
-    from pmfid.pipeline.identify import identify
-    from pmfid.records.record import Record
-
-    searches, search = [], output_error.best_of
-    monkeypatch.setattr(output_error, "best_of", lambda *args: searches.append(1) or search(*args))
-    axis, text = AXES["cart"], '[record]\ninput = "u"\noutput = "c"\noutput_kind = "counts"\ndt = 0.01\n'
-    record = machine_record(axis, "nothing", "prbs", 512, 0)
-    text += f"[encoder]\nresolution = {record.resolution}\n[model]\ninput_gain = 2.0\n[estimator]\ncutoff = 30.0\n"
-    (tmp_path / "axis.toml").write_text(text + 'method = "auto"\n')
-    identify(Record(record.u, record.counts, 0.01, record.resolution, (), "cart"), load_axis(tmp_path / "axis.toml"))
-    assert len(searches) == 1

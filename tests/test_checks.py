@@ -337,7 +337,7 @@ def test_an_input_that_is_logged_late_is_moved_and_no_dead_time() -> None:
     u, counts, encoder = run.motion.u, run.counts, pmfid.Encoder(run.resolution)
     late = pmfid.identify(np.roll(u, 1)[1:], counts[1:], model=pmfid.Drive(2.0), dt=run.dt, encoder=encoder)
     text = " ".join(finding.text for finding in late.findings)
-    assert "s too early" in text
+    assert "before it is logged" in text
     assert "shift the input's column earlier" in text
     assert 'dead_time = "estimate"' not in text
     right = pmfid.identify(u[1:], counts[1:], model=pmfid.Drive(2.0), dt=run.dt, encoder=encoder)

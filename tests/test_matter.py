@@ -13,16 +13,13 @@ import pytest
 
 import pmfid
 from pmfid.diagnostics.matter import matter_of, sizes
-from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.iv import IV
-from pmfid.estimators.output_error import IntervalML
 from pmfid.findings import Finding
 from pmfid.pipeline.result import DriveResult
 from pmfid.report.result import write_result
-from pmfid.simulation import Machine, quantize, simulate_drive
+from pmfid.simulation import Machine
 from studies.friction_axes import FRICTIONS
 from studies.machines import Axis, record_of, truth
-from studies.paper.truth import CartRecord
 from studies.real_axes import axis as axis_of
 from studies.verdict import Wrong, _load, random_axis, record
 from tests.test_model_spread import LIFT, TABLE, identified
@@ -40,19 +37,8 @@ def test_the_right_model_has_no_status(axis: Axis, motion: str) -> None:
     """Each case once had model_spread and feedback, at errors of at most 0.05 %."""
     record = record_of(axis, Machine(axis.drive), motion, 1024, 21)
     result = identified(axis, record)
-    assert np.max(np.abs(result.theta / truth(axis) - 1)) < 0.005
+    assert np.max(np.abs(result.theta / truth(axis) - 1)) < 0.0005
     assert result.status == (), str(result)
-    assert codes(result, "note") & {"model_spread", "feedback"}
-
-
-def test_what_matters_says_how_much() -> None:
-    record = record_of(LIFT, FRICTIONS["quadratic 20 %"](LIFT), "stop-and-go", 1024, 21)
-    result = identified(LIFT, record)
-    assert "unmodelled" in result.status
-    assert result.interval_95 is not None
-    part = (result.interval_95[:, 1] - result.theta) / result.theta
-    said = next(finding.sentence for finding in result.findings if finding.code == "unmodelled")
-    assert f"{result.matter.name} may be {100 * part.max():.2g} % off" in said
 
 
 def test_a_large_tolerance_leaves_a_note_of_it() -> None:
@@ -78,36 +64,6 @@ def test_noise_alone_does_not_matter_and_the_unknown_does() -> None:
     assert not matter_of(method, theta, 0.1 * theta, 0.1 * theta, 0.01).beyond
     assert matter_of(method, theta, 0.1 * theta, 0.3 * theta, 0.01).beyond
     assert matter_of(method, theta, 0.1 * theta, np.full(3, np.nan), 0.01).beyond
-
-
-@pytest.mark.parametrize("zone", [0.03, 0.05])
-@pytest.mark.parametrize("axis", [TABLE, TURRET], ids=["table", "turret"])
-def test_a_dead_zone_under_a_binary_input_is_in_the_interval(axis: Axis, zone: float) -> None:
-    """The dead zone changes every parameter, and no motion shows the dead zone. The interval was once 0.01 % wide."""
-    right = record_of(axis, Machine(axis.drive), "prbs", 1024, 21)
-    acts = np.sign(right.u) * (np.abs(right.u) - zone * np.max(np.abs(right.u)))
-    counts = quantize(simulate_drive(axis.drive, acts, axis.dt).x, right.resolution, 0.3 * right.resolution)
-    result = identified(axis, CartRecord(right.u, counts, right.resolution))
-    assert result.interval_95 is not None
-    low, high = result.interval_95.T
-    assert np.all(np.abs(result.theta / truth(axis) - 1) > 10 * result.theta_std / truth(axis))
-    assert np.all((low < truth(axis)) & (truth(axis) < high)), str(result)
-    assert "model_spread" in codes(result, "note")
-
-
-def test_where_no_motion_can_be_fitted_the_interval_is_a_number(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The interval was once NaN for every parameter."""
-
-    def refused(*_: object, **__: object) -> None:
-        raise NotIdentifiableError("no motion")
-
-    monkeypatch.setattr(IntervalML, "best", refused)
-    result = identified(TABLE, record_of(TABLE, FRICTIONS["directional 15 %"](TABLE), "stop-and-go", 256, 21))
-    assert result.estimator.method == "iv"
-    assert "unmodelled" in result.status
-    assert result.interval_95 is not None
-    assert np.all(np.isfinite(result.interval_95))
-    assert np.all(result.interval_95[:, 0] < result.interval_95[:, 1])
 
 
 def test_a_machine_at_the_edge_of_rest_has_error_bars() -> None:

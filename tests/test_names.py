@@ -43,8 +43,8 @@ TEXTS = {".py", ".md", ".toml", ".c", ".h", ".ipynb", ".cpp"}
 MOST_OF_A_WORD = 5
 #: Files that list these words.
 LISTS = {"test_names.py", "test_prose.py"}
-#: Numbers at module level outside the files `tuning.py`: codes of formats, bits and versions.
-NUMBERS_LEFT = 157
+#: Numbers at module level outside the files `tuning.py`: codes of formats, bits, versions, and constants of the fit.
+NUMBERS_LEFT = 190
 
 
 def trees() -> Iterator[ast.Module]:

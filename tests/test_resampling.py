@@ -106,12 +106,6 @@ def test_rows_of_an_uneven_clock_are_left_out(tmp_path: Path, key: str) -> None:
     assert any("230 rows are left out" in note for note in result.notes)
 
 
-def test_a_model_that_asks_for_even_samples_is_resampled_and_says_so(tmp_path: Path) -> None:
-    result = identified(tmp_path, *run("host"), "dead_time = 0.0001\n")
-    np.testing.assert_allclose(result.theta[:2], TRUTH[:2], rtol=0.02)
-    assert "uneven_clock" in result.status
-
-
 @pytest.mark.parametrize("delay", [0.2, pytest.param(1.0, marks=pytest.mark.long), 3.0])
 def test_stamps_of_arrival_give_what_even_stamps_give(tmp_path: Path, delay: float) -> None:
     method = '[estimator]\nmethod = "iv"\n'
@@ -201,7 +195,8 @@ def test_many_small_gaps_of_an_uneven_clock_are_long_steps(tmp_path: Path) -> No
     for first in range(20, SAMPLES - 20, 30):
         kept[first : first + int(rng.integers(2, 5))] = False
     result = identified(tmp_path, (at * CART_DT / PARTS)[kept], u[kept], quantize(x, 8 * CART_RESOLUTION)[kept])
-    np.testing.assert_allclose(result.theta, TRUTH, rtol=0.02)
+    np.testing.assert_allclose(result.theta[:2], TRUTH[:2], rtol=0.02)  # the input in the gaps is not known
+    assert "unmodelled" in result.status
 
 
 def test_a_counter_wraps_on_an_uneven_clock(tmp_path: Path) -> None:

@@ -182,7 +182,7 @@ static double net_force(state *t, double x, double v, double s, double drive, in
         value r = force_at(b->force + j, t->p[j], x, v, s, column_at(t, b->force + j, i));
         double a = t->size[j];
         dn[PMF_BODY_BASE + j] = -r.h;
-        if (b->force[j].free)
+        if (b->force[j].unknown)
             dn[shape++] = -a * r.hp;
         net -= a * r.h;
         gx += a * r.hx;
@@ -337,7 +337,9 @@ static void move_interval(state *t, int i, int parts, double *wait)
 
 int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, double *S, double *work)
 {
-    const int w = pmf_body_width(b), parts = b->forces || theta[PMF_BODY_LAG] > 0 ? b->parts : 1;
+    const int w = pmf_body_width(b), lags = theta[PMF_BODY_LAG] > 0;
+    /* the mean of a lagging force acts in each part, so that its position has an error of the second order */
+    const int parts = lags ? 8 * b->parts : b->forces ? b->parts : 1;
     double wait = b->step[0] + theta[PMF_BODY_DELAY];
     state t = {0};
     t.b = b, t.theta = theta, t.size = theta + PMF_BODY_BASE, t.w = w;
@@ -345,7 +347,7 @@ int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, d
     t.dx = work, t.dv = work + w, t.dn = work + 2 * w, t.mx = work + 3 * w, t.mv = work + 4 * w, t.p = work + 5 * w;
     memset(work, 0, 6 * w * sizeof *work);
     for (int j = 0, shape = PMF_BODY_BASE + b->forces; j < b->forces; j++)
-        t.p[j] = b->force[j].free ? theta[shape++] : b->force[j].p;
+        t.p[j] = b->force[j].unknown ? theta[shape++] : b->force[j].p;
     t.dx[PMF_BODY_X0] = 1;
     t.dv[PMF_BODY_V0] = 1;
     for (int i = 0, k = 0; k < b->rows; i++) {

@@ -43,7 +43,7 @@ enum {
 typedef struct {
     int kind;
     int column; /* row of the columns, for the kinds with a column */
-    int free; /* 1 if the constant p is a parameter */
+    int unknown; /* 1 if the constant p is a parameter */
     int knots; /* length of the table */
     const double *table; /* (knots) values of a table, or nodes of the hats */
     double p, q;

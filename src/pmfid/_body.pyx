@@ -15,7 +15,7 @@ cdef extern from "fit/body.h":
         PMF_FORCE_SPEED, PMF_FORCE_PLACE, PMF_FORCE_RUB_PLACE
         PMF_FORCE_COLUMN, PMF_FORCE_COLUMN_FRICTION, PMF_FORCE_COLUMN_VISCOUS
     ctypedef struct pmf_force:
-        int kind, column, free, knots
+        int kind, column, unknown, knots
         const double *table
         double p, q
     ctypedef struct pmf_body:
@@ -74,7 +74,7 @@ def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.n
         for k in range(count):
             kind, column, is_free, values, p, q = forces[k]
             table = values
-            list_[k].kind, list_[k].column, list_[k].free, list_[k].knots = kind, column, is_free, table.shape[0]
+            list_[k].kind, list_[k].column, list_[k].unknown, list_[k].knots = kind, column, is_free, table.shape[0]
             list_[k].table, list_[k].p, list_[k].q = <double *>table.data, p, q
             if kind >= PMF_FORCE_COLUMN and not 0 <= column < columns.shape[0]:
                 raise ValueError(f"force {k} has no column {column}")

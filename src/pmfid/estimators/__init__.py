@@ -5,6 +5,7 @@ from typing import Literal, get_args
 #: Names of the methods, for code that must not import the classes; `registry.ESTIMATORS` has the classes.
 Method = Literal[
     "auto",
+    "fit",
     "ls",
     "bcls",
     "known-step",

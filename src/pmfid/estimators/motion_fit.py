@@ -17,8 +17,8 @@ from pmfid.estimators.configuration import check_arrays, check_size
 from pmfid.estimators.results import Fit
 from pmfid.findings import MOVE
 from pmfid.fit.fit import Fitted, fit
-from pmfid.fit.machine import Drive, machine_of
-from pmfid.fit.problem import Problem, Stretch
+from pmfid.fit.machine import Excitation, machine_of
+from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.types import Counts, Flags, Floats
 
 
@@ -32,6 +32,9 @@ class MotionFit(Simulating, BatchEstimator):
     """
 
     method: ClassVar[str] = "fit"
+
+    def _check_steps(self) -> None:
+        """Any step is possible, because the motion is exact over any time."""
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         return self.summarise(self.examine(*check_arrays(u, counts)))
@@ -48,7 +51,7 @@ class MotionFit(Simulating, BatchEstimator):
         if not stretches:
             raise NotIdentifiableError(f"the record has no stretch of samples with input and counts; {MOVE}")
         with np.errstate(all="ignore"):  # motions far from the record may overflow
-            return fit(Problem(machine_of(self.equation), stretches, self.encoder.resolution))
+            return fit(FitProblem(machine_of(self.equation), stretches, self.encoder.resolution))
 
     def position(self, counts: Counts) -> Floats:
         """Return the unwrapped position (n,) of the counts, without the jumps beyond max_speed."""
@@ -66,7 +69,7 @@ class MotionFit(Simulating, BatchEstimator):
         relative = float(np.linalg.norm(residual) / np.linalg.norm(travel))
         return Fit(self.names, self.units, fitted.theta, fitted.covariance, residual.size, residual, relative, 0)
 
-    def _stretches(self, u: Floats, counts: Counts, there: Flags) -> Iterator[Stretch]:
+    def _stretches(self, u: Floats, counts: Counts, there: Flags) -> Iterator[ObservedStretch]:
         """Yield the stretches of a record between gaps of the input, with at least two counts that differ."""
         force, position = u * self.equation.input_gain, self.position(counts)
         position = position - position[0]
@@ -78,11 +81,11 @@ class MotionFit(Simulating, BatchEstimator):
             if row.size < 3:
                 continue
             part = slice(first, last - 1)
-            drive = Drive(
+            drive = Excitation(
                 np.ascontiguousarray(intervals[part], np.float64),
                 np.ascontiguousarray(force[part]),
                 row,
                 np.zeros((0, last - 1 - first)),
             )
             flags = np.ones(row.size, bool)
-            yield Stretch(drive, position[first:last][row], np.full(row.size, 1 / 12), flags, ~flags, first)
+            yield ObservedStretch(drive, position[first:last][row], np.full(row.size, 1 / 12), flags, ~flags, first)

@@ -6,13 +6,14 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known_step import KnownStep, RKnownStep
 from pmfid.estimators.ls import BCLS, LS
+from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.output_error import OE, IntervalML
 from pmfid.estimators.recursive import BCRLS, RLS
 from pmfid.estimators.srivc import RSRIVC, SRIVC
 from pmfid.models.drive import Model
 
 #: Off-line methods for a drive.
-OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML)
+OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML, MotionFit)
 RECURSIVE = (RLS, BCRLS, RKnownStep, RIV)
 #: Methods for a linear process alone.
 PROCESS_ONLY = (SRIVC, RSRIVC)

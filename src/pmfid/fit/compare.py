@@ -22,7 +22,7 @@ MOST = 6
 
 
 @dataclass(frozen=True, eq=False)
-class Local:
+class Quadratic:
     """A quadratic log likelihood around a fit: information A (p, p) and gradient g (p,) of minus the log likelihood by
     the parameters, of which the first `plain` are always in the model and the others are candidates with unit priors
     and `odds` (p - plain,), as logarithms."""

@@ -9,12 +9,13 @@ import numpy as np
 from pmfid.findings import MOVE, Finding
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian
+from pmfid.fit.machine import DELAY
 from pmfid.types import Flags, Floats
 
 #: Status words of candidates that have a word of their own; all others are "unmodelled".
 OWN_WORDS = {"dead_time": "dead_time", "lag": "dead_time"}
-#: Part of the travel that may stay unexplained before the model follows nothing.
-MOST_LEFT = 0.3
+#: Part of the travel that may stay unexplained before the model follows nothing: a model at rest leaves all of it.
+MOST_LEFT = 1.0
 
 
 def findings_of(
@@ -47,15 +48,20 @@ def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: fl
     worst = int(np.argmax(moved))
     matters = bool(moved[worst] > tolerance)
     seen = set()
-    for one in fitted.problem.candidates:
+    for one, value in zip(fitted.problem.candidates, fitted.values, strict=True):
         if one.words in seen:
             continue
         seen.add(one.words)
-        without = f"; without it {names[worst]} would be {100 * moved[worst]:.2g} % off" if matters else ""
+        words, remedy = one.words, one.remedy
+        if one.base == DELAY and value < 0:
+            early = -value * one.sd
+            words = f"an input that acts {early:.3g} s before it is logged"
+            remedy = f"shift the input's column earlier by {early:.3g} s: the log is late"
+        without = f": without it, {names[worst]} would be {100 * moved[worst]:.2g} % off" if matters else ""
         yield Finding(
             OWN_WORDS.get(one.name, "unmodelled"),
-            f"the record shows {one.words}, and the estimate allows for it{without}",
-            one.remedy,
+            f"the record shows {words}{without}",
+            remedy,
             "doubt" if matters else "note",
         )
 
@@ -66,8 +72,7 @@ def _wandering(fitted: Fitted) -> Iterator[Finding]:
         what = "a force" if noise.force[0] > 0 else "an error of the position"
         yield Finding(
             "unmodelled",
-            f"{what} that no term explains wanders with a time constant of about "
-            f"{(noise.force if noise.force[0] > 0 else noise.position)[1]:.2g} s; the intervals include it",
+            f"{what} that no term explains wanders, and the intervals include it",
             "compare the motion with the record (--out), and add the missing effect to [model]",
         )
     elif isinstance(noise, Gaussian) and noise.scale > 1.5:
@@ -81,6 +86,8 @@ def _wandering(fitted: Fitted) -> Iterator[Finding]:
 def _unknown(fitted: Fitted, names: tuple[str, ...], positive: Flags) -> Iterator[Finding]:
     for name, value, half, never_negative in zip(names, fitted.theta, fitted.half, positive, strict=True):
         if never_negative and value + 1.5 * half < 0:
-            yield Finding("implausible", f"{name} is negative", "check sign and scale of the input and the encoder", "wrong")
+            yield Finding(
+                "implausible", f"{name} is negative", "check sign and scale of the input and the encoder", "wrong"
+            )
         elif never_negative and half > abs(value):
             yield Finding("uncertain", f"the error of {name} may exceed half its value", MOVE)

@@ -8,16 +8,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmfid._body import BASE
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
-from pmfid.fit.compare import MOST, ODDS, Local
+from pmfid.fit.compare import MOST, ODDS, Quadratic
 from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
-from pmfid.fit.machine import BASE, COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, Machine
+from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyModel
 from pmfid.fit.posterior import allowed_region
-from pmfid.fit.problem import Problem
-from pmfid.fit.solve import START, Likelihood, Solution, normal_of, solve
+from pmfid.fit.problem import FitProblem
+from pmfid.fit.solve import START, Likelihood, Normal, Optimum, normal_of, solve
 from pmfid.fit.starts import blind_start
-from pmfid.fit.terms import TABLE, WAVES, Candidate, Sizes, waves
+from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, waves
 from pmfid.types import Floats
 
 #: Spreads of a white error in addition to rounding [counts], in falling order.
@@ -31,6 +32,8 @@ MOST_SQUARES, TRIES, NEARBY = 0.15, 8, 2.0
 ROUNDS, MOST_STEPS = 5, 12
 #: Number of wavenumbers that a record is searched for.
 WAVENUMBERS = 100
+#: Blocks of a record whose scores are compared with the information.
+BLOCKS = 40
 #: Largest distance of the mass from the blind start, as a logarithm. A fit that goes further follows noise.
 FAR = 3.0
 #: Largest change of the mass between rounds that counts as settled, relative.
@@ -47,8 +50,8 @@ class Fitted:
     `rival` names the force that widens the intervals most.
     """
 
-    problem: Problem
-    solution: Solution
+    problem: FitProblem
+    solution: Optimum
     likelihood: Gaussian | Intervals
     theta: Floats
     covariance: Floats
@@ -57,12 +60,21 @@ class Fitted:
     rival: str
 
     @property
+    def values(self) -> list[float]:
+        """Size of each candidate in standard deviations of its prior."""
+        values, k = [], len(self.problem.machine.names)
+        for one in self.problem.candidates:
+            values.append(float(self.solution.q[k]))
+            k += 1 + one.free
+        return values
+
+    @property
     def residuals(self) -> list[Floats]:
         """Residuals (k,) of each stretch [counts]."""
         return [block.e for block in self.problem.linearise(self.solution.q, self.solution.starts)]
 
 
-def sizes_of(problem: Problem, start: Problem, solution: Solution) -> Sizes:
+def sizes_of(problem: FitProblem, start: FitProblem, solution: Optimum) -> Sizes:
     """Return the sizes that scale the priors, from the record and its blind start."""
     u = np.concatenate([one.drive.u for one in problem.stretches])
     y = np.concatenate([one.y for one in problem.stretches])
@@ -87,7 +99,7 @@ def sizes_of(problem: Problem, start: Problem, solution: Solution) -> Sizes:
     )
 
 
-def candidates_of(machine: Machine, sizes: Sizes) -> list[Candidate]:
+def candidates_of(machine: BodyModel, sizes: Sizes) -> list[ExtraForce]:
     """Return the rows of the table that the machine does not have already."""
     has = {row for row in (OFFSET, DIRECTIONAL, DELAY, LAGGING) if np.any(machine.lift[row] != 0)}
     kinds = {(force.kind, force.p if force.kind == "power" else 0.0) for force in machine.forces}
@@ -100,7 +112,7 @@ def candidates_of(machine: Machine, sizes: Sizes) -> list[Candidate]:
     ]
 
 
-def with_columns(problem: Problem, candidates: Sequence[Candidate]) -> tuple[Problem, list[Candidate]]:
+def with_columns(problem: FitProblem, candidates: Sequence[ExtraForce]) -> tuple[FitProblem, list[ExtraForce]]:
     """Return the problem with the candidates' columns, and the candidates with the numbers of their columns."""
     first = problem.stretches[0].drive.columns.shape[0]
     makers = [one.column for one in candidates if one.column is not None]
@@ -113,11 +125,11 @@ def with_columns(problem: Problem, candidates: Sequence[Candidate]) -> tuple[Pro
         columns = np.ascontiguousarray(np.vstack([stretch.drive.columns, *rows]))
         stretches.append(replace(stretch, drive=replace(stretch.drive, columns=columns)))
     numbers = iter(range(first, first + len(makers)))
-    placed = [one if one.column is None else one.placed(next(numbers)) for one in candidates]
+    placed = [one if one.column is None else one.place_column(next(numbers)) for one in candidates]
     return replace(problem, stretches=tuple(stretches)), placed
 
 
-def first_theta(machine: Machine, start: Floats, sizes: Sizes) -> Floats:
+def first_theta(machine: BodyModel, start: Floats, sizes: Sizes) -> Floats:
     """Return the machine's parameters (p,) at the blind start (mass, viscous, Coulomb, load)."""
     body = np.zeros(len(machine.rest))
     body[[MASS, VISCOUS, COULOMB, OFFSET]] = start
@@ -129,10 +141,10 @@ def first_theta(machine: Machine, start: Floats, sizes: Sizes) -> Floats:
     return np.asarray(np.linalg.lstsq(machine.lift[rows], body[rows], rcond=None)[0])
 
 
-class Search:
+class FitSearch:
     """The state of a fit: the table of candidates, the chosen ones, the noise and the solution."""
 
-    def __init__(self, problem: Problem) -> None:
+    def __init__(self, problem: FitProblem) -> None:
         start, solution = blind_start(problem.stretches, problem.resolution)
         self.sizes = sizes_of(problem, start, solution)
         self.plain, self.table = with_columns(problem, candidates_of(problem.machine, self.sizes))
@@ -140,7 +152,7 @@ class Search:
         self.plain = replace(self.plain, mass=tuple(np.log(self.first[0]) + np.array([-FAR, FAR])))
         self.chosen = [i for i, one in enumerate(self.table) if one.base == OFFSET]
         self.restart(self.chosen)
-        self.solution: Solution | None = None
+        self.solution: Optimum | None = None
 
     @property
     def own(self) -> int:
@@ -157,15 +169,15 @@ class Search:
             self.q[self.own] = self.first[3] / self.table[i].sd
         self.noise = Gaussian(self.plain.stretches)
 
-    def _chosen_problem(self) -> Problem:
-        return self.plain.with_candidates([self.table[i].freed() for i in self.chosen])
+    def _chosen_problem(self) -> FitProblem:
+        return self.plain.with_candidates([self.table[i].free_constant() for i in self.chosen])
 
-    def prior(self, problem: Problem) -> Floats:
+    def prior(self, problem: FitProblem) -> Floats:
         """Return the prior precisions (p,): 1 for the size of a candidate, 0 for everything else."""
         further = [value for one in problem.candidates for value in ([1.0, 0.0] if one.free else [1.0])]
         return np.append(np.zeros(self.own), further)
 
-    def solve(self, likelihood: Likelihood, steps: int = 30) -> Solution:
+    def solve(self, likelihood: Likelihood, steps: int = 30) -> Optimum:
         found = solve(self.problem, likelihood, self.q, self.starts, self.prior(self.problem), steps)
         self.q, self.starts, self.solution = found.q, found.starts, found
         return found
@@ -190,10 +202,10 @@ class Search:
         self.q = self.problem.start(self.plain.theta(theta))
         k = self.own
         for i in self.chosen:
-            size, constant = sizes.get(i, (0.3 if self.table[i].lowest == 0.0 else 0.02, 1.0))
+            size, constant = sizes.get(i, (0.3 if self.table[i].base in (DELAY, LAGGING) else 0.02, 1.0))
             self.q[k] = size
             k += 1
-            if self.table[i].freed().free:
+            if self.table[i].free_constant().free:
                 self.q[k] = constant
                 k += 1
 
@@ -207,7 +219,10 @@ class Search:
                 found.append((self.solve(self.noise, 10).cost, self.chosen, self.q, self.starts))
         if found:
             _, chosen, q, starts = min(found, key=lambda one: one[0])
-            self.chosen, self.problem = chosen, self.plain.with_candidates([self.table[i].freed() for i in chosen])
+            self.chosen, self.problem = (
+                chosen,
+                self.plain.with_candidates([self.table[i].free_constant() for i in chosen]),
+            )
             self.q, self.starts = q, starts
 
     def _odds(self) -> Floats:
@@ -218,19 +233,23 @@ class Search:
     def _sizes(self) -> dict[int, tuple[float, float]]:
         found, k = {}, self.own
         for i in self.chosen:
-            free = self.table[i].freed().free
+            free = self.table[i].free_constant().free
             found[i] = (float(self.q[k]), float(self.q[k + 1]) if free else 1.0)
             k += 1 + free
         return found
 
-    def local(self, likelihood: Likelihood) -> Local:
+    def local(self, likelihood: Likelihood) -> Quadratic:
         """Return the quadratic log likelihood by the machine's parameters and by all candidates of the table, about
         size 0 of each candidate."""
         sizes = self._sizes()
         every = self.plain.with_candidates(
-            [one.freed() if i in self.chosen else one for i, one in enumerate(self.table)]
+            [one.free_constant() if i in self.chosen else one for i, one in enumerate(self.table)]
         )
-        q, kept, at = every.start(self.plain.theta(self.q[: self.own])), list(range(self.own)), np.zeros(len(self.table))
+        q, kept, at = (
+            every.start(self.plain.theta(self.q[: self.own])),
+            list(range(self.own)),
+            np.zeros(len(self.table)),
+        )
         k = self.own
         for i, one in enumerate(every.candidates):
             kept.append(k)
@@ -240,10 +259,10 @@ class Search:
             k += 1 + one.free
         normal = normal_of(likelihood(every.linearise(q, self.starts))[1], self.starts)
         A, g = normal.A[np.ix_(kept, kept)], normal.g[kept]
-        return Local(A, g - A[:, self.own :] @ at, self.own, self._odds())
+        return Quadratic(A, g - A[:, self.own :] @ at, self.own, self._odds())
 
 
-def fit(problem: Problem) -> Fitted:
+def fit(problem: FitProblem) -> Fitted:
     """Fit a machine to a record.
 
     A model that explains every count is the end. Otherwise the comparison adds or drops one force at a time, in the
@@ -251,7 +270,7 @@ def fit(problem: Problem) -> Fitted:
 
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
-    search = Search(problem)
+    search = FitSearch(problem)
     with_load, costs = list(search.chosen), []
     for chosen in ([], with_load) if with_load else ([],):
         search.restart(chosen)
@@ -265,9 +284,10 @@ def fit(problem: Problem) -> Fitted:
     return _conclude(search, _build(search))
 
 
-def _build(search: Search) -> Gaussian | Intervals:
+def _build(search: FitSearch) -> Gaussian | Intervals:
     """Add and drop forces until the counts are explained or no force gains evidence, and return the likelihood."""
-    lead, kinds = search.plain.machine.lead, ("force",)
+    lead = search.plain.machine.lead
+    kinds: tuple[str, ...] = ("force",)
     for _ in range(MOST_STEPS):
         for _ in range(ROUNDS):
             before = search.q[lead]
@@ -290,7 +310,7 @@ def _build(search: Search) -> Gaussian | Intervals:
     return search.noise
 
 
-def _alternatives(search: Search, step: Sequence[int]) -> list[Sequence[int]]:
+def _alternatives(search: FitSearch, step: Sequence[int]) -> list[Sequence[int]]:
     """Return a set, and the set with a lag in place of a new dead time or the reverse: near zero they are the same."""
     late = {i: one.name for i, one in enumerate(search.table) if one.base in (DELAY, LAGGING)}
     new = [i for i in step if i in late and i not in search.chosen]
@@ -298,7 +318,7 @@ def _alternatives(search: Search, step: Sequence[int]) -> list[Sequence[int]]:
     return [step, sorted([*(i for i in step if i not in new), *other])] if new and other else [step]
 
 
-def _prune(search: Search, likelihood: Intervals) -> Intervals:
+def _prune(search: FitSearch, likelihood: Intervals) -> Intervals:
     """Drop candidates without which the motion still explains every count."""
     for i in list(search.chosen):
         if len(search.chosen) < 2:
@@ -314,13 +334,13 @@ def _prune(search: Search, likelihood: Intervals) -> Intervals:
     return likelihood
 
 
-def _follows(search: Search) -> bool:
+def _follows(search: FitSearch) -> bool:
     """Return whether least squares ends near rounding."""
     search.solve(Gaussian(search.plain.stretches), 10)
     return _as_rounding(search)
 
 
-def _add_wave(search: Search) -> bool:
+def _add_wave(search: FitSearch) -> bool:
     """Add the effect with a period along the travel that the residuals show best, if they show one."""
     reach = 2 * search.sizes.travel
     kind, wavenumber, gain = _strongest(search, np.arange(1, WAVENUMBERS + 1) / (2 * reach), tuple(WAVES))
@@ -328,7 +348,7 @@ def _add_wave(search: Search) -> bool:
     for _ in range(3):
         step /= 4
         nearby = wavenumber + step * np.arange(-3, 4)
-        _, wavenumber, gain = _strongest(search, nearby[nearby > 0], (kind,))
+        _, wavenumber, gain = _strongest(search, np.asarray(nearby[nearby > 0]), (kind,))
     if gain < math.log(WAVENUMBERS * len(WAVES)) - 2 * ODDS:
         return False
     size = search.problem.resolution * 3 if not kind else 0.3 * search.sizes.coulomb
@@ -338,7 +358,7 @@ def _add_wave(search: Search) -> bool:
     return True
 
 
-def _strongest(search: Search, wavenumbers: Floats, kinds: Sequence[str]) -> tuple[str, float, float]:
+def _strongest(search: FitSearch, wavenumbers: Floats, kinds: Sequence[str]) -> tuple[str, float, float]:
     """Return kind, wavenumber [1/unit] and gain of log evidence of the strongest wave."""
     best = ("", 0.0, -math.inf)
     for kind in kinds:
@@ -364,16 +384,16 @@ def pair_gains(A: Floats, g: Floats, base: int) -> Floats:
     pull = g[base:] - A[base:, :base] @ solved[:, -1]
     m = pull.size // 2
     blocks = inner.reshape(m, 2, m, 2)[range(m), :, range(m), :]
-    step = np.linalg.solve(blocks, pull.reshape(m, 2, 1))[..., 0]
+    step = np.linalg.solve(blocks + 1e-9 * np.eye(2), pull.reshape(m, 2, 1))[..., 0]
     logs = np.log(np.maximum(np.linalg.det(blocks), 1e-300)) + 2 * np.log(size[base:]).reshape(m, 2).sum(axis=1)
     return np.asarray(0.5 * np.sum(step * pull.reshape(m, 2), axis=1) - 0.5 * logs)
 
 
-def _errors(search: Search) -> list[Floats]:
+def _errors(search: FitSearch) -> list[Floats]:
     return [block.e for block in search.problem.linearise(search.q, search.starts)]
 
 
-def _explain(search: Search) -> Intervals | None:
+def _explain(search: FitSearch) -> Intervals | None:
     """Return the likelihood of the intervals if a motion explains every count, and move the search to its optimum.
 
     Stops and starts of the axis make the likelihood rough. Where the residuals are as small as rounding, further tries
@@ -392,7 +412,7 @@ def _explain(search: Search) -> Intervals | None:
     return likelihood
 
 
-def _narrow(search: Search) -> Intervals | None:
+def _narrow(search: FitSearch) -> Intervals | None:
     """Narrow the intervals down to the counts; None if that stops to pay."""
     before, best = -math.inf, None
     for spread in SPREADS:
@@ -406,22 +426,22 @@ def _narrow(search: Search) -> Intervals | None:
     return likelihood if likelihood.spread <= EXPLAINED else None
 
 
-def _as_rounding(search: Search) -> bool:
+def _as_rounding(search: FitSearch) -> bool:
     e = np.concatenate(_errors(search))
     return float(np.mean(e**2)) < MOST_SQUARES
 
 
-def _nearby(search: Search, q: Floats, starts: Floats, rng: np.random.Generator) -> Floats:
+def _nearby(search: FitSearch, q: Floats, starts: Floats, rng: np.random.Generator) -> Floats:
     """Return parameters a few standard errors of least squares away."""
     noise = Gaussian(search.plain.stretches)
     normal = normal_of(noise(search.problem.linearise(q, starts))[1], starts)
     A = normal.A + np.diag(search.prior(search.problem))
-    values, vectors = np.linalg.eigh(_scaled(A)[0])
+    values, vectors = np.linalg.eigh(_scale_matrix(A)[0])
     step = vectors @ (rng.standard_normal(q.size) / np.sqrt(np.maximum(values, 1e-6)))
-    return search.problem.bounded(q + NEARBY * step / _scaled(A)[1])
+    return search.problem.clip_to_bounds(q + NEARBY * step / _scale_matrix(A)[1])
 
 
-def _nearby_starts(search: Search, rng: np.random.Generator) -> Floats:
+def _nearby_starts(search: FitSearch, rng: np.random.Generator) -> Floats:
     """Return start states near those that the first counts show. An axis at rest shows nothing of its speed."""
     starts = search.plain.first_starts()
     starts[:, 0] += 0.3 * rng.standard_normal(len(starts))
@@ -431,17 +451,17 @@ def _nearby_starts(search: Search, rng: np.random.Generator) -> Floats:
 
 def inverse(A: Floats) -> Floats:
     """Return the inverse of an information matrix, with a large variance where it has no information."""
-    scaled, size = _scaled(A)
+    scaled, size = _scale_matrix(A)
     return np.asarray(np.linalg.inv(scaled + 1e-12 * np.eye(len(A))) / np.outer(size, size))
 
 
-def _scaled(A: Floats) -> tuple[Floats, Floats]:
+def _scale_matrix(A: Floats) -> tuple[Floats, Floats]:
     """Return a matrix with a unit diagonal, and the roots of the diagonal."""
     size = np.sqrt(np.maximum(np.diag(A), 1e-300))
     return A / np.outer(size, size), size
 
 
-def _conclude(search: Search, likelihood: Gaussian | Intervals) -> Fitted:
+def _conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     allowed, prior = range(len(search.table)), search.prior(search.problem)
     found = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
     theta, covariance = _estimate(search, found, likelihood)
@@ -463,16 +483,34 @@ def _conclude(search: Search, likelihood: Gaussian | Intervals) -> Fitted:
     )
 
 
-def _estimate(search: Search, found: Solution, likelihood: Gaussian | Intervals) -> tuple[Floats, Floats]:
+def _estimate(search: FitSearch, found: Optimum, likelihood: Gaussian | Intervals) -> tuple[Floats, Floats]:
     """Return the machine's parameters (p,), and their covariance with the mass as a logarithm."""
-    prior = search.prior(search.problem)
-    own, covariance = search.own, inverse(found.normal.A + np.diag(prior))
-    if isinstance(likelihood, Intervals) and  len(found.starts) == 1:
-        return _bounded_estimate(search, found, covariance)
-    return search.problem.theta(found.q), covariance[:own, :own]
+    A = found.normal.A + np.diag(search.prior(search.problem))
+    own = search.own
+    if isinstance(likelihood, Gaussian):
+        return search.problem.theta(found.q), sandwich(A, found.normal)[:own, :own]
+    if len(found.starts) == 1:
+        return _estimate_in_region(search, found, inverse(A))
+    return search.problem.theta(found.q), inverse(A)[:own, :own]
 
 
-def _bounded_estimate(search: Search, found: Solution, covariance: Floats) -> tuple[Floats, Floats]:
+def sandwich(A: Floats, normal: Normal) -> Floats:
+    """Return the covariance (p, p) for scores whose sums over blocks of the record scatter more than the information A
+    says (Huber 1967). No direction has a smaller variance than by A alone."""
+    sums = []
+    for block, inner in zip(normal.blocks, normal.inner, strict=True):
+        scores = (block.J - block.K @ inner[:, 1:]) * block.e[:, None]
+        sums += [part.sum(axis=0) for part in np.array_split(scores, max(1, round(BLOCKS * len(scores) / normal.rows)))]
+    scatter = np.array(sums)
+    values, vectors = np.linalg.eigh(_scale_matrix(A)[0])
+    root = vectors / np.sqrt(np.maximum(values, 1e-9))
+    turned = (scatter / _scale_matrix(A)[1]) @ root
+    wide, axes = np.linalg.eigh(turned.T @ turned * len(sums) / max(1, len(sums) - len(A)))
+    half = root @ axes * np.sqrt(np.maximum(wide, 1.0)) / _scale_matrix(A)[1][:, None]
+    return np.asarray(half @ half.T)
+
+
+def _estimate_in_region(search: FitSearch, found: Optimum, covariance: Floats) -> tuple[Floats, Floats]:
     (block,) = search.problem.linearise(found.q, found.starts)
     (weighted,) = found.normal.blocks
     J = np.column_stack([block.J, block.K])

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid._body import whiten
-from pmfid.fit.problem import Block, Stretch
+from pmfid.fit.problem import ObservedStretch, ResidualBlock
 from pmfid.types import Floats
 
 #: Variance of the rounding of a count [counts^2].
@@ -24,7 +24,7 @@ class Gaussian:
     [s] of an Ornstein-Uhlenbeck process, and `position` those of an error of the position [counts].
     """
 
-    stretches: Sequence[Stretch]
+    stretches: Sequence[ObservedStretch]
     rate: float = 0.0
     force: tuple[float, float] = (0.0, 1.0)
     position: tuple[float, float] = (0.0, 1.0)
@@ -34,19 +34,23 @@ class Gaussian:
     def wanders(self) -> bool:
         return self.force[0] > 0 or self.position[0] > 0
 
-    def __call__(self, blocks: Sequence[Block]) -> tuple[float, list[Block]]:
+    def with_wander(self, kind: str, wander: tuple[float, float]) -> Gaussian:
+        """Return the noise with another wandering force or position."""
+        return replace(self, force=wander) if kind == "force" else replace(self, position=wander)
+
+    def __call__(self, blocks: Sequence[ResidualBlock]) -> tuple[float, list[ResidualBlock]]:
         weighted = [self._weigh(stretch, block) for stretch, block in zip(self.stretches, blocks, strict=True)]
         return 0.5 * sum(float(block.e @ block.e) for block in weighted), weighted
 
-    def _weigh(self, stretch: Stretch, block: Block) -> Block:
+    def _weigh(self, stretch: ObservedStretch, block: ResidualBlock) -> ResidualBlock:
         size = math.sqrt(self.scale)
         if not self.wanders:
             weight = 1 / np.sqrt(stretch.variance) / size
-            return Block(block.e * weight, block.J * weight[:, None], block.K * weight[:, None])
+            return ResidualBlock(block.e * weight, block.J * weight[:, None], block.K * weight[:, None])
         rows = np.column_stack([block.e, block.K, block.J])
         whiten(rows, stretch.signed_steps, stretch.variance, self.rate, self.force, self.position)
         rows /= size
-        return Block(rows[:, 0], rows[:, 3:], rows[:, 1:3])
+        return ResidualBlock(rows[:, 0], rows[:, 3:], rows[:, 1:3])
 
     def evidence(self, errors: Sequence[Floats]) -> tuple[float, float]:
         """Return the log likelihood of residuals (k,) for each stretch at the best scale of at least 1, and the
@@ -68,11 +72,14 @@ class Gaussian:
 #: Time constants of a wandering disturbance, in mean steps; the last one is a tenth of the record.
 MEMORIES = (3.0, 30.0)
 #: Observations that decide on the noise, in equal pieces of the record.
-MOST_ROWS, PIECES = 20_000, 4
+MOST_ROWS, PIECES = 6_000, 4
 
 
 def noise_of(
-    stretches: Sequence[Stretch], errors: Sequence[Floats], rate: float, kinds: Sequence[str] = ("force", "position")
+    stretches: Sequence[ObservedStretch],
+    errors: Sequence[Floats],
+    rate: float,
+    kinds: Sequence[str] = ("force", "position"),
 ) -> Gaussian:
     """Return the noise of maximum likelihood for residuals (k,) [counts] of each stretch.
 
@@ -90,7 +97,7 @@ def noise_of(
             unit = 1 / min(memory, 30 * step) ** 2 if kind == "force" else 1.0
             size, value, times = _largest(plain, kind, unit, memory, residuals)
             if value - cost > top:
-                best, top, scale = replace(plain, **{kind: (size, memory)}), value - cost, times
+                best, top, scale = plain.with_wander(kind, (size, memory)), value - cost, times
     return replace(best, stretches=stretches, scale=scale)
 
 
@@ -100,7 +107,7 @@ def _largest(
     """Return the size of maximum likelihood, its log likelihood and the scale, to a fifth of an octave."""
 
     def value(log: float) -> tuple[float, float]:
-        return replace(plain, **{kind: (unit * math.exp(log), memory)}).evidence(errors)
+        return plain.with_wander(kind, (unit * math.exp(log), memory)).evidence(errors)
 
     grid = {x: value(x) for x in np.arange(-6.0, 14.0, 2.0).tolist()}
     for half in (1.0, 0.5, 0.25, 0.125):
@@ -110,7 +117,7 @@ def _largest(
     return unit * math.exp(top), *grid[top]
 
 
-def _pieces(stretches: Sequence[Stretch], errors: Sequence[Floats]) -> list[tuple[Stretch, Floats]]:
+def _pieces(stretches: Sequence[ObservedStretch], errors: Sequence[Floats]) -> list[tuple[ObservedStretch, Floats]]:
     """Return pieces of stretches and of their residuals with at most about `MOST_ROWS` observations."""
     total = sum(e.size for e in errors)
     if total <= MOST_ROWS:
@@ -133,10 +140,10 @@ class Intervals:
     that are no counts have the Gaussian likelihood of their variance.
     """
 
-    stretches: Sequence[Stretch]
+    stretches: Sequence[ObservedStretch]
     spread: float
 
-    def __call__(self, blocks: Sequence[Block]) -> tuple[float, list[Block]]:
+    def __call__(self, blocks: Sequence[ResidualBlock]) -> tuple[float, list[ResidualBlock]]:
         cost, weighted = 0.0, []
         for stretch, block in zip(self.stretches, blocks, strict=True):
             value, slope, curvature = interval_terms(block.e, self.spread)
@@ -145,7 +152,7 @@ class Intervals:
                 value[other] = -0.5 * (block.e[other] ** 2 / v[other] + np.log(2 * np.pi * v[other]))
                 slope[other], curvature[other] = -block.e[other] / v[other], 1 / v[other]
             root = np.sqrt(curvature)
-            weighted.append(Block(-slope / root, block.J * root[:, None], block.K * root[:, None]))
+            weighted.append(ResidualBlock(-slope / root, block.J * root[:, None], block.K * root[:, None]))
             cost -= float(np.sum(value))
         return cost, weighted
 

@@ -31,7 +31,7 @@ SHARES: dict[tuple[str, int], dict[int, float]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Force:
+class BodyForce:
     """A force of given form: one of `KINDS`, with the constants p and q, a table, or the number of a column. A free
     force has its constant p among the parameters."""
 
@@ -42,12 +42,12 @@ class Force:
     column: int = 0
     free: bool = False
 
-    def packed(self) -> tuple[int, int, bool, Floats, float, float]:
+    def pack(self) -> tuple[int, int, bool, Floats, float, float]:
         return KINDS[self.kind], self.column, self.free, self.table, self.p, self.q
 
 
 @dataclass(frozen=True, eq=False)
-class Machine:
+class BodyModel:
     """Body of an equation with p parameters.
 
     The parameters of the body (w,) are `rest` (w,) + `lift` (w, p) theta. `lead` is the index of the mass, and
@@ -55,7 +55,7 @@ class Machine:
     """
 
     names: tuple[str, ...]
-    forces: tuple[Force, ...]
+    forces: tuple[BodyForce, ...]
     rest: Floats
     lift: Floats
     lead: int
@@ -66,33 +66,31 @@ class Machine:
         return np.asarray(self.rest + self.lift @ theta)
 
 
-def force_of(term: Term) -> Force:
+def force_of(term: Term) -> BodyForce:
     """Return the force of a term with a shape, or of a spring."""
     shape, rubs = term.shape, term.signal == "friction"
     if shape is None:
-        return Force("spring")
+        return BodyForce("spring")
     if isinstance(shape, Stribeck):
-        return Force("stribeck", 1.0 if shape.free else float(shape.speed), free=shape.free)
+        return BodyForce("stribeck", 1.0 if shape.free else float(shape.speed), free=shape.free)
     if isinstance(shape, Square):
-        return Force("power", 2.0, 1.0)
+        return BodyForce("power", 2.0, 1.0)
     if isinstance(shape, Wave):
-        return Force("rub" if rubs else "wave", shape.period, np.pi / 2 if shape.cosine else 0.0)
+        return BodyForce("rub" if rubs else "wave", shape.period, np.pi / 2 if shape.cosine else 0.0)
     return _table(shape, rubs)
 
 
-def _table(shape: Shape, rubs: bool) -> Force:
+def _table(shape: Shape, rubs: bool) -> BodyForce:
     table = shape.table()
     kind = "speed" if shape.of_speed else "rub_place" if rubs else "place"
-    return Force(kind, table.start, table.step, np.asarray(table.knots, np.float64))
+    return BodyForce(kind, table.start, table.step, np.asarray(table.knots, np.float64))
 
 
-def machine_of(equation: Equation) -> Machine:
+def machine_of(equation: Equation) -> BodyModel:
     """Return the body of an equation. Raises UsageError for an equation that no body simulates."""
     if equation.without_simulation:
         raise UsageError(f"the motion cannot be simulated, because {equation.without_simulation}")
-    shaped = [
-        i for i, term in enumerate(equation.unknown) if term.shape is not None or term.place[:2] == ("output", 0)
-    ]
+    shaped = [i for i, term in enumerate(equation.unknown) if term.shape is not None or term.place[:2] == ("output", 0)]
     forces = tuple(force_of(equation.unknown[i]) for i in shaped)
     names = equation.names + tuple(name for name, _ in equation.further)
     free = [j for j, force in enumerate(forces) if force.free]
@@ -108,7 +106,7 @@ def machine_of(equation: Equation) -> Machine:
     rest[DELAY] = 0.0 if equation.dead_time == ESTIMATE else float(equation.dead_time)
     rest[LAGGING] = 0.0 if equation.lag == ESTIMATE else float(equation.lag)
     lowest = np.where(np.any(lift[[DELAY, LAGGING, *range(BASE + len(forces), len(lift))]] > 0, axis=0), 0.0, -np.inf)
-    return Machine(names, forces, rest, lift, equation.leading, lowest)
+    return BodyModel(names, forces, rest, lift, equation.leading, lowest)
 
 
 def _further_rows(equation: Equation, free: Sequence[int], shaped: Sequence[int], first: int) -> dict[str, int]:
@@ -121,7 +119,7 @@ def _further_rows(equation: Equation, free: Sequence[int], shaped: Sequence[int]
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class Excitation:
     """Input of a body over n intervals: lengths `step` (n,) [s], forces `u` (n,), `columns` (c, n) of the record, and
     the instants `row` (k,) in the result, 0 to n."""
 
@@ -132,12 +130,12 @@ class Drive:
 
 
 def simulate(
-    drive: Drive, forces: Sequence[Force], body: Floats, parts: int, slopes: bool = True
+    drive: Excitation, forces: Sequence[BodyForce], body: Floats, parts: int, slopes: bool = True
 ) -> tuple[Floats, Floats, Floats]:
     """Return positions (k,), velocities (k,) and derivatives (k, w) of the positions by the body's parameters (w,).
 
     The positions are infinite after an overflow.
     """
-    packed = [force.packed() for force in forces]
+    packed = [force.pack() for force in forces]
     y, v, S, _ = run(packed, drive.step, drive.u, drive.row, drive.columns, np.ascontiguousarray(body), parts, slopes)
     return y, v, S

@@ -27,8 +27,7 @@ def allowed_region(
     d, p = np.zeros(J.shape[1]), J.shape[1]
     mean = np.zeros(p)
     for steps in (STEPS // 4, STEPS // 2, STEPS):
-        size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-        root = size[:, None] * np.linalg.cholesky(covariance / np.outer(size, size) + 1e-9 * np.eye(p))
+        root = _root(covariance)
         reach = np.sqrt(np.sum((J @ root) ** 2, axis=1))
         bound = np.maximum(bound, np.abs(e + J @ d) + 1e-9)
         near = bound - np.abs(e + J @ d) < 8.0 * reach
@@ -38,18 +37,24 @@ def allowed_region(
     return mean, covariance
 
 
-def _walk(
-    d: Floats, e: Floats, J: Floats, bound: Floats, ways: Floats, rng: np.random.Generator
-) -> Floats:
+def _root(covariance: Floats) -> Floats:
+    """Return a matrix R (p, p) with R R' = covariance, up to 1e-9 of each variance."""
+    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
+    return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 1e-9)))
+
+
+def _walk(d: Floats, e: Floats, J: Floats, bound: Floats, ways: Floats, rng: np.random.Generator) -> Floats:
     """Return the path (steps, p) from d along the directions `ways` (p, steps)."""
     along, path = np.ascontiguousarray((J @ ways).T), np.empty((ways.shape[1], d.size))
-    chance = rng.random(ways.shape[1])
-    for k, slope in enumerate(along):
+    chance = rng.random((ways.shape[1],))
+    for k in range(path.shape[0]):
+        slope: Floats = along[k]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             reach = bound / np.abs(slope)
             middle = -e / slope
-        low = np.fmax.reduce(middle - reach, initial=-FAR)
-        high = np.fmin.reduce(middle + reach, initial=FAR)
+        low = float(np.fmax.reduce(middle - reach, initial=-FAR))
+        high = float(np.fmin.reduce(middle + reach, initial=FAR))
         if high > low:
             step = low + chance[k] * (high - low)
             e, d = e + step * slope, d + step * ways[:, k]

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.fit.machine import BASE, MASS, V0, X0, Drive, Force, Machine, simulate
-from pmfid.fit.terms import Candidate
+from pmfid._body import BASE
+from pmfid.fit.machine import MASS, V0, X0, BodyForce, BodyModel, Excitation, simulate
+from pmfid.fit.terms import ExtraForce
 from pmfid.types import Flags, Floats
 
 #: Parts of an interval in which forces are held at the value of their middle. The error of a motion falls with the
@@ -19,7 +20,7 @@ FAR = 1e8
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class ObservedStretch:
     """A part of a record without a gap, which has a start state of its own.
 
     `drive` is the input. `y` (k,) are the observed positions [unit] at `drive.row`, each in the middle of its count.
@@ -28,7 +29,7 @@ class Stretch:
     `first` is the index of the first sample in the record.
     """
 
-    drive: Drive
+    drive: Excitation
     y: Floats
     variance: Floats
     counted: Flags
@@ -51,7 +52,7 @@ class Stretch:
         """The steps (k,), negative while the axis rests."""
         return np.where(self.rest, -self.steps, self.steps)
 
-    def resting(self, rest: Flags) -> Stretch:
+    def resting(self, rest: Flags) -> ObservedStretch:
         """Return the stretch with the rests (k,) of a motion. The counts of one rest share one error of rounding, so
         that each has the variance of all together."""
         change = np.flatnonzero(np.diff(np.r_[False, rest, False].astype(np.int8)))
@@ -60,12 +61,14 @@ class Stretch:
             variance[first:last] *= last - first
         return replace(self, rest=rest, variance=variance)
 
-    def keep(self, chosen: Flags) -> Stretch:
+    def keep(self, chosen: Flags) -> ObservedStretch:
         """Return the stretch with some of its observations (k,)."""
         drive = replace(self.drive, row=np.ascontiguousarray(self.drive.row[chosen]))
-        return Stretch(drive, self.y[chosen], self.variance[chosen], self.counted[chosen], self.rest[chosen], self.first)
+        return ObservedStretch(
+            drive, self.y[chosen], self.variance[chosen], self.counted[chosen], self.rest[chosen], self.first
+        )
 
-    def cut(self, first: float, last: float) -> Stretch:
+    def cut(self, first: float, last: float) -> ObservedStretch:
         """Return the observations between two times [s], with the input from the first of them on."""
         ends = np.append(0.0, np.cumsum(self.drive.step))
         begin = int(np.clip(np.searchsorted(ends, first, side="right") - 1, 0, self.drive.step.size - 1))
@@ -73,17 +76,19 @@ class Stretch:
         chosen = (self.drive.row >= begin) & (self.drive.row <= end)
         row = np.ascontiguousarray(self.drive.row[chosen] - np.int32(begin))
         part = slice(begin, end)
-        drive = Drive(
+        drive = Excitation(
             np.ascontiguousarray(self.drive.step[part]),
             np.ascontiguousarray(self.drive.u[part]),
             row,
             np.ascontiguousarray(self.drive.columns[:, part]),
         )
-        return Stretch(drive, self.y[chosen], self.variance[chosen], self.counted[chosen], self.rest[chosen], self.first + begin)
+        return ObservedStretch(
+            drive, self.y[chosen], self.variance[chosen], self.counted[chosen], self.rest[chosen], self.first + begin
+        )
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
+class ResidualBlock:
     """Residuals e (k,) of a stretch [counts], their derivatives J (k, p) by the parameters and K (k, 2) by the start
     state, which is a position [counts] and a velocity [counts per mean step]."""
 
@@ -93,17 +98,17 @@ class Block:
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class FitProblem:
     """A machine with further forces, and the stretches of a record.
 
     The parameters q are those of the machine, the mass as a logarithm, and then the size of each candidate in standard
     deviations of its prior. `mass` has the bounds of the logarithm of the mass.
     """
 
-    machine: Machine
-    stretches: tuple[Stretch, ...]
+    machine: BodyModel
+    stretches: tuple[ObservedStretch, ...]
     resolution: float
-    candidates: tuple[Candidate, ...] = ()
+    candidates: tuple[ExtraForce, ...] = ()
     mass: tuple[float, float] = (-np.inf, np.inf)
 
     @property
@@ -116,10 +121,10 @@ class Problem:
         """Number of observations."""
         return sum(one.y.size for one in self.stretches)
 
-    def with_candidates(self, candidates: Sequence[Candidate]) -> Problem:
+    def with_candidates(self, candidates: Sequence[ExtraForce]) -> FitProblem:
         return replace(self, candidates=tuple(candidates))
 
-    def bounded(self, q: Floats) -> Floats:
+    def clip_to_bounds(self, q: Floats) -> Floats:
         """Return q (p,) within the bounds of the parameters."""
         further = [bound for one in self.candidates for bound in ([one.lowest, 1e-3] if one.free else [one.lowest])]
         q = np.maximum(q, np.append(self.machine.lowest, further))
@@ -153,7 +158,7 @@ class Problem:
         """Yield the unit of the start velocity [1/s] of each stretch."""
         return (1.0 / float(np.mean(one.steps)) for one in self.stretches)
 
-    def linearise(self, q: Floats, starts: Floats) -> list[Block]:
+    def linearise(self, q: Floats, starts: Floats) -> list[ResidualBlock]:
         """Return a block for each stretch at q (p,) and the start states (m, 2)."""
         body, forces, lift = self._body(q)
         blocks = [
@@ -164,7 +169,7 @@ class Problem:
             blocks = [self._read(block, one.y, q) for block, one in zip(blocks, self.stretches, strict=True)]
         return blocks
 
-    def _read(self, block: Block, measured: Floats, q: Floats) -> Block:
+    def _read(self, block: ResidualBlock, measured: Floats, q: Floats) -> ResidualBlock:
         """Return a block with the errors of the encoder, which depend on the position."""
         y = block.e * self.resolution + measured
         e, slope, J = block.e.copy(), np.ones(y.size), block.J.copy()
@@ -179,7 +184,7 @@ class Problem:
             k += 1 + one.free
         plain = [i for i in range(J.shape[1]) if i not in self._readings()]
         J[:, plain] *= slope[:, None]
-        return Block(e, J, block.K * slope[:, None])
+        return ResidualBlock(e, J, block.K * slope[:, None])
 
     def _readings(self) -> set[int]:
         """Return the indices of the errors of the encoder among the parameters."""
@@ -195,11 +200,11 @@ class Problem:
         body, forces, _ = self._body(q)
         found = []
         for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True):
-            at = self._started(stretch, state, scale, body)
+            at = self._start_body(stretch, state, scale, body)
             found.append(simulate(stretch.drive, forces, at, PARTS, slopes=False)[:2])
         return found
 
-    def _body(self, q: Floats) -> tuple[Floats, list[Force], Floats]:
+    def _body(self, q: Floats) -> tuple[Floats, list[BodyForce], Floats]:
         """Return the body's parameters (w,), its forces, and the derivatives (w, p) of the parameters by q."""
         m = self.machine
         own, count = len(m.names), len(m.forces)
@@ -228,25 +233,33 @@ class Problem:
             k += 1
         return body, [*m.forces, *extra], lift
 
-    def _started(self, stretch: Stretch, state: Floats, scale: float, body: Floats) -> Floats:
+    def _start_body(self, stretch: ObservedStretch, state: Floats, scale: float, body: Floats) -> Floats:
         at = body.copy()
         at[X0], at[V0] = stretch.y[0] + state[0] * self.resolution, state[1] * self.resolution * scale
         return at
 
     def _block(
-        self, stretch: Stretch, state: Floats, scale: float, body: Floats, forces: Sequence[Force], lift: Floats
-    ) -> Block:
-        at = self._started(stretch, state, scale, body)
+        self,
+        stretch: ObservedStretch,
+        state: Floats,
+        scale: float,
+        body: Floats,
+        forces: Sequence[BodyForce],
+        lift: Floats,
+    ) -> ResidualBlock:
+        at = self._start_body(stretch, state, scale, body)
         if not (np.all(np.isfinite(at)) and at[MASS] > 0):
-            return Block(np.full(stretch.y.size, FAR), np.zeros((stretch.y.size, lift.shape[1])), np.zeros((stretch.y.size, 2)))
+            return ResidualBlock(
+                np.full(stretch.y.size, FAR), np.zeros((stretch.y.size, lift.shape[1])), np.zeros((stretch.y.size, 2))
+            )
         y, _, S = simulate(stretch.drive, forces, at, PARTS)
         e = np.clip(np.nan_to_num((y - stretch.y) / self.resolution, nan=FAR, posinf=FAR, neginf=-FAR), -FAR, FAR)
         J = np.nan_to_num(S @ lift) / self.resolution
         K = np.column_stack([S[:, X0], S[:, V0] * scale])
-        return Block(e, J, np.nan_to_num(K))
+        return ResidualBlock(e, J, np.nan_to_num(K))
 
 
-def _first_speed(stretch: Stretch, resolution: float) -> float:
+def _first_speed(stretch: ObservedStretch, resolution: float) -> float:
     """Return the first speed in counts per mean step, over the observations that it takes for three counts, or 0 if
     that is more than ten."""
     change = (stretch.y[1:11] - stretch.y[0]) / resolution
@@ -258,7 +271,7 @@ def _first_speed(stretch: Stretch, resolution: float) -> float:
     return float(change[last - 1] * step / (stretch.times[last] - stretch.times[0]))
 
 
-def thin(stretches: Sequence[Stretch], most: int) -> tuple[Stretch, ...]:
+def thin(stretches: Sequence[ObservedStretch], most: int) -> tuple[ObservedStretch, ...]:
     """Return the stretches with about `most` observations, evenly chosen."""
     every = -(-sum(one.y.size for one in stretches) // most)
     return tuple(stretches) if every <= 1 else tuple(one.keep(np.arange(one.y.size) % every == 0) for one in stretches)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pmfid.fit.problem import Block, Problem
+from pmfid.fit.problem import FitProblem, ResidualBlock
 from pmfid.types import Floats
 
 #: Precisions of the start states about zero [1/counts^2, and of counts per mean step]: weak, because an axis at rest
@@ -20,7 +20,7 @@ class Likelihood(Protocol):
     """A likelihood takes the blocks of a problem, and returns minus its logarithm and weighted blocks. The gradient is
     the sum of J' e of the weighted blocks, the curvature that of J' J."""
 
-    def __call__(self, blocks: Sequence[Block]) -> tuple[float, list[Block]]: ...
+    def __call__(self, blocks: Sequence[ResidualBlock]) -> tuple[float, list[ResidualBlock]]: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,15 +29,20 @@ class Normal:
 
     A: Floats
     g: Floats
-    blocks: Sequence[Block]
+    blocks: Sequence[ResidualBlock]
     inner: Sequence[Floats]
+
+    @property
+    def rows(self) -> int:
+        """Number of observations."""
+        return sum(block.e.size for block in self.blocks)
 
     def starts(self, step: Floats) -> Floats:
         """Return the steps (m, 2) of the start states that go with a step (p,) of the parameters."""
         return np.array([-(h[:, 0] + h[:, 1:] @ step) for h in self.inner])
 
 
-def normal_of(blocks: Sequence[Block], starts: Floats, damping: float = 0.0) -> Normal:
+def normal_of(blocks: Sequence[ResidualBlock], starts: Floats, damping: float = 0.0) -> Normal:
     """Return the normal equations of weighted blocks."""
     p = blocks[0].J.shape[1]
     A, g, inner = np.zeros((p, p)), np.zeros(p), []
@@ -45,7 +50,9 @@ def normal_of(blocks: Sequence[Block], starts: Floats, damping: float = 0.0) -> 
         cross, own = block.K.T @ block.J, block.K.T @ block.K + np.diag(START)
         pull = block.K.T @ block.e + START * state
         own = own + damping * np.diag(np.diag(own))
-        solved = np.linalg.solve(own, np.column_stack([pull, cross]))
+        size = np.sqrt(np.diag(own))
+        scaled = own / np.outer(size, size) + 1e-12 * np.eye(2)
+        solved = np.linalg.solve(scaled, np.column_stack([pull, cross]) / size[:, None]) / size[:, None]
         A += block.J.T @ block.J - cross.T @ solved[:, 1:]
         g += block.J.T @ block.e - cross.T @ solved[:, 0]
         inner.append(solved)
@@ -53,7 +60,7 @@ def normal_of(blocks: Sequence[Block], starts: Floats, damping: float = 0.0) -> 
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Optimum:
     """Parameters q (p,), start states (m, 2), the cost, and the normal equations there without prior and damping.
     `settled` is False if the steps ended before the cost did."""
 
@@ -65,14 +72,14 @@ class Solution:
 
 
 def solve(
-    problem: Problem,
+    problem: FitProblem,
     likelihood: Likelihood,
     q: Floats,
     starts: Floats,
     prior: Floats,
     steps: int = 30,
     small: float = 1e-3,
-) -> Solution:
+) -> Optimum:
     """Minimise minus the log likelihood, plus that of a prior with precisions (p,) about zero.
 
     The search ends when a step gains less than `small`, in units of the log likelihood.
@@ -88,19 +95,19 @@ def solve(
         if gain < small:
             settled = True
             break
-    return Solution(at.q, at.starts, at.cost, normal_of(at.blocks, at.starts), settled)
+    return Optimum(at.q, at.starts, at.cost, normal_of(at.blocks, at.starts), settled)
 
 
 class _Point:
     """A point of the search with its cost and its weighted blocks."""
 
-    def __init__(self, problem: Problem, likelihood: Likelihood, q: Floats, starts: Floats, prior: Floats) -> None:
+    def __init__(self, problem: FitProblem, likelihood: Likelihood, q: Floats, starts: Floats, prior: Floats) -> None:
         self.problem, self.likelihood, self.q, self.starts, self.prior = problem, likelihood, q, starts, prior
         cost, self.blocks = likelihood(problem.linearise(q, starts))
         self.cost = float(cost + 0.5 * prior @ q**2 + 0.5 * np.sum(START * starts**2))
 
-    def moved(self, step: Floats, starts: Floats) -> _Point:
-        q = self.problem.bounded(self.q + step)
+    def move(self, step: Floats, starts: Floats) -> _Point:
+        q = self.problem.clip_to_bounds(self.q + step)
         return _Point(self.problem, self.likelihood, q, self.starts + starts, self.prior)
 
 
@@ -108,15 +115,17 @@ def _descend(at: _Point, damping: float) -> tuple[_Point | None, float]:
     """Return a better point or None, and the next damping."""
     for _ in range(12):
         normal = normal_of(at.blocks, at.starts, damping)
-        step = damped_step(normal.A + np.diag(at.prior), normal.g + at.prior * at.q, damping)
-        tried = at.moved(step, normal.starts(step))
+        step = find_step(normal.A + np.diag(at.prior), normal.g + at.prior * at.q, damping)
+        if not np.all(np.isfinite(step)):
+            return None, damping
+        tried = at.move(step, normal.starts(step))
         if np.isfinite(tried.cost) and tried.cost < at.cost:
             return tried, max(damping / 10, 1e-10)
         damping *= 10
     return None, damping
 
 
-def damped_step(A: Floats, g: Floats, damping: float) -> Floats:
+def find_step(A: Floats, g: Floats, damping: float) -> Floats:
     """Return the step of Marquardt. Parameters without information do not move."""
     size = np.sqrt(np.maximum(np.diag(A), 0.0))
     size = np.where(size > 0, size, 1.0)
@@ -125,5 +134,3 @@ def damped_step(A: Floats, g: Floats, damping: float) -> Floats:
         return np.asarray(-np.linalg.solve(scaled, g / size) / size)
     except np.linalg.LinAlgError:
         return np.zeros_like(g)
-
-

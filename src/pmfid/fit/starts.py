@@ -9,12 +9,13 @@ from itertools import product
 
 import numpy as np
 
+from pmfid._body import BASE
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
 from pmfid.fit.likelihood import Gaussian
-from pmfid.fit.machine import BASE, COULOMB, MASS, OFFSET, VISCOUS, Machine
-from pmfid.fit.problem import Problem, Stretch
-from pmfid.fit.solve import Solution, solve
+from pmfid.fit.machine import COULOMB, MASS, OFFSET, VISCOUS, BodyModel
+from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.solve import Optimum, solve
 from pmfid.types import Floats
 
 #: Changes of the counts, and observations, in the first window.
@@ -25,24 +26,24 @@ FAR = 7.0
 GUESSES = (0.1, 0.3, 1.0, 3.0), (0.1, 0.5), (0.03, 0.2)
 
 
-def plain_machine(load: bool) -> Machine:
+def plain_machine(load: bool) -> BodyModel:
     """Return a mass with viscous and Coulomb friction and a load, as logarithms but for the load.
 
     A machine without an offset still starts with one, because a load hides every other parameter.
     """
     lift = np.zeros((BASE, 4))
     lift[[MASS, VISCOUS, COULOMB, OFFSET], range(4)] = 1.0
-    return Machine(("m", "d", "F", "load"), (), np.zeros(BASE), lift, 0, np.array([-np.inf, 0.0, 0.0, -np.inf]))
+    return BodyModel(("m", "d", "F", "load"), (), np.zeros(BASE), lift, 0, np.array([-np.inf, 0.0, 0.0, -np.inf]))
 
 
-def blind_start(stretches: tuple[Stretch, ...], resolution: float) -> tuple[Problem, Solution]:
+def blind_start(stretches: tuple[ObservedStretch, ...], resolution: float) -> tuple[FitProblem, Optimum]:
     """Return the fit of a mass with friction and a load to the liveliest stretch.
 
     Raises NotIdentifiableError if the axis does not move.
     """
     stretch = max(stretches, key=lambda one: float(np.sum(np.abs(np.diff(one.y)))))
     windows = list(_windows(stretch, resolution))
-    problem = Problem(plain_machine(True), (windows[0],), resolution)
+    problem = FitProblem(plain_machine(True), (windows[0],), resolution)
     force = float(np.sqrt(np.mean(windows[0].drive.u ** 2)))
     if not force > 0:
         raise NotIdentifiableError(f"the input is zero while the axis moves; {MOVE}")
@@ -50,7 +51,7 @@ def blind_start(stretches: tuple[Stretch, ...], resolution: float) -> tuple[Prob
     guesses = list(_guesses(windows[0], force))
     middle = math.log(float(np.median([guess[0] for guess in guesses])))
     problem = replace(problem, mass=(middle - FAR, middle + FAR))
-    best: Solution | None = None
+    best: Optimum | None = None
     for guess in guesses:
         tried = solve(problem, _soft((windows[0],)), problem.start(guess), problem.first_starts(), prior, 25, 0.1)
         if best is None or tried.cost < best.cost:
@@ -64,28 +65,31 @@ def blind_start(stretches: tuple[Stretch, ...], resolution: float) -> tuple[Prob
     return problem, best
 
 
-def _soft(stretches: tuple[Stretch, ...]) -> Gaussian:
+def _soft(stretches: tuple[ObservedStretch, ...]) -> Gaussian:
     """Return a likelihood with three times the rounding, because the first guesses are far away."""
     return Gaussian(stretches, scale=9.0)
 
 
-def _guesses(window: Stretch, force: float) -> Iterator[Floats]:
+def _guesses(window: ObservedStretch, force: float) -> Iterator[Floats]:
     """Yield (mass, viscous friction, Coulomb friction, load) from the speeds and accelerations of a window."""
     t, width = window.times, max(3, window.y.size // 60)
     smooth = np.ones(width) / width
     v = np.gradient(np.convolve(window.y - window.y[0], smooth, "same"), t)[width:-width]
     a = np.gradient(np.convolve(v, smooth, "same"), t[width:-width])
     tiny = 1e-12 * float(np.ptp(window.y)) / float(t[-1] - t[0])
-    speed, change = float(np.percentile(np.abs(v), 90)) + tiny, float(np.percentile(np.abs(a), 80)) + tiny / float(t[-1])
+    speed, change = (
+        float(np.percentile(np.abs(v), 90)) + tiny,
+        float(np.percentile(np.abs(a), 80)) + tiny / float(t[-1]),
+    )
     for mass, viscous, coulomb in product(*GUESSES):
         yield np.array([force / change * mass, force / speed * viscous, force * coulomb, 0.0])
 
 
-def _windows(stretch: Stretch, resolution: float) -> Iterator[Stretch]:
+def _windows(stretch: ObservedStretch, resolution: float) -> Iterator[ObservedStretch]:
     """Yield windows from the first motion on, each twice as long as the one before, up to the whole stretch."""
     changes = np.abs(np.diff(stretch.y)) / resolution
     if not np.any(changes > 0):
-        raise NotIdentifiableError(f"the axis never moves; {MOVE}")
+        raise NotIdentifiableError(f"the axis does not move in this record; {MOVE}")
     times, total = stretch.times, np.append(0.0, np.cumsum(changes))
     first = max(0, int(np.argmax(total > 0)) - 5)
     count = max(FEWEST_ROWS, stretch.y.size // 10)

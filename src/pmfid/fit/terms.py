@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from pmfid.fit.machine import DELAY, DIRECTIONAL, LAGGING, OFFSET, Force
+from pmfid.fit.machine import DELAY, DIRECTIONAL, LAGGING, OFFSET, BodyForce
 from pmfid.types import Floats
 
 
 @dataclass(frozen=True, eq=False)
-class Candidate:
+class ExtraForce:
     """A force that the model may lack, with a Gaussian prior of zero mean.
 
     `name` is its status word, `words` names it for people, and `remedy` says what to do. `sd` is the standard deviation
@@ -28,20 +29,20 @@ class Candidate:
     remedy: str
     sd: float
     base: int = -1
-    force: Force | None = None
+    force: BodyForce | None = None
     free: bool = False
     constant: float = 1.0
     lowest: float = -math.inf
     column: Callable[[Floats, Floats], Floats] | None = None
     reading: tuple[float, float] | None = None
 
-    def freed(self) -> Candidate:
+    def free_constant(self) -> ExtraForce:
         """Return the candidate with its constant among the parameters, if it has one that the record may determine."""
         if self.force is None or self.force.kind != "stribeck":
             return self
         return replace(self, free=True, constant=self.force.p, force=replace(self.force, free=True))
 
-    def placed(self, column: int) -> Candidate:
+    def place_column(self, column: int) -> ExtraForce:
         """Return the candidate with the number of its column."""
         return self if self.force is None else replace(self, force=replace(self.force, column=column))
 
@@ -64,52 +65,54 @@ class Sizes:
 
 
 #: A row of the table: it yields its candidates for a record.
-Row = Callable[[Sizes], Iterator[Candidate]]
+Row = Callable[[Sizes], Iterator[ExtraForce]]
 
 
-def load(s: Sizes) -> Iterator[Candidate]:
-    yield Candidate("offset", "a constant load", "set offset = true", 0.3 * s.force, base=OFFSET)
+def load(s: Sizes) -> Iterator[ExtraForce]:
+    yield ExtraForce("offset", "a constant load", "set offset = true", 0.3 * s.force, base=OFFSET)
 
 
-def directional(s: Sizes) -> Iterator[Candidate]:
+def directional(s: Sizes) -> Iterator[ExtraForce]:
     remedy = 'set friction = "directional"'
-    yield Candidate("friction", "friction that differs by direction", remedy, 0.3 * s.viscous, base=DIRECTIONAL)
+    yield ExtraForce("friction", "friction that differs by direction", remedy, 0.3 * s.viscous, base=DIRECTIONAL)
 
 
-def dead_time(s: Sizes) -> Iterator[Candidate]:
+def dead_time(s: Sizes) -> Iterator[ExtraForce]:
     remedy = 'set dead_time = "estimate"'
-    yield Candidate("dead_time", "a dead time of the input", remedy, s.step, base=DELAY, lowest=0.0)
+    yield ExtraForce("dead_time", "a dead time of the input", remedy, s.step, base=DELAY)
 
 
-def lag(s: Sizes) -> Iterator[Candidate]:
-    yield Candidate("lag", "a lag of the input", 'set lag = "estimate"', s.step, base=LAGGING, lowest=0.0)
+def lag(s: Sizes) -> Iterator[ExtraForce]:
+    yield ExtraForce("lag", "a lag of the input", 'set lag = "estimate"', s.step, base=LAGGING, lowest=0.0)
 
 
-def stribeck(s: Sizes) -> Iterator[Candidate]:
+def stribeck(s: Sizes) -> Iterator[ExtraForce]:
     for share in (0.01, 0.03, 0.1, 0.3):
-        force = Force("stribeck", share * s.speed)
-        yield Candidate("stribeck", "Stribeck friction", 'set stribeck = "estimate"', 0.4 * s.coulomb, force=force)
+        force = BodyForce("stribeck", share * s.speed)
+        yield ExtraForce("stribeck", "Stribeck friction", 'set stribeck = "estimate"', 0.4 * s.coulomb, force=force)
 
 
-def quadratic(s: Sizes) -> Iterator[Candidate]:
-    force = Force("power", 2.0, s.speed)
-    yield Candidate("quadratic", "quadratic friction", "set quadratic = true", 0.3 * s.viscous * s.speed, force=force)
+def quadratic(s: Sizes) -> Iterator[ExtraForce]:
+    force = BodyForce("power", 2.0, s.speed)
+    yield ExtraForce("quadratic", "quadratic friction", "set quadratic = true", 0.3 * s.viscous * s.speed, force=force)
 
 
-def root(s: Sizes) -> Iterator[Candidate]:
-    force = Force("power", 0.5, s.speed)
+def root(s: Sizes) -> Iterator[ExtraForce]:
+    force = BodyForce("power", 0.5, s.speed)
     words, remedy = "friction that is no line of the speed", "see the curve of pmfid friction"
-    yield Candidate("friction_curve", words, remedy, 0.3 * s.viscous * s.speed, force=force)
+    yield ExtraForce("friction_curve", words, remedy, 0.3 * s.viscous * s.speed, force=force)
 
 
-def spring(s: Sizes) -> Iterator[Candidate]:
-    yield Candidate("spring", "a force of the position", "set spring = true", 0.5 * s.force / s.travel, force=Force("spring"))
+def spring(s: Sizes) -> Iterator[ExtraForce]:
+    yield ExtraForce(
+        "spring", "a force of the position", "set spring = true", 0.5 * s.force / s.travel, force=BodyForce("spring")
+    )
 
 
-def drift(s: Sizes) -> Iterator[Candidate]:
+def drift(s: Sizes) -> Iterator[ExtraForce]:
     remedy = "record after the axis is warm, or identify shorter records"
     for kind, size in (("column_friction", s.coulomb), ("column_viscous", s.viscous)):
-        yield Candidate("drift", "friction that drifts", remedy, 0.4 * size, force=Force(kind), column=_time)
+        yield ExtraForce("drift", "friction that drifts", remedy, 0.4 * size, force=BodyForce(kind), column=_time)
 
 
 def _time(u: Floats, t: Floats) -> Floats:
@@ -119,24 +122,38 @@ def _time(u: Floats, t: Floats) -> Floats:
 AMPLIFIER = "log the force or the current that the drive gives"
 
 
-def bending(s: Sizes) -> Iterator[Candidate]:
+def bending(s: Sizes) -> Iterator[ExtraForce]:
     if s.levels:
         column = _column(lambda u: u * np.abs(u) / s.top_force)
-        yield Candidate("input_curve", "an input that bends", AMPLIFIER, 0.15, force=Force("column"), column=column)
+        yield ExtraForce(
+            "input_curve", "an input that bends", AMPLIFIER, 0.15, force=BodyForce("column"), column=column
+        )
 
 
-def dead_zone(s: Sizes) -> Iterator[Candidate]:
+def dead_zone(s: Sizes) -> Iterator[ExtraForce]:
     if s.levels:
         for part in (0.01, 0.03, 0.08):
-            column = _column(lambda u, top=part * s.top_force: np.clip(u, -top, top))
-            yield Candidate("dead_zone", "a dead zone of the input", AMPLIFIER, 0.5, force=Force("column"), column=column)
+            column = _column(partial(_inside, part * s.top_force))
+            yield ExtraForce(
+                "dead_zone", "a dead zone of the input", AMPLIFIER, 0.5, force=BodyForce("column"), column=column
+            )
 
 
-def saturation(s: Sizes) -> Iterator[Candidate]:
+def saturation(s: Sizes) -> Iterator[ExtraForce]:
     if s.levels:
         for part in (0.9, 0.8, 0.65):
-            column = _column(lambda u, top=part * s.top_force: u - np.clip(u, -top, top))
-            yield Candidate("saturated", "an input that saturates", AMPLIFIER, 0.5, force=Force("column"), column=column)
+            column = _column(partial(_outside, part * s.top_force))
+            yield ExtraForce(
+                "saturated", "an input that saturates", AMPLIFIER, 0.5, force=BodyForce("column"), column=column
+            )
+
+
+def _inside(top: float, u: Floats) -> Floats:
+    return np.clip(u, -top, top)
+
+
+def _outside(top: float, u: Floats) -> Floats:
+    return u - np.clip(u, -top, top)
 
 
 def _column(of_input: Callable[[Floats], Floats]) -> Callable[[Floats, Floats], Floats]:
@@ -165,19 +182,23 @@ TABLE: tuple[Row, ...] = (
 )
 
 
-#: Effects that repeat along the travel: name, words and remedy, by the kind of the force; "" is an error of the encoder.
+#: Effects that repeat along the travel: name, words and remedy, by the kind of the force; "" is an encoder's error.
 WAVES = {
     "wave": ("cogging", "a force", "set cogging = {:.4g}"),
     "rub": ("friction_period", "friction", "set friction_period = {:.4g}"),
-    "": ("encoder", "an error of the encoder", "check the mounting of the encoder: its disc is eccentric, or lines are off"),
+    "": (
+        "encoder",
+        "an error of the encoder",
+        "check the mounting of the encoder: its disc is eccentric, or lines are off",
+    ),
 }
 
 
-def waves(kind: str, period: float, size: float) -> list[Candidate]:
+def waves(kind: str, period: float, size: float) -> list[ExtraForce]:
     """Return the sine and the cosine of an effect of one kind of `WAVES` with a period along the travel."""
     name, what, remedy = WAVES[kind]
     words, remedy = f"{what} that repeats every {period:.4g} of travel", remedy.format(period)
     phases = (0.0, math.pi / 2)
     if not kind:
-        return [Candidate(name, words, remedy, size, reading=(period, phase)) for phase in phases]
-    return [Candidate(name, words, remedy, size, force=Force(kind, period, phase)) for phase in phases]
+        return [ExtraForce(name, words, remedy, size, reading=(period, phase)) for phase in phases]
+    return [ExtraForce(name, words, remedy, size, force=BodyForce(kind, period, phase)) for phase in phases]

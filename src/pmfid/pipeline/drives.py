@@ -126,7 +126,7 @@ class Drives(Kind[Record]):
 
     def prepare_axis(self, data: Record, axis: Axis) -> Axis:
         axis = match_kind(data, axis)
-        if axis.estimator.cutoff is not None or data.counts.size == 0 or (uses_fit(axis) and data.ages is None):
+        if axis.estimator.cutoff is not None or data.counts.size == 0:
             return axis
         known = repair_as_configured(data, axis).record
         either = [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]
@@ -134,6 +134,9 @@ class Drives(Kind[Record]):
         encoder, forgetting = axis.encoder.make_encoder(data.resolution), axis.estimator.forgetting
         cutoff = choose_cutoff(models, encoder, data.dt, known.u, known.counts, forgetting)
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
+
+    def settle_axis(self, data: Record, axis: Axis) -> Axis:
+        return match_kind(data, axis) if uses_fit(axis) and data.ages is None else self.prepare_axis(data, axis)
 
     def complete_record(self, data: Record, axis: Axis) -> Record:
         if data.there is None or np.all(data.there | np.isnan(data.u)) or uses_fit(axis):

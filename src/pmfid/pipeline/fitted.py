@@ -64,8 +64,9 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
         known, scaled = known.rescale(fit)
         estimator, fit = known.estimator, replace(fit, theta=scaled.theta, theta_cov=scaled.theta_cov)
     spread = _spread(fitted, fit.theta_std)
-    size = sizes(estimator, fit.theta)
     equation = estimator.equation
+    p = len(equation.names)
+    size = np.append(sizes(estimator, fit.theta[:p]), np.abs(fit.theta[p:]))
     positive = np.append(equation.positive, np.zeros(len(equation.further), bool))
     findings = list(findings_of(fitted, estimator.names, positive, size, axis.estimator.tolerance))
     notes = make_notes("record", record.notes)
@@ -90,11 +91,8 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
 def _counts_in_use(record: Record, repaired: Record) -> Flags:
     """Return the counts (n,) that were measured and that no repair replaced."""
     there = np.ones(record.u.size, bool) if record.there is None else record.there
-    return np.asarray(there & (_steps(record.counts) == _steps(repaired.counts)))
-
-
-def _steps(counts: np.ndarray) -> np.ndarray:  # type: ignore[type-arg]
-    return counts - counts[0]
+    given, used = record.counts - record.counts[0], repaired.counts - repaired.counts[0]
+    return np.asarray(there & (given == used))
 
 
 def _spread(fitted: Fitted, std: Floats) -> Floats:

@@ -40,11 +40,11 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     every parameter. If a mistake in the log explains the error, the message names the mistake first.
     """
     kind, given = kind_of(axis), axis
-    axis = kind.prepare_axis(data, given)
+    axis = kind.settle_axis(data, given)
     kind.check(data, axis)
     whole = kind.complete_record(data, axis)
     if whole is not data:  # the complete record may need another pole
-        data, axis = whole, kind.prepare_axis(whole, given)
+        data, axis = whole, kind.settle_axis(whole, given)
     try:
         result = kind.estimate(data, axis, progress)
     except NotIdentifiableError as error:

@@ -53,6 +53,10 @@ class Kind(ABC, Generic[Data]):
         """Return the configuration with values for all settings that the record determines."""
         return axis
 
+    def settle_axis(self, data: Data, axis: Axis) -> Axis:
+        """Return the configuration with values for all settings that the estimate needs."""
+        return self.prepare_axis(data, axis)
+
     def complete_record(self, data: Data, axis: Axis) -> Data:
         """Return the records. With a complete configuration, the model fills missing samples."""
         return data
@@ -114,10 +118,10 @@ def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 def simulator(axis: Axis, dt: float, resolution: float) -> OE:
     """Return the method that simulates the model of `axis`, with dt [s] and the resolution [unit of the output]."""
-    check_sampling(axis, dt)
-    return OE(
-        axis.model.make(), axis.encoder.make_encoder(resolution), dt, axis.estimator.pole, order=axis.estimator.order
-    )
+    if axis.estimator.cutoff is not None:
+        check_sampling(axis, dt)
+    cutoff = axis.estimator.cutoff or 0.2 / dt
+    return OE(axis.model.make(), axis.encoder.make_encoder(resolution), dt, cutoff, order=axis.estimator.order)
 
 
 def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
