@@ -57,7 +57,8 @@ def test_the_derivatives_are_those_of_the_motion(names: list[str]) -> None:
 def examine(case: Case) -> Fitted:
     """Return the fit of a plain drive to a case of the referee."""
     steps = None if case.t is None else np.diff(case.t, prepend=case.t[0] - case.dt)
-    drive, encoder = pmfid.Drive(case.input_gain), pmfid.Encoder(case.resolution)
+    drive = pmfid.Drive(case.input_gain, axis="rotary" if case.rotary else "linear")
+    encoder = pmfid.Encoder(case.resolution)
     there = np.isfinite(case.counts)
     counts = np.where(there, case.counts, 0.0).astype(np.int64)
     return MotionFit(drive, encoder, case.dt, 0.2 / case.dt, steps=steps).examine(case.u, counts, there)
@@ -149,7 +150,7 @@ def test_the_right_model_explains_every_count(index: int) -> None:
 )
 def test_a_force_that_the_model_lacks_is_named(kind: str, word: str) -> None:
     """The plain model would be up to 20 % off; the estimate with the force is within 1 %."""
-    (case,) = make_cases(52, kind, [1])
+    (case,) = make_cases(52, kind, [3 if kind == "spring" else 1])
     fitted = examine(case)
     assert any(word in one.words for one in fitted.problem.candidates)
     np.testing.assert_allclose(fitted.theta, list(case.truth.values()), rtol=0.01)

@@ -13,7 +13,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
 from pmfid.fit.compare import MOST, ODDS, Quadratic
 from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
-from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyModel
+from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.solve import START, Likelihood, Normal, Optimum, normal_of, solve
@@ -36,6 +36,8 @@ WAVENUMBERS = 100
 BLOCKS = 40
 #: Largest distance of the mass from the blind start, as a logarithm. A fit that goes further follows noise.
 FAR = 3.0
+#: Advice if no motion follows.
+FOLLOW = "check input_gain, sign and scale of input and output, and [encoder] bits"
 #: Largest change of the mass between rounds that counts as settled, relative.
 SETTLED = 1e-4
 
@@ -96,6 +98,7 @@ def sizes_of(problem: FitProblem, start: FitProblem, solution: Optimum) -> Sizes
         float(np.mean([np.mean(one.drive.step) for one in problem.stretches])),
         sum(float(np.sum(one.drive.step)) for one in problem.stretches),
         bool(np.ptp(acting) > 1e-3 * top),
+        problem.machine.turn,
     )
 
 
@@ -132,25 +135,34 @@ def with_columns(problem: FitProblem, candidates: Sequence[ExtraForce]) -> tuple
 def first_theta(machine: BodyModel, start: Floats, sizes: Sizes) -> Floats:
     """Return the machine's parameters (p,) at the blind start (mass, viscous, Coulomb, load)."""
     body = np.zeros(len(machine.rest))
-    body[[MASS, VISCOUS, COULOMB, OFFSET]] = start
+    body[[MASS, VISCOUS, COULOMB, OFFSET]] = start[:4]
     body[[DELAY, LAGGING]] = 0.5 * sizes.step
     for j, force in enumerate(machine.forces):
-        body[BASE + j] = 0.2 * sizes.coulomb if force.free else 0.0
+        body[BASE + j] = 0.2 * sizes.coulomb if force.free else _started(force, start, sizes.turn)
     body[BASE + len(machine.forces) :] = 0.05 * sizes.speed
     rows = np.any(machine.lift != 0, axis=1)
     return np.asarray(np.linalg.lstsq(machine.lift[rows], body[rows], rcond=None)[0])
+
+
+def _started(force: BodyForce, start: Floats, turn: float) -> float:
+    """Return the size of a force at the blind start."""
+    if force.kind == "spring":
+        return float(start[4])
+    if force.kind == "wave" and turn and force.p == turn:
+        return float(start[5 if force.q == 0 else 6])
+    return 0.0
 
 
 class FitSearch:
     """The state of a fit: the table of candidates, the chosen ones, the noise and the solution."""
 
     def __init__(self, problem: FitProblem) -> None:
-        start, solution = blind_start(problem.stretches, problem.resolution)
+        start, solution = blind_start(problem.stretches, problem.resolution, problem.machine.turn)
         self.sizes = sizes_of(problem, start, solution)
         self.plain, self.table = with_columns(problem, candidates_of(problem.machine, self.sizes))
         self.first = start.theta(solution.q)
         self.plain = replace(self.plain, mass=tuple(np.log(self.first[0]) + np.array([-FAR, FAR])))
-        self.chosen = [i for i, one in enumerate(self.table) if one.base == OFFSET]
+        self.chosen: list[int] = []
         self.restart(self.chosen)
         self.solution: Optimum | None = None
 
@@ -165,8 +177,10 @@ class FitSearch:
         self.problem = self._chosen_problem()
         self.q = self.problem.start(theta)
         self.starts = self.plain.first_starts()
-        for i in self.chosen:
-            self.q[self.own] = self.first[3] / self.table[i].sd
+        for k, i in enumerate(self.chosen):
+            one = self.table[i]
+            size = self.first[3] if one.force is None else _started(one.force, self.first, self.sizes.turn)
+            self.q[self.own + k] = size / one.sd
         self.noise = Gaussian(self.plain.stretches)
 
     def _chosen_problem(self) -> FitProblem:
@@ -271,16 +285,18 @@ def fit(problem: FitProblem) -> Fitted:
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
     search = FitSearch(problem)
-    with_load, costs = list(search.chosen), []
-    for chosen in ([], with_load) if with_load else ([],):
+    loads = [i for i, one in enumerate(search.table) if one.base == OFFSET]
+    springs, turned = ([i for i, one in enumerate(search.table) if one.name == name] for name in ("spring", "gravity"))
+    costs = []
+    for chosen in dict.fromkeys(map(tuple, ([], loads, [*loads, *springs], turned))):
         search.restart(chosen)
-        costs.append(search.solve(search.noise).cost)
+        cost = search.solve(search.noise).cost
         likelihood = _explain(search)
         if likelihood is not None:
-            return _conclude(search, likelihood)
-    if with_load and search.plain.rows * math.log(costs[0] / costs[1]) < 2 * math.log(search.plain.rows):
-        search.restart([])  # no load
-        search.solve(search.noise)
+            return _conclude(search, _prune(search, likelihood))
+        costs.append((search.plain.rows * math.log(cost) + len(chosen) * math.log(search.plain.rows), chosen))
+    search.restart(min(costs)[1])
+    search.solve(search.noise)
     return _conclude(search, _build(search))
 
 
@@ -464,6 +480,8 @@ def _scale_matrix(A: Floats) -> tuple[Floats, Floats]:
 def _conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     allowed, prior = range(len(search.table)), search.prior(search.problem)
     found = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
+    if min(np.abs(found.q[search.plain.machine.lead] - np.array(search.plain.mass))) < SETTLED:
+        raise NotIdentifiableError(f"no motion of the model follows the record; {FOLLOW}")
     theta, covariance = _estimate(search, found, likelihood)
     soft = Intervals(search.plain.stretches, EXPLAINED) if isinstance(likelihood, Intervals) else likelihood
     local = search.local(soft)

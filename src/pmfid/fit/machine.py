@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from pmfid._body import BASE, KINDS, run
 from pmfid.errors import UsageError
+from pmfid.models.axes import ROTARY
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation, Term
 from pmfid.models.shapes import Shape, Square, Stribeck, Wave
 from pmfid.types import Floats
@@ -52,6 +53,7 @@ class BodyModel:
 
     The parameters of the body (w,) are `rest` (w,) + `lift` (w, p) theta. `lead` is the index of the mass, and
     `lowest` (p,) are the lower bounds of the parameters.
+    `turn` is the length of a turn of a rotary axis, or 0.
     """
 
     names: tuple[str, ...]
@@ -60,6 +62,7 @@ class BodyModel:
     lift: Floats
     lead: int
     lowest: Floats
+    turn: float = 0.0
 
     def body(self, theta: Floats) -> Floats:
         """Return the parameters (w,) of the body without its start state."""
@@ -106,7 +109,8 @@ def machine_of(equation: Equation) -> BodyModel:
     rest[DELAY] = 0.0 if equation.dead_time == ESTIMATE else float(equation.dead_time)
     rest[LAGGING] = 0.0 if equation.lag == ESTIMATE else float(equation.lag)
     lowest = np.where(np.any(lift[[DELAY, LAGGING, *range(BASE + len(forces), len(lift))]] > 0, axis=0), 0.0, -np.inf)
-    return BodyModel(names, forces, rest, lift, equation.leading, lowest)
+    turn = 2 * np.pi if equation.motion is ROTARY else 0.0
+    return BodyModel(names, forces, rest, lift, equation.leading, lowest, turn)
 
 
 def _further_rows(equation: Equation, free: Sequence[int], shaped: Sequence[int], first: int) -> dict[str, int]:

@@ -13,7 +13,7 @@ from pmfid._body import BASE
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
 from pmfid.fit.likelihood import Gaussian
-from pmfid.fit.machine import COULOMB, MASS, OFFSET, VISCOUS, BodyModel
+from pmfid.fit.machine import COULOMB, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.solve import Optimum, solve
 from pmfid.types import Floats
@@ -22,33 +22,49 @@ from pmfid.types import Floats
 FEWEST_CHANGES, FEWEST_ROWS = 60, 200
 #: Largest distance of the mass from the first guess, as a logarithm.
 FAR = 7.0
+#: Phases of the sine and the cosine of gravity.
+PHASES = (0.0, math.pi / 2)
 #: Factors of the first guess of mass, viscous friction and Coulomb friction.
 GUESSES = (0.1, 0.3, 1.0, 3.0), (0.1, 0.5), (0.03, 0.2)
 
 
-def plain_machine(load: bool) -> BodyModel:
-    """Return a mass with viscous and Coulomb friction and a load, as logarithms but for the load.
+def make_first_body(turn: float) -> BodyModel:
+    """Return a mass with viscous and Coulomb friction, a load, a spring, and gravity for an axis with a `turn`.
 
-    A machine without an offset still starts with one, because a load hides every other parameter.
+    A model without load and spring still starts with both, because a force of the position hides every other
+    parameter. A spring stands for every force of the position in a short window.
     """
-    lift = np.zeros((BASE, 4))
-    lift[[MASS, VISCOUS, COULOMB, OFFSET], range(4)] = 1.0
-    return BodyModel(("m", "d", "F", "load"), (), np.zeros(BASE), lift, 0, np.array([-np.inf, 0.0, 0.0, -np.inf]))
+    forces = (BodyForce("spring"), *(BodyForce("wave", turn, phase) for phase in PHASES if turn))
+    names = ("m", "d", "F", "load", "spring", "sin", "cos")[: 4 + len(forces)]
+    lift = np.zeros((BASE + len(forces), len(names)))
+    lift[[MASS, VISCOUS, COULOMB, OFFSET, *range(BASE, len(lift))], range(len(names))] = 1.0
+    lowest = np.array([-np.inf, 0.0, 0.0, *[-np.inf] * (1 + len(forces))])
+    return BodyModel(names, forces, np.zeros(len(lift)), lift, 0, lowest)
 
 
-def blind_start(stretches: tuple[ObservedStretch, ...], resolution: float) -> tuple[FitProblem, Optimum]:
+def blind_start(stretches: tuple[ObservedStretch, ...], resolution: float, turn: float) -> tuple[FitProblem, Optimum]:
     """Return the fit of a mass with friction and a load to the liveliest stretch.
 
     Raises NotIdentifiableError if the axis does not move.
     """
     stretch = max(stretches, key=lambda one: float(np.sum(np.abs(np.diff(one.y)))))
     windows = list(_windows(stretch, resolution))
-    problem = FitProblem(plain_machine(True), (windows[0],), resolution)
+    problem = FitProblem(make_first_body(turn), (windows[0],), resolution)
     force = float(np.sqrt(np.mean(windows[0].drive.u ** 2)))
     if not force > 0:
         raise NotIdentifiableError(f"the input is zero while the axis moves; {MOVE}")
-    prior = np.array([0.0, 0.0, 0.0, 1 / (0.5 * force) ** 2])
-    guesses = list(_guesses(windows[0], force))
+    travel = max(float(np.ptp(stretch.y)) / 2, resolution)
+    prior = np.array(
+        [
+            0.0,
+            0.0,
+            0.0,
+            1 / (0.5 * force) ** 2,
+            (travel / (0.5 * force)) ** 2,
+            *[1 / (0.5 * force) ** 2] * (2 * (turn > 0)),
+        ]
+    )
+    guesses = list(_guesses(windows[0], force, 2 * (turn > 0)))
     middle = math.log(float(np.median([guess[0] for guess in guesses])))
     problem = replace(problem, mass=(middle - FAR, middle + FAR))
     best: Optimum | None = None
@@ -70,8 +86,8 @@ def _soft(stretches: tuple[ObservedStretch, ...]) -> Gaussian:
     return Gaussian(stretches, scale=9.0)
 
 
-def _guesses(window: ObservedStretch, force: float) -> Iterator[Floats]:
-    """Yield (mass, viscous friction, Coulomb friction, load) from the speeds and accelerations of a window."""
+def _guesses(window: ObservedStretch, force: float, further: int) -> Iterator[Floats]:
+    """Yield (mass, viscous friction, Coulomb friction, load, spring, gravity) from speeds and accelerations."""
     t, width = window.times, max(3, window.y.size // 60)
     smooth = np.ones(width) / width
     v = np.gradient(np.convolve(window.y - window.y[0], smooth, "same"), t)[width:-width]
@@ -82,7 +98,7 @@ def _guesses(window: ObservedStretch, force: float) -> Iterator[Floats]:
         float(np.percentile(np.abs(a), 80)) + tiny / float(t[-1]),
     )
     for mass, viscous, coulomb in product(*GUESSES):
-        yield np.array([force / change * mass, force / speed * viscous, force * coulomb, 0.0])
+        yield np.array([force / change * mass, force / speed * viscous, force * coulomb, 0.0, 0.0, *[0.0] * further])
 
 
 def _windows(stretch: ObservedStretch, resolution: float) -> Iterator[ObservedStretch]:

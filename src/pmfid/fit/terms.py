@@ -51,7 +51,7 @@ class ExtraForce:
 class Sizes:
     """Sizes of a record that scale the priors, in SI units: root mean square and largest force of the input, highest
     speed, Coulomb friction, viscous friction, half the travel, mean step, the time from start to end, and whether the
-    input has more than one size."""
+    input has more than one size, and the length of a turn or 0."""
 
     force: float
     top_force: float
@@ -62,6 +62,7 @@ class Sizes:
     step: float
     time: float
     levels: bool
+    turn: float
 
 
 #: A row of the table: it yields its candidates for a record.
@@ -107,6 +108,13 @@ def spring(s: Sizes) -> Iterator[ExtraForce]:
     yield ExtraForce(
         "spring", "a force of the position", "set spring = true", 0.5 * s.force / s.travel, force=BodyForce("spring")
     )
+
+
+def gravity(s: Sizes) -> Iterator[ExtraForce]:
+    if s.turn:
+        for phase in (0.0, math.pi / 2):
+            force = BodyForce("wave", s.turn, phase)
+            yield ExtraForce("gravity", "gravity on a rotary axis", "set gravity = true", 0.5 * s.force, force=force)
 
 
 def drift(s: Sizes) -> Iterator[ExtraForce]:
@@ -175,6 +183,7 @@ TABLE: tuple[Row, ...] = (
     quadratic,
     root,
     spring,
+    gravity,
     drift,
     bending,
     dead_zone,
