@@ -102,6 +102,7 @@ PUBLIC = [
     "Known",
     "KnownStep",
     "LS",
+    "MotionFit",
     "NotIdentifiableError",
     "OE",
     "PmfidError",

@@ -246,7 +246,10 @@ def test_configuration_that_does_not_exist(tmp_path: Path, cart: Cart) -> None:
     [
         (["identify"], "Missing argument 'RECORD...'"),
         (["identify", "run.csv"], "Missing option '--config'"),
-        (["identify", "run.csv", "--config", "axis.toml", "--method", "lms"], "'lms' is not one of 'auto', 'ls', "),
+        (
+            ["identify", "run.csv", "--config", "axis.toml", "--method", "lms"],
+            "'lms' is not one of 'auto', 'fit', 'ls', ",
+        ),
         (["identify", "run.csv", "--config", "axis.toml", "--cutoff", "fast"], "'fast' is not a valid float"),
         (["identify", "run.csv", "--config", "axis.toml", "--jsn"], "'--json'"),
         (["idenify"], "'identify'"),

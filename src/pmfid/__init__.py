@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from pmfid.estimators.known_step import RKnownStep as RKnownStep
     from pmfid.estimators.ls import BCLS as BCLS
     from pmfid.estimators.ls import LS as LS
+    from pmfid.estimators.motion_fit import MotionFit as MotionFit
     from pmfid.estimators.output_error import OE as OE
     from pmfid.estimators.output_error import IntervalML as IntervalML
     from pmfid.estimators.recursive import BCRLS as BCRLS
@@ -87,6 +88,7 @@ _PUBLIC = {
     "KnownStep": "pmfid.estimators.known_step",
     "RKnownStep": "pmfid.estimators.known_step",
     "LS": "pmfid.estimators.ls",
+    "MotionFit": "pmfid.estimators.motion_fit",
     "NotIdentifiableError": "pmfid.errors",
     "PmfidError": "pmfid.errors",
     "RSRIVC": "pmfid.estimators.srivc",

@@ -29,6 +29,17 @@ class MotionFit(Simulating, BatchEstimator):
     Each count is an interval for the position. If no motion of the model is in all intervals, forces that the model
     lacks enter with Gaussian priors, and the rest is a force or an error of the encoder that wanders. The filters of
     other methods, `cutoff` and `order`, are not used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid import Drive, Encoder, MotionFit, quantize
+    >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
+    >>> u = prbs(1000, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    >>> fit = MotionFit(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0).fit(u, counts)
+    >>> print(round(fit["mass"], 4), CART.mass)
+    1.07 1.07
     """
 
     method: ClassVar[str] = "fit"

@@ -28,6 +28,8 @@ EXPLAINED = 0.003
 #: Mean square of residuals [counts^2] up to which a model may explain every count, tries to find that motion, and their
 #: distance in standard errors of least squares.
 MOST_SQUARES, TRIES, NEARBY = 0.15, 8, 2.0
+#: Kinds of a disturbance that wanders.
+WANDERING = ("force", "position")
 #: Rounds of fit and noise, which settle in two to four, and most steps of the comparison.
 ROUNDS, MOST_STEPS = 5, 12
 #: Number of wavenumbers that a record is searched for.
@@ -302,16 +304,8 @@ def fit(problem: FitProblem) -> Fitted:
 
 def _build(search: FitSearch) -> Gaussian | Intervals:
     """Add and drop forces until the counts are explained or no force gains evidence, and return the likelihood."""
-    lead = search.plain.machine.lead
-    kinds: tuple[str, ...] = ("force",)
+    _settle_either(search)
     for _ in range(MOST_STEPS):
-        for _ in range(ROUNDS):
-            before = search.q[lead]
-            search.noise = search.estimate_noise(kinds)
-            search.solve(search.noise)
-            if abs(search.q[lead] - before) < SETTLED:
-                break
-        kinds = ("force", "position")
         step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
         if step is not None:
             search.choose_best(_alternatives(search, step))
@@ -321,9 +315,32 @@ def _build(search: FitSearch) -> Gaussian | Intervals:
         explained = _explain(search)
         if explained is not None:
             return _prune(search, explained)
-    search.noise = search.estimate_noise(kinds)
-    search.solve(search.noise)
+        _settle(search, WANDERING)
     return search.noise
+
+
+def _settle_either(search: FitSearch) -> None:
+    """Settle with a force that wanders, and with an error of the position, and keep the likelier end.
+
+    The residuals of a poor fit look like an error of the position, even where a force wanders.
+    """
+    at, ends = (search.q, search.starts, search.noise), []
+    for kind in WANDERING:
+        search.q, search.starts, search.noise = at
+        _settle(search, (kind,))
+        ends.append((search.noise.evidence(_errors(search))[0], search.q, search.starts, search.noise))
+    _, search.q, search.starts, search.noise = max(ends, key=lambda end: end[0])
+
+
+def _settle(search: FitSearch, kinds: Sequence[str]) -> None:
+    """Fit and estimate the noise in turn until the mass settles."""
+    lead = search.plain.machine.lead
+    for _ in range(ROUNDS):
+        before = search.q[lead]
+        search.noise = search.estimate_noise(kinds)
+        search.solve(search.noise)
+        if abs(search.q[lead] - before) < SETTLED:
+            break
 
 
 def _alternatives(search: FitSearch, step: Sequence[int]) -> list[Sequence[int]]:
