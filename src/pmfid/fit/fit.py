@@ -140,13 +140,13 @@ def first_theta(machine: BodyModel, start: Floats, sizes: Sizes) -> Floats:
     body[[MASS, VISCOUS, COULOMB, OFFSET]] = start[:4]
     body[[DELAY, LAGGING]] = 0.5 * sizes.step
     for j, force in enumerate(machine.forces):
-        body[BASE + j] = 0.2 * sizes.coulomb if force.free else _started(force, start, sizes.turn)
+        body[BASE + j] = 0.2 * sizes.coulomb if force.free else _first_size(force, start, sizes.turn)
     body[BASE + len(machine.forces) :] = 0.05 * sizes.speed
     rows = np.any(machine.lift != 0, axis=1)
     return np.asarray(np.linalg.lstsq(machine.lift[rows], body[rows], rcond=None)[0])
 
 
-def _started(force: BodyForce, start: Floats, turn: float) -> float:
+def _first_size(force: BodyForce, start: Floats, turn: float) -> float:
     """Return the size of a force at the blind start."""
     if force.kind == "spring":
         return float(start[4])
@@ -181,7 +181,7 @@ class FitSearch:
         self.starts = self.plain.first_starts()
         for k, i in enumerate(self.chosen):
             one = self.table[i]
-            size = self.first[3] if one.force is None else _started(one.force, self.first, self.sizes.turn)
+            size = self.first[3] if one.force is None else _first_size(one.force, self.first, self.sizes.turn)
             self.q[self.own + k] = size / one.sd
         self.noise = Gaussian(self.plain.stretches)
 
