@@ -96,6 +96,10 @@ def narrow_figure(figure: Figure) -> None:
             height += 0.2 * len(labels) / columns
     for panel in panels:
         panel.set_xlabel(fill(panel.get_xlabel(), TUNING.figures_line))
+        for line in panel.lines:
+            x, y = line.get_xydata().T
+            rows = np.union1d(decimation(y, TUNING.figures_points), np.flatnonzero(np.isnan(y)))
+            line.set_data(x[rows], y[rows])
     figure.set_size_inches(TUNING.figures_phone, height)
 
 

@@ -25,7 +25,9 @@ class ReportTuning:
     # figures
     max_points: int = 2000
     figures_width: float = 9.0
+    #: Width of a figure [inch], and number of points of a curve, on a phone.
     figures_phone: float = 4.5
+    figures_points: int = 800
     #: Longest label of a legend with two columns, and longest line of the label of an axis on a phone.
     figures_label: int = 18
     figures_line: int = 48
