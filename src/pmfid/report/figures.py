@@ -97,7 +97,7 @@ def narrow_figure(figure: Figure) -> None:
     for panel in panels:
         panel.set_xlabel(fill(panel.get_xlabel(), TUNING.figures_line))
         for line in panel.lines:
-            x, y = line.get_xydata().T
+            x, y = np.asarray(line.get_xydata(), float).T
             rows = np.union1d(decimation(y, TUNING.figures_points), np.flatnonzero(np.isnan(y)))
             line.set_data(x[rows], y[rows])
     figure.set_size_inches(TUNING.figures_phone, height)
