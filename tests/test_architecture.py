@@ -24,7 +24,7 @@ REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
 KERNELS = {"_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
-SHARED = {"elementary", "deprecation", "errors", "types", "findings", "status", "presentation", "durable", "units"}
+SHARED = {"elementary", "errors", "types", "findings", "status", "presentation", "durable", "units"}
 GROUND = SHARED | KERNELS
 FILTERS = GROUND | {"models", "encoder", "edge_times"}
 FIT = {"errors", "types", "findings", "models", "_body"}
@@ -40,9 +40,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "types": set(),
     "findings": set(),
     "status": {"kernel", "findings"},
-    "deprecation": set(),
     "units": {"errors"},
-    "lazy_imports": {"deprecation"},
+    "lazy_imports": set(),
     "presentation": {"errors", "lazy_imports"},
     "_estimate": {"errors", "presentation", "status"},
     "_stage": set(),
@@ -61,7 +60,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "encoder": GROUND,
     "edge_times": {"errors", "types"},
     "filters": FILTERS,
-    "linear": {"errors", "types", "presentation", "_stage", "deprecation"},
+    "linear": {"errors", "types", "presentation", "_stage"},
     "io": {"errors", "types"},
     "estimators": ESTIMATORS,
     "diagnostics": DIAGNOSTICS,

@@ -521,14 +521,10 @@ def test_brackets_in_names_are_shown_as_they_are(tmp_path: Path, cart: Cart) -> 
     assert f"report: {out / 'report.html'}" in result.stdout
 
 
-VISIBLE = sorted(name for name, command in main.commands.items() if not command.hidden)
-HIDDEN = sorted(set(main.commands) - set(VISIBLE))
-
-
 # --- the command itself ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", VISIBLE)
+@pytest.mark.parametrize("name", sorted(main.commands))
 @pytest.mark.parametrize("flag", ["-h", "--help"])
 def test_help_names_every_option(name: str, flag: str) -> None:
     result = CliRunner().invoke(main, [name, flag])
@@ -544,15 +540,7 @@ def test_help_of_the_whole_lists_the_commands() -> None:
     result = CliRunner().invoke(main, ["--help"])
     assert result.exit_code == 0
     assert {"identify", "monitor"} <= set(main.commands)
-    assert all(f"  {name} " in result.stdout for name in VISIBLE)
-    assert not any(f"  {name} " in result.stdout for name in HIDDEN)
-
-
-@pytest.mark.parametrize(("name", "now"), [("compare", "identify --method all"), ("order", "terms")])
-def test_an_old_command_works_with_a_warning(name: str, now: str, cart: Cart, tmp_path: Path) -> None:
-    result = CliRunner().invoke(main, [name, str(tmp_path / "none.csv"), "--config", str(AXIS)])
-    assert f"use pmfid {now}" in result.stderr
-    assert "pmfid: " in result.stderr
+    assert all(f"  {name} " in result.stdout for name in main.commands)
 
 
 def spawned(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid import fleet
 from pmfid.estimators.configuration import like
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
@@ -170,23 +169,3 @@ def test_like_leaves_the_names_of_another_model_out() -> None:
     other = like(pmfid.RIV, method, model=directional.symmetric)
     assert other.forgetting_of is None
     assert other.forgetting == 0.99
-
-
-def test_old_names_of_methods_warn_and_do_the_same() -> None:
-    drive, fit = pmfid.Drive(2.0), ESTIMATORS["rls"](pmfid.Drive(2.0), RUN.encoder, DT, CUTOFF)
-    track = fit.run(*FIRST)
-    pairs = (
-        (drive, "at_dead_time", drive.replace_dead_time, 0.01),
-        (drive.equation, "at_lag", drive.equation.replace_lag, 0.02),
-        (pmfid.Square(), "at", pmfid.Square().evaluate, [2.0]),
-        (track, "flagged", track.has_status, pmfid.Status.SETTLING),
-    )
-    for owner, old, new, argument in pairs:
-        with pytest.warns(DeprecationWarning, match=f"{old} is now {new.__name__}"):
-            found = getattr(owner, old)(argument)
-        assert np.array_equal(found, new(argument))
-
-
-def test_an_old_name_of_a_package_warns() -> None:
-    with pytest.warns(DeprecationWarning, match="SourceColumns"):
-        assert fleet.Columns is fleet.SourceColumns

@@ -203,12 +203,6 @@ def _selftest(rng: Rng, folder: Path) -> Case:
     return Case(("selftest", *case.arguments[1:6], *chosen), case.files)
 
 
-def _order(rng: Rng, folder: Path) -> Case:
-    files, name = _recorded(rng, folder)
-    chosen = options(rng, 0.1, cutoff=["10"]) + _out(rng, 0.03)
-    return Case(("terms", name, "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files)
-
-
 def _export(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder, (*RECURSIVE, *RECURSIVE, "ls"))
     chosen = options(rng, 0.2, precision=["float32", "float64"], method=list(RECURSIVE))
@@ -372,10 +366,9 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "compare": (_compare, 0.004),
     "check": (_check, 0.001),
     "init": (_init, 0.001),
-    "terms": (_terms, 0.002),
+    "terms": (_terms, 0.004),
     "friction": (_friction, 0.002),
     "fleet": (_fleet, 0.002),
-    "order": (_order, 0.002),
     "explain": (_explain, 0.008),
     "actuators": (_actuators, 0.002),
     "none": (_none, 0.046),

@@ -105,32 +105,6 @@ def design(
         print_appraisal(appraisal, out)
 
 
-@click.command(hidden=True, deprecated="use pmfid design SPEC.toml RECORD")
-@SPEC
-@RUNS
-@WANT
-@TRUTH
-@ROUNDS
-@UNKNOWN
-@CRITERION
-@STARTS
-@SEED
-@OUT
-@JSON
-def commission(
-    spec: Path,
-    records: tuple[Path, ...],
-    want: tuple[str, ...],
-    truth: tuple[str, ...],
-    rounds: int,
-    out: Path | None,
-    as_json: bool,
-    **options: object,
-) -> None:
-    """Estimate from the designed runs so far and design the next run."""
-    _commission(spec, records, want, truth, rounds, out, as_json, options)
-
-
 def _commission(
     spec: Path,
     records: tuple[Path, ...],

@@ -11,7 +11,7 @@ import click
 from pmfid import __version__
 from pmfid.cli.actuators import actuators
 from pmfid.cli.check import check
-from pmfid.cli.design import commission, design
+from pmfid.cli.design import design
 from pmfid.cli.encoder import encoder
 from pmfid.cli.explain import explain
 from pmfid.cli.export import export
@@ -33,7 +33,7 @@ from pmfid.cli.terminal import (
     progress,
     step,
 )
-from pmfid.cli.terms import order, terms
+from pmfid.cli.terms import terms
 from pmfid.cli.validate import validate
 from pmfid.errors import INTERRUPTED, PmfidError, UsageError
 from pmfid.estimators import METHODS
@@ -201,31 +201,10 @@ def _compare(
         print_comparison(comparison, out)
 
 
-@main.command(hidden=True, deprecated="use pmfid identify --method all")
-@RECORDS
-@config_option()
-@CUTOFF
-@click.option("--quantize", type=float)
-@click.option("--out", type=click.Path(path_type=Path, file_okay=False))
-@JSON
-def compare(
-    records: tuple[Path, ...],
-    config: Path,
-    cutoff: float | None,
-    quantize: float | None,
-    out: Path | None,
-    as_json: bool,
-) -> None:
-    """Identify the parameters of RECORD by every method, and compare the results."""
-    _compare(records, config, {"estimator.cutoff": cutoff}, quantize, out, as_json)
-
-
 main.add_command(actuators)
 main.add_command(check)
 main.add_command(init)
 main.add_command(design)
-main.add_command(commission)
-main.add_command(order)
 main.add_command(monitor)
 main.add_command(selftest)
 main.add_command(serve)

@@ -95,17 +95,6 @@ def _is_process(config: Path) -> bool:
     return isinstance(model, dict) and model.get("kind") == "transfer_function"
 
 
-@click.command(hidden=True, deprecated="use pmfid terms")
-@RECORDS
-@config_option()
-@CUTOFF
-@folder_option("Write order.html into this folder.")
-@JSON
-def order(records: tuple[Path, ...], config: Path, cutoff: float | None, out: Path | None, as_json: bool) -> None:
-    """Search the poles, zeros and dead time of a transfer function that explains RECORD."""
-    _search_order(records, config, cutoff, out, as_json)
-
-
 def _search_order(
     records: tuple[Path, ...], config: Path, cutoff: float | None, out: Path | None, as_json: bool
 ) -> None:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid.deprecation import rename_method
 from pmfid.errors import NotIdentifiableError, UsageError, whole_number
 from pmfid.estimators.adequacy import filter_force
 from pmfid.estimators.configuration import check_arrays, hold_last_input, like
@@ -236,8 +235,6 @@ class FrictionCurve(Presentable):
     def evaluate(self, velocity: ArrayLike) -> Floats:
         """Return the friction (n,) [N] at velocities (n,) [m/s]; NaN for velocities that the record does not cover."""
         return self._interpolate(velocity, self.force)
-
-    at = rename_method("at", "evaluate")
 
     def std_at(self, velocity: ArrayLike) -> Floats:
         """Return the standard error of the curve (n,) [N]; NaN outside the range of `evaluate`."""

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid.deprecation import rename_method
 from pmfid.errors import NotIdentifiableError, UsageError, place_of
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import check_arrays, like
@@ -307,8 +306,6 @@ class Known:
         spread = None if model_spread is None else self._spread(combined, model_spread, further)
         notes = self._contradictions(combined.apart[0], theta, covariance, further)
         return Posterior(self.names, self.units, values[0], noise[0], spread, notes)
-
-    of = rename_method("of", "combine")
 
     def _spread(self, combined: Combined, model_spread: Floats, further: Floats) -> Floats:
         """Return the change (q,) of the combined result by each model spread. NaN stands for unknown."""

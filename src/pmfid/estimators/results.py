@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid._stage import bars
-from pmfid.deprecation import rename_method
 from pmfid.errors import place_of
 from pmfid.presentation import Parameters, Presentable, Summary, plain, remarks_of
 from pmfid.status import Status, status_names
@@ -173,8 +172,6 @@ class Track(Presentable):
     def has_status(self, bit: Status) -> NDArray[np.bool_]:
         """Return a mask (n,) of the samples that have a status bit."""
         return np.asarray((self.status & bit) != 0)
-
-    flagged = rename_method("flagged", "has_status")
 
     def summary(self) -> Summary:
         """Return the summary of the last estimate."""

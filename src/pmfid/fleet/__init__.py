@@ -31,7 +31,7 @@ _PUBLIC = {
 
 __all__ = sorted(_PUBLIC)
 if not TYPE_CHECKING:  # a type checker would accept every misspelt name
-    __getattr__ = make_getattr(__name__, _PUBLIC, {"Columns": "SourceColumns"})
+    __getattr__ = make_getattr(__name__, _PUBLIC)
 
 
 def __dir__() -> list[str]:

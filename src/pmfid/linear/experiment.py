@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid._stage import follow_states
-from pmfid.deprecation import rename_method
 from pmfid.errors import UsageError, check_choice
 from pmfid.linear.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain
@@ -246,8 +245,6 @@ class Experiment(Presentable):
         """Return the experiment without the means of input and output, and thus relative to the operating point. Drifts
         remain, because the removal of a drift from the output alone would change the process."""
         return replace(self, u=self.u - np.nanmean(self.u), y=self.y - np.nanmean(self.y))
-
-    detrended = rename_method("detrended", "detrend")
 
     def stretches(self, delay: int = 0) -> list[RecordStretch]:
         """Return the uninterrupted parts, with an input that is `delay` periods late. Parts without a measured output

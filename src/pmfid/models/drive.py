@@ -8,7 +8,6 @@ from functools import cached_property
 from numbers import Real
 from typing import ClassVar, Literal, Protocol, TypeVar, get_args
 
-from pmfid.deprecation import rename_method
 from pmfid.errors import UsageError, check_choice
 from pmfid.models.axes import AXES, LINEAR, ROTARY, AxisKind, rotary
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation, Term, check_late
@@ -91,12 +90,8 @@ class EquationModel:
     def replace_dead_time(self, seconds: Late) -> EquationModel:
         return EquationModel(self.equation.replace_dead_time(seconds))
 
-    at_dead_time = rename_method("at_dead_time", "replace_dead_time")
-
     def replace_lag(self, seconds: Late) -> EquationModel:
         return EquationModel(self.equation.replace_lag(seconds))
-
-    at_lag = rename_method("at_lag", "replace_lag")
 
 
 @dataclass(frozen=True)
@@ -249,12 +244,8 @@ class Drive:
     def replace_dead_time(self, seconds: Late) -> Drive:
         return replace(self, dead_time=seconds)
 
-    at_dead_time = rename_method("at_dead_time", "replace_dead_time")
-
     def replace_lag(self, seconds: Late) -> Drive:
         return replace(self, lag=seconds)
-
-    at_lag = rename_method("at_lag", "replace_lag")
 
 
 Machine = TypeVar("Machine", EquationModel, Drive)

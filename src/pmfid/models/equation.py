@@ -11,7 +11,6 @@ from functools import cached_property
 from numbers import Real
 from typing import Literal
 
-from pmfid.deprecation import rename_method
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.kernel.configuration import ShapeTable
 from pmfid.models.axes import LINEAR, Units, rotary, units_by
@@ -235,13 +234,9 @@ class Equation:
         unknown = tuple(term for term in self.unknown if (term.signal, term.derivative) != ("input", 1))
         return replace(self, unknown=unknown, dead_time=seconds)
 
-    at_dead_time = rename_method("at_dead_time", "replace_dead_time")
-
     def replace_lag(self, seconds: float | Literal["estimate"]) -> Equation:
         """Return a copy with another lag of the input [s]."""
         return replace(self, further=tuple(one for one in self.further if one[0] != LAG), lag=seconds)
-
-    at_lag = rename_method("at_lag", "replace_lag")
 
     @property
     def at_once(self) -> Equation:

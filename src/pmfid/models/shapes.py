@@ -16,7 +16,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.deprecation import rename_method
 from pmfid.elementary import exp
 from pmfid.errors import UsageError
 from pmfid.kernel.configuration import ShapeTable
@@ -64,8 +63,6 @@ class Shape(ABC):
         if table.of == "wave":
             return np.asarray(np.sin(2 * math.pi * x))
         return np.interp(x, np.arange(len(table.knots)), table.knots)
-
-    at = rename_method("at", "evaluate")
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,6 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid.deprecation import rename_method
 from pmfid.errors import UsageError
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, Equation, Term, check_late
 
@@ -128,14 +127,10 @@ class TransferFunction:
     def replace_dead_time(self, seconds: float | Literal["estimate"]) -> TransferFunction:
         return replace(self, dead_time=seconds)
 
-    at_dead_time = rename_method("at_dead_time", "replace_dead_time")
-
     def replace_lag(self, seconds: float | Literal["estimate"]) -> TransferFunction:
         if not seconds:
             return self
         raise UsageError("a lag of a linear process is one of its poles: leave lag out, and increase n by 1")
-
-    at_lag = rename_method("at_lag", "replace_lag")
 
     def split(self, theta: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the numerator (m+1,) and the denominator (n+1,) in descending powers of s, from theta (p,).
