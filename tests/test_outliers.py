@@ -13,9 +13,12 @@ import pytest
 from click.testing import CliRunner
 
 import pmfid
+from pmfid._stage import find_outliers
 from pmfid.cli.main import main
 from pmfid.records.outliers import repair_record
 from pmfid.records.record import Record
+from pmfid.simulation import CART, CART_DT, quantize, resolution_of, simulate_drive
+from studies.glitch_sizes import KINDS, wrong_sizes
 from studies.machines import AXES, MOTIONS, machine_record
 from studies.paper.truth import CartRecord
 from tests.conftest import long_unless
@@ -116,6 +119,84 @@ def test_no_healthy_record_is_touched(axis: str) -> None:
             for increments in (4096 * 64, 4096, 256, 16):
                 record = recorded(axis, motion, increments, wrong)
                 assert repair_record(logged(record.counts, record.u)).sentence == ""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("largest", [100, 10**6])
+def test_one_count_of_a_hundred_is_wrong_and_the_mass_stays(kind: str, largest: int) -> None:
+    """A limit from the changes of the whole record once grew with the wrong counts, up to a mass of three times the
+    true one.
+    """
+    record, axis, rng = recorded("gantry", "prbs", 1024), AXES["gantry"], np.random.default_rng(3)
+    counts = record.counts[:2000].copy()
+    places = np.sort(rng.choice(2000, 20, replace=False))
+    if kind == "clustered":
+        places = np.unique([place + rng.choice(20, 5, replace=False) for place in places[:4] % 1900])
+    counts[places] += wrong_sizes(kind, largest, places.size, rng)
+    estimator = pmfid.RLS(
+        pmfid.Drive(1.0), pmfid.Encoder(record.resolution, guard=False), axis.dt, 0.5 / axis.dt, forgetting=0.995
+    )
+    found = repair_record(logged(counts, record.u[:2000])).record.counts
+    masses = [estimator.start().run(record.u[:2000], one).theta[600:, 0] for one in (record.counts[:2000], found)]
+    assert np.max(np.abs(masses[1] - masses[0])) < 0.05 * axis.drive.mass
+
+
+def test_wrong_counts_are_named_alone() -> None:
+    record = recorded("cart", "stop-and-go", 4096)
+    counts = record.counts.copy()
+    places = np.arange(40, 2990, 59)
+    counts[places] += np.resize([30, -300, 10**5, -(10**8)], places.size)
+    found, wrong, moved = find_outliers(counts, np.arange(3000), 1.0)
+    assert np.flatnonzero(wrong).tolist() == places.tolist()
+    assert not moved.any()
+    assert np.abs(found - record.counts).max() <= np.abs(np.diff(record.counts, 2)).max()
+
+
+def test_one_shift_of_the_zero_among_wrong_counts_is_found_from_both_sides() -> None:
+    record = recorded("cart", "prbs", 4096)
+    counts = record.counts + 777 * (np.arange(3000) >= 1500)
+    counts[[1497, 1503]] += (10**5, -400)
+    _, wrong, moved = find_outliers(counts, np.arange(3000), 1.0)
+    assert np.flatnonzero(wrong).tolist() == [1497, 1500, 1503]
+    assert moved[1500] == pytest.approx(777, abs=int(np.abs(np.diff(record.counts, 2)).max()))
+
+
+def test_the_highest_speed_is_a_hard_limit() -> None:
+    """Of thirty wrong readings in a row, no two agree, and no other rule than the limit finds them."""
+    record, rng = recorded("gantry", "stop-and-go", 4096), np.random.default_rng(0)
+    top = 1.2 * record.resolution * np.abs(np.diff(record.counts)).max() / 0.01
+    counts = record.counts.copy()
+    counts[1200:1230] += rng.integers(-(10**6), 10**6, 30)
+    known = repair_record(logged(counts, record.u, record.resolution), top)
+    assert np.abs(known.record.counts - record.counts).max() <= 1
+    assert "rows 1201, 1202, 1203, 1204 and 26 more" in known.sentence
+    assert "max_speed" in known.findings[0].remedy
+    assert repair_record(logged(record.counts, record.u, record.resolution), top).sentence == ""
+
+
+def test_a_noisy_sensor_has_no_wrong_counts() -> None:
+    """An analogue position has noise of many counts."""
+    rng = np.random.default_rng(0)
+    counts = np.round(5e5 * np.sin(np.arange(20_000) / 300) + 1000 * rng.normal(size=20_000)).astype(np.int64)
+    assert repair_record(logged(counts, np.ones(20_000))).sentence == ""
+
+
+@pytest.mark.parametrize("hold", [2, 3, 5, 20, 200])
+def test_no_square_wave_is_suspected(hold: int) -> None:
+    u = 3.0 * np.where(np.arange(1500) // hold % 2, -1.0, 1.0)
+    for increments in (16384, 1024, 64):
+        counts = quantize(simulate_drive(CART, u, CART_DT).x, resolution_of(increments))
+        assert repair_record(logged(counts, u)).sentence == ""
+
+
+def test_short_steps_of_an_uneven_clock_are_no_jumps() -> None:
+    """Within a short step, one count looks like a high speed."""
+    rng = np.random.default_rng(4)
+    times = np.cumsum(rng.choice([0.05, 1.0, 1.6], 2000))
+    counts = np.floor(300 * np.sin(times / 60)).astype(np.int64)
+    assert not find_outliers(counts, times, 1.0)[1].any()
+    counts[700] += 60
+    assert np.flatnonzero(find_outliers(counts, times, 1.0)[1]).tolist() == [700]
 
 
 def test_a_collision_is_a_motion() -> None:

@@ -24,6 +24,9 @@ def first_order(
     signal: ArrayLike, a: float, b0: float, b1: float = 0.0, memory: float = 0.0
 ) -> tuple[NDArray[np.float64], float]: ...
 def products(signals: ArrayLike) -> NDArray[np.float64]: ...
+def find_outliers(
+    counts: NDArray[np.int64], times: ArrayLike, step: float, speed: float = 0.0
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]: ...
 def follow_states(
     phis: NDArray[np.float64],
     nows: NDArray[np.float64],

@@ -1,5 +1,6 @@
 # cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
-"""Recursions outside the C kernel: a first-order stage, the inputs of a monitored axis, and its scores and detectors.
+"""Recursions outside the C kernel: a first-order stage, the inputs of a monitored axis, its scores and detectors, and
+the wrong counts of a record.
 """
 
 from cpython.long cimport PyLong_AsUnsignedLongLongMask
@@ -13,6 +14,40 @@ cnp.import_array()
 
 include "_detect.pxi"
 include "_watch.pxi"
+
+cdef extern from "many/pmf_outliers.h":
+    ctypedef struct pmf_outliers_t:
+        uint64_t samples
+        double step
+        double speed
+        const double *time
+        double *count
+        double *moved
+        unsigned char *wrong
+    void pmf_find_outliers(const pmf_outliers_t *record) nogil
+
+
+def find_outliers(counts, times, double step, double speed=0.0):
+    """Find the counts (n,) that no motion explains, at increasing times (n,) [sample periods].
+
+    `step` is the size of the rounding error [counts], at least 1. `speed` is the highest possible speed [counts per
+    sample period], or 0 if it is unknown. Returns the counts without wrong readings and without
+    shifts of the counter's zero (n,), the wrong readings (n,) bool, and the shift at each sample (n,) [counts].
+    """
+    found, moved = np.array(counts, dtype=np.float64), np.empty(len(counts))
+    wrong = np.empty(len(counts), np.uint8)
+    cdef double[::1] count = found, shift = moved
+    cdef unsigned char[::1] flag = wrong
+    cdef const double[::1] time = np.ascontiguousarray(times, dtype=np.float64)
+    cdef pmf_outliers_t record
+    if time.shape[0] != count.shape[0]:
+        raise ValueError(f"counts and times must have the same length, got {count.shape[0]} and {time.shape[0]}")
+    if count.shape[0] > 0:
+        record.samples, record.step, record.speed, record.time = count.shape[0], step, speed, &time[0]
+        record.count, record.moved, record.wrong = &count[0], &shift[0], &flag[0]
+        with nogil:
+            pmf_find_outliers(&record)
+    return found.astype(np.int64), wrong.astype(bool), moved.astype(np.int64)
 
 
 def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid._stage import find_outliers
 from pmfid.config.axis import Axis
 from pmfid.estimators.plants import plant_of
 from pmfid.findings import Finding, codes, texts
@@ -16,6 +17,9 @@ from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Floats
 
 __all__ = ["Wrap", "wrap_of"]
+
+#: Median of the size of a normal variable, in standard deviations.
+NORMAL_MEDIAN = 0.6745
 
 
 @dataclass(frozen=True)
@@ -113,36 +117,21 @@ class RepairedRecord:
         return codes(self.findings)
 
 
-@dataclass(frozen=True)
-class _WrongRun:
-    """A run of wrong changes of the counts, from `first` to `last` - 1. `moved` is the shift of the zero [counts]."""
-
-    first: int
-    last: int
-    moved: int
-
-    def rows(self, samples: int) -> NDArray[np.intp]:
-        """Return the rows with wrong readings in a record of `samples` samples.
-
-        The wrong rows lie between two changes, or between a change and an end of the record.
-        """
-        return np.arange(0 if self.first == 0 else self.first + 1, samples if self.last == samples - 1 else self.last)
-
-
-def repair_record(record: Record) -> RepairedRecord:
+def repair_record(record: Record, max_speed: float | None = None) -> RepairedRecord:
     """Return the record without wrong counts, spikes of the input and shifts of a counter's zero.
 
-    Wrong counts and spikes are interpolated, and shifts are reversed. A record with a counter that wraps, or with too
-    many errors, remains unchanged.
+    Wrong counts and spikes are interpolated, and shifts are reversed. `csrc/many/pmf_outliers.c` describes the rule. A
+    counter that wraps remains unchanged. Readings beyond `max_speed` [unit of y per s] are always wrong.
     """
-    runs, counts = _find_runs(record.counts, _paces_of(record))
-    moves = [run for run in runs if run.moved]
-    if moves and wrap_of(record.counts) is not None:  # a run without a shift returns at once and is no wrap
-        runs, moves, counts = [], [], record.counts
-    rows = sorted({int(row) for run in runs if run.moved == 0 for row in run.rows(counts.size)})
+    speed, rounding = _limit_of(record, max_speed), _rounding_of(record.counts)
+    counts, wrong, moved = find_outliers(record.counts, _times_of(record), rounding, speed)
+    shifts = np.flatnonzero(moved)
+    if shifts.size and wrap_of(record.counts) is not None:
+        counts, wrong, shifts = record.counts, np.zeros_like(wrong), shifts[:0]
+    rows = np.flatnonzero(wrong & (moved == 0)).tolist()
     spikes = _spikes(record.u, counts)
-    shifts = (_describe_shift(run) for run in moves[: TUNING.outliers_named])
-    findings = (*_wrong(rows), *shifts, *_spiky(spikes))
+    named = (_describe_shift(row, int(moved[row])) for row in shifts[: TUNING.outliers_named].tolist())
+    findings = (*_wrong(rows, speed > 0), *named, *_spiky(spikes))
     if not findings:
         return RepairedRecord(record)
     return RepairedRecord(replace(record, u=_bridge_input(record.u, spikes), counts=counts), findings)
@@ -151,116 +140,37 @@ def repair_record(record: Record) -> RepairedRecord:
 def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:
     """Return the repaired record if the configuration has the guard on and the plant can be at rest."""
     rests = plant_of(axis.model.make().equation).rests
-    return repair_record(record) if axis.encoder.guard and rests else RepairedRecord(record)
+    if not (axis.encoder.guard and rests):
+        return RepairedRecord(record)
+    return repair_record(record, axis.encoder.make_encoder(record.resolution).max_speed)
 
 
-def _paces_of(record: Record) -> Floats:
-    """Return the time step (n - 1,) before each sample except the first, relative to the sample period."""
-    return np.ones(record.counts.size - 1) if record.steps is None else record.steps.before[1:] / record.dt
+def _times_of(record: Record) -> Floats:
+    """Return the times (n,) [sample periods]."""
+    if record.steps is None:
+        return np.arange(record.counts.size, dtype=np.float64)
+    return np.cumsum(record.steps.before) / record.dt
 
 
-def _find_runs(counts: Counts, paces: Floats) -> tuple[list[_WrongRun], Counts]:
-    """Return runs of changes that are no motion, and the counts (n,) without them.
+def _limit_of(record: Record, max_speed: float | None) -> float:
+    """Return the highest possible speed [counts per sample period], or 0 if it is unknown.
 
-    The function returns no runs if wrong changes remain after all passes. The function also returns no runs if the
-    counts within a very short step say nothing about the speed.
+    A limit that most motion exceeds is a mistake, which the estimator names.
     """
-    found, left = list[_WrongRun](), counts
-    if np.min(paces, initial=1.0) < TUNING.outliers_pace:
-        return [], counts
-    for _ in range(TUNING.outliers_passes):
-        runs = _runs(left, paces)
-        if not runs:
-            return found, left
-        found, left = found + runs, _repair_counts(left, runs)
-    return [], counts
+    speed = (max_speed or 0.0) * record.dt / record.resolution
+    changes = np.abs(np.diff(record.counts))
+    moving = changes[changes > 0]
+    return speed if moving.size and np.median(moving) <= speed + 1 else 0.0
 
 
-def _runs(counts: Counts, paces: Floats) -> list[_WrongRun]:
-    """Return runs of successive changes of the counts (n,) that are no motion."""
-    change = np.diff(counts) / paces
-    usual, limit = _predict_changes(change)
-    wild = np.flatnonzero((np.abs(change - usual) > limit) & ~_goes_on(change, limit))
-    if not 0 < wild.size <= max(2, TUNING.most_changes * change.size):
-        return []
-    near = np.split(wild, np.flatnonzero(np.diff(wild) > TUNING.outliers_around // 2) + 1)
-    return [run for part in near for run in _split_runs(counts, paces, part, limit)]
+def _rounding_of(counts: Counts) -> float:
+    """Return the size of the counts' rounding error [counts], at least 1.
 
-
-def _goes_on(change: Floats, limit: Floats) -> NDArray[np.bool_]:
-    """Mark the changes (n,) near either end of the record that lie on the line through the next two changes.
-
-    At an end, the mirrored window does not show how a motion starts.
+    An analogue sensor is noisier than its step. Fourth differences contain its noise, and hardly any motion. Their
+    median ignores wrong counts. A uniform error of size s has the standard deviation s / sqrt(12).
     """
-    half, found = min(TUNING.outliers_around // 2, change.size - 2), np.zeros(change.size, dtype=bool)
-    for own, near, next_one in ((slice(0, half), 1, 2), (slice(change.size - half, None), -1, -2)):
-        line = 2 * np.roll(change, -near) - np.roll(change, -next_one)
-        found[own] = np.abs(change - line)[own] <= limit[own]
-    return found
-
-
-def _split_runs(counts: Counts, paces: Floats, wild: NDArray[np.intp], limit: Floats) -> list[_WrongRun]:
-    """Return the runs of neighbouring changes `wild` (k,), or a single run if the counts return after all of these
-    changes.
-    """
-    whole = _run(counts, paces, int(wild[0]), int(wild[-1]) + 1, limit)
-    if whole.moved == 0:
-        return [whole]
-    parts = np.split(wild, np.flatnonzero(np.diff(wild) > 1) + 1)
-    return [_run(counts, paces, int(part[0]), int(part[-1]) + 1, limit) for part in parts]
-
-
-def _run(counts: Counts, paces: Floats, first: int, last: int, limit: Floats) -> _WrongRun:
-    if first == 0 or last == counts.size - 1:  # at an end of the record nothing shows a shift of the zero
-        return _WrongRun(first, last, 0)
-    speeds, time = (np.diff(counts) / paces)[[first - 1, last]], float(np.sum(paces[first:last]))
-    moved = int(counts[last]) - int(counts[first]) - round(time * float(np.mean(speeds)))
-    if abs(moved) <= time * float(np.max(limit[first:last])):
-        moved = 0
-    return _WrongRun(first, last, moved)
-
-
-def _predict_changes(change: Floats) -> tuple[Floats, Floats]:
-    """Return the predicted changes of the counts (n,), and the allowed deviations (n,)."""
-    windows = _stack_neighbours(change)
-    middle = np.concatenate(
-        [
-            np.median(windows[k : k + TUNING.outliers_chunk], axis=1)
-            for k in range(0, len(windows), TUNING.outliers_chunk)
-        ]
-    )
-    steps = np.max(_stack_neighbours(np.abs(np.diff(middle, append=middle[-1:]))), axis=1)
-    moving = middle != 0
-    usual = float(np.quantile(np.abs(change - middle)[moving], TUNING.outliers_usual)) if np.any(moving) else 0.0
-    return middle, TUNING.outliers_counts + TUNING.outliers_times * (usual + steps)
-
-
-def _stack_neighbours(values: Floats) -> Floats:
-    """Return windows (n, outliers_around), one around each of the values (n,). At the ends, the windows mirror the
-    values.
-    """
-    half = min(TUNING.outliers_around // 2, values.size - 1)
-    return np.lib.stride_tricks.sliding_window_view(np.pad(values, half, mode="reflect"), 2 * half + 1)
-
-
-def _repair_counts(counts: Counts, runs: list[_WrongRun]) -> Counts:
-    """Return the counts (n,) without shifts of the zero, and with interpolated wrong readings.
-
-    At the ends of the record, the counts are extrapolated from the nearest two.
-    """
-    counts = counts.copy()
-    for run in runs:
-        counts[run.last :] -= run.moved
-        wrong = run.rows(counts.size)
-        if run.first == 0:
-            left, right = run.last, run.last + 1
-        elif run.last == counts.size - 1:
-            left, right = run.first - 1, run.first
-        else:
-            left, right = run.first, run.last
-        slope = (int(counts[right]) - int(counts[left])) / (right - left)
-        counts[wrong] = counts[left] + np.round(slope * (wrong - left)).astype(np.int64)
-    return counts
+    noise = np.median(np.abs(np.diff(counts, 4))) / (NORMAL_MEDIAN * math.sqrt(70)) if counts.size > 4 else 0.0
+    return max(1.0, math.sqrt(12) * float(noise))
 
 
 def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
@@ -290,21 +200,21 @@ def _format_rows(rows: list[int]) -> str:
     return f"row{'s' * (len(rows) > 1)} {shown}{more}"
 
 
-def _wrong(rows: list[int]) -> tuple[Finding, ...]:
+def _wrong(rows: list[int], limited: bool) -> tuple[Finding, ...]:
     if not rows:
         return ()
+    check = "check the wiring and [encoder] max_speed" if limited else "check the wiring"
     sentence = f"the counts of {_format_rows(rows)} fit no motion, and were left out"
-    return (Finding("count_jump", sentence, f"check the wiring; {UNGUARDED}", detail="The other counts continue."),)
+    return (Finding("count_jump", sentence, f"{check}; {UNGUARDED}", detail="The other counts continue."),)
 
 
 #: Remedy if the finding is a mistake.
 UNGUARDED = "give [encoder] guard = false if the axis really moved so"
 
 
-def _describe_shift(run: _WrongRun) -> Finding:
+def _describe_shift(row: int, moved: int) -> Finding:
     sentence = (
-        f"the counts jump by {run.moved} at row {run.last + 1} and stay there, so the shift of the counter's zero was "
-        "undone"
+        f"the counts jump by {moved} at row {row + 1} and stay there, so the shift of the counter's zero was undone"
     )
     return Finding("count_jump", sentence, UNGUARDED)
 

@@ -139,29 +139,14 @@ class RecordTuning:
     #: range any motion may resemble a jump.
     most_bits: int = 32
     outliers_least: int = 8
-    #: Number of count changes in the median window that predicts a change. The median follows a step of the velocity,
-    #: and five successive wrong changes do not move it. A window of equal length also reveals steps of the velocity.
-    outliers_around: int = 11
-    #: Allowed deviation of a change from the median [counts]. The next constant is the allowed deviation, as a multiple
-    #: of the usual deviation and the velocity step.
-    outliers_counts: float = 10.0
-    outliers_times: float = 4.0
-    #: Quantile of the deviations that counts as usual.
-    outliers_usual: float = 0.95
-    #: Shortest step of a clock, in periods, for which changes of the counts are judged as speeds.
-    outliers_pace: float = 0.25
-    #: Largest number of passes. Several passes are necessary, because neighbouring wrong changes hide each other.
-    outliers_passes: int = 4
-    #: Largest part of wrong changes. With more wrong changes, the errors are not single samples.
-    most_changes: float = 0.04
     #: Smallest ratio of a spike to the quantile 1 - most_inputs of the input. The input is no spike if the velocity
     #: responds by more than a multiple of its usual change over answer_samples samples.
     outliers_spike: float = 50.0
     outliers_answer: float = 3.0
+    #: Quantile of the changes of velocity that counts as usual.
+    outliers_usual: float = 0.95
     answer_samples: int = 10
     most_inputs: float = 0.01
-    #: Number of windows that are sorted together. The windows of a long record need eleven times its memory.
-    outliers_chunk: int = 65_536
     #: Number of rows that a sentence names.
     outliers_named: int = 4
 
