@@ -249,7 +249,6 @@ study: .venv/tools .venv/spark
 	.venv/bin/pmfid explain --page > docs/reference/axis_toml.md
 	.venv/bin/pmfid explain --plant --page > docs/reference/plant_toml.md
 	.venv/bin/python -m studies.accuracy --out results/accuracy.md
-	.venv/bin/python -m studies.dead_time --out results/dead_time.md
 	.venv/bin/python -m studies.no_settings --out results/no_settings.md
 	.venv/bin/python -m studies.referee --out results/referee.md
 	.venv/bin/python -m studies.verdict --out results/verdict.md

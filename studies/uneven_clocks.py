@@ -103,7 +103,7 @@ def estimate(
         fit = estimator.fit(*record)  # type: ignore[attr-defined]
         theta, std = fit.theta, fit.theta_std
     if judged:
-        std = np.hypot(std, verdict(estimator, *record, theta, std, None, TOLERANCE).spread)
+        std = np.hypot(std, verdict(estimator, *record, theta, std, TOLERANCE).spread)
     error = theta[:3] - plant.truth[:3]
     return np.array([error / plant.truth[:3], error / np.asarray(std)[:3]])
 

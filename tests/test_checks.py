@@ -60,7 +60,7 @@ def found_in(fault: str) -> tuple[Finding, ...]:
 def plainly(record: Record, axis: Axis) -> Result | NotIdentifiableError:
     """Return the least-squares result or its error; the judge's only finding is an incomplete model."""
     doubt = Finding("unmodelled", "the model lacks something")
-    ways = {"judge": mock.Mock(return_value=(doubt,)), "examine_estimate": mock.Mock(return_value=None)}
+    ways = {"fit_again": mock.Mock(return_value=None), "_check_sizes": mock.Mock(return_value=[doubt])}
     options = axis.estimator.model_copy(update={"method": "ls", "cutoff": axis.estimator.cutoff or 1 / (5 * record.dt)})
     try:
         with mock.patch.multiple("pmfid.diagnostics.verdict", **ways):
@@ -263,9 +263,8 @@ REMEDIES: dict[str, Callable[[Logged, str], Mended]] = {
 def mass_of(record: Record, axis: Axis) -> float:
     """Return the mass by instrumental variables, or infinity if they do not converge."""
     options = axis.estimator.model_copy(update={"method": "iv"})
-    ways = {"judge": mock.Mock(return_value=()), "examine_estimate": mock.Mock(return_value=None)}
     try:
-        with mock.patch.multiple("pmfid.diagnostics.verdict", **ways):
+        with mock.patch("pmfid.diagnostics.verdict.fit_again", return_value=None):
             return float(identify(record, axis.model_copy(update={"estimator": options})).theta[0])
     except PmfidError:
         return np.inf

@@ -100,7 +100,13 @@ def test_a_constant_input_is_no_load(machine: str) -> None:
     assert not named(constant, axis_of()).startswith(LOAD)
 
 
-@pytest.mark.parametrize("fault", ["reversed", "velocity", "exchanged"])
+def test_the_mistake_stands_first_in_a_result() -> None:
+    first = identify(logged("light", "velocity"), axis_of()).findings[0]
+    assert first.severity == "wrong"
+    assert first.sentence.startswith(MISTAKES["velocity"])
+
+
+@pytest.mark.parametrize("fault", ["reversed", "exchanged"])
 def test_the_mistake_stands_first_where_an_identification_is_refused(fault: str) -> None:
     with pytest.raises(NotIdentifiableError) as caught:
         identify(logged("light", fault), axis_of())

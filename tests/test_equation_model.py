@@ -40,7 +40,7 @@ def test_the_same_terms_give_the_numbers_of_the_drive(method):
     run = cart_run(2, increments=1024, samples=1500)
     cls = ESTIMATORS[method]
     own, drive = (estimates(cls, model, run) for model in (EquationModel(OWN), pmfid.Drive(CART.input_gain)))
-    assert np.array_equal(own, drive)
+    np.testing.assert_allclose(own, drive, rtol=1e-6 if method == "fit" else 0)
 
 
 @pytest.mark.parametrize("method", ["ls", "bcls", "rls", "bcrls", "known-step", "rknown-step"])

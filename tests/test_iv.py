@@ -8,7 +8,7 @@ import scipy.io
 
 import pmfid
 from pmfid import Status
-from pmfid.diagnostics.drives import judge
+from pmfid.diagnostics.verdict import verdict
 from pmfid.encoder import quantize
 from pmfid.findings import codes
 from pmfid.simulation.scenarios import make_scenario
@@ -78,17 +78,17 @@ def test_error_bars_of_iv(drive):
     np.testing.assert_allclose(claimed, observed, rtol=0.34)
 
 
-def test_judge_knows_feedback_and_the_bias_of_the_others(drive):
+def test_the_verdict_knows_the_bias_of_other_methods(drive):
     scenario = make_scenario("stop-and-go", seed=1, increments=256)
     encoder, u, counts = pmfid.Encoder(scenario.resolution), scenario.motion.u, scenario.counts
-    for cls, flag in ((pmfid.IV, "feedback"), (pmfid.BCLS, "biased"), (pmfid.LS, "biased")):
+    for cls in (pmfid.BCLS, pmfid.LS):
         estimator = cls(drive, encoder, DT, 100 / 3)
         fit = estimator.fit(u, counts)
-        assert flag in codes(judge(estimator, u, counts, fit.theta, fit.theta_std))
-    run = cart_run(3, increments=256)
+        assert "biased" in codes(verdict(estimator, u, counts, fit.theta, fit.theta_std, 0.01).findings)
+    run = cart_run(3, increments=1024)
     estimator = pmfid.IV(drive, run.encoder, DT, 100 / 3)
     fit = estimator.fit(run.u, run.counts)
-    assert codes(judge(estimator, run.u, run.counts, fit.theta, fit.theta_std)) == ()
+    assert codes(verdict(estimator, run.u, run.counts, fit.theta, fit.theta_std, 0.01).findings) == ()
 
 
 @needs_emps
@@ -161,7 +161,7 @@ def test_judge_knows_what_the_encoder_explains(drive):
     late = np.r_[np.zeros(2), np.repeat(run.u, 10)[:-2]]
     counts = quantize(simulate_drive(CART, late, DT / 10).x[::10], resolution_of(1024))
     fit = estimator.fit(run.u, counts)
-    assert "unmodelled" in codes(judge(estimator, run.u, counts, fit.theta, fit.theta_std))
+    assert "dead_time" in codes(verdict(estimator, run.u, counts, fit.theta, fit.theta_std, 0.01).findings)
 
 
 def test_no_coulomb_friction(drive):

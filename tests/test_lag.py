@@ -13,13 +13,9 @@ from scipy.signal import lfilter
 
 import pmfid
 from pmfid import IV, OE, RIV, Drive, Encoder, IntervalML, UsageError
-from pmfid.diagnostics.drives import late
-from pmfid.estimators.adequacy import examine
 from pmfid.estimators.motion import mean_velocity
 from pmfid.export.firmware import export_firmware
 from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
-from studies.dead_time import late_record
-from studies.machines import AXES as AXES_OF_STUDIES
 from tests.conftest import long_unless
 from tests.test_dead_time import AXES, CART, truth
 
@@ -97,16 +93,6 @@ def test_next_to_a_dead_time() -> None:
     np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.003)
 
 
-@pytest.mark.long
-def test_the_body_is_not_taken_for_its_lag() -> None:
-    """In the linear part of the motion the two poles are interchangeable; here the drive has the faster pole."""
-    axis = AXES_OF_STUDIES["cart"]
-    run = late_record(axis, 1.7, "stop-and-go", 1024, 1, "lag")
-    fit = IV(Drive(2.0, lag="estimate"), Encoder(run.resolution), axis.dt, 20.0).fit(run.u, run.counts)
-    assert fit.theta[-1] / axis.dt == pytest.approx(1.7, abs=0.03)
-    assert fit.theta[0] == pytest.approx(1.07, rel=0.01)
-
-
 def test_where_there_is_none_none_is_found() -> None:
     run = run_lagged("cart", 0.0)
     fit = made(IV, "cart", lag="estimate").fit(run.u, run.counts)
@@ -140,31 +126,6 @@ def test_saved_states_go_on_with_the_same_bits() -> None:
     np.testing.assert_array_equal(
         one.run(run.u[rest], run.counts[rest]).theta, other.run(run.u[rest], run.counts[rest]).theta
     )
-
-
-@pytest.mark.parametrize(("kind", "said"), [("lag", "a first-order lag"), ("dead_time", "a dead time")])
-@pytest.mark.parametrize("axis", ["wheel", "stage"])
-@pytest.mark.long
-def test_which_of_the_two_it_is_is_said_and_the_remedy_helps(axis: str, kind: str, said: str) -> None:
-    run = run_lagged(axis, *((0.8, 0.0) if kind == "lag" else (0.0, 0.8)), switches=100)
-    found = examine(made(IV, axis), run.u, run.counts)
-    (finding,) = late(found)
-    assert finding.code == "dead_time"
-    assert finding.text.startswith(f"{said} of about 0.8 samples explains the counts better: ")
-    assert "samples explains them less" in finding.detail
-    assert f'set {kind} = "estimate" in [model]' in finding.text
-    assert examine(made(IV, axis, **{kind: "estimate"}), run.u, run.counts).adequate
-
-
-def test_the_wrong_one_in_the_model_is_said() -> None:
-    run = run_lagged("cart", 0.8)
-    (finding,) = late(examine(made(IV, "cart", dead_time="estimate"), run.u, run.counts))
-    assert 'set lag = "estimate" and dead_time = 0 in [model]' in finding.text
-
-
-def test_what_acts_at_once_is_not_said_to_act_late() -> None:
-    run = run_lagged("cart", 0.0)
-    assert examine(made(IV, "cart"), run.u, run.counts).adequate
 
 
 def test_from_arrays_to_json() -> None:

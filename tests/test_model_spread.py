@@ -6,7 +6,6 @@ No constant was chosen on these machines, motions and encoders.
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -15,12 +14,8 @@ import pytest
 import pmfid
 from pmfid.cli.tables import _parameters as terminal_table
 from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
-from pmfid.diagnostics.verdict import believed_squares
-from pmfid.estimators.adequacy import Adequacy, examine
-from pmfid.estimators.output_error import IntervalML
-from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.pipeline.result import UNKNOWN, DriveResult, format_interval, parameter_header, parameter_rows
-from pmfid.simulation import CART, CART_DT, DriveParameters, Machine, drive_machine, prbs
+from pmfid.simulation import DriveParameters, Machine
 from pmfid.types import Floats
 from studies.friction_axes import BENCHES, FRICTIONS
 from studies.machines import Axis, _control, record_of, truth
@@ -98,99 +93,6 @@ def test_squares_that_a_parked_axis_misleads_have_it_in_the_interval() -> None:
     off = np.abs(result.theta - truth(gantry))
     assert np.max(off / result.theta_std) > 10
     assert np.all(off <= DIAGNOSTIC_TUNING.normal_95 * np.hypot(*bars(result)))
-
-
-@pytest.mark.parametrize(
-    "settings", [{"method": "riv", "forgetting": 0.999}, {"method": "bcrls"}], ids=["riv", "bcrls"]
-)
-def test_a_recursive_run_has_it_at_its_end(settings: dict[str, object]) -> None:
-    right, wrong = (
-        bars(identified(LIFT, record_of(LIFT, FRICTIONS[name](LIFT), "prbs", 1024, 11), **settings))[1]
-        for name in ("nothing", "quadratic 20 %")
-    )
-    assert np.all(np.isfinite(right))
-    unseen = ESTIMATOR_TUNING.dead_zone * LIFT.drive.viscous_friction
-    assert wrong[1] > 0.05 * LIFT.drive.viscous_friction > 5 * np.sqrt(max(right[1] ** 2 - unseen**2, 0.0))
-
-
-# --- forces that the record supports ----------------------------------------------------------------------------------
-
-
-def cart_at(stribeck: float) -> Adequacy:
-    """Return the adequacy for the cart under a random input; its velocity passes the Stribeck speed within a sample."""
-    rng, resolution = np.random.default_rng(5), 91e-6
-    u = prbs(3000, clock=10, amplitude=3.0, rng=rng)
-    machine = Machine(CART, stribeck=stribeck * CART.coulomb_friction, stribeck_speed=0.02)
-    run = drive_machine(machine, u, CART_DT, resolution, phase=resolution * rng.random())
-    return examine(IntervalML(pmfid.Drive(2.0), pmfid.Encoder(resolution), CART_DT, 100 / 3), run.u, run.counts)
-
-
-@pytest.fixture(scope="module")
-def right() -> Adequacy:
-    return cart_at(0.0)
-
-
-def test_friction_that_comes_and_goes_within_a_sample_is_found() -> None:
-    """At the mean velocity of a sample this friction looked like another force, which the counts did not show. The mass
-    was 0.12 % off with an error bar of 0.014 %, and the model was called adequate."""
-    found = cart_at(0.5)
-    missed = [found.forces[k].name for k in found.missed]
-    assert "stribeck" in missed
-    size = max(size for candidate, size in zip(found.forces, found.size, strict=True) if candidate.name == "stribeck")
-    assert 0.3 < size / CART.coulomb_friction < 1.5
-
-
-def test_no_more_is_claimed_of_that_friction_than_the_counts_show(right: Adequacy) -> None:
-    """The deviation was once a tenth of a per mille of Coulomb friction."""
-    std = [size for candidate, size in zip(right.forces, right.size_std, strict=True) if candidate.name == "stribeck"]
-    assert min(std) > 1e-3 * CART.coulomb_friction
-    assert right.adequate
-
-
-def with_sizes(found: Adequacy, size: float, std: float) -> Adequacy:
-    """Return the adequacy with each plausible force of `size` +- `std` of the plausible size, and no other forces."""
-    plausible = np.array([candidate.plausible for candidate in found.forces])
-    other = np.where(plausible > 0, plausible, 1.0)
-    there = np.where(plausible > 0, size, 0.0)
-    bars = std * other
-    return replace(found, size=there * other, size_std=bars, z=there / std, expected=1 / bars**2)
-
-
-@pytest.mark.parametrize(
-    ("size", "std", "expected"),
-    [
-        (0.0, 1e-4, pytest.approx(0.0, abs=1e-2)),  # ruled out
-        (
-            0.0,
-            1e3,
-            pytest.approx(np.sqrt(DIAGNOSTIC_TUNING.verdict_odds / (1 + DIAGNOSTIC_TUNING.verdict_odds)), rel=1e-2),
-        ),  # this size cannot be shown
-        (0.6, 1e-2, pytest.approx(0.6, rel=1e-2)),  # a finding asks for it
-    ],
-    ids=["ruled out", "hidden", "asked for"],
-)
-def test_a_force_counts_by_what_the_record_says_of_it(
-    right: Adequacy, size: float, std: float, expected: object
-) -> None:
-    plausible = np.array([candidate.plausible for candidate in right.forces])
-    believed = np.sqrt(believed_squares(with_sizes(right, size, std)))
-    assert np.all(believed[plausible == 0] == 0)
-    assert [value == expected for value in (believed / np.where(plausible > 0, plausible, 1.0))[plausible > 0]] == [
-        True
-    ] * int(np.sum(plausible > 0))
-
-
-def test_of_a_wrong_model_the_clearest_force_counts_most(right: Adequacy) -> None:
-    stribeck, spring = (
-        next(k for k, candidate in enumerate(right.forces) if candidate.name == name) for name in ("stribeck", "spring")
-    )
-    z = np.zeros(len(right.forces))
-    z[stribeck], z[spring] = 10.0, 20.0
-    found = replace(right, z=z, size=z * right.size_std)
-    believed = believed_squares(found)
-    assert believed[spring] == pytest.approx(found.size[spring] ** 2)
-    alone = believed_squares(replace(found, z=np.where(z == 20.0, 0.0, z)))
-    assert believed[stribeck] == pytest.approx(alone[stribeck] / 4)
 
 
 # --- output of the interval ------------------------------------------------------------------------------------------

@@ -9,14 +9,12 @@ import pytest
 
 import pmfid
 from pmfid.config.axis import Axis
-from pmfid.diagnostics.drives import judge
 from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.batch import check_identifiable
 from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.motion import least
 from pmfid.estimators.results import Columns
-from pmfid.findings import codes
 from pmfid.pipeline.drives import Drives
 from pmfid.pipeline.identify import identify
 from pmfid.records.record import Record
@@ -83,14 +81,6 @@ def test_sensitivities_that_are_not_finite_are_refused() -> None:
 
     with pytest.raises(NotIdentifiableError, match="exceeds the range of numbers"):
         least(Runaway(), np.ones(2))  # type: ignore[arg-type]
-
-
-def test_no_sample_between_jumps_is_nothing_to_judge_by() -> None:
-    run = make_scenario("prbs", seed=1, duration=10.0)
-    counts = quantize(run.motion.x, 1e-4)
-    estimator = pmfid.LS(pmfid.Drive(2.0), pmfid.Encoder(1e-4, max_speed=1e-6), 0.01, 50.0)
-    flags = codes(judge(estimator, run.motion.u, counts, np.array([1.0, 10.0, 1.0]), np.full(3, 0.1)))
-    assert "unmodelled" not in flags
 
 
 def test_prefilter_zeros_are_no_parameters_of_a_method_that_simulates() -> None:

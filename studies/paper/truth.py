@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.diagnostics.drives import judge
+from pmfid.diagnostics.verdict import verdict
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
@@ -64,7 +64,7 @@ class Outcome:
     """One estimate.
 
     theta and std are (3,), nan without an estimate; then `failure` gives the reason. The status bits are those of the
-    whole record or of the last sample. `relative_error` belongs to an off-line fit, and the flags come from `judge`, or
+    whole record or of the last sample. `relative_error` belongs to an off-line fit. The flags come from `verdict`, or
     are ().
     """
 
@@ -133,9 +133,9 @@ def estimate(
 
 def _flags(estimator: Estimator, record: CartRecord, outcome: Outcome) -> tuple[str, ...]:
     try:
-        return codes(judge(estimator, record.u, record.counts, outcome.theta, outcome.std))
+        return codes(verdict(estimator, record.u, record.counts, outcome.theta, outcome.std, 0.01).judged)
     except (NotIdentifiableError, np.linalg.LinAlgError) as error:
-        return (f"judge: {type(error).__name__}",)
+        return (f"verdict: {type(error).__name__}",)
 
 
 def _without(failure: str, status: int = 0) -> Outcome:

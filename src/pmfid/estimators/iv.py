@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.adequacy import weigh
 from pmfid.estimators.auxiliary import make_auxiliary_kernel
 from pmfid.estimators.base import Simulating
 from pmfid.estimators.configuration import like
 from pmfid.estimators.instruments import Instruments, initial_vector
-from pmfid.estimators.output_error import IntervalML
+from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.tuning import TUNING
+from pmfid.fit.likelihood import Intervals
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation
 from pmfid.types import Floats
 
@@ -56,7 +56,7 @@ class IV(Instruments):
     adapts the filter to the estimate.
 
     The instrument of a dead time is the change of the input, which under control follows the encoder's error. The dead
-    time therefore comes from the motion that fits best (`IntervalML`), on two conditions. The best motion must explain
+    time therefore comes from the motion that fits best (`MotionFit`), on two conditions. The best motion must explain
     every count, and give a shorter error bar of the dead time.
 
     Examples
@@ -78,7 +78,7 @@ class IV(Instruments):
         late = [i for i, name in enumerate(self.names) if name in (DEAD_TIME, LAG)]
         if not late or np.all(fit.theta_std[late] < TUNING.iv_sharp * self.dt):
             return fit
-        sharp = self._sharp(fit, u, counts)
+        sharp = self._sharp(u, counts)
         if sharp is None or not np.all(sharp.theta_std[late] < fit.theta_std[late]):
             return fit
         try:
@@ -86,14 +86,14 @@ class IV(Instruments):
         except NotIdentifiableError:  # the iteration does not converge at this dead time or lag
             return fit
 
-    def _sharp(self, fit: Fit, u: Floats, counts: NDArray[np.int64]) -> Fit | None:
-        """Return the fit by interval likelihood, or None if the model is not adequate for it."""
-        method = like(IntervalML, self, prefilter_zeros=None)
+    def _sharp(self, u: Floats, counts: NDArray[np.int64]) -> Fit | None:
+        """Return the fit of the motion, or None if the motion does not explain every count."""
+        method = like(MotionFit, self, prefilter_zeros=None, precision="float64")
         try:
-            best = method.best(u, counts, np.maximum(fit.theta, np.where(self.positive, 0.0, -np.inf)))
-            return method.fit_of(best) if best.noise is not None and weigh(best).adequate else None
+            fitted = method.examine(u, counts)
         except NotIdentifiableError:
             return None
+        return method.summarise(fitted) if isinstance(fitted.likelihood, Intervals) else None
 
     def _fit_at_lateness(
         self, late: Floats, late_cov: Floats, places: list[int], fit: Fit, u: Floats, counts: NDArray[np.int64]

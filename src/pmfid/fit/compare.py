@@ -25,12 +25,13 @@ MOST = 6
 class Quadratic:
     """A quadratic log likelihood around a fit: information A (p, p) and gradient g (p,) of minus the log likelihood by
     the parameters, of which the first `plain` are always in the model and the others are candidates with unit priors
-    and `odds` (p - plain,), as logarithms."""
+    `odds` (p - plain,), as logarithms, and lower bounds `lowest` (p - plain,) of their sizes."""
 
     A: Floats
     g: Floats
     plain: int
     odds: Floats
+    lowest: Floats
 
     def evidence(self, chosen: Sequence[int]) -> tuple[float, Floats, Floats]:
         """Return the log evidence of a set of candidates, the parameters' step (k,) and covariance (k, k), for the
@@ -47,7 +48,10 @@ class Quadratic:
         inverse = np.linalg.solve(root, np.eye(len(index)))
         covariance = inverse.T @ inverse / np.outer(size, size)
         value = 0.5 * float(half @ half) - float(np.sum(np.log(np.diag(root)) + np.log(size)))
-        return value + float(np.sum(self.odds[list(chosen)])), np.linalg.solve(root.T, half) / size, covariance
+        step = np.linalg.solve(root.T, half) / size
+        if np.any(step[self.plain :] < self.lowest[list(chosen)]):
+            return -math.inf, step, covariance
+        return value + float(np.sum(self.odds[list(chosen)])), step, covariance
 
     def best_step(self, chosen: Sequence[int], allowed: Sequence[int]) -> list[int] | None:
         """Return the set with one candidate more or less that has the largest evidence, or None if none gains."""

@@ -36,7 +36,7 @@ def findings_of(
         yield Finding(
             "model_spread",
             f"the record does not exclude {fitted.rival}, which may move {names[worst]} by "
-            f"{100 * half[worst] / sizes[worst]:.2g} %",
+            f"{format_part(half[worst] / sizes[worst])}",
             "record an input of several sizes, with reversals and rests",
             "note",
         )
@@ -57,12 +57,13 @@ def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: fl
             early = -value * one.sd
             words = f"an input that acts {early:.3g} s before it is logged"
             remedy = f"shift the input's column earlier by {early:.3g} s: the log is late"
-        without = f": without it, {names[worst]} would be {100 * moved[worst]:.2g} % off" if matters else ""
+        detail = f"Without it, {names[worst]} would be {format_part(moved[worst])} off." if matters else ""
         yield Finding(
             OWN_WORDS.get(one.name, "unmodelled"),
-            f"the record shows {words}{without}",
+            f"the record shows {words}",
             remedy,
             "doubt" if matters else "note",
+            detail,
         )
 
 
@@ -91,3 +92,8 @@ def _unknown(fitted: Fitted, names: tuple[str, ...], positive: Flags) -> Iterato
             )
         elif never_negative and half > abs(value):
             yield Finding("uncertain", f"the error of {name} may exceed half its value", MOVE)
+
+
+def format_part(part: float) -> str:
+    """Return a relative error as text."""
+    return f"{100 * part:.2g} %" if part < 1 else "over 100 %"

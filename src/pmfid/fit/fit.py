@@ -73,6 +73,12 @@ class Fitted:
         return values
 
     @property
+    def left(self) -> float:
+        """Part of the travel that the motion leaves unexplained, root mean square over root mean square."""
+        travel = np.concatenate([one.y - np.mean(one.y) for one in self.problem.stretches]) / self.problem.resolution
+        return float(np.linalg.norm(np.concatenate(self.residuals)) / max(float(np.linalg.norm(travel)), 1e-300))
+
+    @property
     def residuals(self) -> list[Floats]:
         """Residuals (k,) of each stretch [counts]."""
         return [block.e for block in self.problem.linearise(self.solution.q, self.solution.starts)]
@@ -275,7 +281,8 @@ class FitSearch:
             k += 1 + one.free
         normal = normal_of(likelihood(every.linearise(q, self.starts))[1], self.starts)
         A, g = normal.A[np.ix_(kept, kept)], normal.g[kept]
-        return Quadratic(A, g - A[:, self.own :] @ at, self.own, self._odds())
+        lowest = np.array([one.lowest for one in self.table])
+        return Quadratic(A, g - A[:, self.own :] @ at, self.own, self._odds(), lowest)
 
 
 def fit(problem: FitProblem) -> Fitted:
@@ -499,6 +506,8 @@ def _conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     found = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
     if min(np.abs(found.q[search.plain.machine.lead] - np.array(search.plain.mass))) < SETTLED:
         raise NotIdentifiableError(f"no motion of the model follows the record; {FOLLOW}")
+    if isinstance(likelihood, Gaussian):
+        _check_followed(search, likelihood)
     theta, covariance = _estimate(search, found, likelihood)
     soft = Intervals(search.plain.stretches, EXPLAINED) if isinstance(likelihood, Intervals) else likelihood
     local = search.local(soft)
@@ -518,6 +527,15 @@ def _conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     )
 
 
+def _check_followed(search: FitSearch, noise: Gaussian) -> None:
+    """Raise NotIdentifiableError if a motion without any input, but with a disturbance, explains the record as well."""
+    still = [(one.y[0] - one.y) / search.plain.resolution for one in search.plain.stretches]
+    alone = noise_of(noise.stretches, still, search.rate)
+    gain = noise.evidence(_errors(search))[0] - alone.evidence(still)[0]
+    if not gain > search.q.size * math.log(search.plain.rows):
+        raise NotIdentifiableError(f"the motion does not follow the input; {FOLLOW}")
+
+
 def _estimate(search: FitSearch, found: Optimum, likelihood: Gaussian | Intervals) -> tuple[Floats, Floats]:
     """Return the machine's parameters (p,), and their covariance with the mass as a logarithm."""
     A = found.normal.A + np.diag(search.prior(search.problem))
@@ -531,18 +549,15 @@ def _estimate(search: FitSearch, found: Optimum, likelihood: Gaussian | Interval
 
 def sandwich(A: Floats, normal: Normal) -> Floats:
     """Return the covariance (p, p) for scores whose sums over blocks of the record scatter more than the information A
-    says (Huber 1967). No direction has a smaller variance than by A alone."""
-    sums = []
+    says (Huber 1967). No parameter has a smaller variance than by A alone."""
+    covariance, sums = inverse(A), []
     for block, inner in zip(normal.blocks, normal.inner, strict=True):
         scores = (block.J - block.K @ inner[:, 1:]) * block.e[:, None]
         sums += [part.sum(axis=0) for part in np.array_split(scores, max(1, round(BLOCKS * len(scores) / normal.rows)))]
-    scatter = np.array(sums)
-    values, vectors = np.linalg.eigh(_scale_matrix(A)[0])
-    root = vectors / np.sqrt(np.maximum(values, 1e-9))
-    turned = (scatter / _scale_matrix(A)[1]) @ root
-    wide, axes = np.linalg.eigh(turned.T @ turned * len(sums) / max(1, len(sums) - len(A)))
-    half = root @ axes * np.sqrt(np.maximum(wide, 1.0)) / _scale_matrix(A)[1][:, None]
-    return np.asarray(half @ half.T)
+    moves = np.array(sums) @ covariance
+    scattered = np.sum(moves**2, axis=0) * len(sums) / max(1, len(sums) - 1)
+    wider = np.sqrt(np.maximum(scattered / np.maximum(np.diag(covariance), 1e-300), 1.0))
+    return np.asarray(covariance * np.outer(wider, wider))
 
 
 def _estimate_in_region(search: FitSearch, found: Optimum, covariance: Floats) -> tuple[Floats, Floats]:

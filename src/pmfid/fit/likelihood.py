@@ -71,8 +71,8 @@ class Gaussian:
 
 #: Time constants of a wandering disturbance, in mean steps; the last one is a tenth of the record.
 MEMORIES = (3.0, 30.0)
-#: Observations that decide on the noise, in equal pieces of the record.
-MOST_ROWS, PIECES = 6_000, 4
+#: Observations that decide on the noise.
+MOST_ROWS = 6_000
 
 
 def noise_of(
@@ -85,7 +85,7 @@ def noise_of(
 
     A disturbance has two parameters and enters if it gains more than their cost by Schwarz (1978).
     """
-    chosen = _pieces(stretches, errors)
+    chosen = _thin(stretches, errors)
     parts, residuals = [one for one, _ in chosen], [e for _, e in chosen]
     plain = Gaussian(parts, rate)
     best, (top, scale) = plain, plain.evidence(residuals)
@@ -117,19 +117,14 @@ def _largest(
     return unit * math.exp(top), *grid[top]
 
 
-def _pieces(stretches: Sequence[ObservedStretch], errors: Sequence[Floats]) -> list[tuple[ObservedStretch, Floats]]:
-    """Return pieces of stretches and of their residuals with at most about `MOST_ROWS` observations."""
-    total = sum(e.size for e in errors)
-    if total <= MOST_ROWS:
+def _thin(stretches: Sequence[ObservedStretch], errors: Sequence[Floats]) -> list[tuple[ObservedStretch, Floats]]:
+    """Return stretches and residuals with at most about `MOST_ROWS` observations, evenly chosen. A piece of a record
+    would begin with the residual of an unknown start state."""
+    every = -(-sum(e.size for e in errors) // MOST_ROWS)
+    if every <= 1:
         return list(zip(stretches, errors, strict=True))
-    found = []
-    for stretch, e in zip(stretches, errors, strict=True):
-        length = max(1, e.size * MOST_ROWS // total // PIECES)
-        for first in np.linspace(0, e.size - length, PIECES).astype(int).tolist():
-            chosen = np.zeros(e.size, bool)
-            chosen[first : first + length] = True
-            found.append((stretch.keep(chosen), e[chosen]))
-    return found
+    chosen = [np.arange(e.size) % every == 0 for e in errors]
+    return [(one.keep(rows), e[rows]) for one, e, rows in zip(stretches, errors, chosen, strict=True)]
 
 
 @dataclass(frozen=True, eq=False)

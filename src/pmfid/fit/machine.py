@@ -108,7 +108,8 @@ def machine_of(equation: Equation) -> BodyModel:
     rest = np.zeros(len(lift))
     rest[DELAY] = 0.0 if equation.dead_time == ESTIMATE else float(equation.dead_time)
     rest[LAGGING] = 0.0 if equation.lag == ESTIMATE else float(equation.lag)
-    lowest = np.where(np.any(lift[[DELAY, LAGGING, *range(BASE + len(forces), len(lift))]] > 0, axis=0), 0.0, -np.inf)
+    positive = np.append(equation.positive, np.ones(len(equation.further), bool))
+    lowest = np.where(positive & (np.arange(len(names)) != equation.leading), 0.0, -np.inf)
     turn = 2 * np.pi if equation.motion is ROTARY else 0.0
     return BodyModel(names, forces, rest, lift, equation.leading, lowest, turn)
 

@@ -90,18 +90,14 @@ def lag(s: Sizes) -> Iterator[ExtraForce]:
 def stribeck(s: Sizes) -> Iterator[ExtraForce]:
     for share in (0.01, 0.03, 0.1, 0.3):
         force = BodyForce("stribeck", share * s.speed)
-        yield ExtraForce("stribeck", "Stribeck friction", 'set stribeck = "estimate"', 0.4 * s.coulomb, force=force)
+        remedy = 'set stribeck = "estimate"'
+        yield ExtraForce("stribeck", "Stribeck friction", remedy, 0.4 * s.coulomb, force=force, lowest=0.0)
 
 
 def quadratic(s: Sizes) -> Iterator[ExtraForce]:
     force = BodyForce("power", 2.0, s.speed)
-    yield ExtraForce("quadratic", "quadratic friction", "set quadratic = true", 0.3 * s.viscous * s.speed, force=force)
-
-
-def root(s: Sizes) -> Iterator[ExtraForce]:
-    force = BodyForce("power", 0.5, s.speed)
-    words, remedy = "friction that is no line of the speed", "see the curve of pmfid friction"
-    yield ExtraForce("friction_curve", words, remedy, 0.3 * s.viscous * s.speed, force=force)
+    size, remedy = 0.3 * s.viscous * s.speed, "set quadratic = true"
+    yield ExtraForce("quadratic", "quadratic friction", remedy, size, force=force, lowest=0.0)
 
 
 def spring(s: Sizes) -> Iterator[ExtraForce]:
@@ -181,7 +177,6 @@ TABLE: tuple[Row, ...] = (
     lag,
     stribeck,
     quadratic,
-    root,
     spring,
     gravity,
     drift,

@@ -12,7 +12,6 @@ import polars as pl
 from numpy.typing import NDArray
 
 from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
-from pmfid.diagnostics.verdict import believed_square
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import filter_forces
 from pmfid.estimators.bridges import parts_of
@@ -394,3 +393,16 @@ def empty(settings: Settings) -> pl.DataFrame:
     for name in settings.estimator.names:
         kinds |= {name: pl.Float64, f"{name}_std": pl.Float64}
     return pl.DataFrame(schema=kinds)
+
+
+def believed_square(size: Floats, std: Floats, plausible: Floats) -> Floats:
+    """Return the mean squares (k,) of coefficients with estimates `size` (k,) and standard deviations `std` (k,).
+
+    `plausible` (k,) is the usual size of each force. In a given machine, a force may also be absent.
+    """
+    prior, variance = plausible**2, std**2
+    share = prior / (prior + variance)
+    evidence = (np.log(variance / (prior + variance)) + share * (size / std) ** 2) / 2
+    most = DIAGNOSTIC_TUNING.most_evidence
+    weight = 1 / (1 + np.exp(-np.clip(evidence, -most, most)) / DIAGNOSTIC_TUNING.verdict_odds)
+    return np.asarray(weight * (share * variance + (share * size) ** 2))

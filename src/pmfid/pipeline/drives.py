@@ -13,12 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.config.axis import Axis, check_sampling
-from pmfid.diagnostics.drives import examine_estimate
 from pmfid.diagnostics.free_run import FreeRun, drive_run
 from pmfid.diagnostics.verdict import Verdict, verdict
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.adequacy import Adequacy
 from pmfid.estimators.auto import AUTO, MethodChoice, choose, first_choice
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator, check_identifiable
@@ -32,7 +30,7 @@ from pmfid.estimators.ls import LS
 from pmfid.estimators.output_error import OE, Following
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
-from pmfid.estimators.results import Columns, Fit, Track, join_tracks
+from pmfid.estimators.results import Columns, Track, join_tracks
 from pmfid.estimators.stretches import liveliest
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import MOVE, Finding, advise, codes, make_notes, sort_findings
@@ -56,7 +54,7 @@ from pmfid.records.joining import join_records, unbroken
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record, read_record, record_of
 from pmfid.status import Status, status_findings
-from pmfid.types import Counts, Floats
+from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
@@ -310,16 +308,14 @@ def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> l
     """
     if not relative > 1:
         return []
-    sentence, adequacy = f"the filtered equation leaves {100 * relative:.3g} % of the input", judgement.adequacy
-    if adequacy is not None and adequacy.left < TUNING.drives_followed:
+    sentence, fitted = f"the filtered equation leaves {100 * relative:.3g} % of the input", judgement.fitted
+    if fitted is not None and fitted.left < TUNING.drives_followed:
+        left = 100 * fitted.left
         return make_notes(
             "relative_error",
-            [
-                f"{sentence} unexplained, by the encoder's steps; the simulated motion leaves only "
-                f"{100 * adequacy.left:.2g} % unexplained"
-            ],
+            [f"{sentence} unexplained, by the encoder's steps; the motion of the fit leaves only {left:.2g} %"],
         )
-    if adequacy is not None or estimator.equation.without_simulation or "unmodelled" in codes(judgement.judged):
+    if fitted is not None or estimator.equation.without_simulation or "unmodelled" in codes(judgement.judged):
         advice = advise(judgement.judged, "check columns and scales of input and output, or lower the cutoff")
         raise NotIdentifiableError(f"{sentence} unexplained, more than a model without motion. Advice: {advice}")
     return []
@@ -344,10 +340,8 @@ def _estimate(
         fit = replace(fit, theta=there.theta, theta_cov=there.theta_cov, residual=residual)
     if known is None:  # a refused estimate needs no judgement
         _check_sizes(estimator, fit.theta, fit.theta_std)
-    asked = all_known(estimator, record, fit.theta, fit.theta_std)
-    judgement = verdict(*asked, _adequacy(estimator, record, fit, choice), axis.estimator.tolerance)
-    further = fit.theta.size - judgement.spread.size  # number of nonlinear parameters
-    spread = np.r_[judgement.spread, np.full(further, np.nan)]
+    judgement = verdict(estimator, record.u, record.counts, fit.theta, fit.theta_std, axis.estimator.tolerance)
+    spread = judgement.spread
     unused = []
     if axis.estimator.window is not None and not isinstance(estimator, OE):
         unused.append(f'{estimator.method} does not use window; set method = "output-error"')
@@ -402,35 +396,6 @@ def _period_errors(result: DriveResult, record: Record, axis: Axis) -> Floats:
 def _collect_status(record: Record) -> int:
     """Return the status bits that gaps of the record cause."""
     return int(Status.SAMPLE_REJECTED | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
-
-
-def _adequacy(estimator: Estimator, record: Record, fit: Fit, choice: MethodChoice | None) -> Adequacy | None:
-    """Return the adequacy of the model if an earlier test or a free lag provides it, and None otherwise.
-
-    A free lag needs a further test, because the lag from instrumental variables is not the best fit.
-    """
-    if choice is not None:
-        tested = choice.adequacy
-        return tested if tested is not None and tested.difference.equation == estimator.equation else None
-    if estimator.equation.lag != ESTIMATE:
-        return None
-    known = estimator.equation.replace_shapes(fit.theta[len(estimator.equation.names) :])
-    free = like(type(estimator), estimator, model=EquationModel(known))
-    with suppress(NotIdentifiableError):
-        return examine_estimate(free, record.u, record.counts, fit.theta)
-    return None
-
-
-def all_known(
-    estimator: Estimator, record: Record, theta: Floats, std: Floats
-) -> tuple[Estimator, Floats, Counts, Floats, Floats]:
-    """Return the arguments of `verdict` with all nonlinear parameters fixed at their estimates."""
-    equation = estimator.equation
-    p = len(equation.names)
-    if not equation.further:
-        return estimator, record.u, record.counts, theta, std
-    found = like(type(estimator), estimator, model=EquationModel(equation.known_at(theta[p:])))
-    return found, record.u, record.counts, theta[:p], std[:p]
 
 
 def _needs_simulation(estimator: Estimator) -> bool:
@@ -491,7 +456,7 @@ def _recursive(
     if known is not None and known.find_gain:
         known, last_estimate = known.rescale(last_estimate)
         method, theta, std = known.estimator, last_estimate.theta, last_estimate.theta_std
-    judgement = verdict(method, record.u, record.counts, theta, std, None, axis.estimator.tolerance)
+    judgement = verdict(method, record.u, record.counts, theta, std, axis.estimator.tolerance)
     notes = make_notes("record", record.notes) + _check_error(method, relative, judgement)
     findings = sort_findings((*status_findings(held), *judgement.findings, *notes))
     found = method, theta, std, findings, record, relative, judgement.matter

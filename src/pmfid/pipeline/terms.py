@@ -14,11 +14,11 @@ from pmfid.config.axis import Axis, check_sampling
 from pmfid.diagnostics.balance import Balance, make_balance
 from pmfid.diagnostics.matter import weigh_findings
 from pmfid.diagnostics.term_fits import Bench, choose_cutoff, shortest_part
-from pmfid.diagnostics.term_trials import Trial, known_shapes
+from pmfid.diagnostics.term_trials import Trial
 from pmfid.diagnostics.terms import FittedCandidate, Terms, changed_fields, search
 from pmfid.diagnostics.verdict import verdict
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.adequacy import PeriodicForce, setting, weigh
+from pmfid.estimators.adequacy import PeriodicForce, setting
 from pmfid.estimators.batch import check_identifiable
 from pmfid.estimators.configuration import change_arguments, like
 from pmfid.estimators.ls import LS
@@ -28,7 +28,7 @@ from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import Finding, codes, texts
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
-from pmfid.pipeline.drives import Drives, all_known, match_kind
+from pmfid.pipeline.drives import Drives, match_kind
 from pmfid.pipeline.identify import explain_error, identify
 from pmfid.pipeline.kinds import Progress
 from pmfid.pipeline.known import check_numbers_known
@@ -482,8 +482,7 @@ def _judge_chosen_model(bench: Bench, chosen: NestedModel, tolerance: float) -> 
         sentence = "this record gives no error bars for the chosen model"
         return (Finding("uncertain", sentence, "excite the axis more"),), True
     record = Record(bench.u, bench.counts, trial.method.dt, trial.method.encoder.resolution, (), "")
-    asked = all_known(trial.method, record, chosen.fit.theta, chosen.fit.theta_std)
-    said = verdict(*asked, weigh(known_shapes(trial.best)), tolerance)
+    said = verdict(trial.method, record.u, record.counts, chosen.fit.theta, chosen.fit.theta_std, tolerance)
     # Findings omit advice to set a term of [model], because the search has already fitted the terms.
     own = [
         replace(one, sentence=UNEXPLAINED, remedy="") if one.code == UNMODELLED else one
