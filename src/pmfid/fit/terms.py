@@ -88,7 +88,7 @@ def lag(s: Sizes) -> Iterator[ExtraForce]:
 
 
 def stribeck(s: Sizes) -> Iterator[ExtraForce]:
-    for share in (0.01, 0.03, 0.1, 0.3):
+    for share in (0.01, 0.03, 0.1, 0.2):
         force = BodyForce("stribeck", share * s.speed)
         remedy = 'set stribeck = "estimate"'
         yield ExtraForce("stribeck", "Stribeck friction", remedy, 0.4 * s.coulomb, force=force, lowest=0.0)
