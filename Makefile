@@ -267,7 +267,6 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.scale --out results/scale.md
 	.venv/bin/python -m studies.honest_recursions --out results/honest_recursions.md
 	.venv/bin/python -m studies.prediction --out results/prediction.md
-	.venv/bin/python -m studies.terms --out results/terms.md
 	.venv/bin/python -m studies.logs --out results/logs.md
 	.venv/bin/python -m studies.checks --out results/checks.md
 	.venv/bin/python -m studies.fleet_history --out results/fleet_history.md

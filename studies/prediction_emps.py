@@ -59,9 +59,7 @@ def after_search(method: str, train: Motion, test: Motion) -> Predicted | None:
     """Return the prediction with the terms that a search finds in `train`."""
     first, encoder = next(iter(MODELS.values())), Encoder(train.resolution)
     try:
-        terms = search_terms(
-            train.u, train.counts, model=first, dt=train.dt, cutoff=CUTOFF, encoder=encoder, scan=False
-        )
+        terms = search_terms(train.u, train.counts, model=first, dt=train.dt, encoder=encoder)
     except PmfidError:
         return None
     found = predicted(terms.model, method, CUTOFF, train, test)

@@ -110,7 +110,7 @@ def test_every_face_says_the_same(friction: str, tmp_path: Path) -> None:
 def test_terms_says_of_the_model_that_it_chose_what_identify_says() -> None:
     record = record_of(TURRET, FRICTIONS["quadratic 20 %"](TURRET), "multisine", 1024, 23)
     own = {"encoder": pmfid.Encoder(record.resolution), "dt": TURRET.dt}
-    found = pmfid.search_terms(record.u, record.counts, model=pmfid.Drive(TURRET.drive.input_gain), scan=False, **own)
+    found = pmfid.search_terms(record.u, record.counts, model=pmfid.Drive(TURRET.drive.input_gain), **own)
     assert found.added == {"quadratic": True}
     assert found.status == pmfid.identify(record.u, record.counts, model=found.model, **own).status == ()
 
@@ -118,6 +118,6 @@ def test_terms_says_of_the_model_that_it_chose_what_identify_says() -> None:
 def test_terms_that_finds_none_says_what_identify_says() -> None:
     record = record_of(TURRET, Machine(TURRET.drive), "multisine", 1024, 23)
     own = {"model": pmfid.Drive(TURRET.drive.input_gain), "encoder": pmfid.Encoder(record.resolution), "dt": TURRET.dt}
-    found = pmfid.search_terms(record.u, record.counts, scan=False, **own)
+    found = pmfid.search_terms(record.u, record.counts, **own)
     assert found.added == {}
     assert found.status == pmfid.identify(record.u, record.counts, **own).status == ()

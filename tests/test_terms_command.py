@@ -1,65 +1,124 @@
-"""The command `pmfid terms`: its output, its files, and its messages for bad input."""
+"""The search for the terms of a drive: the terms that it names or leaves out, its table, its files and refusals."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import pmfid
 from pmfid.cli.main import main
-from tests.test_terms import CUTOFF, DT, GAIN, STEP, made, searched
+from pmfid.pipeline.terms import TermSearch
+from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs
+from pmfid.simulation.drive import MachineRun
+
+DT, GAIN, STEP = 0.002, 0.5, 2 * np.pi / 1024
+DRIVE = DriveParameters(3e-3, 8e-3, 0.04, GAIN)
+MODEL = pmfid.Drive(GAIN, axis="rotary")
 
 
-@pytest.fixture
-def files(tmp_path: Path) -> tuple[Path, Path]:
-    record = made(samples=1000, asymmetry=0.15)
-    table, axis = tmp_path / "run.csv", tmp_path / "axis.toml"
+def made(samples: int = 1000, **lacking: float) -> MachineRun:
+    """Return a record of a rotary axis under a binary input."""
+    rng = np.random.default_rng(11)
+    u = prbs(samples, clock=25, amplitude=0.7, rng=rng)
+    return drive_machine(Machine(DRIVE, **lacking), u, DT, STEP, phase=STEP * rng.random())
+
+
+def searched(record: MachineRun, model: object = MODEL, **settings: object) -> TermSearch:
+    own = {"model": model, "dt": DT, "encoder": pmfid.Encoder(STEP)}
+    return pmfid.search_terms(record.u, record.counts, **(own | settings))  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def directional() -> TermSearch:
+    return searched(made(asymmetry=0.15))
+
+
+def test_nothing_is_named_where_nothing_is_missing() -> None:
+    found = searched(made())
+    assert (found.added, found.status, found.model) == ({}, (), MODEL)
+    assert "no further term" in found.sentence
+    assert not any(row.chosen for row in found.rows)
+    assert {"a constant load", "Stribeck friction", "quadratic friction"} <= {row.words for row in found.rows}
+
+
+@pytest.mark.parametrize(
+    ("lacking", "wanted"),
+    [
+        ({"quadratic": 3e-4}, {"quadratic": True}),
+        ({"gravity": 0.02, "gravity_angle": 0.4}, {"gravity": True}),
+        (
+            {"stribeck": 0.02, "stribeck_speed": 0.6, "dead_time": 1e-3},
+            {"stribeck": "estimate", "dead_time": "estimate"},
+        ),
+    ],
+)
+def test_a_term_is_named_and_the_result_has_it(lacking: dict[str, float], wanted: dict[str, object]) -> None:
+    found = searched(made(1000, **lacking))
+    assert found.added == wanted
+    assert found.result["inertia"] == pytest.approx(DRIVE.mass, rel=1e-3)
+    assert {key: getattr(found.model, key) for key in wanted} == wanted
+
+
+def test_directional_friction_contains_the_load(directional: TermSearch) -> None:
+    assert directional.added == {"friction": "directional"}
+    assert directional.result["coulomb_friction_forward"] == pytest.approx(1.15 * DRIVE.coulomb_friction, rel=0.01)
+    assert 'friction = "directional"' in directional.lines
+    assert directional.status == ()
+
+
+def test_a_row_has_odds_size_and_the_change_of_the_parameters(directional: TermSearch) -> None:
+    (load,) = [row for row in directional.rows if row.words == "a constant load"]
+    (value, std, unit) = load.values[0]
+    assert load.chosen
+    assert load.log_odds > 100
+    assert abs(value - 0.15 * DRIVE.coulomb_friction) < 3 * std
+    assert std < 0.01 * value
+    assert unit == "N m"
+    assert abs(load.moved["viscous_friction"]) > 0.05
+
+
+def test_a_search_shows_itself(directional: TermSearch) -> None:
+    lines = repr(directional).splitlines()
+    assert lines[0] == f"record, 1000 samples. {directional.sentence}"
+    assert len(lines) < 12
+    assert json.loads(json.dumps(directional.to_dict(), allow_nan=False)) == directional.to_dict()
+    assert directional.to_frame().columns == ["term", "chosen", "log_odds", "value", "std", "unit"]
+    assert directional.plot().axes
+
+
+def test_what_terms_does_not_search_is_refused() -> None:
+    with pytest.raises(pmfid.UsageError, match='set kind = "drive"'):
+        searched(made(), model=pmfid.EquationModel(MODEL.equation))
+    with pytest.raises(pmfid.UsageError, match="no prior information"):
+        searched(made(), given={"inertia": 3e-3})
+    still = made()
+    with pytest.raises(pmfid.NotIdentifiableError, match="does not move"):
+        pmfid.search_terms(still.u, 0 * still.counts, model=MODEL, dt=DT, encoder=pmfid.Encoder(STEP))
+
+
+def test_the_command_says_what_python_says(directional: TermSearch, tmp_path: Path) -> None:
+    record, table, axis, out = made(asymmetry=0.15), tmp_path / "run.csv", tmp_path / "axis.toml", tmp_path / "out"
     rows = [f"{DT * i:.9g},{u:.12g},{c}" for i, (u, c) in enumerate(zip(record.u, record.counts, strict=True))]
     table.write_text("\n".join(["t,u,counts", *rows]))
     axis.write_text(
         '[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ntime = "t"\n'
-        f"[encoder]\nresolution = {STEP}\n[model]\ninput_gain = {GAIN}\n[estimator]\ncutoff = {CUTOFF}\n"
+        f'[encoder]\nresolution = {STEP}\n[model]\naxis = "rotary"\ninput_gain = {GAIN}\n'
     )
-    return table, axis
-
-
-def test_the_command_says_what_python_says(files: tuple[Path, Path], tmp_path: Path) -> None:
-    table, axis = files
-    directional, out = searched(made(samples=1000, asymmetry=0.15)), tmp_path / "out"
-    result = CliRunner().invoke(
-        main, ["terms", str(table), "--config", str(axis), "--no-scan", "--json", "--out", str(out)]
-    )
-    assert result.exit_code == 0
-    assert all(line.startswith("pmfid: terms: ") for line in result.stderr.splitlines())
+    command = ["terms", str(table), "--config", str(axis)]
+    result = CliRunner().invoke(main, [*command, "--json", "--out", str(out)])
+    assert result.exit_code == 0, result.output
     printed = json.loads(result.stdout)
-    assert printed["model"] == list(directional.lines)
-    wanted = directional.to_json()["models"]
-    assert isinstance(wanted, list)
-    assert printed["models"][1]["parameters"]["mass"] == pytest.approx(wanted[1]["parameters"]["mass"])
+    assert printed["added"] == directional.added
     assert json.loads((out / "terms.json").read_text()) == printed
-    html = (out / "terms.html").read_text()
-    assert "Friction over velocity" in html
-    assert "<svg" in html
-    assert "<pre>[model]" in html
-
-
-@pytest.mark.parametrize(
-    ("further", "code", "said"),
-    [
-        (["--turn", "-1"], 2, "length above 0"),
-        (["--pitch", "nan"], 2, "length above 0"),
-        (["--held-out", "missing.csv"], 2, "missing.csv"),
-        (["--cutoff", "1e9"], 2, "too high"),
-        (["--cutoff", "1"], 3, "record at least"),
-    ],
-)
-def test_bad_input_is_one_line_and_an_exit_code(
-    files: tuple[Path, Path], further: list[str], code: int, said: str
-) -> None:
-    table, axis = files
-    result = CliRunner().invoke(main, ["terms", str(table), "--config", str(axis), *further])
-    assert result.exit_code == code
-    assert said in result.stderr
-    assert result.stderr.count("\n") == 1
+    assert "<pre>[model]" in (out / "terms.html").read_text()
+    shown = CliRunner().invoke(main, command).stdout
+    assert directional.sentence in shown
+    assert "status: none" in shown
+    for further, said in ((["--cutoff", "-1"], "cutoff"), (["--out", str(table)], "run.csv")):
+        refused = CliRunner().invoke(main, [*command, *further])
+        assert refused.exit_code == 2
+        assert said in refused.stderr

@@ -50,7 +50,7 @@ pmfid.identify(frame, axis=axis).findings[0].text
 pmfid.check(frame, axis=axis)
 pmfid.check(u, y, model=drive, dt=1e-3, encoder=encoder)
 pmfid.validate(pmfid.identify(frame, axis=axis), u, y).status
-pmfid.search_terms(u, y, model=drive, dt=1e-3, encoder=encoder, cutoff=20.0).added
+pmfid.search_terms(u, y, model=drive, dt=1e-3, encoder=encoder).added
 pmfid.IV(drive, encoder, 1e-3, 20.0, discretization="paper").fit(u, y)
 pmfid.RIV(drive, encoder, 1e-3, 20.0, precision="float32").run(u, y)
 pmfid.RIV(drive, encoder, 1e-3, 20.0).step(0.0, 1).theta

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import click
 
 from pmfid.cli.terminal import CUTOFF, JSON, RECORDS, config_option, folder_option, print_json, print_text, progress
-from pmfid.errors import UsageError
 
 if TYPE_CHECKING:
     from pmfid.pipeline.terms import TermSearch
@@ -16,64 +15,38 @@ if TYPE_CHECKING:
 
 @click.command(short_help="Search the terms of a drive, or the structure of a transfer function.")
 @RECORDS
-@config_option("The columns, the encoder and the first model; [estimator] gives cutoff and order.")
+@config_option("The columns, the encoder and the first model.")
 @CUTOFF
-@click.option(
-    "--held-out",
-    type=click.Path(path_type=Path),
-    metavar="OTHER",
-    help="Second record of the machine, which a new term must help to predict; default: parts of RECORD.",
-)
-@click.option("--turn", type=float, metavar="PERIOD", help="Look for gravity, with this travel per turn [unit of y].")
-@click.option(
-    "--pitch", type=float, multiple=True, metavar="PITCH", help="Look for cogging with this pitch [unit of y]."
-)
-@click.option(
-    "--friction-period",
-    type=float,
-    metavar="PERIOD",
-    help="Look for friction that varies along the travel with this period, in the unit of y.",
-)
-@click.option("--scan/--no-scan", default=True, help="Look for cogging of any pitch if --pitch is not given.")
 @folder_option("Write terms.html and terms.json into this folder; for a transfer function, order.html.")
 @JSON
 def terms(
     records: tuple[Path, ...],
     config: Path,
     cutoff: float | None,
-    held_out: Path | None,
-    turn: float | None,
-    pitch: tuple[float, ...],
-    friction_period: float | None,
-    scan: bool,
     out: Path | None,
     as_json: bool,
 ) -> None:
-    """Search the terms that RECORD asks for and the model of AXIS.toml does not have.
+    """Search the terms that the records ask for and the model of AXIS.toml does not have.
 
-    Terms of a drive are Stribeck, quadratic or directional friction, a load, a spring, a dead time, and forces along
-    the travel. For a transfer function, the command searches 1 to 5 poles, fewer zeros, and dead times of 0 to 5
+    Terms of a drive are Stribeck, quadratic or directional friction, a load, a spring, a dead time, a lag, and forces
+    along the travel. For a transfer function, the command searches 1 to 5 poles, fewer zeros, and dead times of 0 to 5
     samples.
 
-    The search adds one term at a time, and keeps a term if it is beyond chance and explains data outside the fit.
+    The fit of `pmfid identify` compares all forces. The table shows the odds and the size of each force, and how far
+    the parameters move by it. The result belongs to the recommended model.
 
     Exit code 0: a search with any result; 2: wrong usage or unreadable input; 3: the record shows too little.
     """
     if _is_process(config):
         _search_order(records, config, cutoff, out, as_json)
         return
-    if len(records) > 1:
-        raise UsageError("pmfid terms takes one RECORD of a drive; give a second record with --held-out")
-    record = records[0]
-    with progress("terms") as tell:
+    with progress("terms"):
         from pmfid.config.axis import load_axis
-        from pmfid.pipeline.terms import list_periodic_forces, search_drive
-        from pmfid.records.record import read_record
+        from pmfid.pipeline.drives import Drives
+        from pmfid.pipeline.terms import search_drive
 
         axis = load_axis(config, {"estimator.cutoff": cutoff})
-        places = list_periodic_forces(turn, pitch, friction_period)
-        other = None if held_out is None else read_record(held_out, axis)
-        found = search_drive(read_record(record, axis), axis, places, scan, other, tell)
+        found = search_drive(Drives().read(records, axis), axis)
         if out is not None:
             from pmfid.report.terms import write_terms
 
@@ -120,14 +93,15 @@ def _search_order(
 
 
 def _print(found: TermSearch, out: Path | None) -> None:
-    from pmfid.cli.tables import print_table
-    from pmfid.report.terms import hidden_rows, model_rows, term_rows
+    from pmfid.cli.tables import print_result, print_table
+    from pmfid.pipeline.terms import term_rows
 
     print_text(found.sentence)
     print_text("\n".join(["", *found.lines, ""]))
-    rows = (model_rows(found), term_rows(found), hidden_rows(found))
-    for title, (header, cells) in zip(("models", "terms", "not seen below"), rows, strict=True):
+    for title, chosen in (("forces of the fit", True), ("forces that this record does not show", False)):
+        header, cells = term_rows([row for row in found.rows if row.chosen == chosen])
         if cells:
             print_table(f"{found.name}: {title}", header, cells)
-    lines = [f"status: {', '.join(found.status) or 'none'}", *(f"note: {note}" for note in found.notes)]
-    print_text("\n".join([*lines, *([f"report: {out / 'terms.html'}"] if out else [])]))
+    print_result(found.result, None)
+    if out is not None:
+        print_text(f"report: {out / 'terms.html'}")

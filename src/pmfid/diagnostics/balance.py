@@ -151,20 +151,6 @@ class Balance:
         of_speed = sum(size * shape.evaluate(np.abs(velocity)) for size, shape in shapes if shape.of_speed)
         return np.asarray(body + np.where(velocity > 0, 1.0, -1.0) * of_speed)
 
-    def resistance(self, place: Floats, velocity: Floats) -> Floats:
-        """Return friction, load and forces along the travel [N] of the model at places and velocities, each (n,).
-
-        Places are relative to the first sample.
-        """
-        values = self.estimator.equation.role_values(self.theta)
-        total = self.model_friction(velocity) + values[OFFSET] + values[STIFFNESS] * place
-        sizes = dict(zip(self.estimator.names, self.theta, strict=False))
-        for term in self.estimator.equation.shaped:
-            if term.shape is not None and not term.shape.of_speed:
-                side = np.sign(velocity) if term.signal == "friction" else 1.0
-                total = total + side * sizes[str(term.name)] * term.shape.evaluate(place)
-        return np.asarray(total)
-
     @cached_property
     def by_velocity(self) -> Binned:
         return average_in_bins(self.velocity, self.residual, self.lags)

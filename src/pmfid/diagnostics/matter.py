@@ -34,7 +34,6 @@ FLAGS = {
     "and encoder",
     "coarse_motion": "the axis moves less than a count per sample, too little for this method: use iv",
     "unstable": ("a pole is in the right half-plane: set unstable = true if a controller holds the process"),
-    "ambiguous_term": "two terms explain the record equally well: record a motion that distinguishes them",
     "reversed": "the output has the opposite sign of the input: reverse one of them",
     "exchanged": "the columns of input and output are exchanged: exchange input and output in [record]",
     "gravity": "gravity turns the load of a rotary axis, and the model has none: set gravity = true in [model]",

@@ -9,7 +9,6 @@ import numpy as np
 from pmfid.findings import MOVE, Finding
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian
-from pmfid.fit.machine import DELAY
 from pmfid.types import Flags, Floats
 
 #: Status words of candidates that have a word of their own; all others are "unmodelled".
@@ -52,16 +51,12 @@ def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: fl
         if one.words in seen:
             continue
         seen.add(one.words)
-        words, remedy = one.words, one.remedy
-        if one.base == DELAY and value < 0:
-            early = -value * one.sd
-            words = f"an input that acts {early:.3g} s before it is logged"
-            remedy = f"shift the input's column earlier by {early:.3g} s: the log is late"
+        shown = one.describe(value * one.sd)
         detail = f"Without it, {names[worst]} would be {format_part(moved[worst])} off." if matters else ""
         yield Finding(
             OWN_WORDS.get(one.name, "unmodelled"),
-            f"the record shows {words}",
-            remedy,
+            f"the record shows {shown.words}",
+            shown.remedy,
             "doubt" if matters else "note",
             detail,
         )

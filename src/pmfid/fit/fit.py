@@ -19,6 +19,7 @@ from pmfid.fit.problem import FitProblem
 from pmfid.fit.solve import START, Likelihood, Normal, Optimum, normal_of, solve
 from pmfid.fit.starts import blind_start
 from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, waves
+from pmfid.fit.weighing import WeighedForce, weigh
 from pmfid.types import Floats
 
 #: Spreads of a white error in addition to rounding [counts], in falling order.
@@ -51,7 +52,7 @@ class Fitted:
     `theta` (p,) and `covariance` (p, p) belong to the machine's parameters. `half` (p,) is the half length of the 95 %
     intervals over the chosen model and the models next to it. `solution` belongs to `problem`, whose candidates are the
     chosen ones. `likelihood` is that of the residuals. `plain` (p,) are the machine's parameters without candidates.
-    `rival` names the force that widens the intervals most.
+    `rival` names the force that widens the intervals most. `weighed` has an entry for each force of the table.
     """
 
     problem: FitProblem
@@ -62,6 +63,7 @@ class Fitted:
     half: Floats
     plain: Floats
     rival: str
+    weighed: tuple[WeighedForce, ...] = ()
 
     @property
     def values(self) -> list[float]:
@@ -524,6 +526,7 @@ def _conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
         half * lift,
         theta + shift * lift,
         search.table[rival].words if rival is not None else "",
+        _weigh(search, found, likelihood, lift),
     )
 
 
@@ -534,6 +537,16 @@ def _check_followed(search: FitSearch, noise: Gaussian) -> None:
     gain = noise.evidence(_errors(search))[0] - alone.evidence(still)[0]
     if not gain > search.q.size * math.log(search.plain.rows):
         raise NotIdentifiableError(f"the motion does not follow the input; {FOLLOW}")
+
+
+def _weigh(
+    search: FitSearch, found: Optimum, likelihood: Gaussian | Intervals, lift: Floats
+) -> tuple[WeighedForce, ...]:
+    """Return the forces of the table in the noise of the residuals, which is rounding if every count is explained."""
+    noise = likelihood if isinstance(likelihood, Gaussian) else Gaussian(search.plain.stretches)
+    normal = normal_of(noise(search.problem.linearise(found.q, found.starts))[1], found.starts)
+    covariance = sandwich(normal.A + np.diag(search.prior(search.problem)), normal)
+    return weigh(search.local(noise), search.table, search.chosen, found.q, np.sqrt(np.diag(covariance)), lift)
 
 
 def _estimate(search: FitSearch, found: Optimum, likelihood: Gaussian | Intervals) -> tuple[Floats, Floats]:

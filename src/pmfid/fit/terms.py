@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
@@ -11,6 +12,12 @@ import numpy as np
 
 from pmfid.fit.machine import DELAY, DIRECTIONAL, LAGGING, OFFSET, BodyForce
 from pmfid.types import Floats
+
+#: Units of the sizes on a linear axis, by the place among the body's parameters and by the kind of a force.
+UNITS: dict[int | str, str] = {OFFSET: "N", DIRECTIONAL: "N s/m", DELAY: "s", LAGGING: "s"}
+UNITS |= {"spring": "N/m", "column_viscous": "N s/m", "column": "of the input"}
+#: Beginning of a remedy that is a line of [model].
+SET = "set "
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +48,25 @@ class ExtraForce:
         if self.force is None or self.force.kind != "stribeck":
             return self
         return replace(self, free=True, constant=self.force.p, force=replace(self.force, free=True))
+
+    @property
+    def unit(self) -> str:
+        """Unit of the size on a linear axis."""
+        if self.reading is not None:
+            return "m"
+        return UNITS.get(self.base if self.force is None else self.force.kind, "N")
+
+    @property
+    def change(self) -> dict[str, object]:
+        """The keys of [model] that the remedy sets, which may be none."""
+        return tomllib.loads(self.remedy.removeprefix(SET)) if self.remedy.startswith(SET) else {}
+
+    def describe(self, size: float) -> ExtraForce:
+        """Return the candidate with words and remedy for a size [unit]. A dead time below zero is a late log."""
+        if self.base != DELAY or size >= 0:
+            return self
+        words = f"an input that acts {-size:.3g} s before it is logged"
+        return replace(self, words=words, remedy=f"shift the input's column earlier by {-size:.3g} s: the log is late")
 
     def place_column(self, column: int) -> ExtraForce:
         """Return the candidate with the number of its column."""
@@ -188,8 +214,8 @@ TABLE: tuple[Row, ...] = (
 
 #: Effects that repeat along the travel: name, words and remedy, by the kind of the force; "" is an encoder's error.
 WAVES = {
-    "wave": ("cogging", "a force", "set cogging = {:.4g}"),
-    "rub": ("friction_period", "friction", "set friction_period = {:.4g}"),
+    "wave": ("cogging", "a force", "set cogging = {:.6g}"),
+    "rub": ("friction_period", "friction", "set friction_period = {:.6g}"),
     "": (
         "encoder",
         "an error of the encoder",

@@ -29,7 +29,7 @@ from pmfid.pipeline.identify import identify as run
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.kinds import Records, parameters_of
 from pmfid.pipeline.result import ProcessResult, Result
-from pmfid.pipeline.terms import TermSearch, list_periodic_forces, search_drive
+from pmfid.pipeline.terms import TermSearch, search_drive
 from pmfid.pipeline.validation import Validation, validate_parameters
 from pmfid.records.joining import join_records
 from pmfid.records.record import Record, record_of, travel_of
@@ -290,11 +290,6 @@ def search_terms(
     model: Drive,
     dt: float,
     encoder: Encoder,
-    turn: float | None = None,
-    pitch: float | Sequence[float] = (),
-    friction_period: float | None = None,
-    scan: bool = True,
-    other: tuple[ArrayLike, ArrayLike] | None = None,
     **settings: Unpack[EstimatorKeys],
 ) -> TermSearch:
     """Search terms of a drive that a model does not have, as `pmfid terms` does.
@@ -308,16 +303,6 @@ def search_terms(
     dt : float
         Sample period [s].
     encoder : Encoder
-    turn : float, optional
-        Period of gravity on a rotary axis [unit of y]. Without a period, the search ignores gravity.
-    pitch : float or sequence of float
-        One or several pitches of a cogging force [unit of y].
-    friction_period : float, optional
-        Period of friction that changes along the travel [unit of y].
-    scan : bool
-        Whether the search looks for an unknown pitch.
-    other : pair of array_like, optional
-        Input and counts of a second record. The models predict the second record instead of parts of the first record.
     **settings
         Keys of [estimator], as in `identify`.
 
@@ -330,7 +315,7 @@ def search_terms(
     UsageError
         The arguments contradict each other.
     NotIdentifiableError
-        The record is too short, or cannot identify the first model.
+        The record cannot identify the first model.
 
     Examples
     --------
@@ -340,14 +325,11 @@ def search_terms(
     >>> u = prbs(1000, clock=10, amplitude=4.0, rng=np.random.default_rng(1)) + 1.0
     >>> counts = quantize(simulate_drive(CART, u - 1.0, CART_DT).x, CART_RESOLUTION)
     >>> settings = {"model": Drive(CART.input_gain), "dt": CART_DT, "encoder": Encoder(CART_RESOLUTION)}
-    >>> found = search_terms(u, counts, cutoff=20.0, scan=False, **settings)
-    >>> found.added
+    >>> search_terms(u, counts, **settings).added
     {'offset': True}
     """
     axis = axis_of(model, encoder, dt, {**settings})
-    places = list_periodic_forces(turn, [pitch] if isinstance(pitch, int | float) else pitch, friction_period)
-    second = None if other is None else _record(*other, axis)
-    return search_drive(_record(u, counts, axis), axis, places, scan, second)
+    return search_drive(_record(u, counts, axis), axis)
 
 
 def _pairs(u: object) -> list[tuple[ArrayLike, ArrayLike]]:

@@ -80,6 +80,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
         fit.relative_error,
         matter,
         fit=fit,
+        forces=fitted.weighed,
         model_spread=spread,
     )
     if known is None:

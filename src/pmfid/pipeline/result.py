@@ -19,6 +19,7 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.known import Known, choose_naming
 from pmfid.estimators.results import Fit, Track
 from pmfid.findings import Finding, codes, sort_findings, texts
+from pmfid.fit.weighing import WeighedForce
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.models.transfer_function import TransferFunction
@@ -300,7 +301,7 @@ class DriveResult(Result):
 
     `relative_error` belongs to the filtered equation at theta. `fit` or `track` holds details of an off-line or a
     recursive method, without prior information. `known` is the prior information. `matter` says how far unmodelled
-    effects may move the parameters, which decides the status.
+    effects may move the parameters, which decides the status. `forces` are those that the fit compared.
     """
 
     record: Record
@@ -309,6 +310,7 @@ class DriveResult(Result):
     fit: Fit | None = None
     track: Track | None = None
     known: Known | None = None
+    forces: tuple[WeighedForce, ...] = ()
 
     def with_findings(self, *further: Finding) -> Self:
         return super().with_findings(*weigh_findings(further, self.matter))

@@ -373,10 +373,6 @@ class PipelineTuning:
     #: Largest distance of a parameter from the estimate out of the same record [standard deviations].
     selftest_away: float = 3.0
 
-    # terms
-    #: Part of the motion that counts as slow.
-    terms_slow: float = 1 / 3
-
     # validation
     #: Multiple of the encoder's error below which a free run explains the counts.
     validation_within: float = 1.5

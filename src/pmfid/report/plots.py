@@ -46,7 +46,6 @@ from pmfid.report.figures import (
 from pmfid.report.friction import curve_figure
 from pmfid.report.monitored import calibration_figure
 from pmfid.report.result import bode_of, motion_figure, output_figure, step_figure
-from pmfid.report.terms import friction_figure
 from pmfid.report.tuning import TUNING
 from pmfid.report.validation import horizon_figure, run_figure
 from pmfid.status import Status
@@ -210,7 +209,7 @@ def _encoders(found: EncoderChoice) -> Figure:
 
 @_draw.register
 def _terms(found: TermSearch) -> Figure:
-    return friction_figure(found)
+    return _drive(found.result)
 
 
 @_draw.register

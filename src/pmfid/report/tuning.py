@@ -70,10 +70,6 @@ class ReportTuning:
     #: Number of structures in the table of a search.
     result_rows: int = 15
 
-    # terms
-    #: Number of velocities at which a curve is drawn, on either side of rest.
-    terms_points: int = 400
-
     # validation
     #: Largest number of records that have their own figure.
     most_figures: int = 12
