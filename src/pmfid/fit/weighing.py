@@ -48,13 +48,13 @@ def weigh(
             other, moved, _ = local.evidence([i for i in chosen if i not in group])
             change = (step[: local.plain] - moved[: local.plain]) * lift
             at = [places[i] for i in inside]
-            taken.append(_weighed(table, inside, value - other, (q[at], stds[at]), change))
+            taken.append(_make_weighed(table, inside, value - other, (q[at], stds[at]), change))
         else:
             further = max([[i] for i in group] + [group], key=lambda one: local.evidence([*chosen, *one])[0])
             other, moved, covariance = local.evidence([*chosen, *further])
             change = (moved[: local.plain] - step[: local.plain]) * lift
             sizes = moved[step.size :], np.sqrt(np.diag(covariance))[step.size :]
-            others.append(_weighed(table, further, other - value, sizes, change, chosen=False))
+            others.append(_make_weighed(table, further, other - value, sizes, change, chosen=False))
     return (*taken, *sorted(others, key=lambda one: -one.odds))
 
 
@@ -64,7 +64,7 @@ def _places(plain: int, candidates: Sequence[ExtraForce]) -> list[int]:
     return [plain + sum(lengths[:k]) for k in range(len(lengths))]
 
 
-def _weighed(
+def _make_weighed(
     table: Sequence[ExtraForce],
     group: Sequence[int],
     odds: float,
