@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -36,6 +36,8 @@ def weigh(
     `q` (k,) and `stds` (k,) are the parameters of the fit and their standard errors, in standard deviations of the
     priors. `lift` (p,) converts changes of the machine's parameters to their units.
     """
+    free = np.isin(np.arange(len(table)), chosen)  # the fit itself keeps the chosen ones within their bounds
+    local = replace(local, lowest=np.where(free, -np.inf, local.lowest))
     groups: dict[str, list[int]] = {}
     for i, one in enumerate(table):
         groups.setdefault(one.words, []).append(i)
