@@ -12,8 +12,8 @@ from studies.paper.truth import SLOW, TIME_CONSTANT, Study, Task, cramer_rao, es
 
 TIME_CONSTANTS = (2, 3, 5, 10)
 INCREMENTS = (4096, 1024, 512, 256, 128)
-OFF_LINE = ("ls", "bcls", "known-step", "iv")
-ON_LINE = ("rls", "bcrls", "rknown-step", "riv")
+OFF_LINE = ("ls", "bcls", "iv")
+ON_LINE = ("rls", "bcrls", "riv")
 #: Relative difference up to which an on-line method repeats its off-line method.
 SAME = 1e-6
 #: Largest bias of the mass by iv [%].

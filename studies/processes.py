@@ -23,7 +23,7 @@ from studies.paper.truth import Study, Task, table
 #: Ratio of the powers of output and noise.
 SNR = 10.0
 NOISES = ("white", "quantiser")
-METHODS = ("ls", "bcls", "bcrls", "known-step", "iv", "srivc", "output-error", "rsrivc")
+METHODS = ("ls", "bcls", "bcrls", "iv", "srivc", "output-error", "rsrivc")
 #: Bounds of the mean error of every parameter except b0 of the last plant [%].
 GOALS = {"white": 1.0, "quantiser": 2.0}
 HARD = ("rao-garnier", "b0")
@@ -81,8 +81,6 @@ def last_estimate(method: str, model: TransferFunction, plant: SimulatedProcess,
     """Return the estimate (p,) at the end of a record; nan without an estimate."""
     cls = ESTIMATORS[method]
     options: dict[str, Any] = {"prefilter_zeros": plant.zeros} if cls.instrumental else {}
-    if method == "known-step":
-        options["noise_std"] = record.noise_std
     estimator = cls(model, record.encoder, plant.dt, plant.cutoff, **options)
     try:
         if isinstance(estimator, BatchEstimator):

@@ -64,7 +64,7 @@ def work(scenario: str, wrong: str, seed: int) -> dict[str, Any]:
 def outcomes(record: CartRecord, methods: tuple[str, ...]) -> dict[str, Outcome]:
     """Return every method's judged result; the recursive ones forget with 0.99."""
     options = {"forgetting": FORGETTING}
-    recursive = ("rls", "bcrls", "rknown-step", "riv")
+    recursive = ("rls", "bcrls", "riv")
     return {m: estimate(m, record, judged=True, **(options if m in recursive else {})) for m in methods}
 
 

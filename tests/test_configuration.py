@@ -41,7 +41,7 @@ def grown(place: str) -> np.dtype[Any]:
     [
         ("RLS", "encoder"),
         ("RLS", "network"),
-        ("RKnownStep", "direct"),
+        ("RLS", "direct"),
         ("RIV", "instrument"),
         ("RIV", "auxiliary"),
         ("RSRIVC", "linear"),

@@ -37,7 +37,7 @@ def test_the_contract(check):
 
 def test_the_methods_are_these():
     found = {cls.method for cls in METHODS}
-    assert {"ls", "bcls", "known-step", "srivc", "rls", "bcrls", "rknown-step", "rsrivc"} <= found
+    assert {"ls", "bcls", "srivc", "rls", "bcrls", "rsrivc"} <= found
     assert "riv" not in found
 
 
@@ -45,8 +45,7 @@ def test_the_methods_are_these():
 def test_finds_the_truth_after_noise(cls):
     """The process has a zero in the right half-plane, and 30 dB of noise that is not the encoder's."""
     run = make_record(UNDERSHOOT, 1, snr=30.0)
-    options = {"noise_std": run.noise_std} if "known-step" in cls.method else {}
-    estimator = build(cls, UNDERSHOOT, run, **options)
+    estimator = build(cls, UNDERSHOOT, run)
     off_line = isinstance(estimator, BatchEstimator)
     theta = estimator.fit(run.u, run.counts).theta if off_line else estimator.run(run.u, run.counts).theta[-1]
     np.testing.assert_allclose(theta, UNDERSHOOT.truth, rtol=0.02)

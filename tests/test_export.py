@@ -72,7 +72,6 @@ def hostile(samples: int = 1500) -> tuple[np.ndarray, np.ndarray]:
 KERNELS = [(cls, precision) for cls in RECURSIVE for precision in PRECISIONS]
 #: Cases of `make test`: the method with the most code in both precisions, the other methods each in one.
 OFTEN = [(pmfid.RIV, "float32"), (pmfid.RIV, "float64"), (pmfid.BCRLS, "float32"), (pmfid.RLS, "float64")]
-OFTEN += [(pmfid.RKnownStep, "float32")]
 BUILDS = {(GCC, "-O3"): OFTEN[2:], (CLANG, "-O2"): OFTEN[2:3], (M4F, "-O2"): OFTEN[:1], (M7, "-O3"): OFTEN[1:2]}
 
 
@@ -170,7 +169,6 @@ PROCESS = pmfid.TransferFunction(2, 1, delay=2, offset=True)
 PROCESSES = {
     "rls": (pmfid.RLS, {}),
     "bcrls": (pmfid.BCRLS, {}),
-    "rknown-step": (pmfid.RKnownStep, {"noise_std": 1e-3}),
     "rsrivc": (pmfid.RSRIVC, {}),
     "window": (pmfid.RSRIVC, {"forgetting_scheme": "window"}),
     "separate": (pmfid.RSRIVC, {"forgetting_of": {"b0": 1.0}}),
@@ -301,7 +299,7 @@ def test_the_command_exports_a_transfer_function_that_has_counts(tmp_path: Path)
     (tmp_path / "axis.toml").write_text(text)
     arguments = ["export", str(tmp_path / "axis.toml"), "--out", str(tmp_path / "x"), "--dt", "0.05"]
     result = CliRunner().invoke(main, arguments)
-    assert (result.exit_code, "bcrls, rknown-step, rsrivc" in result.stderr) == (2, True), "srivc works on records"
+    assert (result.exit_code, "bcrls, rsrivc" in result.stderr) == (2, True), "srivc works on records"
     result = CliRunner().invoke(main, [*arguments, "--method", "rsrivc"])
     assert (result.exit_code, result.stderr) == (0, "")
     assert result.stdout.startswith("rsrivc, ")

@@ -12,10 +12,8 @@ from pmfid.simulation import CART, CART_DT, Schedule, prbs, quantize, resolution
 from pmfid.status import Status
 
 CUTOFF, FORGETTING = 50.0, 0.99
-RECURSIVE = (pmfid.RLS, pmfid.BCRLS, pmfid.RKnownStep, pmfid.RIV)
-UNSUITED = {(cls, "directional") for cls in (pmfid.BCRLS, pmfid.RKnownStep, pmfid.RIV)} | {
-    (pmfid.RKnownStep, "constant-trace")
-}
+RECURSIVE = (pmfid.RLS, pmfid.BCRLS, pmfid.RIV)
+UNSUITED = {(cls, "directional") for cls in (pmfid.BCRLS, pmfid.RIV)}
 CASES = [(cls, scheme) for cls in RECURSIVE for scheme in FORGETTING_SCHEMES if (cls, scheme) not in UNSUITED]
 
 

@@ -38,7 +38,6 @@ FUNCTIONS = [
 ]
 #: Arguments of estimators with a dimension.
 UNITS = {"dt": "s", "cutoff": "rad/s", "prefilter_zeros": "rad/s", "drift_cutoff": "rad/s", "window": "s"}
-UNITS |= {"noise_std": "unit of y"}
 
 
 def explanation(doc: str, name: str) -> str:

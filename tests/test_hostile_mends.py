@@ -20,8 +20,8 @@ from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators import recursive as encoder_noise
 from pmfid.estimators.iv import RIV
-from pmfid.estimators.known_step import RKnownStep
 from pmfid.estimators.motion import invert_information
+from pmfid.estimators.recursive import RLS
 from pmfid.kernel.saved import configuration
 from pmfid.models.drive import Drive
 from pmfid.monitor.calibration import calibrate, powers, simulated_counts
@@ -115,8 +115,8 @@ def test_a_motion_that_runs_away_at_a_wide_step_is_infinitely_sensitive() -> Non
 # --- memory -----------------------------------------------------------------------------------------------------------
 
 
-def slow() -> RKnownStep:
-    return RKnownStep(Drive(2.0), Encoder(2e-4), 1e-5, 0.5, forgetting=1.0)
+def slow() -> RLS:
+    return RLS(Drive(2.0), Encoder(2e-4), 1e-5, 0.5, forgetting=1.0)
 
 
 def test_a_low_cutoff_takes_no_memory() -> None:
@@ -130,10 +130,10 @@ def test_a_low_cutoff_takes_no_memory() -> None:
 
 
 def test_the_noise_is_the_same_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    estimator = RKnownStep(Drive(2.0), Encoder(2e-4), 0.01, 30.0)
-    whole = encoder_noise.noise_covariance(estimator, None)
+    estimator = RLS(Drive(2.0), Encoder(2e-4), 0.01, 30.0)
+    whole = encoder_noise.noise_covariance(estimator)
     set_tuning(monkeypatch, encoder_noise, recursive_part=7)
-    np.testing.assert_allclose(encoder_noise.noise_covariance(estimator, None), whole, rtol=1e-12, atol=1e-18)
+    np.testing.assert_allclose(encoder_noise.noise_covariance(estimator), whole, rtol=1e-12, atol=1e-18)
     shown = encoder_noise.compute_encoder_floor(estimator)
     monkeypatch.undo()
     assert encoder_noise.compute_encoder_floor(estimator) == pytest.approx(shown, rel=1e-12)

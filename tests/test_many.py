@@ -46,7 +46,6 @@ VARIANTS: list[tuple[type[RecursiveEstimator], dict[str, Any]]] = [
 PROCESS = pmfid.TransferFunction(2, 1, delay=2, offset=True)
 PROCESSES: list[tuple[type[RecursiveEstimator], dict[str, Any]]] = [
     *((cls, {}) for cls in (pmfid.RLS, pmfid.BCRLS, pmfid.RSRIVC)),
-    (pmfid.RKnownStep, {"noise_std": ENCODER.resolution}),
     (pmfid.RLS, {"model": pmfid.TransferFunction(2, 0, initial_conditions=True)}),
     (pmfid.BCRLS, {"forgetting_of": {"b0": 1.0}}),
     (pmfid.RSRIVC, {"forgetting_scheme": "window"}),

@@ -23,7 +23,7 @@ def counts_about(level: float, step: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("level", [101_325.0, -273.15])
-@pytest.mark.parametrize("cls", [pmfid.LS, pmfid.BCLS, pmfid.KnownStep])
+@pytest.mark.parametrize("cls", [pmfid.LS, pmfid.BCLS])
 def test_the_level_of_the_output_does_not_matter(cls: type[BatchEstimator], level: float) -> None:
     step = 2e-3
     model, encoder = pmfid.TransferFunction(2, 0, offset=True), pmfid.Encoder(step)
@@ -50,7 +50,7 @@ def test_a_counter_that_begins_below_zero() -> None:
 
 # --- on-line ----------------------------------------------------------------------------------------------------------
 
-RECURSIVE = [pmfid.RLS, pmfid.BCRLS, pmfid.RKnownStep, pmfid.RSRIVC]
+RECURSIVE = [pmfid.RLS, pmfid.BCRLS, pmfid.RSRIVC]
 #: numerator, denominator, sample period [s], cutoff [rad/s], dead time in samples
 PROCESSES = {
     "one lag": ((2.0,), (1.0, 1.5), 0.05, 4.0, 0),

@@ -353,7 +353,6 @@ def test_order_command(records, tmp_path, monkeypatch):
     ("arguments", "text"),
     [
         (("--method", "interval"), "does not suit a transfer function"),
-        (("--method", "known-step"), "give \\[encoder\\] resolution"),
         (("--m", "3"), "m must be a whole number"),
         (("--n", "9"), "n must be a whole number"),
         (("--quantize", "0.1"), "quantize and edges need a drive"),

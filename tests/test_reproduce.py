@@ -265,7 +265,7 @@ def test_sections_say_whether_a_goal_is_met() -> None:
     rows += [
         Merit("encoders", scenario, method, n, 200, bias=0.0, std=0.1, coverage=95.0)
         for scenario, among in (("prbs", (4096, 1024, 512, 256)), ("stop-and-go", (4096, 1024, 512, 256, 64)))
-        for method in ("bcrls", "known-step", "iv", "riv", "auto")
+        for method in ("bcrls", "iv", "riv", "auto")
         for n in among
         if (scenario, method, n) not in cases
     ]

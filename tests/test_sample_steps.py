@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import ArrayLike
 
 from pmfid import BCRLS, IV, OE, RIV, RLS, Drive, Encoder, Fleet, TransferFunction, UsageError
-from pmfid.estimators.known_step import KnownStep
 from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.recursive import RecursiveEstimator
@@ -122,7 +121,7 @@ def test_what_takes_no_steps_says_so() -> None:
     with pytest.raises(UsageError, match="Experiment"):
         RLS(TransferFunction(2, 0), Encoder(1e-3), 0.01, 5.0, steps="given")
     with pytest.raises(UsageError, match="evenly spaced samples"):
-        KnownStep(*arguments(), steps=steps)
+        RLS(*arguments(), discretization="paper", steps="given")
     with pytest.raises(UsageError, match="run each axis on its own"):
         Fleet(RLS(*arguments(), steps="given"), 3)
     with pytest.raises(UsageError, match="positive"):

@@ -163,7 +163,7 @@ def test_the_equation_holds_for_the_simulated_motion() -> None:
     assert np.std(columns.z - columns.phi @ theta) < 1e-3 * np.std(columns.z)
 
 
-@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, pmfid.RLS, pmfid.BCRLS, pmfid.KnownStep])
+@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, pmfid.RLS, pmfid.BCRLS])
 def test_methods_without_a_simulated_motion_refuse_with_a_remedy(method: type[pmfid.LS]) -> None:
     with pytest.raises(pmfid.UsageError, match=r"stribeck_friction.*use iv, riv, output-error"):
         method(pmfid.Drive(1.7, stribeck=0.02), pmfid.Encoder(3e-5), 2e-3, 31.0)

@@ -32,7 +32,6 @@ CASES = {name: (cls, options) for name, cls, options in [
     ("window", pmfid.RLS, {"forgetting_scheme": "window"}),
     ("directional", pmfid.RLS, {"forgetting_scheme": "directional"}),
     ("riv", pmfid.RIV, {"model": pmfid.Drive(2.0, offset=True)}),
-    ("known-step", pmfid.RKnownStep, {}),
     ("rsrivc", pmfid.RSRIVC, LAGS),
 ]}  # fmt: skip
 
@@ -94,8 +93,8 @@ def test_every_field_has_its_limits(name: str, precision: str) -> None:
         ("bcrls", "settle", 10**6),
         ("riv", "auxiliary.trial", 2**31),
         ("riv", "instrument.mass", 1.5),
-        ("known-step", "direct.estimate.variance_factor", -1.0),
-        ("known-step", "direct.sums.cross", -1.0),
+        ("directional", "direct.estimate.variance_factor", -1.0),
+        ("directional", "direct.sums.cross", -1.0),
         ("bcrls", "direct.sums.square", -1.0),
         ("bcrls", "encoder.velocity", 1e30),
         ("bcrls", "encoder.input", 1e29),

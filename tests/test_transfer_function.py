@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import pmfid
-from pmfid import BCLS, BCRLS, LS, RLS, KnownStep, RKnownStep, TransferFunction, UsageError
+from pmfid import BCLS, BCRLS, LS, RLS, TransferFunction, UsageError
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.filters.chain import derivative, euler_frobenius
 from pmfid.models.equation import Equation, Term
@@ -187,9 +187,8 @@ def test_the_discretisation_of_the_paper_is_there_too(name):
 def test_recursive_estimates_without_forgetting_are_the_batch_ones(name):
     plant = PLANTS[name]
     run = make_record(plant, 2, snr=10.0)
-    noise = {"noise_std": run.noise_std}
-    for batch, recursive, options in ((LS, RLS, {}), (BCLS, BCRLS, {}), (KnownStep, RKnownStep, noise)):
-        off_line, on_line = (estimate(cls, plant, run, **options) for cls in (batch, recursive))
+    for batch, recursive in ((LS, RLS), (BCLS, BCRLS)):
+        off_line, on_line = (estimate(cls, plant, run) for cls in (batch, recursive))
         np.testing.assert_allclose(on_line, off_line, rtol=1e-4)
 
 
@@ -230,15 +229,12 @@ def extended_input(u: np.ndarray, plant: Plant, poles: list[float], j: int) -> n
 def test_compensation_takes_out_the_bias_of_white_noise(name, least):
     plant = PLANTS[name]
     mean = {}
-    for cls in (LS, BCLS, KnownStep):
+    for cls in (LS, BCLS):
         runs = [make_record(plant, seed, snr=10.0) for seed in range(8)]
-        theta = [
-            estimate(cls, plant, run, **({"noise_std": run.noise_std} if cls is KnownStep else {})) for run in runs
-        ]
+        theta = [estimate(cls, plant, run) for run in runs]
         mean[cls] = np.abs(np.mean(theta, axis=0) / plant.truth - 1)[: plant.model.n]
     assert np.max(mean[LS]) > least
     assert np.max(mean[BCLS]) < least / 4
-    assert np.max(mean[KnownStep]) < least / 4
 
 
 def test_chosen_zeros_are_as_good_as_good_ones():
@@ -263,11 +259,11 @@ def test_a_dead_time_in_the_model_takes_it_out():
     assert np.max(np.abs(wrong / UNDERSHOOT.truth - 1)) > 0.1
 
 
-@pytest.mark.parametrize("cls", [LS, BCLS, RLS, BCRLS, KnownStep])
+@pytest.mark.parametrize("cls", [LS, BCLS, RLS, BCRLS])
 def test_a_constant_on_the_output_is_an_unknown(cls):
     run = make_record(LAG, 5, load=0.7)
     model = TransferFunction(2, 0, offset=True)
-    theta = estimate(cls, LAG, run, model, **({"noise_std": 1e-9} if cls is KnownStep else {}))
+    theta = estimate(cls, LAG, run, model)
     np.testing.assert_allclose(theta[:3], LAG.truth, rtol=0.005)
     assert theta[3] / theta[0] == pytest.approx(0.7, abs=2e-3)
     assert np.max(np.abs(estimate(LS, LAG, run) / LAG.truth - 1)) > 0.1

@@ -20,8 +20,6 @@ if TYPE_CHECKING:
     from pmfid.estimators.iv import IV as IV
     from pmfid.estimators.iv import RIV as RIV
     from pmfid.estimators.known import Known as Known
-    from pmfid.estimators.known_step import KnownStep as KnownStep
-    from pmfid.estimators.known_step import RKnownStep as RKnownStep
     from pmfid.estimators.ls import BCLS as BCLS
     from pmfid.estimators.ls import LS as LS
     from pmfid.estimators.motion_fit import MotionFit as MotionFit
@@ -85,8 +83,6 @@ _PUBLIC = {
     "OE": "pmfid.estimators.output_error",
     "IntervalML": "pmfid.estimators.output_error",
     "Known": "pmfid.estimators.known",
-    "KnownStep": "pmfid.estimators.known_step",
-    "RKnownStep": "pmfid.estimators.known_step",
     "LS": "pmfid.estimators.ls",
     "MotionFit": "pmfid.estimators.motion_fit",
     "NotIdentifiableError": "pmfid.errors",

@@ -20,15 +20,13 @@ from studies.paper.truth import CartRecord, make_estimator
 
 #: RLS of the extended model, from which BCRLS starts: its bias is not compensated (paper eq. 19 to 21).
 EXTENDED = "extended rls"
-ON_LINE = ("rls", EXTENDED, "bcrls", "rknown-step", "riv")
-OFF_LINE = ("known-step", "iv", AUTO)
+ON_LINE = ("rls", EXTENDED, "bcrls", "riv")
+OFF_LINE = ("iv", AUTO)
 TITLES = {
     "rls": "RLS",
     EXTENDED: "extended RLS, the start of BCRLS",
     "bcrls": "BCRLS",
-    "rknown-step": "known step, recursive",
     "riv": "instrumental variables, recursive",
-    "known-step": "known step, off-line over each run",
     "iv": "instrumental variables, off-line over each run",
     AUTO: "auto",
 }

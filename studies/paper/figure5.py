@@ -18,7 +18,7 @@ from studies.paper.inputs import HORIZON, INTERVALS, experiments, information, p
 from studies.paper.merit import Merit, Score, merit
 from studies.paper.truth import CartRecord, make_estimator
 
-ON_LINE = ("rls", "bcrls", "rknown-step", "riv")
+ON_LINE = ("rls", "bcrls", "riv")
 INCREMENTS = 4096
 TIME_CONSTANT = 10  # samples: 100 ms
 #: Number of strokes in both directions. The input of the way back has the opposite sign.

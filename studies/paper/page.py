@@ -100,8 +100,6 @@ def _verdict(met: bool) -> str:
 GOALS: tuple[tuple[str, str, tuple[int, ...], float], ...] = (
     ("prbs", "bcrls", (4096, 1024, 512, 256), 0.5),
     ("prbs", "iv", (4096, 1024, 512, 256), 0.5),
-    ("prbs", "known-step", (4096, 1024, 512), 0.5),
-    ("prbs", "known-step", (256,), 1.5),
     ("stop-and-go", "bcrls", (4096, 1024, 512, 256), 0.5),
     *(("stop-and-go", method, (4096, 1024, 512, 256), 0.5) for method in ("iv", "riv", "auto")),
     *(("stop-and-go", method, (64,), 1.0) for method in ("iv", "riv", "auto")),

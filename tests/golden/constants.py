@@ -15,7 +15,6 @@ import numpy as np
 
 from pmfid.encoder import Encoder
 from pmfid.estimators.iv import RIV
-from pmfid.estimators.known_step import RKnownStep
 from pmfid.estimators.recursive import BCRLS, RLS, RecursiveEstimator
 from pmfid.estimators.redge import REdge
 from pmfid.export.edges import make_up_edges
@@ -51,7 +50,6 @@ def estimators() -> dict[str, RecursiveEstimator]:
         "bcrls with steps": BCRLS(drive, *plain, steps="given", **tight),
         "bcrls of a process": BCRLS(TransferFunction(4, 1), *plain, **tight),
         "bcrls of a process, paper": BCRLS(TransferFunction(3, 0), *plain, discretization="paper"),
-        "rknown-step": RKnownStep(drive, *plain, **tight),
         "riv": RIV(EVERYTHING, *plain, **tight),
         "riv late": RIV(late, *plain, order=4, **tight),
         "riv float32": RIV(Drive(GAIN, dead_time="estimate"), *plain, precision="float32", **tight),

@@ -20,7 +20,7 @@ from tests.hostile.specs import spec
 Rng = np.random.Generator
 
 #: Methods that run sample by sample.
-RECURSIVE = ("auto", "rls", "bcrls", "rknown-step", "riv", "rsrivc")
+RECURSIVE = ("auto", "rls", "bcrls", "riv", "rsrivc")
 #: Values of an option that no user intends.
 ODD = [
     "0",
@@ -228,7 +228,7 @@ def _monitor(rng: Rng, folder: Path) -> Case:
     """Draw a record of normal work and a second record, as a file or through a pipe with the faults of loggers."""
     kind, columns, facts = _plant(rng, (*12 * ("watched",), "cart", "heavy", "rotary", "rest", "process"))
     kind = "drive" if kind == "equation" and rng.random() < 0.7 else kind
-    text = axis(rng, kind, facts, (*2 * ("riv", "bcrls", "auto"), "rknown-step", "rls")) + monitor(rng, facts)
+    text = axis(rng, kind, facts, (*2 * ("riv", "bcrls", "auto"), "rls")) + monitor(rng, facts)
     files = {"normal.csv": as_csv(rng, with_defects(rng, columns) if rng.random() < 0.2 else columns)}
     files["axis.toml"] = text.encode()
     chosen = options(rng, 0.1, mtbf_hours=["0.1", "24"], detector=["cusum", "glr"], tolerance=["0.05", "0"])

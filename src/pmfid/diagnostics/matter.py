@@ -32,7 +32,6 @@ FLAGS = {
     "uncertain": "the error of a parameter may exceed half its value: excite the axis more, or use a simpler model",
     "implausible": "a parameter is negative, which is impossible in a machine: check sign and scale of input "
     "and encoder",
-    "coarse_motion": "the axis moves less than a count per sample, too little for this method: use iv",
     "unstable": ("a pole is in the right half-plane: set unstable = true if a controller holds the process"),
     "reversed": "the output has the opposite sign of the input: reverse one of them",
     "exchanged": "the columns of input and output are exchanged: exchange input and output in [record]",

@@ -64,8 +64,6 @@ class DiagnosticTuning:
     #: Smallest delay [samples] in a report if no score supports the delay. A smaller delay resembles other effects,
     #: such as friction within a sample.
     drives_least: float = 0.05
-    #: Counts per sample below which the encoder's error is not white noise.
-    drives_coarse: float = 1.0
     #: Smallest number of samples for a judgement of a model. A judgement also needs at least one moving sample.
     drives_fewest: int = 50
     #: Length of the judged part at the end of the record, in memories of an estimator with forgetting.

@@ -77,8 +77,6 @@ class Estimator:
     misreads: ClassVar[bool] = False
     #: The method simulates the motion, from which it takes friction that depends on the speed.
     knows_shapes: ClassVar[bool] = False
-    #: The method accepts a step that varies.
-    takes_steps: ClassVar[bool] = True
     #: Discretisations of the held signals that the method accepts.
     discretizations: ClassVar[tuple[str, ...]] = tuple(sorted(HOLD_FILTERS))
 
@@ -152,7 +150,7 @@ class Estimator:
         why = ""
         if not self.plant.rests:
             why = "a transfer function uses the times of an Experiment"
-        elif not self.takes_steps or self.discretization != "matched":
+        elif self.discretization != "matched":
             why = f"{self.method or 'this method'} with this discretization accepts only evenly spaced samples"
         elif self.equation.dead_time or self.equation.lag:
             why = "an input that acts late needs evenly spaced samples"

@@ -33,17 +33,17 @@ if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
 
-def noise_covariance(estimator: Estimator, noise_std: float | None) -> NDArray[np.float64]:
+def noise_covariance(estimator: Estimator) -> NDArray[np.float64]:
     """Return the noise covariance (p + 1, p + 1) of the regressors and the target.
 
     The covariance is sigma^2 sum g g^T with the impulse responses g of the noisy columns. The target is noisy only if
-    the equation has known output terms. `noise_std` is sigma, the standard deviation of the position [unit of y]. None
-    takes resolution / sqrt(12), the value for white quantisation. Quantisation is white above about one count of motion
-    per sample.
+    the equation has known output terms. The standard deviation sigma of the position is resolution / sqrt(12), the
+    value for white quantisation. Quantisation is white above about one count of motion per sample.
     """
-    variance = estimator.encoder.rounding_variance if noise_std is None else noise_std * noise_std
     network, columns = estimator._columns
-    return np.asarray(variance * impulse_products(estimator, network, columns[: len(estimator.names) + 1]))
+    return np.asarray(
+        estimator.encoder.rounding_variance * impulse_products(estimator, network, columns[: len(estimator.names) + 1])
+    )
 
 
 def impulse_products(estimator: Estimator, network: Network, columns: list[Taps]) -> NDArray[np.float64]:
@@ -248,7 +248,7 @@ class RecursiveEstimator(Estimator):
         scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
         config["scheme"] = FORGETTING_SCHEMES[scheme]
         if self.misreads and self._misread_columns[2]:
-            config["biased"], config["noise"] = 1, noise_covariance(self, None)[:-1, :-1].tolist()
+            config["biased"], config["noise"] = 1, noise_covariance(self)[:-1, :-1].tolist()
         if forgetting < 1 and self.plant.rests:
             config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
             config["haste"], config["leak"] = (

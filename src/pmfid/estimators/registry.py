@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.iv import IV, RIV
-from pmfid.estimators.known_step import KnownStep, RKnownStep
 from pmfid.estimators.ls import BCLS, LS
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.output_error import OE, IntervalML
@@ -13,8 +12,8 @@ from pmfid.estimators.srivc import RSRIVC, SRIVC
 from pmfid.models.drive import Model
 
 #: Off-line methods for a drive.
-OFF_LINE = (LS, BCLS, KnownStep, IV, OE, IntervalML, MotionFit)
-RECURSIVE = (RLS, BCRLS, RKnownStep, RIV)
+OFF_LINE = (LS, BCLS, IV, OE, IntervalML, MotionFit)
+RECURSIVE = (RLS, BCRLS, RIV)
 #: Methods for a linear process alone.
 PROCESS_ONLY = (SRIVC, RSRIVC)
 ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE, *RECURSIVE, *PROCESS_ONLY)}

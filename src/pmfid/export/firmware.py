@@ -159,8 +159,7 @@ def export_firmware(
     """
     if not isinstance(estimator, Exportable):
         raise UsageError(
-            f"{estimator.method} needs a whole record and cannot run sample by sample; export rls, bcrls, "
-            "rknown-step, riv or REdge"
+            f"{estimator.method} needs a whole record and cannot run sample by sample; export rls, bcrls, riv or REdge"
         )
     check_names(prefix, estimator.names)
     folder = Path(folder)

@@ -114,10 +114,6 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
         raise UsageError(f"{method} does not suit a transfer function; use one of {', '.join(methods_for(model))}")
     cls = ESTIMATORS[method]
     options = settings(axis, cls)
-    if method in ("known-step", "rknown-step"):
-        if axis.encoder.resolution == NO_ENCODER:
-            raise UsageError(f"{method} needs the step of the encoder or converter; give [encoder] resolution")
-        options["noise_std"] = axis.encoder.resolution / np.sqrt(12.0)
     own = {"model": model, "encoder": Encoder(axis.encoder.resolution), "dt": dt, "cutoff": config.pole}
     estimator = construct_estimator(cls, own | options)
     if cls.instrumental and config.prefilter_zeros is None:

@@ -112,9 +112,6 @@ def scales_with_the_units(case: Case) -> None:
         "encoder": _scale_encoder(configured.encoder),
         "model": _scale_forces(configured.model),
     }
-    noise: float | None = getattr(configured, "noise_std", None)
-    if noise is not None:
-        changes["noise_std"] = TUNING.common_thousand * noise
     result = result_of(change_arguments(configured, changes), case.fine.u, case.fine.counts)
     _require_near(last(result.theta), case.theta * factors, case.theta * factors, TUNING.common_same)
 
