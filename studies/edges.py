@@ -24,8 +24,11 @@ import numpy as np
 
 from pmfid import Drive, EdgeFit, Encoder, IntervalML, REdge
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.motion import least
-from pmfid.estimators.tuning import TUNING
+from pmfid.fit.edges import FINEST as FINEST_EDGE
+from pmfid.fit.edges import fit_edges
+from pmfid.fit.likelihood import Gaussian
+from pmfid.fit.machine import machine_of
+from pmfid.fit.problem import FitProblem
 from pmfid.monitor import Alarm, EdgeMonitor, Monitor, Watch
 from pmfid.monitor.events import Event
 from pmfid.simulation import CART, Machine, capture_edges, resolution_of, simulate_drive
@@ -50,17 +53,16 @@ OFF_LINE, ON_LINE, OFF_LINE_STD, ON_LINE_STD, INTERVAL, BOUND = range(6)
 
 def bound_errors(method: EdgeFit, truth: Floats, record: tuple[Floats, Counts, Floats], off: float) -> Floats:
     """Return the smallest standard deviations (3,) that an estimate without bias can have."""
-    difference, q = method._begin(truth, *record)
-    for part in TUNING.edges_slower:
-        q = least(replace(difference, pole=part * method.cutoff), q)
-        difference = difference.correct_lines(q, method.lines)
-    exact = replace(difference, pole=0.0)
-    deviation = np.hypot(TICK / np.sqrt(12) * exact.speed(q), TUNING.edges_finest)
-    exact = replace(exact, deviation=deviation, spread=off / np.sqrt(3))
-    effect = exact.whiten(exact.speed(q))
-    sensitivity = replace(exact, late=effect / np.linalg.norm(effect)).own_sensitivity(q)[:, : truth.size]
-    scale = exact.scale[: truth.size]
-    return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(sensitivity.T @ sensitivity))) * scale)
+    stretches, margins = method.with_edges(*record, np.ones(record[0].size, bool))
+    _, search = fit_edges(FitProblem(machine_of(method.equation), stretches, method.encoder.resolution), None, margins)
+    ((_, v),) = search.problem.motion(search.q, search.starts)
+    (stretch,) = search.plain.stretches
+    variance = np.where(stretch.counted, stretch.variance, TICK**2 / 12 * (v / method.encoder.resolution) ** 2)
+    noise = Gaussian((replace(stretch, variance=np.maximum(variance, FINEST_EDGE**2)),), spread=off / np.sqrt(3))
+    (block,) = noise(search.problem.linearise(search.q, search.starts))[1]
+    sensitivity = np.column_stack([block.J, block.K])
+    cov = np.linalg.inv(sensitivity.T @ sensitivity)[: truth.size, : truth.size]
+    return np.asarray(np.sqrt(np.diagonal(cov)) * [truth[0], 1.0, 1.0])  # the mass is a logarithm
 
 
 def make_record(

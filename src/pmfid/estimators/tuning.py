@@ -428,48 +428,6 @@ class EstimatorTuning:
     #: Number of places of the lattice at which the likelihood's top is searched.
     uncertainty_tops: int = 16
 
-    # edges
-    #: Largest relative excess of an age over the step of the clock.
-    edges_late: float = 1e-6
-    #: Poles of the search's successive high-passes, as parts of the cutoff; 0 means none.
-    edges_slower: tuple[float, ...] = (1.0, 0.1, 0.0)
-    #: Fewest edges for each unknown.
-    edges_fewest: int = 5
-    #: Iterations of variances and least squares. The variances converge to a few percent within three iterations.
-    edges_passes: int = 3
-    #: Smallest standard deviation of an edge [counts], the accuracy of the simulation.
-    edges_finest: float = 1e-6
-    #: Relative accuracy to which times and forces are known. Crystals are made to 20 ppm.
-    edges_exact: float = 1e-5
-    #: Parts of a count in positions interpolated between edges.
-    edges_parts: int = 64
-    #: Largest relative misfit of the velocity's changes of a motion that follows the edges.
-    edges_followed: float = 0.3
-    #: Least time between two edges whose velocity counts in full, as part of the mean time between edges.
-    edges_apart: float = 0.1
-    #: An edge that is further from every line belongs to no line [counts].
-    edges_between: float = 0.35
-    #: An edge within this many standard deviations of its instant from a sample may belong to the neighbouring sample.
-    edges_truncated: float = 4.0
-    #: Largest parts of edges that no motion explains, and of edges with a corrected line. Larger parts show a wrong
-    #: model. The third value is the largest part of dropped edges that allows an estimate.
-    edges_few: float = 0.02
-    edges_moved: float = 0.1
-    edges_most_dropped: float = 0.25
-    #: Largest scatter of an encoder's lines [counts, root mean square]. A larger scatter shows a wrong model.
-    edges_rough: float = 0.15
-    #: Edges that scatter more [counts, root mean square] are compared with the counts alone.
-    edges_sharp: float = 0.02
-    #: A smaller spread of the lines is not reported [counts].
-    edges_reported: float = 0.002
-    #: Lines that recur at least this often have their own places in the first least squares.
-    edges_repeated: float = 5.0
-    #: Standard deviation of the lines while the other errors are unknown [counts], for edges of 1 count. A motion that
-    #: stands still would explain all edges if lines were free.
-    edges_free: float = 100.0
-    #: Largest ratio of the variance of errors summed over blocks to that of uncorrelated errors. Chance gives ratios
-    #: below 3.
-    edges_correlated: float = 4.0
     #: On-line each line has 8 sums; this many lines are 4 MB.
     most_lines: int = 65536
 

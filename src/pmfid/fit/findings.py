@@ -48,7 +48,7 @@ def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: fl
     matters = bool(moved[worst] > tolerance)
     seen = set()
     for one, value in zip(fitted.problem.candidates, fitted.values, strict=True):
-        if one.words in seen:
+        if one.late or one.words in seen:
             continue
         seen.add(one.words)
         shown = one.describe(value * one.sd)

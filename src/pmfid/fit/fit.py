@@ -189,8 +189,9 @@ class FitSearch:
         self.starts = self.plain.first_starts()
         for k, i in enumerate(self.chosen):
             one = self.table[i]
-            size = self.first[3] if one.force is None else _first_size(one.force, self.first, self.sizes.turn)
-            self.q[self.own + k] = size / one.sd
+            if not one.reads:
+                size = self.first[3] if one.force is None else _first_size(one.force, self.first, self.sizes.turn)
+                self.q[self.own + k] = size / one.sd
         self.noise = Gaussian(self.plain.stretches)
 
     def _chosen_problem(self) -> FitProblem:
@@ -215,7 +216,11 @@ class FitSearch:
         """Return the noise of the residuals, with the rests of the simulated motion."""
         motion = self.problem.motion(self.q, self.starts)
         stretches = tuple(one.resting(v == 0) for one, (_, v) in zip(self.plain.stretches, motion, strict=True))
-        return noise_of(stretches, _errors(self), self.rate, kinds)
+        return noise_of(stretches, errors_of(self), self.rate, kinds)
+
+    def explain(self) -> Intervals | None:
+        """Return the likelihood of the intervals if a motion explains every count."""
+        return _explain(self)
 
     def choose(self, chosen: Sequence[int]) -> None:
         """Take a set of candidates, with the sizes of those that were in before."""
@@ -296,22 +301,31 @@ def fit(problem: FitProblem) -> Fitted:
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
     search = FitSearch(problem)
+    likelihood = begin(search)
+    return conclude(search, build(search) if likelihood is None else _prune(search, likelihood))
+
+
+def begin(search: FitSearch) -> Intervals | None:
+    """Solve from the blind start with forces of the position or without, and keep the best set of them.
+
+    Returns the likelihood of the intervals if a motion explains every count.
+    """
     loads = [i for i, one in enumerate(search.table) if one.base == OFFSET]
     springs, turned = ([i for i, one in enumerate(search.table) if one.name == name] for name in ("spring", "gravity"))
     costs = []
     for chosen in dict.fromkeys(map(tuple, ([], loads, [*loads, *springs], turned))):
         search.restart(chosen)
         cost = search.solve(search.noise).cost
-        likelihood = _explain(search)
+        likelihood = search.explain()
         if likelihood is not None:
-            return _conclude(search, _prune(search, likelihood))
+            return likelihood
         costs.append((search.plain.rows * math.log(cost) + len(chosen) * math.log(search.plain.rows), chosen))
     search.restart(min(costs)[1])
     search.solve(search.noise)
-    return _conclude(search, _build(search))
+    return None
 
 
-def _build(search: FitSearch) -> Gaussian | Intervals:
+def build(search: FitSearch) -> Gaussian | Intervals:
     """Add and drop forces until the counts are explained or no force gains evidence, and return the likelihood."""
     _settle_either(search)
     for _ in range(MOST_STEPS):
@@ -321,7 +335,7 @@ def _build(search: FitSearch) -> Gaussian | Intervals:
         elif not (search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
             break
         search.solve(search.noise)
-        explained = _explain(search)
+        explained = search.explain()
         if explained is not None:
             return _prune(search, explained)
         _settle(search, WANDERING)
@@ -337,7 +351,7 @@ def _settle_either(search: FitSearch) -> None:
     for kind in WANDERING:
         search.q, search.starts, search.noise = at
         _settle(search, (kind,))
-        ends.append((search.noise.evidence(_errors(search))[0], search.q, search.starts, search.noise))
+        ends.append((search.noise.evidence(errors_of(search))[0], search.q, search.starts, search.noise))
     _, search.q, search.starts, search.noise = max(ends, key=lambda end: end[0])
 
 
@@ -431,7 +445,7 @@ def pair_gains(A: Floats, g: Floats, base: int) -> Floats:
     return np.asarray(0.5 * np.sum(step * pull.reshape(m, 2), axis=1) - 0.5 * logs)
 
 
-def _errors(search: FitSearch) -> list[Floats]:
+def errors_of(search: FitSearch) -> list[Floats]:
     return [block.e for block in search.problem.linearise(search.q, search.starts)]
 
 
@@ -469,7 +483,7 @@ def _narrow(search: FitSearch) -> Intervals | None:
 
 
 def _as_rounding(search: FitSearch) -> bool:
-    e = np.concatenate(_errors(search))
+    e = np.concatenate(errors_of(search))
     return float(np.mean(e**2)) < MOST_SQUARES
 
 
@@ -503,7 +517,7 @@ def _scale_matrix(A: Floats) -> tuple[Floats, Floats]:
     return A / np.outer(size, size), size
 
 
-def _conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
+def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     allowed, prior = range(len(search.table)), search.prior(search.problem)
     found = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
     if min(np.abs(found.q[search.plain.machine.lead] - np.array(search.plain.mass))) < SETTLED:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmfid._body import whiten
 from pmfid.fit.problem import ObservedStretch, ResidualBlock
@@ -21,7 +22,9 @@ class Gaussian:
     """White errors of known variance, times `scale`, and a force or an error of the position that wanders.
 
     `rate` is viscous friction over mass [1/s]. `force` has the standard deviation [counts/s^2] and the time constant
-    [s] of an Ornstein-Uhlenbeck process, and `position` those of an error of the position [counts].
+    [s] of an Ornstein-Uhlenbeck process, and `position` those of an error of the position [counts]. The lines of the
+    encoder have errors of standard deviation `spread` [counts]. Each line has one error at all its edges (Fuller and
+    Battese 1974), which a disturbance that wanders hides.
     """
 
     stretches: Sequence[ObservedStretch]
@@ -29,6 +32,7 @@ class Gaussian:
     force: tuple[float, float] = (0.0, 1.0)
     position: tuple[float, float] = (0.0, 1.0)
     scale: float = 1.0
+    spread: float = 0.0
 
     @property
     def wanders(self) -> bool:
@@ -46,20 +50,36 @@ class Gaussian:
         size = math.sqrt(self.scale)
         if not self.wanders:
             weight = 1 / np.sqrt(stretch.variance) / size
-            return ResidualBlock(block.e * weight, block.J * weight[:, None], block.K * weight[:, None])
+            if not self._lines(stretch):
+                return ResidualBlock(block.e * weight, block.J * weight[:, None], block.K * weight[:, None])
         rows = np.column_stack([block.e, block.K, block.J])
-        whiten(rows, stretch.signed_steps, stretch.variance, self.rate, self.force, self.position)
+        self._whiten(rows, stretch)
         rows /= size
         return ResidualBlock(rows[:, 0], rows[:, 3:], rows[:, 1:3])
+
+    def _lines(self, stretch: ObservedStretch) -> bool:
+        return self.spread > 0 and stretch.line is not None
+
+    def _whiten(self, rows: Floats, stretch: ObservedStretch) -> float:
+        """Whiten rows (k, w) in place, and return the sum of the logarithms of their variances."""
+        variance = stretch.variance
+        if not self._lines(stretch):
+            return float(whiten(rows, stretch.signed_steps, variance, self.rate, self.force, self.position))
+        if self.wanders:
+            variance = np.where(stretch.counted, variance, variance + self.spread**2)
+            return float(whiten(rows, stretch.signed_steps, variance, self.rate, self.force, self.position))
+        rows /= np.sqrt(variance)[:, None]
+        assert stretch.line is not None
+        return _share_lines(rows, stretch.line, 1 / np.sqrt(variance), self.spread) + float(np.sum(np.log(variance)))
 
     def evidence(self, errors: Sequence[Floats]) -> tuple[float, float]:
         """Return the log likelihood of residuals (k,) for each stretch at the best scale of at least 1, and the
         scale."""
         squares, logs, count = 0.0, 0.0, 0
         for stretch, e in zip(self.stretches, errors, strict=True):
-            if self.wanders:
+            if self.wanders or self._lines(stretch):
                 rows = np.ascontiguousarray(e[:, None]).copy()
-                logs += whiten(rows, stretch.signed_steps, stretch.variance, self.rate, self.force, self.position)
+                logs += self._whiten(rows, stretch)
                 squares += float(np.sum(rows**2))
             else:
                 logs += float(np.sum(np.log(stretch.variance)))
@@ -67,6 +87,19 @@ class Gaussian:
             count += e.size
         scale = max(1.0, squares / count)
         return -0.5 * (squares / scale + count * math.log(2 * math.pi * scale) + logs), scale
+
+
+def _share_lines(rows: Floats, line: NDArray[np.intp], weight: Floats, spread: float) -> float:
+    """Whiten rows (k, w) of unit errors in place for the common error of each line, and return the sum of the
+    logarithms of the variances that the lines add."""
+    edges = np.flatnonzero(line >= 0)
+    _, line = np.unique(line[edges], return_inverse=True)
+    weight = weight[edges]
+    power = np.bincount(line, weight**2)
+    mean = np.array([np.bincount(line, weight * column) for column in rows[edges].T]).T / power[:, None]
+    part = 1 - 1 / np.sqrt(1 + spread**2 * power)
+    rows[edges] -= (part[:, None] * mean)[line] * weight[:, None]
+    return float(np.sum(np.log1p(spread**2 * power)))
 
 
 #: Time constants of a wandering disturbance, in mean steps; the last one is a tenth of the record.
@@ -80,6 +113,7 @@ def noise_of(
     errors: Sequence[Floats],
     rate: float,
     kinds: Sequence[str] = ("force", "position"),
+    spread: float = 0.0,
 ) -> Gaussian:
     """Return the noise of maximum likelihood for residuals (k,) [counts] of each stretch.
 
@@ -87,7 +121,7 @@ def noise_of(
     """
     chosen = _thin(stretches, errors)
     parts, residuals = [one for one, _ in chosen], [e for _, e in chosen]
-    plain = Gaussian(parts, rate)
+    plain = Gaussian(parts, rate, spread=spread)
     best, (top, scale) = plain, plain.evidence(residuals)
     step = float(np.mean([np.mean(one.steps) for one in parts]))
     rows = sum(e.size for e in residuals)

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmfid._body import BASE
 from pmfid.fit.machine import MASS, V0, X0, BodyForce, BodyModel, Excitation, simulate
@@ -29,7 +30,8 @@ class ObservedStretch:
     `drive` is the input. `y` (k,) are the observed positions [unit] at `drive.row`, each in the middle of its count.
     `variance` (k,) are the variances of their errors [counts^2], and `counted` (k,) is True for a count, whose error
     is that of rounding, and False for the instant of an edge. `rest` (k,) is True while the simulated axis rests.
-    `first` is the index of the first sample in the record.
+    `first` is the index of the first sample in the record. `line` (k,) is the number of the encoder's line of each
+    edge, or -1; a stretch without it has counts only.
     """
 
     drive: Excitation
@@ -38,6 +40,7 @@ class ObservedStretch:
     counted: Flags
     rest: Flags
     first: int = 0
+    line: NDArray[np.intp] | None = None
 
     @property
     def times(self) -> Floats:
@@ -67,9 +70,12 @@ class ObservedStretch:
     def keep(self, chosen: Flags) -> ObservedStretch:
         """Return the stretch with some of its observations (k,)."""
         drive = replace(self.drive, row=np.ascontiguousarray(self.drive.row[chosen]))
-        return ObservedStretch(
-            drive, self.y[chosen], self.variance[chosen], self.counted[chosen], self.rest[chosen], self.first
-        )
+        return self._choose(drive, chosen, self.first)
+
+    def _choose(self, drive: Excitation, chosen: Flags, first: int) -> ObservedStretch:
+        line = None if self.line is None else self.line[chosen]
+        y, variance, counted, rest = self.y[chosen], self.variance[chosen], self.counted[chosen], self.rest[chosen]
+        return ObservedStretch(drive, y, variance, counted, rest, first, line)
 
     def cut(self, first: float, last: float) -> ObservedStretch:
         """Return the observations between two times [s], with the input from the first of them on."""
@@ -85,9 +91,7 @@ class ObservedStretch:
             row,
             np.ascontiguousarray(self.drive.columns[:, part]),
         )
-        return ObservedStretch(
-            drive, self.y[chosen], self.variance[chosen], self.counted[chosen], self.rest[chosen], self.first + begin
-        )
+        return self._choose(drive, chosen, self.first + begin)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,13 +175,13 @@ class FitProblem:
             self._block(stretch, state, scale, body, forces, lift)
             for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True)
         ]
-        if any(one.reading is not None for one in self.candidates):
-            blocks = [self._read(block, one.y, q) for block, one in zip(blocks, self.stretches, strict=True)]
-        return blocks
+        if any(one.reads for one in self.candidates):
+            return [self._read(*block, one, q) for block, one in zip(blocks, self.stretches, strict=True)]
+        return [block for block, _ in blocks]
 
-    def _read(self, block: ResidualBlock, measured: Floats, q: Floats) -> ResidualBlock:
-        """Return a block with the errors of the encoder, which depend on the position."""
-        y = block.e * self.resolution + measured
+    def _read(self, block: ResidualBlock, v: Floats, stretch: ObservedStretch, q: Floats) -> ResidualBlock:
+        """Return a block with the errors of the encoder, which depend on the position, and the lateness of edges."""
+        y = block.e * self.resolution + stretch.y
         e, slope, J = block.e.copy(), np.ones(y.size), block.J.copy()
         k = len(self.machine.names)
         for one in self.candidates:
@@ -187,6 +191,9 @@ class FitProblem:
                 J[:, k] = np.sin(angle) * one.sd / self.resolution
                 e += q[k] * J[:, k]
                 slope += q[k] * one.sd * 2 * np.pi / period * np.cos(angle)
+            elif one.late:
+                J[:, k] = np.where(stretch.counted, 0.0, -v * one.sd / self.resolution)
+                e += q[k] * J[:, k]
             k += 1 + one.free
         plain = [i for i in range(J.shape[1]) if i not in self._readings()]
         J[:, plain] *= slope[:, None]
@@ -196,7 +203,7 @@ class FitProblem:
         """Return the indices of the errors of the encoder among the parameters."""
         found, k = set(), len(self.machine.names)
         for one in self.candidates:
-            if one.reading is not None:
+            if one.reads:
                 found.add(k)
             k += 1 + one.free
         return found
@@ -224,7 +231,7 @@ class FitProblem:
         lift[:, m.lead] *= self.theta(q)[m.lead]
         row, constant, k = BASE + count, BASE + count + len(extra) + shapes, own
         for one in self.candidates:
-            if one.reading is not None:
+            if one.reads:
                 k += 1
                 continue
             target = row if one.force is not None else one.base
@@ -252,17 +259,18 @@ class FitProblem:
         body: Floats,
         forces: Sequence[BodyForce],
         lift: Floats,
-    ) -> ResidualBlock:
+    ) -> tuple[ResidualBlock, Floats]:
+        """Return the block of a stretch and its velocities (k,)."""
         at = self._start_body(stretch, state, scale, body)
         if not (np.all(np.isfinite(at)) and at[MASS] > 0):
-            return ResidualBlock(
-                np.full(stretch.y.size, FAR), np.zeros((stretch.y.size, lift.shape[1])), np.zeros((stretch.y.size, 2))
-            )
-        y, _, S = simulate(stretch.drive, forces, at, PARTS)
+            rows = stretch.y.size
+            far = ResidualBlock(np.full(rows, FAR), np.zeros((rows, lift.shape[1])), np.zeros((rows, 2)))
+            return far, np.zeros(rows)
+        y, v, S = simulate(stretch.drive, forces, at, PARTS)
         e = np.clip(np.nan_to_num((y - stretch.y) / self.resolution, nan=FAR, posinf=FAR, neginf=-FAR), -FAR, FAR)
         J = np.nan_to_num(S @ lift) / self.resolution
         K = np.column_stack([S[:, X0], S[:, V0] * scale])
-        return ResidualBlock(e, J, np.nan_to_num(K))
+        return ResidualBlock(e, J, np.nan_to_num(K)), np.nan_to_num(v)
 
 
 def _first_speed(stretch: ObservedStretch, resolution: float) -> float:

@@ -28,7 +28,8 @@ class ExtraForce:
     of its size, in the unit of the size. Either `force` has its form, or `base` is the place of the size among the
     body's parameters. A `free` force has its constant, in units of `constant`, among the parameters. `lowest` is the
     lower bound of the size in units of `sd`. `column` makes the column of the record from its input. A `reading`
-    has the period and the phase of an error of the encoder, in place of a force.
+    has the period and the phase of an error of the encoder, in place of a force, and `late` means the time by which all
+    edges are late.
     """
 
     name: str
@@ -42,6 +43,12 @@ class ExtraForce:
     lowest: float = -math.inf
     column: Callable[[Floats, Floats], Floats] | None = None
     reading: tuple[float, float] | None = None
+    late: bool = False
+
+    @property
+    def reads(self) -> bool:
+        """Whether the candidate changes what is observed and not the motion."""
+        return self.late or self.reading is not None
 
     def free_constant(self) -> ExtraForce:
         """Return the candidate with its constant among the parameters, if it has one that the record may determine."""

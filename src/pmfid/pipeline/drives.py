@@ -23,7 +23,6 @@ from pmfid.estimators.batch import BatchEstimator, check_identifiable
 from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.configuration import construct_estimator, like
 from pmfid.estimators.cutoff import choose_cutoff, choose_prefilter_zeros
-from pmfid.estimators.edges import EdgeFit
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.ls import LS
@@ -134,7 +133,7 @@ class Drives(Kind[Record]):
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
 
     def settle_axis(self, data: Record, axis: Axis) -> Axis:
-        return match_kind(data, axis) if uses_fit(axis) and data.ages is None else self.prepare_axis(data, axis)
+        return match_kind(data, axis) if uses_fit(axis) else self.prepare_axis(data, axis)
 
     def complete_record(self, data: Record, axis: Axis) -> Record:
         if data.there is None or np.all(data.there | np.isnan(data.u)) or uses_fit(axis):
@@ -169,7 +168,7 @@ class Drives(Kind[Record]):
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
         data = take_own_instants(data, axis)
         known = repair_as_configured(data, axis)
-        if uses_fit(axis) and data.ages is None:
+        if uses_fit(axis):
             result = try_both_signs(axis, lambda own: identify_by_fit(data, own, axis))
         else:
             result = try_both_signs(axis, lambda own: _identify_by_method(known.record, own, axis, progress))
@@ -197,35 +196,14 @@ class Drives(Kind[Record]):
 def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progress | None) -> DriveResult:
     """Return the result of the method in `axis`. The configured axis `asked` contains the prior information."""
     estimator, reason, choice = make_estimator(axis, data), "", None
-    notes: tuple[str, ...] = ()
     if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
-        choice, notes = _choose_edges(estimator, data, axis)
-        choice = choice or first_choice(estimator, data.u, data.counts)
+        choice = first_choice(estimator, data.u, data.counts)
         estimator, reason = choice.estimator, choice.reason
     elif axis.estimator.method == AUTO:
         estimator, reason = choose(estimator, data.u, data.counts, axis.estimator.forgetting)
     result = _estimate(estimator, data, asked, progress, choice)
     _check_known(result)
-    return result.with_findings(*make_notes("method", (f"auto chose {reason}", *notes))) if reason else result
-
-
-def _choose_edges(estimator: Estimator, data: Record, axis: Axis) -> tuple[MethodChoice | None, tuple[str, ...]]:
-    """Return the fit of the edges, and notes for people.
-
-    The fit is None if the record has no ages of edges, or if the edges cannot be used.
-    """
-    if data.ages is None or data.ages.size != data.u.size or EdgeFit.refuses(estimator.equation):
-        return None, ()
-    method = like(EdgeFit, estimator, prefilter_zeros=None, lines=axis.encoder.lines, tick=axis.encoder.tick)
-    try:
-        fit, adequacy = method.examine(data.u, data.counts, data.ages)
-    except NotIdentifiableError as error:
-        return None, (f"the ages of edges are not used: {error}",)
-    if adequacy is None:
-        return None, fit.notes
-    if adequacy.follows:  # the adequacy then describes every doubt
-        fit = replace(fit, status=fit.status & ~int(Status.UNMODELLED))
-    return MethodChoice(method, "edges: the record has the ages of edges", fit, adequacy), ()
+    return result.with_findings(*make_notes("method", [f"auto chose {reason}"])) if reason else result
 
 
 def match_kind(record: Record, axis: Axis) -> Axis:

@@ -214,7 +214,7 @@ class _Trial:
             with suppress(NotIdentifiableError):
                 by_counts.append(counting.fit(self.u, counts))
             with suppress(NotIdentifiableError):
-                by_edges += [timing.examine(self.u, counts, ages)[0]] if timing else []
+                by_edges += [timing.fit(self.u, counts, ages)] if timing else []
         return self._summarise(by_counts, index), self._summarise(by_edges, index)
 
     def _summarise(self, fits: Sequence[Fit], index: int) -> float:

@@ -11,6 +11,8 @@ from pmfid.diagnostics.matter import Matter, sizes
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import like
+from pmfid.estimators.edges import EdgeFit
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.findings import MOVE, make_notes, sort_findings
 from pmfid.fit.findings import MOST_LEFT, findings_of
@@ -49,9 +51,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
 
     Raises NotIdentifiableError if no motion of the model follows the record.
     """
-    known_record = repair_as_configured(record, axis).record
-    method = make_fit(axis, record)
-    fitted = method.examine(known_record.u, known_record.counts, _counts_in_use(record, known_record))
+    method, fitted, remarks = _examine(record, axis)
     fit = method.summarise(fitted)
     if not fit.relative_error < MOST_LEFT:
         raise NotIdentifiableError(
@@ -69,7 +69,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
     size = np.maximum(np.append(sizes(estimator, fit.theta[:p]), np.abs(fit.theta[p:])), np.finfo(float).tiny)
     positive = np.append(equation.positive, np.zeros(len(equation.further), bool))
     findings = list(findings_of(fitted, estimator.names, positive, size, axis.estimator.tolerance))
-    notes = make_notes("record", record.notes)
+    notes = make_notes("record", record.notes) + make_notes("method", remarks)
     matter = _matter(fitted, estimator.names, size, axis.estimator.tolerance)
     result = DriveResult(
         estimator,
@@ -87,6 +87,19 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
         _check_mass(result)
         return result
     return put_together(result, known, axis, known.combine(fit, spread))
+
+
+def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, ...]]:
+    """Return the method, its fit and notes. The fit uses the ages of edges if the record has ages."""
+    method, repaired = make_fit(axis, record), repair_as_configured(record, axis).record
+    used, remarks = _counts_in_use(record, repaired), tuple[str, ...]()
+    if record.ages is not None and record.ages.size == record.u.size:
+        edges = like(EdgeFit, method, lines=axis.encoder.lines, tick=axis.encoder.tick)
+        try:
+            return edges, *edges.examine_edges(repaired.u, repaired.counts, record.ages, used)
+        except NotIdentifiableError as error:
+            remarks = (f"the ages of edges are not used: {error}",)
+    return method, method.examine(repaired.u, repaired.counts, used), remarks
 
 
 def _counts_in_use(record: Record, repaired: Record) -> Flags:
