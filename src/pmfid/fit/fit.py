@@ -548,7 +548,7 @@ def _check_followed(search: FitSearch, noise: Gaussian) -> None:
     """Raise NotIdentifiableError if a motion without any input, but with a disturbance, explains the record as well."""
     still = [(one.y[0] - one.y) / search.plain.resolution for one in search.plain.stretches]
     alone = noise_of(noise.stretches, still, search.rate)
-    gain = noise.evidence(_errors(search))[0] - alone.evidence(still)[0]
+    gain = noise.evidence(errors_of(search))[0] - alone.evidence(still)[0]
     if not gain > search.q.size * math.log(search.plain.rows):
         raise NotIdentifiableError(f"the motion does not follow the input; {FOLLOW}")
 
