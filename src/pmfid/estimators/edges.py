@@ -13,17 +13,13 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.configuration import check_arrays, check_edges, check_size
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.results import Fit
+from pmfid.estimators.tuning import TUNING
 from pmfid.fit.edges import FEWEST, EdgeSearch, fit_edges
 from pmfid.fit.fit import EXPLAINED, Fitted
 from pmfid.fit.likelihood import Intervals
 from pmfid.fit.machine import machine_of
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.types import Counts, Flags, Floats
-
-#: Largest relative excess of an age over the step of the clock.
-LATE = 1e-6
-#: Relative accuracy to which times and forces are known. Crystals are made to 20 ppm.
-EXACT = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +44,7 @@ def read_edges(t: Floats, counts: Counts, ages: ArrayLike) -> Edges:
         raise UsageError(f"ages must have the shape of counts, {counts.shape}, got {given.shape}")
     step, change = np.diff(t, prepend=t[0]), np.diff(counts, prepend=counts[:1])
     there = np.isfinite(given) & (change != 0)
-    wrong = there & ~((given >= 0) & (given <= step * (1 + LATE)))
+    wrong = there & ~((given >= 0) & (given <= step * (1 + TUNING.edges_late)))
     if np.any(wrong):
         row = int(np.argmax(wrong))
         raise UsageError(
@@ -138,8 +134,8 @@ class EdgeFit(MotionFit):
             return surer, (f"{sentence} only they were used",)
         if self.lines is not None:
             notes += _describe_lines(search, self.lines)
-        sure = np.diag((EXACT * fitted.theta) ** 2)
-        half = np.hypot(fitted.half, 1.96 * EXACT * np.abs(fitted.theta))
+        sure = np.diag((TUNING.edges_exact * fitted.theta) ** 2)
+        half = np.hypot(fitted.half, 1.96 * TUNING.edges_exact * np.abs(fitted.theta))
         return replace(fitted, covariance=fitted.covariance + sure, half=half), tuple(notes)
 
     def _try_counts(self, u: Floats, counts: Counts, there: Flags, fitted: Fitted) -> Fitted | None:

@@ -428,6 +428,11 @@ class EstimatorTuning:
     #: Number of places of the lattice at which the likelihood's top is searched.
     uncertainty_tops: int = 16
 
+    # edges
+    #: Largest relative excess of an age over the step of the clock.
+    edges_late: float = 1e-6
+    #: Relative accuracy to which times and forces are known. Crystals are made to 20 ppm.
+    edges_exact: float = 1e-5
     #: On-line each line has 8 sums; this many lines are 4 MB.
     most_lines: int = 65536
 

@@ -23,8 +23,8 @@ FINEST = 1e-6
 BETWEEN = 0.35
 #: Fewest edges of a line with an error of its own, and of a parameter.
 FEWEST = 5
-#: Edges around an edge, whose median error no single wrong edge moves.
-AROUND = 9
+#: Edges around an edge, of which `FEWEST` are more than half.
+AROUND = 2 * FEWEST - 1
 #: An edge within this many standard deviations of its instant from a sample may belong to the neighbouring sample.
 TRUNCATED = 4.0
 
