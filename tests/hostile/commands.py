@@ -118,14 +118,6 @@ def _check(rng: Rng, folder: Path) -> Case:
     return Case(("check", name, "--config", "axis.toml", *_flags(rng, 0.6, "--json"), *_more(rng, name)), files)
 
 
-def _compare(rng: Rng, folder: Path) -> Case:
-    files, name = _recorded(rng, folder)
-    chosen = options(rng, 0.1, quantize=["1e-3"], cutoff=["10"]) + _out(rng, 0.03)
-    return Case(
-        ("identify", name, "--method", "all", "--config", "axis.toml", *chosen, *_flags(rng, 0.6, "--json")), files
-    )
-
-
 def _terms(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder)
     chosen = options(rng, 0.1, turn=["6.28", "-1", "nan"], pitch=["0.01", "0", "1e300"], cutoff=["10"])
@@ -317,20 +309,6 @@ def _design(rng: Rng, folder: Path) -> Case:
     return Case(("design", "spec.toml", *chosen), {"spec.toml": spec(rng, 22.75e-6).encode()})
 
 
-def _commission(rng: Rng, folder: Path) -> Case:
-    _, columns, facts = _plant(rng, ("cart", "cart", "heavy", "rest"))
-    files = {"spec.toml": spec(rng, facts["resolution"]).encode()}
-    chosen = options(rng, 0.2, want=["mass=0.01", "mass=", "=1", "mass=nan", "colour=1", "mass=-1", "mass=0"])
-    chosen += options(rng, 0.1, truth=["mass=1.6", "mass=0", "mass=inf", "x=1"], criterion=["trace", "c"], starts=["1"])
-    rounds = str(rng.choice(["1", "2", "0", "x"], p=[0.8, 0.1, 0.05, 0.05]))
-    chosen = [*chosen, "--rounds", rounds, *_flags(rng, 0.6, "--json")]
-    runs = []
-    for _ in range(int(rng.choice([0, 1, 2], p=[0.3, 0.6, 0.1]))):
-        name, data = as_file(rng, with_defects(rng, columns), folder)
-        files[name], runs = data, [*runs, name]
-    return Case(("design", "spec.toml", *runs, *chosen, *_out(rng, 0.01)), files)
-
-
 # --- other commands ---------------------------------------------------------------------------------------------------
 
 
@@ -353,7 +331,7 @@ def _none(rng: Rng, folder: Path) -> Case:
 
 #: Command -> function that draws its calls, and the share of all calls: slow commands are rare.
 COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
-    "identify": (_identify, 0.268),
+    "identify": (_identify, 0.332),
     "encoder": (_encoder, 0.002),
     "validate": (_validate, 0.048),
     "selftest": (_selftest, 0.002),
@@ -362,8 +340,6 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "simulate": (_simulate, 0.13),
     "export": (_export, 0.15),
     "design": (_design, 0.07),
-    "commission": (_commission, 0.06),
-    "compare": (_compare, 0.004),
     "check": (_check, 0.001),
     "init": (_init, 0.001),
     "terms": (_terms, 0.004),
