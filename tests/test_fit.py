@@ -10,8 +10,10 @@ from pmfid._body import BASE, KINDS, run, whiten
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.fit.compare import mixture_half_length
 from pmfid.fit.fit import Fitted
-from pmfid.fit.likelihood import interval_terms
+from pmfid.fit.likelihood import Gaussian, interval_terms
 from pmfid.fit.posterior import allowed_region
+from pmfid.fit.problem import FitProblem, ResidualBlock
+from pmfid.fit.solve import solve
 from pmfid.types import Floats
 from studies.referee.cases import Case, make_cases
 from studies.referee.judge import identify
@@ -154,6 +156,24 @@ def test_a_force_that_the_model_lacks_is_named(kind: str, word: str) -> None:
     fitted = examine(case)
     assert any(word in one.words for one in fitted.problem.candidates)
     np.testing.assert_allclose(fitted.theta, list(case.truth.values()), rtol=0.01)
+
+
+def test_a_search_ends_at_the_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A fit that begins at its end simulates one motion for the start and none for steps that promise nothing."""
+    (case,) = make_cases(51, "right", [1])
+    fitted, count = examine(case), [0]
+    linearise = FitProblem.linearise
+
+    def counted(self: FitProblem, q: Floats, starts: Floats) -> list[ResidualBlock]:
+        count[0] += 1
+        return linearise(self, q, starts)
+
+    end = solve(
+        fitted.problem, Gaussian(fitted.problem.stretches), fitted.solution.q, fitted.solution.starts, np.zeros(3)
+    )
+    monkeypatch.setattr(FitProblem, "linearise", counted)
+    solve(fitted.problem, Gaussian(fitted.problem.stretches), end.q, end.starts, np.zeros(3))
+    assert count[0] <= 2
 
 
 def test_missing_counts_and_a_gap_of_the_input_cost_little() -> None:

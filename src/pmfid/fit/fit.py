@@ -33,12 +33,16 @@ MOST_SQUARES, TRIES, NEARBY = 0.15, 8, 2.0
 WANDERING = ("force", "position")
 #: Rounds of fit and noise, which settle in two to four, and most steps of the comparison.
 ROUNDS, MOST_STEPS = 5, 12
+#: Steps of a solution in the search, which starts near its end. The next round goes on where they do not suffice.
+SOLVING = 8
 #: Number of wavenumbers that a record is searched for.
 WAVENUMBERS = 100
 #: Blocks of a record whose scores are compared with the information.
 BLOCKS = 40
 #: Largest distance of the mass from the blind start, as a logarithm. A fit that goes further follows noise.
 FAR = 3.0
+#: Gain of log likelihood below which a step of the search ends: an eighth of a standard error. The conclusion goes on.
+GAIN = 0.01
 #: Advice if no motion follows.
 FOLLOW = "check input_gain, sign and scale of input and output, and [encoder] bits"
 #: Largest change of the mass between rounds that counts as settled, relative.
@@ -203,7 +207,7 @@ class FitSearch:
         return np.append(np.zeros(self.own), further)
 
     def solve(self, likelihood: Likelihood, steps: int = 30) -> Optimum:
-        found = solve(self.problem, likelihood, self.q, self.starts, self.prior(self.problem), steps)
+        found = solve(self.problem, likelihood, self.q, self.starts, self.prior(self.problem), steps, GAIN)
         self.q, self.starts, self.solution = found.q, found.starts, found
         return found
 
@@ -334,7 +338,7 @@ def build(search: FitSearch) -> Gaussian | Intervals:
             search.choose_best(_alternatives(search, step))
         elif not (search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
             break
-        search.solve(search.noise)
+        search.solve(search.noise, SOLVING)
         explained = search.explain()
         if explained is not None:
             return _prune(search, explained)
@@ -361,7 +365,7 @@ def _settle(search: FitSearch, kinds: Sequence[str]) -> None:
     for _ in range(ROUNDS):
         before = search.q[lead]
         search.noise = search.estimate_noise(kinds)
-        search.solve(search.noise)
+        search.solve(search.noise, SOLVING)
         if abs(search.q[lead] - before) < SETTLED:
             break
 
@@ -456,6 +460,9 @@ def _explain(search: FitSearch) -> Intervals | None:
     begin at random places around the optimum of least squares.
     """
     at = search.q, search.starts
+    if not _may_explain(search):
+        search.q, search.starts = at
+        return None
     rng, likelihood = np.random.default_rng(1), _narrow(search)
     for _ in range(TRIES if likelihood is None and _as_rounding(search) else 0):
         search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
@@ -482,9 +489,22 @@ def _narrow(search: FitSearch) -> Intervals | None:
     return likelihood if likelihood.spread <= EXPLAINED else None
 
 
+def _may_explain(search: FitSearch) -> bool:
+    """Return whether a motion near the present one may explain every count.
+
+    Its residuals would be at most half a count, and least squares has no larger ones in the mean.
+    """
+    if _mean_square(search) > 0.25:
+        search.solve(Gaussian(search.plain.stretches), SOLVING)
+    return _mean_square(search) < 0.25
+
+
+def _mean_square(search: FitSearch) -> float:
+    return float(np.mean(np.concatenate(errors_of(search)) ** 2))
+
+
 def _as_rounding(search: FitSearch) -> bool:
-    e = np.concatenate(errors_of(search))
-    return float(np.mean(e**2)) < MOST_SQUARES
+    return _mean_square(search) < MOST_SQUARES
 
 
 def _nearby(search: FitSearch, q: Floats, starts: Floats, rng: np.random.Generator) -> Floats:

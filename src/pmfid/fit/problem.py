@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,18 +43,18 @@ class ObservedStretch:
     first: int = 0
     line: NDArray[np.intp] | None = None
 
-    @property
+    @cached_property
     def times(self) -> Floats:
         """Times (k,) of the observations from the start of the stretch [s]."""
         return np.append(0.0, np.cumsum(self.drive.step))[self.drive.row]
 
-    @property
+    @cached_property
     def steps(self) -> Floats:
         """Times (k,) from each observation to the next [s]; the last one is the mean."""
         change = np.diff(self.times)
         return np.append(change, np.mean(change) if change.size else 1.0)
 
-    @property
+    @cached_property
     def signed_steps(self) -> Floats:
         """The steps (k,), negative while the axis rests."""
         return np.where(self.rest, -self.steps, self.steps)

@@ -25,12 +25,16 @@ class Likelihood(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Normal:
-    """Normal equations with start states eliminated: information A (p, p) and gradient g (p,), with a prior."""
+    """Normal equations with start states eliminated: information A (p, p) and gradient g (p,), with a prior.
+
+    `fall` is the slope of the cost along the step of the start states alone.
+    """
 
     A: Floats
     g: Floats
     blocks: Sequence[ResidualBlock]
     inner: Sequence[Floats]
+    fall: float
 
     @property
     def rows(self) -> int:
@@ -45,7 +49,7 @@ class Normal:
 def normal_of(blocks: Sequence[ResidualBlock], starts: Floats, damping: float = 0.0) -> Normal:
     """Return the normal equations of weighted blocks."""
     p = blocks[0].J.shape[1]
-    A, g, inner = np.zeros((p, p)), np.zeros(p), []
+    A, g, inner, fall = np.zeros((p, p)), np.zeros(p), [], 0.0
     for block, state in zip(blocks, starts, strict=True):
         cross, own = block.K.T @ block.J, block.K.T @ block.K + np.diag(START)
         pull = block.K.T @ block.e + START * state
@@ -55,8 +59,9 @@ def normal_of(blocks: Sequence[ResidualBlock], starts: Floats, damping: float = 
         solved = np.linalg.solve(scaled, np.column_stack([pull, cross]) / size[:, None]) / size[:, None]
         A += block.J.T @ block.J - cross.T @ solved[:, 1:]
         g += block.J.T @ block.e - cross.T @ solved[:, 0]
+        fall += float(pull @ solved[:, 0])
         inner.append(solved)
-    return Normal(A, g, blocks, inner)
+    return Normal(A, g, blocks, inner, fall)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +92,7 @@ def solve(
     damping, settled = 1e-4, False
     at = _Point(problem, likelihood, q, starts, prior)
     for _ in range(steps):
-        better, damping = _descend(at, damping)
+        better, damping = _descend(at, damping, small)
         if better is None:
             settled = True
             break
@@ -111,12 +116,13 @@ class _Point:
         return _Point(self.problem, self.likelihood, q, self.starts + starts, self.prior)
 
 
-def _descend(at: _Point, damping: float) -> tuple[_Point | None, float]:
-    """Return a better point or None, and the next damping."""
+def _descend(at: _Point, damping: float, small: float) -> tuple[_Point | None, float]:
+    """Return a better point or None, and the next damping. A step whose slope promises less than `small` ends it."""
     for _ in range(12):
         normal = normal_of(at.blocks, at.starts, damping)
-        step = find_step(normal.A + np.diag(at.prior), normal.g + at.prior * at.q, damping)
-        if not np.all(np.isfinite(step)):
+        g = normal.g + at.prior * at.q
+        step = find_step(normal.A + np.diag(at.prior), g, damping)
+        if not np.all(np.isfinite(step)) or normal.fall - float(g @ step) < small:
             return None, damping
         tried = at.move(step, normal.starts(step))
         if np.isfinite(tried.cost) and tried.cost < at.cost:
