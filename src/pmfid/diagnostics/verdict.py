@@ -9,6 +9,7 @@ import numpy as np
 
 from pmfid.diagnostics.drives import NOISE_REMEDY, NOISE_SEEN, find_count_jump, recent
 from pmfid.diagnostics.matter import Matter, matter_of, sizes, weigh_findings
+from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
@@ -22,7 +23,7 @@ from pmfid.fit.fit import Fitted
 from pmfid.types import Counts, Floats
 
 #: Half length of the 95 % interval of a normal distribution, in standard deviations.
-NORMAL_95 = 1.96
+NORMAL_95 = TUNING.normal_95
 #: Distance between two estimates, in standard deviations, beyond which a method contradicts the fit.
 CONTRADICTED = 3.0
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import Matter, sizes
+from pmfid.diagnostics.verdict import NORMAL_95
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
@@ -22,9 +23,6 @@ from pmfid.pipeline.result import DriveResult
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
 from pmfid.types import Flags, Floats
-
-#: Half length of the 95 % interval of a normal distribution, in standard deviations.
-NORMAL_95 = 1.96
 
 
 def uses_fit(axis: Axis) -> bool:
