@@ -29,12 +29,12 @@ EXPLAINED = 0.003
 #: Mean square of residuals [counts^2] up to which a model may explain every count, tries to find that motion, and their
 #: distance in standard errors of least squares.
 MOST_SQUARES, TRIES, NEARBY = 0.15, 8, 2.0
+#: Largest mean square of residuals within half a count [counts^2]. Least squares has no larger one.
+WITHIN = 0.5**2
 #: Kinds of a disturbance that wanders.
 WANDERING = ("force", "position")
 #: Rounds of fit and noise, which settle in two to four, and most steps of the comparison.
 ROUNDS, MOST_STEPS = 5, 12
-#: Steps of a solution in the search, which starts near its end. The next round goes on where they do not suffice.
-SOLVING = 8
 #: Number of wavenumbers that a record is searched for.
 WAVENUMBERS = 100
 #: Blocks of a record whose scores are compared with the information.
@@ -338,7 +338,7 @@ def build(search: FitSearch) -> Gaussian | Intervals:
             search.choose_best(_alternatives(search, step))
         elif not (search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
             break
-        search.solve(search.noise, SOLVING)
+        search.solve(search.noise)
         explained = search.explain()
         if explained is not None:
             return _prune(search, explained)
@@ -365,7 +365,7 @@ def _settle(search: FitSearch, kinds: Sequence[str]) -> None:
     for _ in range(ROUNDS):
         before = search.q[lead]
         search.noise = search.estimate_noise(kinds)
-        search.solve(search.noise, SOLVING)
+        search.solve(search.noise)
         if abs(search.q[lead] - before) < SETTLED:
             break
 
@@ -490,13 +490,10 @@ def _narrow(search: FitSearch) -> Intervals | None:
 
 
 def _may_explain(search: FitSearch) -> bool:
-    """Return whether a motion near the present one may explain every count.
-
-    Its residuals would be at most half a count, and least squares has no larger ones in the mean.
-    """
-    if _mean_square(search) > 0.25:
-        search.solve(Gaussian(search.plain.stretches), SOLVING)
-    return _mean_square(search) < 0.25
+    """Return whether a motion near the present one may explain every count."""
+    if _mean_square(search) > WITHIN:
+        search.solve(Gaussian(search.plain.stretches))
+    return _mean_square(search) < WITHIN
 
 
 def _mean_square(search: FitSearch) -> float:
