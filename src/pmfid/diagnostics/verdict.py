@@ -99,7 +99,7 @@ def _compare(estimator: Estimator, fitted: Fitted, theta: Floats, std: Floats, t
     """Yield the findings of the fit, and each parameter in which the estimate contradicts the fit."""
     p, equation = theta.size, estimator.equation
     size = np.append(sizes(estimator, fitted.theta[:p]), np.abs(fitted.theta[p:]))
-    size = np.maximum(size, np.finfo(float).tiny)
+    size = np.maximum(size, 1e-150)
     names = fitted.problem.machine.names
     positive = np.append(equation.positive, np.zeros(len(names) - p, bool))
     yield from findings_of(fitted, names, positive, size, tolerance)

@@ -64,7 +64,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
     spread = _spread(fitted, fit.theta_std)
     equation = estimator.equation
     p = len(equation.names)
-    size = np.maximum(np.append(sizes(estimator, fit.theta[:p]), np.abs(fit.theta[p:])), np.finfo(float).tiny)
+    size = np.maximum(np.append(sizes(estimator, fit.theta[:p]), np.abs(fit.theta[p:])), 1e-150)
     positive = np.append(equation.positive, np.zeros(len(equation.further), bool))
     findings = list(findings_of(fitted, estimator.names, positive, size, axis.estimator.tolerance))
     notes = make_notes("record", record.notes) + make_notes("method", remarks)
