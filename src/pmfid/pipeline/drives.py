@@ -144,7 +144,7 @@ class Drives(Kind[Record]):
             if IV.refuses(model.simple.equation):
                 return data
             method = IV(model.simple, one.encoder.make_encoder(data.resolution), data.dt, one.estimator.pole)
-            found = fill_by_motion(method, known.u, known.counts, data.there)
+            found = fill_by_motion(method, known.u, known.counts, data.there, data.given)
             if found is not None:
                 u, counts = (np.where(data.there, *pair) for pair in zip((data.u, data.counts), found, strict=True))
                 renewed = {describe_missing(data.u, data.there): describe_missing(u, data.there)}

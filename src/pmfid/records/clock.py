@@ -325,6 +325,19 @@ class PlacedRows:
         """Whether every place has a sample."""
         return bool(self.places.size == self.places[-1] + 1)
 
+    def place_inputs(self, u: Floats) -> Floats:
+        """Return the input (n,) at each place, or NaN, from the input u (N,) of all rows of the file.
+
+        A gap in the used rows has inputs if the file has a row for each place of the gap.
+        """
+        rows = np.arange(self.rows[0], self.rows[-1] + 1)
+        before = np.searchsorted(self.rows, rows, side="right") - 1
+        complete = np.append(np.diff(self.rows) == np.diff(self.places), True)[before]
+        complete |= rows == self.rows[before]
+        inputs = np.full(self.places[-1] + 1, np.nan)
+        inputs[(rows - self.rows[before] + self.places[before])[complete]] = u[rows[complete]]
+        return inputs
+
 
 def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: RecordConfig, output: Floats) -> PlacedRows:
     """Place the rows `kept` (N,) on a grid, according to the time (N,) or to a constant period.

@@ -108,13 +108,16 @@ class FilledMachine(Body):
         return self.equation.input_gain * self.dt / self.values[MASS] / self.step
 
 
-def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple[Floats, Counts] | None:
+def fill_by_motion(
+    method: IV, u: Floats, counts: Counts, there: Flags, given: Flags | None = None
+) -> tuple[Floats, Counts] | None:
     """Return input and counts (n,) with missing samples filled by the motion.
 
-    The start values come from `fill_gaps`. A NaN input remains NaN. If the motion determines the input in a gap better
+    `there` (n,) marks the measured samples, and `given` (n,) the measured inputs if there are more. The start values come from `fill_gaps`. A NaN input remains NaN. If the motion determines the input in a gap better
     than interpolation, the input becomes NaN. The result is None if the record identifies no motion.
     """
     line, own, held = (u, counts), np.flatnonzero(np.isfinite(u)), is_held(u, there)
+    given = there if given is None else given
     parts = np.split(own, np.flatnonzero(np.diff(own) > 1) + 1)
     try:
         theta = method.settle_iteration(u, counts)[1]
@@ -123,7 +126,9 @@ def fill_by_motion(method: IV, u: Floats, counts: Counts, there: Flags) -> tuple
             u, counts = line[0].copy(), line[1].copy()
             for part in parts:
                 if not np.all(there[part]):
-                    u[part], counts[part] = _fill_part(machine, line[0][part], line[1][part], there[part], held)
+                    u[part], counts[part] = _fill_part(
+                        machine, line[0][part], line[1][part], there[part], given[part], held
+                    )
             before, theta = theta, method.settle_iteration(u, counts)[1]
             if (
                 np.max(np.abs(theta - before) / np.maximum(np.abs(theta), np.finfo(float).tiny))
@@ -155,11 +160,13 @@ def doubt(method: IV, u: Floats, counts: Counts, there: Flags) -> Floats:
     return np.abs(moved) / np.maximum(np.abs(theta), np.finfo(float).tiny)
 
 
-def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, held: bool) -> tuple[Floats, Counts]:
+def _fill_part(
+    machine: FilledMachine, u: Floats, counts: Counts, there: Flags, given: Flags, held: bool
+) -> tuple[Floats, Counts]:
     """Return the filled input and counts of one part (n,) with measured ends. `held` says whether the input is held."""
     place, speed = counts - counts[0] + 0.5, 0.0
-    gap = _doubtful(u, there, held)
-    missed, none = _estimate_input_errors(gap, u, there, held), np.zeros(0, np.intp)
+    gap = _doubtful(u, given, held)
+    missed, none = _estimate_input_errors(gap, u, given, held), np.zeros(0, np.intp)
     u = u.copy()
     for wrong in TUNING.filling_wrong:
         position, velocity = machine.motion(u, speed)
@@ -188,23 +195,23 @@ def _fill_part(machine: FilledMachine, u: Floats, counts: Counts, there: Flags, 
     return u, np.where(there, counts, filled)
 
 
-def _doubtful(u: Floats, there: Flags, held: bool) -> Gap:
-    """Return the gaps in which the motion determines the input (n,).
+def _doubtful(u: Floats, given: Flags, held: bool) -> Gap:
+    """Return the gaps of the measured inputs in which the motion determines the input (n,).
 
     The motion determines the changes of a held input, and the long gaps of any other input.
     """
-    gap = gaps_of(there)
+    gap = gaps_of(given)
     found = np.flatnonzero(u[gap.before] != u[gap.after] if held else gap.missing > TUNING.gaps_always)
     return Gap(gap.before[found], gap.after[found])
 
 
-def _estimate_input_errors(gap: Gap, u: Floats, there: Flags, held: bool) -> Floats:
+def _estimate_input_errors(gap: Gap, u: Floats, given: Flags, held: bool) -> Floats:
     """Return the standard deviations (g,) of the sum of the input (n,) over each gap."""
     if held:
         return np.asarray(np.abs(u[gap.after] - u[gap.before]) * gap.missing / np.sqrt(12))
     if not gap.before.size:
         return np.zeros(0)
-    places = np.flatnonzero(there)
+    places = np.flatnonzero(given)
     local = best_of(u[places], places)
     sizes = {length: local.estimate_error(u[places], places, length) for length in np.unique(gap.missing).tolist()}
     return np.array([sizes[length] for length in gap.missing.tolist()])

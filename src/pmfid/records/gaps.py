@@ -108,13 +108,14 @@ def is_held(u: Floats, there: Flags) -> bool:
 
 
 def fill_gaps(
-    u: Floats, counts: Counts, places: NDArray[np.intp], *, bridged: bool = True
+    u: Floats, counts: Counts, places: NDArray[np.intp], *, bridged: bool = True, inputs: Floats | None = None
 ) -> tuple[Floats, Counts, Flags]:
     """Return input and counts (n,) on the whole grid from samples (m,) at their places, and a mask of the measured
     samples.
 
     In gaps that are too long, the input is NaN and the counts follow a straight line. `bridged` says whether the counts
     determine the travel in a gap. The counts of a velocity do not determine the travel, so that all gaps are too long.
+    `inputs` (n,) has the inputs that were measured without a count, and NaN elsewhere.
     """
     grid, there = np.arange(places[-1] + 1), np.zeros(places[-1] + 1, bool)
     there[places] = True
@@ -128,6 +129,8 @@ def fill_gaps(
         line, longest = local.fill_grid(u, places), _longest_bridged(local, u, places, int(np.max(gap.missing)))
     if np.mean(~there & ~np.isnan(line)) > TUNING.gaps_scattered:
         longest = max(longest, min(TUNING.gaps_always, int(np.quantile(gap.missing, 0.99)) if gap.missing.size else 0))
+    if inputs is not None:
+        line = np.where(np.isfinite(inputs), inputs, line)
     longest = longest if bridged else 0
     for first, last in zip(gap.before, gap.after, strict=True):
         if last - first - 1 > longest:

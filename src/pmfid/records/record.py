@@ -106,7 +106,8 @@ class Record:
     `u` (n,) is the scaled input, with NaN in gaps where the input is unknown. `counts` (n,) are the unwrapped encoder
     counts. `dt` is the sample period [s], and `resolution` is the unit of y per count. `notes` describe changes to the
     data. `name` is the name of the file. `rotary` says whether the output is an angle. `there` (n,) marks the measured
-    samples, or is None if all were measured. The module `gaps` fills samples that were not measured. `doubt` (p,) is
+    samples, or is None if all were measured. `given` (n,) marks the samples whose input was measured, with a count or
+    without, or is None as `there` is. The module `gaps` fills samples that were not measured. `doubt` (p,) is
     the relative error of parameters that filled samples may cause, or None without an error. `jitter` is the root mean
     square deviation of the steps of an uneven clock, relative to the period, before resampling. `own` is the record at
     the uneven instants of its clock, or None for even instants. A record at uneven instants has `steps`, the times
@@ -124,6 +125,7 @@ class Record:
     name: str
     rotary: bool = False
     there: Flags | None = None
+    given: Flags | None = None
     doubt: Floats | None = None
     jitter: float = 0.0
     steps: SampleSteps | None = None
@@ -260,7 +262,7 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     columns, found, clock_notes = _resample(axis, columns, units.y, mask)
     if found is not None:  # the rows to leave out are gaps now
         config, mask = config.model_copy(update={"mask": None, "exclude": ()}), None
-    rows, row_notes = _rows(config, columns, mask)
+    rows, inputs, row_notes = _rows(config, columns, mask)
     jitter, dt_error = (0.0, rows.dt_error) if found is None else (found.jitter, found.dt_error)
     if rows.rows.size < len(columns["input"]):  # without missing rows, a copy is needless
         columns = {key: values[rows.rows] for key, values in columns.items()}
@@ -303,9 +305,11 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         ages, age_notes = read_edge_ages(table, axis.encoder, rows.rows, obstacle)
     notes += age_notes
     if rows.whole:
-        there = None
+        there, given = None, None
     else:
-        u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity")
+        inputs = _scale_column(inputs, scale * units.u)
+        u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity", inputs=inputs)
+        given = np.isfinite(inputs)
         notes, ages = (*notes, describe_missing(u, there)), None
     return Record(
         u,
@@ -316,6 +320,7 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         name,
         rotary,
         there,
+        given,
         jitter=jitter,
         own=own,
         in_counts=in_counts,
@@ -434,8 +439,8 @@ def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tu
 
 def _rows(
     config: RecordConfig, columns: Mapping[str, Floats], mask: Floats | None
-) -> tuple[PlacedRows, tuple[str, ...]]:
-    """Return the used rows, their places on the grid, and notes for people."""
+) -> tuple[PlacedRows, Floats, tuple[str, ...]]:
+    """Return the used rows with their places on the grid, the unscaled input (n,) of all rows, and notes for people."""
     time, samples = columns.get("time"), columns["input"].size
     out, notes = left_out(time, samples, config, mask)
     u, y = columns["input"], columns["output"]
@@ -447,7 +452,7 @@ def _rows(
             f"{rows.rows.size} of {samples} rows are usable, and at least {TUNING.min_samples} are needed; leave fewer "
             "rows out, or record longer"
         )
-    return rows, (*notes, *rows.notes)
+    return rows, rows.place_inputs(np.where(out, np.nan, u)), (*notes, *rows.notes)
 
 
 def _input_scale(table: Table, scale: float | str) -> tuple[float, tuple[str, ...]]:
