@@ -17,11 +17,11 @@ from pmfid.estimators.motion import Restart
 from pmfid.estimators.recursive import RLS
 from pmfid.pipeline.identify import identify as identify_record
 from pmfid.pipeline.identify import kind_of
-from pmfid.records.clock import place_rows
+from pmfid.records.clock import PlacedRows, place_rows
 from pmfid.records.filling import fill_by_motion
 from pmfid.records.gaps import fill_gaps
 from pmfid.records.joining import unbroken
-from pmfid.records.record import Record
+from pmfid.records.record import Record, record_of
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
@@ -283,3 +283,36 @@ def test_a_row_right_after_another_costs_no_record() -> None:
     assert rows.dt == pytest.approx(DT, rel=1e-3)
     assert rows.rows.size == 300
     assert "1 row comes less than 0.3 of a period after another row: left out" in rows.notes
+
+
+def test_an_input_without_a_count_is_an_input() -> None:
+    u, counts = run(3000)
+    there = kept(3000, 0.05, burst=15)
+    record = record_of({"u": u, "n": np.where(there, counts, np.nan)}, axis(time=None, dt=DT))
+    short = np.isfinite(record.u)
+    assert np.count_nonzero(short & ~there) > 50
+    assert np.array_equal(record.u[short], u[short])
+    result = identify(u, np.where(there, counts, np.nan), model=Drive(STAGE.input_gain), dt=DT, encoder=Encoder(STEP))
+    assert result.status == ()
+    assert np.abs(result.theta[:3] / TRUTH - 1) == pytest.approx(0.0, abs=2e-4)
+
+
+@pytest.mark.parametrize("method", ["iv", "riv"])
+def test_no_method_guesses_an_input_that_was_measured(method: str) -> None:
+    u, counts = run(3000)
+    there = kept(3000, 0.05, burst=3)
+    sections, columns = axis(method, time=None, dt=DT), {"u": u, "n": np.where(there, counts, np.nan)}
+    record = record_of(columns, sections)
+    completed = kind_of(sections).complete_record(record, sections)
+    finite = np.isfinite(completed.u)
+    assert np.array_equal(completed.u[finite], u[finite])
+    assert np.max(np.abs(completed.counts - counts)[finite]) <= 1
+
+
+def test_a_row_that_was_left_out_gives_no_input() -> None:
+    rows = PlacedRows(np.array([0, 1, 4, 6, 8]), np.array([0, 1, 4, 9, 11]), DT, ())
+    u = np.array([0.0, 1.0, 2.0, np.nan, 4.0, 5.0, 6.0, 7.0, 8.0])
+    lost = np.nan  # rows 5 to 6 skip lines, so the place of row 5 is unknown
+    assert rows.place_inputs(u) == pytest.approx(
+        np.array([0.0, 1.0, 2.0, lost, 4.0, lost, lost, lost, lost, 6.0, 7.0, 8.0]), nan_ok=True
+    )

@@ -245,3 +245,27 @@ def test_the_remedy_of_the_command_works(tmp_path: Path) -> None:
     assert "row 2001" in printed["notes"][0]
     assert results["open"].exit_code in (0, 3)
     assert "the counts jump by 100000 at row 200" in results["open"].output
+
+
+@pytest.mark.parametrize("length", [4, 16, 28])
+def test_the_end_of_a_gap_is_no_jump(length: int) -> None:
+    """The values in a gap lie on a line, and the motion does not."""
+    counts = np.rint(300 * np.sin(0.09 * np.arange(2000))).astype(np.int64)
+    there = np.ones(2000, bool)
+    for first in range(40, 1900, 97):
+        there[first : first + length] = False
+    places = np.flatnonzero(there)
+    filled = np.rint(np.interp(np.arange(2000), places, counts[places])).astype(np.int64)
+    u = np.sin(0.09 * np.arange(2000))
+    assert repair_record(Record(u, filled, 0.01, 1.0, (), "log", there=there)).findings == ()
+
+
+def test_a_shift_of_the_zero_moves_the_values_in_gaps() -> None:
+    counts = np.rint(300 * np.sin(0.05 * np.arange(2000))).astype(np.int64)
+    there = np.ones(2000, bool)
+    there[[300, 1500]] = False
+    shifted = counts + np.where(np.arange(2000) >= 900, 5000, 0)
+    record = Record(np.sin(0.05 * np.arange(2000)), shifted, 0.01, 1.0, (), "log", there=there)
+    repaired = repair_record(record)
+    assert repaired.status == ("count_jump",)
+    assert np.max(np.abs(repaired.record.counts - counts)) <= 3

@@ -113,8 +113,9 @@ def fill_by_motion(
 ) -> tuple[Floats, Counts] | None:
     """Return input and counts (n,) with missing samples filled by the motion.
 
-    `there` (n,) marks the measured samples, and `given` (n,) the measured inputs if there are more. The start values come from `fill_gaps`. A NaN input remains NaN. If the motion determines the input in a gap better
-    than interpolation, the input becomes NaN. The result is None if the record identifies no motion.
+    `there` (n,) marks the measured samples, and `given` (n,) the measured inputs if there are more. The start values
+    come from `fill_gaps`. A NaN input remains NaN. If the motion determines the input in a gap better than
+    interpolation, the input becomes NaN. The result is None if the record identifies no motion.
     """
     line, own, held = (u, counts), np.flatnonzero(np.isfinite(u)), is_held(u, there)
     given = there if given is None else given

@@ -14,7 +14,7 @@ from pmfid.estimators.plants import plant_of
 from pmfid.findings import Finding, codes, texts
 from pmfid.records.record import Record
 from pmfid.records.tuning import TUNING
-from pmfid.types import Counts, Floats
+from pmfid.types import Counts, Flags, Floats
 
 __all__ = ["Wrap", "wrap_of"]
 
@@ -123,18 +123,33 @@ def repair_record(record: Record, max_speed: float | None = None) -> RepairedRec
     Wrong counts and spikes are interpolated, and shifts are reversed. `csrc/many/pmf_outliers.c` describes the rule. A
     counter that wraps remains unchanged. Readings beyond `max_speed` [unit of y per s] are always wrong.
     """
-    speed, rounding = _limit_of(record, max_speed), _rounding_of(record.counts)
-    counts, wrong, moved = find_outliers(record.counts, _times_of(record), rounding, speed)
+    counts, wrong, moved = _find_in_measured(record, _limit_of(record, max_speed))
     shifts = np.flatnonzero(moved)
     if shifts.size and wrap_of(record.counts) is not None:
         counts, wrong, shifts = record.counts, np.zeros_like(wrong), shifts[:0]
     rows = np.flatnonzero(wrong & (moved == 0)).tolist()
     spikes = _spikes(record.u, counts)
     named = (_describe_shift(row, int(moved[row])) for row in shifts[: TUNING.outliers_named].tolist())
-    findings = (*_wrong(rows, speed > 0), *named, *_spiky(spikes))
+    findings = (*_wrong(rows, _limit_of(record, max_speed) > 0), *named, *_spiky(spikes))
     if not findings:
         return RepairedRecord(record)
     return RepairedRecord(replace(record, u=_bridge_input(record.u, spikes), counts=counts), findings)
+
+
+def _find_in_measured(record: Record, speed: float) -> tuple[Counts, Flags, Counts]:
+    """Return the repaired counts (n,), a mask of the wrong ones, and the shifts of the zero at each sample.
+
+    A missing count is no evidence. The function moves the values in a gap with the count before the gap.
+    """
+    places = np.arange(record.counts.size) if record.there is None else np.flatnonzero(record.there)
+    counts, wrong, moved = record.counts.copy(), np.zeros(record.counts.size, bool), np.zeros_like(record.counts)
+    measured = counts[places]
+    repaired, wrong[places], moved[places] = find_outliers(
+        measured, _times_of(record)[places], _rounding_of(measured), speed
+    )
+    counts -= np.cumsum(moved)
+    counts[places] = repaired
+    return counts, wrong, moved
 
 
 def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:
