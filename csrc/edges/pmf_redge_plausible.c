@@ -14,7 +14,7 @@ static uint32_t are_finite(const real_t *number, const void *end)
     return fine;
 }
 
-/* Return whether the sizes and variances are not negative. */
+/* Return whether the sizes and variances are not negative. An unknown variance is too large for its square. */
 static uint32_t are_sizes(const pmf_redge_state_t *state)
 {
     uint32_t i, fine = state->drift >= PMF_R(0.0) && state->spread >= PMF_R(0.0) ? 1U : 0U;
@@ -23,7 +23,7 @@ static uint32_t are_sizes(const pmf_redge_state_t *state)
         fine &= state->covariance[i][i] >= PMF_R(0.0) && state->opened[i] >= PMF_R(0.0) ? 1U : 0U;
     }
     for (i = 0; i < PMF_BODY; ++i) {
-        fine &= state->variance[i] >= PMF_R(0.0) ? 1U : 0U;
+        fine &= state->variance[i] >= PMF_R(0.0) && state->variance[i] - state->variance[i] == PMF_R(0.0) ? 1U : 0U;
     }
     return fine;
 }
@@ -32,7 +32,7 @@ uint32_t pmf_redge_plausible(const pmf_redge_config_t *config, const pmf_redge_s
 {
     const pmf_start_t *start = &state->start;
     uint32_t i, fine = are_finite(&state->place, start) & are_finite(&start->mark[0].t, &start->marks);
-    fine &= are_finite(state->theta, &state->count);
+    fine &= are_finite(state->theta, state->variance) & are_finite(&state->innovation, &state->count);
     for (i = 0; i < config->lines; ++i) {
         fine &= are_finite(&lines[i].sum, &lines[i + 1U]);
     }
