@@ -48,30 +48,6 @@ static value table_at(const pmf_force *f, double x)
     return r;
 }
 
-static value hat(const pmf_force *f, double v, double s)
-{
-    value r = {0, 0, 0, 0};
-    int i = (int)f->p;
-    const double *node = f->table;
-    double speed = fabs(v), w;
-    if (f->q * s < 0)
-        return r;
-    if (i > 0 && speed > node[i - 1] && speed <= node[i]) {
-        w = node[i] - node[i - 1];
-        r.h = s * (speed - node[i - 1]) / w;
-        r.hv = 1 / w;
-    } else if (speed > node[i] || i == 0) {
-        if (i == f->knots - 1)
-            r.h = s;
-        else if (speed < node[i + 1]) {
-            w = node[i + 1] - node[i];
-            r.h = s * (node[i + 1] - speed) / w;
-            r.hv = -1 / w;
-        }
-    }
-    return r;
-}
-
 static value force_at(const pmf_force *f, double p, double x, double v, double s, double column)
 {
     value r = {0, 0, 0, 0};
@@ -111,7 +87,6 @@ static value force_at(const pmf_force *f, double p, double x, double v, double s
         r.h = x;
         r.hx = 1;
         break;
-    case PMF_FORCE_HAT: r = hat(f, v, s); break;
     case PMF_FORCE_SPEED:
         r = table_at(f, fabs(v));
         r.h *= s;
@@ -312,11 +287,6 @@ static void move_part(state *t, int i, double h)
     t->g_lag = t->g_lag * f.e + away * f.e * z / lag;
 }
 
-int pmf_body_width(const pmf_body *b)
-{
-    return PMF_BODY_BASE + b->forces + b->shapes;
-}
-
 /* Move through interval i, in equal parts that end where the input switches. `wait` is the time to the next switch. */
 static void move_interval(state *t, int i, int parts, double *wait)
 {
@@ -337,7 +307,7 @@ static void move_interval(state *t, int i, int parts, double *wait)
 
 int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, double *S, double *work)
 {
-    const int w = pmf_body_width(b), lags = theta[PMF_BODY_LAG] > 0;
+    const int w = PMF_BODY_BASE + b->forces + b->shapes, lags = theta[PMF_BODY_LAG] > 0;
     /* the mean of a lagging force acts in each part, so that its position has an error of the second order */
     const int parts = lags ? 8 * b->parts : b->forces ? b->parts : 1;
     double wait = b->step[0] + theta[PMF_BODY_DELAY];

@@ -31,7 +31,6 @@ enum {
     PMF_FORCE_WAVE, /* sin(2 pi x / p + q) */
     PMF_FORCE_RUB, /* s sin(2 pi x / p + q) */
     PMF_FORCE_SPRING, /* x */
-    PMF_FORCE_HAT, /* s times a hat function of |v|: 1 at p, 0 at the neighbouring nodes; direction q */
     PMF_FORCE_SPEED, /* s times a table over |v|, with values at p + q i */
     PMF_FORCE_PLACE, /* a table over x */
     PMF_FORCE_RUB_PLACE, /* s times a table over x */
@@ -45,7 +44,7 @@ typedef struct {
     int column; /* row of the columns, for the kinds with a column */
     int unknown; /* 1 if the constant p is a parameter */
     int knots; /* length of the table */
-    const double *table; /* (knots) values of a table, or nodes of the hats */
+    const double *table; /* (knots) values at p + q i */
     double p, q;
 } pmf_force;
 
@@ -61,9 +60,8 @@ typedef struct {
     const double *column; /* (columns, n) */
 } pmf_body;
 
-/* Number of parameters w. */
-int pmf_body_width(const pmf_body *body);
-/* Simulate the motion at theta (w): positions y (rows), velocities v (rows), derivatives S (rows, w) of y.
+/* Simulate the motion at theta (w), w = PMF_BODY_BASE + forces + shapes: positions y (rows), velocities v (rows),
+ * derivatives S (rows, w) of y.
  *
  * v and S may be null. `work` has room for 6 w numbers. Returns the number of rows before the motion overflows. */
 int pmf_body_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work);

@@ -11,7 +11,7 @@ cnp.import_array()
 cdef extern from "fit/body.h":
     enum:
         PMF_BODY_BASE
-        PMF_FORCE_STRIBECK, PMF_FORCE_POWER, PMF_FORCE_WAVE, PMF_FORCE_RUB, PMF_FORCE_SPRING, PMF_FORCE_HAT
+        PMF_FORCE_STRIBECK, PMF_FORCE_POWER, PMF_FORCE_WAVE, PMF_FORCE_RUB, PMF_FORCE_SPRING
         PMF_FORCE_SPEED, PMF_FORCE_PLACE, PMF_FORCE_RUB_PLACE
         PMF_FORCE_COLUMN, PMF_FORCE_COLUMN_FRICTION, PMF_FORCE_COLUMN_VISCOUS
     ctypedef struct pmf_force:
@@ -36,7 +36,7 @@ cdef extern from "fit/whiten.h":
 BASE = PMF_BODY_BASE
 KINDS = {
     "stribeck": PMF_FORCE_STRIBECK, "power": PMF_FORCE_POWER, "wave": PMF_FORCE_WAVE, "rub": PMF_FORCE_RUB,
-    "spring": PMF_FORCE_SPRING, "hat": PMF_FORCE_HAT, "speed": PMF_FORCE_SPEED, "place": PMF_FORCE_PLACE, "rub_place": PMF_FORCE_RUB_PLACE,
+    "spring": PMF_FORCE_SPRING, "speed": PMF_FORCE_SPEED, "place": PMF_FORCE_PLACE, "rub_place": PMF_FORCE_RUB_PLACE,
     "column": PMF_FORCE_COLUMN, "column_friction": PMF_FORCE_COLUMN_FRICTION,
     "column_viscous": PMF_FORCE_COLUMN_VISCOUS,
 }

@@ -61,15 +61,8 @@ class DiagnosticTuning:
     # drives
     #: Factor by which a jump of the counts exceeds the usual changes. No motion explains a change beyond this factor.
     drives_jump: int = 30
-    #: Smallest delay [samples] in a report if no score supports the delay. A smaller delay resembles other effects,
-    #: such as friction within a sample.
-    drives_least: float = 0.05
-    #: Smallest number of samples for a judgement of a model. A judgement also needs at least one moving sample.
-    drives_fewest: int = 50
     #: Length of the judged part at the end of the record, in memories of an estimator with forgetting.
     drives_memories: float = 3.0
-    #: Relative error of a method above which a finding is due.
-    drives_biased: float = 0.01
 
     # free_run
     #: Lengths of the free runs [s]. `free_run_worth` is the smallest ratio of a run to the stretch that determines its

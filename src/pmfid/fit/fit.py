@@ -587,7 +587,7 @@ def _estimate(search: FitSearch, found: Optimum, likelihood: Gaussian | Interval
     if isinstance(likelihood, Gaussian):
         return search.problem.theta(found.q), sandwich(A, found.normal)[:own, :own]
     if len(found.starts) == 1:
-        return _estimate_in_region(search, found, inverse(A))
+        return _estimate_in_region(search, found)
     return search.problem.theta(found.q), inverse(A)[:own, :own]
 
 
@@ -604,7 +604,7 @@ def sandwich(A: Floats, normal: Normal) -> Floats:
     return np.asarray(covariance * np.outer(wider, wider))
 
 
-def _estimate_in_region(search: FitSearch, found: Optimum, covariance: Floats) -> tuple[Floats, Floats]:
+def _estimate_in_region(search: FitSearch, found: Optimum) -> tuple[Floats, Floats]:
     (block,) = search.problem.linearise(found.q, found.starts)
     (weighted,) = found.normal.blocks
     J = np.column_stack([block.J, block.K])

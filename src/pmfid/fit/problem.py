@@ -284,9 +284,3 @@ def _first_speed(stretch: ObservedStretch, resolution: float) -> float:
         return 0.0
     step = float(np.mean(stretch.steps))
     return float(change[last - 1] * step / (stretch.times[last] - stretch.times[0]))
-
-
-def thin(stretches: Sequence[ObservedStretch], most: int) -> tuple[ObservedStretch, ...]:
-    """Return the stretches with about `most` observations, evenly chosen."""
-    every = -(-sum(one.y.size for one in stretches) // most)
-    return tuple(stretches) if every <= 1 else tuple(one.keep(np.arange(one.y.size) % every == 0) for one in stretches)

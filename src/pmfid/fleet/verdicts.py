@@ -166,7 +166,7 @@ def _verdict(
 ) -> AxisVerdict:
     if not one.segments:
         return AxisVerdict(UNKNOWN, 0.0, deviation=deviation)
-    found = [_judge_deviation(one, names, deviation, excess, limit), *_judge_past(one, names, axes)]
+    found = [_judge_deviation(names, deviation, excess, limit), *_judge_past(one, names, axes)]
     best = max(found, key=lambda verdict: (verdict.named and verdict.score >= 1, verdict.score))
     return replace(best, kind=best.kind if best.score >= 1 else "", deviation=deviation)
 
@@ -201,7 +201,7 @@ def _wandering(verdict: AxisVerdict, wander: Beyond, names: Sequence[str]) -> Ax
     return AxisVerdict(WANDERS, verdict.score, verdict.cause, float(max(own or wander.size)))
 
 
-def _judge_deviation(one: Follow, names: Sequence[str], deviation: Floats, excess: Floats, limit: float) -> AxisVerdict:
+def _judge_deviation(names: Sequence[str], deviation: Floats, excess: Floats, limit: float) -> AxisVerdict:
     if not np.any(np.isfinite(excess)):
         return AxisVerdict(DIFFERS, 0.0)
     i = int(np.nanargmax(excess))
