@@ -72,11 +72,7 @@ class Fitted:
     @property
     def values(self) -> list[float]:
         """Size of each candidate in standard deviations of its prior."""
-        values, k = [], len(self.problem.machine.names)
-        for one in self.problem.candidates:
-            values.append(float(self.solution.q[k]))
-            k += 1 + one.free
-        return values
+        return [float(self.solution.q[k]) for k in self.problem.places]
 
     @property
     def left(self) -> float:
@@ -191,11 +187,11 @@ class FitSearch:
         self.problem = self._chosen_problem()
         self.q = self.problem.start(theta)
         self.starts = self.plain.first_starts()
-        for k, i in enumerate(self.chosen):
-            one = self.table[i]
-            if not one.reads:
-                size = self.first[3] if one.force is None else _first_size(one.force, self.first, self.sizes.turn)
-                self.q[self.own + k] = size / one.sd
+        for k, candidate in self.problem.place_candidates():
+            if not candidate.reads:
+                force = candidate.force
+                size = self.first[3] if force is None else _first_size(force, self.first, self.sizes.turn)
+                self.q[k] = size / candidate.sd
         self.noise = Gaussian(self.plain.stretches)
 
     def _chosen_problem(self) -> FitProblem:
@@ -203,8 +199,9 @@ class FitSearch:
 
     def prior(self, problem: FitProblem) -> Floats:
         """Return the prior precisions (p,): 1 for the size of a candidate, 0 for everything else."""
-        further = [value for one in problem.candidates for value in ([1.0, 0.0] if one.free else [1.0])]
-        return np.append(np.zeros(self.own), further)
+        prior = np.zeros(problem.size)
+        prior[problem.places] = 1.0
+        return prior
 
     def solve(self, likelihood: Likelihood, steps: int = 30) -> Optimum:
         found = solve(self.problem, likelihood, self.q, self.starts, self.prior(self.problem), steps, GAIN)
@@ -233,30 +230,22 @@ class FitSearch:
         self.problem = self._chosen_problem()
         theta = self.q[: self.own]
         self.q = self.problem.start(self.plain.theta(theta))
-        k = self.own
-        for i in self.chosen:
-            size, constant = sizes.get(i, (0.3 if self.table[i].base in (DELAY, LAGGING) else 0.02, 1.0))
-            self.q[k] = size
-            k += 1
-            if self.table[i].free_constant().free:
-                self.q[k] = constant
-                k += 1
+        for i, (k, candidate) in zip(self.chosen, self.problem.place_candidates(), strict=True):
+            # a force of size 0 shows nothing of its constant, and a lag of 0 moves the body as a dead time does
+            self.q[k], constant = sizes.get(i, (0.3 if candidate.base in (DELAY, LAGGING) else 0.02, 1.0))
+            if candidate.free:
+                self.q[k + 1] = constant
 
     def choose_best(self, sets: Sequence[Sequence[int]]) -> None:
         """Take the set of candidates whose motion fits best in the present noise."""
-        at, found = (self.chosen, self.q, self.starts), []
-        for one in sets:
-            self.chosen, self.q, self.starts = at
-            self.choose(one)
+        at, ends = (self.chosen, self.problem, self.q, self.starts), []
+        for chosen in sets:
+            self.chosen, self.problem, self.q, self.starts = at
+            self.choose(chosen)
             if len(sets) > 1:
-                found.append((self.solve(self.noise, 10).cost, self.chosen, self.q, self.starts))
-        if found:
-            _, chosen, q, starts = min(found, key=lambda one: one[0])
-            self.chosen, self.problem = (
-                chosen,
-                self.plain.with_candidates([self.table[i].free_constant() for i in chosen]),
-            )
-            self.q, self.starts = q, starts
+                ends.append((self.solve(self.noise, 10).cost, self.chosen, self.problem, self.q, self.starts))
+        if ends:
+            _, self.chosen, self.problem, self.q, self.starts = min(ends, key=lambda end: end[0])
 
     def _odds(self) -> Floats:
         """Return the log odds of each candidate. The candidates of one name share those of their row."""
@@ -264,12 +253,9 @@ class FitSearch:
         return np.array([ODDS - math.log(names.count(name)) for name in names])
 
     def _sizes(self) -> dict[int, tuple[float, float]]:
-        found, k = {}, self.own
-        for i in self.chosen:
-            free = self.table[i].free_constant().free
-            found[i] = (float(self.q[k]), float(self.q[k + 1]) if free else 1.0)
-            k += 1 + free
-        return found
+        """Return the size of each chosen candidate, and its constant in units of the first one."""
+        places = zip(self.chosen, self.problem.place_candidates(), strict=True)
+        return {i: (float(self.q[k]), float(self.q[k + 1]) if one.free else 1.0) for i, (k, one) in places}
 
     def local(self, likelihood: Likelihood) -> Quadratic:
         """Return the quadratic log likelihood by the machine's parameters and by all candidates of the table, about
@@ -278,18 +264,12 @@ class FitSearch:
         every = self.plain.with_candidates(
             [one.free_constant() if i in self.chosen else one for i, one in enumerate(self.table)]
         )
-        q, kept, at = (
-            every.start(self.plain.theta(self.q[: self.own])),
-            list(range(self.own)),
-            np.zeros(len(self.table)),
-        )
-        k = self.own
-        for i, one in enumerate(every.candidates):
-            kept.append(k)
+        q, at = every.start(self.plain.theta(self.q[: self.own])), np.zeros(len(self.table))
+        for i, (k, candidate) in enumerate(every.place_candidates()):
             at[i] = q[k] = sizes.get(i, (0.0, 1.0))[0]
-            if one.free:
+            if candidate.free:
                 q[k + 1] = sizes[i][1]
-            k += 1 + one.free
+        kept = [*range(self.own), *every.places]
         normal = normal_of(likelihood(every.linearise(q, self.starts))[1], self.starts)
         A, g = normal.A[np.ix_(kept, kept)], normal.g[kept]
         lowest = np.array([one.lowest for one in self.table])
@@ -577,7 +557,8 @@ def _weigh(
     noise = likelihood if isinstance(likelihood, Gaussian) else Gaussian(search.plain.stretches)
     normal = normal_of(noise(search.problem.linearise(found.q, found.starts))[1], found.starts)
     covariance = sandwich(normal.A + np.diag(search.prior(search.problem)), normal)
-    return weigh(search.local(noise), search.table, search.chosen, found.q, np.sqrt(np.diag(covariance)), lift)
+    at = search.problem.places
+    return weigh(search.local(noise), search.table, search.chosen, found.q[at], np.sqrt(np.diag(covariance))[at], lift)
 
 
 def _estimate(search: FitSearch, found: Optimum, likelihood: Gaussian | Intervals) -> tuple[Floats, Floats]:

@@ -125,6 +125,16 @@ class FitProblem:
         return len(self.machine.names) + sum(1 + one.free for one in self.candidates)
 
     @property
+    def places(self) -> list[int]:
+        """Index of the size of each candidate among the parameters. A free constant follows its size."""
+        lengths = [1 + candidate.free for candidate in self.candidates]
+        return [len(self.machine.names) + sum(lengths[:i]) for i in range(len(lengths))]
+
+    def place_candidates(self) -> Iterator[tuple[int, ExtraForce]]:
+        """Yield the index of the size of each candidate, and the candidate."""
+        return zip(self.places, self.candidates, strict=True)
+
+    @property
     def rows(self) -> int:
         """Number of observations."""
         return sum(one.y.size for one in self.stretches)
@@ -153,12 +163,9 @@ class FitProblem:
         q = np.zeros(self.size)
         q[: theta.size] = theta
         q[self.machine.lead] = np.log(theta[self.machine.lead])
-        k = theta.size
-        for one in self.candidates:
-            k += 1
-            if one.free:
-                q[k] = 1.0
-                k += 1
+        for k, candidate in self.place_candidates():
+            if candidate.free:
+                q[k + 1] = 1.0
         return q
 
     def first_starts(self) -> Floats:
@@ -184,30 +191,20 @@ class FitProblem:
         """Return a block with the errors of the encoder, which depend on the position, and the lateness of edges."""
         y = block.e * self.resolution + stretch.y
         e, slope, J = block.e.copy(), np.ones(y.size), block.J.copy()
-        k = len(self.machine.names)
-        for one in self.candidates:
-            if one.reading is not None:
-                period, phase = one.reading
+        for k, candidate in self.place_candidates():
+            if candidate.reading is not None:
+                period, phase = candidate.reading
                 angle = 2 * np.pi / period * y + phase
-                J[:, k] = np.sin(angle) * one.sd / self.resolution
+                J[:, k] = np.sin(angle) * candidate.sd / self.resolution
                 e += q[k] * J[:, k]
-                slope += q[k] * one.sd * 2 * np.pi / period * np.cos(angle)
-            elif one.late:
-                J[:, k] = np.where(stretch.counted, 0.0, -v * one.sd / self.resolution)
+                slope += q[k] * candidate.sd * 2 * np.pi / period * np.cos(angle)
+            elif candidate.late:
+                J[:, k] = np.where(stretch.counted, 0.0, -v * candidate.sd / self.resolution)
                 e += q[k] * J[:, k]
-            k += 1 + one.free
-        plain = [i for i in range(J.shape[1]) if i not in self._readings()]
-        J[:, plain] *= slope[:, None]
+        of_motion = np.ones(J.shape[1], bool)
+        of_motion[[k for k, candidate in self.place_candidates() if candidate.reads]] = False
+        J[:, of_motion] *= slope[:, None]
         return ResidualBlock(e, J, block.K * slope[:, None])
-
-    def _readings(self) -> set[int]:
-        """Return the indices of the errors of the encoder among the parameters."""
-        found, k = set(), len(self.machine.names)
-        for one in self.candidates:
-            if one.reads:
-                found.add(k)
-            k += 1 + one.free
-        return found
 
     def motion(self, q: Floats, starts: Floats) -> list[tuple[Floats, Floats]]:
         """Return the positions and velocities (k,) at the observations of each stretch [unit, unit/s]."""
@@ -230,21 +227,18 @@ class FitProblem:
         body, lift = np.zeros(w), np.zeros((w, self.size))
         body[place], lift[np.ix_(place, range(own))] = m.body(self.theta(q)), m.lift
         lift[:, m.lead] *= self.theta(q)[m.lead]
-        row, constant, k = BASE + count, BASE + count + len(extra) + shapes, own
-        for one in self.candidates:
-            if one.reads:
-                k += 1
+        row, constant = BASE + count, BASE + count + len(extra) + shapes
+        for k, candidate in self.place_candidates():
+            if candidate.reads:
                 continue
-            target = row if one.force is not None else one.base
-            body[target] += q[k] * one.sd
-            lift[target, k] += one.sd
-            if one.force is not None:
+            target = row if candidate.force is not None else candidate.base
+            body[target] += q[k] * candidate.sd
+            lift[target, k] += candidate.sd
+            if candidate.force is not None:
                 row += 1
-            if one.free:
-                k += 1
-                body[constant], lift[constant, k] = q[k] * one.constant, one.constant
+            if candidate.free:
+                body[constant], lift[constant, k + 1] = q[k + 1] * candidate.constant, candidate.constant
                 constant += 1
-            k += 1
         return body, [*m.forces, *extra], lift
 
     def _start_body(self, stretch: ObservedStretch, state: Floats, scale: float, body: Floats) -> Floats:

@@ -29,19 +29,19 @@ class WeighedForce:
 
 
 def weigh(
-    local: Quadratic, table: Sequence[ExtraForce], chosen: Sequence[int], q: Floats, stds: Floats, lift: Floats
+    local: Quadratic, table: Sequence[ExtraForce], chosen: Sequence[int], sizes: Floats, stds: Floats, lift: Floats
 ) -> tuple[WeighedForce, ...]:
     """Return all forces of the table, the chosen ones first.
 
-    `q` (k,) and `stds` (k,) are the parameters of the fit and their standard errors, in standard deviations of the
-    priors. `lift` (p,) converts changes of the machine's parameters to their units.
+    `sizes` (c,) and `stds` (c,) are those of the c chosen candidates and their standard errors, in standard deviations
+    of the priors. `lift` (p,) converts changes of the machine's parameters to their units.
     """
     free = np.isin(np.arange(len(table)), chosen)  # the fit itself keeps the chosen ones within their bounds
     local = replace(local, lowest=np.where(free, -np.inf, local.lowest))
     groups: dict[str, list[int]] = {}
     for i, one in enumerate(table):
         groups.setdefault(one.words, []).append(i)
-    places = dict(zip(chosen, _places(local.plain, [table[i] for i in chosen]), strict=True))
+    places = {i: k for k, i in enumerate(chosen)}
     value, step, _ = local.evidence(chosen)
     taken, others = [], []
     for group in groups.values():
@@ -50,20 +50,14 @@ def weigh(
             other, moved, _ = local.evidence([i for i in chosen if i not in group])
             change = (step[: local.plain] - moved[: local.plain]) * lift
             at = [places[i] for i in inside]
-            taken.append(_make_weighed(table, inside, value - other, (q[at], stds[at]), change))
+            taken.append(_make_weighed(table, inside, value - other, (sizes[at], stds[at]), change))
         else:
             further = max([[i] for i in group] + [group], key=lambda one: local.evidence([*chosen, *one])[0])
             other, moved, covariance = local.evidence([*chosen, *further])
             change = (moved[: local.plain] - step[: local.plain]) * lift
-            sizes = moved[step.size :], np.sqrt(np.diag(covariance))[step.size :]
-            others.append(_make_weighed(table, further, other - value, sizes, change, chosen=False))
+            added = moved[step.size :], np.sqrt(np.diag(covariance))[step.size :]
+            others.append(_make_weighed(table, further, other - value, added, change, chosen=False))
     return (*taken, *sorted(others, key=lambda one: -one.odds))
-
-
-def _places(plain: int, candidates: Sequence[ExtraForce]) -> list[int]:
-    """Return the place of the size of each candidate among the parameters of the fit."""
-    lengths = [1 + one.free_constant().free for one in candidates]
-    return [plain + sum(lengths[:k]) for k in range(len(lengths))]
 
 
 def _make_weighed(
