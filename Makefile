@@ -260,7 +260,6 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.alarms --out results/alarms.md
 	.venv/bin/python -m studies.laboratory --out results/laboratory.md --images results/images
 	.venv/bin/python -m studies.black_box --out results/black_box.md
-	.venv/bin/python -m studies.gaps --out results/gaps.md
 	.venv/bin/python -m studies.glitches --out results/glitches.md
 	.venv/bin/python -m studies.wrong_counts --out results/wrong_counts.md
 	.venv/bin/python -m studies.glitches_watched --out results/glitches_watched.md

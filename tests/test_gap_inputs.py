@@ -7,19 +7,14 @@ import pytest
 
 from pmfid import Drive, Encoder
 from pmfid._stage import Inputs
-from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
-from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RLS
 from pmfid.monitor.monitor import GuessedSamples, guess, longest
-from pmfid.pipeline.identify import kind_of
-from pmfid.records.filling import fill_by_motion
-from pmfid.records.gaps import Polynomial, best_of, describe_missing, fill_gaps, is_held
-from pmfid.records.record import Record
+from pmfid.records.gaps import Polynomial, best_of, fill_gaps, is_held
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
-from studies.machines import AXES, machine_record, truth
 
 DT, STEP, CUTOFF = 0.004, 2e-5, 20.0
 RATE = CUTOFF * DT
@@ -89,44 +84,6 @@ def test_an_input_that_rests_now_and_then_is_not_held() -> None:
     assert is_held(np.repeat(waving(300), 10), there)
     line = fill_gaps(u[there], np.zeros(there.sum(), np.int64), np.flatnonzero(there))[0]
     assert np.all(np.isfinite(line))
-
-
-def test_long_gaps_under_control_are_left_out_where_the_counts_tell_more() -> None:
-    """Filled gaps gave an error of the mass of 0.06 %, and of 1.1 % with gaps of 50 samples. A note reports the
-    gaps.
-    """
-    axis, run = AXES["heavy"], machine_record(AXES["heavy"], "nothing", "stop-and-go", 4096, 40)
-    there = kept(run.u.size, 0.1, 20)[:2500]
-    line, counts, _ = fill_gaps(run.u[:2500][there], run.counts[:2500][there], np.flatnonzero(there))
-    said, other = describe_missing(line, there), "another note"
-    config = Axis.model_validate(
-        {
-            "record": {"input": "u", "output": "n", "dt": axis.dt},
-            "encoder": {"resolution": run.resolution},
-            "model": {"kind": "drive", "input_gain": axis.drive.input_gain},
-            "estimator": {"method": "iv", "cutoff": 25.0},
-        }
-    )
-    record = Record(line, counts, axis.dt, run.resolution, (said, other), "run", there=there)
-    found = kind_of(config).complete_record(record, config)
-    np.testing.assert_array_equal(np.isnan(found.u), ~there)
-    assert "filled in" in said
-    assert found.notes == (describe_missing(found.u, there), other)
-    assert "left out, the motion restarts after each" in found.notes[0]
-    method = IV(Drive(axis.drive.input_gain), Encoder(run.resolution), axis.dt, 25.0)
-    theta = method.settle_iteration(found.u, found.counts)[1] / truth(axis)
-    np.testing.assert_allclose(theta, 1.0, atol=2e-3)
-    assert abs(theta[0] - 1) < 2.5e-4
-
-
-def test_a_short_gap_of_a_smooth_input_is_filled() -> None:
-    axis, run = AXES["rotary"], machine_record(AXES["rotary"], "nothing", "multisine", 4096, 22)
-    there = kept(run.u.size, 0.2)
-    method = IV(Drive(axis.drive.input_gain), Encoder(run.resolution), axis.dt, 30.0)
-    found = fill_by_motion(method, *fill_gaps(run.u[there], run.counts[there], np.flatnonzero(there)))
-    assert found is not None
-    assert np.all(np.isfinite(found[0]))
-    assert abs(method.settle_iteration(*found)[1][0] / truth(axis)[0] - 1) < 3e-4  # with lines the error is 8e-4
 
 
 # --- on-line ----------------------------------------------------------------------------------------------------------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,8 +14,13 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import check_arrays, check_size, integer_counts
 from pmfid.estimators.least_squares import level_of, long_run_covariance
 from pmfid.estimators.results import Columns, Fit
+from pmfid.estimators.stretches import parts_of
 from pmfid.estimators.tuning import TUNING
 from pmfid.status import Status
+from pmfid.types import Counts, Floats
+
+if TYPE_CHECKING:
+    from pmfid._kernel64 import Kernel
 
 
 def check_identifiable(
@@ -109,6 +115,29 @@ def _are_apart(columns: Columns, least_part: float) -> bool:
     return True
 
 
+def filter_parts(
+    kernel: Kernel, u: Floats, counts: Counts, steps: Floats | None = None
+) -> tuple[Floats, NDArray[np.uint32]]:
+    """Return the columns (n, c) and the status (n,) of a record, u and counts (n,).
+
+    An input that is not a number marks a gap, after which the filters restart. `steps` (n,) is the time before each
+    sample [s].
+    """
+    parts = parts_of(u)
+    if len(parts) == 1 and parts[0] == slice(0, u.size):
+        return kernel.filter(u, counts, steps)
+    filtered = list[tuple[slice, Floats, NDArray[np.uint32]]]()
+    for part in parts:
+        if filtered:
+            kernel.gap(int(counts[part.start]))
+        filtered.append((part, *kernel.filter(u[part], counts[part], None if steps is None else steps[part])))
+    width = filtered[0][1].shape[1] if filtered else kernel.filter(u[:0], counts[:0], None)[0].shape[1]
+    columns, status = np.zeros((u.size, width)), np.full(u.size, int(Status.SETTLING), np.uint32)
+    for part, rows, bits in filtered:
+        columns[part], status[part] = rows, bits
+    return columns, status
+
+
 @dataclass(frozen=True)
 class BatchEstimator(Estimator):
     """An `Estimator` for whole records."""
@@ -125,7 +154,7 @@ class BatchEstimator(Estimator):
         """Return regressors, target and instruments of all samples after the filters have settled; u, counts: (n,)."""
         u, counts = check_arrays(u, counts)
         check_size(u)
-        columns, status = self.make_kernel().filter(u, counts, self.steps_before(u.size))
+        columns, status = filter_parts(self.make_kernel(), u, counts, self.steps_before(u.size))
         used = (status & Status.SETTLING) == 0
         columns, p = columns[used], len(self.names)
         zeta = columns[:, p + 1 :] if self.instrumental else columns[:, :p]

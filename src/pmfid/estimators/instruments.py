@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,8 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
 from pmfid.estimators.base import Simulating
-from pmfid.estimators.batch import check_identifiable
-from pmfid.estimators.bridges import Body, bridge_gaps
+from pmfid.estimators.batch import check_identifiable, filter_parts
 from pmfid.estimators.configuration import check_arrays, check_size, like
 from pmfid.estimators.least_squares import inverse_of, solve_bounded, solve_with_instruments
 from pmfid.estimators.ls import BCLS
@@ -244,32 +242,17 @@ class Instruments(ProcessSolver, Simulating):
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint32]]:
         """Return all columns (n, c), the rows that count (n,), and the status (n,)."""
         check_size(u_array)
-        there, filters = np.isfinite(u_array), self
-        lost = np.where(there, 0, int(Status.INVALID_INPUT)).astype(np.uint32)
-        if not np.all(there):
-            steps = self.steps_before(u_array.size)
-            after = None if steps is None else np.append(steps[1:], self.dt)
-            body = Body(self.equation, theta, self.dt, self.encoder.resolution, self.cutoff, after)
-            u_array, counts_array, there = bridge_gaps(body, u_array, counts_array)
-            filters = self._unguarded
-        kernel, _ = make_auxiliary_kernel(filters, 1.0, list(theta), adapt=False)
+        kernel, _ = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
         rests = self._rests(u_array, counts_array, theta) if rests is None else rests
         before = 2 * self.settle_samples + 1 if rests else 0
         rest = np.full(before, counts_array[:1])
         steps = self.steps_before(u_array.size)
         steps = None if steps is None else np.r_[np.full(before, self.dt), steps]
-        columns, status = kernel.filter(np.r_[np.zeros(before), u_array], np.r_[rest, counts_array], steps)
-        columns, status = columns[before:], status[before:] | lost
-        used = ((status & Status.SETTLING) == 0) & there
+        columns, status = filter_parts(kernel, np.r_[np.zeros(before), u_array], np.r_[rest, counts_array], steps)
+        columns, status = columns[before:], status[before:]
+        used = (status & Status.SETTLING) == 0
         used[: 0 if before else int(TUNING.start_part * used.size)] = False
         return columns, used, status
-
-    @cached_property
-    def _unguarded(self) -> Instruments:
-        """Return the method without its guard, for records with gaps: in a gap, the simulated motion may be faster than
-        the guard allows.
-        """
-        return replace(self, encoder=replace(self.encoder, guard=False))
 
     def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
         """Return whether the axis rests at first, according to the counts and the friction of theta (p,)."""

@@ -15,7 +15,6 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Simulating
 from pmfid.estimators.batch import BatchEstimator, check_identifiable
-from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.configuration import check_arrays, hold_last_input, like
 from pmfid.estimators.instruments import Instruments
 from pmfid.estimators.likelihood import Best, best_of, cost, expected_information, likeliest_of
@@ -33,6 +32,7 @@ from pmfid.estimators.search import (
     is_lost,
 )
 from pmfid.estimators.srivc import ProcessSolver, solve_by_descent
+from pmfid.estimators.stretches import gaps_in
 from pmfid.estimators.tuning import TUNING
 from pmfid.estimators.uncertainty import (
     likelihood_covariance,

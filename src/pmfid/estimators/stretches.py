@@ -1,4 +1,4 @@
-"""Stretches of long records."""
+"""Stretches of records: between gaps, and those with the most motion."""
 
 from __future__ import annotations
 
@@ -17,3 +17,18 @@ def liveliest(position: Counts | Floats, most: int) -> slice:
     travelled = np.r_[0, np.cumsum(np.abs(np.diff(position)))]
     start = int(np.argmax(travelled[most - 1 :] - travelled[: position.size - most + 1]))
     return slice(start, start + most)
+
+
+def parts_of(u: Floats) -> list[slice]:
+    """Return the parts of a record between gaps. In a gap, the input (n,) is not a number."""
+    edges = np.flatnonzero(np.diff(np.r_[False, np.isfinite(u), False].astype(np.int8)))
+    return [slice(first, last) for first, last in edges.reshape(-1, 2).tolist()]
+
+
+def gaps_in(u: Floats) -> tuple[tuple[int, int], ...]:
+    """Return the gaps of a record, each as its first sample and the first sample after it. In a gap, the input (n,)
+    is not a number.
+    """
+    parts = parts_of(u)
+    edges = [0, *(edge for part in parts for edge in (part.start, part.stop)), u.size]
+    return tuple((a, b) for a, b in zip(edges[0::2], edges[1::2], strict=True) if b > a) if parts else ()

@@ -93,17 +93,6 @@ class EstimatorTuning:
     #: Largest number whose square stays within the format.
     batch_beyond: float = 1e120
 
-    # bridges
-    #: Span in which the speed after a gap is read, in time constants of the filters or of the body's damping.
-    bridges_read: float = 3.0
-    #: Samples in the shortest part of a record. A part also lasts at least a filter time constant.
-    bridges_fewest: int = 8
-    #: Iterations for the speed after a gap and the input that leads to this speed.
-    bridges_turns: int = 20
-    bridges_close: float = 1e-9
-    #: Nothing is forgotten if damping times reading time is below this value.
-    bridges_little: float = 1e-6
-
     # cutoff
     #: Tried time constants of the filters [samples]. A longer one averages the encoder's error more, and a shorter one
     #: keeps more information on the mass. The first with an estimate gives the motion by which all are judged.

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.adequacy import filter_forces
-from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.least_squares import inverse_of
 from pmfid.estimators.motion import rms
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Tracks
+from pmfid.estimators.stretches import parts_of
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.estimators.uncertainty import block_scatter
 from pmfid.fleet.plan import RowProblem

@@ -11,10 +11,10 @@ import numpy as np
 from pmfid.config.axis import Axis, check_sampling
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.bridges import parts_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.redge import REdge
 from pmfid.estimators.registry import ESTIMATORS
+from pmfid.estimators.stretches import parts_of
 from pmfid.fleet.series import UNUSABLE
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -18,9 +18,8 @@ from pmfid.diagnostics.verdict import Verdict, verdict
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO, MethodChoice, choose, first_choice
-from pmfid.estimators.base import Estimator
+from pmfid.estimators.base import Estimator, Simulating
 from pmfid.estimators.batch import BatchEstimator, check_identifiable
-from pmfid.estimators.bridges import gaps_in
 from pmfid.estimators.configuration import construct_estimator, like
 from pmfid.estimators.cutoff import choose_cutoff, choose_prefilter_zeros
 from pmfid.estimators.iv import IV, RIV
@@ -30,7 +29,7 @@ from pmfid.estimators.output_error import OE, Following
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns, Track, join_tracks
-from pmfid.estimators.stretches import liveliest
+from pmfid.estimators.stretches import gaps_in, liveliest, parts_of
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import MOVE, Finding, advise, codes, make_notes, sort_findings
 from pmfid.io.tables import Table
@@ -47,8 +46,6 @@ from pmfid.pipeline.result import DriveResult
 from pmfid.pipeline.stored import Stored
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.edge_ages import Coarser
-from pmfid.records.filling import doubt, fill_by_motion
-from pmfid.records.gaps import describe_missing
 from pmfid.records.joining import join_records, unbroken
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record, read_record, record_of
@@ -125,33 +122,16 @@ class Drives(Kind[Record]):
         axis = match_kind(data, axis)
         if axis.estimator.cutoff is not None or data.counts.size == 0:
             return axis
-        known = repair_as_configured(data, axis).record
+        known = repair_as_configured(data, axis).record.measured
         either = [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]
         models = [one.model.make() for one in either]
         encoder, forgetting = axis.encoder.make_encoder(data.resolution), axis.estimator.forgetting
-        cutoff = choose_cutoff(models, encoder, data.dt, known.u, known.counts, forgetting)
+        with _name_gaps(known):
+            cutoff = choose_cutoff(models, encoder, data.dt, known.u, known.counts, forgetting)
         return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
 
     def settle_axis(self, data: Record, axis: Axis) -> Axis:
         return match_kind(data, axis) if uses_fit(axis) else self.prepare_axis(data, axis)
-
-    def complete_record(self, data: Record, axis: Axis) -> Record:
-        if data.there is None or np.all(data.there | np.isnan(data.u)) or uses_fit(axis):
-            return data
-        known = repair_as_configured(data, axis).record
-        for one in [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]:
-            model = one.model.make()
-            if IV.refuses(model.simple.equation):
-                return data
-            method = IV(model.simple, one.encoder.make_encoder(data.resolution), data.dt, one.estimator.pole)
-            found = fill_by_motion(method, known.u, known.counts, data.there, data.given)
-            if found is not None:
-                u, counts = (np.where(data.there, *pair) for pair in zip((data.u, data.counts), found, strict=True))
-                renewed = {describe_missing(data.u, data.there): describe_missing(u, data.there)}
-                notes = tuple(renewed.get(note, note) for note in data.notes)
-                more = doubt(method, u, counts, data.there)
-                return replace(data, u=u, counts=counts, notes=notes, doubt=more)
-        return data
 
     def check(self, data: Record, axis: Axis) -> None:
         axis = set_any_gain(axis)
@@ -171,8 +151,11 @@ class Drives(Kind[Record]):
         if uses_fit(axis):
             result = try_both_signs(axis, lambda own: identify_by_fit(data, own, axis))
         else:
-            result = try_both_signs(axis, lambda own: _identify_by_method(known.record, own, axis, progress))
-        result = replace(result, theta_std=np.hypot(_widen_errors(result, data), _period_errors(result, data, axis)))
+            used = known.record.measured
+            with _name_gaps(used):
+                result = try_both_signs(axis, lambda own: _identify_by_method(used, own, axis, progress))
+            result = replace(result, record=known.record)
+        result = replace(result, theta_std=np.hypot(result.theta_std, _period_errors(result, data, axis)))
         scaling = "the gain was estimated" if finds_gain(axis) else "all parameters scale with the gain"
         return result.with_findings(*known.findings, *_clock_findings(data), *note_one_level([data.u], scaling))
 
@@ -196,6 +179,7 @@ class Drives(Kind[Record]):
 def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progress | None) -> DriveResult:
     """Return the result of the method in `axis`. The configured axis `asked` contains the prior information."""
     estimator, reason, choice = make_estimator(axis, data), "", None
+    restarts = _describe_restarts(data, estimator)
     if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
         choice = first_choice(estimator, data.u, data.counts)
         estimator, reason = choice.estimator, choice.reason
@@ -203,7 +187,32 @@ def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progres
         estimator, reason = choose(estimator, data.u, data.counts, axis.estimator.forgetting)
     result = _estimate(estimator, data, asked, progress, choice)
     _check_known(result)
-    return result.with_findings(*make_notes("method", [f"auto chose {reason}"])) if reason else result
+    return result.with_findings(*make_notes("method", [*restarts, *([f"auto chose {reason}"] if reason else [])]))
+
+
+def _describe_restarts(record: Record, estimator: Estimator) -> list[str]:
+    """Return a note on the samples that gaps cost, or no note without gaps."""
+    gaps, settle = len(gaps_in(record.u)), estimator.settle_samples
+    if not gaps or isinstance(estimator, Following):
+        return []
+    settle *= 2 if isinstance(estimator, Simulating) else 1
+    left = sum(max(0, part.stop - part.start - settle) for part in parts_of(record.u)) / record.u.size
+    return [
+        f"the filters of {estimator.method} restart after each of {gaps} gaps, which leaves {left:.0%} of the samples; "
+        f'method = "auto" uses them all'
+    ]
+
+
+@contextmanager
+def _name_gaps(record: Record) -> Iterator[None]:
+    """Name the gaps of a record in an error of a method whose filters restart after each gap."""
+    try:
+        yield
+    except NotIdentifiableError as error:
+        if not (gaps := len(gaps_in(record.u))):
+            raise
+        remedy = f'the filters restart after each of {gaps} gaps, and method = "auto" estimates through gaps'
+        raise NotIdentifiableError(f"{error}. Advice: {remedy}") from error
 
 
 def match_kind(record: Record, axis: Axis) -> Axis:
@@ -327,7 +336,7 @@ def _estimate(
         unused.append(f"{estimator.method} is an off-line method and does not use forgetting")
     notes = make_notes("record", record.notes) + make_notes("method", fit.notes) + make_notes("unused", unused)
     notes += _check_error(estimator, fit.relative_error, judgement)
-    findings = sort_findings((*status_findings(fit.status & ~_collect_status(record)), *judgement.findings, *notes))
+    findings = sort_findings((*status_findings(fit.status), *judgement.findings, *notes))
     found = fit.theta, fit.theta_std, findings
     result = DriveResult(estimator, *found, record, fit.relative_error, judgement.matter, fit=fit, model_spread=spread)
     return result if known is None else put_together(result, known, axis, known.combine(fit, spread))
@@ -348,15 +357,6 @@ def _clock_findings(record: Record) -> tuple[Finding, ...]:
     )
 
 
-def _widen_errors(result: DriveResult, record: Record) -> Floats:
-    """Return standard errors (p,) that include the effect of imputed samples."""
-    if record.doubt is None:
-        return result.theta_std
-    most = float(np.max(record.doubt, initial=0.0))
-    parts = record.doubt if record.doubt.size == result.theta.size else np.full(result.theta.size, most)
-    return np.asarray(np.hypot(result.theta_std, parts * np.abs(result.theta)))
-
-
 def _period_errors(result: DriveResult, record: Record, axis: Axis) -> Floats:
     """Return the standard errors (p,) from the sample period.
 
@@ -369,11 +369,6 @@ def _period_errors(result: DriveResult, record: Record, axis: Axis) -> Floats:
     if axis.estimator.given or axis.estimator.prior:
         powers = [2] * result.theta.size
     return np.asarray(powers) * record.dt_error * np.abs(result.theta)
-
-
-def _collect_status(record: Record) -> int:
-    """Return the status bits that gaps of the record cause."""
-    return int(Status.SAMPLE_REJECTED | Status.STANDSTILL) if np.any(np.isnan(record.u)) else 0
 
 
 def _needs_simulation(estimator: Estimator) -> bool:
@@ -428,7 +423,6 @@ def _recursive(
         free = np.delete(free, late, axis=1)
     relative = _relative_error(columns, free, track.status)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.SAMPLE_REJECTED | Status.RESET)
-    occurred &= ~_collect_status(record)
     held = occurred | (last & ~int(Status.SETTLING | Status.DISTORTED))
     last_estimate: Estimate | Posterior = estimator.estimate
     if known is not None and known.find_gain:

@@ -42,9 +42,6 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     kind, given = kind_of(axis), axis
     axis = kind.settle_axis(data, given)
     kind.check(data, axis)
-    whole = kind.complete_record(data, axis)
-    if whole is not data:  # the complete record may need another pole
-        data, axis = whole, kind.settle_axis(whole, given)
     try:
         result = kind.estimate(data, axis, progress)
     except NotIdentifiableError as error:

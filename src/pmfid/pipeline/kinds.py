@@ -57,10 +57,6 @@ class Kind(ABC, Generic[Data]):
         """Return the configuration with values for all settings that the estimate needs."""
         return self.prepare_axis(data, axis)
 
-    def complete_record(self, data: Data, axis: Axis) -> Data:
-        """Return the records. With a complete configuration, the model fills missing samples."""
-        return data
-
     @abstractmethod
     def estimate(self, data: Data, axis: Axis, progress: Progress | None = None) -> Result:
         """Return the result of the configured method.

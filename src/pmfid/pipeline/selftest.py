@@ -144,7 +144,7 @@ def _simulate_record(data: Record, run: FreeRun, noise: float, rng: np.random.Ge
     """Return the record with counts of the simulated motion, at a random phase of the encoder."""
     position = run.simulated / data.resolution + rng.random() + noise * rng.standard_normal(run.simulated.size)
     counts = np.floor(position).astype(np.int64)
-    return replace(data, counts=counts, there=None, doubt=None, own=None, steps=None, ages=None)
+    return replace(data, counts=counts, there=None, own=None, steps=None, ages=None)
 
 
 def _measure_recovery(name: str, unit: str, value: float, found: Sequence[Result]) -> Recovery:

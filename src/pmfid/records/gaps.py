@@ -139,17 +139,18 @@ def fill_gaps(
 
 
 def describe_missing(u: Floats, there: Flags) -> str:
-    """Describe the missing samples of a record and their imputation."""
+    """Describe the missing samples of a record, and how the fit treats them."""
     lost, gap = int(np.count_nonzero(~there)), gaps_of(there)
     long = np.isnan(u[gap.before + 1])
     part, plural = lost / there.size, "s" * (long.size > 1)
     head = f"{lost} of {there.size} samples are missing ({part:.1%}), in {long.size} gap{plural}: "
     if not np.any(long):
-        return head + "filled in, by the samples around them and the motion of the model"
+        return head + "the input in each is known or interpolated"
     after = "the motion restarts after each"
     if np.all(long):
-        return head + f"left out, {after}"
-    return head + f"{np.count_nonzero(~long)} short ones are filled in, {np.count_nonzero(long)} left out: {after}"
+        return head + after
+    short = np.count_nonzero(~long)
+    return head + f"the input in {short} is known or interpolated, {after} of the other {np.count_nonzero(long)}"
 
 
 def _longest_held(u: Floats, there: Flags) -> int:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pmfid._stage import find_outliers
 from pmfid.config.axis import Axis
 from pmfid.estimators.plants import plant_of
+from pmfid.estimators.stretches import parts_of
 from pmfid.findings import Finding, codes, texts
 from pmfid.records.record import Record
 from pmfid.records.tuning import TUNING
@@ -139,17 +140,17 @@ def repair_record(record: Record, max_speed: float | None = None) -> RepairedRec
 def _find_in_measured(record: Record, speed: float) -> tuple[Counts, Flags, Counts]:
     """Return the repaired counts (n,), a mask of the wrong ones, and the shifts of the zero at each sample.
 
-    A missing count is no evidence. The function moves the values in a gap with the count before the gap.
+    A missing count is no evidence. The function moves the values in a gap with the count before the gap. The motion is
+    unknown in a gap of the input, so that each part between such gaps is judged alone.
     """
     places = np.arange(record.counts.size) if record.there is None else np.flatnonzero(record.there)
-    counts, wrong, moved = record.counts.copy(), np.zeros(record.counts.size, bool), np.zeros_like(record.counts)
-    measured = counts[places]
-    repaired, wrong[places], moved[places] = find_outliers(
-        measured, _times_of(record)[places], _rounding_of(measured), speed
-    )
-    counts -= np.cumsum(moved)
-    counts[places] = repaired
-    return counts, wrong, moved
+    wrong, moved, correction = np.zeros(record.counts.size, bool), np.zeros_like(record.counts), 0 * record.counts
+    times, rounding = _times_of(record), _rounding_of(record.counts[places])
+    for part in parts_of(record.u):
+        rows = places[slice(*np.searchsorted(places, (part.start, part.stop)))]
+        repaired, wrong[rows], moved[rows] = find_outliers(record.counts[rows], times[rows], rounding, speed)
+        correction[rows] = repaired - record.counts[rows] + np.cumsum(moved[rows])
+    return record.counts - np.cumsum(moved) + correction, wrong, moved
 
 
 def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:

@@ -107,9 +107,8 @@ class Record:
     counts. `dt` is the sample period [s], and `resolution` is the unit of y per count. `notes` describe changes to the
     data. `name` is the name of the file. `rotary` says whether the output is an angle. `there` (n,) marks the measured
     samples, or is None if all were measured. `given` (n,) marks the samples whose input was measured, with a count or
-    without, or is None as `there` is. The module `gaps` fills samples that were not measured. `doubt` (p,) is
-    the relative error of parameters that filled samples may cause, or None without an error. `jitter` is the root mean
-    square deviation of the steps of an uneven clock, relative to the period, before resampling. `own` is the record at
+    without, or is None as `there` is. The module `gaps` gives inputs for samples that were not measured. `jitter` is the
+    root mean square deviation of the steps of an uneven clock, relative to the period, before resampling. `own` is the record at
     the uneven instants of its clock, or None for even instants. A record at uneven instants has `steps`, the times
     between its samples. `in_counts` says whether lengths are in counts, because the travel of a count is unknown.
     `ages` (n,) is the time from the last edge of the encoder to the sample [s], NaN without an edge, or None.
@@ -126,7 +125,6 @@ class Record:
     rotary: bool = False
     there: Flags | None = None
     given: Flags | None = None
-    doubt: Floats | None = None
     jitter: float = 0.0
     steps: SampleSteps | None = None
     own: Record | None = None
@@ -134,6 +132,13 @@ class Record:
     ages: Floats | None = None
     dt_error: float = 0.0
     input_unit: str = ""
+
+    @property
+    def measured(self) -> Record:
+        """The record in which each sample without a count or without an input is a gap."""
+        if self.there is None:
+            return self
+        return replace(self, u=np.where(self.there, self.u, np.nan), there=None, given=None)
 
     @property
     def times(self) -> Floats:

@@ -70,33 +70,6 @@ class RecordTuning:
     #: Largest number of periods in a step, for sums without an overflow.
     clock_most: float = 2.0**40
 
-    # filling
-    #: Variance of a count [counts^2].
-    filling_count: float = 1 / 12
-    #: Information on position and velocity before the record [1/counts^2, s^2/counts^2]. The value is nearly zero,
-    #: because both are unknown.
-    filling_nothing: float = 1e-12
-    #: Number of right-hand sides that are solved together.
-    filling_chunk: int = 256
-    #: Largest number of iterations between estimate and filling. The filled samples hardly change the estimate.
-    filling_turns: int = 3
-    #: Relative change of the parameters below which the iteration ends.
-    filling_settled: float = 1e-4
-    #: Error of the velocity at an event by wrong parameters, relative to the root mean square velocity, before and
-    #: after the inputs are known.
-    filling_wrong: tuple[float, float] = (1e-2, 1e-3)
-    #: Error of the position at an event by wrong parameters [counts].
-    filling_shift: float = 0.1
-    #: Interval between further events in filter time constants. `filling_fewest` is the least interval in samples.
-    filling_often: float = 2.0
-    filling_fewest: int = 8
-    #: Seed of the samples that `doubt` removes.
-    filling_again: int = 16
-    #: Largest standard deviation of a known instant [samples].
-    filling_known: float = 0.25
-    #: Largest distance of the deviation in a gap from the line between its neighbours [counts].
-    filling_within: float = 1.0
-
     # gaps
     #: Distance, in multiples of `half`, beyond which samples lie after another gap. `far_weight` is the weight of
     #: samples after another gap.
