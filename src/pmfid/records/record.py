@@ -107,10 +107,11 @@ class Record:
     counts. `dt` is the sample period [s], and `resolution` is the unit of y per count. `notes` describe changes to the
     data. `name` is the name of the file. `rotary` says whether the output is an angle. `there` (n,) marks the measured
     samples, or is None if all were measured. `given` (n,) marks the samples whose input was measured, with a count or
-    without, or is None as `there` is. The module `gaps` gives inputs for samples that were not measured. `jitter` is the
-    root mean square deviation of the steps of an uneven clock, relative to the period, before resampling. `own` is the record at
-    the uneven instants of its clock, or None for even instants. A record at uneven instants has `steps`, the times
-    between its samples. `in_counts` says whether lengths are in counts, because the travel of a count is unknown.
+    without, or is None as `there` is. The module `gaps` gives inputs for samples that were not measured. `jitter` is
+    the root mean square deviation of the steps of an uneven clock, relative to the period, before resampling. `own` is
+    the record at the uneven instants of its clock, or None for even instants. A record at uneven instants has
+    `steps`, the times between its samples. `in_counts` says whether lengths are in counts, because the travel of a
+    count is unknown.
     `ages` (n,) is the time from the last edge of the encoder to the sample [s], NaN without an edge, or None.
     `dt_error` is the relative standard error of the sample period, if the stamps scatter around an even grid.
     `input_unit` is the unit of u, or empty if neither column nor gain has one.
