@@ -182,6 +182,16 @@ class PlantDesign:
         Value of the criterion.
     predicted_std
         Standard deviation of each unknown parameter after one experiment (Cramér-Rao).
+
+    Examples
+    --------
+    >>> from pmfid.design import PlantProblem, evaluate_plant_input
+    >>> def lag(p):
+    ...     return [[-p["pole"]]], [p["pole"]], [1.0], [0.0]
+    >>> problem = PlantProblem(lag, {"pole": 3.0}, ("pole",), 1.0, 4, noise_variance=1e-4, input=(-1.0, 1.0))
+    >>> design = evaluate_plant_input(problem, [1.0, 1.0, 1.0, 1.0])
+    >>> design.t.shape, design.x.shape, design.sensitivity.shape, design.fisher.shape
+    ((5,), (1, 5), (4, 1), (1, 1))
     """
 
     t: Floats
@@ -194,9 +204,40 @@ class PlantDesign:
 
 
 def evaluate_plant_input(problem: PlantProblem, u: ArrayLike, criterion: str = "trace") -> PlantDesign:
-    """Return the motion and the information of an input (K,), inside or outside the limits.
+    """Return the motion and the information of an input, inside or outside the limits.
 
-    Raises UsageError if the input has another length or the criterion is unknown.
+    Parameters
+    ----------
+    problem
+        Plant, parameters and limits.
+    u
+        (K,) input, one value per interval.
+    criterion
+        "trace", "D", "A", "E" or "ME".
+
+    Returns
+    -------
+    PlantDesign
+        The input with its motion and information.
+
+    Raises
+    ------
+    UsageError
+        If the input has another length or the criterion is unknown.
+
+    References
+    ----------
+    Paper eq. 4 and 5.
+
+    Examples
+    --------
+    >>> from pmfid.design import PlantProblem, evaluate_plant_input
+    >>> def lag(p):
+    ...     return [[-p["pole"]]], [p["pole"]], [1.0], [0.0]
+    >>> problem = PlantProblem(lag, {"pole": 3.0}, ("pole",), 1.0, 4, noise_variance=1e-4, input=(-1.0, 1.0))
+    >>> steady, switched = (evaluate_plant_input(problem, u) for u in ([1, 1, 1, 1], [1, 1, -1, -1]))
+    >>> switched.value > steady.value
+    True
     """
     values = np.asarray(u, float)
     if values.shape != (problem.intervals,) or not np.isfinite(values).all():
