@@ -7,7 +7,7 @@ PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
 
 .PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core test-lowest test-newest coverage spark kills broker-kills service-faults soak check format bench \
-    bench-compare study hostile firmware browser test-browser docs docs-pictures firmware-tools service-tools spark-tools golden images clean
+    bench-compare study paper hostile firmware browser test-browser docs docs-pictures firmware-tools service-tools spark-tools golden images clean
 
 # The versions of requirements-dev.txt, whose hashes pip verifies, then pmfid. An edit of Python counts at once, an edit
 # of C after `make`. pmfid is compiled to bytecode here, because some environments forbid later compilation.
@@ -243,6 +243,10 @@ firmware: .venv/tools
 	mkdir -p results/images
 	.venv/bin/python -m tests.firmware.study --out results/footprint.md
 
+# The figures and claims of the paper: docs/paper.md and its pictures, in about a minute.
+paper: .venv/installed
+	.venv/bin/python -m studies.paper --out docs/paper.md --images docs/images/paper
+
 # Write every page of results to results/, which takes hours.
 study: .venv/tools .venv/spark
 	mkdir -p results/images
@@ -258,7 +262,6 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.monitoring --out results/monitoring.md
 	.venv/bin/python -m studies.monitoring_wrong_models --out results/monitoring_wrong_models.md
 	.venv/bin/python -m studies.alarms --out results/alarms.md
-	.venv/bin/python -m studies.laboratory --out results/laboratory.md --images results/images
 	.venv/bin/python -m studies.black_box --out results/black_box.md
 	.venv/bin/python -m studies.glitches --out results/glitches.md
 	.venv/bin/python -m studies.wrong_counts --out results/wrong_counts.md

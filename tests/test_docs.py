@@ -85,6 +85,7 @@ SERVOS = ["docs/howto/lerobot.md", "docs/howto/frc.md"]
     "page",
     [
         "docs/coming_from.md",
+        "docs/paper.md",
         STATUS[0],
         *(pytest.param(page, marks=pytest.mark.long) for page in (*STATUS[1:], *SERVOS)),
     ],

@@ -27,7 +27,6 @@ from pmfid.errors import UnknownParameterError, UsageError
 from pmfid.estimators import METHODS
 from pmfid.pipeline.identify import identify
 from pmfid.records.record import Record, read_experiment
-from studies.paper import run as paper
 from tests.conftest import cart_run
 from tests.patience import PATIENCE
 
@@ -256,14 +255,6 @@ def test_an_interrupt_ends_the_command_even_inside_a_call_that_does_not_return(w
     code, text = run_on_terminal(SHOWN + work, lambda process: process.send_signal(signal.SIGINT))
     assert code == 130
     assert text.endswith("\r\x1b[Kpmfid: interrupted\r\n")
-
-
-@pytest.mark.long
-def test_reproduce_tells_how_far_it_is(tmp_path: Path) -> None:
-    done: list[float] = []
-    paper.reproduce(["2"], tmp_path, seeds=1, jobs=1, done=done.append)
-    assert done == sorted(done)
-    assert done[-1] == 1.0
 
 
 def test_small_matrices_get_one_thread_before_numpy_is_there():

@@ -1,1 +1,1 @@
-"""The figures of the paper as pictures, data and numbers: `python -m studies.paper`."""
+"""The figures and claims of the paper: `python -m studies.paper`."""

@@ -1,67 +1,50 @@
-"""The figures of the paper as a command: `python -m studies.paper`."""
+"""The figures and claims of the paper: `python -m studies.paper --out docs/paper.md --images docs/images/paper`."""
 
 from __future__ import annotations
 
+import argparse
+import multiprocessing
+import os
+import sys
+import time
 from collections.abc import Sequence
-from itertools import groupby
 from pathlib import Path
 
-import click
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
+from studies.paper.page import do_job, jobs, write_page
 
-from pmfid.cli.terminal import progress
-from pmfid.errors import PmfidError
-from studies.paper.merit import HEADER, Merit, cells
-from studies.paper.run import reproduce
+SEEDS = 20
 
 
-@click.command()
-@click.argument("figures", nargs=-1, metavar="[FIG]...")
-@click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    default=Path("reproduced"),
-    show_default=True,
-    metavar="DIR",
-    help="Where pictures, their data and the table go.",
-)
-@click.option("--seeds", type=int, default=200, show_default=True, help="Runs of each row of the table.")
-@click.option("--jobs", type=int, help="Processes; as many as there are cores where not given.")
-def main(figures: tuple[str, ...], out: Path, seeds: int, jobs: int | None) -> None:
-    """Reproduce the figures of the paper: FIG is 2, 3, 4, 5 or encoders; without FIG, all of them.
-
-    Writes a picture and a CSV of what is drawn for each figure, and table.csv with the figures of merit over many
-    seeded runs of the simulated cart.
-    """
-    try:
-        with progress("runs") as tell:
-            rows = reproduce(figures, out, seeds, jobs, tell)
-    except PmfidError as error:
-        raise click.UsageError(str(error)) from None
-    print_merits(rows, out)
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the page and its pictures; return the exit code."""
+    parser = argparse.ArgumentParser(prog="python -m studies.paper", description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("docs/paper.md"), help="the page (default: %(default)s)")
+    parser.add_argument("--images", type=Path, default=Path("docs/images/paper"), help="folder of the pictures")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help="runs of each case, at least 2 (default: %(default)s)")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count(), help="processes (default: one for each core)")
+    options = parser.parse_args(arguments)
+    if options.seeds < 2 or options.jobs < 1:
+        parser.error("--seeds must be at least 2, and --jobs at least 1")
+    options.images.mkdir(parents=True, exist_ok=True)
+    results = run_jobs(options.seeds, options.images, options.jobs)
+    images = os.path.relpath(options.images, options.out.parent).replace(os.sep, "/")
+    options.out.write_text(write_page(results, options.seeds, images), encoding="utf-8")
+    print(f"page: {options.out}")
+    return 0
 
 
-def print_merits(rows: Sequence[Merit], out: Path) -> None:
-    """Print the figures of merit in a table for each figure and condition, without empty columns."""
-    console = Console()
-    for (figure, condition), group in groupby(rows, key=lambda row: (row.figure, row.condition)):
-        texts = [cells(row)[2:] for row in group]
-        columns = list(zip(HEADER[2:], zip(*texts, strict=True), strict=True))
-        given = [(name, values) for name, values in columns if set(values) - {"–", "0"}]
-        common = ", ".join(f"{name} {values[0]}" for name, values in given[1:] if len(set(values)) == 1)
-        console.print(f"\n{figure}: {condition} ({common})", style="bold", highlight=False, markup=False)
-        table = Table(box=None)
-        for name, values in given:
-            if name == "method" or len(set(values)) > 1:
-                heading = name.replace(" [", "\n\\[").replace("increments", "inc")
-                table.add_column(heading, justify="left" if name == "method" else "right", no_wrap=True)
-        for row in zip(*(values for name, values in given if name == "method" or len(set(values)) > 1), strict=True):
-            table.add_row(*map(escape, row))
-        console.print(table)
-    console.print(f"table, pictures and their data: {out}", highlight=False, markup=False, soft_wrap=True)
+def run_jobs(seeds: int, images: Path, processes: int) -> dict[str, object]:
+    """Return the results of all parts by name, and print each part as it ends."""
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ.setdefault(variable, "1")  # the threads of several processes would wait for each other
+    results, began = dict[str, object](), time.monotonic()
+    tasks = [(name, seeds, images) for name in jobs()]
+    with multiprocessing.get_context("spawn").Pool(processes) as pool:
+        for name, result in pool.imap_unordered(do_job, tasks):
+            results[name] = result
+            print(f"{time.monotonic() - began:5.1f} s  {len(results):2} of {len(tasks)}  {name}", flush=True)
+    return results
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,8 +23,10 @@ from pmfid.models.drive import Drive
 from pmfid.simulation import CART, CART_DT, make_scenario
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
-from studies.paper.figure import Results
-from studies.paper.figure import Task as Task
+
+#: The arguments of one work, and the results by task; each study knows their types.
+Task = tuple[Any, ...]
+Results = Mapping[Task, Any]
 
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
