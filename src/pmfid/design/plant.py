@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -20,7 +21,7 @@ from pmfid.errors import NotIdentifiableError, UsageError, did_you_mean
 from pmfid.types import Floats
 
 #: Matrices A (n, n), b (n,), c (n,) and the initial state x0 (n,) for values of the parameters.
-Matrices = Callable[[Mapping[str, float]], tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike]]
+Matrices = Callable[[Mapping[str, float]], Sequence[Any]]
 #: Relative step of the central differences: the cube root of the precision of a float.
 STEP = float(np.finfo(float).eps) ** (1 / 3)
 
