@@ -268,7 +268,6 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.glitches_watched --out results/glitches_watched.md
 	.venv/bin/python -m studies.scale --out results/scale.md
 	.venv/bin/python -m studies.honest_recursions --out results/honest_recursions.md
-	.venv/bin/python -m studies.prediction --out results/prediction.md
 	.venv/bin/python -m studies.logs --out results/logs.md
 	.venv/bin/python -m studies.checks --out results/checks.md
 	.venv/bin/python -m studies.fleet_history --out results/fleet_history.md

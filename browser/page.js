@@ -2,7 +2,7 @@
 import { parquetReadObjects } from "hyparquet";
 import { compressors } from "hyparquet-compressors";
 
-const METHODS = ["iv", "output-error", "bcls", "ls", "riv", "bcrls", "rls"];
+const METHODS = ["iv", "bcls", "ls", "riv", "bcrls", "rls"];
 const at = (id) => document.getElementById(id);
 const form = at("form"), field = form.elements;
 let worker, drawn = null, calls = 0;

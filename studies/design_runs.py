@@ -16,7 +16,7 @@ from pmfid.design.solver import solve
 from pmfid.design.standard import standard_inputs
 from pmfid.encoder import Encoder, quantize
 from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.output_error import IntervalML
+from pmfid.estimators.motion_fit import MotionFit
 from pmfid.simulation.scenarios import resolution_of
 from pmfid.types import Floats
 from studies.design_case import STARTS, case, known
@@ -88,7 +88,7 @@ def interval(u: Floats, x: Floats, problem: Problem, rng: np.random.Generator) -
     """Return the estimate of the interval likelihood, which takes no parameter and no start as known."""
     run = counted(u, x, problem, rng)
     resolution = problem.resolution or 1.0
-    method = IntervalML(problem.drive, Encoder(resolution), run.dt, 1 / (3 * run.dt))
+    method = MotionFit(problem.drive, Encoder(resolution), run.dt, 1 / (3 * run.dt))
     return method.fit(u, np.round(run.y / resolution).astype(np.int64)).theta
 
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from pmfid import RIV, Drive, EdgeFit, Encoder, IntervalML, REdge
+from pmfid import RIV, Drive, EdgeFit, Encoder, MotionFit, REdge
 from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.errors import NotIdentifiableError
 from pmfid.simulation import (
@@ -165,7 +165,7 @@ def estimate(axis: Axis, resolution: float, increments: int, record: Record, off
         found[:2] = (theta - exact) / std, theta / exact - 1
     with suppress(NotIdentifiableError):
         if off_line:
-            found[2] = IntervalML(*arguments, cutoff).fit(*record[:2]).theta / exact - 1
+            found[2] = MotionFit(*arguments, cutoff).fit(*record[:2]).theta / exact - 1
         else:
             found[2] = RIV(*arguments, cutoff).run(*record[:2]).theta[-1] / exact - 1
     return found, status

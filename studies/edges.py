@@ -22,7 +22,7 @@ from itertools import product
 
 import numpy as np
 
-from pmfid import Drive, EdgeFit, Encoder, IntervalML, REdge
+from pmfid import Drive, EdgeFit, Encoder, MotionFit, REdge
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.edges import FINEST as FINEST_EDGE
 from pmfid.fit.edges import fit_edges
@@ -101,7 +101,7 @@ def run_once(
         error = fit.theta - exact
         found[[OFF_LINE, OFF_LINE_STD]] = error / exact, error / fit.theta_std
     with suppress(NotIdentifiableError):
-        found[INTERVAL] = IntervalML(model, encoder, axis.dt, cutoff).fit(*record[:2]).theta / exact - 1
+        found[INTERVAL] = MotionFit(model, encoder, axis.dt, cutoff).fit(*record[:2]).theta / exact - 1
     if not late:
         with suppress(NotIdentifiableError):
             found[BOUND] = bound_errors(method, exact, record, off) / exact

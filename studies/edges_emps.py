@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pmfid import IV, Drive, EdgeFit, Encoder, IntervalML
+from pmfid import IV, Drive, EdgeFit, Encoder, MotionFit
 from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.errors import NotIdentifiableError
 from pmfid.types import Floats
-from studies.prediction_emps import DT, EMPS, PUBLISHED
+from studies.record_parts import DT, EMPS, PUBLISHED
 
 CUTOFF, START, TICK = 100.0, 500, 1e-6
 
@@ -35,9 +35,9 @@ def compare(force: Floats, y: Floats, step: float, phase: float, friction: str) 
     model = Drive(1.0, friction="directional") if friction == "directional" else Drive(1.0, offset=True)
     counts, ages = read_edge_times(Trajectory.sample(y, DT), Lattice(step, phase * step, np.zeros(1)), tick=TICK)
     encoder = Encoder(step)
-    methods: dict[str, EdgeFit | IntervalML | IV] = {
+    methods: dict[str, EdgeFit | MotionFit | IV] = {
         "edges": EdgeFit(model, encoder, DT, CUTOFF, tick=TICK),
-        "interval": IntervalML(model, encoder, DT, CUTOFF),
+        "interval": MotionFit(model, encoder, DT, CUTOFF),
         "iv": IV(model, encoder, DT, 0.2 * CUTOFF),
     }
     found = {name: np.full(PUBLISHED[friction].size, np.nan) for name in methods}

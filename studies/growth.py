@@ -15,7 +15,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pmfid import BCRLS, IV, LS, RIV, RLS, Drive, Encoder, Fleet, IntervalML, TransferFunction
+from pmfid import BCRLS, IV, LS, RIV, RLS, Drive, Encoder, Fleet, MotionFit, TransferFunction
 from pmfid.encoder import fine_counts
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.simulation import CART, Schedule, prbs, quantize, simulate_drive
@@ -136,7 +136,7 @@ def recursive(method: type[RecursiveEstimator]) -> RecursiveEstimator:
     return method(Drive(CART.input_gain), Encoder(RESOLUTION), DT, CUTOFF, forgetting=FORGETTING)
 
 
-def off_line(method: type[LS] | type[IV] | type[IntervalML], resolution: float = RESOLUTION) -> LS | IV | IntervalML:
+def off_line(method: type[LS] | type[IV] | type[MotionFit], resolution: float = RESOLUTION) -> LS | IV | MotionFit:
     """Return an off-line estimator of the cart."""
     return method(Drive(CART.input_gain), Encoder(resolution), DT, CUTOFF)
 
@@ -149,7 +149,7 @@ def by_samples(most: int) -> Iterator[Growth]:
             fleet, (u, counts) = Fleet(recursive(method), 1, workers=1), cart(size)
             times.append(measure(partial(fleet.run, u[None], counts[None]), fleet.reset))
         yield Growth("samples", f"`{method.method}` `run`", sizes, tuple(times), sizes)
-    for whole, limit in ((LS, OFF_LINE), (IV, OFF_LINE), (IntervalML, SIMULATED)):
+    for whole, limit in ((LS, OFF_LINE), (IV, OFF_LINE), (MotionFit, SIMULATED)):
         sizes = tuple(size for size in SAMPLES if size <= min(limit, most))
         found = tuple(measure(partial(off_line(whole).fit, *cart(size))) for size in sizes)
         yield Growth("samples", f"`{whole.method}` `fit`", sizes, found, sizes)
@@ -189,7 +189,7 @@ def by_increments() -> Iterator[Growth]:
     found = [measure(partial(fleets[many].run, u[None], counts[None])) for many, (u, counts) in records.items()]
     per = (COUNTED,) * len(INCREMENTS)
     yield Growth("increments", "`bcrls` `run`", INCREMENTS, tuple(found), per)
-    for method in (IV, IntervalML):
+    for method in (IV, MotionFit):
         found = [measure(partial(off_line(method, TRAVEL / many).fit, *records[many])) for many in INCREMENTS]
         yield Growth("increments", f"`{method.method}` `fit`", INCREMENTS, tuple(found), per)
 

@@ -22,7 +22,7 @@ from studies.paper.truth import Study, Task, table, triple
 from studies.real_axes import REAL
 from studies.sections import Page, by_name
 
-METHODS: tuple[Method, ...] = ("auto", "iv", "output-error", "interval", "bcls", "ls", "riv", "bcrls")
+METHODS: tuple[Method, ...] = ("auto", "iv", "bcls", "ls", "riv", "bcrls")
 #: Factors that make the axis's encoder coarser.
 COARSER = (1, 16)
 SEEDS = 4

@@ -3,22 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from itertools import combinations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import pmfid
 from pmfid.types import Floats
 from studies.paper.truth import Study, Task, table
-from studies.predicted import Motion
-from studies.prediction_emps import EMPS, measured
 
+#: The electro-mechanical positioning system, 24 841 samples at 1 kHz (Janot, Gautier and Brunot 2019).
+EMPS, EMPS_DT = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat", 1e-3
 #: Logs of a cart under relay current: 150 Hz, travel per count [m], force per current [N/A].
 CART, CART_DT, STEP, FORCE = EMPS.parents[1] / "real" / "cart_relay", 1 / 150, 8.8e-5, 3.3357
 PARTS = 4
 #: Largest ratio of half an interval to the scatter of the parts.
 LONGEST = 4.0
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Input (n,), counts (n,), unit of the position per count, sample period [s]."""
+
+    u: Floats
+    counts: NDArray[np.int64]
+    resolution: float
+    dt: float
+
+
 #: Values (k,) from the parts with an estimate, and half of their intervals (k,).
 Parts = tuple[Floats, Floats]
 
@@ -27,6 +42,15 @@ def tasks(seeds: int) -> list[Task]:
     """Return one task for each existing record."""
     emps = [("EMPS",)] if EMPS.exists() else []
     return [*emps, *((path.stem,) for path in sorted(CART.glob("*.csv")))]
+
+
+def measured(resolution: float) -> Motion:
+    """Return the record of EMPS with the counts of an encoder."""
+    from scipy.io import loadmat
+
+    data = loadmat(EMPS)
+    counts = np.floor(data["qm"].ravel() / resolution + 1e-6).astype(np.int64)
+    return Motion((data["vir"] * data["gtau"]).ravel(), counts, resolution, EMPS_DT)
 
 
 def _cart(name: str) -> Motion:

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.estimators.output_error import OE, IntervalML
 from pmfid.estimators.uncertainty import block_scatter
 from studies.machines import AXES, machine_record, truth
 
@@ -27,13 +26,13 @@ def errors_and_bars(cls, name: str, motion: str, increments: int) -> tuple[np.nd
     ("cls", "name", "motion", "increments"),
     [
         (
-            IntervalML,
+            pmfid.MotionFit,
             "cart",
             "stop-and-go",
             4096,
         ),  # bars were once 9 to 11 times too long, because of scores near the edges of parked counts
         pytest.param(
-            IntervalML, "rotary", "stop-and-go", 4096, marks=pytest.mark.long
+            pmfid.MotionFit, "rotary", "stop-and-go", 4096, marks=pytest.mark.long
         ),  # bars were once 4 times too long
         (
             pmfid.IV,
@@ -42,13 +41,6 @@ def errors_and_bars(cls, name: str, motion: str, increments: int) -> tuple[np.nd
             4096,
         ),  # bars were once 3 to 8 times too long, because of blocks with sharp ends
         pytest.param(pmfid.IV, "rotary", "prbs", 32, marks=pytest.mark.long),
-        (
-            OE,
-            "rotary",
-            "stop-and-go",
-            4096,
-        ),  # bars were once 2.4 times too long, because of the scatter before the inverse
-        pytest.param(OE, "heavy", "prbs", 32, marks=pytest.mark.long),
     ],
     ids=str,
 )

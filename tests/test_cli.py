@@ -35,7 +35,7 @@ from tests.patience import PATIENCE
 
 METHODS = ["auto", *methods_for(Drive(1.0))]
 #: One method of each family: automatic choice, recursive with instruments, compensated least squares, likelihood.
-FAMILIES = ["auto", "riv", "bcls", "interval"]
+FAMILIES = ["auto", "riv", "bcls", "fit"]
 EVERY_METHOD = long_unless(FAMILIES.__contains__, METHODS)
 AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
 TRUTH = {

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid import IV, OE, RIV, Drive, Encoder, IntervalML, Status, UsageError
-from pmfid.estimators.adequacy import examine
+from pmfid import IV, RIV, Drive, Encoder, MotionFit, Status, UsageError
 from pmfid.estimators.instruments import Instruments
 from pmfid.kernel.structures import constants_of
 from pmfid.models import equation
@@ -68,11 +67,10 @@ def test_iv_finds_the_dead_time_and_the_rest_is_as_without_one(axis: str, late: 
     assert np.all(np.abs(fit.theta[:3] - truth(axis)) < 4 * fit.theta_std[:3] + 1e-3 * truth(axis))
 
 
-@pytest.mark.parametrize("method", [OE, IntervalML])
 @pytest.mark.parametrize("late", [0.0, 1.4])
-def test_methods_that_follow_the_whole_motion_find_it_under_control(method: type, late: float) -> None:
+def test_the_fit_finds_it_under_control(late: float) -> None:
     run = strokes(late)
-    fit = made(method, "cart", "estimate").fit(run.u, run.counts)
+    fit = made(MotionFit, "cart", "estimate").fit(run.u, run.counts)
     assert fit.theta[-1] / 0.01 == pytest.approx(late, abs=0.02)
     np.testing.assert_allclose(fit.theta[:3] / truth("cart"), 1.0, atol=0.005)
 
@@ -109,7 +107,7 @@ def test_a_dead_time_that_changes_is_followed() -> None:
     assert found[-1, -1] / 0.01 == pytest.approx(1.6, abs=0.05)
 
 
-@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, IV, OE])
+@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, IV])
 def test_a_known_dead_time_leaves_nothing_of_its_bias(method: type) -> None:
     run = prbs("cart", 1.3)
     known, none = (made(method, "cart", late).fit(run.u, run.counts).theta for late in (0.013, 0.0))
@@ -126,10 +124,12 @@ def test_a_known_dead_time_on_line(method: type) -> None:
 
 def test_one_that_is_not_in_the_model_is_named_with_the_remedy_and_the_remedy_helps() -> None:
     run = prbs("stage", 0.6)
-    found = examine(made(IV, "stage", 0.0), run.u, run.counts)
-    assert not found.adequate
-    assert 'dead_time = "estimate"' in found.cure
-    assert examine(made(IV, "stage", "estimate"), run.u, run.counts).adequate
+    gain, _, _, _, dt, _, step, cutoff = AXES["stage"]
+    settings = {"encoder": Encoder(step), "dt": dt, "cutoff": cutoff}
+    plain = pmfid.identify(run.u, run.counts, model=Drive(gain), **settings)
+    assert "unmodelled" in plain.status
+    assert any('dead_time = "estimate"' in finding.remedy for finding in plain.findings)
+    assert pmfid.identify(run.u, run.counts, model=Drive(gain, dead_time="estimate"), **settings).status == ()
 
 
 WRONG_MODEL = Status.DEAD_TIME | Status.UNMODELLED
@@ -158,7 +158,7 @@ def test_riv_under_position_control(late: float) -> None:
     assert track.has_status(WRONG_MODEL).any() == (late > 0)
 
 
-@pytest.mark.parametrize("method", [IV, pytest.param(OE, marks=pytest.mark.long)])
+@pytest.mark.parametrize("method", [IV, MotionFit])
 def test_next_to_friction_of_a_given_form(method: type) -> None:
     gain, mass, viscous, coulomb, dt, size, step, cutoff = WHEEL
     rng = np.random.default_rng(5)
@@ -173,14 +173,6 @@ def test_next_to_friction_of_a_given_form(method: type) -> None:
     assert found["mass"] == pytest.approx(mass, rel=0.005)
     bar = fit.theta_std[fit.names.index("stribeck_friction")]
     assert abs(found["stribeck_friction"] - 0.4 * coulomb) < 3 * bar < coulomb
-
-
-def test_windows_know_the_inputs_before_them() -> None:
-    run = prbs("cart", 2.6)
-    method = OE(Drive(2.0, dead_time="estimate"), Encoder(CART[6]), 0.01, 20.0, window=2.0)
-    fit = method.fit(run.u, run.counts)
-    assert fit.theta[-1] / 0.01 == pytest.approx(2.6, abs=0.02)
-    np.testing.assert_allclose(fit.theta[:3] / truth("cart"), 1.0, atol=0.005)
 
 
 def test_from_arrays_to_json() -> None:
@@ -230,7 +222,7 @@ def test_what_is_no_time_is_refused(value: object) -> None:
 
 
 def test_refusals_have_a_remedy() -> None:
-    with pytest.raises(UsageError, match="use iv, riv, output-error or interval"):
+    with pytest.raises(UsageError, match="use iv, riv or fit"):
         made(pmfid.LS, "cart", "estimate")
     with pytest.raises(UsageError, match="shift the input column by whole samples"):
         made(IV, "cart", 0.21)

@@ -51,7 +51,7 @@ def test_a_known_mass_leaves_the_friction(method):
     assert_near(theta, np.array(TRUTH[1:]), [0.005, 0.015])  # the direction comes from the counts
 
 
-@pytest.mark.parametrize("method", ["iv", "riv", "output-error", "interval"])
+@pytest.mark.parametrize("method", ["iv", "riv", "fit"])
 def test_what_cannot_be_simulated_is_refused_with_the_remedy(method):
     equation = Equation(OWN.unknown[1:], (INPUT, Term("output", 2, coefficient=-CART.mass)))
     with pytest.raises(UsageError, match=rf"{method} needs a simulated motion.*use ls, bcls, rls or bcrls"):
@@ -87,7 +87,7 @@ def test_what_makes_no_equation_is_said(build, message):
 
 
 @pytest.mark.parametrize("motion", ["prbs", "stop-and-go"])
-@pytest.mark.parametrize("method", ["iv", "interval"])
+@pytest.mark.parametrize("method", ["iv", "fit"])
 def test_a_load_on_a_spring(method, motion):
     """Ten steps of Runge and Kutta per sample simulate the plant, without the kernel."""
     record = wrong_record(Machine(CART, stiffness=STIFFNESS), motion, 3, 4096)

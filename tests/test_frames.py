@@ -156,7 +156,7 @@ def test_a_dict_is_an_axis_and_settings_replace_its_estimator(axis: Path) -> Non
     [
         (SECTIONS | {"model": {"friction": "direktional"}}, {}, "did you mean 'directional'"),
         (SECTIONS | {"modell": {}}, {}, "did you mean 'model'"),
-        (SECTIONS, {"method": "output error"}, "did you mean 'output-error'"),
+        (SECTIONS, {"method": "bcl"}, "did you mean 'bcls'"),
         (SECTIONS, {"cutof": 20.0}, "did you mean 'cutoff'"),
         (SECTIONS | {"model": 7}, {}, "must be a section of keys"),
         (7, {}, "axis must be the path of an AXIS.toml or a dict with its sections, got int"),

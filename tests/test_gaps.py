@@ -124,8 +124,8 @@ def test_a_gap_is_two_records_for_the_filters() -> None:
 @pytest.mark.parametrize(
     "method",
     long_unless(
-        lambda method: method in ("bcls", "interval", "riv"),
-        ["ls", "bcls", "output-error", "interval", "auto", "rls", "bcrls", "riv"],
+        lambda method: method in ("bcls", "fit", "riv"),
+        ["ls", "bcls", "fit", "auto", "rls", "bcrls", "riv"],
     ),
 )
 def test_every_method_takes_long_gaps(method: str) -> None:

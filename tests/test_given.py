@@ -212,7 +212,7 @@ def records() -> dict[str, CartRecord]:
     return {name: machine_record(BENCHES[name], "nothing", motion, n, 21) for name, motion, n in CASES}
 
 
-@pytest.mark.parametrize("method", ["iv", "output-error", "interval", "auto"])
+@pytest.mark.parametrize("method", ["iv", "auto"])
 @pytest.mark.parametrize("name", [name for name, *_ in CASES])
 @pytest.mark.long
 def test_the_gain_is_found_within_its_bar(records: dict[str, CartRecord], name: str, method: str) -> None:
@@ -229,7 +229,7 @@ def test_the_gain_is_found_within_its_bar(records: dict[str, CartRecord], name: 
 
 @pytest.mark.parametrize(
     "method",
-    long_unless(("bcls", "riv").__contains__, ["ls", "bcls", "iv", "output-error", "interval", "rls", "riv"]),
+    long_unless(("bcls", "riv").__contains__, ["ls", "bcls", "iv", "fit", "rls", "riv"]),
 )
 def test_it_is_the_estimate_with_any_other_gain_in_proportion(records: dict[str, CartRecord], method: str) -> None:
     axis, record = BENCHES["slide"], records["slide"]
@@ -255,7 +255,7 @@ def test_it_is_the_estimate_with_any_other_gain_in_proportion(records: dict[str,
 def test_any_force_may_be_the_known_one(records: dict[str, CartRecord], names: tuple[str, ...]) -> None:
     axis = BENCHES["heavy"]
     given = {name: truth(axis)[name] for name in names}
-    result = identified(axis, records["heavy"], method="output-error", given=given)
+    result = identified(axis, records["heavy"], method="fit", given=given)
     spread = result.model_spread[-1] if result.model_spread is not None else 0.0
     assert result["input_gain"] == pytest.approx(axis.drive.input_gain, rel=0.01)
     assert abs(result["input_gain"] - axis.drive.input_gain) < 4 * np.hypot(result.theta_std[-1], spread)
@@ -282,7 +282,7 @@ def test_a_motor_that_turns_the_other_way_has_a_negative_gain(records: dict[str,
 
 def test_times_and_speeds_do_not_go_with_the_gain() -> None:
     model = pmfid.Drive(1.0, stribeck="estimate", dead_time="estimate")
-    front = pmfid.OE(model, pmfid.Encoder(1e-5), 0.001, 100.0)
+    front = pmfid.MotionFit(model, pmfid.Encoder(1e-5), 0.001, 100.0)
     theta = np.array([0.5, 4.0, 0.3, 0.1, 0.002, 0.03])
     alone = Posterior(front.names, front.units, theta, np.diag((0.01 * theta) ** 2))
     found = Known(front, given={"mass": 2.0}, find_gain=True).combine(alone)
@@ -321,7 +321,7 @@ def test_a_friction_that_a_record_does_not_show_is_said_as_such(records: dict[st
             dt=axis.dt,
             cutoff=33.0,
             encoder=pmfid.Encoder(record.resolution),
-            method="output-error",
+            method="fit",
         )
 
 
@@ -515,7 +515,7 @@ def test_all_methods_side_by_side(folder: Path) -> None:
     reported = json.loads(
         invoked("identify", "--method", "all", folder / "run.csv", "--config", folder / "axis.toml", "--json")
     )
-    for method in ("ls", "iv", "output-error", "riv"):
+    for method in ("ls", "iv", "fit", "riv"):
         assert reported["methods"][method]["parameters"]["input_gain"]["value"] == pytest.approx(8.0, rel=0.02)
 
 

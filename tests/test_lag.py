@@ -12,7 +12,7 @@ import pytest
 from scipy.signal import lfilter
 
 import pmfid
-from pmfid import IV, OE, RIV, Drive, Encoder, IntervalML, UsageError
+from pmfid import IV, RIV, Drive, Encoder, MotionFit, UsageError
 from pmfid.estimators.motion import mean_velocity
 from pmfid.export.firmware import export_firmware
 from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
@@ -76,21 +76,21 @@ def test_iv_finds_it_and_the_rest_is_as_without_one(axis: str, lag: float) -> No
     assert fit.theta_std[-1] < (0.7 if axis == "wheel" else 0.01) * dt
 
 
-@pytest.mark.parametrize("method", [OE, IntervalML])
 @pytest.mark.parametrize("axis", ["wheel", "stage"])
-def test_methods_that_follow_the_whole_motion_find_it(method: type, axis: str) -> None:
+def test_the_fit_of_the_motion_finds_it(axis: str) -> None:
     run, dt = run_lagged(axis, 0.6, switches=100), AXES[axis][4]
-    fit = made(method, axis, lag="estimate").fit(run.u, run.counts)
+    fit = made(MotionFit, axis, lag="estimate").fit(run.u, run.counts)
     assert fit.theta[-1] / dt == pytest.approx(0.6, abs=0.01)
     np.testing.assert_allclose(fit.theta[:3] / truth(axis), 1.0, atol=0.002)
 
 
 def test_next_to_a_dead_time() -> None:
     run = run_lagged("cart", 0.8, 1.3)
-    fit = made(IntervalML, "cart", lag="estimate", dead_time="estimate").fit(run.u, run.counts)
+    fit = made(MotionFit, "cart", lag="estimate", dead_time="estimate").fit(run.u, run.counts)
     assert fit.names[-2:] == ("dead_time", "lag")
     np.testing.assert_allclose(fit.theta[-2:] / 0.01, [1.3, 0.8], atol=0.03)
-    np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.003)
+    np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.005)
+    np.testing.assert_array_less(np.abs(fit.theta[:3] - THETA), 3 * fit.theta_std[:3])
 
 
 def test_where_there_is_none_none_is_found() -> None:
@@ -100,7 +100,7 @@ def test_where_there_is_none_none_is_found() -> None:
     np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.01)
 
 
-@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, IV, pytest.param(OE, marks=pytest.mark.long)])
+@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, IV])
 def test_a_known_lag_leaves_nothing_of_its_bias(method: type) -> None:
     run = run_lagged("cart", 1.2)
     known, none = (made(method, "cart", lag=lag).fit(run.u, run.counts).theta for lag in (0.012, 0.0))
@@ -138,15 +138,6 @@ def test_from_arrays_to_json() -> None:
 
 
 @pytest.mark.long
-def test_windows_know_the_inputs_before_them() -> None:
-    run = run_lagged("cart", 2.5)
-    method = OE(Drive(2.0, lag="estimate"), Encoder(CART[6]), 0.01, 20.0, window=2.0)
-    fit = method.fit(run.u, run.counts)
-    assert fit.theta[-1] / 0.01 == pytest.approx(2.5, abs=0.03)
-    np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.005)
-
-
-@pytest.mark.long
 def test_an_export_without_one_has_no_trace_of_it(tmp_path: Path) -> None:
     for dead_time, lag in ((0.02, 0.0), (0.0, 0.004)):
         folder = tmp_path / f"{lag}"
@@ -158,7 +149,7 @@ def test_refusals_have_a_remedy() -> None:
     with pytest.raises(UsageError, match="lag must be a time in s, at least 0"):
         Drive(2.0, lag=-0.1)
     for method in (pmfid.LS, pmfid.BCRLS):
-        with pytest.raises(UsageError, match="use iv, output-error or interval, or give the lag in s"):
+        with pytest.raises(UsageError, match="use iv or fit, or give the lag in s"):
             made(method, "cart", lag="estimate")
     for options in ({"lag": "estimate"}, {"lag": 0.004, "dead_time": "estimate"}):
         with pytest.raises(UsageError, match='or set dead_time = "estimate" without a lag'):

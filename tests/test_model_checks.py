@@ -125,9 +125,7 @@ def test_a_result_with_all_its_flags_is_left_in_peace_as_well() -> None:
 
 @pytest.mark.parametrize(
     "method",
-    long_unless(
-        lambda method: method in ("riv", "bcls", "interval"), sorted(set(methods_for(pmfid.Drive(1.0))) - {"iv"})
-    ),
+    long_unless(lambda method: method in ("riv", "bcls", "fit"), sorted(set(methods_for(pmfid.Drive(1.0))) - {"iv"})),
 )
 def test_every_method_has_calm_checks_on_a_fine_encoder(method: str) -> None:
     said = sentences(clean(method, 16384))

@@ -148,8 +148,7 @@ START = {"mass": 1.0, "viscous_friction": 10.0, "coulomb_friction": 1.0}
 @pytest.mark.parametrize(
     ("source", "options", "target"),
     [
-        (pmfid.IV, {"initial": START}, pmfid.OE),
-        (pmfid.OE, {"initial": START, "drift_cutoff": 0.0}, pmfid.IntervalML),
+        (pmfid.IV, {"initial": START}, pmfid.RIV),
         (pmfid.RLS, {"forgetting": 0.99, "forgetting_scheme": "window"}, pmfid.BCRLS),
         (pmfid.RLS, {"forgetting": 0.99, "forgetting_of": {"mass": 1.0}}, pmfid.RIV),
     ],

@@ -75,9 +75,7 @@ def test_wrong_counts_are_left_out_and_their_rows_named(fault: str, size: int) -
             assert np.abs(off - off[50]).max() <= 1 + rough
 
 
-@pytest.mark.parametrize(
-    "method", long_unless(("auto", "rls").__contains__, ["auto", "iv", "interval", "output-error", "rls"])
-)
+@pytest.mark.parametrize("method", long_unless(("auto", "rls").__contains__, ["auto", "iv", "rls"]))
 def test_no_method_gets_a_wrong_sample(method: str) -> None:
     record = recorded(AXIS, "prbs", 1024)
     clean = identified(record, method)
@@ -106,10 +104,10 @@ def test_an_input_lost_where_it_switches_is_reported_in_the_status(method: str) 
 def test_a_counter_that_was_reset_is_put_back() -> None:
     record = recorded(AXIS, "stop-and-go", 1024)
     counts = record.counts + 5_000_000 * (np.arange(record.counts.size) >= 1333)
-    found = identified(CartRecord(record.u, counts, record.resolution), "interval")
+    found = identified(CartRecord(record.u, counts, record.resolution), "fit")
     assert "count_jump" in found.status
     assert "at row 1334 and stay" in found.notes[0]
-    assert as_good(found, identified(record, "interval"))
+    assert as_good(found, identified(record, "fit"))
 
 
 @pytest.mark.parametrize("axis", AXES)

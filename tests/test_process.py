@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmfid import IV, OE, SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction, UsageError
+from pmfid import IV, SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction, UsageError
 from pmfid.cli.main import main
 from pmfid.diagnostics.processes import Assessment, assess
 from pmfid.estimators.srivc import check_experiments, make_problem
@@ -115,7 +115,7 @@ def test_error_bars_are_those_of_many_runs():
 def test_output_error_settles_where_srivc_does():
     u, counts = HARD.u, np.round(noisy(HARD, 3) * 1e6).astype(int)
     model, encoder = TransferFunction(4, 1), Encoder(1e-6)
-    first, second = (cls(model, encoder, HARD.dt, HARD.cutoff).fit(u, counts) for cls in (SRIVC, OE))
+    first, second = (cls(model, encoder, HARD.dt, HARD.cutoff).fit(u, counts) for cls in (SRIVC, IV))
     np.testing.assert_allclose(second.theta, first.theta, rtol=1e-4)
 
 
@@ -314,7 +314,7 @@ def run(*arguments: str, code: int = 0) -> str:
     return result.stdout if code == 0 else result.stderr
 
 
-@pytest.mark.parametrize("method", ["auto", "srivc", "bcls", "rls", "output-error"])
+@pytest.mark.parametrize("method", ["auto", "srivc", "bcls", "rls", "iv"])
 def test_identify_json(records, method):
     found = json.loads(run("identify", records[0], "--config", str(CONFIG), "--json", "--method", method))
     assert [found["a0"], found["a1"], found["b0"]] == pytest.approx([3, 4, 3], rel=0.05)
@@ -352,7 +352,7 @@ def test_order_command(records, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
-        (("--method", "interval"), "does not suit a transfer function"),
+        (("--method", "fit"), "does not suit a transfer function"),
         (("--m", "3"), "m must be a whole number"),
         (("--n", "9"), "n must be a whole number"),
         (("--quantize", "0.1"), "quantize and edges need a drive"),

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmfid import BCLS, IV, LS, OE, RSRIVC, SRIVC, Encoder, Experiment, TransferFunction, UsageError
+from pmfid import BCLS, IV, LS, RSRIVC, SRIVC, Encoder, Experiment, TransferFunction, UsageError
 from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
 from pmfid.estimators.srivc import fit_process, fixed_filters, solve_by_descent
@@ -103,7 +103,7 @@ def test_output_error_and_iv_take_them_too():
     u = steps(5)
     y = simulate_late([3.0], [1, 2, 4], u, DT, 0.135)
     model = TransferFunction(2, 0, dead_time="estimate")
-    found = fit_process(OE(model, ONE, DT, 2.0), [Experiment(u, y, dt=DT)], solve_by_descent)
+    found = fit_process(SRIVC(model, ONE, DT, 2.0), [Experiment(u, y, dt=DT)], solve_by_descent)
     np.testing.assert_allclose(found.theta, [4, 2, 3, 0.135], rtol=1e-6)
     assert found.process.delay == pytest.approx(0.135)
     y = simulate_process([3.0], [1, 1, 0], u, DT)
@@ -215,10 +215,10 @@ def test_options_that_cannot_be(options, text):
 
 def test_methods_that_cannot_take_them_say_which_can():
     for model in (TransferFunction(2, 2), TransferFunction(2, 0, dead_time=0.1), TransferFunction(1, 0, integrators=1)):
-        assert methods_for(model) == ["iv", "output-error", "srivc"]
-        with pytest.raises(UsageError, match="use srivc, iv or output-error"):
+        assert methods_for(model) == ["iv", "srivc"]
+        with pytest.raises(UsageError, match="use srivc or iv"):
             LS(model, ONE, DT, 2.0)
-    with pytest.raises(UsageError, match="use srivc or output-error"):
+    with pytest.raises(UsageError, match="use srivc"):
         IV(TransferFunction(2, 0, dead_time="estimate"), ONE, DT, 2.0)
     with pytest.raises(UsageError, match="record the process and use srivc"):
         RSRIVC(TransferFunction(2, 0, integrators=1), ONE, DT, 2.0)
@@ -260,7 +260,7 @@ def test_the_command(tmp_path):
     assert "dead time" in table.output
     wrong = CliRunner().invoke(main, ["identify", *arguments, "--method", "ls"])
     assert wrong.exit_code == 2
-    assert "use one of iv, output-error, srivc" in wrong.stderr
+    assert "use one of iv, srivc" in wrong.stderr
 
 
 def test_every_case_of_the_study_has_a_model():

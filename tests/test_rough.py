@@ -63,7 +63,7 @@ def motor_log(name: str, dt: float) -> np.ndarray:
         [
             (*log, method)
             for log in [("chirp1", 6e-3, 10), ("chirp2", 6e-3, 10), ("chirp2", 5e-3, 5)]
-            for method in ("output-error", "auto")
+            for method in ("iv", "auto")
         ],
     ),
 )

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike
 
-from pmfid import BCRLS, IV, OE, RIV, RLS, Drive, Encoder, Fleet, TransferFunction, UsageError
+from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, Fleet, MotionFit, TransferFunction, UsageError
 from pmfid.estimators.motion import mean_velocity
-from pmfid.estimators.output_error import IntervalML
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.status import Status
@@ -32,8 +31,8 @@ def arguments() -> tuple[Drive, Encoder, float, float]:
     return Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0
 
 
-@pytest.mark.parametrize("method", [IV, OE, IntervalML])
-def test_off_line_methods_that_simulate_are_exact(method: type[IV | OE | IntervalML]) -> None:
+@pytest.mark.parametrize("method", [IV, MotionFit])
+def test_off_line_methods_that_simulate_are_exact(method: type[IV | MotionFit]) -> None:
     u, counts, steps = jittered(0.5)
     fit = method(*arguments(), steps=steps).fit(u, counts)
     np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-3)

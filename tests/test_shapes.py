@@ -106,10 +106,10 @@ def test_the_motion_is_that_of_the_machine(name: str, parts: dict[str, float]) -
 
 
 @pytest.mark.parametrize("name", ["cart", "gantry"])
-def test_output_error_finds_stribeck_and_quadratic_friction(name: str) -> None:
+def test_the_fit_finds_stribeck_and_quadratic_friction(name: str) -> None:
     run, machine, case = made(name, 3, stribeck=0.3, quadratic=0.2)
     own = model(machine, stribeck=machine.stribeck_speed, quadratic=True)
-    fit = pmfid.OE(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff).fit(run.u, run.counts)
+    fit = pmfid.MotionFit(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff).fit(run.u, run.counts)
     wanted = truth(machine, fit.names)
     assert np.all(np.abs(fit.theta - wanted) < 4 * fit.theta_std)
     assert np.all(fit.theta_std < 0.03 * wanted)
@@ -141,9 +141,10 @@ def test_riv_finds_quadratic_friction_and_its_bars_hold(name: str) -> None:
     assert np.all(track.theta_std[-1] < 0.1 * wanted)
 
 
-def test_output_error_finds_the_stribeck_speed() -> None:
+def test_the_fit_finds_the_stribeck_speed() -> None:
     run, machine, case = made("spindle", 2, stribeck=0.5)
-    estimator = pmfid.OE(model(machine, stribeck="estimate"), pmfid.Encoder(case.resolution), case.dt, case.cutoff)
+    encoder = pmfid.Encoder(case.resolution)
+    estimator = pmfid.MotionFit(model(machine, stribeck="estimate"), encoder, case.dt, case.cutoff)
     fit = estimator.fit(run.u, run.counts)
     assert fit.names[-1] == "stribeck_speed"
     wanted = truth(machine, fit.names)
@@ -165,13 +166,13 @@ def test_the_equation_holds_for_the_simulated_motion() -> None:
 
 @pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, pmfid.RLS, pmfid.BCRLS])
 def test_methods_without_a_simulated_motion_refuse_with_a_remedy(method: type[pmfid.LS]) -> None:
-    with pytest.raises(pmfid.UsageError, match=r"stribeck_friction.*use iv, riv, output-error"):
+    with pytest.raises(pmfid.UsageError, match=r"stribeck_friction.*use iv, riv or fit"):
         method(pmfid.Drive(1.7, stribeck=0.02), pmfid.Encoder(3e-5), 2e-3, 31.0)
 
 
 @pytest.mark.parametrize("method", [pmfid.IV, pmfid.RIV])
 def test_an_unknown_stribeck_speed_is_for_output_error(method: type[pmfid.IV]) -> None:
-    with pytest.raises(pmfid.UsageError, match=r"stribeck_speed does not.*output-error"):
+    with pytest.raises(pmfid.UsageError, match=r"stribeck_speed does not.*fit"):
         method(pmfid.Drive(1.7, stribeck="estimate"), pmfid.Encoder(3e-5), 2e-3, 31.0)
 
 

@@ -33,7 +33,7 @@ def test_the_force_balance_knows_its_friction(speed: str) -> None:
     """The Stribeck speed may also be an estimate, which follows the other parameters."""
     run, machine, case = made("cart", 4, stribeck=0.5)
     own = model(machine, stribeck=machine.stribeck_speed if speed == "given" else speed)
-    estimator = pmfid.OE(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff)
+    estimator = pmfid.MotionFit(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff)
     theta = truth(machine, estimator.names)
     balance = make_balance(estimator, run.u, run.counts, theta)
     assert balance is not None

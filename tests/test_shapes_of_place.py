@@ -10,12 +10,9 @@ import pytest
 
 import pmfid
 from pmfid.config.model import ModelConfig
-from pmfid.estimators.adequacy import weigh
-from pmfid.estimators.likelihood import best_of
-from pmfid.estimators.motion import mean_velocity, sum_travel
 from pmfid.models.shapes import Along, Square, Stribeck, Wave
 from pmfid.pipeline.arrays import axis_of
-from pmfid.simulation import control_machine, multisine, prbs
+from pmfid.simulation import control_machine, multisine
 from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
 
 AXIS = DriveParameters(mass=2e-3, viscous_friction=4e-3, coulomb_friction=0.05, input_gain=0.4)
@@ -54,7 +51,7 @@ def truth(force: str) -> np.ndarray:
 @pytest.mark.parametrize("force", MODELS)
 def test_output_error_finds_it(force: str) -> None:
     run = run_of(force, 1)
-    fit = pmfid.OE(MODELS[force], pmfid.Encoder(STEP), DT, CUTOFF).fit(run.u, run.counts)
+    fit = pmfid.MotionFit(MODELS[force], pmfid.Encoder(STEP), DT, CUTOFF).fit(run.u, run.counts)
     wanted = truth(force)
     assert np.all(np.abs(fit.theta - wanted) < 4 * fit.theta_std + 2e-4 * np.max(np.abs(wanted)))
     assert np.all(fit.theta_std[3:] < 0.02 * FORCE)
@@ -101,15 +98,14 @@ def test_what_the_direct_estimate_lacks_is_not_known() -> None:
     assert np.all(track.theta_std[borrowed][:, 3] > 1e3)
 
 
-def test_the_model_is_not_said_to_lack_what_it_has() -> None:
+def test_a_force_of_the_model_is_no_missing_force() -> None:
     run = run_of("uneven", 6)
-    said = {}
+    statuses = {}
     for name, model in {"without": pmfid.Drive(0.4), "with": MODELS["uneven"]}.items():
-        estimator = pmfid.IntervalML(model, pmfid.Encoder(STEP), DT, CUTOFF)
-        said[name] = weigh(best_of(*estimator.fit_least_squares(run.u, run.counts)))
-    assert said["without"].missed
-    assert not said["with"].missed
-    assert "uneven_way" not in {candidate.name for candidate in said["with"].forces}
+        encoder = pmfid.Encoder(STEP)
+        statuses[name] = pmfid.identify(run.u, run.counts, model=model, encoder=encoder, dt=DT).status
+    assert "unmodelled" in statuses["without"]
+    assert statuses["with"] == ()
 
 
 def test_keys_of_axis_toml_are_those_of_a_drive() -> None:
@@ -132,7 +128,7 @@ def test_more_forces_than_the_kernel_holds_are_refused() -> None:
     with pytest.raises(pmfid.UsageError, match=r"8 forces of a given form"):
         pmfid.RIV(model, pmfid.Encoder(1e-3), 1e-3, 30.0)
     with pytest.raises(pmfid.UsageError, match=r"8 forces of a given form.*use fewer"):
-        pmfid.OE(model, pmfid.Encoder(1e-3), 1e-3, 30.0)
+        pmfid.MotionFit(model, pmfid.Encoder(1e-3), 1e-3, 30.0)
 
 
 def test_terms_of_the_users_own_go_through_axis_toml() -> None:
@@ -158,31 +154,12 @@ def test_a_form_with_the_keys_of_another_is_refused() -> None:
         ModelConfig.model_validate({"kind": "equation", "unknown": [term]})
 
 
-@pytest.mark.parametrize("force", MODELS)
-def test_the_motion_is_that_of_the_machine(force: str) -> None:
-    """The place agrees to a part in a million of the travel, which no table of sines reaches."""
-    run, equation = run_of(force, 4, 2000), MODELS[force].equation
-    place = sum_travel(mean_velocity(equation, truth(force), DT, run.u, parts=4), DT)
-    np.testing.assert_allclose(place, run.x, atol=1e-6 * np.ptp(run.x))
-
-
-def test_the_error_of_the_simulation_widens_the_bars() -> None:
-    """The pendulum is repeatedly driven over its top, where every error grows."""
-    pendulum = Machine(DriveParameters(1.0, 0.3, 0.5, 1.0), gravity=4.0, gravity_angle=0.3)
-    u = prbs(2000, clock=20, amplitude=6.0, rng=np.random.default_rng(0))
-    run = drive_machine(pendulum, u, 0.01, 2 * math.pi / 512, steps=50)
-    method = pmfid.IntervalML(pmfid.Drive(1.0, gravity=True), pmfid.Encoder(2 * math.pi / 512), 0.01, 5.0)
-    best = method.best(run.u, run.counts)
-    coarse = method.fit_of(replace(best, difference=replace(best.difference, parts=1)))
-    assert coarse.theta_std[0] > 1.3 * method.fit_of(best).theta_std[0]
-
-
-@pytest.mark.parametrize("method", [pmfid.OE, pmfid.IntervalML])
-def test_an_arm_that_is_held_upright_is_followed_in_windows(method: type[pmfid.OE]) -> None:
+def test_an_arm_that_is_held_upright_is_followed() -> None:
     """The arm falls without its controller, so that the input alone leads no motion along the record."""
     arm = Machine(DriveParameters(2.0, 1.2, 3.0, 1.0), gravity=12.0, gravity_angle=math.pi - 0.2)
     reference = multisine(1600, 0.01, np.array([0.3, 0.55, 0.9]), 0.6, np.random.default_rng(3))
     run = control_machine(arm, reference, 0.01, 2 * math.pi / 4096, kp=128.0, kd=22.0, u_max=60.0, steps=20)
-    fit = method(pmfid.Drive(1.0, gravity=True), pmfid.Encoder(2 * math.pi / 4096), 0.01, 10.0).fit(run.u, run.counts)
+    method = pmfid.MotionFit(pmfid.Drive(1.0, gravity=True), pmfid.Encoder(2 * math.pi / 4096), 0.01, 10.0)
+    fit = method.fit(run.u, run.counts)
     np.testing.assert_array_less(np.abs(fit.theta[:3] - [2.0, 1.2, 3.0]), 4 * fit.theta_std[:3])
     np.testing.assert_array_less(fit.theta_std[:3], [0.002, 0.01, 0.01])

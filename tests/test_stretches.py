@@ -9,7 +9,6 @@ import pytest
 
 from pmfid import IV, Drive, Encoder, identify, quantize
 from pmfid.estimators import instruments
-from pmfid.estimators.adequacy import examine
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
 from pmfid.types import Counts, Floats
 from tests.tuned import set_tuning
@@ -37,18 +36,6 @@ def test_a_long_record_settles_where_the_whole_iteration_does(monkeypatch: pytes
     found = METHOD.settle_iteration(u, counts)[1]
     set_tuning(monkeypatch, instruments, stretch=SAMPLES)
     np.testing.assert_allclose(found, METHOD.settle_iteration(u, counts)[1], rtol=1e-6)
-
-
-def test_score_tests_in_batches_are_those_of_all_forces(monkeypatch: pytest.MonkeyPatch) -> None:
-    u, counts = record(6)
-    batches = examine(METHOD, u, counts)
-    set_tuning(monkeypatch, instruments, stretch=SAMPLES)
-    whole = examine(METHOD, u, counts)
-    names = [force.name for force in whole.forces]
-    assert [force.name for force in batches.forces] == names
-    alike = np.array([name != "stribeck" for name in names])  # its parts of a sample are fewer
-    np.testing.assert_allclose(batches.z[alike], whole.z[alike], atol=1e-3)
-    assert np.max(np.abs(batches.z[~alike])) < 4
 
 
 @pytest.mark.parametrize(("method", "name"), [("auto", "coulomb_friction"), ("ls", "mass")])

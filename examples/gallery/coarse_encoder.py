@@ -17,7 +17,7 @@ methods = {
     "least squares": pmfid.LS,
     "compensated": pmfid.BCLS,
     "instruments": pmfid.IV,
-    "likelihood": pmfid.IntervalML,
+    "likelihood": pmfid.MotionFit,
 }
 errors: dict[str, list[float]] = {name: [] for name in methods}
 for count in increments:

@@ -20,7 +20,7 @@ for seed in range(5):
     u = prbs(3000, clock=8, amplitude=3.0, rng=np.random.default_rng(seed))
     motion = simulate_drive(CART, np.repeat(u, fine), CART_DT / fine)
     counts, ages = capture_edges(motion, step, every=fine, tick=1e-6)
-    rows["counts alone"].append(pmfid.IntervalML(drive, encoder, CART_DT, 20.0).fit(u, counts)["mass"])
+    rows["counts alone"].append(pmfid.MotionFit(drive, encoder, CART_DT, 20.0).fit(u, counts)["mass"])
     edges = pmfid.EdgeFit(drive, encoder, CART_DT, 20.0, lines=16, tick=1e-6)
     rows["with edge times"].append(edges.fit(u, counts, ages)["mass"])
 for name, masses in rows.items():

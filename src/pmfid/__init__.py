@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from pmfid.estimators.ls import BCLS as BCLS
     from pmfid.estimators.ls import LS as LS
     from pmfid.estimators.motion_fit import MotionFit as MotionFit
-    from pmfid.estimators.output_error import OE as OE
-    from pmfid.estimators.output_error import IntervalML as IntervalML
     from pmfid.estimators.recursive import BCRLS as BCRLS
     from pmfid.estimators.recursive import RLS as RLS
     from pmfid.estimators.redge import REdge as REdge
@@ -80,8 +78,6 @@ _PUBLIC = {
     "IV": "pmfid.estimators.iv",
     "REdge": "pmfid.estimators.redge",
     "RIV": "pmfid.estimators.iv",
-    "OE": "pmfid.estimators.output_error",
-    "IntervalML": "pmfid.estimators.output_error",
     "Known": "pmfid.estimators.known",
     "LS": "pmfid.estimators.ls",
     "MotionFit": "pmfid.estimators.motion_fit",

@@ -33,7 +33,7 @@ TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 #: Filter time constant in samples, unless a table says otherwise.
 TIME_CONSTANT = 3
 #: Methods that simulate the whole record many times; they get fewer seeds.
-SLOW = tuple(name for name in ("output-error", "interval") if name in ESTIMATORS)
+SLOW = tuple(name for name in ("fit",) if name in ESTIMATORS)
 NOT_VOUCHED = Status.STARTING | Status.SETTLING | Status.FALLBACK | Status.POOR_EXCITATION | Status.UNMODELLED
 #: Relative step of the central differences for the bound.
 STEP = 1e-4

@@ -101,8 +101,8 @@ def _open_closed_streams() -> None:
 @click.option(
     "--method",
     type=click.Choice((*METHODS, EVERY)),
-    help="auto: from the record; all: every method, side by side. Off-line: fit, ls, bcls, iv, output-error, "
-    "interval, srivc; recursive: rls, bcrls, riv, rsrivc. For a transfer function: srivc, rsrivc.",
+    help="auto: from the record; all: every method, side by side. Off-line: fit, ls, bcls, iv, srivc; "
+    "recursive: rls, bcrls, riv, rsrivc. For a transfer function: srivc, rsrivc.",
 )
 @CUTOFF
 @click.option("--order", type=int, help="Number of filter stages.")

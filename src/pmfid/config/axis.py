@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal, Self
+from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
@@ -55,9 +55,6 @@ class EstimatorConfig(FileSection):
     )
     forgetting_scheme: ForgettingScheme = Field(
         "exponential", description="the scheme by which old samples lose weight if forgetting < 1"
-    )
-    window: Positive | Literal["auto"] | None = Field(
-        None, description='the length in s of the windows of output-error, for example 2.0, or "auto"'
     )
     given: dict[str, float] = Field({}, description="known values, such as { mass = 1.25 }")
     prior: dict[str, Annotated[tuple[float, float], Field(strict=False)]] = Field(
@@ -121,7 +118,6 @@ _KEYS_OF_ONE_KIND = (
     ("encoder", "range", False),
     ("encoder", "standstill_time", False),
     ("encoder", "max_speed", False),
-    ("estimator", "window", False),
     ("estimator", "tolerance", False),
 )
 #: Alternatives for a key that the model does not use.

@@ -123,7 +123,6 @@ class EstimatorKeys(TypedDict, total=False):
     order: int | None
     forgetting: float | None
     forgetting_scheme: ForgettingScheme | None
-    window: float | Literal["auto"] | None
     given: dict[str, float] | None
     prior: dict[str, tuple[float, float]] | None
     discretization: Discretization | None

@@ -386,9 +386,9 @@ def flags_on(checks: Assessment, process: Process, referenced: bool = False, hel
 #: Without a reference, the estimate is consistent only if the input does not correlate with the noise.
 FEEDBACK = (
     "the residual correlates with later inputs, because a controller feeds noise back; the estimate is biased",
-    'give [record] reference, and set method = "srivc", "iv" or "output-error"',
+    'give [record] reference, and set method = "srivc" or "iv"',
 )
-IGNORED = "{method} does not use the reference of the controller; srivc, iv and output-error do"
+IGNORED = "{method} does not use the reference of the controller; srivc and iv do"
 DEPENDENT = (
     "the input explains a part of the residual, and the standard errors leave this error out",
     "try another dead time, more poles or zeros, or another hold",

@@ -9,8 +9,6 @@ Method = Literal[
     "ls",
     "bcls",
     "iv",
-    "output-error",
-    "interval",
     "srivc",
     "rls",
     "bcrls",

@@ -124,24 +124,21 @@ class Estimator:
         if equation.dead_time == ESTIMATE:
             return (
                 f'{cls.method} does not simulate the motion, and dead_time = "estimate" needs that; use iv, '
-                "riv, output-error or interval, or give the dead time in s"
+                "riv or fit, or give the dead time in s"
             )
         if equation.lag == ESTIMATE:
-            return f"{cls.method} cannot estimate a lag: use iv, output-error or interval, or give the lag in s"
+            return f"{cls.method} cannot estimate a lag: use iv or fit, or give the lag in s"
         if refused := too_many([table for table, _ in equation.known_at([1.0] * len(equation.further)).shapes]):
             return refused
         of_speed = ", ".join(str(term.name) for term in equation.shaped if term.shape and term.shape.of_speed)
         if of_speed and not cls.knows_shapes:
             return (
                 f"{cls.method} uses the counts only, and the counts do not show {of_speed} the speed closely "
-                "enough; use iv, riv, output-error or interval, or remove this friction from the model"
+                "enough; use iv, riv or fit, or remove this friction from the model"
             )
         if not equation.only_simulated:
             return ""
-        return (
-            f"{cls.method} does not simulate the process, and {equation.only_simulated} needs that; use "
-            "srivc, iv or output-error"
-        )
+        return f"{cls.method} does not simulate the process, and {equation.only_simulated} needs that; use srivc or iv"
 
     def _check_steps(self) -> None:
         """Raise UsageError if the step varies and the method, plant or discretisation does not allow it."""

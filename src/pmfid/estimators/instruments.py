@@ -49,10 +49,8 @@ class Instruments(ProcessSolver, Simulating):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.equation.searched:
-            names, others = ", ".join(self.equation.searched), "" if self.plant.rests else "srivc or "
-            raise UsageError(
-                f"iv estimates parameters that act linearly, and {names} does not; use {others}output-error"
-            )
+            names, other = ", ".join(self.equation.searched), "fit" if self.plant.rests else "srivc"
+            raise UsageError(f"iv estimates parameters that act linearly, and {names} does not; use {other}")
 
     def solve_problem(self, problem: ProcessProblem) -> Solution:
         return fixed_filters(problem)

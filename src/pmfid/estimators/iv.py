@@ -178,16 +178,16 @@ class RIV(Simulating, RecursiveEstimator):
         refused = super().refuses(equation)
         if not refused and equation.lag and ESTIMATE in (equation.lag, equation.dead_time):
             return (
-                "riv accepts a lag with a dead time only if both are known: estimate them with iv, "
-                f'output-error or interval, and give them; or set dead_time = "{ESTIMATE}" without a lag, for '
+                "riv accepts a lag with a dead time only if both are known: estimate them with iv "
+                f'or fit, and give them; or set dead_time = "{ESTIMATE}" without a lag, for '
                 "the mean delay of both"
             )
         if refused or not equation.further:
             return refused
         names = ", ".join(dict(equation.further))
         return (
-            f"riv estimates parameters that act linearly, and {names} does not; estimate it with "
-            "output-error, and give its value"
+            f"riv estimates parameters that act linearly, and {names} does not; estimate it with fit, and give its "
+            "value"
         )
 
     def make_kernel(self, forgetting: float = 1.0) -> Kernel:

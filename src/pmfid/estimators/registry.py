@@ -6,13 +6,12 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.ls import BCLS, LS
 from pmfid.estimators.motion_fit import MotionFit
-from pmfid.estimators.output_error import OE, IntervalML
 from pmfid.estimators.recursive import BCRLS, RLS
 from pmfid.estimators.srivc import RSRIVC, SRIVC
 from pmfid.models.drive import Model
 
 #: Off-line methods for a drive.
-OFF_LINE = (LS, BCLS, IV, OE, IntervalML, MotionFit)
+OFF_LINE = (LS, BCLS, IV, MotionFit)
 RECURSIVE = (RLS, BCRLS, RIV)
 #: Methods for a linear process alone.
 PROCESS_ONLY = (SRIVC, RSRIVC)

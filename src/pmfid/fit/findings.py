@@ -13,8 +13,6 @@ from pmfid.types import Flags, Floats
 
 #: Status words of candidates that have a word of their own; all others are "unmodelled".
 OWN_WORDS = {"dead_time": "dead_time", "lag": "dead_time"}
-#: Part of the travel that may stay unexplained before the model follows nothing: a model at rest leaves all of it.
-MOST_LEFT = 1.0
 
 
 def findings_of(

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -15,7 +17,7 @@ from pmfid.fit.compare import MOST, ODDS, Quadratic
 from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
 from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.posterior import allowed_region
-from pmfid.fit.problem import FitProblem
+from pmfid.fit.problem import FitProblem, ResidualBlock
 from pmfid.fit.solve import START, Likelihood, Normal, Optimum, normal_of, solve
 from pmfid.fit.starts import blind_start
 from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, waves
@@ -45,6 +47,16 @@ FAR = 3.0
 GAIN = 0.01
 #: Advice if no motion follows.
 FOLLOW = "check input_gain, sign and scale of input and output, and [encoder] bits"
+#: Start values of an unknown speed of Stribeck friction, as shares of the highest speed. From a factor of 4 beside the
+#: true speed the search ends in the right optimum.
+SPEEDS = (0.05, 0.2, 0.5)
+#: Largest number of parameters and start states over which the walk of `allowed_region` mixes. With more of them the
+#: covariance is that of least squares, which is wider.
+WALKED = 40
+#: Kinds of forces of the position, and the stretches into which a record is cut for them.
+OF_POSITION, CUTS = ("spring", "wave", "rub", "place", "rub_place"), (1, 4, 16)
+#: Part of the travel that may stay unexplained before the model follows nothing: a model at rest leaves all of it.
+MOST_LEFT = 1.0
 #: Largest change of the mass between rounds that counts as settled, relative.
 SETTLED = 1e-4
 
@@ -142,14 +154,17 @@ def with_columns(problem: FitProblem, candidates: Sequence[ExtraForce]) -> tuple
     return replace(problem, stretches=tuple(stretches)), placed
 
 
-def first_theta(machine: BodyModel, start: Floats, sizes: Sizes) -> Floats:
-    """Return the machine's parameters (p,) at the blind start (mass, viscous, Coulomb, load)."""
+def first_theta(machine: BodyModel, start: Floats, sizes: Sizes, share: float) -> Floats:
+    """Return the machine's parameters (p,) at the blind start (mass, viscous, Coulomb, load).
+
+    An unknown speed of Stribeck friction starts at a `share` of the highest speed.
+    """
     body = np.zeros(len(machine.rest))
     body[[MASS, VISCOUS, COULOMB, OFFSET]] = start[:4]
     body[[DELAY, LAGGING]] = 0.5 * sizes.step
     for j, force in enumerate(machine.forces):
         body[BASE + j] = 0.2 * sizes.coulomb if force.free else _first_size(force, start, sizes.turn)
-    body[BASE + len(machine.forces) :] = 0.05 * sizes.speed
+    body[BASE + len(machine.forces) :] = share * sizes.speed
     rows = np.any(machine.lift != 0, axis=1)
     return np.asarray(np.linalg.lstsq(machine.lift[rows], body[rows], rcond=None)[0])
 
@@ -180,9 +195,10 @@ class FitSearch:
     def own(self) -> int:
         return len(self.plain.machine.names)
 
-    def restart(self, chosen: Sequence[int]) -> None:
-        """Return to the blind start, with a set of candidates that may have the load of the start."""
-        theta = first_theta(self.plain.machine, self.first, self.sizes)
+    def restart(self, chosen: Sequence[int], share: float = SPEEDS[0]) -> None:
+        """Return to the blind start, with a set of candidates that may have the load of the start. `share` is that of
+        `first_theta`."""
+        theta = first_theta(self.plain.machine, self.first, self.sizes, share)
         self.chosen = list(chosen)
         self.problem = self._chosen_problem()
         self.q = self.problem.start(theta)
@@ -282,29 +298,44 @@ def fit(problem: FitProblem) -> Fitted:
     A model that explains every count is the end. Otherwise the comparison adds or drops one force at a time, in the
     noise of the residuals, until the counts are explained or no force gains evidence.
 
+    A force of the position may push the axis away from where it is, so that the motion forgets no error of its start.
+    Where no motion over the whole record follows, shorter stretches have starts of their own (Bock 1983).
+
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
+    if not any(force.kind in OF_POSITION for force in problem.machine.forces):
+        return _fit_once(problem)
+    for count in CUTS[:-1]:
+        with suppress(NotIdentifiableError):
+            fitted = _fit_once(problem.cut(count))
+            if fitted.left < MOST_LEFT:
+                return fitted
+    return _fit_once(problem.cut(CUTS[-1]))
+
+
+def _fit_once(problem: FitProblem) -> Fitted:
     search = FitSearch(problem)
     likelihood = begin(search)
     return conclude(search, build(search) if likelihood is None else _prune(search, likelihood))
 
 
 def begin(search: FitSearch) -> Intervals | None:
-    """Solve from the blind start with forces of the position or without, and keep the best set of them.
+    """Solve from the blind starts with forces of the position or without, and keep the best set of them.
 
     Returns the likelihood of the intervals if a motion explains every count.
     """
     loads = [i for i, one in enumerate(search.table) if one.base == OFFSET]
     springs, turned = ([i for i, one in enumerate(search.table) if one.name == name] for name in ("spring", "gravity"))
+    speeds = SPEEDS if any(force.free for force in search.plain.machine.forces) else SPEEDS[:1]
     costs = []
-    for chosen in dict.fromkeys(map(tuple, ([], loads, [*loads, *springs], turned))):
-        search.restart(chosen)
+    for chosen, share in product(dict.fromkeys(map(tuple, ([], loads, [*loads, *springs], turned))), speeds):
+        search.restart(chosen, share)
         cost = search.solve(search.noise).cost
         likelihood = search.explain()
         if likelihood is not None:
             return likelihood
-        costs.append((search.plain.rows * math.log(cost) + len(chosen) * math.log(search.plain.rows), chosen))
-    search.restart(min(costs)[1])
+        costs.append((search.plain.rows * math.log(cost) + len(chosen) * math.log(search.plain.rows), chosen, share))
+    search.restart(*min(costs)[1:])
     search.solve(search.noise)
     return None
 
@@ -567,9 +598,11 @@ def _estimate(search: FitSearch, found: Optimum, likelihood: Gaussian | Interval
     own = search.own
     if isinstance(likelihood, Gaussian):
         return search.problem.theta(found.q), sandwich(A, found.normal)[:own, :own]
-    if len(found.starts) == 1:
+    if found.q.size + found.starts.size <= WALKED:
         return _estimate_in_region(search, found)
-    return search.problem.theta(found.q), inverse(A)[:own, :own]
+    noise = Gaussian(search.plain.stretches)
+    plain = normal_of(noise(search.problem.linearise(found.q, found.starts))[1], found.starts)
+    return search.problem.theta(found.q), sandwich(plain.A + np.diag(search.prior(search.problem)), plain)[:own, :own]
 
 
 def sandwich(A: Floats, normal: Normal) -> Floats:
@@ -586,16 +619,21 @@ def sandwich(A: Floats, normal: Normal) -> Floats:
 
 
 def _estimate_in_region(search: FitSearch, found: Optimum) -> tuple[Floats, Floats]:
-    (block,) = search.problem.linearise(found.q, found.starts)
-    (weighted,) = found.normal.blocks
-    J = np.column_stack([block.J, block.K])
-    W = np.column_stack([weighted.J, weighted.K])
-    prior = np.append(search.prior(search.problem), START)
-    wide = inverse(W.T @ W + np.diag(prior))
-    beyond = max(0.0, float(np.max(np.abs(block.e))) - 0.5)
-    bound = np.full(block.e.size, 0.5 + 2 * beyond + 1e-5)
-    mean, inner = allowed_region(block.e, J, bound, wide, np.random.default_rng(1))
+    e, J = _stack(search.problem.linearise(found.q, found.starts))
+    prior = np.append(search.prior(search.problem), np.tile(START, len(found.starts)))
+    wide = inverse(12.0 * J.T @ J + np.diag(prior))
+    beyond = max(0.0, float(np.max(np.abs(e))) - 0.5)
+    bound = np.full(e.size, 0.5 + 2 * beyond + 1e-5)
+    mean, inner = allowed_region(e, J, bound, wide, np.random.default_rng(1))
     own, p = search.own, found.q.size
     if not np.all(np.diag(inner)[:own] < 100 * np.diag(wide)[:own]):
         return search.problem.theta(found.q), wide[:own, :own]
     return search.problem.theta(found.q + mean[:p]), inner[:own, :own]
+
+
+def _stack(blocks: Sequence[ResidualBlock]) -> tuple[Floats, Floats]:
+    """Return the residuals (n,) of all blocks, and their derivatives (n, p + 2 m) by parameters and m start states."""
+    from scipy.linalg import block_diag
+
+    J = np.concatenate([block.J for block in blocks])
+    return np.concatenate([block.e for block in blocks]), np.column_stack([J, block_diag(*[b.K for b in blocks])])

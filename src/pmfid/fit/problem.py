@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,6 +130,15 @@ class FitProblem:
         """Index of the size of each candidate among the parameters. A free constant follows its size."""
         lengths = [1 + candidate.free for candidate in self.candidates]
         return [len(self.machine.names) + sum(lengths[:i]) for i in range(len(lengths))]
+
+    def cut(self, count: int) -> FitProblem:
+        """Return the problem with each stretch cut into `count` parts of the same time, which have their own starts."""
+        parts = []
+        for stretch in self.stretches:
+            ends = np.linspace(0.0, float(np.sum(stretch.drive.step)), count + 1)
+            cuts = [stretch.cut(*times) for times in pairwise(ends.tolist())] if count > 1 else [stretch]
+            parts += [part for part in cuts if part.y.size > 2]
+        return replace(self, stretches=tuple(parts))
 
     def place_candidates(self) -> Iterator[tuple[int, ExtraForce]]:
         """Yield the index of the size of each candidate, and the candidate."""

@@ -62,7 +62,7 @@ class EquationModel:
 
     Notes
     -----
-    The methods that simulate (iv, riv, output-error, interval) need an unknown second derivative of the output. The
+    The methods that simulate (iv, riv, fit) need an unknown second derivative of the output. The
     input must be the only known term for these methods. All other methods accept every equation.
 
     Examples
@@ -114,10 +114,10 @@ class Drive:
         sample, so that the spring's force at the first sample is part of the offset.
     dead_time : float or "estimate"
         Delay of u, or of the counts [s], with any fraction of a sample. "estimate" makes the dead time a parameter, up
-        to 20 samples, for the methods that simulate (iv, riv, output-error, interval).
+        to 20 samples, for the methods that simulate (iv, riv, fit).
     stribeck : float or "estimate", optional
         Stribeck speed [m/s], > 0. The friction at rest beyond Coulomb friction falls with exp(-(v / stribeck)^2). With
-        "estimate", output-error and interval find the speed as well.
+        "estimate", fit finds the speed as well.
     quadratic : bool
         If True, friction has a further part in proportion to v |v|.
     gravity : bool or float
@@ -129,7 +129,7 @@ class Drive:
         Period [m] of friction that changes along the travel.
     lag : float or "estimate"
         Time constant [s] of a first-order lag of the input, as in a current loop, up to 20 samples. "estimate" makes
-        the lag a parameter, off-line (iv, output-error, interval).
+        the lag a parameter, off-line (iv, fit).
     axis : {"linear", "rotary"}
         With "rotary", y is an angle, forces are torques, and the mass is an inertia [kg m2]. For a rotary axis, the
         units m and N on this page stand for rad and N m.

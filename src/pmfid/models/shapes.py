@@ -96,9 +96,7 @@ class Stribeck(Shape):
 
     def table(self) -> ShapeTable:
         if isinstance(self.speed, str):
-            raise UsageError(
-                "the Stribeck speed is unknown: give the speed, or use output-error or interval to estimate it"
-            )
+            raise UsageError("the Stribeck speed is unknown: give the speed, or use fit to estimate it")
         step = FADED / PIECES
         speeds = [step * k for k in range(PIECES + 1)]
         # The mean over each piece equals the form's mean. Straight lines between the form's own values would lie on one

@@ -45,7 +45,7 @@ class TransferFunction:
         predictor with mirrored poles (Forssell and Ljung 2000).
     dead_time : float or "estimate"
         Dead time of the input [s], which need not be a whole number of samples, in place of `delay`. "estimate" makes
-        the dead time an unknown from 0 to 20 samples, for `SRIVC` and `OE`.
+        the dead time an unknown from 0 to 20 samples, for `SRIVC`.
 
     Raises
     ------
@@ -60,7 +60,7 @@ class TransferFunction:
     coefficient of one derivative of the filters' impulse response and has no physical meaning. The position of the
     encoder counts from count zero.
 
-    Only the methods that simulate, `SRIVC`, `IV` and `OE`, accept m = n, `unstable` and `dead_time`.
+    Only the methods that simulate, `SRIVC` and `IV`, accept m = n, `unstable` and `dead_time`.
 
     Examples
     --------

@@ -17,7 +17,7 @@ from pmfid.diagnostics.free_run import FreeRun, drive_run
 from pmfid.diagnostics.verdict import Verdict, verdict
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.auto import AUTO, MethodChoice, choose, first_choice
+from pmfid.estimators.auto import AUTO, choose
 from pmfid.estimators.base import Estimator, Simulating
 from pmfid.estimators.batch import BatchEstimator, check_identifiable
 from pmfid.estimators.configuration import construct_estimator, like
@@ -25,7 +25,6 @@ from pmfid.estimators.cutoff import choose_cutoff, choose_prefilter_zeros
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.ls import LS
-from pmfid.estimators.output_error import OE, Following
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.results import Columns, Track, join_tracks
@@ -178,14 +177,11 @@ class Drives(Kind[Record]):
 
 def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progress | None) -> DriveResult:
     """Return the result of the method in `axis`. The configured axis `asked` contains the prior information."""
-    estimator, reason, choice = make_estimator(axis, data), "", None
+    estimator, reason = make_estimator(axis, data), ""
     restarts = _describe_restarts(data, estimator)
-    if axis.estimator.method == AUTO and axis.estimator.forgetting == 1:
-        choice = first_choice(estimator, data.u, data.counts)
-        estimator, reason = choice.estimator, choice.reason
-    elif axis.estimator.method == AUTO:
+    if axis.estimator.method == AUTO:
         estimator, reason = choose(estimator, data.u, data.counts, axis.estimator.forgetting)
-    result = _estimate(estimator, data, asked, progress, choice)
+    result = _estimate(estimator, data, asked, progress)
     _check_known(result)
     return result.with_findings(*make_notes("method", [*restarts, *([f"auto chose {reason}"] if reason else [])]))
 
@@ -193,7 +189,7 @@ def _identify_by_method(data: Record, axis: Axis, asked: Axis, progress: Progres
 def _describe_restarts(record: Record, estimator: Estimator) -> list[str]:
     """Return a note on the samples that gaps cost, or no note without gaps."""
     gaps, settle = len(gaps_in(record.u)), estimator.settle_samples
-    if not gaps or isinstance(estimator, Following):
+    if not gaps:
         return []
     settle *= 2 if isinstance(estimator, Simulating) else 1
     left = sum(max(0, part.stop - part.start - settle) for part in parts_of(record.u)) / record.u.size
@@ -253,7 +249,7 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
 def _construct(axis: Axis, record: Record) -> Estimator:
     check_sampling(axis, record.dt)
     model = axis.model.make()
-    first = "bcls" if model.equation.without_simulation else "output-error" if model.equation.searched else "iv"
+    first = "bcls" if model.equation.without_simulation else "fit" if model.equation.searched else "iv"
     cls = ESTIMATORS[method_of(axis, first)]
     own = {
         "model": model,
@@ -308,18 +304,15 @@ def _check_error(estimator: Estimator, relative: float, judgement: Verdict) -> l
     return []
 
 
-def _estimate(
-    estimator: Estimator, record: Record, axis: Axis, progress: Progress | None, choice: MethodChoice | None
-) -> DriveResult:
+def _estimate(estimator: Estimator, record: Record, axis: Axis, progress: Progress | None) -> DriveResult:
     batch = _batch_twin(estimator)
     seen = like(LS, batch, model=batch.model.simple, prefilter_zeros=None) if _needs_simulation(estimator) else batch
     columns = seen.columns(record.u, record.counts)
-    simulates = isinstance(batch, Following)  # the whole motion shows more than the filtered equation
-    check_identifiable(columns, seen.names, ESTIMATOR_TUNING.motion_apart**2 if simulates else seen.least_part)
+    check_identifiable(columns, seen.names, seen.least_part)
     known = known_of(axis, estimator)
     if isinstance(estimator, RecursiveEstimator):
         return _recursive(estimator, record, columns, progress, known, axis)
-    fit = choice.fit if choice else batch.fit(record.u, record.counts)
+    fit = batch.fit(record.u, record.counts)
     if known is not None and known.find_gain:
         before = estimator.equation.input_gain
         known, there = known.rescale(fit)
@@ -330,8 +323,6 @@ def _estimate(
     judgement = verdict(estimator, record.u, record.counts, fit.theta, fit.theta_std, axis.estimator.tolerance)
     spread = judgement.spread
     unused = []
-    if axis.estimator.window is not None and not isinstance(estimator, OE):
-        unused.append(f'{estimator.method} does not use window; set method = "output-error"')
     if axis.estimator.forgetting < 1 and axis.estimator.method != AUTO:
         unused.append(f"{estimator.method} is an off-line method and does not use forgetting")
     notes = make_notes("record", record.notes) + make_notes("method", fit.notes) + make_notes("unused", unused)

@@ -16,8 +16,8 @@ from pmfid.estimators.configuration import like
 from pmfid.estimators.edges import EdgeFit
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.findings import MOVE, make_notes, sort_findings
-from pmfid.fit.findings import MOST_LEFT, findings_of
-from pmfid.fit.fit import Fitted
+from pmfid.fit.findings import findings_of
+from pmfid.fit.fit import MOST_LEFT, Fitted
 from pmfid.pipeline.known import known_of, put_together
 from pmfid.pipeline.result import DriveResult
 from pmfid.records.outliers import repair_as_configured

@@ -125,8 +125,6 @@ def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
     config = axis.estimator
     options: dict[str, object] = {"order": config.order, "discretization": config.discretization}
     options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
-    if issubclass(cls, OE):
-        options |= {"window": config.window}
     if issubclass(cls, RecursiveEstimator):
         options |= {"forgetting": config.forgetting, "forgetting_scheme": config.forgetting_scheme}
     return options
