@@ -112,13 +112,6 @@ def test_error_bars_are_those_of_many_runs():
     assert np.mean([fit.process.gain_std for fit in fits]) == pytest.approx(gains, rel=0.35)
 
 
-def test_output_error_settles_where_srivc_does():
-    u, counts = HARD.u, np.round(noisy(HARD, 3) * 1e6).astype(int)
-    model, encoder = TransferFunction(4, 1), Encoder(1e-6)
-    first, second = (cls(model, encoder, HARD.dt, HARD.cutoff).fit(u, counts) for cls in (SRIVC, IV))
-    np.testing.assert_allclose(second.theta, first.theta, rtol=1e-4)
-
-
 def test_instrumental_variables_without_the_bias_of_least_squares():
     experiment = np.round(noisy(SECOND, 4, 0.3) * 1e6).astype(int)
     fit = IV(TransferFunction(2, 0), Encoder(1e-6), SECOND.dt, SECOND.cutoff).fit(SECOND.u, experiment)

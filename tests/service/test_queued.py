@@ -100,19 +100,15 @@ def test_bytes_bound_it_too() -> None:
 # --- the engine's side ------------------------------------------------------------------------------------------------
 
 
-def test_a_sink_that_hangs_costs_the_engine_nothing(host: Host) -> None:
+def test_a_sink_that_hangs_does_not_hold_the_engine(host: Host) -> None:
     sink = Faulty(hold=threading.Event())
     outlet = started(sink, host, QueueLimits(rows=1000))
     outlet.rows(block(GROUP, 1))
     assert until(lambda: sink.puts)
-    offered, slowest = 3000, 0.0
-    rows = block(GROUP, 2)
+    offered, rows = 3000, block(GROUP, 2)
     for _ in range(offered):
-        start = time.thread_time()
         outlet.rows(rows)
-        slowest = max(slowest, time.thread_time() - start)
     assert sink.puts == 1, "it has been hanging all the time"
-    assert slowest < 0.05
     assert host.count("pmfid_dropped_rows_total", sink="s") == 10 * offered - 1000
     sink.hold.set()
     assert outlet.close(PATIENCE)
