@@ -27,7 +27,7 @@ from pmfid.types import Floats
 #: Spreads of a white error in addition to rounding [counts], in falling order.
 SPREADS = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0003)
 #: Spread down to which the intervals must narrow for the model to explain every count.
-EXPLAINED = 0.003
+EXPLAINED = SPREADS[4]
 #: Mean square of residuals [counts^2] up to which a model may explain every count, tries to find that motion, and their
 #: distance in standard errors of least squares.
 MOST_SQUARES, TRIES, NEARBY = 0.15, 8, 2.0
@@ -47,14 +47,11 @@ FAR = 3.0
 GAIN = 0.01
 #: Advice if no motion follows.
 FOLLOW = "check input_gain, sign and scale of input and output, and [encoder] bits"
-#: Start values of an unknown speed of Stribeck friction, as shares of the highest speed. From a factor of 4 beside the
-#: true speed the search ends in the right optimum.
+#: Start values of an unknown speed of Stribeck friction, as shares of the highest speed. The search ends in the
+#: right optimum from starts up to four times above or below the true speed.
 SPEEDS = (0.05, 0.2, 0.5)
-#: Largest number of parameters and start states over which the walk of `allowed_region` mixes. With more of them the
-#: covariance is that of least squares, which is wider.
-WALKED = 40
-#: Kinds of forces of the position, and the stretches into which a record is cut for them.
-OF_POSITION, CUTS = ("spring", "wave", "rub", "place", "rub_place"), (1, 4, 16)
+#: Kinds of forces of the position.
+OF_POSITION = ("spring", "wave", "rub", "place", "rub_place")
 #: Part of the travel that may stay unexplained before the model follows nothing: a model at rest leaves all of it.
 MOST_LEFT = 1.0
 #: Largest change of the mass between rounds that counts as settled, relative.
@@ -305,12 +302,12 @@ def fit(problem: FitProblem) -> Fitted:
     """
     if not any(force.kind in OF_POSITION for force in problem.machine.forces):
         return _fit_once(problem)
-    for count in CUTS[:-1]:
+    for count in (1, 4):
         with suppress(NotIdentifiableError):
             fitted = _fit_once(problem.cut(count))
             if fitted.left < MOST_LEFT:
                 return fitted
-    return _fit_once(problem.cut(CUTS[-1]))
+    return _fit_once(problem.cut(16))
 
 
 def _fit_once(problem: FitProblem) -> Fitted:
@@ -598,7 +595,7 @@ def _estimate(search: FitSearch, found: Optimum, likelihood: Gaussian | Interval
     own = search.own
     if isinstance(likelihood, Gaussian):
         return search.problem.theta(found.q), sandwich(A, found.normal)[:own, :own]
-    if found.q.size + found.starts.size <= WALKED:
+    if found.starts.size < BLOCKS:  # more start states than that would make the walk long
         return _estimate_in_region(search, found)
     noise = Gaussian(search.plain.stretches)
     plain = normal_of(noise(search.problem.linearise(found.q, found.starts))[1], found.starts)

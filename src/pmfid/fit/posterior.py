@@ -11,8 +11,9 @@ import numpy as np
 
 from pmfid.types import Floats
 
-#: Steps of the last of four runs for each parameter. The error of a standard deviation is then about 3 %.
-STEPS = 400
+#: Steps of the last of four runs: at least so many, and so many for each five parameters. The error of a standard
+#: deviation is then about 3 %.
+STEPS = 2000
 #: Longest step in standard deviations, which only bounds directions without any count.
 FAR = 30.0
 
@@ -27,7 +28,7 @@ def allowed_region(
     d, p = np.zeros(J.shape[1]), J.shape[1]
     mean = np.zeros(p)
     for run in range(4):
-        steps = STEPS * p >> 3 - run
+        steps = STEPS * max(5, p) // 5 >> 3 - run
         root = _root(covariance)
         reach = np.sqrt(np.sum((J @ root) ** 2, axis=1))
         bound = np.maximum(bound, np.abs(e + J @ d) + 1e-9)
