@@ -99,7 +99,7 @@ def test_a_dead_time_between_uneven_samples():
         np.testing.assert_allclose(estimator.fit_experiments([record]).theta, truth, rtol=1e-6)
 
 
-def test_output_error_and_iv_take_them_too():
+def test_srivc_and_iv_take_them_too():
     u = steps(5)
     y = simulate_late([3.0], [1, 2, 4], u, DT, 0.135)
     model = TransferFunction(2, 0, dead_time="estimate")

@@ -49,7 +49,7 @@ def truth(force: str) -> np.ndarray:
 
 
 @pytest.mark.parametrize("force", MODELS)
-def test_output_error_finds_it(force: str) -> None:
+def test_the_fit_finds_it(force: str) -> None:
     run = run_of(force, 1)
     fit = pmfid.MotionFit(MODELS[force], pmfid.Encoder(STEP), DT, CUTOFF).fit(run.u, run.counts)
     wanted = truth(force)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmfid.types import Floats
 
-#: Steps of the last of four runs: at least so many, and so many for each five parameters. The error of a standard
+#: Steps of the last of four runs for up to five parameters; more parameters have more steps. The error of a standard
 #: deviation is then about 3 %.
 STEPS = 2000
 #: Longest step in standard deviations, which only bounds directions without any count.
