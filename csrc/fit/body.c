@@ -3,6 +3,7 @@
 #include <math.h>
 #include <string.h>
 
+#define MOST_PARTS 10000 /* of an interval */
 #define MOST_TURNS 16 /* stops within a part, after which the mass rests until the part ends */
 static const double TAU = 6.283185307179586;
 
@@ -99,6 +100,14 @@ static value force_at(const pmf_force *f, double p, double x, double v, double s
         r.h *= s;
         r.hx *= s;
         break;
+    case PMF_FORCE_LOAD: r.h = s * column; break; /* the column is the force through the gear */
+    case PMF_FORCE_LOAD_STRIBECK:
+        z = v / p;
+        w = s * column * exp(-z * z);
+        r.h = w;
+        r.hv = -2 * z / p * w;
+        r.hp = 2 * z * z / p * w;
+        break;
     case PMF_FORCE_COLUMN: r.h = column; break;
     case PMF_FORCE_COLUMN_FRICTION: r.h = s * column; break;
     case PMF_FORCE_COLUMN_VISCOUS:
@@ -113,62 +122,291 @@ typedef struct {
     const pmf_body *b;
     const double *theta, *size; /* parameters, and sizes of the forces among them */
     double *p; /* (forces) constants, from the parameters if free */
-    int w, late; /* number of parameters; index of the present input */
+    int w, late, i; /* number of derivatives; index of the present input; of the present interval */
     double x, v, g; /* position, velocity, force of the input after its lag */
     double g_delay, g_lag; /* derivatives of g */
     double *dx, *dv; /* (w) derivatives */
     double *dn, *mx, *mv; /* (w) derivatives of the force; of the state in the middle of a part */
+    const double *loop; /* parameters of the controller */
+    int loaded; /* whether a friction is in proportion to the load */
+    double *s, *ms, *ds, *dms; /* (1 + forces) memories of the controller; (1 + forces, w) derivatives */
+    double *dq, *dT; /* (w) derivatives of the controller's force; of the force through the gear */
 } state;
+
+static int is_load_friction(const pmf_force *f)
+{
+    return f->kind == PMF_FORCE_LOAD || f->kind == PMF_FORCE_LOAD_STRIBECK;
+}
+
+static int in_loop(const pmf_force *f)
+{
+    return f->kind >= PMF_LOOP_VELOCITY;
+}
+
+/* Whether a force is a load, which does not depend on the motion's direction. */
+static int is_load(const pmf_force *f)
+{
+    return f->kind == PMF_FORCE_WAVE || f->kind == PMF_FORCE_SPRING || f->kind == PMF_FORCE_PLACE ||
+           f->kind == PMF_FORCE_COLUMN;
+}
 
 static double column_at(const state *t, const pmf_force *f, int i)
 {
-    return f->kind < PMF_FORCE_COLUMN ? 0 : t->b->column[(long)f->column * t->b->n + i];
+    return f->kind < PMF_FORCE_COLUMN || f->kind > PMF_FORCE_COLUMN_VISCOUS
+               ? 0
+               : t->b->column[(long)f->column * t->b->n + i];
 }
 
-/* Sum of the forces at (x, v) in direction s. */
-static double sum_forces(const state *t, double x, double v, double s, int i)
+/* Sum of the forces at (x, v) in direction s, with a force T through the gear. */
+static double sum_forces(const state *t, double x, double v, double s, int i, double T)
 {
     double sum = 0;
-    for (int j = 0; j < t->b->forces; j++)
-        if (t->size[j] != 0)
-            sum += t->size[j] * force_at(t->b->force + j, t->p[j], x, v, s, column_at(t, t->b->force + j, i)).h;
+    for (int j = 0; j < t->b->forces; j++) {
+        const pmf_force *f = t->b->force + j;
+        if (t->size[j] != 0 && !in_loop(f))
+            sum += t->size[j] *
+                   force_at(f, t->p[j], x, v, s, is_load_friction(f) ? fabs(T) : column_at(t, f, i)).h;
+    }
     return sum;
 }
+
+/* Force through the gear under `drive`, which has the constant load already: drive + twice that + loads. */
+static double gear_force(const state *t, double drive, int i)
+{
+    double T = drive + 2 * t->theta[PMF_BODY_OFFSET];
+    if (!t->loaded)
+        return 0;
+    for (int j = 0; j < t->b->forces; j++)
+        if (is_load(t->b->force + j))
+            T += t->size[j] * force_at(t->b->force + j, t->p[j], t->x, 0, 1, column_at(t, t->b->force + j, i)).h;
+    return T;
+}
+
+/* The controller ----------------------------------------------------------------------------------------------- */
+
+#define LEAST_DELAY 2e-5 /* [s] of a loop, so that its derivatives exist */
+
+static double loop_delay(const state *t)
+{
+    return t->loop[PMF_LOOP_DELAY] > LEAST_DELAY ? t->loop[PMF_LOOP_DELAY] : LEAST_DELAY;
+}
+
+/* What force j of the loop measures, without its size. */
+static double loop_signal(const state *t, int j, double v, const double *s)
+{
+    return t->b->force[j].kind == PMF_LOOP_VELOCITY ? 2 * s[0] - v : s[1 + j];
+}
+
+/* Force of the controller before its limit at (x, v) with memories s, for the goal g. */
+static double free_force(const state *t, double x, double v, double g, const double *s)
+{
+    double sum = t->loop[PMF_LOOP_GAIN] * (g - (x - loop_delay(t) * s[0]));
+    for (int j = 0; j < t->b->forces; j++)
+        if (in_loop(t->b->force + j) && t->size[j] != 0)
+            sum -= t->size[j] * loop_signal(t, j, v, s);
+    return sum;
+}
+
+static double limit(const state *t, double force, int i)
+{
+    const double most = t->loop[PMF_LOOP_LIMIT];
+    if (t->b->on && t->b->on[i] == 0)
+        return 0;
+    return force > most ? most : force < -most ? -most : force;
+}
+
+/* Drive at the present state: the input, or the controller's force with the input as goal. */
+static double drive_now(const state *t, double g, int i)
+{
+    const double offset = t->theta[PMF_BODY_OFFSET];
+    return (t->loop ? limit(t, free_force(t, t->x, t->v, g, t->s), i) : g) - offset;
+}
+
+/* Force of the controller at (x, v) with memories s, and its derivatives dq (w). */
+static double loop_force(state *t, double x, double v, double g, double g_delay, double g_lag, int i,
+                         const double *dx, const double *dv, const double *s, const double *ds)
+{
+    const double kp = t->loop[PMF_LOOP_GAIN], D = loop_delay(t), u = free_force(t, x, v, g, s), used = limit(t, u, i);
+    const int at = (int)(t->loop - t->theta);
+    double *dq = t->dq;
+    memset(dq, 0, t->w * sizeof *dq);
+    if (t->b->on && t->b->on[i] == 0)
+        return 0;
+    if (used != u) {
+        dq[at + PMF_LOOP_LIMIT] = used > 0 ? 1 : -1;
+        return used;
+    }
+    for (int k = 0; k < t->w; k++)
+        dq[k] = -kp * (dx[k] - D * ds[k]);
+    dq[at + PMF_LOOP_GAIN] += g - (x - D * s[0]);
+    dq[at + PMF_LOOP_DELAY] += kp * s[0];
+    dq[PMF_BODY_DELAY] += kp * g_delay;
+    dq[PMF_BODY_LAG] += kp * g_lag;
+    for (int j = 0; j < t->b->forces; j++)
+        if (in_loop(t->b->force + j)) {
+            const double a = t->size[j], *d = ds + (size_t)(1 + j) * t->w;
+            if (a != 0 && t->b->force[j].kind == PMF_LOOP_VELOCITY)
+                for (int k = 0; k < t->w; k++)
+                    dq[k] -= a * (2 * ds[k] - dv[k]);
+            else if (a != 0)
+                for (int k = 0; k < t->w; k++)
+                    dq[k] -= a * d[k];
+            dq[PMF_BODY_BASE + j] -= loop_signal(t, j, v, s);
+        }
+    return used;
+}
+
+/* One lag with time constant tau over h, while its input moves from a to b along a line; `row` is that of tau or -1. */
+static double carry_lag(const state *t, double tau, double share, int row, double h, double s, double a, double b,
+                        const double *ds, const double *da, const double *db, double *out)
+{
+    const double z = h / tau;
+    const phi f = phi_of(z);
+    const double by_a = f.p1 - f.e, by_b = 1 - f.p1;
+    for (int k = 0; k < t->w; k++)
+        out[k] = f.e * ds[k] + by_a * da[k] + by_b * db[k];
+    if (row >= 0)
+        out[row] += share * (-f.e * s + a * (f.q1 + f.e) - b * f.q1) * -z / tau;
+    return f.e * s + by_a * a + by_b * b;
+}
+
+/* Carry the memories over h, from (x0, v0) to (x1, v1), into ms and dms. */
+static void carry_memories(state *t, double h, double g, double g_delay, double g_lag, double x0, double v0,
+                           const double *dx0, const double *dv0, double x1, double v1, const double *dx1,
+                           const double *dv1)
+{
+    const double D = loop_delay(t), *s = t->s, *ds = t->ds;
+    double *ms = t->ms, *dms = t->dms, *da = t->dq, *db = t->dT;
+    const int w = t->w, at = (int)(t->loop - t->theta);
+    int shape = PMF_BODY_BASE + t->b->forces;
+    ms[0] = carry_lag(t, D / 2, 0.5, at + PMF_LOOP_DELAY, h, s[0], v0, v1, ds, dv0, dv1, dms);
+    for (int j = 0; j < t->b->forces; j++) {
+        const pmf_force *f = t->b->force + j;
+        const double *own = ds + (size_t)(1 + j) * w;
+        double *out = dms + (size_t)(1 + j) * w;
+        if (f->kind == PMF_LOOP_FILTERED) {
+            for (int k = 0; k < w; k++) {
+                da[k] = 2 * ds[k] - dv0[k];
+                db[k] = 2 * dms[k] - dv1[k];
+            }
+            ms[1 + j] = carry_lag(t, t->p[j], 1, f->unknown ? shape : -1, h, s[1 + j], 2 * s[0] - v0,
+                                  2 * ms[0] - v1, own, da, db, out);
+        } else if (f->kind == PMF_LOOP_INTEGRAL) { /* minus the integral of the error */
+            const int on = !(t->b->on && t->b->on[t->i] == 0);
+            const double half = h / 2;
+            ms[1 + j] = on ? s[1 + j] + half * (x0 + x1 - D * (s[0] + ms[0]) - 2 * g) : 0;
+            for (int k = 0; k < w; k++)
+                out[k] = on ? own[k] + half * (dx0[k] + dx1[k] - D * (ds[k] + dms[k])) : 0;
+            if (on) {
+                out[at + PMF_LOOP_DELAY] -= half * (s[0] + ms[0]);
+                out[PMF_BODY_DELAY] -= h * g_delay;
+                out[PMF_BODY_LAG] -= h * g_lag;
+            }
+        }
+        shape += f->unknown;
+    }
+}
+
+static void swap(double **a, double **b)
+{
+    double *c = *a;
+    *a = *b;
+    *b = c;
+}
+
+/* The mass rests for h seconds. */
+static void rest(state *t, double h, double g, double g_delay, double g_lag)
+{
+    memset(t->dv, 0, t->w * sizeof *t->dv);
+    if (!t->loop)
+        return;
+    carry_memories(t, h, g, g_delay, g_lag, t->x, 0, t->dx, t->dv, t->x, 0, t->dx, t->dv);
+    swap(&t->s, &t->ms);
+    swap(&t->ds, &t->dms);
+}
+
+/* The body ----------------------------------------------------------------------------------------------------- */
 
 /* Net force at rest: what remains of `drive` beyond friction, with its direction in *s; 0 if the mass rests. */
 static double start_force(const state *t, double drive, int i, double *s)
 {
-    const double F = t->theta[PMF_BODY_COULOMB];
-    double ahead = drive - F - sum_forces(t, t->x, 0, 1, i), back = drive + F - sum_forces(t, t->x, 0, -1, i);
+    const double F = t->theta[PMF_BODY_COULOMB], T = gear_force(t, drive, i);
+    double ahead = drive - F - sum_forces(t, t->x, 0, 1, i, T), back = drive + F - sum_forces(t, t->x, 0, -1, i, T);
     *s = ahead > 0 ? 1 : -1;
     if (ahead > 0 && back < 0)
         return *s = drive >= 0 ? 1 : -1, drive >= 0 ? ahead : back;
     return ahead > 0 ? ahead : back < 0 ? back : 0;
 }
 
-/* Net force without viscous friction in direction s at (x, v); its derivatives dn (w) along (dx, dv). */
+/* Friction in proportion to the force T through the gear, with derivatives dT (w). Its derivatives leave dn (w). */
+static double load_friction(state *t, double v, double s, double T, const double *dv)
+{
+    double sum = 0, by_T = 0, by_v = 0, *dn = t->dn;
+    int shape = PMF_BODY_BASE + t->b->forces;
+    t->dT[PMF_BODY_OFFSET] += 1;
+    for (int j = 0; j < t->b->forces; j++) {
+        const pmf_force *f = t->b->force + j;
+        if (is_load_friction(f)) {
+            const value r = force_at(f, t->p[j], 0, v, s, 1);
+            const double a = t->size[j];
+            sum += a * r.h * fabs(T);
+            dn[PMF_BODY_BASE + j] -= r.h * fabs(T);
+            if (f->unknown)
+                dn[shape] -= a * r.hp * fabs(T);
+            by_T += T > 0 ? a * r.h : -a * r.h;
+            by_v += a * r.hv * fabs(T);
+        }
+        shape += f->unknown;
+    }
+    for (int k = 0; k < t->w; k++)
+        dn[k] -= by_T * t->dT[k] + by_v * dv[k];
+    return sum;
+}
+
+/* Net force without viscous friction in direction s at (x, v); its derivatives dn (w) along (dx, dv). The derivatives
+ * of the drive are dq (w) with a controller and zero without. */
 static double net_force(state *t, double x, double v, double s, double drive, int i, const double *dx, const double *dv)
 {
     const pmf_body *b = t->b;
-    double net = drive - s * t->theta[PMF_BODY_COULOMB], gx = 0, gv = 0, *dn = t->dn;
+    double net = drive - s * t->theta[PMF_BODY_COULOMB], T = drive + 2 * t->theta[PMF_BODY_OFFSET], gx = 0, gv = 0;
+    double *dn = t->dn, *dT = t->dT;
     int shape = PMF_BODY_BASE + b->forces;
-    memset(dn, 0, t->w * sizeof *dn);
+    if (t->loop)
+        memcpy(dn, t->dq, t->w * sizeof *dn);
+    else
+        memset(dn, 0, t->w * sizeof *dn);
+    if (t->loaded)
+        memcpy(dT, dn, t->w * sizeof *dT);
     for (int j = 0; j < b->forces; j++) {
-        value r = force_at(b->force + j, t->p[j], x, v, s, column_at(t, b->force + j, i));
+        const pmf_force *f = b->force + j;
+        const int own = shape;
+        value r;
         double a = t->size[j];
-        dn[PMF_BODY_BASE + j] = -r.h;
-        if (b->force[j].unknown)
-            dn[shape++] = -a * r.hp;
+        shape += f->unknown;
+        if (in_loop(f) || is_load_friction(f))
+            continue;
+        r = force_at(f, t->p[j], x, v, s, column_at(t, f, i));
+        dn[PMF_BODY_BASE + j] -= r.h;
+        if (f->unknown)
+            dn[own] -= a * r.hp;
         net -= a * r.h;
         gx += a * r.hx;
         gv += a * r.hv;
+        if (t->loaded && is_load(f)) {
+            T += a * r.h;
+            dT[PMF_BODY_BASE + j] += r.h;
+            if (f->unknown)
+                dT[own] += a * r.hp;
+            for (int k = 0; k < t->w; k++)
+                dT[k] += a * r.hx * dx[k];
+        }
     }
     if (gx != 0 || gv != 0)
         for (int k = 0; k < t->w; k++)
             dn[k] -= gx * dx[k] + gv * dv[k];
     dn[PMF_BODY_COULOMB] -= s;
     dn[PMF_BODY_OFFSET] -= 1;
-    return net;
+    return t->loaded ? net - load_friction(t, v, s, T, dv) : net;
 }
 
 /* Move for h seconds from the state at a constant net force; the new state goes to (*x, *v, dx, dv). */
@@ -205,19 +443,23 @@ static double time_to_stop(const state *t, double net, double s)
     return -t->v * m / net * (fabs(w) < 1e-4 ? 1 - w / 2 + w * w / 3 : log1p(w) / w);
 }
 
-/* Move for `left` seconds in sample i. The force of the input is g, with derivatives by delay and lag. */
+/* Move for `left` seconds in sample i. The input is g, with derivatives by delay and lag. */
 static void move(state *t, int i, double g, double g_delay, double g_lag, double left)
 {
-    const double offset = t->theta[PMF_BODY_OFFSET];
+    const int loop = t->loop != 0;
+    t->i = i;
     for (int turn = 0; left > 0; turn++) {
-        double s = t->v > 0 ? 1 : -1, drive = g - offset, net, step = left, x, v;
+        double s = t->v > 0 ? 1 : -1, drive = drive_now(t, g, i), net, step = left, x, v;
+        const double offset = t->theta[PMF_BODY_OFFSET];
         int stops = 0;
         if (t->v == 0 && (turn > MOST_TURNS || start_force(t, drive, i, &s) == 0)) {
-            memset(t->dv, 0, t->w * sizeof *t->dv);
+            rest(t, left, g, g_delay, g_lag);
             return;
         }
+        if (loop)
+            loop_force(t, t->x, t->v, g, g_delay, g_lag, i, t->dx, t->dv, t->s, t->ds);
         net = net_force(t, t->x, t->v, s, drive, i, t->dx, t->dv);
-        if (t->b->forces) { /* forces in the middle of the part */
+        if (t->b->forces || loop) { /* forces in the middle of the part */
             double half = left / 2;
             if (s * net < 0 && t->v != 0) {
                 double stop = time_to_stop(t, net, s);
@@ -227,10 +469,16 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             advance(t, net, s, half, &x, &v, t->mx, t->mv);
             if (s * v < 0)
                 v = 0;
+            if (loop) {
+                carry_memories(t, half, g, g_delay, g_lag, t->x, t->v, t->dx, t->dv, x, v, t->mx, t->mv);
+                drive = loop_force(t, x, v, g, g_delay, g_lag, i, t->mx, t->mv, t->ms, t->dms) - offset;
+            }
             net = net_force(t, x, v, s, drive, i, t->mx, t->mv);
         }
-        t->dn[PMF_BODY_DELAY] += g_delay;
-        t->dn[PMF_BODY_LAG] += g_lag;
+        if (!loop) {
+            t->dn[PMF_BODY_DELAY] += g_delay;
+            t->dn[PMF_BODY_LAG] += g_lag;
+        }
         if (t->v != 0 && s * net < 0) {
             double stop = time_to_stop(t, net, s);
             if (stop < step) {
@@ -238,15 +486,23 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
                 stops = 1;
             }
         } else if (t->v == 0 && s * net <= 0) { /* forces in the middle stop the start */
-            memset(t->dv, 0, t->w * sizeof *t->dv);
+            rest(t, left, g, g_delay, g_lag);
             return;
         }
-        advance(t, net, s, step, &x, &v, t->dx, t->dv);
+        if (loop) {
+            advance(t, net, s, step, &x, &v, t->mx, t->mv);
+            carry_memories(t, step, g, g_delay, g_lag, t->x, t->v, t->dx, t->dv, x, stops ? 0 : v, t->mx, t->mv);
+            swap(&t->s, &t->ms);
+            swap(&t->ds, &t->dms);
+            swap(&t->dx, &t->mx);
+            swap(&t->dv, &t->mv);
+        } else
+            advance(t, net, s, step, &x, &v, t->dx, t->dv);
         t->x = x;
         t->v = v;
         left -= step;
         if (stops) { /* a stop moves in time: derivatives of the velocity scale with the acceleration */
-            double side, after = (t->v = 0, start_force(t, drive, i, &side)), ratio = after / net;
+            double side, after = (t->v = 0, start_force(t, drive_now(t, g, i), i, &side)), ratio = after / net;
             for (int k = 0; k < t->w; k++)
                 t->dv[k] *= ratio;
         }
@@ -256,14 +512,26 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
 /* The input switches to `next`: derivatives by the delay, and by a lag of zero, which is a delay to first order. */
 static void switch_input(state *t, int i, double before, double next)
 {
-    const double lag = t->theta[PMF_BODY_LAG], offset = t->theta[PMF_BODY_OFFSET], m = t->theta[PMF_BODY_MASS];
-    double s, change = before - next;
+    const double lag = t->theta[PMF_BODY_LAG], m = t->theta[PMF_BODY_MASS];
+    double s, change = before - next, old, new;
     if (lag > 0) {
         t->g_delay += change / lag;
         return;
     }
+    for (int j = 0; j < t->b->forces; j++)
+        if (t->b->force[j].kind == PMF_LOOP_INTEGRAL)
+            t->ds[(size_t)(1 + j) * t->w + PMF_BODY_DELAY] -= change;
+    old = drive_now(t, before, i);
+    new = drive_now(t, next, i);
     if (t->v == 0)
-        change = start_force(t, before - offset, i, &s) - start_force(t, next - offset, i, &s);
+        change = start_force(t, old, i, &s) - start_force(t, new, i, &s);
+    else {
+        s = t->v > 0 ? 1 : -1;
+        change = old - new;
+        if (t->loaded)
+            change -= sum_forces(t, t->x, t->v, s, i, gear_force(t, old, i)) -
+                      sum_forces(t, t->x, t->v, s, i, gear_force(t, new, i));
+    }
     t->dv[PMF_BODY_DELAY] += change / m;
     t->dv[PMF_BODY_LAG] += change / m;
 }
@@ -305,19 +573,45 @@ static void move_interval(state *t, int i, int parts, double *wait)
         }
 }
 
+/* Parts of interval i. The mean of a lagging force acts in each part, so that its position has an error of the second
+ * order. */
+static int parts_of(const pmf_body *b, double lag, int i)
+{
+    const double ticks = b->tick > 0 ? ceil(b->step[i] / b->tick - 1e-6) : 1;
+    if (b->tick > 0)
+        return ticks < 1 ? 1 : ticks > MOST_PARTS ? MOST_PARTS : (int)ticks;
+    return lag > 0 ? 8 * b->parts : b->forces ? b->parts : 1;
+}
+
+int pmf_body_work(const pmf_body *b)
+{
+    const int w = PMF_BODY_BASE + b->forces + b->shapes + PMF_LOOP_PARAMETERS;
+    return w * (b->tick > 0 ? 10 + 2 * (1 + b->forces) : 7);
+}
+
 int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, double *S, double *work)
 {
-    const int w = PMF_BODY_BASE + b->forces + b->shapes, lags = theta[PMF_BODY_LAG] > 0;
-    /* the mean of a lagging force acts in each part, so that its position has an error of the second order */
-    const int parts = lags ? 8 * b->parts : b->forces ? b->parts : 1;
+    const int loop = b->tick > 0, full = PMF_BODY_BASE + b->forces + b->shapes + (loop ? PMF_LOOP_PARAMETERS : 0);
+    const int w = S ? full : 0; /* without derivatives, only the few that have a name are written */
     double wait = b->step[0] + theta[PMF_BODY_DELAY];
     state t = {0};
     t.b = b, t.theta = theta, t.size = theta + PMF_BODY_BASE, t.w = w;
     t.x = theta[PMF_BODY_X0], t.v = theta[PMF_BODY_V0], t.g = b->u[0];
-    t.dx = work, t.dv = work + w, t.dn = work + 2 * w, t.mx = work + 3 * w, t.mv = work + 4 * w, t.p = work + 5 * w;
-    memset(work, 0, 6 * w * sizeof *work);
+    memset(work, 0, pmf_body_work(b) * sizeof *work);
+    t.dx = work, t.dv = work + full, t.dn = work + 2 * full, t.mx = work + 3 * full, t.mv = work + 4 * full;
+    t.p = work + 5 * full, t.dT = work + 6 * full;
+    if (loop) {
+        t.loop = theta + full - PMF_LOOP_PARAMETERS;
+        t.dq = work + 6 * full, t.dT = t.dq + full, t.s = t.dT + full, t.ms = t.s + full;
+        t.ds = t.ms + full, t.dms = t.ds + (size_t)(1 + b->forces) * full;
+        for (int j = 0; j <= b->forces; j++)
+            if (j == 0 || b->force[j - 1].kind == PMF_LOOP_FILTERED) {
+                t.s[j] = t.v;
+                t.ds[(size_t)j * w + PMF_BODY_V0] = 1;
+            }
+    }
     for (int j = 0, shape = PMF_BODY_BASE + b->forces; j < b->forces; j++)
-        t.p[j] = b->force[j].unknown ? theta[shape++] : b->force[j].p;
+        t.p[j] = b->force[j].unknown ? theta[shape++] : b->force[j].p, t.loaded |= is_load_friction(b->force + j);
     t.dx[PMF_BODY_X0] = 1;
     t.dv[PMF_BODY_V0] = 1;
     for (int i = 0, k = 0; k < b->rows; i++) {
@@ -332,7 +626,7 @@ int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, d
             k++;
         }
         if (i < b->n)
-            move_interval(&t, i, parts, &wait);
+            move_interval(&t, i, parts_of(b, theta[PMF_BODY_LAG], i), &wait);
     }
     return b->rows;
 }

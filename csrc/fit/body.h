@@ -1,8 +1,15 @@
-/* One mass with friction: its motion under a held input, and the exact derivatives of the motion by every parameter.
+/* One mass with friction: its motion under a held input or a controller, and the exact derivatives by every parameter.
  *
  * SPDX-License-Identifier: Apache-2.0
  *
  *   m v' = g - d v - e |v| - F sign(v) - c - sum_j a_j h_j(x, v, column_j),   lag g' = u(t - delay) - g
+ *
+ * With a controller, u is the goal, and the force of the motor is
+ *
+ *   clip(gain (g - y) - sum_j a_j h_j, -limit, limit)
+ *
+ * over the forces h_j of the loop. y is the position a loop delay ago, by an all-pass of the first order, so that
+ * x - delay w is y for a velocity w with half of the delay as its time constant.
  *
  * Between switches of the input, stops and parts of an interval, the motion has a closed form. Forces h_j are held
  * within a part at their value in the middle of the part. A stop moves in time: the derivatives of the velocity scale
@@ -24,6 +31,9 @@ enum {
     PMF_BODY_BASE
 };
 
+/* Parameters of the controller, after the free constants of the forces. */
+enum { PMF_LOOP_GAIN, PMF_LOOP_LIMIT, PMF_LOOP_DELAY, PMF_LOOP_PARAMETERS };
+
 /* Kinds of forces h(x, v). Constants p and q belong to the kind; s is the direction of motion. */
 enum {
     PMF_FORCE_STRIBECK, /* s exp(-(v/p)^2) */
@@ -36,7 +46,13 @@ enum {
     PMF_FORCE_RUB_PLACE, /* s times a table over x */
     PMF_FORCE_COLUMN, /* a column of the record, for example a measured force */
     PMF_FORCE_COLUMN_FRICTION, /* s times a column, for example a temperature */
-    PMF_FORCE_COLUMN_VISCOUS /* v times a column */
+    PMF_FORCE_COLUMN_VISCOUS, /* v times a column */
+    PMF_FORCE_LOAD, /* s |T|, T: force through the gear, which is that of the motor plus all loads */
+    PMF_FORCE_LOAD_STRIBECK, /* s |T| exp(-(v/p)^2) */
+    /* forces of the loop, which a controller has within its limit */
+    PMF_LOOP_VELOCITY, /* the velocity of y */
+    PMF_LOOP_FILTERED, /* the velocity of y after a lag of p */
+    PMF_LOOP_INTEGRAL /* minus the integral of g - y */
 };
 
 typedef struct {
@@ -58,12 +74,15 @@ typedef struct {
     const double *u; /* (n) force of the input in each interval [N], or its value */
     const pmf_force *force;
     const double *column; /* (columns, n) */
+    double tick; /* longest part of an interval with a controller [s], or 0 without one */
+    const double *on; /* (n) 0 where the controller is off; may be null */
 } pmf_body;
 
-/* Simulate the motion at theta (w), w = PMF_BODY_BASE + forces + shapes: positions y (rows), velocities v (rows),
+/* Simulate the motion at theta (w), w = PMF_BODY_BASE + forces + shapes, + PMF_LOOP_PARAMETERS with a controller: positions y (rows), velocities v (rows),
  * derivatives S (rows, w) of y.
  *
- * v and S may be null. `work` has room for 6 w numbers. Returns the number of rows before the motion overflows. */
+ * v and S may be null. `work` has room for pmf_body_work numbers. Returns the number of rows before the motion overflows. */
+int pmf_body_work(const pmf_body *body);
 int pmf_body_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work);
 
 #endif

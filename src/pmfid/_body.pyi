@@ -2,6 +2,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 BASE: int
+LOOP: int
 KINDS: dict[str, int]
 
 def run(
@@ -13,6 +14,8 @@ def run(
     theta: NDArray[np.float64],
     parts: int,
     slopes: bool,
+    tick: float = 0.0,
+    on: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]: ...
 def whiten(
     X: NDArray[np.float64],

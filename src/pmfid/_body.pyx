@@ -14,6 +14,8 @@ cdef extern from "fit/body.h":
         PMF_FORCE_STRIBECK, PMF_FORCE_POWER, PMF_FORCE_WAVE, PMF_FORCE_RUB, PMF_FORCE_SPRING
         PMF_FORCE_SPEED, PMF_FORCE_PLACE, PMF_FORCE_RUB_PLACE
         PMF_FORCE_COLUMN, PMF_FORCE_COLUMN_FRICTION, PMF_FORCE_COLUMN_VISCOUS
+        PMF_FORCE_LOAD, PMF_FORCE_LOAD_STRIBECK, PMF_LOOP_VELOCITY, PMF_LOOP_FILTERED, PMF_LOOP_INTEGRAL
+        PMF_LOOP_PARAMETERS
     ctypedef struct pmf_force:
         int kind, column, unknown, knots
         const double *table
@@ -25,6 +27,9 @@ cdef extern from "fit/body.h":
         const double *u
         const pmf_force *force
         const double *column
+        double tick
+        const double *on
+    int pmf_body_work(const pmf_body *body)
     int pmf_body_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work) nogil
 
 cdef extern from "fit/whiten.h":
@@ -34,28 +39,36 @@ cdef extern from "fit/whiten.h":
                       double *work) nogil
 
 BASE = PMF_BODY_BASE
+#: Number of parameters of a controller, after the free constants of the forces: gain, limit, delay of the loop.
+LOOP = PMF_LOOP_PARAMETERS
 KINDS = {
     "stribeck": PMF_FORCE_STRIBECK, "power": PMF_FORCE_POWER, "wave": PMF_FORCE_WAVE, "rub": PMF_FORCE_RUB,
     "spring": PMF_FORCE_SPRING, "speed": PMF_FORCE_SPEED, "place": PMF_FORCE_PLACE, "rub_place": PMF_FORCE_RUB_PLACE,
     "column": PMF_FORCE_COLUMN, "column_friction": PMF_FORCE_COLUMN_FRICTION,
     "column_viscous": PMF_FORCE_COLUMN_VISCOUS,
+    "load": PMF_FORCE_LOAD, "load_stribeck": PMF_FORCE_LOAD_STRIBECK, "loop_velocity": PMF_LOOP_VELOCITY,
+    "loop_filtered": PMF_LOOP_FILTERED, "loop_integral": PMF_LOOP_INTEGRAL,
 }
 
 
 def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.ndarray[double, mode="c"] u not None,
         cnp.ndarray[int, mode="c"] row not None, cnp.ndarray[double, ndim=2, mode="c"] columns not None,
-        cnp.ndarray[double, mode="c"] theta not None, int parts, bint slopes):
+        cnp.ndarray[double, mode="c"] theta not None, int parts, bint slopes, double tick=0.0,
+        cnp.ndarray[double, mode="c"] on=None):
     """Return positions, velocities (rows,) and derivatives (rows, w), and the number of finite rows.
 
     forces: tuples (kind, column, free, table, p, q). step, u: (n,). row: (rows,) rising, 0 to n. columns: (c, n).
-    theta: (w,). Without `slopes`, the derivatives are (rows, 0).
+    theta: (w,). Without `slopes`, the derivatives are (rows, 0). A controller moves the body in parts of at most `tick`
+    [s], if that is positive. u is then its goal, and it is off where `on` (n,) is 0.
     """
     cdef Py_ssize_t n = step.shape[0], rows = row.shape[0], count = len(forces), k
     cdef int shapes = sum(bool(force[2]) for force in forces), done
-    cdef Py_ssize_t w = PMF_BODY_BASE + count + shapes
+    cdef Py_ssize_t w = PMF_BODY_BASE + count + shapes + (PMF_LOOP_PARAMETERS if tick > 0.0 else 0)
     if n < 1 or rows < 1 or u.shape[0] != n or theta.shape[0] != w or columns.shape[1] != n or parts < 1:
         raise ValueError(f"lengths of step, u, columns or theta do not fit: {n}, {u.shape[0]}, {columns.shape[1]}, "
                          f"{theta.shape[0]} for {w} parameters")
+    if on is not None and on.shape[0] != n:
+        raise ValueError(f"on must have {n} values, got {on.shape[0]}")
     if row[0] < 0 or row[rows - 1] > n or np.any(np.diff(row) <= 0):
         raise ValueError("row must rise from 0 to n at most")
     y, v = np.full(rows, np.inf), np.full(rows, np.inf)
@@ -63,7 +76,7 @@ def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.n
     cdef cnp.ndarray[double, mode="c"] yy = y
     cdef cnp.ndarray[double, mode="c"] vv = v
     cdef cnp.ndarray[double, ndim=2, mode="c"] SS = S
-    cdef cnp.ndarray[double, mode="c"] work = np.empty(6 * w)
+    cdef cnp.ndarray[double, mode="c"] work
     cdef cnp.ndarray[double, mode="c"] table
     cdef pmf_force *list_ = <pmf_force *>calloc(count + 1, sizeof(pmf_force))
     cdef pmf_body body
@@ -76,11 +89,13 @@ def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.n
             table = values
             list_[k].kind, list_[k].column, list_[k].unknown, list_[k].knots = kind, column, is_free, table.shape[0]
             list_[k].table, list_[k].p, list_[k].q = <double *>table.data, p, q
-            if kind >= PMF_FORCE_COLUMN and not 0 <= column < columns.shape[0]:
+            if PMF_FORCE_COLUMN <= kind <= PMF_FORCE_COLUMN_VISCOUS and not 0 <= column < columns.shape[0]:
                 raise ValueError(f"force {k} has no column {column}")
         body.n, body.parts, body.forces, body.shapes, body.rows = n, parts, count, shapes, rows
         body.row, body.step, body.u = <int *>row.data, <double *>step.data, <double *>u.data
         body.force, body.column = list_, <double *>columns.data
+        body.tick, body.on = tick, <double *>on.data if on is not None else NULL
+        work = np.empty(pmf_body_work(&body))
         with nogil:
             done = pmf_body_run(&body, <double *>theta.data, <double *>yy.data, <double *>vv.data, slope,
                                 <double *>work.data)
