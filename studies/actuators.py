@@ -1,6 +1,6 @@
 """Compare `fit_servo` with its rivals on ten simulated servos: `python -m studies.actuators --out FILE`.
 
-MuJoCo's system identification needs `mujoco[sysid]`, and CMA-ES needs `cma`. A missing rival is left out.
+MuJoCo's system identification needs `mujoco[sysid]`. A missing rival is left out.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 
 from pmfid.actuators import Servo, fit_servo
-from pmfid.actuators.problem import ServoProblem
 from pmfid.types import Floats
 from studies.servo_truth import TrueServo, simulate_servos
 
@@ -120,23 +119,8 @@ def _draw_goal(t: Floats, rng: np.random.Generator) -> Floats:
 
 def fit_ours(log: Log) -> tuple[Floats, Floats, bool]:
     fit = fit_servo(log.servo, log.t, log.goal, log.position)
-    rows = [fit.servo.unknown.index(name) for name in NAMES]
+    rows = [fit.raw_names.index(name) for name in NAMES]
     return fit.theta[rows], fit.theta_std[rows], bool(fit.status)
-
-
-def fit_cma(log: Log) -> tuple[Floats, Floats, bool]:
-    """Minimise the squared residual of the same model by CMA-ES in logarithms, from a rough guess."""
-    import cma
-
-    problem = ServoProblem(log.servo, log.t, log.goal, log.position)
-    guess = {"inertia": log.truth.kp / 25.0**2, "viscous": log.truth.kp / 25.0, "coulomb": 0.1 * problem.torque()}
-    guess |= {"delay": PERIOD, "stribeck": 0.1 * problem.torque(), "stribeck_speed": 0.3, "load_friction": 0.05}
-    guess |= {"gravity": problem.torque()}
-    start = problem.coordinates(np.array([guess[name] for name in log.servo.unknown]))
-    options = {"verbose": -9, "seed": 1, "maxfevals": 20000, "tolfun": 1e-9}
-    found = cma.fmin2(lambda z: float(np.mean(np.square(problem.residual(z)))), start, 0.7, options)[0]
-    rows = [log.servo.unknown.index(name) for name in NAMES]
-    return problem.theta(found)[rows], np.full(len(NAMES), np.nan), False
 
 
 def fit_derivatives(log: Log) -> tuple[Floats, Floats, bool]:
@@ -220,7 +204,6 @@ def _set_joint(spec: Any, key: str, value: float) -> None:
 
 METHODS: dict[str, tuple[Callable[[Log], tuple[Floats, Floats, bool]], str | None]] = {
     "pmfid": (fit_ours, None),
-    "CMA-ES, same model": (fit_cma, "cma"),
     "mujoco.sysid": (fit_mujoco, "mujoco"),
     "derivatives": (fit_derivatives, None),
 }

@@ -1,6 +1,6 @@
-"""Estimates of `fit_servo` on random servos of all kinds: `python -m studies.servo_grid --logs 160 --salt 1`.
+"""Estimates of servos on random servos of all kinds: `python -m studies.servo_grid --servos 60 --salt 1`.
 
-`--wrong` gives each servo a friction or a gear that the package's model does not have.
+`--logs 3` gives each servo three logs. `--wrong` gives each servo an effect that the package's model does not have.
 """
 
 from __future__ import annotations
@@ -9,19 +9,21 @@ import argparse
 import math
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.actuators import Servo, fit_servo
+from pmfid.actuators import JointLog, Servo, fit_logs
 from pmfid.errors import PmfidError
 from pmfid.types import Floats
 from studies.servo_truth import TrueServo, simulate_servos
 
-RATES, BITS, TIME = (50, 100, 200, 500, 1000), (10, 12), 10.0
-NAMES = ("inertia", "viscous", "coulomb", "delay", "kp")
-WRONG = ("asymmetry", "ripple", "cogging", "root", "bristle", "backlash", "gearbox")
+RATES, BITS, TIME = (50, 100, 200, 500), (10, 12, 14), 10.0
+LAWS = ("P", "PD true", "PD differenced", "PD filtered", "PID")
+FRICTIONS = ("plain", "load", "Stribeck", "cogging")
+WRONG = ("asymmetry", "ripple", "root", "bristle", "backlash", "gearbox")
+NAMES = ("inertia", "viscous", "coulomb", "delay", "kp", "ki")
 
 
 @dataclass(frozen=True)
@@ -35,60 +37,78 @@ class Case:
 
 
 def draw_case(number: int, salt: int, wrong: bool) -> Case:
-    """Draw a servo with P or PD control, a known or unknown gain, free or on a pendulum, and perhaps with a limit."""
+    """Draw a servo with a known gain, or with a known pendulum. Its user does not know its law and its friction."""
     rng = np.random.default_rng([number, salt, 52])
-    rate, bits = RATES[number % 5], BITS[number // 5 % 2]
-    pendulum, known, derivative, limited = ((number >> shift) % 2 == 1 for shift in range(4))
-    step, inertia = 2 * math.pi / 2**bits, float(np.exp(rng.uniform(math.log(1e-4), math.log(0.1))))
+    law, friction = LAWS[number % 5], FRICTIONS[number // 5 % 4]
+    rate, bits = int(rng.choice(RATES)), int(rng.choice(BITS))
+    pendulum, limited = bool(rng.random() < 0.5), bool(rng.random() < 0.3)
+    known = not pendulum or bool(rng.random() < 0.5)
+    inertia = float(np.exp(rng.uniform(math.log(1e-4), math.log(0.1))))
     frequency, damping = rng.uniform(15.0, 45.0), rng.uniform(0.4, 1.2)
     kp, viscous = inertia * frequency**2, 2 * damping * frequency * inertia
+    coulomb = kp * 2 * math.pi / 4096 * rng.uniform(5.0, 20.0)
+    of_law = {
+        "P": {},
+        "PD true": {"kd_true": 0.4 * viscous},
+        "PD differenced": {"kd": 0.4 * viscous},
+        "PD filtered": {"kd_filtered": 0.4 * viscous, "velocity_filter": rng.uniform(1e-3, 6e-3)},
+        "PID": {"kd": 0.4 * viscous, "ki": kp * rng.uniform(1.0, 6.0)},
+    }
+    of_friction = {
+        "plain": {},
+        "load": {"load_friction": rng.uniform(0.03, 0.15)},
+        "Stribeck": {"stribeck": coulomb * rng.uniform(0.3, 0.8), "stribeck_speed": rng.uniform(0.2, 1.0)},
+        "cogging": {"cogging": 0.3 * coulomb, "waves": float(rng.integers(5, 30))},
+    }
     truth = TrueServo(
         inertia=inertia,
-        viscous=viscous * (0.6 if derivative else 1.0),
-        kd=viscous * 0.4 * derivative,
-        coulomb=kp * 2 * math.pi / 4096 * rng.uniform(5.0, 20.0),
+        viscous=viscous * (1.0 if law == "P" else 0.6),
+        coulomb=coulomb,
         kp=kp,
-        delay=rng.uniform(0.0, 3.0) / rate,
-        resolution=step,
+        delay=rng.uniform(0.0, 0.03),
+        resolution=2 * math.pi / 2**bits,
         gravity=kp * rng.uniform(0.05, 0.2) * pendulum,
         torque_limit=kp * rng.uniform(0.25, 0.5) if limited else 1e12,
         phase=rng.random(),
+        **of_law[law],
+        **of_friction[friction],
     )
-    given = {"kp": kp} if known else {"gravity": truth.gravity} if pendulum else {}
-    given |= {"kd": truth.kd} if known or not derivative else {}
-    given |= {"gravity_angle": 0.0} if pendulum else {}
-    terms = [name for name, used in (("gravity", pendulum and known), ("kd", derivative and not known)) if used]
-    kind = [f"{rate} Hz", f"{bits} bit", "pendulum" if pendulum else "free", "kp known" if known else "kp unknown"]
-    kind += ["PD" if derivative else "P", "limit" if limited else "no limit"]
+    given = {"kp": kp} if known else {"gravity": truth.gravity}
+    kind = [law, friction, f"{rate} Hz", f"{bits} bit", "pendulum" if pendulum else "free"]
+    kind += ["kp known" if known else "kp unknown", "limit" if limited else "no limit"]
     if wrong:
-        law = WRONG[number % len(WRONG)]
-        truth, kind = _spoil(truth, law, rng), [*kind, law]
-    return Case(truth, Servo(step, given, terms), rate, tuple(kind))
+        effect = WRONG[number % len(WRONG)]
+        truth, kind = _spoil(truth, effect, rng), [*kind, effect]
+    return Case(truth, Servo(truth.resolution, given), rate, tuple(kind))
 
 
-def _spoil(truth: TrueServo, law: str, rng: np.random.Generator) -> TrueServo:
+def _spoil(truth: TrueServo, effect: str, rng: np.random.Generator) -> TrueServo:
     """Return a servo with an effect that the package's model does not have."""
-    waves, strength = float(rng.integers(3, 30)), rng.uniform(0.2, 0.6)
+    strength = rng.uniform(0.2, 0.6)
     effects: dict[str, dict[str, float]] = {
         "asymmetry": {"asymmetry": strength},
-        "ripple": {"ripple": strength, "waves": waves},
-        "cogging": {"cogging": strength * truth.coulomb, "waves": waves},
+        "ripple": {"ripple": strength, "waves": float(rng.integers(3, 30))},
         "root": {"root": strength * truth.viscous, "viscous": truth.viscous * (1 - strength)},
         "bristle": {"bristle": truth.resolution * rng.uniform(1.0, 6.0)},
         "backlash": {"backlash": truth.resolution * rng.uniform(1.0, 6.0)},
         "gearbox": {"load_friction": 0.3 * strength, "stribeck": truth.coulomb * strength, "root": 0.2 * truth.viscous},
     }
-    return replace(truth, **effects[law])
+    return replace(truth, **effects[effect])
 
 
-def make_cases(logs: int, salt: int, wrong: bool) -> Iterator[tuple[Case, Floats, Floats, Floats]]:
-    """Yield servos with times [s], goals [rad] and positions [rad]."""
-    for numbers in np.array_split(np.arange(logs), max(logs // 80, 1)):
-        cases = [draw_case(number, salt, wrong) for number in numbers.tolist()]
-        times = [np.arange(0.0, TIME, 1 / case.rate) for case in cases]
-        goals = [draw_goal(t, np.random.default_rng([n, salt, 53])) for n, t in zip(numbers, times, strict=True)]
-        positions = simulate_servos([case.truth for case in cases], times, goals)
-        yield from zip(cases, times, goals, positions, strict=True)
+def make_cases(servos: int, salt: int, wrong: bool, logs: int) -> list[tuple[Case, list[JointLog]]]:
+    """Return servos with logs."""
+    cases = [draw_case(number, salt, wrong) for number in range(servos)]
+    flat = [(case, k) for case in cases for k in range(logs)]
+    times = [np.arange(0.0, TIME, 1 / case.rate) for case, _ in flat]
+    seeds = [[number, salt, 53, k] for number in range(servos) for k in range(logs)]
+    goals = [draw_goal(t, np.random.default_rng(seed)) for t, seed in zip(times, seeds, strict=True)]
+    positions = simulate_servos([case.truth for case, _ in flat], times, goals)
+    made = [
+        JointLog("joint", t, goal, position, case.truth.resolution)
+        for (case, _), t, goal, position in zip(flat, times, goals, positions, strict=True)
+    ]
+    return [(case, made[k * logs : (k + 1) * logs]) for k, case in enumerate(cases)]
 
 
 def draw_goal(t: Floats, rng: np.random.Generator) -> Floats:
@@ -100,58 +120,77 @@ def draw_goal(t: Floats, rng: np.random.Generator) -> Floats:
 
 @dataclass(frozen=True)
 class Row:
-    """Errors relative to the truth, and in bars, by name; the status, and the processor time [s]."""
+    """Relative errors, errors in standard errors and relative standard errors by name; status and time [s]."""
 
     kind: tuple[str, ...]
     relative: dict[str, float]
     bars: dict[str, float]
+    widths: dict[str, float]
     status: tuple[str, ...]
     added: tuple[str, ...]
     cpu: float
 
 
-def measure_case(case: Case, t: Floats, goal: Floats, position: Floats) -> Row:
-    """Fit a log. Torques of a servo without a known torque are compared as multiples of kp."""
+def measure_case(case: Case, logs: Sequence[JointLog]) -> Row:
+    """Fit the logs of a servo."""
     start, truth = time.process_time(), case.truth
     try:
-        fit = fit_servo(case.servo, t, goal, position)
+        fit = fit_logs(case.servo, logs)
     except PmfidError as error:
-        return Row(case.kind, {}, {}, (f"refused: {error}",), (), time.process_time() - start)
-    cpu, scale = time.process_time() - start, truth.kp if fit.servo.relative else 1.0
-    true = {name: getattr(truth, name) / scale for name in NAMES} | {"delay": truth.find_delay(t, goal)}
-    relative, bars = {}, {}
-    for name, value, std in zip(fit.servo.unknown, fit.theta.tolist(), fit.theta_std.tolist(), strict=True):
-        if name in true:
+        return Row(case.kind, {}, {}, {}, (f"refused: {error}",), (), time.process_time() - start)
+    cpu = time.process_time() - start
+    true = {name: getattr(truth, name) for name in NAMES} | {"delay": truth.find_delay(logs[0].t, logs[0].goal)}
+    if "kd" not in fit.added:  # friction in the loop and in the joint are one
+        true["viscous"] += truth.kd + truth.kd_true + truth.kd_filtered
+    relative, bars, widths = {}, {}, {}
+    for name, value, std in zip(fit.raw_names, fit.theta.tolist(), fit.theta_std.tolist(), strict=True):
+        if true.get(name):
             unit = max(true[name], 1 / case.rate) if name == "delay" else true[name]
             relative[name], bars[name] = (value - true[name]) / unit, (value - true[name]) / std
-    return Row(case.kind, relative, bars, fit.status, fit.added, cpu)
+            widths[name] = std / unit
+    return Row(case.kind, relative, bars, widths, fit.status, fit.added, cpu)
 
 
-def write_rows(rows: Sequence[Row]) -> Iterator[str]:
-    """Yield the lines of a table by kind."""
+def write_rows(rows: Sequence[Row]) -> list[str]:
+    """Return the lines of a table by kind."""
     errors = " | ".join(f"{name} [%]" for name in NAMES)
-    yield f"| kind | logs | flagged | {errors} | covered [%] | silent | CPU [s] |"
-    yield "|---" * (len(NAMES) + 6) + "|"
+    lines = [f"| kind | servos | flagged | {errors} | covered [%] | of inertia | beyond 3 std | width | CPU [s] |"]
+    lines.append("|---" * (len(NAMES) + 8) + "|")
     for kind in ("all", *sorted({word for row in rows for word in row.kind})):
         own = [row for row in rows if kind == "all" or kind in row.kind]
-        quiet = [row for row in own if not row.status]
-        sizes = [[abs(row.relative[name]) for row in quiet if name in row.relative] for name in NAMES]
-        bars = np.abs([value for row in quiet for value in row.bars.values()])
+        sizes = [[abs(row.relative[name]) for row in own if name in row.relative] for name in NAMES]
+        bars = np.abs([value for row in own for value in row.bars.values()])
+        inertia = np.abs([row.bars["inertia"] for row in own if "inertia" in row.bars])
+        silent = [value for row in own if not row.status for value in row.bars.values()]
         medians = " | ".join(f"{100 * np.median(part):.2f}" if part else "–" for part in sizes)
-        covered = f"{100 * np.mean(bars < 1.96):.0f}" if bars.size else "–"
-        cpu = np.median([row.cpu for row in own])
-        silent = f"{np.sum(bars > 3)} of {bars.size}"
-        yield f"| {kind} | {len(own)} | {len(own) - len(quiet)} | {medians} | {covered} | {silent} | {cpu:.2f} |"
+        covered, of_inertia = (f"{100 * np.mean(part < 1.96):.0f}" if part.size else "–" for part in (bars, inertia))
+        rms = np.sqrt(np.mean(np.square([row.relative.get("inertia", 0.0) for row in own])))
+        width = np.mean([row.widths.get("inertia", 0.0) for row in own]) / max(rms, 1e-12)
+        flagged, cpu = sum(bool(row.status) for row in own), np.median([row.cpu for row in own])
+        beyond = f"{np.sum(np.abs(silent) > 3)} of {len(silent)}"
+        cells = (kind, len(own), flagged, medians, covered, of_inertia, beyond, f"{width:.2f}", f"{cpu:.1f}")
+        lines.append("| " + " | ".join(map(str, cells)) + " |")
+    return lines
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the study, print its table, and return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--logs", type=int, default=160)
+    parser.add_argument("--servos", type=int, default=60)
+    parser.add_argument("--logs", type=int, default=1)
     parser.add_argument("--salt", type=int, default=1)
     parser.add_argument("--wrong", action="store_true")
+    parser.add_argument("--verbose", action="store_true", help="one line for each servo")
     options = parser.parse_args(arguments)
-    rows = [measure_case(*case) for case in make_cases(options.logs, options.salt, options.wrong)]
+    rows = []
+    for case, logs in make_cases(options.servos, options.salt, options.wrong, options.logs):
+        rows.append(measure_case(case, logs))
+        if options.verbose:
+            row = rows[-1]
+            found = ", ".join(
+                f"{name} {100 * row.relative[name]:.2f} ± {100 * row.widths[name]:.2f}" for name in row.relative
+            )
+            print(", ".join(row.kind), "|", found, "|", *row.status, "|", *row.added, f"| {row.cpu:.1f} s", flush=True)
     print("\n".join(write_rows(rows)))
     return 0
 

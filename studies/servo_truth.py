@@ -18,6 +18,10 @@ LOOP = 1e-3
 class TrueServo:
     """A servo under position commands, in SI units. `phase` in [0, 1) is that of the ticks of the loop.
 
+    The gain `kd` acts on differences of the counts, `kd_true` on the true velocity, and `kd_filtered` on the
+    differences after a lag of `velocity_filter`. The friction `load_stribeck` times the transmitted torque falls off
+    with the square of the velocity over `stribeck_speed`.
+
     The last seven are effects that the package's model does not have. `asymmetry` is a part of the viscous friction,
     `ripple` a part of the Coulomb friction that turns with the position `waves` times a turn, and `cogging` a torque
     that does so. `root` is a friction at 1 rad/s that grows with the root of the speed. A friction with `bristle` needs
@@ -37,6 +41,11 @@ class TrueServo:
     stribeck_speed: float = 1.0
     load_friction: float = 0.0
     phase: float = 0.0
+    kd_true: float = 0.0
+    kd_filtered: float = 0.0
+    velocity_filter: float = 1e-3
+    ki: float = 0.0
+    load_stribeck: float = 0.0
     asymmetry: float = 0.0
     ripple: float = 0.0
     cogging: float = 0.0
@@ -68,14 +77,18 @@ def simulate_servos(servos: Sequence[TrueServo], t: Floats | Sequence[Floats], g
     rate = np.maximum(own["viscous"] / own["inertia"] * STEP, 1e-12)
     left, gain = np.exp(-rate), -np.expm1(-rate) / rate * STEP / own["inertia"]
     first = np.round(own["phase"] * every).astype(int)
-    x, v, torque, before, shown, slip = (np.zeros(len(servos)) for _ in range(6))
+    x, v, torque, before, shown, slip, slow, total = (np.zeros(len(servos)) for _ in range(8))
+    share = -np.expm1(-LOOP / own["velocity_filter"])
     soft, bristle, play = own["bristle"] > 0, np.maximum(own["bristle"], 1e-12), 0.5 * own["backlash"]
     out, columns = np.empty((count, len(servos)), np.float32), np.arange(len(servos))
     for k in range(count):
         shown, tick = np.clip(shown, x - play, x + play), (k + first) % every == 0
         out[k] = shown
         seen = own["resolution"] * np.rint(shown / own["resolution"])
-        wanted = own["kp"] * (held[(k + first) // every, columns] - seen) - own["kd"] * (seen - before) / LOOP
+        apart, change = held[(k + first) // every, columns] - seen, (seen - before) / LOOP
+        slow, total = np.where(tick, slow + share * (change - slow), slow), np.where(tick, total + LOOP * apart, total)
+        wanted = own["kp"] * apart + own["ki"] * total - own["kd"] * change
+        wanted = wanted - own["kd_true"] * v - own["kd_filtered"] * slow
         torque = np.where(tick, np.clip(wanted, -own["torque_limit"], own["torque_limit"]), torque)
         before, wave, speed = np.where(tick, seen, before), np.sin(own["waves"] * x), np.abs(v)
         load = own["gravity"] * np.sin(x)
@@ -84,7 +97,8 @@ def simulate_servos(servos: Sequence[TrueServo], t: Floats | Sequence[Floats], g
         force = torque - load - own["cogging"] * wave - own["asymmetry"] * own["viscous"] * speed
         force = force - np.where(soft, dry * slip / bristle, 0.0)
         friction = np.where(soft, 0.0, dry) + own["load_friction"] * transmitted + own["root"] * np.sqrt(speed)
-        friction = friction + own["stribeck"] * np.exp(-speed / own["stribeck_speed"])
+        falling = np.exp(-np.square(speed / own["stribeck_speed"]))
+        friction = friction + (own["stribeck"] + own["load_stribeck"] * transmitted) * falling
         moved, stop = left * v + gain * force, gain * friction
         moved = np.where(np.abs(moved) > stop, moved - np.copysign(stop, moved), 0.0)
         way = 0.5 * STEP * (v + moved)

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 from pmfid.actuators import Servo, fit_servo
+from pmfid.actuators import search as servo_search
 from pmfid.actuators.exports import make_files
 from pmfid.actuators.joints import FittedJoint
 from pmfid.actuators.logs import JointLog
-from pmfid.actuators.tuning import ActuatorTuning
+from pmfid.actuators.servo import UNITS
 from pmfid.types import Floats
 from tests.test_actuators import STEP, make_log
 
@@ -22,9 +24,10 @@ NAME = 'knee "left" <--2>'
 def fit_joint(seed: int, given: dict[str, float], terms: list[str], **truth: float) -> FittedJoint:
     log = make_log(seed, **truth)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ActuatorTuning, "rounds", ((100, 2),))
+        patch.setattr(servo_search, "DRAWS", 150)
+        patch.setattr(servo_search, "REFINED", 3)
         fit = fit_servo(Servo(STEP, given, terms), *log, search=False)
-    return FittedJoint(JointLog(NAME, *log, STEP), fit)
+    return FittedJoint([JointLog(NAME, *log, STEP)], fit)
 
 
 @pytest.fixture(scope="module")
@@ -35,12 +38,12 @@ def pendulum() -> FittedJoint:
 
 @pytest.fixture(scope="module")
 def free() -> FittedJoint:
-    return fit_joint(3, {}, [], gravity=0.0, kd=0.0)
+    return fit_joint(3, {"kd": 0.0}, [], gravity=0.0, kd=0.0)
 
 
 def estimates(joint: FittedJoint) -> dict[str, float]:
     assert joint.fit is not None
-    return dict(zip(joint.fit.servo.unknown, joint.fit.theta.tolist(), strict=True))
+    return dict(zip(joint.fit.raw_names, joint.fit.theta.tolist(), strict=True))
 
 
 def test_mjcf_and_urdf_have_the_estimates(pendulum: FittedJoint) -> None:
@@ -86,6 +89,10 @@ def test_the_other_files_have_the_estimates_by_their_own_names(pendulum: FittedJ
     assert 0 < wpilib["std"]["kA"] < 0.1 * wpilib["kA"]
     (bam,) = (json.loads(text) for name, text in files.items() if name.startswith("bam_"))
     assert (bam["model"], bam["armature"]) == ("m1", pytest.approx(theta["inertia"]))
+    stated = replace(pendulum.log, stated={"pendulum": 0.004, "motor": "sts3215"})
+    bench = next(text for name, text in make_files([replace(pendulum, logs=[stated])]).items() if "bam_" in name)
+    assert json.loads(bench)["actuator"] == "sts3215"
+    assert json.loads(bench)["armature"] == pytest.approx(theta["inertia"] - 0.004)
     assert bam["friction_base"] == pytest.approx(theta["coulomb"])
     relative = make_files([free])
     assert all("torques are multiples of kp" in text for text in relative.values())
@@ -93,7 +100,7 @@ def test_the_other_files_have_the_estimates_by_their_own_names(pendulum: FittedJ
 
 
 def test_a_joint_without_a_fit_is_left_out(pendulum: FittedJoint) -> None:
-    files = make_files([FittedJoint(pendulum.log, None, "hardly moves")])
+    files = make_files([FittedJoint(pendulum.logs, None, "hardly moves")])
     assert all(NAME not in text for text in files.values())
     assert ElementTree.fromstring(files["servos.xml"]).find(".//joint") is None
 
@@ -121,7 +128,7 @@ def replay(text: str, t: Floats, goal: Floats, start: float) -> Floats:
 @pytest.mark.parametrize(
     ("given", "terms", "change", "within"),
     [
-        ({}, [], {"gravity": 0.0, "kd": 0.0}, 1.1),
+        ({"kd": 0.0}, [], {"gravity": 0.0, "kd": 0.0}, 1.1),
         ({"kp": 8.0, "kd": 0.02, "gravity_angle": 0.0}, ["gravity"], {}, 1.1),
         # The lag of the loop is damping and inertia in MuJoCo, which act at the limit of the torque as well.
         ({"kp": 8.0, "kd": 0.02, "gravity_angle": 0.0}, ["gravity", "torque_limit"], {"torque_limit": 5.0}, 1.5),
@@ -134,6 +141,7 @@ def test_mujoco_moves_as_the_fit_predicts(
     joint = fit_joint(1, given, terms, **change)
     assert joint.fit is not None
     t, goal, position = make_log(9, **change)
-    own = joint.fit.servo.simulate(joint.fit.theta, t, goal, float(position[0])) - position
+    known = {name: value for name, value in joint.fit.values.items() if name in UNITS}
+    own = Servo(STEP, {"kp": 1.0, **known}).simulate(np.empty(0), t, goal, float(position[0])) - position
     theirs = replay(make_files([joint])["servos.xml"], t, goal, float(position[0])) - position
     assert np.sqrt(np.mean(theirs**2)) < within * np.sqrt(np.mean(own**2))

@@ -70,7 +70,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "testing": DIAGNOSTICS,
     "simulation": {"edge_times", "elementary", "errors", "types"},
     "design": {"errors", "types", "presentation", "lazy_imports", "models", "simulation"},
-    "actuators": {"errors", "estimators", "findings", "io", "presentation", "records", "simulation", "types"},
+    "actuators": {"_body", "errors", "findings", "fit", "io", "presentation", "records", "types"},
     "export": DIAGNOSTICS | {"pmfid"},
     "pipeline": PIPELINE,
     "stream": WINGS,

@@ -164,8 +164,7 @@ static double sum_forces(const state *t, double x, double v, double s, int i, do
     for (int j = 0; j < t->b->forces; j++) {
         const pmf_force *f = t->b->force + j;
         if (t->size[j] != 0 && !in_loop(f))
-            sum += t->size[j] *
-                   force_at(f, t->p[j], x, v, s, is_load_friction(f) ? fabs(T) : column_at(t, f, i)).h;
+            sum += t->size[j] * force_at(f, t->p[j], x, v, s, is_load_friction(f) ? fabs(T) : column_at(t, f, i)).h;
     }
     return sum;
 }
@@ -223,8 +222,8 @@ static double drive_now(const state *t, double g, int i)
 }
 
 /* Force of the controller at (x, v) with memories s, and its derivatives dq (w). */
-static double loop_force(state *t, double x, double v, double g, double g_delay, double g_lag, int i,
-                         const double *dx, const double *dv, const double *s, const double *ds)
+static double loop_force(state *t, double x, double v, double g, double g_delay, double g_lag, int i, const double *dx,
+                         const double *dv, const double *s, const double *ds)
 {
     const double kp = t->loop[PMF_LOOP_GAIN], D = loop_delay(t), u = free_force(t, x, v, g, s), used = limit(t, u, i);
     const int at = (int)(t->loop - t->theta);
@@ -260,13 +259,13 @@ static double loop_force(state *t, double x, double v, double g, double g_delay,
 static double carry_lag(const state *t, double tau, double share, int row, double h, double s, double a, double b,
                         const double *ds, const double *da, const double *db, double *out)
 {
-    const double z = h / tau;
+    const double z = h / (tau > LEAST_DELAY / 2 ? tau : LEAST_DELAY / 2);
     const phi f = phi_of(z);
     const double by_a = f.p1 - f.e, by_b = 1 - f.p1;
     for (int k = 0; k < t->w; k++)
         out[k] = f.e * ds[k] + by_a * da[k] + by_b * db[k];
     if (row >= 0)
-        out[row] += share * (-f.e * s + a * (f.q1 + f.e) - b * f.q1) * -z / tau;
+        out[row] += share * (-f.e * s + a * (f.q1 + f.e) - b * f.q1) * -z * z / h;
     return f.e * s + by_a * a + by_b * b;
 }
 
@@ -289,8 +288,8 @@ static void carry_memories(state *t, double h, double g, double g_delay, double 
                 da[k] = 2 * ds[k] - dv0[k];
                 db[k] = 2 * dms[k] - dv1[k];
             }
-            ms[1 + j] = carry_lag(t, t->p[j], 1, f->unknown ? shape : -1, h, s[1 + j], 2 * s[0] - v0,
-                                  2 * ms[0] - v1, own, da, db, out);
+            ms[1 + j] = carry_lag(t, t->p[j], 1, f->unknown ? shape : -1, h, s[1 + j], 2 * s[0] - v0, 2 * ms[0] - v1,
+                                  own, da, db, out);
         } else if (f->kind == PMF_LOOP_INTEGRAL) { /* minus the integral of the error */
             const int on = !(t->b->on && t->b->on[t->i] == 0);
             const double half = h / 2;

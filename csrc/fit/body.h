@@ -78,10 +78,11 @@ typedef struct {
     const double *on; /* (n) 0 where the controller is off; may be null */
 } pmf_body;
 
-/* Simulate the motion at theta (w), w = PMF_BODY_BASE + forces + shapes, + PMF_LOOP_PARAMETERS with a controller: positions y (rows), velocities v (rows),
- * derivatives S (rows, w) of y.
+/* Simulate the motion at theta (w), w = PMF_BODY_BASE + forces + shapes, + PMF_LOOP_PARAMETERS with a controller:
+ * positions y (rows), velocities v (rows), derivatives S (rows, w) of y.
  *
- * v and S may be null. `work` has room for pmf_body_work numbers. Returns the number of rows before the motion overflows. */
+ * v and S may be null. `work` has room for pmf_body_work numbers. Returns the number of rows before the motion
+ * overflows. */
 int pmf_body_work(const pmf_body *body);
 int pmf_body_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work);
 

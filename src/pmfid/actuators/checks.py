@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,16 +15,17 @@ from pmfid.types import Floats
 
 
 def check_joint(log: JointLog, others: Sequence[JointLog]) -> None:
-    """Raise UsageError for a goal in another unit, of another joint, of the other sign, late, or without effect.
+    """Raise UsageError for a goal in another unit, of another joint, of the other sign, or without effect.
 
     `others` are all joints of the log, on one clock. A joint that hardly moves passes, for a fit says so.
     """
+    log = _cut_free(log)
     if log.t.size < TUNING.least_checked or min(np.ptp(log.goal), np.ptp(log.position)) < 3 * log.resolution:
         return
-    own, lag = correlate(log.t, log.goal, log.position)
+    own = correlate(log.t, log.goal, log.position)
     for other in others:
-        if other is not log and abs(own) < TUNING.exchanged and np.ptp(other.goal) > 0:
-            best, _ = correlate(log.t, np.interp(log.t, other.t, other.goal), log.position)
+        if other.name != log.name and abs(own) < TUNING.exchanged and np.ptp(other.goal) > 0:
+            best = correlate(log.t, np.interp(log.t, other.t, other.goal), log.position)
             if best > max(TUNING.exchanged, abs(own) + TUNING.better):
                 raise UsageError(
                     f"the position follows the goal of joint {other.name} (correlation {best:.2f}), not its own goal "
@@ -36,29 +38,30 @@ def check_joint(log: JointLog, others: Sequence[JointLog]) -> None:
     if own < 0:
         raise UsageError("the position moves against the goal: reverse the sign of one column")
     _check_units(log)
-    if lag < -TUNING.early * float(np.median(np.diff(log.t))):
-        raise UsageError(
-            f"the position moves {-1e3 * lag:.0f} ms before its goal: log the goal when it is sent, or shift its times"
-        )
 
 
-def correlate(t: Floats, goal: Floats, position: Floats) -> tuple[float, float]:
-    """Return the correlation of the position with the goal at the best lag, and this lag [s].
+def _cut_free(log: JointLog) -> JointLog:
+    """Return the rows with the torque on."""
+    if log.on is None:
+        return log
+    on = log.on > 0
+    return replace(log, t=log.t[on], goal=log.goal[on], position=log.position[on])
 
-    The correlation has the largest magnitude, and the lag is positive if the position comes after the goal.
-    """
+
+def correlate(t: Floats, goal: Floats, position: Floats) -> float:
+    """Return the correlation of the position with the goal at the lag at which its magnitude is largest."""
     period = float(np.median(np.diff(t)))
     grid = np.arange(t[0], t[-1], period)
     held = goal[np.searchsorted(t, grid + 1e-9 * period, side="right") - 1]
-    moved, best = np.interp(grid, t, position), (0.0, 0.0)
+    moved, best = np.interp(grid, t, position), 0.0
     most = min(int(TUNING.longest_lag / period), grid.size // 4)
     for lag in range(-most, most + 1):
         first, second = held[max(-lag, 0) : held.size - max(lag, 0)], moved[max(lag, 0) : moved.size - max(-lag, 0)]
         first, second = first - first.mean(), second - second.mean()
         size = float(np.linalg.norm(first) * np.linalg.norm(second))
         found = float(first @ second) / size if size > 0 else 0.0
-        if abs(found) > abs(best[0]):
-            best = found, lag * period
+        if abs(found) > abs(best):
+            best = found
     return best
 
 

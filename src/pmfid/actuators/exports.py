@@ -36,6 +36,7 @@ BAM: Mapping[str, str] = {
     "friction_stribeck": "stribeck",
     "dtheta_stribeck": "stribeck_speed",
     "load_friction_base": "load_friction",
+    "load_friction_stribeck": "load_stribeck",
     "command_delay": "delay",
 }
 TOTAL = "inertia is all that turns with the joint, and viscous friction includes the back-EMF"
@@ -43,12 +44,13 @@ TOTAL = "inertia is all that turns with the joint, and viscous friction includes
 
 @dataclass(frozen=True)
 class _Axle:
-    """A joint with all its parameters by name, estimated or given, and the standard errors of the estimated ones."""
+    """A joint with its parameters by name, determined or given, and the standard errors of the determined ones."""
 
     name: str
     fit: ServoFit
     values: Mapping[str, float]
     std: Mapping[str, float]
+    stated: Mapping[str, str | float]
 
     def get(self, name: str) -> float:
         return self.values.get(name, 0.0)
@@ -66,7 +68,9 @@ class _Axle:
         left = [name for name in self.values if name not in known and self.get(name)]
         status = f"; status: {', '.join(self.fit.status)}" if self.fit.status else ""
         relative = "; torques are multiples of kp" if self.fit.servo.relative else ""
-        return f"{self.name}: {words}{relative}{status}" + (f"; not in this file: {', '.join(left)}" if left else "")
+        missing = f"; not determined, and left out: {', '.join(self.fit.open)}" if self.fit.open else ""
+        left_out = f"; not in this file: {', '.join(left)}" if left else ""
+        return f"{self.name}: {words}{relative}{status}{missing}{left_out}"
 
     @property
     def pendulum(self) -> tuple[float, float]:
@@ -83,10 +87,11 @@ def _list_axles(found: Sequence[FittedJoint]) -> list[_Axle]:
     for joint in found:
         if joint.fit is not None:
             fit = joint.fit
-            theta = dict(zip(fit.servo.unknown, map(float, fit.theta), strict=True))
-            std = dict(zip(fit.servo.unknown, map(float, fit.theta_std), strict=True))
+            std = dict(zip(fit.raw_names, fit.theta_std.tolist(), strict=True))
+            std = {name: error for name, error in std.items() if name not in fit.open}
             base = {"kp": 1.0} if fit.servo.relative else {}
-            axles.append(_Axle(printable(joint.log.name), fit, {**base, **fit.servo.given, **theta}, std))
+            values = {name: value for name, value in {**base, **fit.values}.items() if name in UNITS}
+            axles.append(_Axle(printable(joint.log.name), fit, values, std, joint.log.stated))
     return axles
 
 
@@ -236,8 +241,17 @@ def _translate(own: _Axle, keys: Mapping[str, str]) -> dict[str, object]:
 
 
 def _make_bam(own: _Axle) -> dict[str, object]:
-    """Return the parameters of BAM's model m1 to m4. The motor's kt and R are not visible in a log of positions."""
-    model = {(False, False): "m1", (True, False): "m2", (False, True): "m3", (True, True): "m4"}
-    kind = model["stribeck" in own.values, "load_friction" in own.values]
-    curve = {"alpha": 1.0} if "stribeck" in own.values else {}
-    return {"model": kind, **curve, **_translate(own, BAM)}
+    """Return the parameters of BAM's model m1 to m4. The motor's kt and R are not visible in a log of positions.
+
+    BAM adds the inertia of its pendulum itself.
+    """
+    falls = "stribeck" in own.values or "load_stribeck" in own.values
+    loads = "load_friction" in own.values or "load_stribeck" in own.values
+    model = {(False, False): "m1", (True, False): "m2", (False, True): "m3", (True, True): "m4"}[falls, loads]
+    speed = own.values.get("stribeck_speed", own.values.get("load_stribeck_speed"))
+    curve = {"alpha": 2.0, **({} if speed is None else {"dtheta_stribeck": speed})} if falls else {}
+    found = _translate(own, BAM)
+    pendulum = float(own.stated.get("pendulum", 0.0))
+    if "inertia" in own.values:
+        found["armature"] = own.get("inertia") - pendulum
+    return {"model": model, "actuator": str(own.stated.get("motor", "")), **curve, **found}

@@ -7,7 +7,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import count, groupby, takewhile
+from itertools import count, takewhile
 from pathlib import Path
 
 import numpy as np
@@ -20,12 +20,17 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True, eq=False)
 class RobotTable:
-    """Columns of a log, parameters that the file states, and notes. `unitless` means that no unit is stated."""
+    """Columns of a log, parameters that the file states, and notes. `unitless` means that no unit is stated.
+
+    `stated` has what a test bench states beside them: `motor`, `kp` in the unit of the firmware, and the inertia of the
+    pendulum [kg m2].
+    """
 
     columns: Table
     given: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     unitless: bool = False
+    stated: Mapping[str, str | float] = field(default_factory=dict)
 
 
 def read_robot_table(path: Path, episode: int | None) -> RobotTable:
@@ -57,18 +62,17 @@ def _refuse(kind: str) -> Iterator[None]:
 
 
 def _read_bam(path: Path) -> RobotTable:
-    """Read a log of BAM, whose pendulum states its mass [kg] and length [m]."""
+    """Read a log of BAM, whose pendulum states its mass [kg] and length [m]. Rows without torque swing freely."""
     with _refuse("log of BAM with mass, length and entries"):
         content = json.loads(path.read_text("utf-8"))
-        everything = content["entries"]
-        runs = [list(run) for on, run in groupby(everything, lambda entry: entry.get("torque_enable", True)) if on]
-        entries = max(runs, key=len, default=everything)
+        entries = content["entries"]
         names = [name for name, value in entries[0].items() if isinstance(value, int | float)]
         table = {name: np.array([float(entry[name]) for entry in entries]) for name in names}
-        torque = float(content["mass"]) * TUNING.free_fall * float(content["length"])
-    cut = len(everything) - len(entries)
-    notes = (f"{cut} rows without torque are left out",) if cut else ()
-    return RobotTable(table, {"gravity": torque} if torque > 0 else {}, notes)
+        mass, length = float(content["mass"]), float(content["length"])
+        torque = mass * TUNING.free_fall * length
+        stated = {key: content[key] for key in ("motor", "kp") if isinstance(content.get(key), str | int | float)}
+    stated["pendulum"] = mass * length**2
+    return RobotTable(table, {"gravity": torque} if torque > 0 else {}, stated=stated)
 
 
 def _read_sage(folder: Path) -> RobotTable:

@@ -1,4 +1,4 @@
-"""All joints of a log: the fit of each one, or the reason why it has none."""
+"""All joints of some logs: the fit of each one, or the reason why it has none."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from pmfid.actuators.checks import check_joint
-from pmfid.actuators.fit import ServoFit, fit_servo
+from pmfid.actuators.fit import ServoFit, fit_logs
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.servo import Servo
 from pmfid.errors import PmfidError, UsageError
@@ -17,11 +17,16 @@ HEADER = ("joint", "parameter", "value", "std", "unit")
 
 @dataclass(frozen=True)
 class FittedJoint:
-    """A joint of a log with its fit, or with the reason of a refusal."""
+    """A joint with its logs and its fit, or with the reason of a refusal."""
 
-    log: JointLog
+    logs: Sequence[JointLog]
     fit: ServoFit | None
     refused: str = ""
+
+    @property
+    def log(self) -> JointLog:
+        """The first log."""
+        return self.logs[0]
 
     @property
     def status(self) -> str:
@@ -41,23 +46,35 @@ class FittedJoint:
         """Rows of the table with the columns of `HEADER`."""
         if self.fit is None:
             return [[self.log.name, "refused", "", "", ""]]
-        found = zip(self.fit.names, self.fit.theta, self.fit.theta_std, self.fit.units, strict=True)
-        return [[self.log.name, name, *format_pair(value, std), unit] for name, value, std, unit in found]
+        fit = self.fit
+        texts = [
+            ("not determined", "by this log") if raw in fit.open else format_pair(value, std)
+            for raw, value, std in zip(fit.raw_names, fit.theta.tolist(), fit.theta_std.tolist(), strict=True)
+        ]
+        return [
+            [self.log.name, name, *text, unit] for name, text, unit in zip(fit.names, texts, fit.units, strict=True)
+        ]
+
+    @property
+    def notes(self) -> list[str]:
+        """Sentences on the reading of the logs."""
+        return list(dict.fromkeys(note for log in self.logs for note in log.notes))
 
     def to_dict(self) -> dict[str, object]:
         """Return the result as text, numbers, lists and dicts."""
-        own: dict[str, object] = {"resolution": self.log.resolution, "samples": self.log.t.size}
-        own |= {"notes": list(self.log.notes)}
+        own: dict[str, object] = {"resolution": self.log.resolution, "logs": len(self.logs)}
+        own |= {"samples": sum(log.t.size for log in self.logs), "notes": self.notes}
         return own | (self.fit.to_dict() if self.fit else {"refused": self.refused})
 
 
 def format_pair(value: float, std: float) -> tuple[str, str]:
-    """Return an estimate and its standard error as text, the estimate with the digits of two of the error."""
+    """Return an estimate and its standard error as text, the estimate with the digits of two of the error and at
+    least three."""
     if not (math.isfinite(std) and std > 0 and math.isfinite(value)):
         return f"{value:.4g}", f"{std:.2g}"
     places = 1 - math.floor(math.log10(float(f"{std:.1e}")))
     digits = places + math.floor(math.log10(abs(value))) + 1 if value else 1
-    text = f"{value:#.{min(max(digits, 1), 15)}g}" if digits > 0 else f"{0.0:.{max(places, 0)}f}"
+    text = f"{value:#.{min(max(digits, 3), 15)}g}" if value else f"{0.0:.{min(max(places, 0), 15)}f}"
     return text.rstrip(".").replace(".e", "e"), f"{std:#.2g}".rstrip(".").replace(".e", "e")
 
 
@@ -67,32 +84,43 @@ def fit_joints(
     terms: Sequence[str],
     loop_period: float,
     *,
+    per_log: Sequence[str] = (),
     search: bool = True,
     tell: Callable[[float], None] = lambda _: None,
 ) -> list[FittedJoint]:
-    """Fit a servo to each joint.
+    """Fit a servo to each joint. Logs of one name are fitted at once, each with its own parameters of `per_log`.
 
     A key "2.kp" of `given` is for the joint "2" alone, and has priority over "kp". Raises UsageError for a key of a
-    joint that the log does not have.
+    joint that the logs do not have.
     """
-    names = [log.name for log in logs]
+    names = list(dict.fromkeys(log.name for log in logs))
     for key in given:
         joint = key.rpartition(".")[0]
         if joint and joint not in names:
             raise UsageError(f"given {key!r}: there is no joint {joint!r}; the joints are {', '.join(names)}")
     found = []
-    for number, log in enumerate(logs):
+    for number, name in enumerate(names):
         own = {key: value for key, value in given.items() if "." not in key}
-        own |= {key.rpartition(".")[2]: value for key, value in given.items() if key.rpartition(".")[0] == log.name}
-        servo = Servo(log.resolution, {**log.given, **own}, terms, loop_period, log.force is not None)
-        found.append(_fit_joint(log, logs, servo, search))
-        tell((number + 1) / len(logs))
+        own |= {key.rpartition(".")[2]: value for key, value in given.items() if key.rpartition(".")[0] == name}
+        group = [log for log in logs if log.name == name]
+        known = {**group[0].given, **own}
+        resolution = min(log.resolution for log in group)
+        servo = Servo(resolution, known, terms, loop_period, group[0].force is not None)
+        found.append(_fit_joint(servo, group, logs, per_log, search))
+        tell((number + 1) / len(names))
     return found
 
 
-def _fit_joint(log: JointLog, others: Sequence[JointLog], servo: Servo, search: bool) -> FittedJoint:
+def _fit_joint(
+    servo: Servo, logs: Sequence[JointLog], others: Sequence[JointLog], per_log: Sequence[str], search: bool
+) -> FittedJoint:
     try:
-        check_joint(log, others)
-        return FittedJoint(log, fit_servo(servo, log.t, log.goal, log.position, force=log.force, search=search))
+        for log in logs:
+            check_joint(log, others)
+            if log.given != logs[0].given:
+                raise UsageError("the logs state different pendulums: fit each of them in a call of its own")
+        settings = {log.stated.get("kp") for log in logs}
+        differs = len(settings) > 1 and "kp" in servo.unknown and "kp" not in per_log
+        return FittedJoint(logs, fit_logs(servo, logs, [*per_log, *(["kp"] if differs else [])], search=search))
     except PmfidError as error:
-        return FittedJoint(log, None, str(error))
+        return FittedJoint(logs, None, str(error))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,6 +25,8 @@ POSITIONS = (
 )
 #: Columns that have a word of a position, but are none.
 OTHERS = ("velocity", "vel", "speed", "effort", "torque", "current", "load", "acceleration")
+#: Columns that are 0 where the torque is off.
+SWITCHES = ("torque_enable", "torque_enabled")
 #: Unit of goal and position -> its size [rad]. A count is a step of the encoder.
 ANGLES = {"rad": 1.0, "deg": np.pi / 180, "counts": 0.0}
 
@@ -33,7 +36,8 @@ class JointLog:
     """Times [s], goals [rad] and positions [rad] of one joint, (n,).
 
     `resolution` is the step of the encoder [rad], `given` holds parameters that the file states, and `notes` are
-    sentences on the reading. `force` (n,) [N m] is a known torque that the motor supplies in addition to the model.
+    sentences on the reading. `force` (n,) [N m] is a known torque that the motor supplies in addition to the
+    model. `on` (n,) is 0 where the torque is off. `stated` is that of the file (`RobotTable`).
     """
 
     name: str
@@ -44,6 +48,8 @@ class JointLog:
     given: Mapping[str, float] = field(default_factory=dict)
     notes: Sequence[str] = ()
     force: Floats | None = None
+    on: Floats | None = None
+    stated: Mapping[str, str | float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -163,6 +169,7 @@ def _make_joint(
     label = f"joint {joint}" if joint else "the joint"
     values = [column(robot.columns, what, name) for what, name in zip(("goal", "position"), names, strict=True)]
     forces = [column(robot.columns, "known_force", name) for name in known]
+    switch = next((column(robot.columns, "torque", name) for name in SWITCHES if name in robot.columns), None)
     if any(own.size != t.size for own in (*values, *forces)):
         raise UsageError(f"{label}: the columns of time, goal and position differ in length: export one table")
     there = (np.abs([t, *values, *forces]) < TUNING.largest_number).all(axis=0)
@@ -183,12 +190,28 @@ def _make_joint(
         scaled.append(own[rows] * (ANGLES[unit] or resolution or 1.0))
     step = resolution or find_step(scaled[1])
     if step is None:
-        raise UsageError(f"{label} does not show the encoder's step: give --bits or --resolution")
-    if layout.resolution is None:
+        step = measure_scatter(scaled[1])
+        notes.append(f"the positions show no step of an encoder: the fit takes their scatter of {step:.2g} rad")
+    elif layout.resolution is None:
         notes.append(f"the encoder's step is {step:.4g} rad by the positions")
     since = t[rows] - (t[rows[0]] if rows.size else 0.0)
     force = np.sum(forces, axis=0)[rows] if forces else None
-    return JointLog(joint or "joint", since, scaled[0], scaled[1], step, robot.given, notes, force)
+    on = None if switch is None or np.all(switch[rows] > 0) else np.asarray(switch[rows] > 0, float)
+    notes += [f"the torque is off in {np.sum(on == 0)} rows, in which the joint moves freely"] if on is not None else []
+    names_and_values = (joint or "joint", since, scaled[0], scaled[1], step, robot.given, notes, force, on)
+    return JointLog(*names_and_values, robot.stated)
+
+
+def measure_scatter(position: Floats) -> float:
+    """Return the step of an encoder [rad] whose rounding is the white scatter of positions (n,).
+
+    The scatter is that of third differences (von Neumann 1941). A joint that stands still has a step of 1.
+    """
+    if position.size < 5 or np.unique(position).size < 5:
+        return 1.0
+    change = np.diff(position, 3)
+    scatter = float(np.median(np.abs(change))) / 0.6745 / math.sqrt(20.0)
+    return max(scatter * math.sqrt(12.0), 1e-5 * float(np.ptp(position)))
 
 
 def find_step(position: Floats) -> float | None:

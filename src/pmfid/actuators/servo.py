@@ -9,10 +9,8 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.simulation._servo import simulate_servo
 from pmfid.types import Floats
 
 #: Parameter -> its unit, and its unit over that of `kp`. The order is that of the simulation.
@@ -33,18 +31,27 @@ UNITS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "stribeck_speed": ("rad/s", "rad/s"),
         "load_friction": ("1", "1"),
         "quadratic": ("N m s2/rad2", "s2"),
+        "ki": ("N m/(rad s)", "1/s"),
+        "velocity_filter": ("s", "s"),
+        "load_stribeck": ("1", "1"),
+        "load_stribeck_speed": ("rad/s", "rad/s"),
     }
 )
 #: Parameters of every servo. All others are terms, which a servo has only if they are named or given.
 BASE = ("inertia", "viscous", "coulomb", "kp", "delay")
 #: Parameters that come with another one.
-PARTNERS: Mapping[str, str] = MappingProxyType({"stribeck": "stribeck_speed", "gravity": "gravity_angle"})
+PARTNERS: Mapping[str, str] = MappingProxyType(
+    {
+        "stribeck": "stribeck_speed",
+        "gravity": "gravity_angle",
+        "load_stribeck": "load_stribeck_speed",
+        "kd": "velocity_filter",
+    }
+)
 #: Parameters of either sign.
 SIGNED = ("gravity_angle", "offset")
 #: Parameters that may be given with either sign. A negative Stribeck friction rises with the speed.
 EITHER = (*SIGNED, "stribeck")
-#: Parameters that are torques at a motion, apart from those of the loop.
-TORQUES = ("inertia", "viscous", "coulomb", "gravity", "offset", "stribeck", "quadratic")
 #: One of these must be given, or all torques are known only as multiples of `kp`.
 SCALES = ("kp", "inertia", "gravity", "torque_limit", "coulomb", "kd")
 
@@ -53,8 +60,10 @@ SCALES = ("kp", "inertia", "gravity", "torque_limit", "coulomb", "kd")
 class Servo:
     """Model of a servo: a position loop, a motor with inertia and friction, and a load.
 
-    The torque is kp (goal - position) - kd velocity within +-torque_limit, with the goal of `delay` ago. The position
-    in the loop is that of `loop_delay` ago.
+    The torque is kp (goal - position) - kd velocity + ki (integral of goal - position) within +-torque_limit, with the
+    goal of `delay` ago. The position in the loop is that of `loop_delay` ago, and its velocity passes a lag of
+    `velocity_filter`. Friction is coulomb + stribeck exp(-(velocity/stribeck_speed)^2), and the same of load_friction
+    and load_stribeck times the torque through the gear.
 
     Attributes
     ----------
@@ -62,12 +71,12 @@ class Servo:
         Step of the encoder [rad].
     given : Mapping[str, float]
         Known parameters by name, in SI units. Without any of kp, inertia, gravity, torque_limit, coulomb or kd, the
-        log determines torques only as multiples of kp. A given loop_delay says that the loop is known: the standard
-        errors then contain a tenth of a period of further delay, in place of a half.
+        log determines torques only as multiples of kp. Without loop_delay, the delay of the loop is half of its period,
+        with a standard deviation of half a period.
     terms : Sequence[str]
         Parameters that are estimated in addition to inertia, viscous, coulomb, kp and delay.
     loop_period : float
-        Longest time between two ticks of the position loop [s].
+        Time between two ticks of the position loop [s].
     known_force : bool
         Whether the log has a torque in N m that the motor supplies in addition to the model. It determines kp.
 
@@ -116,9 +125,15 @@ class Servo:
     def unknown(self) -> tuple[str, ...]:
         """Names of the parameters that a fit estimates, (p,)."""
         names = [*BASE, *self.terms]
-        names += [PARTNERS[name] for name in (*self.terms, *self.given) if name in PARTNERS]
+        names += [PARTNERS[name] for name in names if name in PARTNERS]
+        names += [PARTNERS[name] for name, value in self.given.items() if name in PARTNERS and value != 0]
         fixed = {*self.given, *(["kp"] if self.relative else [])}
         return tuple(name for name in dict.fromkeys(names) if name not in fixed)
+
+    @property
+    def filters(self) -> bool:
+        """Whether the velocity in the loop passes a lag."""
+        return "velocity_filter" in self.unknown or self.given.get("velocity_filter", 0.0) > 0
 
     def has(self, name: str) -> bool:
         """Return whether a parameter belongs to the model, known or not."""
@@ -129,22 +144,13 @@ class Servo:
         """Units of the unknown parameters, (p,)."""
         return tuple(UNITS[name][self.relative] for name in self.unknown)
 
-    def values(self, theta: Floats) -> Floats:
-        """Return all parameters (15,) in the order of `UNITS`, with the unknown ones at `theta` (p,)."""
-        full = {"torque_limit": math.inf, "stribeck_speed": 1.0, "kp": 1.0, **self.given}
-        full.update(zip(self.unknown, theta.tolist(), strict=True))
-        return np.array([full.get(name, 0.0) for name in UNITS])
+    def values(self, theta: Floats) -> dict[str, float]:
+        """Return all parameters by name, with the unknown ones at `theta` (p,)."""
+        full = {"kp": 1.0, "loop_delay": 0.5 * self.loop_period, **self.given}
+        return full | dict(zip(self.unknown, np.asarray(theta, float).tolist(), strict=True))
 
     def simulate(
-        self,
-        theta: Floats,
-        t: Floats,
-        goal: Floats,
-        start: float,
-        velocity: float = 0.0,
-        *,
-        quantised: bool = False,
-        force: Floats | None = None,
+        self, theta: Floats, t: Floats, goal: Floats, start: float, velocity: float = 0.0, force: Floats | None = None
     ) -> Floats:
         """Simulate the position (n,) [rad] at the times `t` (n,) [s] under the goal (n,) [rad].
 
@@ -156,10 +162,8 @@ class Servo:
             Times [s] and commands [rad], (n,). A command is held until the next one.
         start, velocity : float
             Position [rad] and velocity [rad/s] at the first time.
-        quantised : bool
-            Whether the loop sees the position in steps of the encoder.
         force : ndarray, optional
-            Torque (n,) [N m] that the motor supplies in addition to the model, linear between the times.
+            Torque (n,) [N m] that the motor supplies in addition to the model.
 
         Returns
         -------
@@ -181,36 +185,6 @@ class Servo:
         >>> round(float(position[-1]), 2)
         0.5
         """
-        return self.run(theta, t, goal, start, velocity, quantised=quantised, force=force)[0]
+        from pmfid.actuators.body import simulate_servo
 
-    def run(
-        self,
-        theta: Floats,
-        t: Floats,
-        goal: Floats,
-        start: float,
-        velocity: float = 0.0,
-        *,
-        quantised: bool = False,
-        force: Floats | None = None,
-    ) -> tuple[Floats, Floats, float]:
-        """Return position (n,) [rad], torque (n,) [N m], and the part of the time at which the torque is limited."""
-        step = self.resolution if quantised else 0.0
-        return simulate_servo(t, goal, self.values(theta), self.loop_period, step, start, velocity, force)[:3]
-
-    def differentiate(
-        self, theta: Floats, t: Floats, goal: Floats, start: float, velocity: float, force: Floats | None
-    ) -> tuple[Floats, Floats]:
-        """Return position (n,) [rad] and its derivatives (n, p + 2) by `theta`, `start` and `velocity`.
-
-        The loop sees the position without steps of the encoder.
-        """
-        own = (self.values(theta), self.loop_period, 0.0, start, velocity)
-        found = simulate_servo(t, goal, *own, force, self._columns)
-        return found[0], found[3]
-
-    @cached_property
-    def _columns(self) -> NDArray[np.intp]:
-        """Column of the derivatives by each parameter, the start and the velocity (17,); -1 for none."""
-        own = [*self.unknown, "start", "velocity"]
-        return np.array([own.index(name) if name in own else -1 for name in (*UNITS, *own[-2:])])
+        return simulate_servo(self, theta, t, goal, start, velocity, force)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from pmfid.actuators.joints import FittedJoint
 
 
-@click.command(short_help="Identify the servos in a log of position commands.")
-@click.argument("log", type=click.Path(path_type=Path))
+@click.command(short_help="Identify the servos in logs of position commands.")
+@click.argument("log", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--goal", metavar="PATTERN", help="Columns of the commands, such as 'goal_*'; * is the joint.")
 @click.option("--position", metavar="PATTERN", help="Columns of the measured positions, such as 'position_*'.")
 @click.option("--time", metavar="NAME", help="Column of the time.")
@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     help="Columns of known torques in N m that the model does not contain, such as 'gravity_*' of a robot.",
 )
 @click.option("--term", "terms", multiple=True, metavar="NAME", help="Further parameter of the model, such as gravity.")
+@click.option(
+    "--per-log", multiple=True, metavar="NAME", help="Parameter that differs by log, such as kp; all others are shared."
+)
 @click.option("--loop-period", type=float, default=1e-3, show_default=True, metavar="S", help="Loop period [s].")
 @click.option(
     "--search/--no-search", default=True, show_default=True, help="Add parameters for which the log gives evidence."
@@ -50,7 +53,7 @@ if TYPE_CHECKING:
 @folder_option("Write a report, JSON and models for MuJoCo, URDF, Isaac, BAM and WPILib into this folder.")
 @JSON
 def actuators(
-    log: Path,
+    log: tuple[Path, ...],
     goal: str | None,
     position: str | None,
     time: str | None,
@@ -61,6 +64,7 @@ def actuators(
     given: tuple[str, ...],
     known_forces: tuple[str, ...],
     terms: tuple[str, ...],
+    per_log: tuple[str, ...],
     loop_period: float,
     search: bool,
     episode: int | None,
@@ -69,12 +73,14 @@ def actuators(
 ) -> None:
     """Find inertia, friction, gain and delay of every joint in LOG, which has its position commands and positions.
 
-    LOG is a table of any format, a data set of LeRobot, a folder of SAGE, or a log of BAM in JSON.
+    Several logs of the same joints are fitted at once. LOG is a table of any format, a data set of LeRobot, a folder
+    of SAGE, or a log of BAM in JSON.
 
     Without a known torque, such as kp or gravity, torques are multiples of kp.
 
     Exit code 0: an estimate of a joint; 2: wrong usage or unreadable input; 3: no joint has an estimate.
     """
+    name = ", ".join(path.name for path in log)
     with progress("actuators") as tell:
         from pmfid.actuators.joints import fit_joints
         from pmfid.actuators.logs import LogLayout, read_joints
@@ -84,18 +90,19 @@ def actuators(
         step = 2 * math.pi / 2**bits if bits is not None else resolution
         if step is not None and not (math.isfinite(step) and step > 0):
             raise UsageError(f"--resolution must be positive and finite, got {step}: give it in rad")
-        logs = read_joints(log, LogLayout(time, goal, position, unit, step, episode, goal_unit, known_forces))
-        found = fit_joints(logs, _read_given(given), terms, loop_period, search=search, tell=tell)
+        layout = LogLayout(time, goal, position, unit, step, episode, goal_unit, known_forces)
+        logs = [joint for path in log for joint in read_joints(path, layout)]
+        found = fit_joints(logs, _read_given(given), terms, loop_period, per_log=per_log, search=search, tell=tell)
         if all(joint.fit is None for joint in found):
             raise NotIdentifiableError("; ".join(f"{joint.log.name}: {joint.refused}" for joint in found))
         if out is not None:
             from pmfid.report.actuators import write_joints
 
-            write_joints(out, found, log.name)
+            write_joints(out, found, name)
     if as_json:
-        print_json({"log": printable(log.name), "joints": {joint.log.name: joint.to_dict() for joint in found}})
+        print_json({"log": printable(name), "joints": {joint.log.name: joint.to_dict() for joint in found}})
     else:
-        _print(found, log.name, out)
+        _print(found, name, out)
 
 
 def _read_given(texts: tuple[str, ...]) -> dict[str, float]:
@@ -126,6 +133,6 @@ def _print(found: list[FittedJoint], name: str, out: Path | None) -> None:
     console = Console()
     console.print(table)
     lines = [line for joint in found for line in joint.lines]
-    lines += list(dict.fromkeys(f"note: {note}" for joint in found for note in joint.log.notes))
+    lines += list(dict.fromkeys(f"note: {note}" for joint in found for note in joint.notes))
     for line in (*lines, *([f"report: {out / 'actuators.html'}"] if out else [])):
         console.print(printable(line), highlight=False, markup=False, soft_wrap=True)

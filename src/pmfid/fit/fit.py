@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import ClassVar
 
 import numpy as np
 
@@ -178,6 +179,11 @@ def _first_size(force: BodyForce, start: Floats, turn: float) -> float:
 class FitSearch:
     """The state of a fit: the table of candidates, the chosen ones, the noise and the solution."""
 
+    #: Kinds of disturbances that may wander.
+    wandering: ClassVar[Sequence[str]] = WANDERING
+    #: Whether effects that repeat along the travel are sought.
+    seeks_waves = True
+
     def __init__(self, problem: FitProblem) -> None:
         start, solution = blind_start(problem.stretches, problem.resolution, problem.machine.turn)
         self.sizes = sizes_of(problem, start, solution)
@@ -231,6 +237,11 @@ class FitSearch:
         motion = self.problem.motion(self.q, self.starts)
         stretches = tuple(one.resting(v == 0) for one, (_, v) in zip(self.plain.stretches, motion, strict=True))
         return noise_of(stretches, errors_of(self), self.rate, kinds)
+
+    def check_followed(self, noise: Gaussian) -> None:
+        """Raise NotIdentifiableError if a motion without any input, but with a disturbance, explains the record as
+        well."""
+        _check_followed(self, noise)
 
     def explain(self) -> Intervals | None:
         """Return the likelihood of the intervals if a motion explains every count."""
@@ -344,13 +355,13 @@ def build(search: FitSearch) -> Gaussian | Intervals:
         step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
         if step is not None:
             search.choose_best(_alternatives(search, step))
-        elif not (search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
+        elif not (search.seeks_waves and search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
             break
         search.solve(search.noise)
         explained = search.explain()
         if explained is not None:
             return _prune(search, explained)
-        _settle(search, WANDERING)
+        _settle(search, search.wandering)
     return search.noise
 
 
@@ -360,7 +371,7 @@ def _settle_either(search: FitSearch) -> None:
     The residuals of a poor fit look like an error of the position, even where a force wanders.
     """
     at, ends = (search.q, search.starts, search.noise), []
-    for kind in WANDERING:
+    for kind in search.wandering:
         search.q, search.starts, search.noise = at
         _settle(search, (kind,))
         ends.append((search.noise.evidence(errors_of(search))[0], search.q, search.starts, search.noise))
@@ -548,7 +559,7 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     if min(np.abs(found.q[search.plain.machine.lead] - np.array(search.plain.mass))) < SETTLED:
         raise NotIdentifiableError(f"no motion of the model follows the record; {FOLLOW}")
     if isinstance(likelihood, Gaussian):
-        _check_followed(search, likelihood)
+        search.check_followed(likelihood)
     theta, covariance = _estimate(search, found, likelihood)
     soft = Intervals(search.plain.stretches, EXPLAINED) if isinstance(likelihood, Intervals) else likelihood
     local = search.local(soft)

@@ -68,6 +68,15 @@ class BodyModel:
         """Return the parameters (w,) of the body without its start state."""
         return np.asarray(self.rest + self.lift @ theta)
 
+    def lift_at(self, theta: Floats) -> Floats:
+        """Return the derivatives (w, p) of the body's parameters, which do not depend on theta (p,)."""
+        return self.lift
+
+    @property
+    def loops(self) -> int:
+        """Number of the parameters of a controller, at the end of the body's parameters."""
+        return 0
+
 
 def force_of(term: Term) -> BodyForce:
     """Return the force of a term with a shape, or of a spring."""
@@ -126,12 +135,15 @@ def _further_rows(equation: Equation, free: Sequence[int], shaped: Sequence[int]
 @dataclass(frozen=True, eq=False)
 class Excitation:
     """Input of a body over n intervals: lengths `step` (n,) [s], forces `u` (n,), `columns` (c, n) of the record, and
-    the instants `row` (k,) in the result, 0 to n."""
+    the instants `row` (k,) in the result, 0 to n. With a controller, `u` are goals, `tick` is the longest part of an
+    interval [s], and the controller is off where `on` (n,) is 0."""
 
     step: Floats
     u: Floats
     row: NDArray[np.int32]
     columns: Floats
+    tick: float = 0.0
+    on: Floats | None = None
 
 
 def simulate(
@@ -142,5 +154,6 @@ def simulate(
     The positions are infinite after an overflow.
     """
     packed = [force.pack() for force in forces]
-    y, v, S, _ = run(packed, drive.step, drive.u, drive.row, drive.columns, np.ascontiguousarray(body), parts, slopes)
+    inputs = (packed, drive.step, drive.u, drive.row, drive.columns, np.ascontiguousarray(body))
+    y, v, S, _ = run(*inputs, parts, slopes, drive.tick, drive.on)
     return y, v, S

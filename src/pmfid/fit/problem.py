@@ -33,7 +33,8 @@ class ObservedStretch:
     `variance` (k,) are the variances of their errors [counts^2], and `counted` (k,) is True for a count, whose error
     is that of rounding, and False for the instant of an edge. `rest` (k,) is True while the simulated axis rests.
     `first` is the index of the first sample in the record. `line` (k,) is the number of the encoder's line of each
-    edge, or -1; a stretch without it has counts only.
+    edge, or -1; a stretch without it has counts only. `acts` (p,) is 0 for parameters of the machine that belong to
+    another log, and 1 for all others.
     """
 
     drive: Excitation
@@ -43,6 +44,7 @@ class ObservedStretch:
     rest: Flags
     first: int = 0
     line: NDArray[np.intp] | None = None
+    acts: Floats | None = None
 
     @cached_property
     def times(self) -> Floats:
@@ -77,7 +79,7 @@ class ObservedStretch:
     def _choose(self, drive: Excitation, chosen: Flags, first: int) -> ObservedStretch:
         line = None if self.line is None else self.line[chosen]
         y, variance, counted, rest = self.y[chosen], self.variance[chosen], self.counted[chosen], self.rest[chosen]
-        return ObservedStretch(drive, y, variance, counted, rest, first, line)
+        return ObservedStretch(drive, y, variance, counted, rest, first, line, self.acts)
 
     def cut(self, first: float, last: float) -> ObservedStretch:
         """Return the observations between two times [s], with the input from the first of them on."""
@@ -92,6 +94,8 @@ class ObservedStretch:
             np.ascontiguousarray(self.drive.u[part]),
             row,
             np.ascontiguousarray(self.drive.columns[:, part]),
+            self.drive.tick,
+            None if self.drive.on is None else np.ascontiguousarray(self.drive.on[part]),
         )
         return self._choose(drive, chosen, self.first + begin)
 
@@ -188,9 +192,8 @@ class FitProblem:
 
     def linearise(self, q: Floats, starts: Floats) -> list[ResidualBlock]:
         """Return a block for each stretch at q (p,) and the start states (m, 2)."""
-        body, forces, lift = self._body(q)
         blocks = [
-            self._block(stretch, state, scale, body, forces, lift)
+            self._block(stretch, state, scale, *self._body(q, stretch.acts))
             for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True)
         ]
         if any(one.reads for one in self.candidates):
@@ -218,25 +221,28 @@ class FitProblem:
 
     def motion(self, q: Floats, starts: Floats) -> list[tuple[Floats, Floats]]:
         """Return the positions and velocities (k,) at the observations of each stretch [unit, unit/s]."""
-        body, forces, _ = self._body(q)
         found = []
         for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True):
+            body, forces, _ = self._body(q, stretch.acts)
             at = self._start_body(stretch, state, scale, body)
             found.append(simulate(stretch.drive, forces, at, PARTS, slopes=False)[:2])
         return found
 
-    def _body(self, q: Floats) -> tuple[Floats, list[BodyForce], Floats]:
+    def _body(self, q: Floats, acts: Floats | None = None) -> tuple[Floats, list[BodyForce], Floats]:
         """Return the body's parameters (w,), its forces, and the derivatives (w, p) of the parameters by q."""
         m = self.machine
         own, count = len(m.names), len(m.forces)
-        shapes = m.lift.shape[0] - BASE - count
+        shapes = m.lift.shape[0] - BASE - count - m.loops
+        theta = self.theta(q) if acts is None else self.theta(q) * acts
+        slopes = m.lift_at(theta) if acts is None else m.lift_at(theta) * acts
         extra = [one.force for one in self.candidates if one.force is not None]
         w = m.lift.shape[0] + len(extra) + sum(one.free for one in self.candidates)
-        # rows: base, forces of the machine, further forces, constants of the machine, further constants
+        # rows: base, forces of the machine, further forces, constants of the machine, further constants, controller
         place = [*range(BASE + count), *range(BASE + count + len(extra), BASE + count + len(extra) + shapes)]
+        place += range(w - m.loops, w)
         body, lift = np.zeros(w), np.zeros((w, self.size))
-        body[place], lift[np.ix_(place, range(own))] = m.body(self.theta(q)), m.lift
-        lift[:, m.lead] *= self.theta(q)[m.lead]
+        body[place], lift[np.ix_(place, range(own))] = m.body(theta), slopes
+        lift[:, m.lead] *= theta[m.lead]
         row, constant = BASE + count, BASE + count + len(extra) + shapes
         for k, candidate in self.place_candidates():
             if candidate.reads:

@@ -52,7 +52,7 @@ class ExtraForce:
 
     def free_constant(self) -> ExtraForce:
         """Return the candidate with its constant among the parameters, if it has one that the record may determine."""
-        if self.force is None or self.force.kind != "stribeck":
+        if self.force is None or self.force.kind not in ("stribeck", "load_stribeck"):
             return self
         return replace(self, free=True, constant=self.force.p, force=replace(self.force, free=True))
 

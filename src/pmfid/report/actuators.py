@@ -33,11 +33,13 @@ def _name_joint(joint: FittedJoint) -> str:
 
 def _draw_joint(joint: FittedJoint) -> Section:
     log, fit = joint.log, joint.fit
-    notes = [f"Note: {note}." for note in log.notes]
+    notes = [f"Note: {note}." for note in joint.notes]
     if fit is None:
         return Section(_name_joint(joint), "\n\n".join([f"Refused: {joint.refused}.", *notes]))
     findings = [f"{finding.paragraph[0].upper()}{finding.paragraph[1:]}." for finding in fit.findings]
     deviation = f"The simulated motion deviates by {fit.residual / log.resolution:.2f} encoder steps (rms)."
-    signals = (log.position, fit.simulated)
-    figure = followed_figure(log.t, signals, "position [rad]", fit.simulated - log.position, "difference [rad]")
+    simulated = fit.simulated[0]
+    figure = followed_figure(
+        log.t, (log.position, simulated), "position [rad]", simulated - log.position, "difference [rad]"
+    )
     return Section(_name_joint(joint), "\n\n".join([deviation, *findings, *notes]), svg=svg(figure))

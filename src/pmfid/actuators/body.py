@@ -1,0 +1,190 @@
+"""A servo as the simulated body of `pmfid.fit`: its controller and its friction as rows of parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmfid._body import BASE, LOOP
+from pmfid.actuators.servo import SIGNED, Servo
+from pmfid.fit.machine import (
+    COULOMB,
+    DELAY,
+    MASS,
+    OFFSET,
+    V0,
+    VISCOUS,
+    X0,
+    BodyForce,
+    BodyModel,
+    Excitation,
+    simulate,
+)
+from pmfid.types import Floats
+
+#: Torque limit of a servo without one, relative to its gain.
+NO_LIMIT = 1e12
+TURN = 2 * math.pi
+#: Steps of a known torque between two rows.
+PIECES = 4
+#: Place of each parameter among the first parameters of the body.
+PLACES = {"inertia": MASS, "viscous": VISCOUS, "coulomb": COULOMB, "offset": OFFSET, "delay": DELAY}
+#: Place of each parameter of the controller, from the end of the body's parameters.
+LOOP_PLACES = {"kp": -LOOP, "torque_limit": 1 - LOOP, "loop_delay": 2 - LOOP}
+#: The first of these that is unknown is the one whose logarithm the fit estimates.
+LEADS = ("inertia", "kp", "viscous", "coulomb")
+#: Name of the constant of each force that has one.
+CONSTANTS = {"stribeck": "stribeck_speed", "load_stribeck": "load_stribeck_speed", "kd": "velocity_filter"}
+
+
+@dataclass(frozen=True, eq=False)
+class ServoBody(BodyModel):
+    """Body of a servo. Gravity of a known size at an unknown angle, parameter `angle`, has the size `gravity`."""
+
+    gravity: float = 0.0
+    angle: int = -1
+    waves: int = 0
+
+    @property
+    def loops(self) -> int:
+        return LOOP
+
+    def body(self, theta: Floats) -> Floats:
+        body = np.asarray(self.rest + self.lift @ theta)
+        if self.angle >= 0:
+            body[self.waves : self.waves + 2] = _components(self.gravity, float(theta[self.angle]))
+        return body
+
+    def lift_at(self, theta: Floats) -> Floats:
+        if self.angle < 0:
+            return self.lift
+        lift = self.lift.copy()
+        angle = float(theta[self.angle])
+        lift[self.waves : self.waves + 2, self.angle] = -self.gravity * math.sin(angle), -self.gravity * math.cos(angle)
+        return lift
+
+
+def _components(size: float, angle: float) -> tuple[float, float]:
+    """Return the sizes of sine and cosine of gravity that is zero at an angle [rad]."""
+    return size * math.cos(angle), -size * math.sin(angle)
+
+
+def body_of(
+    servo: Servo, per_log: Mapping[str, int] | None = None, priors: Mapping[str, tuple[float, float]] | None = None
+) -> ServoBody:
+    """Return the body of a servo, with one parameter for each of so many logs in place of each name in `per_log`.
+
+    Gravity of unknown size at an unknown angle has its sine as `gravity` and its cosine as `gravity_angle`. `priors`
+    have mean and standard deviation of parameters that count in standard deviations from the mean.
+    """
+    priors = priors or {}
+    names = [
+        each
+        for name in servo.unknown
+        for each in ([f"{name}.{k + 1}" for k in range(per_log[name])] if per_log and name in per_log else [name])
+    ]
+    kinds = _list_forces(servo)
+    constants = [CONSTANTS[name] for name, force in kinds if force.free]
+    rows = BASE + len(kinds) + len(constants) + LOOP
+    place = PLACES | {name: rows + place for name, place in LOOP_PLACES.items()}
+    place |= {name: BASE + j for j, (name, _) in enumerate(kinds)}
+    place |= {name: BASE + len(kinds) + j for j, name in enumerate(constants)}
+    rest, lift = np.zeros(rows), np.zeros((rows, len(names)))
+    rest[place["torque_limit"]] = NO_LIMIT
+    for name, value in servo.values(np.zeros(len(servo.unknown))).items():
+        if name in place:
+            rest[place[name]] = value
+    for i, name in enumerate(names):
+        base = name.partition(".")[0]
+        if base in place:
+            rest[place[base]], lift[place[base], i] = priors.get(base, (0.0, 1.0))
+    if servo.known_force:
+        rest[place["force"]] = 1.0
+    extra = _place_gravity(servo, place, names, rest, lift)
+    lowest = np.array([-np.inf if name in SIGNED or name == "gravity" else 0.0 for name in names])
+    for i, name in enumerate(names):
+        if name in priors:
+            lowest[i] = -priors[name][0] / priors[name][1]
+    lead = next((i for word in LEADS for i, name in enumerate(names) if name.partition(".")[0] == word), 0)
+    lowest[lead : lead + 1] = -np.inf
+    return ServoBody(tuple(names), tuple(force for _, force in kinds), rest, lift, lead, lowest, TURN, *extra)
+
+
+def _place_gravity(
+    servo: Servo, place: Mapping[str, int], names: Sequence[str], rest: Floats, lift: Floats
+) -> tuple[float, int, int]:
+    """Write the rows of gravity, and return its size, its unknown angle and its rows where the angle is unknown."""
+    if not servo.has("gravity"):
+        return 0.0, -1, 0
+    rows = [place["gravity"], place["cosine"]]
+    if "gravity_angle" in servo.given:
+        sine, cosine = _components(1.0, servo.given["gravity_angle"])
+        if "gravity" in servo.given:
+            rest[rows] = servo.given["gravity"] * sine, servo.given["gravity"] * cosine
+        else:
+            lift[rows, names.index("gravity")] = sine, cosine
+        return 0.0, -1, 0
+    angle = names.index("gravity_angle")
+    if "gravity" in servo.given:
+        return servo.given["gravity"], angle, rows[0]
+    lift[rows[1], angle] = 1.0
+    return 0.0, -1, 0
+
+
+def _list_forces(servo: Servo) -> list[tuple[str, BodyForce]]:
+    """Return the forces of a servo, each with the parameter that is its size."""
+    forces: list[tuple[str, BodyForce]] = []
+    if servo.has("gravity"):
+        forces += [("gravity", BodyForce("wave", TURN)), ("cosine", BodyForce("wave", TURN, math.pi / 2))]
+    for name, kind, p in (("stribeck", "stribeck", 1.0), ("load_friction", "load", 0.0), ("quadratic", "power", 2.0)):
+        if servo.has(name):
+            forces.append((name, _force(servo, name, kind, p)))
+    if servo.has("load_stribeck"):
+        forces.append(("load_stribeck", _force(servo, "load_stribeck", "load_stribeck", 1.0)))
+    if servo.has("kd"):
+        forces.append(("kd", _force(servo, "kd", "loop_filtered") if servo.filters else BodyForce("loop_velocity")))
+    if servo.has("ki"):
+        forces.append(("ki", BodyForce("loop_integral")))
+    if servo.known_force:
+        forces.append(("force", BodyForce("column")))
+    return forces
+
+
+def _force(servo: Servo, name: str, kind: str, p: float = 1.0) -> BodyForce:
+    constant = CONSTANTS.get(name, "")
+    return BodyForce(kind, servo.given.get(constant, p), 1.0, free=constant in servo.unknown)
+
+
+def excite(t: Floats, goal: Floats, tick: float, force: Floats | None = None, on: Floats | None = None) -> Excitation:
+    """Return the input of a servo at times t (n,) [s] from goals (n,) [rad], known torques and switches.
+
+    A known torque moves along a line from row to row, in `PIECES` steps.
+    """
+    pieces = 1 if force is None else PIECES
+    columns = np.zeros((0, pieces * (t.size - 1)))
+    if force is not None:
+        share = (np.arange(pieces) + 0.5) / pieces
+        columns = (force[:-1, None] + share * np.diff(force)[:, None]).reshape(1, -1)
+    return Excitation(
+        np.repeat(np.diff(t) / pieces, pieces),
+        np.repeat(np.asarray(goal[:-1], float), pieces),
+        pieces * np.arange(t.size, dtype=np.int32),
+        np.ascontiguousarray(columns),
+        tick,
+        None if on is None else np.repeat(np.asarray(on[:-1], float), pieces),
+    )
+
+
+def simulate_servo(
+    servo: Servo, theta: Floats, t: Floats, goal: Floats, start: float, velocity: float, force: Floats | None
+) -> Floats:
+    """Return the position (n,) [rad] of a servo. See `Servo.simulate`."""
+    if goal.shape != t.shape or (force is not None and force.shape != t.shape):
+        raise ValueError(f"t, goal and force must be equally long, got {t.size} and {goal.size}")
+    known = replace(servo, given=servo.values(theta), terms=())
+    at = body_of(known).rest.copy()
+    at[[X0, V0]] = start, velocity
+    return simulate(excite(t, goal, servo.loop_period, force), body_of(known).forces, at, 1, slopes=False)[0]

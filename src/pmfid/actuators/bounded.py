@@ -1,0 +1,57 @@
+"""The comparison of terms whose sizes are never negative, with half-normal priors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmfid.fit.compare import Quadratic
+from pmfid.types import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class BoundedQuadratic(Quadratic):
+    """A quadratic log likelihood with candidates of which some have the lower bound 0.
+
+    The posterior of such a size is a normal distribution without its negative part. Its mean and variance replace those
+    of the whole distribution one candidate at a time, and the other parameters follow along their covariance with it.
+    A `pair` of candidates comes and goes together, and the `kept` ones stay.
+    """
+
+    pair: tuple[int, ...] = ()
+    kept: tuple[int, ...] = ()
+
+    def neighbours(self, chosen: Sequence[int], allowed: Sequence[int]) -> list[list[int]]:
+        sets = []
+        for one in super().neighbours(chosen, allowed):
+            changed = set(one) ^ set(chosen)
+            if changed & set(self.kept):
+                continue
+            if changed & set(self.pair):
+                added = set(one) > set(chosen)
+                one = sorted({*chosen, *self.pair} if added else set(chosen) - set(self.pair))
+            sets.append(one)
+        return [one for k, one in enumerate(sets) if one not in sets[:k]]
+
+    def evidence(self, chosen: Sequence[int]) -> tuple[float, Floats, Floats]:
+        from scipy.special import log_ndtr
+
+        free = Quadratic(self.A, self.g, self.plain, self.odds, np.full(self.lowest.size, -np.inf))
+        value, step, covariance = free.evidence(chosen)
+        if not math.isfinite(value):
+            return value, step, covariance
+        for k, j in enumerate(chosen, start=self.plain):
+            if self.lowest[j] < 0:
+                continue
+            sd = math.sqrt(max(float(covariance[k, k]), 1e-300))
+            z = float(step[k]) / sd
+            log_part = float(log_ndtr(z))
+            ratio = math.exp(-0.5 * z * z - 0.5 * math.log(2 * math.pi) - log_part)
+            value += math.log(2) + log_part
+            along = covariance[:, k] / sd
+            step = step + along * ratio
+            covariance = covariance - np.outer(along, along) * min(ratio * (ratio + z), 1 - 1e-9)
+        return value, step, covariance

@@ -1,0 +1,67 @@
+"""The table of terms that a servo may have beside those of its model. A new term is one row and its test."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from pmfid.actuators.servo import Servo
+from pmfid.fit.compare import ODDS
+from pmfid.fit.machine import DIRECTIONAL, OFFSET, BodyForce
+from pmfid.fit.terms import ExtraForce, Sizes
+
+#: Log odds of terms that many servos have: the gear rubs under load in every published model of one.
+COMMON_ODDS = {"load_friction": 0.0, "kd": math.log(0.3)}
+#: The part of the viscous friction that the loop makes. Every servo without a named kd has this term, because no motion
+#: below the limit of the torque shows it: it hides a part of the inertia, its size times the age of its velocity.
+LOOP_FRICTION = "loop_friction"
+NAME = "name the term {}, or give its value"
+
+
+def table_of(servo: Servo, gain: float, s: Sizes) -> list[ExtraForce]:
+    """Return the terms that a servo does not have yet, with priors for a gain kp [N m/rad] and the sizes of a log."""
+    rows = [*_loads(s), *_loop(servo, gain, s), *_frictions(s)]
+    return [row for row in rows if not servo.has({LOOP_FRICTION: "kd"}.get(row.name, row.name))]
+
+
+def odds_of(table: list[ExtraForce]) -> list[float]:
+    """Return the log odds of each term. The candidates of one name share those of their row."""
+    names = [one.name for one in table]
+    return [COMMON_ODDS.get(name, ODDS) - math.log(names.count(name)) for name in names]
+
+
+def _row(name: str, words: str, sd: float, **more: object) -> ExtraForce:
+    return ExtraForce(name, words, NAME.format(name), sd, **more)  # type: ignore[arg-type]
+
+
+def _loads(s: Sizes) -> Iterator[ExtraForce]:
+    yield _row("offset", "a constant load", 0.3 * s.force, base=OFFSET)
+    for phase in (0.0, math.pi / 2):
+        yield _row("gravity", "gravity", 0.5 * s.force, force=BodyForce("wave", 2 * math.pi, phase))
+
+
+def _loop(servo: Servo, gain: float, s: Sizes) -> Iterator[ExtraForce]:
+    force = BodyForce("loop_filtered", servo.loop_period)
+    yield _row(LOOP_FRICTION, "a derivative gain", 0.5 * s.viscous, force=force, lowest=0.0)
+    # A gain on the true velocity acts as viscous friction does, up to the limit of the torque. A lag of the velocity
+    # acts as less inertia, by the gain times the lag, so that the two lags next to the true one stand for it.
+    if servo.has("torque_limit"):
+        yield _row("kd", "a derivative gain", s.viscous, force=BodyForce("loop_velocity"), lowest=0.0)
+    for lag in (1e-3, 3e-3, 8e-3):
+        force = BodyForce("loop_filtered", lag)
+        yield _row("kd", "a derivative gain on a filtered velocity", s.viscous, force=force, lowest=0.0)
+    yield _row("ki", "an integral gain", 3.0 * gain, force=BodyForce("loop_integral"), lowest=0.0)
+
+
+def _frictions(s: Sizes) -> Iterator[ExtraForce]:
+    for share in (0.02, 0.06, 0.2):
+        force = BodyForce("stribeck", share * s.speed)
+        yield _row("stribeck", "Stribeck friction", 0.4 * s.coulomb, force=force, lowest=0.0)
+    yield _row("load_friction", "friction in proportion to the load", 0.1, force=BodyForce("load"), lowest=0.0)
+    for share in (0.02, 0.06, 0.2):
+        force = BodyForce("load_stribeck", share * s.speed)
+        words = "Stribeck friction in proportion to the load"
+        yield _row("load_stribeck", words, 0.1, force=force, lowest=0.0)
+    force = BodyForce("power", 2.0, 1.0)
+    yield _row("quadratic", "quadratic friction", 0.3 * s.viscous / s.speed, force=force, lowest=0.0)
+    yield _row("viscous_difference", "friction that differs by direction", 0.3 * s.viscous, base=DIRECTIONAL)

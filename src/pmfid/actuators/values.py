@@ -1,0 +1,131 @@
+"""The parameters of a servo and their standard errors, from the coordinates of a fit."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmfid.actuators.body import CONSTANTS
+from pmfid.actuators.search import ServoSearch
+from pmfid.actuators.terms import LOOP_FRICTION
+from pmfid.fit.fit import Fitted, sandwich
+from pmfid.types import Floats
+
+#: Half length of a 95 % interval of a normal distribution, in standard deviations.
+NORMAL = 1.96
+#: Least standard error relative to the value: steps of the simulation and ticks of a real loop differ by so much.
+LEAST = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class ParameterReader:
+    """The function from coordinates (p,) of a fit to parameters by name."""
+
+    search: ServoSearch
+    fitted: Fitted
+
+    def __call__(self, q: Floats) -> dict[str, float]:
+        found = self._read_machine(q)
+        lags = self._read_forces(q, found)
+        self._place_loop(found, lags)
+        self._read_waves(q, found)
+        asked = self.search.task.servo.unknown
+        if "gravity" in asked and "gravity_angle" in asked:
+            found |= _polar(found["gravity"], found["gravity_angle"])
+        return found
+
+    def _read_machine(self, q: Floats) -> dict[str, float]:
+        """Return the parameters of the model. A delay of the loop that nobody named only widens the others."""
+        problem, task = self.fitted.problem, self.search.task
+        found = {}
+        for name, value in zip(problem.machine.names, problem.theta(q).tolist(), strict=True):
+            base = name.partition(".")[0]
+            mean, sd = task.priors.get(base, (0.0, 1.0))
+            if base != "loop_delay" or "loop_delay" in task.servo.unknown:
+                found[name] = mean + sd * value
+        return found
+
+    def _read_forces(self, q: Floats, found: dict[str, float]) -> float:
+        """Write the sizes of the terms that were found, and return the sum of velocity gains times their lags."""
+        lags = 0.0
+        for k, one in self.fitted.problem.place_candidates():
+            size, force = float(q[k]) * one.sd, one.force
+            if force is not None and force.kind in ("wave", "rub"):
+                continue
+            found[one.name] = found.get(one.name, 0.0) + size
+            if one.free:
+                found[CONSTANTS[one.name]] = float(q[k + 1]) * one.constant
+            elif force is not None and force.kind == "loop_filtered":
+                lags += size * force.p
+        return lags
+
+    def _place_loop(self, found: dict[str, float], lags: float) -> None:
+        """Add the friction of the loop to kd if the logs show kd, and to the viscous friction if not."""
+        loop = found.pop(LOOP_FRICTION, 0.0)
+        if "kd" not in found or "kd" in self.fitted.problem.machine.names:
+            found["viscous"] = found.get("viscous", 0.0) + loop
+            return
+        found["kd"] += loop
+        if found["kd"] > 0 and lags > 0:
+            found["velocity_filter"] = lags / found["kd"]
+
+    def _read_waves(self, q: Floats, found: dict[str, float]) -> None:
+        """Write the sizes of the effects that turn with the position."""
+        waves: dict[str, list[float]] = {}
+        for k, one in self.fitted.problem.place_candidates():
+            force = one.force
+            if force is not None and force.kind in ("wave", "rub"):
+                waves.setdefault(one.name, [0.0, 0.0])[force.q > 0] = float(q[k]) * one.sd
+        for name, (sine, cosine) in waves.items():
+            polar = _polar(sine, cosine)
+            found |= polar if name == "gravity" else {name: polar["gravity"]}
+
+
+def _polar(sine: float, cosine: float) -> dict[str, float]:
+    """Return gravity and the angle at which it is zero, for the sizes of its sine and its cosine."""
+    return {"gravity": math.hypot(sine, cosine), "gravity_angle": math.atan2(-cosine, sine)}
+
+
+def read_parameters(search: ServoSearch, fitted: Fitted) -> tuple[tuple[str, ...], Floats, Floats]:
+    """Return names, values and standard errors (m,) of the parameters that were known or found."""
+    read, q, covariance = ParameterReader(search, fitted), fitted.solution.q, _covariance(search, fitted)
+    found = read(q)
+    names, theta = tuple(found), np.array(list(found.values()))
+    width = np.nan_to_num(np.sqrt(np.abs(np.diag(covariance))), nan=1.0, posinf=1.0)
+    std = _spread(_gradient(read, q, width), covariance)
+    if "delay" in found:  # a goal waits for the next tick of the loop
+        std[names.index("delay")] = math.hypot(std[names.index("delay")], search.task.servo.loop_period / math.sqrt(12))
+    std = np.where(np.isfinite(std) & (std > 0), std, np.inf)
+    return names, theta, np.maximum(std, LEAST * np.abs(theta))
+
+
+def _covariance(search: ServoSearch, fitted: Fitted) -> Floats:
+    """Return the covariance (p, p) of the coordinates, with the spread over models that the logs do not exclude."""
+    normal = fitted.solution.normal
+    covariance = sandwich(normal.A + np.diag(search.prior(search.problem)), normal)
+    std, wide = np.sqrt(np.diag(covariance)), np.ones(len(covariance))
+    half = fitted.half.copy()
+    half[search.plain.machine.lead] /= fitted.theta[search.plain.machine.lead]
+    wide[: search.own] = np.maximum(half / NORMAL / np.maximum(std[: search.own], 1e-300), 1.0)
+    return np.asarray(covariance * np.outer(wide, wide))
+
+
+def _spread(gradient: Floats, covariance: Floats) -> Floats:
+    """Return the standard errors (m,) for derivatives (m, p), infinite if a coordinate without information matters."""
+    known = np.isfinite(np.diag(covariance))
+    inner, part = covariance[np.ix_(known, known)], gradient[:, known]
+    std = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", part, inner, part), 0.0))
+    return np.where(np.any(gradient[:, ~known] != 0, axis=1), np.inf, std)
+
+
+def _gradient(read: ParameterReader, q: Floats, std: Floats) -> Floats:
+    """Return the derivatives (m, p) of the parameters by the coordinates."""
+    columns = []
+    for k in range(q.size):
+        width = np.zeros(q.size)
+        width[k] = 1e-4 * min(max(std[k], 1e-9 * abs(q[k]), 1e-12), 1.0)
+        above, below = (list(read(q + side * width).values()) for side in (1, -1))
+        columns.append((np.array(above) - np.array(below)) / (2 * width[k]))
+    return np.stack(columns, axis=1)
