@@ -12,10 +12,10 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from pmfid.actuators import search as servo_search
 from pmfid.actuators.checks import check_joint
 from pmfid.actuators.joints import format_pair
 from pmfid.actuators.logs import JointLog, LogLayout, find_step, read_joints
+from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from tests.test_actuators import STEP, TRUTH, make_log
@@ -24,8 +24,8 @@ from tests.test_actuators import STEP, TRUTH, make_log
 @pytest.fixture(autouse=True)
 def _few_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     """The landscape of these logs is plain, and the tests are to be quick."""
-    monkeypatch.setattr(servo_search, "DRAWS", 150)
-    monkeypatch.setattr(servo_search, "REFINED", 3)
+    monkeypatch.setattr(ActuatorTuning, "draws", 150)
+    monkeypatch.setattr(ActuatorTuning, "refined", 3)
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from pmfid.actuators import Servo, fit_servo
-from pmfid.actuators import search as servo_search
+from pmfid.actuators import Servo, fit_servo, simulate_servo
 from pmfid.actuators.exports import make_files
 from pmfid.actuators.joints import FittedJoint
 from pmfid.actuators.logs import JointLog
-from pmfid.actuators.servo import UNITS
+from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.types import Floats
 from tests.test_actuators import STEP, make_log
 
@@ -24,8 +23,8 @@ NAME = 'knee "left" <--2>'
 def fit_joint(seed: int, given: dict[str, float], terms: list[str], **truth: float) -> FittedJoint:
     log = make_log(seed, **truth)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(servo_search, "DRAWS", 150)
-        patch.setattr(servo_search, "REFINED", 3)
+        patch.setattr(ActuatorTuning, "draws", 150)
+        patch.setattr(ActuatorTuning, "refined", 3)
         fit = fit_servo(Servo(STEP, given, terms), *log, search=False)
     return FittedJoint([JointLog(NAME, *log, STEP)], fit)
 
@@ -141,7 +140,7 @@ def test_mujoco_moves_as_the_fit_predicts(
     joint = fit_joint(1, given, terms, **change)
     assert joint.fit is not None
     t, goal, position = make_log(9, **change)
-    known = {name: value for name, value in joint.fit.values.items() if name in UNITS}
-    own = Servo(STEP, {"kp": 1.0, **known}).simulate(np.empty(0), t, goal, float(position[0])) - position
+    known = {"kp": 1.0, **dict.fromkeys(joint.fit.raw_names, 0.0), **joint.fit.values}
+    own = simulate_servo(Servo(STEP, known), np.empty(0), t, goal, float(position[0])) - position
     theirs = replay(make_files([joint])["servos.xml"], t, goal, float(position[0])) - position
     assert np.sqrt(np.mean(theirs**2)) < within * np.sqrt(np.mean(own**2))

@@ -10,6 +10,7 @@ import numpy as np
 
 from pmfid._body import BASE, LOOP
 from pmfid.actuators.servo import SIGNED, Servo
+from pmfid.actuators.tuning import TUNING
 from pmfid.fit.machine import (
     COULOMB,
     DELAY,
@@ -25,11 +26,7 @@ from pmfid.fit.machine import (
 )
 from pmfid.types import Floats
 
-#: Torque limit of a servo without one, relative to its gain.
-NO_LIMIT = 1e12
 TURN = 2 * math.pi
-#: Steps of a known torque between two rows.
-PIECES = 4
 #: Place of each parameter among the first parameters of the body.
 PLACES = {"inertia": MASS, "viscous": VISCOUS, "coulomb": COULOMB, "offset": OFFSET, "delay": DELAY}
 #: Place of each parameter of the controller, from the end of the body's parameters.
@@ -75,7 +72,7 @@ def _components(size: float, angle: float) -> tuple[float, float]:
 def body_of(
     servo: Servo, per_log: Mapping[str, int] | None = None, priors: Mapping[str, tuple[float, float]] | None = None
 ) -> ServoBody:
-    """Return the body of a servo, with one parameter for each of so many logs in place of each name in `per_log`.
+    """Return the body of a servo, with one parameter for each log in place of a name in `per_log`.
 
     Gravity of unknown size at an unknown angle has its sine as `gravity` and its cosine as `gravity_angle`. `priors`
     have mean and standard deviation of parameters that count in standard deviations from the mean.
@@ -93,7 +90,7 @@ def body_of(
     place |= {name: BASE + j for j, (name, _) in enumerate(kinds)}
     place |= {name: BASE + len(kinds) + j for j, name in enumerate(constants)}
     rest, lift = np.zeros(rows), np.zeros((rows, len(names)))
-    rest[place["torque_limit"]] = NO_LIMIT
+    rest[place["torque_limit"]] = TUNING.no_limit
     for name, value in servo.values(np.zeros(len(servo.unknown))).items():
         if name in place:
             rest[place[name]] = value
@@ -161,9 +158,9 @@ def _force(servo: Servo, name: str, kind: str, p: float = 1.0) -> BodyForce:
 def excite(t: Floats, goal: Floats, tick: float, force: Floats | None = None, on: Floats | None = None) -> Excitation:
     """Return the input of a servo at times t (n,) [s] from goals (n,) [rad], known torques and switches.
 
-    A known torque moves along a line from row to row, in `PIECES` steps.
+    A known torque moves along a line from row to row, in a few steps.
     """
-    pieces = 1 if force is None else PIECES
+    pieces = 1 if force is None else TUNING.pieces
     columns = np.zeros((0, pieces * (t.size - 1)))
     if force is not None:
         share = (np.arange(pieces) + 0.5) / pieces
@@ -179,9 +176,49 @@ def excite(t: Floats, goal: Floats, tick: float, force: Floats | None = None, on
 
 
 def simulate_servo(
-    servo: Servo, theta: Floats, t: Floats, goal: Floats, start: float, velocity: float, force: Floats | None
+    servo: Servo,
+    theta: Floats,
+    t: Floats,
+    goal: Floats,
+    start: float,
+    velocity: float = 0.0,
+    force: Floats | None = None,
 ) -> Floats:
-    """Return the position (n,) [rad] of a servo. See `Servo.simulate`."""
+    """Simulate the position (n,) [rad] of a servo at the times `t` (n,) [s] under the goal (n,) [rad].
+
+    Parameters
+    ----------
+    servo : Servo
+        The model.
+    theta : ndarray
+        Values of `servo.unknown`, (p,).
+    t, goal : ndarray
+        Times [s] and commands [rad], (n,). A command is held until the next one.
+    start, velocity : float
+        Position [rad] and velocity [rad/s] at the first time.
+    force : ndarray, optional
+        Torque (n,) [N m] that the motor supplies in addition to the model.
+
+    Returns
+    -------
+    ndarray
+        Position (n,) [rad].
+
+    Raises
+    ------
+    ValueError
+        If the lengths differ.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid.actuators import Servo, simulate_servo
+    >>> servo = Servo(resolution=0.0015, given={"kp": 8.0})
+    >>> t = np.arange(100) * 0.01
+    >>> position = simulate_servo(servo, np.array([0.01, 0.3, 0.05, 0.0]), t, np.full(100, 0.5), start=0.0)
+    >>> round(float(position[-1]), 2)
+    0.5
+    """
     if goal.shape != t.shape or (force is not None and force.shape != t.shape):
         raise ValueError(f"t, goal and force must be equally long, got {t.size} and {goal.size}")
     known = replace(servo, given=servo.values(theta), terms=())

@@ -12,21 +12,14 @@ import numpy as np
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.search import ServoSearch, ServoTask, find_search, limited_part
 from pmfid.actuators.servo import SIGNED, UNITS, Servo
-from pmfid.actuators.values import NORMAL, read_parameters
+from pmfid.actuators.tuning import TUNING
+from pmfid.actuators.values import read_parameters
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.findings import Finding, codes, sort_findings, texts
 from pmfid.fit.fit import Fitted, conclude
 from pmfid.presentation import Parameters, Presentable, Summary, plain_dict, remarks_of
 from pmfid.types import Floats
 
-#: A parameter is not determined from this relative standard error on.
-OPEN = 0.5
-#: Samples that a fit needs for each parameter.
-SAMPLES_EACH = 10
-#: The model is doubted from this deviation on, in standard deviations of the rounding.
-NOISY = 3.0
-#: Part of the time at which the torque is limited, from which on a limit hides the other parameters.
-LIMITED = 0.2
 #: What to record instead, by the parameter that a log does not determine.
 ADVICE: Mapping[str, str] = {
     "inertia": "command steps and fast sines, and stamp each sample when the position is read",
@@ -72,11 +65,11 @@ class ServoFit(Presentable):
     Examples
     --------
     >>> import numpy as np
-    >>> from pmfid.actuators import Servo, fit_servo
+    >>> from pmfid.actuators import Servo, fit_servo, simulate_servo
     >>> true = Servo(resolution=0.0015, given={"kp": 8.0, "kd": 0.0})
     >>> t = np.arange(600) * 0.01
     >>> goal = 0.5 * np.sign(np.sin(2.1 * t)) + 0.2 * np.sin(7 * t)
-    >>> position = true.simulate(np.array([0.01, 0.06, 0.05, 0.01]), t, goal, start=0.0)
+    >>> position = simulate_servo(true, np.array([0.01, 0.06, 0.05, 0.01]), t, goal, start=0.0)
     >>> fit = fit_servo(true, t, goal, np.round(position / 0.0015) * 0.0015)
     >>> fit.names[0], abs(float(fit.theta[0]) - 0.01) < 2e-4
     ('inertia', True)
@@ -111,7 +104,7 @@ class ServoFit(Presentable):
         return tuple(
             name
             for name, value, std in zip(self.raw_names, self.theta.tolist(), self.theta_std.tolist(), strict=True)
-            if name not in SIGNED and not std < OPEN * abs(value)
+            if name not in SIGNED and not std < TUNING.open * abs(value)
         )
 
     @property
@@ -245,7 +238,7 @@ def _check(servo: Servo, log: JointLog) -> None:
     found = {name: values for name, values in columns.items() if values is not None}
     if any(values.ndim != 1 or values.size != log.t.size for values in found.values()):
         raise UsageError(f"{', '.join(found)} must be one-dimensional and equally long: use the columns of one table")
-    if log.t.size < SAMPLES_EACH * (len(servo.unknown) + 2):
+    if log.t.size < TUNING.samples_each * (len(servo.unknown) + 2):
         raise UsageError(f"{log.t.size} samples are too few for {len(servo.unknown)} parameters: use a longer log")
     for name, values in found.items():
         if not np.isfinite(values).all():
@@ -302,7 +295,7 @@ def advise_log(t: Floats, goal: Floats) -> str:
 def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
     findings, servo = [], fit.servo
     deviation = fit.residual / search.plain.resolution
-    if deviation > NOISY / math.sqrt(12):
+    if deviation > TUNING.noisy / math.sqrt(12):
         log = search.task.logs[0]
         sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
         findings.append(
@@ -320,7 +313,7 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
         sentence = f"the log shows {', '.join(fit.added)}; the fit estimates these terms as well"
         findings.append(Finding("added", sentence, severity="note"))
     if fitted.rival:
-        wide = fitted.half / NORMAL > 2 * np.sqrt(np.diag(fitted.covariance))
+        wide = fitted.half / TUNING.normal > 2 * np.sqrt(np.diag(fitted.covariance))
         if np.any(wide):
             sentence = f"the log does not exclude {fitted.rival}, and the standard errors include it"
             findings.append(
@@ -329,7 +322,7 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
     if servo.relative:
         remedy = "give kp, a known inertia, or gravity = m g l"
         findings.append(Finding("relative", "torques are multiples of kp", remedy, "note"))
-    if fit.limited > LIMITED:
+    if fit.limited > TUNING.limited:
         sentence = f"the torque is limited during {100 * fit.limited:.0f} % of the log"
         findings.append(Finding("saturated", sentence, "command smaller or slower steps"))
     return findings

@@ -22,7 +22,7 @@ from pmfid.types import Floats
 class RobotTable:
     """Columns of a log, parameters that the file states, and notes. `unitless` means that no unit is stated.
 
-    `stated` has what a test bench states beside them: `motor`, `kp` in the unit of the firmware, and the inertia of the
+    `stated` has what a test bench states in addition: `motor`, `kp` in the unit of the firmware, and the inertia of the
     pendulum [kg m2].
     """
 

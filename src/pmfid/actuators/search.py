@@ -15,6 +15,7 @@ from pmfid.actuators.bounded import BoundedQuadratic
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.servo import Servo
 from pmfid.actuators.terms import LOOP_FRICTION, odds_of, table_of
+from pmfid.actuators.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import Quadratic
 from pmfid.fit.fit import FitSearch, build, errors_of
@@ -25,24 +26,8 @@ from pmfid.fit.solve import Likelihood, solve
 from pmfid.fit.terms import Sizes
 from pmfid.types import Floats
 
-#: Starts and terms are compared on this much of the motion of each log [s], and on so many logs.
-HEAD, MOST_HEADS = 12.0, 4
-#: Random servos that are simulated, and the best of them that are refined.
-DRAWS, REFINED = 300, 5
 #: Terms that each have starts of their own.
 EXTRAS = ("torque_limit", "ki")
-#: Ranges of random servos: natural frequency [rad/s], damping ratio, Coulomb friction over the torque of the lag,
-#: delay [sample periods].
-FREQUENCIES, DAMPINGS, FRICTIONS, DELAYS = (5.0, 300.0), (0.05, 3.0), (0.003, 0.5), 3.5
-#: Longest part of an interval in the simulation [s], and the angle by which the natural frequency turns in a part. The
-#: error of the inertia is a 24th of its square.
-TICK, ANGLE = 4e-3, 0.1
-#: A gap [s] after which the goal in between is unknown, so that the motion starts again.
-GAP = 0.25
-#: Largest distance of the inertia from its start, as a logarithm.
-FAR = 5.0
-#: Standard deviation of the lag of the velocity in the loop [s].
-FILTER = 3e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,13 +60,13 @@ class ServoTask:
     def priors(self) -> dict[str, tuple[float, float]]:
         """Mean and standard deviation of what the logs hardly show."""
         half = 0.5 * self.servo.loop_period
-        return {"loop_delay": (half, half), "velocity_filter": (half, FILTER)}
+        return {"loop_delay": (half, half), "velocity_filter": (half, TUNING.filter)}
 
     def body(self) -> ServoBody:
         """Return the body, in which the delay of the loop is uncertain unless it is given."""
         return body_of(self.model, dict.fromkeys(self.per_log, len(self.logs)), self.priors)
 
-    def problem(self, tick: float = TICK) -> FitProblem:
+    def problem(self, tick: float = TUNING.tick) -> FitProblem:
         """Return the logs as a problem, with a start state after each gap."""
         body = self.body()
         stretches = tuple(one for k, log in enumerate(self.logs) for one in _stretches(log, body.names, k, tick))
@@ -91,7 +76,7 @@ class ServoTask:
 def _stretches(log: JointLog, names: Sequence[str], number: int, tick: float) -> list[ObservedStretch]:
     suffixes = [name.partition(".")[2] for name in names]
     acts = np.array([not suffix or suffix == str(number + 1) for suffix in suffixes], float)
-    breaks = np.flatnonzero(np.diff(log.t) > max(GAP, 5 * float(np.median(np.diff(log.t))))) + 1
+    breaks = np.flatnonzero(np.diff(log.t) > max(TUNING.gap, 5 * float(np.median(np.diff(log.t))))) + 1
     found = []
     for first, last in zip([0, *breaks], [*breaks, log.t.size], strict=True):
         if last - first < 10:
@@ -108,13 +93,13 @@ def _stretches(log: JointLog, names: Sequence[str], number: int, tick: float) ->
 
 def head_of(problem: FitProblem) -> FitProblem:
     """Return the first part of the motion of the liveliest stretches."""
-    lively = sorted(problem.stretches, key=lambda one: -float(np.sum(np.abs(np.diff(one.y)))))[:MOST_HEADS]
+    lively = sorted(problem.stretches, key=lambda one: -float(np.sum(np.abs(np.diff(one.y)))))[: TUNING.most_heads]
     heads = []
     for one in lively:
         moving = np.flatnonzero(np.abs(one.y - one.y[0]) > 3 * problem.resolution)
         first = max(0.0, float(one.times[moving[0]]) - 0.5) if moving.size else 0.0
-        whole = one.times[-1] <= HEAD
-        heads.append(one if whole else one.cut(first, first + HEAD))
+        whole = one.times[-1] <= TUNING.head
+        heads.append(one if whole else one.cut(first, first + TUNING.head))
     return replace(problem, stretches=tuple(heads))
 
 
@@ -127,7 +112,7 @@ class ServoSearch(FitSearch):
     def __init__(self, task: ServoTask, problem: FitProblem, q: Floats, starts: Floats, search: bool) -> None:
         self.task = task
         lead = problem.machine.lead
-        self.plain = replace(problem, mass=(q[lead] - FAR, q[lead] + FAR))
+        self.plain = replace(problem, mass=(q[lead] - TUNING.far, q[lead] + TUNING.far))
         self.sizes = _sizes_of(task, problem, q, starts)
         self.table = table_of(task.model, self._gain(problem, q), self.sizes) if search else []
         if task.servo.known_force:
@@ -294,7 +279,7 @@ def _extend(search: ServoSearch) -> ServoSearch:
     """Go from the first parts of the logs to the whole logs, in parts of an interval that are short enough."""
     body, _, _ = search.problem._body(search.q, search.plain.stretches[0].acts)
     frequency = math.sqrt(max(float(body[-search.plain.machine.loops] / body[MASS]), 1.0))
-    tick = float(np.clip(ANGLE / frequency, 2e-4, TICK))
+    tick = float(np.clip(TUNING.angle / frequency, 2e-4, TUNING.tick))
     whole = search.task.problem(tick)
     starts = whole.first_starts()
     search.take(whole, search.q, starts, search.chosen)
@@ -314,11 +299,11 @@ def find_start(task: ServoTask, head: FitProblem) -> tuple[Floats, Floats]:
     The servos are the same in each call.
     """
     rng, starts = np.random.default_rng(0), head.first_starts()
-    tried = [head.clip_to_bounds(head.start(_draw(task, head.machine.names, rng))) for _ in range(DRAWS)]
+    tried = [head.clip_to_bounds(head.start(_draw(task, head.machine.names, rng))) for _ in range(TUNING.draws)]
     costs = [_cost(head, q, starts) for q in tried]
     prior = np.array([float(name in task.priors) for name in head.machine.names])
     soft = Gaussian(head.stretches, scale=9.0)
-    ends = [solve(head, soft, tried[index], starts, prior, 12, 1.0) for index in np.argsort(costs)[:REFINED]]
+    ends = [solve(head, soft, tried[index], starts, prior, 12, 1.0) for index in np.argsort(costs)[: TUNING.refined]]
     ends.sort(key=lambda end: end.cost)
     last = [solve(head, soft, end.q, end.starts, prior, 40, 0.01) for end in ends[:2]]
     best = min(last, key=lambda end: end.cost)
@@ -331,7 +316,7 @@ def _cost(head: FitProblem, q: Floats, starts: Floats) -> float:
     return float(np.mean(np.square(np.nan_to_num(np.clip(apart, -1e6, 1e6), nan=1e6))))
 
 
-def _between(rng: np.random.Generator, low: float, high: float) -> float:
+def _draw_positive(rng: np.random.Generator, low: float, high: float) -> float:
     """Draw a number with a uniform logarithm."""
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
@@ -345,12 +330,12 @@ def _gain(task: ServoTask, rng: np.random.Generator, frequency: float) -> float:
         return given["inertia"] * frequency**2
     known = [float(np.abs(log.force).max()) for log in task.logs if log.force is not None]
     torque = next((given[name] for name in ("gravity", "torque_limit", "coulomb", "kd") if given.get(name)), None)
-    return (torque or max(known, default=1.0)) / task.lag * _between(rng, 0.03, 30.0)
+    return (torque or max(known, default=1.0)) / task.lag * _draw_positive(rng, 0.03, 30.0)
 
 
 def _draw(task: ServoTask, names: Sequence[str], rng: np.random.Generator) -> Floats:
     """Draw one servo, (p,)."""
-    frequency, damping = _between(rng, *FREQUENCIES), _between(rng, *DAMPINGS)
+    frequency, damping = _draw_positive(rng, *TUNING.frequencies), _draw_positive(rng, *TUNING.dampings)
     gain = _gain(task, rng, frequency)
     inertia = task.servo.given.get("inertia", gain / frequency**2)
     torque = gain * task.lag
@@ -360,19 +345,19 @@ def _draw(task: ServoTask, names: Sequence[str], rng: np.random.Generator) -> Fl
     drawn = {
         "inertia": inertia,
         "viscous": 2 * damping * frequency * inertia,
-        "coulomb": torque * _between(rng, *FRICTIONS),
+        "coulomb": torque * _draw_positive(rng, *TUNING.frictions),
         "kp": gain,
         "kd": damping * frequency * inertia,
-        "ki": gain * _between(rng, 0.1, 10.0),
-        "torque_limit": gain * largest * _between(rng, 0.1, 1.5),
-        "delay": max(rng.uniform(0.0, DELAYS) * task.period, 1e-6),
-        "gravity": torque * _between(rng, 0.1, 10.0),
+        "ki": gain * _draw_positive(rng, 0.1, 10.0),
+        "torque_limit": gain * largest * _draw_positive(rng, 0.1, 1.5),
+        "delay": max(rng.uniform(0.0, TUNING.delays) * task.period, 1e-6),
+        "gravity": torque * _draw_positive(rng, 0.1, 10.0),
         "gravity_angle": torque * rng.uniform(-1.0, 1.0) if pair else rng.uniform(-math.pi, math.pi),
-        "stribeck": torque * _between(rng, *FRICTIONS),
-        "stribeck_speed": speed * _between(rng, 0.03, 1.0),
-        "load_friction": _between(rng, 0.01, 0.3),
-        "load_stribeck": _between(rng, 0.01, 0.3),
-        "load_stribeck_speed": speed * _between(rng, 0.03, 1.0),
-        "quadratic": inertia * _between(rng, 0.01, 1.0),
+        "stribeck": torque * _draw_positive(rng, *TUNING.frictions),
+        "stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
+        "load_friction": _draw_positive(rng, 0.01, 0.3),
+        "load_stribeck": _draw_positive(rng, 0.01, 0.3),
+        "load_stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
+        "quadratic": inertia * _draw_positive(rng, 0.01, 1.0),
     }
     return np.array([drawn.get(name.partition(".")[0], 0.0) for name in names])

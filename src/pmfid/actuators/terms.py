@@ -1,4 +1,4 @@
-"""The table of terms that a servo may have beside those of its model. A new term is one row and its test."""
+"""The table of terms that a servo may have in addition to those of its model. A new term is one row and its test."""
 
 from __future__ import annotations
 

@@ -23,6 +23,47 @@ class ActuatorTuning:
     #: Part of a step by which a distance may differ from a whole number, and the part of all distances that do not.
     step_tolerance: float = 0.1
     step_share: float = 0.95
+    # body
+    #: Torque limit of a servo without one [N m], and steps of a known torque between two rows.
+    no_limit: float = 1e12
+    pieces: int = 4
+    # search
+    #: Starts and terms are compared on this much of the motion of a log [s], and on this number of logs.
+    head: float = 12.0
+    most_heads: int = 4
+    #: Random servos that are simulated, and the best of them that are refined.
+    draws: int = 300
+    refined: int = 5
+    #: Ranges of random servos: natural frequency [rad/s], damping ratio, Coulomb friction over the torque of the lag,
+    #: delay [sample periods].
+    frequencies: tuple[float, float] = (5.0, 300.0)
+    dampings: tuple[float, float] = (0.05, 3.0)
+    frictions: tuple[float, float] = (0.003, 0.5)
+    delays: float = 3.5
+    #: Longest part of an interval in the simulation [s], and the angle by which the natural frequency turns in a part.
+    #: The error of the inertia is a 24th of its square.
+    tick: float = 4e-3
+    angle: float = 0.1
+    #: A gap [s] after which the goal in between is unknown, so that the motion starts again.
+    gap: float = 0.25
+    #: Largest distance of the inertia from its start, as a logarithm.
+    far: float = 5.0
+    #: Standard deviation of the lag of the velocity in the loop [s].
+    filter: float = 3e-3
+    # values
+    #: Half length of a 95 % interval of a normal distribution, in standard deviations.
+    normal: float = 1.96
+    #: Least standard error relative to the value: steps of the simulation and ticks of a real loop differ by so much.
+    least_error: float = 1e-4
+    # fit
+    #: A parameter is not determined from this relative standard error on.
+    open: float = 0.5
+    #: Samples that a fit needs for each parameter.
+    samples_each: int = 10
+    #: The model is doubted from this deviation on, in standard deviations of the rounding.
+    noisy: float = 3.0
+    #: Part of the time at which the torque is limited, from which on a limit hides the other parameters.
+    limited: float = 0.2
     # checks
     #: Samples that a check of a log needs, and the longest lag of a position after its goal, or before it [s].
     least_checked: int = 50

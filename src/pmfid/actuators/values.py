@@ -10,13 +10,9 @@ import numpy as np
 from pmfid.actuators.body import CONSTANTS
 from pmfid.actuators.search import ServoSearch
 from pmfid.actuators.terms import LOOP_FRICTION
+from pmfid.actuators.tuning import TUNING
 from pmfid.fit.fit import Fitted, sandwich
 from pmfid.types import Floats
-
-#: Half length of a 95 % interval of a normal distribution, in standard deviations.
-NORMAL = 1.96
-#: Least standard error relative to the value: steps of the simulation and ticks of a real loop differ by so much.
-LEAST = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +94,7 @@ def read_parameters(search: ServoSearch, fitted: Fitted) -> tuple[tuple[str, ...
     if "delay" in found:  # a goal waits for the next tick of the loop
         std[names.index("delay")] = math.hypot(std[names.index("delay")], search.task.servo.loop_period / math.sqrt(12))
     std = np.where(np.isfinite(std) & (std > 0), std, np.inf)
-    return names, theta, np.maximum(std, LEAST * np.abs(theta))
+    return names, theta, np.maximum(std, TUNING.least_error * np.abs(theta))
 
 
 def _covariance(search: ServoSearch, fitted: Fitted) -> Floats:
@@ -108,7 +104,7 @@ def _covariance(search: ServoSearch, fitted: Fitted) -> Floats:
     std, wide = np.sqrt(np.diag(covariance)), np.ones(len(covariance))
     half = fitted.half.copy()
     half[search.plain.machine.lead] /= fitted.theta[search.plain.machine.lead]
-    wide[: search.own] = np.maximum(half / NORMAL / np.maximum(std[: search.own], 1e-300), 1.0)
+    wide[: search.own] = np.maximum(half / TUNING.normal / np.maximum(std[: search.own], 1e-300), 1.0)
     return np.asarray(covariance * np.outer(wide, wide))
 
 
