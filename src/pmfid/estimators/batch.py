@@ -245,6 +245,8 @@ class BatchEstimator(Estimator):
     def _covariance(
         self, columns: Columns, theta: NDArray[np.float64], gain: NDArray[np.float64]
     ) -> NDArray[np.float64]:
+        """Return the covariance (p, p) of theta (p,) from the scatter of the scores over the memory of the filters (the
+        sandwich of Newey and West 1987)."""
         n = columns.z.size
         spread = long_run_covariance(self._scores(columns, theta), self.settle_samples)
         return np.asarray(gain @ spread @ gain.T * n / max(1, n - theta.size))

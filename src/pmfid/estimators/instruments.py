@@ -21,7 +21,6 @@ from pmfid.estimators.results import Columns, Fit
 from pmfid.estimators.srivc import ProcessSolver, fixed_filters
 from pmfid.estimators.stretches import liveliest
 from pmfid.estimators.tuning import TUNING
-from pmfid.estimators.uncertainty import lattice_scatter, raise_variances, scatter
 from pmfid.linear.solve import ProcessProblem, Solution
 from pmfid.models.drive import Model
 from pmfid.models.equation import (
@@ -120,16 +119,8 @@ class Instruments(ProcessSolver, Simulating):
     def estimate_covariance(
         self, columns: Columns, theta: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
     ) -> NDArray[np.float64]:
-        """Return the covariance (p, p) of theta (p,) from the scatter of its scores in blocks, on every scale longer
-        than the filters.
-
-        Over such blocks, the filtered error of the encoder cancels, but unmodelled friction does not. If the encoder's
-        lattice causes a larger variance along this motion, the larger variance counts.
-        """
-        gain = self._gain(columns, theta, u, counts)
-        in_blocks = scatter(self._scores(columns, theta) @ gain.T, TUNING.instruments_lasting * self.settle_samples)
-        along = lattice_scatter(self, theta, u, counts, lambda read: self.columns_at(theta, u, read), gain)
-        return raise_variances(in_blocks, along)
+        """Return the covariance (p, p) of theta (p,), with the gain that contains the reversals of the model."""
+        return self._covariance(columns, theta, self._gain(columns, theta, u, counts))
 
     def _gain(
         self, columns: Columns, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike

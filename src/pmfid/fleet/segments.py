@@ -10,19 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
+from scipy.special import expit
 
-from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
+from pmfid._stage import first_order
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.adequacy import filter_forces
 from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV, RIV
-from pmfid.estimators.least_squares import inverse_of
-from pmfid.estimators.motion import rms
+from pmfid.estimators.least_squares import inverse_of, long_run_covariance
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Tracks
 from pmfid.estimators.stretches import parts_of
-from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
-from pmfid.estimators.uncertainty import block_scatter
 from pmfid.fleet.plan import RowProblem
 from pmfid.fleet.rows import RecordPiece
 from pmfid.fleet.series import BACKWARD, FORWARD, LOOKED_AT, MOVED, ONE_SIZE, UNUSABLE
@@ -179,7 +176,7 @@ def is_moved(stretch: Stretch, method: IV, theta: Floats, std: Floats) -> bool:
 
     The limit for theta (p,) comes from the standard deviation std (p,) and the tolerance.
     """
-    allowed = np.maximum(DIAGNOSTIC_TUNING.noise_limit * std, TUNING.segments_tolerance * np.abs(theta))
+    allowed = np.maximum(TUNING.segments_noise * std, TUNING.segments_tolerance * np.abs(theta))
     with np.errstate(all="ignore"):  # nothing is known of a motion beyond the range of numbers
         try:
             moves = _moves(stretch, method, theta)
@@ -196,16 +193,16 @@ def _moves(stretch: Stretch, method: IV, theta: Floats) -> Floats:
     forces, plausible = _forces(method.equation, theta, speed, u)
     # Rows without gaps in memory take half of the time.
     filtered, phi, zeta = map(
-        np.ascontiguousarray, (filter_forces(forces, method)[:, columns.used], columns.phi.T, columns.zeta.T)
+        np.ascontiguousarray, (_filter_forces(forces, method)[:, columns.used], columns.phi.T, columns.zeta.T)
     )
     inverse = inverse_of(zeta @ phi.T)
     moves = -inverse @ (zeta @ filtered.T)
     score = filtered - np.linalg.lstsq(zeta @ zeta.T, zeta @ filtered.T)[0].T @ zeta
     scores = score * (columns.z - inverse @ (zeta @ columns.z) @ phi)
     information = np.sum(score * (filtered + moves.T @ phi), axis=1)
-    variance = block_scatter(scores.T, ESTIMATOR_TUNING.instruments_lasting * method.settle_samples) * stretch.repeats
+    variance = np.diagonal(long_run_covariance(scores.T, method.settle_samples)) * stretch.repeats
     size, size_std = scores.sum(axis=1) / information, np.sqrt(variance) / np.abs(information)
-    asked = np.abs(size) > ESTIMATOR_TUNING.adequacy_missed * size_std
+    asked = np.abs(size) > TUNING.segments_missed * size_std
     sizes = np.where(asked, np.abs(size), np.sqrt(believed_square(size, size_std, plausible)))
     return np.asarray(np.abs(moves) * sizes)
 
@@ -216,20 +213,34 @@ def _forces(equation: Equation, theta: Floats, speed: Floats, u: Floats) -> tupl
     The first force is an input that does not act in proportion. If the model has no nonlinear friction, the other force
     is friction that is not linear.
     """
-    bent, usual = -equation.input_gain * u * np.abs(u) / rms(u), rms(speed[speed != 0])
+    bent, usual = -equation.input_gain * u * np.abs(u) / _rms(u), _rms(speed[speed != 0])
     if any(isinstance(term.shape, Square) for term in equation.shaped):
         return bent[None], np.zeros(1)
     values = equation.role_values(theta)
     viscous = (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2
-    return np.stack([bent, speed * np.abs(speed) / usual**2]), np.array(
-        [0.0, ESTIMATOR_TUNING.adequacy_curved * viscous * usual]
-    )
+    return np.stack([bent, speed * np.abs(speed) / usual**2]), np.array([0.0, TUNING.segments_curved * viscous * usual])
+
+
+def _filter_forces(forces: Floats, method: IV) -> Floats:
+    """Return forces (k, n) after the filters of a method. Its columns come one sample later than the forces."""
+    rate = 2 / method.dt
+    pole, gain = (rate - method.cutoff) / (rate + method.cutoff), method.cutoff / (rate + method.cutoff)
+    late = np.concatenate([np.zeros((forces.shape[0], 1)), forces[:, :-1]], axis=1)
+    for stage in range(method.order):
+        b = (0.0, 2 * gain) if stage == 0 else (gain, gain)
+        late = np.array([first_order(row, pole, *b)[0] for row in late])
+    return late
+
+
+def _rms(signal: Floats) -> float:
+    """Return the root mean square of a signal (n,)."""
+    return float(np.sqrt(np.mean(signal**2)))
 
 
 def velocity(counts: Counts) -> Floats:
     """Return counts per sample (n,), each averaged over the time of a few counts at the usual speed."""
     change = np.diff(counts, append=counts[-1]).astype(np.float64)
-    width = 2 * math.ceil(TUNING.segments_counts / max(rms(change), 1e-3) / 2) - 1
+    width = 2 * math.ceil(TUNING.segments_counts / max(_rms(change), 1e-3) / 2) - 1
     if width < 3:
         return change
     total = np.cumsum(np.r_[np.zeros(width // 2 + 1), change, np.zeros(width // 2)])
@@ -403,6 +414,5 @@ def believed_square(size: Floats, std: Floats, plausible: Floats) -> Floats:
     prior, variance = plausible**2, std**2
     share = prior / (prior + variance)
     evidence = (np.log(variance / (prior + variance)) + share * (size / std) ** 2) / 2
-    most = DIAGNOSTIC_TUNING.most_evidence
-    weight = 1 / (1 + np.exp(-np.clip(evidence, -most, most)) / DIAGNOSTIC_TUNING.verdict_odds)
+    weight = expit(evidence + math.log(TUNING.segments_odds))
     return np.asarray(weight * (share * variance + (share * size) ** 2))

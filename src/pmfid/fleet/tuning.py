@@ -74,6 +74,14 @@ class FleetTuning:
     #: Part of its size by which a parameter may move. With a controller that feeds the encoder's error back, absent
     #: forces seem to move a parameter by up to 2 %.
     segments_tolerance: float = 0.02
+    #: Standard errors within which a change of a parameter is noise.
+    segments_noise: float = 3.0
+    #: A force is missed if its score exceeds this number of standard deviations. Chance does so once in a thousand.
+    segments_missed: float = 4.0
+    #: Usual friction that is not linear at the usual speed, as a part of viscous friction, and the odds that a machine
+    #: has it.
+    segments_curved: float = 0.15
+    segments_odds: float = 10.0
     #: Least number of counts over which a velocity is computed, at the usual speed.
     segments_counts: float = 4.0
     #: Largest number of samples for a second look. A few samples suffice, and a second look takes longer than the
