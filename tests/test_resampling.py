@@ -9,6 +9,7 @@ import polars as pl
 import pytest
 
 from pmfid.config.axis import load_axis
+from pmfid.errors import UsageError
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.result import DriveResult
 from pmfid.records.clock import period_error, slope_below
@@ -137,6 +138,22 @@ def test_the_intervals_contain_the_error_of_the_period(tmp_path: Path) -> None:
 def test_a_clock_that_drifts_is_flagged(tmp_path: Path) -> None:
     time, u, counts = run("even")
     assert "uneven_clock" in identified(tmp_path, time + time**2 / 200, u, counts).status
+
+
+@pytest.mark.parametrize(
+    ("method", "more"), [("iv", "dead_time = 0.01\n"), ("riv", "dead_time = 0.01\n"), ("riv", "prior")]
+)
+def test_no_estimate_comes_from_resampled_samples(tmp_path: Path, method: str, more: str) -> None:
+    """The record was once resampled, and no standard error contained the error of resampling."""
+    prior = "[estimator.prior]\nmass = [1.0, 0.5]\n"
+    end = (
+        f'[estimator]\nmethod = "{method}"\n{prior}' if more == "prior" else f'{more}[estimator]\nmethod = "{method}"\n'
+    )
+    with pytest.raises(UsageError, match='method = "auto"'):
+        identified(tmp_path, *run("host"), end)
+    end = prior if more == "prior" else more
+    found = identified(tmp_path, *run("host"), end)
+    assert "uneven_clock" not in found.status
 
 
 def test_no_impulse_is_lost_and_a_gap_stays_a_gap() -> None:

@@ -52,7 +52,7 @@ FLAGS = {
     "rate_low": "the velocity changes too much from row to row: record at a shorter sample period",
     "odd_period": "no machine moves like this at this sample period: give dt in s",
     "rate_high": "nearly all rows repeat the last count: keep every n-th row, with the mean input up to the next one",
-    "uneven_clock": "the time steps differ, so the record was resampled for this method: log at a fixed rate",
+    "uneven_clock": "the clock drifts, and the record does not show which clock is right: log the times of the samples",
     "drift": "input and output have two different clocks: log both with one clock",
 }
 

@@ -226,16 +226,23 @@ def match_kind(record: Record, axis: Axis) -> Axis:
 
 
 def take_own_instants(record: Record, axis: Axis) -> Record:
-    """Return the record at its own instants if its clock is uneven and the method supports varying steps."""
-    if record.own is None:
-        return record
-    if uses_fit(axis):
-        return record.own
+    """Return the record at its own instants if its clock is uneven.
+
+    Raises UsageError for a method or model that needs even samples.
+    """
+    if record.own is None or uses_fit(axis):
+        return record if record.own is None else record.own
+    estimator = _construct(set_any_gain(axis), record)
+    known = isinstance(estimator, RecursiveEstimator) and (axis.estimator.given or axis.estimator.prior)
     with suppress(UsageError):
-        estimator = _construct(set_any_gain(axis), record.own)
-        if not (isinstance(estimator, RecursiveEstimator) and (axis.estimator.given or axis.estimator.prior)):
+        if not known:
+            _construct(set_any_gain(axis), record.own)
             return record.own
-    return record
+    raise UsageError(
+        f"the steps of the clock vary by {record.jitter:.0%}, and {estimator.method} with these settings needs even "
+        'samples; set [estimator] method = "auto" without forgetting, which takes each step as it was, or log at a '
+        "fixed rate"
+    )
 
 
 def make_estimator(axis: Axis, record: Record) -> Estimator:
@@ -334,18 +341,11 @@ def _estimate(estimator: Estimator, record: Record, axis: Axis, progress: Progre
 
 
 def _clock_findings(record: Record) -> tuple[Finding, ...]:
-    """Return findings on the clock of a resampled record."""
+    """Return a finding on a clock that drifts, whose record was resampled to even samples."""
     if not record.jitter or record.steps is not None:
         return ()
-    varies = f"the steps of the clock vary by {record.jitter:.0%}"
-    if record.own is None:
-        sentence = f"{varies} and drift, and the record does not show which clock is right"
-        return (Finding("uneven_clock", sentence, "log the times at which the drive takes the samples"),)
-    sentence = f"{varies}, and this method or model needs even samples"
-    detail = "The record was resampled. No standard error contains the error of resampling."
-    return (
-        Finding("uneven_clock", sentence, "log at a fixed rate, or use iv without dead_time and lag", detail=detail),
-    )
+    sentence = f"the steps of the clock vary by {record.jitter:.0%} and drift, and the record does not show which clock is right"
+    return (Finding("uneven_clock", sentence, "log the times at which the drive takes the samples"),)
 
 
 def _period_errors(result: DriveResult, record: Record, axis: Axis) -> Floats:
