@@ -344,7 +344,8 @@ def _clock_findings(record: Record) -> tuple[Finding, ...]:
     """Return a finding on a clock that drifts, whose record was resampled to even samples."""
     if not record.jitter or record.steps is not None:
         return ()
-    sentence = f"the steps of the clock vary by {record.jitter:.0%} and drift, and the record does not show which clock is right"
+    varies = f"the steps of the clock vary by {record.jitter:.0%}"
+    sentence = f"{varies} and drift, and the record does not show which clock is right"
     return (Finding("uneven_clock", sentence, "log the times at which the drive takes the samples"),)
 
 
