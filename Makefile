@@ -264,8 +264,6 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.alarms --out results/alarms.md
 	.venv/bin/python -m studies.black_box --out results/black_box.md
 	.venv/bin/python -m studies.glitches --out results/glitches.md
-	.venv/bin/python -m studies.wrong_counts --out results/wrong_counts.md
-	.venv/bin/python -m studies.glitches_watched --out results/glitches_watched.md
 	.venv/bin/python -m studies.scale --out results/scale.md
 	.venv/bin/python -m studies.honest_recursions --out results/honest_recursions.md
 	.venv/bin/python -m studies.logs --out results/logs.md

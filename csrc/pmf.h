@@ -125,6 +125,12 @@ enum {
     PMF_SEPARATE = 4 /* every parameter has its own rate */
 };
 
+/* Samples after a count that the guard waits for. With the guard, status and estimate belong to the sample so many
+ * samples before the last. */
+#define PMF_AHEAD 8U
+#define PMF_VIEW (PMF_AHEAD + 1U) /* the judged sample and those after it */
+#define PMF_PAST 5U /* accepted counts: three accelerations, which show an oscillation of four samples or more */
+
 /* If the step varies, pauses are counted in ticks, which are fractions of a sample period. */
 enum { PMF_TICKS = 16 };
 
@@ -145,10 +151,7 @@ typedef struct {
     uint32_t from_first; /* 1: positions count from the first count, for which the equation also holds */
 #endif
 #if PMF_WITH_GUARD
-    uint32_t guard; /* samples in motion for learning, before the guard judges strictly; 0: no guard */
-    scalar_t spike; /* an input beyond this factor times the largest recent input is suspicious */
-    scalar_t guard_leak; /* leak of the learned values, per sample in motion */
-    uint32_t guard_hold; /* number of samples left out from a suspicious sample on */
+    uint32_t guard; /* 1: the guard judges the samples */
 #endif
 #if PMF_WITH_MISREAD
     uint32_t misread; /* 1: the errors of direction and moving fraction are signals */
@@ -181,23 +184,11 @@ typedef struct {
 #if PMF_WITH_GUARD
 /* Guard against samples that no motion explains. */
 typedef struct {
-    whole_t seen; /* number of first samples and samples in motion during learning */
-    whole_t suspect; /* suspicious changes in a row */
-    whole_t doubt; /* doubts about the last two inputs, as bits */
-    whole_t wait; /* samples until the guard learns the limits of the motion again */
-    whole_t reading; /* the last count while it is suspicious */
-    integer_t change; /* the last change, read or predicted, from which the next change is predicted */
-    real_t rate; /* change of the last change */
-    real_t scatter; /* leaking maximum of the prediction error beyond the encoder's step */
-    real_t peak; /* leaking maximum of the input, with the same leak */
-    real_t gain; /* effect of a unit of the input's change on the change of the count's change */
-    real_t missed; /* error of the last prediction */
-    real_t last; /* prediction error of the last accepted count, while the next ones are suspicious */
-    real_t lesson; /* last growth of `scatter` */
-    real_t held; /* last input of the filters */
-    whole_t sound; /* samples since the last suspicious sample, saturating */
-    real_t earlier; /* error of the prediction before the last */
-    real_t fair; /* scatter that motion alone explains */
+    whole_t count[PMF_PAST + PMF_VIEW]; /* accepted counts, then counts that are not judged yet; modulo 2^32 */
+    whole_t past; /* number of accepted counts, which are the last ones before the judged count */
+    whole_t readings; /* number of counts that are not judged yet */
+    whole_t zero; /* reading of the counter at count 0 */
+    real_t input[PMF_VIEW]; /* inputs of the samples that are not judged yet */
 } pmf_guard_state_t;
 #endif
 
@@ -222,9 +213,6 @@ typedef struct {
 #endif
 #if PMF_WITH_MISREAD
     pmf_misread_state_t misread;
-#endif
-#if PMF_WITH_GUARD
-    pmf_guard_state_t guard;
 #endif
 } pmf_encoder_state_t;
 
@@ -622,7 +610,8 @@ typedef struct {
     whole_t status;
     whole_t settle; /* samples until the filters have forgotten their start */
 #if PMF_WITH_GUARD
-    whole_t hold; /* samples until the filters have forgotten the replacement of a suspicious sample */
+    whole_t hold; /* samples until the filters have forgotten a guess */
+    pmf_guard_state_t guard;
 #endif
     pmf_encoder_state_t encoder;
     pmf_network_state_t network;

@@ -5,15 +5,7 @@
  * it. A tracker of piecewise constant acceleration estimates these velocities (Kalata 1984, fixed gains, smoothed by
  * one step). With less than two counts per sample the tracker would only follow the staircase. In slow motion the last
  * count therefore gives the direction. */
-#include "pmf_guard.h"
 #include "pmf_misread.h"
-
-/* The code has branches but no loop. Small code is therefore also fast on a microcontroller. */
-#if defined(PMF_PARAMETERS) && defined(__GNUC__) && !defined(PMF_STRAIGHT)
-#define PMF_FOR_SIZE __attribute__((cold))
-#else
-#define PMF_FOR_SIZE
-#endif
 
 #define FAST_COUNTS 2U /* counts in one sample above which the tracker is trusted */
 #define FAST_SPEED PMF_R(2.0) /* counts in one sample period above which the tracker is trusted */
@@ -48,13 +40,6 @@ typedef pmf_encoder_config_t gains_t;
 static whole_t magnitude(integer_t x)
 {
     return PMF_IF(x < 0, PMF_W(0) - (whole_t)x, (whole_t)x);
-}
-
-/* Return a count modulo mask + 1 with its sign. */
-static integer_t signed_count(uint32_t mask, whole_t count)
-{
-    uint32_t half = (mask >> 1) + 1U;
-    return PMF_IF(count < half, (integer_t)count, ~(integer_t)(mask - count));
 }
 
 /* Return the signed moving fraction of an interval from the velocities at its start and end. */
@@ -180,7 +165,7 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
 {
 #if PMF_SPLIT
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
-    real_t middle = PMF_TO_REAL(signed_count(0xffffffffU, state->travel)) - PMF_R(0.5) * PMF_TO_REAL(state->change);
+    real_t middle = PMF_TO_REAL(pmf_signed(0xffffffffU, state->travel)) - PMF_R(0.5) * PMF_TO_REAL(state->change);
     real_t position;
 #if PMF_PROCESS
     if (config->process != 0U) {
@@ -210,19 +195,6 @@ static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_
     }
 #endif
 }
-
-#if PMF_WITH_GUARD
-/* Return whether counts were put back to their true place. Slow motion could hide a stop, and two successive wrong
- * counts could hide any motion. */
-static whole_t bridged(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, integer_t change,
-                       integer_t motion)
-{
-    truth_t close = (((whole_t)change - (whole_t)motion + 1U) & 0xffffffffU) <= 2U; /* signed, this may overflow */
-    return PMF_BIT(close & (magnitude(motion) >= FAST_COUNTS) & (state->guard.doubt == 0U) &
-                       (state->guard.wait <= CALM(config)),
-                   PMF_BRIDGED);
-}
-#endif
 
 #if PMF_STEPS
 /* Return the step of this interval over the sample period. */
@@ -282,11 +254,11 @@ static real_t late_turn(const pmf_encoder_state_t *state, real_t direction, real
 #endif
 
 PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state,
-                                              real_t input, whole_t count, truth_t suspicious, real_t *signal)
+                                              real_t input, whole_t count, real_t *signal)
 {
     uint32_t mask = config->count_mask;
     truth_t started = state->started != 0U;
-    integer_t change = PMF_IF(started, signed_count(mask, (count - state->count) & mask), 0), motion;
+    integer_t change = PMF_IF(started, pmf_signed(mask, (count - state->count) & mask), 0);
     whole_t counts = magnitude(change), status = check(config, state, &input, &change, &counts), fast;
     real_t changed, predicted, innovation;
 #if PMF_WITH_MISREAD
@@ -303,24 +275,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
         keep_gains(config, &own);
     }
 #endif
-#if PMF_WITH_GUARD
-    if (config->guard != 0U) {
-        truth_t apart = (status & PMF_COUNT_JUMP) != 0U;
-        status |= pmf_guard(config, state, input, count, apart, &change);
-        counts = magnitude(change);
-        motion = PMF_IF(apart, change, state->guard.change); /* corrected counts do not belong to the motion */
-        if (PMF_ANY(suspicious)) {
-            status |= bridged(config, state, change, motion);
-        }
-    } else {
-        state->count = count;
-        motion = change;
-    }
-#else
-    (void)suspicious;
     state->count = count;
-    motion = change;
-#endif
     fast = NEXT_FAST(counts);
     /* Position of the axis within the new count, in counts. A count stands for the middle of its interval. */
     changed = PMF_TO_REAL(change);
@@ -338,13 +293,13 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
 
     track(GAINS, state, innovation, predicted);
 #if PMF_STEPS
-    status |= note_motion(config, state, motion, ticks);
+    status |= note_motion(config, state, change, ticks);
 #else
-    status |= note_motion(config, state, motion);
+    status |= note_motion(config, state, change);
 #endif
 #if PMF_WITH_MISREAD
     if (config->misread != 0U) {
-        emit_misread(state, motion, moved, direction, (fast > 0U) | (state->fast > 0U), signal);
+        emit_misread(state, change, moved, direction, (fast > 0U) | (state->fast > 0U), signal);
     }
 #endif
     state->mean_velocity = signal[PMF_VELOCITY];
@@ -355,7 +310,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     state->started = PMF_W(1);
 #if PMF_PROCESS
     if (config->process != 0U) {
-        state->first = PMF_IF(started, state->first, signed_count(mask, count & mask));
+        state->first = PMF_IF(started, state->first, pmf_signed(mask, count & mask));
         if (config->from_first == 0U) {
             state->travel = PMF_IF(started, state->travel, (whole_t)state->first & 0xffffffffU);
         }

@@ -25,14 +25,6 @@ static void begin_encoder(const pmf_encoder_config_t *config, pmf_encoder_state_
     pmf_clear(&state->misread, (uint32_t)sizeof state->misread);
 #endif
     state->velocity = state->velocity_before = state->innovation = state->mean_velocity = PMF_R(0.0);
-#if PMF_WITH_GUARD
-    state->guard.seen = state->guard.suspect = state->guard.doubt = state->guard.wait = state->guard.sound =
-        0U; /* the guard learns the size of the motion again */
-    state->guard.reading = count;
-    state->guard.change = 0;
-    state->guard.rate = state->guard.missed = state->guard.last = state->guard.lesson = state->guard.earlier =
-        state->guard.fair = PMF_R(0.0);
-#endif
 }
 
 void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count)
@@ -42,6 +34,7 @@ void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count)
     state->settle = config->settle_samples;
 #if PMF_WITH_GUARD
     state->hold = 0U;
+    pmf_clear(&state->guard, (uint32_t)sizeof state->guard);
 #endif
 #if PMF_WITH_AUXILIARY
     pmf_clear(state->auxiliary.jump, (uint32_t)sizeof state->auxiliary.jump);
@@ -58,8 +51,7 @@ void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples)
 {
     samples = samples < config->settle_samples ? samples : config->settle_samples;
 #if PMF_WITH_GUARD
-    samples += config->encoder.guard_hold; /* a fast motion shortens the wait by `guard_hold`, as after a glitch */
-    samples = samples < config->settle_samples ? samples : config->settle_samples;
+    samples += config->encoder.guard != 0U ? PMF_AHEAD : 0U; /* the samples that the guard holds back come first */
     state->hold = samples > state->hold ? samples : state->hold;
 #else
     state->settle = samples > state->settle ? samples : state->settle;

@@ -28,6 +28,8 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_SIZE(x) __builtin_fabs(x)
 #endif
 #define PMF_READ(table, index) ((table)[index])
+#define PMF_WIDTH 1U /* axes, and the value of one of them */
+#define PMF_LANE(x, lane) (*((void)(lane), &(x)))
 #define PMF_ANY(truth) ((truth) != 0)
 #define PMF_ALL(truth) ((truth) != 0)
 /* Do `action`, which changes only `object` (a pointer), if the truth holds. */
@@ -109,7 +111,15 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_SELDOM static
 #endif
 
-/* The same for functions with one caller or a short body: in an export, the compiler may join them with their callers.
+/* Code with branches, but without long loops. Small code is then also fast on a microcontroller. */
+#if defined(PMF_PARAMETERS) && defined(__GNUC__) && !defined(PMF_STRAIGHT)
+#define PMF_FOR_SIZE __attribute__((cold))
+#else
+#define PMF_FOR_SIZE
+#endif
+
+/* As PMF_SELDOM for functions with one caller or a short body: in an export, the compiler may join them with their
+ * callers.
  */
 #if PMF_LAYOUT != 0U
 #define PMF_RARE static
@@ -142,17 +152,18 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_LONGEST 4U /* largest ratio of a step to the sample period, above which the step is a gap */
 #define PMF_LOOK 4U /* updates between two looks at the size of the motion, because no column changes much faster */
 #define PMF_SWING_BITS 15U /* bits of the looks in this half memory and the last */
-/* Internal status bit for the filters: a wrong count was put back to its true place. */
-#define PMF_BRIDGED 0x80000000U
-#define PMF_BEGIN_AGAIN 0x40000000U /* internal status bit: the guard accepted wrong counts while it learned */
-#define PMF_GUARD_SUSPECTS 16U /* successive suspicious changes that restart the guard */
-#define PMF_GUARD_SOUND 3U /* samples since a suspicious sample, after which errors belong to the motion */
-#define PMF_GUARD_DOUBTS 3U /* doubts about the last two inputs as bits, the higher for the earlier input */
 #ifdef PMF_FLOAT32
 #define PMF_LARGEST_INPUT PMF_R(1e15)
 #else
 #define PMF_LARGEST_INPUT PMF_R(1e100)
 #endif
+
+/* Return a count modulo mask + 1 with its sign. */
+static inline integer_t pmf_signed(uint32_t mask, whole_t count)
+{
+    uint32_t half = (mask >> 1) + 1U;
+    return PMF_IF(count < half, (integer_t)count, ~(integer_t)(mask - count));
+}
 
 #if PMF_PROCESS
 /* Write the estimate of the output itself to state->lifted, after a step or another change of the estimate. */
@@ -163,7 +174,13 @@ void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_re
 void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state);
 /* The parts of a step; `signal` has PMF_SIGNALS entries. */
 PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
-                                 whole_t count, truth_t suspicious, real_t *signal);
+                                 whole_t count, real_t *signal);
+#if PMF_WITH_GUARD
+/* Take a sample, and return whether an earlier one is judged. This sample replaces `input` and `count`, and `status`
+ * gets its status bits. `held` is the input before it. */
+PMF_API truth_t pmf_guard(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, real_t held, real_t *input,
+                          whole_t *count, whole_t *status);
+#endif
 /* Step the auxiliary model, after the encoder's signals of the same step. */
 PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
 #if PMF_LATE

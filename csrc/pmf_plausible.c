@@ -44,15 +44,10 @@ PMF_SELDOM uint32_t at_most(uint32_t number, uint32_t most)
 }
 
 #if PMF_WITH_GUARD
-PMF_SELDOM uint32_t check_guard(const pmf_encoder_config_t *config, const pmf_guard_state_t *state)
+PMF_SELDOM uint32_t check_guard(const pmf_guard_state_t *guard)
 {
-    return at_most(state->seen, config->guard + PMF_GUARD_SOUND) & at_most(state->suspect, PMF_GUARD_SUSPECTS) &
-           at_most(state->wait, config->guard >> 2) & at_most(state->doubt, PMF_GUARD_DOUBTS) &
-           within(&state->rate, 1U, -MOST_COUNTS, MOST_COUNTS) & not_negative(&state->scatter, 1U) &
-           within(&state->peak, 1U, PMF_R(0.0), PMF_LARGEST_INPUT) & all_finite(&state->gain, 1U) &
-           all_finite(&state->missed, 1U) & all_finite(&state->last, 1U) & not_negative(&state->lesson, 1U) &
-           within(&state->held, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) & at_most(state->sound, PMF_GUARD_SOUND) &
-           all_finite(&state->earlier, 1U) & not_negative(&state->fair, 1U);
+    return at_most(guard->past, PMF_PAST) & at_most(guard->readings, PMF_AHEAD) &
+           within(guard->input, PMF_VIEW, PMF_R(-2.0) * PMF_LARGEST_INPUT, PMF_R(2.0) * PMF_LARGEST_INPUT);
 }
 #endif
 
@@ -74,9 +69,6 @@ PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_
            within(&state->ratio_before, 1U, PMF_R(0.0), PMF_MOST_RATIO) &
            all_finite((const real_t *)(const void *)&state->tracker, REALS(state->tracker)) &
            not_negative(&state->tracker.place, 1U) & not_negative(&state->tracker.speed, 1U)
-#endif
-#if PMF_WITH_GUARD
-           & check_guard(config, &state->guard)
 #endif
 #if PMF_WITH_MISREAD
            & within(&state->misread.pause, 1U, PMF_R(0.0), MOST_COUNTS) &
@@ -221,7 +213,7 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 #endif
     fine = at_most(state->status, PMF_STATUS_BITS) & at_most(state->settle, settle) &
 #if PMF_WITH_GUARD
-           at_most(state->hold, settle) &
+           at_most(state->hold, settle + PMF_AHEAD) & check_guard(&state->guard) &
 #endif
            check_encoder(&config->encoder, &state->encoder) &
            all_finite((const real_t *)(const void *)&state->network, REALS(state->network)) &

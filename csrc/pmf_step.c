@@ -38,11 +38,13 @@ void pmf_set_step(const pmf_config_t *config, pmf_state_t *state, real_t step)
 #if PMF_WHOLE
 void pmf_rebase(pmf_state_t *state, uint32_t count)
 {
-    state->encoder.count = count;
 #if PMF_WITH_GUARD
-    state->encoder.guard.reading = count;
-    state->encoder.guard.suspect = 0U;
+    if (state->guard.readings > 0U) {
+        state->guard.zero = count - state->guard.count[PMF_PAST + state->guard.readings - 1U];
+        return;
+    }
 #endif
+    state->encoder.count = count;
 }
 #endif
 
@@ -71,21 +73,6 @@ static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
 #endif
 }
 
-#if PMF_WITH_GUARD
-/* Begin again, because all sums contain wrong counts. */
-PMF_SELDOM void begin_again(const pmf_config_t *config, pmf_state_t *state)
-{
-    pmf_clear(&state->direct, (uint32_t)sizeof state->direct);
-#if PMF_WITH_AUXILIARY
-    pmf_clear(&state->instrument, (uint32_t)sizeof state->instrument);
-#endif
-#if PMF_FOUND
-    pmf_clear(&state->found, (uint32_t)sizeof state->found);
-#endif
-    restart_filters(config, state);
-}
-#endif
-
 #if PMF_WITH_AUXILIARY
 /* The nodes that the auxiliary model writes. */
 typedef struct {
@@ -103,27 +90,18 @@ static void step_model(const pmf_config_t *config, pmf_state_t *state)
 }
 #endif
 
+/* Run encoder, auxiliary model and network on a sample that the guard has passed. */
 #if PMF_STEPS && PMF_LAYOUT != 0U && defined(__GNUC__) /* the step is the only caller in an export */
 __attribute__((always_inline)) inline
 #endif
-    PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
+    static whole_t filter_sample(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
-#if PMF_WITH_GUARD
-    truth_t before = state->hold == config->encoder.guard_hold, suspicious, bridged;
-#else
-    truth_t before = PMF_W(0) != 0U;
-#endif
-    whole_t status = pmf_encoder_step(&config->encoder, &state->encoder, input, count, before, state->network.node);
+    whole_t status = pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
     truth_t settling;
 #if PMF_WITH_GUARD
-    suspicious = (status & PMF_SAMPLE_REJECTED) != 0U;
-    if (PMF_ANY(suspicious | (state->hold > 0U))) {
-        bridged = before & ((status & PMF_BRIDGED) != 0U);
-        state->hold = PMF_IF(suspicious, PMF_W(config->encoder.guard_hold),
-                             PMF_IF(bridged, PMF_W(0), state->hold - PMF_BIT(state->hold > 0U, 1U)));
+    if (PMF_ANY(state->hold > 0U)) {
+        state->hold -= PMF_BIT(state->hold > 0U, 1U);
     }
-    PMF_WHERE((status & PMF_BEGIN_AGAIN) != 0U, state, begin_again(config, state));
-    status = status & ~(uint32_t)(PMF_BRIDGED | PMF_BEGIN_AGAIN);
 #endif
 #if PMF_LATE
     if (config->late.room != 0U) {
@@ -393,7 +371,7 @@ real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32
 }
 #endif
 
-/* Run the recursions on the columns of this sample, unless the sample is suspicious. */
+/* Run the recursions on the columns of this sample, unless the filters settle. */
 static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, whole_t filtered)
 {
     whole_t status = PMF_BIT(state->direct.started == 0U, PMF_STARTING), stepped = PMF_W(0);
@@ -428,9 +406,9 @@ static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, who
     return status;
 }
 
-PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
+static whole_t step_sample(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count, whole_t guarded)
 {
-    whole_t status = pmf_filter(config, state, input, count);
+    whole_t status = filter_sample(config, state, input, count) | guarded;
 #if PMF_PROCESS
     state->direct.lift = config->direct.lift * PMF_TO_REAL(state->encoder.first);
 #if PMF_LINEAR
@@ -446,6 +424,42 @@ PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t 
     }
 #endif
     return status;
+}
+
+#if PMF_WITH_GUARD
+/* Return the status while the guard waits for its first counts. The estimate stays. */
+static whole_t waiting(const pmf_state_t *state)
+{
+    return (state->status & (uint32_t)PMF_FALLBACK) | PMF_SETTLING | PMF_BIT(state->direct.started == 0U, PMF_STARTING);
+}
+#endif
+
+PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
+{
+    whole_t guarded = PMF_W(0), status = PMF_W(0);
+#if PMF_WITH_GUARD
+    if (config->encoder.guard != 0U) {
+        truth_t ready = pmf_guard(&config->encoder, &state->guard, state->encoder.input, &input, &count, &guarded);
+        PMF_WHERE(ready, state, status = filter_sample(config, state, input, count));
+        return PMF_IF(ready, status | guarded, waiting(state));
+    }
+#endif
+    status = filter_sample(config, state, input, count);
+    return status | guarded;
+}
+
+PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
+{
+    whole_t guarded = PMF_W(0);
+#if PMF_WITH_GUARD
+    if (config->encoder.guard != 0U) {
+        truth_t ready = pmf_guard(&config->encoder, &state->guard, state->encoder.input, &input, &count, &guarded);
+        state->status = PMF_IF(ready, state->status, waiting(state));
+        PMF_WHERE(ready, state, (void)step_sample(config, state, input, count, guarded));
+        return state->status;
+    }
+#endif
+    return step_sample(config, state, input, count, guarded);
 }
 
 #if PMF_WHOLE

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from numpy.typing import NDArray
 
 import pmfid
 from pmfid import BCRLS, IV, LS, RIV, RLS, Drive, Encoder, Status
@@ -20,8 +21,7 @@ from pmfid.monitor.monitor import Monitor
 from pmfid.simulation import CART, CART_DT, Schedule, make_scenario, quantize, resolution_of, simulate_drive
 from pmfid.simulation.scenarios import SCENARIOS
 from pmfid.simulation.signals import prbs
-from studies.glitches import AXES, KINDS, SUSPICIOUS, effects, healthy, spoil
-from studies.machines import machine_record
+from studies.machines import AXES, machine_record
 from studies.monitoring.axis import changing, make_riv, normal_work
 from tests.conftest import TRUTH, cart_run, long_unless
 from tests.firmware.build import GCC, M4F, Target, command
@@ -30,6 +30,10 @@ from tests.firmware.replay import difference, exported
 from tests.test_many import WAYS
 
 METHODS = (RIV, BCRLS, RLS)
+SUSPICIOUS = Status.COUNT_JUMP | Status.INVALID_INPUT
+#: Samples for which the guard waits.
+DELAY = 8
+KINDS = ("jump", "glitch", "1 % glitches", "spike")
 DT, CUTOFF, FORGETTING = 0.01, 50.0, 0.998
 
 
@@ -42,23 +46,38 @@ def estimator(cls: Any, resolution: float, **options: Any) -> Any:
     return cls(Drive(2.0), encoder, DT, CUTOFF, **({"forgetting": FORGETTING} | options))
 
 
-def the_same(a: Any, b: Any) -> bool:
-    names = ("theta", "variance_factor", "inflation", "innovation", "innovation_variance", "status")
-    return all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
+NUMBERS = ("theta", "variance_factor", "inflation", "innovation", "innovation_variance", "status")
 
 
-# --- a short form of `python -m studies.glitches` --------------------------------------------------------------
+def the_same(a: Any, b: Any, delay: int = 0) -> bool:
+    """Return whether two tracks have the same bits, the first one `delay` samples later."""
+    n = a.status.size
+    return all(np.array_equal(getattr(a, name)[delay:], getattr(b, name)[: n - delay]) for name in NUMBERS)
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("axis", ["cart", "gantry"])
-def test_it_is_flagged_at_its_sample_and_forgotten_after_two_memories(axis: str, kind: str) -> None:
-    found = [one for _, one in effects(axis, kind, 2, seed=3)]
-    assert len(found) >= 24
-    assert sum(one.missed for one in found) <= 0.001 * sum(one.faults for one in found)
-    assert max(one.after for one in found) < (0.08 if kind == "1 % glitches" else 0.02)
-    if "glitch" in kind:
-        assert max(one.largest for one in found) < (0.05 if kind == "glitch" else 0.1)
+@dataclass(frozen=True)
+class Spoiled:
+    """A record with faults at places (k,), beyond the first third."""
+
+    u: NDArray[np.float64]
+    counts: NDArray[np.int64]
+    places: NDArray[np.intp]
+
+
+def spoil(kind: str, u: NDArray[np.float64], counts: NDArray[np.int64], rng: np.random.Generator) -> Spoiled:
+    """Return a record of (n,) samples with a fault of this kind at a random place."""
+    u, counts, n = u.copy(), counts.copy(), u.size
+    places = np.array([rng.integers(n // 3, n - 100)])
+    if kind == "1 % glitches":
+        places = n // 3 + np.flatnonzero(rng.random(n - n // 3) < 0.01)
+    sizes = rng.choice([-1, 1], places.size) * 10 ** rng.uniform(2.0, 9.0, places.size)
+    if kind == "spike":
+        u[places] = 100 * sizes
+    elif kind == "jump":
+        counts[places[0] :] += round(float(sizes[0]))
+    else:
+        counts[places] += sizes.astype(np.int64)
+    return Spoiled(u, counts, places)
 
 
 @pytest.mark.parametrize("cls", METHODS)
@@ -67,8 +86,8 @@ def test_after_a_jump_it_goes_on_from_the_new_zero(cls: Any, precision: str) -> 
     run = cart_run(9, samples=3000)
     counts = run.counts + 123_456 * (np.arange(3000) >= 2000)
     track = estimator(cls, run.encoder.resolution, precision=precision).run(run.u, counts)
-    assert np.flatnonzero(track.has_status(Status.COUNT_JUMP)).tolist() == [2000]
-    assert track.has_status(Status.SETTLING)[2000:].sum() <= 8
+    assert np.flatnonzero(track.has_status(Status.COUNT_JUMP)).tolist() == [2000 + DELAY]
+    assert not track.has_status(Status.SETTLING)[2000:].any()
     np.testing.assert_allclose(track.theta[2000:], np.broadcast_to(TRUTH, (1000, 3)), rtol=0.05)
 
 
@@ -77,7 +96,7 @@ def test_a_wrong_input_does_not_turn_directional_forgetting_over() -> None:
     u = run.u.copy()
     u[2000] = 1e8
     track = estimator(RLS, run.encoder.resolution, forgetting_scheme="directional").run(u, run.counts)
-    assert track.has_status(Status.INVALID_INPUT)[2000]
+    assert np.flatnonzero(track.has_status(Status.INVALID_INPUT)).tolist() == [2000 + DELAY]
     np.testing.assert_allclose(track.theta[2000:], np.broadcast_to(TRUTH, (1000, 3)), rtol=0.05)
 
 
@@ -94,7 +113,7 @@ def test_a_wrong_count_early_in_a_smooth_motion_hides_no_later_ones(place: int) 
     jumps = np.arange(1000, 4000, 200)
     counts += 20_000 * np.searchsorted(jumps, np.arange(4000), side="right")
     track = RIV(Drive(SMALL["input_gain"]), Encoder(resolution), 0.005, 50.0, forgetting=0.998).run(u, counts)
-    assert track.has_status(Status.COUNT_JUMP)[[place, *jumps]].all()
+    assert track.has_status(Status.COUNT_JUMP)[np.array([place, *jumps]) + DELAY].all()
     assert track.theta[-1, 0] == pytest.approx(SMALL["mass"], rel=0.01)
 
 
@@ -105,7 +124,7 @@ def test_a_narrow_counter_wraps_through_it(bits: int) -> None:
     counts[1500] -= 333
     whole = estimator(BCRLS, run.encoder.resolution).run(run.u, counts)
     narrow = estimator(BCRLS, run.encoder.resolution, bits=bits).run(run.u, counts % 2**bits)
-    assert np.flatnonzero(narrow.has_status(Status.COUNT_JUMP)).tolist() == [1500, 2000]
+    assert np.flatnonzero(narrow.has_status(Status.COUNT_JUMP)).tolist() == [1500 + DELAY, 2000 + DELAY]
     assert the_same(whole, narrow)
 
 
@@ -119,58 +138,28 @@ def test_what_nobody_spoiled_keeps_its_bits(name: str, increments: int) -> None:
     with_guard, without = (
         estimator(RIV, run.resolution, guard=on).run(run.motion.u, run.counts) for on in (True, False)
     )
-    assert the_same(with_guard, without)
-
-
-@pytest.mark.parametrize("axis", AXES)
-def test_no_machine_is_suspected(axis: str) -> None:
-    assert healthy(axis)[0] == 0
+    assert the_same(with_guard, without, DELAY)
 
 
 @pytest.mark.parametrize("factor", [0.01, 0.1, 10.0, 100.0])
 @pytest.mark.parametrize("increments", [4096, 256])
 def test_another_amplitude_of_the_input_passes(factor: float, increments: int) -> None:
-    """At most a few samples are left out, but no motion is lost."""
+    """At most a few samples are replaced."""
     u = prbs(4000, clock=10, amplitude=1.0, rng=np.random.default_rng(4)) * np.r_[np.ones(2000), np.full(2000, factor)]
     u *= 3.0 / min(1.0, factor)
     counts = quantize(simulate_drive(CART, u, DT).x, resolution_of(increments))
     with_guard, without = (estimator(RIV, resolution_of(increments), guard=on).run(u, counts) for on in (True, False))
     assert np.sum(with_guard.has_status(SUSPICIOUS)) <= 4
-    np.testing.assert_allclose(with_guard.theta[2500:], without.theta[2500:], rtol=0.01)
+    np.testing.assert_allclose(with_guard.theta[2500 + DELAY :], without.theta[2500:-DELAY], rtol=0.01)
 
 
-def test_a_blow_is_flagged_and_nothing_of_it_is_lost() -> None:
-    """After a jump of the velocity, two samples are suspicious, like two wrong readings. The third sample confirms the
-    jump.
-    """
-    u = prbs(4000, clock=10, amplitude=3.0, rng=np.random.default_rng(4))
-    late = (np.arange(4000) - 2500) * DT
+def test_a_blow_is_a_motion() -> None:
+    """A jump of the velocity lowers its acceleration by 3 at most if a sample is left out."""
+    u = prbs(3000, clock=10, amplitude=3.0, rng=np.random.default_rng(4))
+    late = (np.arange(3000) - 2500) * DT
     after_blow = np.where(late > 0, 0.5 / 12 * (1 - np.exp(-12 * np.maximum(late, 0.0))), 0.0)
     counts = quantize(simulate_drive(CART, u, DT).x + after_blow, resolution_of(4096))
-    with_guard, without = (estimator(RLS, resolution_of(4096), guard=on) for on in (True, False))
-    track = with_guard.run(u, counts)
-    without.run(u, counts)
-    assert np.flatnonzero(track.has_status(Status.COUNT_JUMP)).tolist() == [2501, 2502]
-    assert track.has_status(Status.SETTLING)[2501 : 2503 + with_guard.settle_samples].all()
-    position = [one.make_kernel().filter(u, counts)[0].sum(axis=0) for one in (with_guard, without)]
-    from_counts = [0, 1, 3]  # the direction after the blow is known two samples late
-    np.testing.assert_allclose(position[0][from_counts], position[1][from_counts], rtol=1e-6)
-
-
-def test_a_step_of_a_process_is_put_back() -> None:
-    """The zero of a process cannot move, so that the held-back motion comes with the next sample."""
-    u = np.random.default_rng(2).choice([-1.0, 1.0], 300).repeat(10)
-    y = np.zeros(u.size)
-    for k in range(1, u.size):
-        y[k] = 0.98 * y[k - 1] + 0.02 * u[k - 1]
-    counts = np.floor(1e5 * y).astype(np.int64)
-    model, encoder = pmfid.TransferFunction(1, 0, offset=True), Encoder(1e-5)
-    clean = pmfid.RSRIVC(model, encoder, DT, 2.0, forgetting=0.998)
-    truth = clean.run(u, counts).theta[-1]
-    u[1500], counts[1800], counts[2100:] = 1e30, counts[1800] + 10**8, counts[2100:] + 10**6
-    track = pmfid.RSRIVC(model, encoder, DT, 2.0, forgetting=0.998).run(u, counts)
-    assert track.has_status(SUSPICIOUS)[[1500, 1800, 2100]].all()
-    assert np.all(np.abs(track.theta[1500:2100, :2] / truth[:2] - 1) < 0.02)
+    assert not estimator(RLS, resolution_of(4096)).run(u, counts).has_status(SUSPICIOUS).any()
 
 
 # --- a counter that is set on purpose ---------------------------------------------------------------------------------
@@ -196,8 +185,7 @@ def spoiled_fleet(axes: int, samples: int = 1500) -> tuple[np.ndarray, np.ndarra
     rng, rows = np.random.default_rng(1), []
     for axis in range(axes):
         run = cart_run(axis, increments=(4096, 256, 64)[axis % 3], samples=samples)
-        spoiled = spoil(KINDS[(0, 2, 3, 4)[axis % 4]], np.r_[run.u, run.u], np.r_[run.counts, run.counts], rng)
-        assert spoiled is not None
+        spoiled = spoil(KINDS[axis % 4], np.r_[run.u, run.u], np.r_[run.counts, run.counts], rng)
         rows.append((spoiled.u[samples // 2 :][:samples], spoiled.counts[samples // 2 :][:samples]))
     return np.stack([u for u, _ in rows]), np.stack([counts for _, counts in rows])
 
@@ -246,7 +234,7 @@ def test_without_the_guard_firmware_is_as_small_as_before(tmp_path: Path) -> Non
         folder = tmp_path / str(guard)
         pmfid.export_firmware(estimator(BCRLS, 1e-4, precision="float32", guard=guard), folder)
         size[guard] = flash(folder, "axis", M4F)
-    assert 500 < size[True] - size[False] < 3900
+    assert 500 < size[True] - size[False] < 3400
 
 
 def test_export_leaves_it_out_on_request(tmp_path: Path) -> None:
@@ -279,13 +267,12 @@ def test_firmware_can_be_homed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("cls", [LS, IV])
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "jump at rest"])
+@pytest.mark.parametrize("kind", KINDS)
 def test_off_line_they_are_left_out_as_well(cls: Any, kind: str) -> None:
     record = machine_record(AXES["rotary"], "nothing", "prbs", 1024, 4)
     axis = AXES["rotary"]
     method = cls(Drive(axis.drive.input_gain), Encoder(record.resolution), axis.dt, 0.5 / axis.dt)
     spoiled = spoil(kind, record.u, record.counts, np.random.default_rng(3))
-    assert spoiled is not None
     clean, fit = method.fit(record.u, record.counts), method.fit(spoiled.u, spoiled.counts)
     assert fit.status & SUSPICIOUS
     np.testing.assert_allclose(fit.theta, clean.theta, rtol=0.02)
@@ -306,7 +293,6 @@ def test_the_monitor_watches_on(calibration: Calibration, kind: str) -> None:
     step = Schedule(((0.0, CART), (25.0, replace(CART, mass=1.2 * CART.mass))))
     u, counts = changing(step, 4, 1024, 40.0)
     spoiled = spoil(kind, u[:3500], counts[:3500], np.random.default_rng(6))
-    assert spoiled is not None
     counts = np.r_[spoiled.counts, counts[3500:] + spoiled.counts[-1] - counts[3499]]
     u = np.r_[spoiled.u, u[3500:]]
     monitor = Monitor(make_riv(1024, TRUTH), calibration, Watch())
@@ -348,8 +334,10 @@ def test_samples_lost_while_the_input_switches_are_not_drawn_as_lines(calibratio
         for pair in zip(u[:1500], counts[:1500].tolist(), strict=True):
             monitor.step(*pair)
         monitor.fill_gap(2, u[1502] + jump * np.ptp(u), int(counts[1502]))
-        estimate, _ = monitor.step(u[1502], int(counts[1502]))
-        assert (Status.SETTLING in Status(estimate.status)) == settles
+        status = Status(0)
+        for k in range(1502, 1502 + DELAY):
+            status |= Status(monitor.step(u[k], int(counts[k]))[0].status)
+        assert (Status.SETTLING in status) == settles
 
 
 def test_a_held_input_that_switched_in_lost_samples_is_not_drawn_as_a_line_either(calibration: Calibration) -> None:

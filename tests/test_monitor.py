@@ -70,7 +70,7 @@ def test_unusable_samples_count_for_nothing() -> None:
     u, counts = normal_work(2, INCREMENTS, 0.01)
     u[100] = np.nan
     blocks = scores(front(), THETA, u, counts)
-    hit = 100 // front().settle_samples
+    hit = 108 // front().settle_samples  # the guard waits for eight counts
     assert not blocks.score[hit + 1].any()
     assert blocks.score[hit + 6 :].any()
     assert np.isfinite(blocks.score).all()

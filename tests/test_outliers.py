@@ -18,7 +18,7 @@ from pmfid.cli.main import main
 from pmfid.records.outliers import repair_record
 from pmfid.records.record import Record
 from pmfid.simulation import CART, CART_DT, quantize, resolution_of, simulate_drive
-from studies.glitch_sizes import KINDS, wrong_sizes
+from studies.glitches import KINDS, wrong_sizes
 from studies.machines import AXES, MOTIONS, machine_record
 from studies.paper.truth import CartRecord
 from tests.conftest import long_unless

@@ -25,8 +25,8 @@ from tests.test_many import AXES, fleet_record, make
 
 PRECISIONS = ("float32", "float64")
 #: Whole numbers without a limit: registers, sums modulo 2^32, and counters that saturate.
-FREE = {"encoder.count", "encoder.change", "encoder.travel", "encoder.first", "encoder.guard.change",
-        "encoder.guard.reading", "updates", "since", "window_updates", "linear.since", "auxiliary.turn"}  # fmt: skip
+FREE = {"encoder.count", "encoder.change", "encoder.travel", "encoder.first", "guard.count", "guard.zero",
+        "updates", "since", "window_updates", "linear.since", "auxiliary.turn"}  # fmt: skip
 CASES = {name: (cls, options) for name, cls, options in [
     ("bcrls", pmfid.BCRLS, {}),
     ("window", pmfid.RLS, {"forgetting_scheme": "window"}),

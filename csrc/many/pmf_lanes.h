@@ -40,6 +40,8 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
     ((PMF_TYPE(yes, no))((PMF_BITS(PMF_TYPE(yes, no), yes) & (truth)) | (PMF_BITS(PMF_TYPE(yes, no), no) & ~(truth))))
 #define PMF_SIZE(x) ((real_t)((truth_t)(x) & ~(truth_t)PMF_R(-0.0)))
 #define PMF_READ(table, index) pmf_read(table, index)
+#define PMF_WIDTH PMF_LANES
+#define PMF_LANE(x, lane) ((x)[lane])
 #define PMF_ANY(truth) pmf_any(truth)
 #define PMF_ALL(truth) (!pmf_any(~(truth)))
 #define PMF_WHERE(truth, object, action)                       \

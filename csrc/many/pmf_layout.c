@@ -137,7 +137,7 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
     }
     if (config->encoder.guard == 0U) {
         leave_out(unused, IN_STATE(hold), END_IN_STATE(hold));
-        leave_out(unused, IN_STATE(encoder.guard), END_IN_STATE(encoder.guard));
+        leave_out(unused, IN_STATE(guard), END_IN_STATE(guard));
     }
     if (config->auxiliary.enabled + config->linear.enabled != 0U) {
         leave_recursion(unused, IN_STATE(instrument), &config->instrument);

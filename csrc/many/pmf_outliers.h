@@ -4,15 +4,15 @@
 
 #include <stdint.h>
 
-/* A record of `samples` counts at increasing times [sample periods]. The counts are whole, below 2^53 in size, and do
- * not wrap. */
+/* A record of `samples` counts at increasing times [sample periods]. The counts are below 2^53 in size and do not
+ * wrap. */
 typedef struct {
     uint64_t samples;
     double step; /* size of the rounding error, at least the encoder's step [counts] */
     double speed; /* highest possible speed, which is a hard limit, otherwise 0 [counts per sample period] */
     const double *time;
-    double *count; /* in: the readings; out: the counts of the motion, from the first zero */
-    double *moved; /* out: shift of the counter's zero at each sample, otherwise 0 */
+    int64_t *count; /* in: the readings; out: the counts of the motion, from the first zero */
+    int64_t *moved; /* out: shift of the counter's zero at each sample, otherwise 0 */
     unsigned char *wrong; /* out: 1 at a reading that no motion explains, otherwise 0 */
 } pmf_outliers_t;
 

@@ -6,6 +6,7 @@
 #include "../pmf_auxiliary.c"
 #include "../pmf_verdicts.c"
 #include "../pmf_encoder.c"
+#include "../pmf_guard.c"
 #include "../pmf_network.c"
 #include "../pmf_recursion.c"
 #include "../pmf_step.c"

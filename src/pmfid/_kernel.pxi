@@ -30,6 +30,7 @@ cdef extern from "pmf_internal.h":
         PMF_MOVING
         PMF_LATE_INPUT
         PMF_DELAY
+        PMF_AHEAD
     # The structures list only the fields that are read here. Python fills a configuration by the names in pmf.h.
     ctypedef struct pmf_network_config_t:
         uint32_t n_columns
@@ -53,6 +54,7 @@ cdef extern from "pmf_internal.h":
         real_t older, newer, part, lagged
     ctypedef struct pmf_encoder_config_t:
         real_t rate
+        uint32_t guard
     ctypedef struct pmf_config_t:
         pmf_encoder_config_t encoder
         pmf_network_config_t network
@@ -317,20 +319,28 @@ cdef class Kernel:
 
     def filter(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None,
                cnp.ndarray[double, mode="c"] steps=None):
-        """Run encoder and filters alone, with the arguments of `run`. Returns columns (n, c) and status (n,)."""
+        """Run encoder and filters alone on a whole record, with the arguments of `run`. Returns columns (n, c) and
+        status (n,), in time with the samples. The guard judges the last samples with a motion that continues."""
         self._check_steps(steps)
         cdef const double *step = NULL if steps is None else <const double *> _numbers(steps)
         cdef Py_ssize_t n = u.shape[0], c = self.config.network.n_columns, k, i
         cdef cnp.ndarray[double, ndim=2, mode="c"] columns = np.empty((n, c))
         cdef cnp.ndarray[uint32_t, mode="c"] status = np.empty(n, np.uint32)
         cdef pmf_stepper_t *filtered = pmf_fastest_filter(&self.config)
+        cdef Py_ssize_t ahead = PMF_AHEAD if self.config.encoder.guard != 0 else 0, last
+        cdef int64_t steady = counts[n - 1] - counts[n - 2] if n > 1 else 0
+        cdef uint32_t found
         with nogil:
-            for k in range(n):
+            for k in range(n + ahead if n > 0 else 0):
+                last = k if k < n else n - 1
                 if step != NULL:
-                    pmf_set_step(&self.config, &self.state, <real_t> step[k])
-                status[k] = filtered(&self.config, &self.state, <real_t> u[k], <uint32_t> counts[k])
-                for i in range(c):
-                    columns[k, i] = self.state.network.column[i]
+                    pmf_set_step(&self.config, &self.state, <real_t> step[last])
+                found = filtered(&self.config, &self.state, <real_t> u[last],
+                                 <uint32_t> (counts[last] + (k - last) * steady))
+                if k >= ahead:
+                    status[k - ahead] = found
+                    for i in range(c):
+                        columns[k - ahead, i] = self.state.network.column[i]
         return columns, status
 
     def score(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None, scoring,

@@ -58,9 +58,6 @@ class Inputs:
 def follow_many(
     whole: NDArray[np.int64], real: NDArray[np.float64], u: NDArray[np.float64], counts: NDArray[np.int64]
 ) -> NDArray[np.int64]: ...
-def last_flags(
-    status: NDArray[np.uint32], u: NDArray[np.float64], flagged: NDArray[np.uint32], mask: int
-) -> NDArray[np.int64]: ...
 def bars(
     factor: NDArray[np.float64],
     variance: NDArray[np.float64],

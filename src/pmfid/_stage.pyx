@@ -21,8 +21,8 @@ cdef extern from "many/pmf_outliers.h":
         double step
         double speed
         const double *time
-        double *count
-        double *moved
+        int64_t *count
+        int64_t *moved
         unsigned char *wrong
     void pmf_find_outliers(const pmf_outliers_t *record) nogil
 
@@ -34,9 +34,9 @@ def find_outliers(counts, times, double step, double speed=0.0):
     sample period], or 0 if it is unknown. Returns the counts without wrong readings and without
     shifts of the counter's zero (n,), the wrong readings (n,) bool, and the shift at each sample (n,) [counts].
     """
-    found, moved = np.array(counts, dtype=np.float64), np.empty(len(counts))
+    found, moved = np.array(counts, dtype=np.int64), np.empty(len(counts), np.int64)
     wrong = np.empty(len(counts), np.uint8)
-    cdef double[::1] count = found, shift = moved
+    cdef int64_t[::1] count = found, shift = moved
     cdef unsigned char[::1] flag = wrong
     cdef const double[::1] time = np.ascontiguousarray(times, dtype=np.float64)
     cdef pmf_outliers_t record
@@ -47,7 +47,7 @@ def find_outliers(counts, times, double step, double speed=0.0):
         record.count, record.moved, record.wrong = &count[0], &shift[0], &flag[0]
         with nogil:
             pmf_find_outliers(&record)
-    return found.astype(np.int64), wrong.astype(bool), moved.astype(np.int64)
+    return found, wrong.astype(bool), moved
 
 
 def first_order(signal, double a, double b0, double b1=0.0, double memory=0.0):
@@ -322,23 +322,6 @@ def follow_many(cnp.ndarray[int64_t, ndim=2, mode="c"] whole not None, cnp.ndarr
             for k in range(n):
                 found[axis, k] = _follow(&whole[axis, 0], &real[axis, 0], u[axis, k], counts[axis, k])
     return found
-
-
-def last_flags(cnp.ndarray[uint32_t, ndim=2, mode="c"] status not None, cnp.ndarray[double, ndim=2, mode="c"] u not None,
-               cnp.ndarray[uint32_t, mode="c"] flagged not None, uint32_t mask):
-    """Return the rows of `status` (axes, n) with a bit of the mask in a sample that is not lost. The inputs u (axes,
-    n) show the lost samples. `flagged` (axes,) becomes the status of the last known sample. Raises ValueError for
-    other shapes."""
-    cdef Py_ssize_t axes = u.shape[0], n = u.shape[1], axis, k
-    _check(np.shape(status) == (axes, n) and flagged.shape[0] == axes)
-    cdef cnp.ndarray[unsigned char, mode="c"] found = np.zeros(axes, np.uint8)
-    with nogil:
-        for axis in range(axes):
-            for k in range(n):
-                if isfinite(u[axis, k]):
-                    flagged[axis] = status[axis, k]
-                    found[axis] |= status[axis, k] & mask != 0
-    return np.flatnonzero(found)
 
 
 def bars(cnp.ndarray factor not None, cnp.ndarray variance not None, cnp.ndarray inflation not None, found=None):

@@ -37,8 +37,10 @@ class Encoder:
         Highest speed [unit/s], or a text such as "3000 rpm". A faster change in one sample is flagged as a jump and
         left out.
     guard : bool
-        If True, samples that no motion explains are flagged and left out, even without max_speed. Examples are a
-        counter that was set to another value, a wrong reading, and a spike of the input. False lets every sample in.
+        If True, samples of a machine that no motion explains are flagged and replaced, even without max_speed. Examples
+        are a counter that was set to another value, a wrong reading, and a spike of the input. Recursive estimators
+        judge a sample by the counts after it, so their estimates lag (`RecursiveEstimator.delay`). False lets every
+        sample in without a delay. The guard ignores the output of a process and samples with given steps.
 
     Raises
     ------
@@ -101,9 +103,6 @@ class Encoder:
             "process": 0,
             "standstill_samples": max(1, round(min(self.standstill_time / dt, 2**32 - 1))),
             "guard": 0,
-            "spike": 0.0,
-            "guard_leak": 0.0,
-            "guard_hold": 0,
             "rate": 0.0,
             "push": TRACKING_INDEX * TRACKING_INDEX,
             "turns": 0,

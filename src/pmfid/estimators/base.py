@@ -327,12 +327,7 @@ class Estimator:
             still = min(constants_of(None)["PMF_TICKS"] * config["standstill_samples"], 2**28)
             # The guard is off, because the largest change in one sample is no bound for a sample with another step.
             return config | {"rate": 1 / self.dt, "standstill_samples": still}
-        if self.encoder.guard:
-            config["guard"] = TUNING.base_learning * self.settle_samples
-            config["guard_leak"] = 1 / (TUNING.base_learned * self.settle_samples)
-            config["guard_hold"] = min(TUNING.held_out, self.settle_samples)
-            config["spike"] = self.plant.spike
-        return config
+        return config | {"guard": int(self.encoder.guard and self.plant.rests)}
 
     def late_config(self, found: float = 0.0) -> dict[str, object] | None:
         """Return the kernel configuration of a late input; None if the input acts at once. `found` is the dead time [s]

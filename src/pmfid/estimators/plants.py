@@ -20,8 +20,7 @@ class PlantDefaults(ABC):
 
     `regularization` is the part of the largest information that is never forgotten. `pivot` is the relative pivot of
     the information matrix from which a first estimate exists. `least_part` is the least independent part of a column's
-    power. An input of `spike` times the largest recent input is a spike, unless the counts answer or the input stays.
-    `rests` is True if a motion may rest and reverse inside a sample, so that a large motion says little about a small
+    power. `rests` is True if a motion may rest and reverse inside a sample, so that a large motion says little about a small
     one. `extended` is True if the pre-filter's coefficients can be further unknowns. `fewer` names the unknowns that a
     user can reduce.
     """
@@ -29,7 +28,6 @@ class PlantDefaults(ABC):
     regularization: float
     pivot: float
     least_part: float
-    spike: float
     rests: bool
     extended: bool
     fewer: str
@@ -63,7 +61,6 @@ class MachineDefaults(PlantDefaults):
     regularization: float = 1e-4  # P stays below 1e4 times its smallest value
     pivot: float = TUNING.start_pivot
     least_part: float = TUNING.start_pivot
-    spike: float = 8.0
     rests: bool = True
     extended: bool = True
     fewer: str = "unknown terms"
@@ -99,13 +96,12 @@ class LinearProcess(PlantDefaults):
     """Defaults for a transfer function. Rest has no meaning for a process, and counts are a reading.
 
     The columns may nearly depend on each other. The third derivative of a lightly damped mode, for example, is almost a
-    multiple of y'. A process answers late, so its threshold for spikes is higher.
+    multiple of y'.
     """
 
     regularization: float = 1e-7
     pivot: float = 1e-7
     least_part: float = 1e-12
-    spike: float = 100.0
     rests: bool = False
     extended: bool = False
     fewer: str = "poles (n), zeros (m) or extras, or srivc on whole records"

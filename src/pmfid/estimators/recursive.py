@@ -234,6 +234,11 @@ class RecursiveEstimator(Estimator):
         return super().encoder_config | {"from_first": int(level_of(self.equation) is not None)}
 
     @property
+    def delay(self) -> int:
+        """Lag of estimates and status [samples], during which `Encoder.guard` waits for further counts."""
+        return constants_of(None)["PMF_AHEAD"] if self.encoder_config["guard"] else 0
+
+    @property
     def memory(self) -> float:
         return memory_of(self.forgetting, self.dt)
 

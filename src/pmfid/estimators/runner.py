@@ -277,7 +277,7 @@ class Runner(Generic[E]):
         """Follow a counter that was set to another value, as in a homing.
 
         `counts` is the new counter's value for the last sample. The estimate stays. Without `rebase`, the estimator
-        flags a jump beyond the motion limits of the axis and loses one sample of motion (`Encoder.guard`).
+        flags the jump and loses one sample of motion (`Encoder.guard`).
         """
         self.kernel.rebase(counts)
 

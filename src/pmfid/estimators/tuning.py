@@ -78,13 +78,6 @@ class EstimatorTuning:
     #: Number of updates from the accumulated right-hand side. Later updates move theta by the innovation alone. float64
     #: without forgetting never changes over.
     residual_updates: int = 256
-    #: Settling times of the filters until learned motion limits hold strictly, and until they are forgotten. Only
-    #: samples in motion count.
-    base_learning: int = 8
-    base_learned: int = 128
-    #: Number of samples that are left out from a suspicious sample on. After these samples, the filters have forgotten
-    #: most of the replacement.
-    held_out: int = 8
 
     # batch
     #: A target that is closer to one regressor alone, relative to its size, identifies no other parameter.

@@ -206,11 +206,11 @@ def _read_saved(config: Structured, data: bytes, types: Structures) -> Structure
 
 
 def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
-    """Copy the learned limits of the motion from `other` to a kernel at its start. Both kernels have one encoder."""
+    """Copy the samples that the guard holds from `other` to a kernel at its start. Both kernels have one encoder."""
     own, known = (
         np.frombuffer(one.raw_state(), structures(None, precision)["pmf_state_t"]).copy() for one in (kernel, other)
     )
-    own["encoder"]["guard"] = known["encoder"]["guard"]
+    own["guard"] = known["guard"]
     kernel.set_raw_state(own.tobytes())
 
 

@@ -183,7 +183,8 @@ class WatchedAxis:
 
     @property
     def _time(self) -> float:
-        return (self.samples - 1) * self.estimator.dt
+        """Time of the sample to which the estimate belongs [s]."""
+        return (self.samples - 1 - self.estimator.delay) * self.estimator.dt
 
     def _add_known(self, theta: Floats, std: Floats) -> tuple[Floats, Floats]:
         """Combine a reference (p,) and its standard deviations with the prior information. Both results are (q,)."""

@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid._stage import bars, follow_many, last_flags
+from pmfid._stage import bars, follow_many
 from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.axis import REASONS
@@ -32,7 +32,7 @@ class Quiet:
     def __init__(self, monitor: Monitor) -> None:
         self._watching = monitor.watching
         self._estimator, self._filter = monitor.packers
-        self._scoring, self._dt = monitor.scoring, monitor.estimator.dt
+        self._scoring, self._dt, self._delay = monitor.scoring, monitor.estimator.dt, monitor.estimator.delay
         alone = monitor.known is not None  # each estimate needs its own combination with prior information
         self._calm = np.array([state not in UNEASY and not alone for state in range(len(STATES))])
         self._memory = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0))
@@ -52,11 +52,11 @@ class Quiet:
         `index` (k,) has the rows of the axes in `every`. `sampled` has only the axes of the piece, and is updated.
         `every.watched` is updated for the axes that stay quiet. `rows` is filled as if all axes stayed quiet.
         """
-        samples, filled = sampled.samples.copy(), sampled.progress[:, 0].astype(np.int64)
+        samples, filled = sampled.samples - self._delay, sampled.progress[:, 0].astype(np.int64)
         own = follow_many(sampled.whole, sampled.real, u, counts)
         self._estimates(sampled, u, own, rows)
         rows.state[:] = every.watched.state[index][:, None]
-        rows.events.extend(self._outliers(sampled, rows.status, u, samples))
+        rows.events.extend(self._outliers(sampled, rows.status, samples))
         self._filter.hold(sampled.filter)
         theta = every.watched.theta[index]
         scored = self._filter.score(u, own, self._scoring.numbers, theta, sampled.sums, sampled.progress)
@@ -80,11 +80,12 @@ class Quiet:
         return self._memory
 
     def _outliers(
-        self, sampled: Sampled, status: NDArray[np.uint32], u: Floats, samples: Places
+        self, sampled: Sampled, status: NDArray[np.uint32], samples: Places
     ) -> Iterator[tuple[int, int, Event]]:
         before = sampled.flagged.copy()
-        for row in last_flags(status, u, sampled.flagged, ANY_OUTLIER).tolist():
-            for k, signal in outliers(status[row], ~np.isfinite(u[row]), int(before[row]))[0]:
+        sampled.flagged[:] = status[:, -1]
+        for row in np.flatnonzero(np.any(status & ANY_OUTLIER, axis=1)).tolist():
+            for k, signal in outliers(status[row], int(before[row]))[0]:
                 yield row, k, Outlier((int(samples[row]) + k) * self._dt, signal)
 
     def _changes(

@@ -187,7 +187,7 @@ class Monitor(WatchedAxis, Presentable):
         own = self._inputs.step(u, counts)
         estimate = self.estimator.step(u, own)
         rows, disturbed = self._filter.sample(u, own)
-        events = [] if self._inputs.lost else self._outliers(estimate.status)
+        events = self._outliers(estimate.status)
         return estimate, events if rows is None else events + self._on_block(rows, disturbed, estimate)
 
     def _outliers(self, status: int) -> list[Event]:
@@ -214,7 +214,7 @@ class Monitor(WatchedAxis, Presentable):
 
         With prior information, only a single sample is allowed.
         """
-        before, lost = self.samples, ~np.isfinite(u)
+        before = self.samples - self.estimator.delay
         own, part = self._inputs.run(u, counts), slice(start, start + u.size)
         track = Track(self.estimator.names, self.estimator.units, *self.estimator.runner.kernel.run(u, own))
         blocks, disturbed = self._filter.rows(u, own)
@@ -222,7 +222,7 @@ class Monitor(WatchedAxis, Presentable):
         rows.theta[0, part], rows.std[0, part] = result.theta, result.theta_std
         rows.innovation[0, part], rows.status[0, part] = track.innovation, track.status
         rows.state[0, part] = self._own.state[0]
-        found, self._flagged = outliers(track.status, lost, self._flagged)
+        found, self._flagged = outliers(track.status, self._flagged)
         dt = self.estimator.dt
         rows.events.extend((0, start + k, Outlier((before + k) * dt, signal)) for k, signal in found)
         if len(blocks):
@@ -382,22 +382,26 @@ def _pack_kernel(many: ManyKernel, kernel: Kernel) -> NDArray[np.uint8]:
 
 
 def new_outliers(status: int, before: int) -> list[str]:
-    """Return the signals that are flagged in a status and were not flagged in the previous one."""
+    """Return the signals that are flagged in a status and were not flagged in the previous one.
+
+    While the filters settle, nothing is an outlier: an input that is not finite is a lost sample, and the counts may
+    have moved in the meantime.
+    """
+    if status & Status.SETTLING:
+        return []
     return [signal for bit, signal in OUTLIERS.items() if status & bit and not before & bit]
 
 
-def outliers(status: NDArray[np.uint32], lost: NDArray[np.bool_], flagged: int) -> tuple[list[tuple[int, str]], int]:
+def outliers(status: NDArray[np.uint32], flagged: int) -> tuple[list[tuple[int, str]], int]:
     """Return the samples of status (n,) at which a signal is newly flagged, with this signal, and the last status.
 
-    Samples with a true entry in `lost` (n,) are left out. `flagged` is the previous status.
+    `flagged` is the previous status.
     """
-    kept, found = np.flatnonzero(~lost), list[tuple[int, str]]()
-    if not kept.size:
+    found = list[tuple[int, str]]()
+    if not status.size:
         return found, flagged
-    last = int(status[kept[-1]])
-    if np.any(status[kept] & ANY_OUTLIER):
-        for k in kept.tolist():
-            now = int(status[k])
+    if np.any(status & ANY_OUTLIER):
+        for k, now in enumerate(status.tolist()):
             found += [(k, signal) for signal in new_outliers(now, flagged)]
             flagged = now
-    return found, last
+    return found, int(status[-1])

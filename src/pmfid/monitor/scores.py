@@ -136,7 +136,7 @@ class ScoreFilter:
     ) -> None:
         """Take over the guard of `before`, a filter of the same axis with another reference.
 
-        The guard of `before` knows the motion. `left_out` is as in `Scoring`.
+        The guard holds the last samples. `left_out` is as in `Scoring`.
         """
         self.theta = np.array(theta, np.float64)
         self.kernel, first = reference_kernel(estimator, self.theta.tolist())

@@ -397,13 +397,15 @@ def _recursive(
     known: Known | None,
     axis: Axis,
 ) -> DriveResult:
+    method: Estimator = estimator
+    # the record is repaired, and without the guard each estimate is in time with its sample
+    estimator = replace(estimator, encoder=replace(estimator.encoder, guard=False))
     track, reported = _run(estimator, record, progress, known)
     last = int(track.status[-1])
     if last & Status.STARTING:
         raise NotIdentifiableError(
             "the record ends before its motion determines every parameter, so no estimate exists; record longer"
         )
-    method: Estimator = estimator
     theta, std = track.theta[-1], track.theta_std[-1]
     late, free = late_of(estimator), track.theta
     if _needs_simulation(estimator):

@@ -1,0 +1,215 @@
+/* The guard holds samples back until the next PMF_AHEAD counts show which of them no motion explains.
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ * pmf_outlier.c judges the counts, for one axis. Nearly all counts continue the motion before them, or belong to a
+ * view that is smooth as a whole. Lanes know this from second differences alone, and judge only the other counts one
+ * by one. The guard keeps no limits. A wrong count changes nothing but its own sample.
+ *
+ * An input far beyond its neighbours is replaced by the preceding one, unless the counts answer to it. */
+#include "pmf_outlier.h"
+#include "pmf_internal.h"
+
+#if PMF_WITH_GUARD
+
+#define SMOOTH PMF_R(3.2) /* FIRST of pmf_outlier.c: below this ratio of accelerations, no count can be wrong */
+#define ROUNDING PMF_R(2.0) /* second difference of counts in a steady motion */
+#define SPIKE PMF_R(8.0) /* ratio of an input to all its neighbours, above which the counts must answer */
+#define HERE PMF_PAST
+#define MOST_APART 536870912 /* counts that are further apart are wrong in any case */
+
+static real_t change_before(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t place)
+{
+    uint32_t mask = config->count_mask;
+    return PMF_TO_REAL(pmf_signed(mask, (guard->count[place] - guard->count[place - 1U]) & mask));
+}
+
+/* Return the largest second difference whose middle is one of the counts from `first` to `last`, at least ROUNDING. */
+static real_t roughness(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t first,
+                        uint32_t last)
+{
+    real_t most = ROUNDING, before = change_before(config, guard, first);
+    uint32_t place;
+    for (place = first; place <= last; ++place) {
+        real_t after = change_before(config, guard, place + 1U), size = PMF_SIZE(after - before);
+        most = PMF_IF(size > most, size, most);
+        before = after;
+    }
+    return most;
+}
+
+/* Return the acceleration of a second difference without the part that rounding explains. */
+static real_t beyond_rounding(real_t size)
+{
+    return PMF_IF(size > ROUNDING, size - PMF_R(1.0), PMF_R(0.0));
+}
+
+/* Return whether the highest speed allows the changes to all counts from `first` to `last`. */
+static truth_t is_slow(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t first,
+                       uint32_t last)
+{
+    real_t most = PMF_R(0.0), limit = PMF_ALIKE((scalar_t)config->max_change);
+    uint32_t place;
+    if (config->max_change == 0U) {
+        return most <= limit;
+    }
+    for (place = first; place <= last; ++place) {
+        real_t size = PMF_SIZE(change_before(config, guard, place));
+        most = PMF_IF(size > most, size, most);
+    }
+    return most <= limit;
+}
+
+/* Return whether the judged count continues the counts before it, or the whole view is smooth. */
+static truth_t is_smooth(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
+{
+    real_t past = roughness(config, guard, 1U, HERE - 2U), size, limit;
+    truth_t known = guard->past == PMF_PAST, plain;
+    size = PMF_SIZE(change_before(config, guard, HERE) - change_before(config, guard, HERE - 1U));
+    plain = known & (size <= past) & is_slow(config, guard, HERE, HERE);
+    if (PMF_ALL(plain)) {
+        return plain;
+    }
+    limit = beyond_rounding(past);
+    limit = SMOOTH * PMF_IF(limit > PMF_R(1.0), limit, PMF_R(1.0));
+    size = beyond_rounding(roughness(config, guard, HERE - 1U, HERE + PMF_AHEAD - 1U));
+    return plain | (known & (size <= limit) & is_slow(config, guard, HERE, HERE + PMF_AHEAD));
+}
+
+/* Gather the view of a lane. Counts modulo mask + 1 are those next to a steady motion. */
+PMF_SELDOM void gather(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t lane,
+                       pmf_view_t *view)
+{
+    uint32_t mask = config->count_mask, i, past = (uint32_t)PMF_LANE(guard->past, lane);
+    uint32_t base = (uint32_t)PMF_LANE(guard->count[past > 0U ? HERE - 1U : HERE], lane), steady = 0U;
+    if (past >= 2U) {
+        uint32_t change = (base - (uint32_t)PMF_LANE(guard->count[HERE - 2U], lane)) & mask;
+        steady = change <= mask >> 1 ? change : change - mask - 1U;
+    }
+    for (i = 0; i < PMF_PAST + PMF_VIEW; ++i) {
+        uint32_t expected = steady * (i - (HERE - 1U)); /* modulo 2^32 */
+        uint32_t apart = ((uint32_t)PMF_LANE(guard->count[i], lane) - base - expected) & mask;
+        apart = (apart <= mask >> 1 ? apart : apart - mask - 1U) + expected;
+        view->count[i] = apart <= 0x7fffffffU ? (int32_t)apart : -(int32_t)(0xffffffffU - apart) - 1;
+        if (view->count[i] > MOST_APART || view->count[i] < -MOST_APART) {
+            view->count[i] = view->count[i] > 0 ? MOST_APART : -MOST_APART;
+        }
+        view->time[i] = (scalar_t)i;
+    }
+    view->past = past;
+    view->readings = PMF_VIEW;
+    view->step = PMF_SCALAR(1.0);
+    view->speed = (scalar_t)config->max_change;
+    view->slack = PMF_SCALAR(0.0);
+}
+
+/* Judge the count of a lane, and return status bits. The count becomes that of the motion. */
+PMF_SELDOM uint32_t judge_lane(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, uint32_t lane)
+{
+    pmf_view_t view;
+    pmf_verdict_t verdict;
+    uint32_t base, i;
+    gather(config, guard, lane, &view);
+    pmf_judge(&view, &verdict);
+    if (verdict.verdict == PMF_READING_FITS) {
+        return 0U;
+    }
+    base = (uint32_t)PMF_LANE(guard->count[view.past > 0U ? HERE - 1U : HERE], lane);
+    if (verdict.verdict == PMF_ZERO_MOVED) {
+        uint32_t moved = (uint32_t)PMF_LANE(guard->count[verdict.first], lane) - (base + (uint32_t)verdict.end);
+        for (i = HERE; i < PMF_PAST + PMF_VIEW; ++i) {
+            PMF_LANE(guard->count[i], lane) = (uint32_t)PMF_LANE(guard->count[i], lane) - moved;
+        }
+        PMF_LANE(guard->zero, lane) = (uint32_t)PMF_LANE(guard->zero, lane) + moved;
+    }
+    PMF_LANE(guard->count[HERE], lane) = base + (uint32_t)verdict.count;
+    return PMF_COUNT_JUMP;
+}
+
+/* Judge the counts that are not obviously right. */
+static whole_t judge_counts(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t ready)
+{
+    truth_t doubtful = ready & PMF_NOT(is_smooth(config, guard));
+    whole_t status = PMF_W(0);
+    uint32_t lane;
+    if (PMF_ANY(doubtful)) {
+        for (lane = 0; lane < PMF_WIDTH; ++lane) {
+            if (PMF_LANE(doubtful, lane) != 0) {
+                PMF_LANE(status, lane) = judge_lane(config, guard, lane);
+            }
+        }
+    }
+    return status;
+}
+
+/* Judge the input of the judged sample. An input acts on the two second differences around the next count. */
+static whole_t judge_input(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t ready, real_t held)
+{
+    real_t most = PMF_SIZE(held), size = PMF_SIZE(guard->input[0]), answer, other;
+    truth_t spike;
+    uint32_t i;
+    for (i = 1U; i < PMF_VIEW; ++i) {
+        real_t next = PMF_SIZE(guard->input[i]);
+        most = PMF_IF((next > most) & (next <= PMF_LARGEST_INPUT), next, most);
+    }
+    spike = ready & (size > SPIKE * most) & (size <= PMF_LARGEST_INPUT); /* the encoder flags any larger input */
+    if (PMF_ANY(spike)) {
+        answer = roughness(config, guard, HERE, HERE + 1U);
+        other = roughness(config, guard, HERE + 2U, HERE + PMF_AHEAD - 1U);
+        answer = PMF_IF(answer > other, answer, PMF_R(0.0));
+        other = roughness(config, guard, 1U, HERE - 1U);
+        spike = spike & PMF_NOT((guard->past == PMF_PAST) & (answer > other));
+        guard->input[0] = PMF_IF(spike, held, guard->input[0]);
+    }
+    return PMF_BIT(spike, PMF_INVALID_INPUT);
+}
+
+static void push(pmf_guard_state_t *guard, real_t input, whole_t count)
+{
+    truth_t invalid = PMF_NOT(input * input <= PMF_LARGEST_INPUT * PMF_LARGEST_INPUT);
+    uint32_t i;
+    input = PMF_IF(invalid, PMF_R(2.0) * PMF_LARGEST_INPUT, input);
+    count = (count - guard->zero) & 0xffffffffU;
+    if (PMF_ALL(guard->readings == PMF_AHEAD)) {
+        guard->input[PMF_AHEAD] = input;
+        guard->count[HERE + PMF_AHEAD] = count;
+    } else {
+        for (i = 0; i < PMF_VIEW; ++i) {
+            guard->input[i] = PMF_IF(guard->readings == i, input, guard->input[i]);
+            guard->count[HERE + i] = PMF_IF(guard->readings == i, count, guard->count[HERE + i]);
+        }
+    }
+    guard->readings += 1U;
+}
+
+/* Make the judged sample the last accepted one. */
+static void shift(pmf_guard_state_t *guard)
+{
+    uint32_t i;
+    for (i = 0; i + 1U < PMF_PAST + PMF_VIEW; ++i) {
+        guard->count[i] = guard->count[i + 1U];
+    }
+    for (i = 0; i + 1U < PMF_VIEW; ++i) {
+        guard->input[i] = guard->input[i + 1U];
+    }
+    guard->readings -= 1U;
+    guard->past += PMF_BIT(guard->past < PMF_PAST, 1U);
+}
+
+PMF_FOR_SIZE PMF_API truth_t pmf_guard(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, real_t held,
+                                       real_t *input, whole_t *count, whole_t *status)
+{
+    truth_t ready;
+    push(guard, *input, *count);
+    ready = guard->readings == PMF_VIEW;
+    *status = PMF_W(0);
+    if (PMF_ANY(ready)) {
+        *status = judge_counts(config, guard, ready);
+        *status |= judge_input(config, guard, ready, held);
+        *input = guard->input[0];
+        *count = guard->count[HERE] & 0xffffffffU;
+        PMF_WHERE(ready, guard, shift(guard));
+    }
+    return ready;
+}
+
+#endif

@@ -1,0 +1,36 @@
+/* One count that no motion explains, found without any memory of the motion. SPDX-License-Identifier: Apache-2.0 */
+#ifndef PMF_OUTLIER_H
+#define PMF_OUTLIER_H
+
+#include "pmf.h"
+
+/* Whole counts relative to a zero of the caller. Their differences must not overflow. */
+#ifdef PMF_FLOAT32
+typedef int32_t pmf_relative_t;
+#else
+typedef int64_t pmf_relative_t;
+#endif
+
+/* Counts and times [sample periods], oldest first: `past` accepted counts up to PMF_PAST - 1, then `readings` counts
+ * from the judged reading at PMF_PAST on. */
+typedef struct {
+    pmf_relative_t count[PMF_PAST + PMF_VIEW];
+    scalar_t time[PMF_PAST + PMF_VIEW];
+    uint32_t past, readings;
+    scalar_t step; /* size of the rounding error, at least the encoder's step [counts] */
+    scalar_t speed, slack; /* largest change of the counts in a time t: speed t + slack; speed 0: no limit */
+} pmf_view_t;
+
+enum { PMF_READING_FITS = 0, PMF_READING_WRONG, PMF_ZERO_MOVED };
+
+/* Judge the reading at PMF_PAST. `count` is the count of the motion, relative like the view. If the zero moved, all
+ * counts from `first` on belong to the new zero, and the count at `first` would have been `end` with the earlier one.
+ */
+typedef struct {
+    uint32_t verdict, first;
+    pmf_relative_t count, end;
+} pmf_verdict_t;
+
+void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict);
+
+#endif
