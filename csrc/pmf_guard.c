@@ -184,12 +184,18 @@ static void push(pmf_guard_state_t *guard, real_t input, whole_t count)
 /* Make the judged sample the last accepted one. */
 static void shift(pmf_guard_state_t *guard)
 {
+    whole_t count = guard->count[PMF_PAST + PMF_VIEW - 1U];
+    real_t input = guard->input[PMF_VIEW - 1U];
     uint32_t i;
-    for (i = 0; i + 1U < PMF_PAST + PMF_VIEW; ++i) {
-        guard->count[i] = guard->count[i + 1U];
+    for (i = PMF_PAST + PMF_VIEW - 1U; i-- > 0U;) { /* downwards, a compiler makes no call of memmove of the loop */
+        whole_t moved = guard->count[i];
+        guard->count[i] = count;
+        count = moved;
     }
-    for (i = 0; i + 1U < PMF_VIEW; ++i) {
-        guard->input[i] = guard->input[i + 1U];
+    for (i = PMF_VIEW - 1U; i-- > 0U;) {
+        real_t moved = guard->input[i];
+        guard->input[i] = input;
+        input = moved;
     }
     guard->readings -= 1U;
     guard->past += PMF_BIT(guard->past < PMF_PAST, 1U);

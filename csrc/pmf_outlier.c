@@ -28,8 +28,13 @@ typedef struct {
     uint32_t place[PMF_VIEW]; /* chosen readings, ascending */
     uint32_t chosen;
     uint32_t moved; /* 1: the zero moved before the first chosen reading */
-    scalar_t most; /* the price */
 } path_t;
+
+/* The best path so far: its first two readings, and its price. */
+typedef struct {
+    uint32_t first, second, moved;
+    scalar_t most;
+} best_t;
 
 static scalar_t size_of(scalar_t x)
 {
@@ -112,18 +117,18 @@ PMF_SELDOM scalar_t demanded(uint32_t left_out)
     return left_out == 0U ? PMF_SCALAR(1.0) : FIRST * (scalar_t)(1U << (left_out - 1U));
 }
 
-/* Return the path through all readings. */
-PMF_SELDOM path_t path_of_all(const pmf_view_t *view, scalar_t past)
+/* Return the price of the path through all readings. */
+PMF_SELDOM scalar_t price_of_all(const pmf_view_t *view, scalar_t past)
 {
     path_t path;
+    scalar_t most = past;
     path.moved = 0U;
-    path.most = past;
     for (path.chosen = 0U; path.chosen < view->readings;) {
         path.place[path.chosen] = path.chosen;
         path.chosen += 1U;
-        path.most = price(view, &path, path.most);
+        most = price(view, &path, most);
     }
-    return path;
+    return most;
 }
 
 /* Return whether a path may end at its last chosen reading. A shift of the zero needs counts on its other side. */
@@ -135,11 +140,13 @@ static int may_end(const pmf_view_t *view, const path_t *path)
 
 /* Improve the best path by all paths with a shift of the zero, or all without. `least` is the price of the best path
  * times its factor. A path that is too expensive has no cheap continuation. */
-PMF_SELDOM void search(const pmf_view_t *view, scalar_t past, uint32_t moved, path_t *best, scalar_t *least)
+PMF_SELDOM void search(const pmf_view_t *view, scalar_t past, uint32_t moved, best_t *best, scalar_t *least)
 {
     scalar_t most[PMF_VIEW + 1U];
-    path_t path = {{0U}, 0U, moved, past};
+    path_t path;
     uint32_t next = 0U;
+    path.chosen = 0U;
+    path.moved = moved;
     most[0] = past;
     for (;;) {
         uint32_t skipped = next - path.chosen + moved, left_out;
@@ -154,31 +161,34 @@ PMF_SELDOM void search(const pmf_view_t *view, scalar_t past, uint32_t moved, pa
         path.place[path.chosen] = next;
         path.chosen += 1U;
         next += 1U;
-        path.most = price(view, &path, most[path.chosen - 1U]);
-        most[path.chosen] = path.most;
+        most[path.chosen] = price(view, &path, most[path.chosen - 1U]);
         left_out = view->readings - path.chosen + moved;
-        if (left_out != 0U && may_end(view, &path) && demanded(left_out) * path.most < *least) {
-            *least = demanded(left_out) * path.most;
-            *best = path;
+        if (left_out != 0U && may_end(view, &path) && demanded(left_out) * most[path.chosen] < *least) {
+            *least = demanded(left_out) * most[path.chosen];
+            best->first = path.place[0];
+            best->second = path.place[1];
+            best->moved = moved;
+            best->most = most[path.chosen];
         }
-        if (demanded(skipped == 0U ? 1U : skipped) * path.most >= *least) {
+        if (demanded(skipped == 0U ? 1U : skipped) * most[path.chosen] >= *least) {
             path.chosen -= 1U;
         }
     }
 }
 
-PMF_SELDOM path_t best_path(const pmf_view_t *view)
+PMF_SELDOM void find_best(const pmf_view_t *view, best_t *best)
 {
-    scalar_t past = of_past(view), least;
-    path_t best = path_of_all(view, past);
-    least = best.most;
+    scalar_t past = of_past(view), least = price_of_all(view, past);
+    best->first = 0U;
+    best->second = 1U;
+    best->moved = 0U;
+    best->most = least;
     if (least > FIRST * past) { /* otherwise, no path is cheap enough */
-        search(view, past, 0U, &best, &least);
+        search(view, past, 0U, best, &least);
         if (view->past >= 2U) {
-            search(view, past, 1U, &best, &least);
+            search(view, past, 1U, best, &least);
         }
     }
-    return best;
 }
 
 /* Return the whole number next to a change of the counts, or 0 if no count can change so much. */
@@ -191,9 +201,9 @@ PMF_SELDOM pmf_relative_t rounded(scalar_t x)
 }
 
 /* Replace the judged reading as its path demands, unless the accelerations along the path explain the difference. */
-PMF_SELDOM void replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t *verdict)
+PMF_SELDOM void replace(const pmf_view_t *view, const best_t *path, pmf_verdict_t *verdict)
 {
-    uint32_t first = PAST + path->place[0], second = PAST + path->place[1], last = PAST - 1U;
+    uint32_t first = PAST + path->first, second = PAST + path->second, last = PAST - 1U;
     scalar_t after = view->time[first] - view->time[PAST], before = view->time[PAST] - view->time[last];
     scalar_t explained = PMF_SCALAR(0.5) * path->most * before * after, slope;
     pmf_relative_t end = view->count[first], count, apart;
@@ -227,7 +237,7 @@ PMF_SELDOM int is_plain(const pmf_view_t *view)
 
 void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
 {
-    path_t best;
+    best_t best;
     verdict->verdict = PMF_READING_FITS;
     verdict->count = view->count[PAST];
     verdict->first = PAST;
@@ -235,8 +245,8 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
     if (view->past + view->readings <= LEAST || is_plain(view)) {
         return;
     }
-    best = best_path(view);
-    if (best.place[0] != 0U || best.moved != 0U) {
+    find_best(view, &best);
+    if (best.first != 0U || best.moved != 0U) {
         replace(view, &best, verdict);
     } else if (view->past >= 2U && is_too_fast(view, PAST - 1U, PAST)) {
         /* no path is slow enough, so that the motion continues */

@@ -80,7 +80,7 @@ cdef class Estimate:
     >>> from pmfid import RLS, Drive, Encoder
     >>> estimate = RLS(Drive(1.0), Encoder(1e-5), 0.001, 50.0).step(0.5, 0)
     >>> estimate.names, estimate.status_names
-    (('mass', 'viscous_friction', 'coulomb_friction'), ('starting', 'settling', 'standstill'))
+    (('mass', 'viscous_friction', 'coulomb_friction'), ('starting', 'settling'))
     """
 
     def __init__(self):

@@ -386,7 +386,7 @@ class RLS(RecursiveEstimator):
     >>> rls = RLS(Drive(1.0), Encoder(1e-5), 0.001, 50.0, forgetting=0.999)
     >>> estimate = rls.step(0.5, 0)
     >>> estimate.status_names
-    ('starting', 'settling', 'standstill')
+    ('starting', 'settling')
     """
 
     method: ClassVar[str] = "rls"

@@ -39,7 +39,7 @@ Structured = NDArray[np.void]
 Field = tuple[str, np.dtype[np.generic], tuple[int, ...]]
 
 #: Firmware includes the first header, which has all structures. The kernel's sources share the second.
-HEADERS = ("pmf.h", "pmf_internal.h")
+HEADERS = ("pmf.h", "pmf_internal.h", "pmf_outlier.h")
 #: An export with edges has the structures of these headers in place of those of the first.
 EDGE_HEADERS = ("edges/pmf_redge.h", "edges/pmf_redge_axis.h")
 
