@@ -20,9 +20,9 @@ class PlantDefaults(ABC):
 
     `regularization` is the part of the largest information that is never forgotten. `pivot` is the relative pivot of
     the information matrix from which a first estimate exists. `least_part` is the least independent part of a column's
-    power. `rests` is True if a motion may rest and reverse inside a sample, so that a large motion says little about a small
-    one. `extended` is True if the pre-filter's coefficients can be further unknowns. `fewer` names the unknowns that a
-    user can reduce.
+    power. `rests` is True if a motion may rest and reverse inside a sample, so that a large motion says little about a
+    small one. `extended` is True if the pre-filter's coefficients can be further unknowns. `fewer` names the unknowns
+    that a user can reduce.
     """
 
     regularization: float
