@@ -79,9 +79,7 @@ def gallery() -> dict[str, Presentable | pmfid.Estimate]:
         "tracks": fleet.run(RUN.u, np.array([RUN.counts, longer, RUN.counts]), every=20),
         "estimate": bcrls.step(float(RUN.u[-1]), int(RUN.counts[-1])),
         "posterior": pmfid.Known(bcrls, prior={"mass": (1.1, 0.05)}).combine(fit),
-        "curve": pmfid.friction_curve(
-            RUN.u, RUN.counts, model=DRIVE, encoder=RUN.encoder, dt=CART_DT, cutoff=CUTOFF, nodes=4
-        ),
+        "curve": pmfid.friction_curve(RUN.u, RUN.counts, model=DRIVE, encoder=RUN.encoder, dt=CART_DT),
         "validation": pmfid.validate(offline, RUN.u, RUN.counts),
         "validation of two": replace(pmfid.validate(process, experiments), method="srivc"),
         "experiment": experiments[0],

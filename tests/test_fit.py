@@ -29,6 +29,8 @@ FORCES = {
     "stribeck": (KINDS["stribeck"], 0, True, NO_TABLE, 0.2, 0.0),
     "wave": (KINDS["wave"], 0, False, NO_TABLE, 0.1, 0.3),
     "column": (KINDS["column"], 0, False, NO_TABLE, 0.0, 0.0),
+    "bend": (KINDS["bend"], 0, False, NO_TABLE, 0.05, 0.3),
+    "bend_even": (KINDS["bend_even"], 0, False, NO_TABLE, 0.05, 0.3),
 }
 
 
@@ -39,7 +41,7 @@ def simulate(theta: Floats, names: list[str], parts: int = 4) -> tuple[Floats, F
     return y, S
 
 
-@pytest.mark.parametrize("names", [[], ["spring"], ["power"], ["stribeck"], ["wave"], ["column"]])
+@pytest.mark.parametrize("names", [[], *([name] for name in FORCES)])
 def test_the_derivatives_are_those_of_the_motion(names: list[str]) -> None:
     """Through stops, reversals, a delay inside a sample and friction that differs by direction."""
     theta = np.r_[1.07, 12.8, 0.8, 0.1, 0.5, 0.013, 0.0, 0.001, 0.01, np.full(len(names), 0.2)]

@@ -94,6 +94,17 @@ static value force_at(const pmf_force *f, double p, double x, double v, double s
         r.hv = r.hx;
         r.hx = 0;
         break;
+    case PMF_FORCE_BEND:
+    case PMF_FORCE_BEND_EVEN:
+        z = fabs(v);
+        w = z <= f->p ? 0 : z < f->q ? (z - f->p) / (f->q - f->p) : 1;
+        r.h = s * (w < 1 ? 0.5 * w * (z - f->p) : z - 0.5 * (f->p + f->q));
+        r.hv = w;
+        if (f->kind == PMF_FORCE_BEND_EVEN) {
+            r.h *= s;
+            r.hv *= s;
+        }
+        break;
     case PMF_FORCE_PLACE: r = table_at(f, x); break;
     case PMF_FORCE_RUB_PLACE:
         r = table_at(f, x);

@@ -42,6 +42,8 @@ enum {
     PMF_FORCE_RUB, /* s sin(2 pi x / p + q) */
     PMF_FORCE_SPRING, /* x */
     PMF_FORCE_SPEED, /* s times a table over |v|, with values at p + q i */
+    PMF_FORCE_BEND, /* s times a bend from slope 0 at |v| = p to slope 1 at q and above */
+    PMF_FORCE_BEND_EVEN, /* the bend, with the same sign in both directions */
     PMF_FORCE_PLACE, /* a table over x */
     PMF_FORCE_RUB_PLACE, /* s times a table over x */
     PMF_FORCE_COLUMN, /* a column of the record, for example a measured force */

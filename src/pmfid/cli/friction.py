@@ -7,32 +7,19 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import CUTOFF, JSON, config_option, folder_option, print_json, print_text, progress
+from pmfid.cli.terminal import JSON, config_option, folder_option, print_json, print_text, progress
 from pmfid.errors import printable
 
 if TYPE_CHECKING:
-    from pmfid.estimators.friction_curve import FrictionCurve
+    from pmfid.pipeline.friction import FrictionCurve
 
 
 @click.command(short_help="Show friction over velocity without assuming a law.")
 @click.argument("record", type=click.Path(path_type=Path))
 @config_option()
-@CUTOFF
-@click.option("--nodes", type=int, default=10, show_default=True, help="Number of speeds in each direction.")
-@click.option(
-    "--rising-from", type=float, metavar="SPEED", help="Speed above which friction does not fall [m/s or rad/s]."
-)
 @folder_option("Write friction.html and friction.json into this folder.")
 @JSON
-def friction(
-    record: Path,
-    config: Path,
-    cutoff: float | None,
-    nodes: int,
-    rising_from: float | None,
-    out: Path | None,
-    as_json: bool,
-) -> None:
+def friction(record: Path, config: Path, out: Path | None, as_json: bool) -> None:
     """Find the friction of RECORD over the velocity as a curve, together with the mass.
 
     The command ignores the friction of [model]. The curve covers only the velocities of the record.
@@ -45,8 +32,8 @@ def friction(
         from pmfid.pipeline.friction import curve_json, record_curve
         from pmfid.records.record import read_record
 
-        axis = load_axis(config, {"estimator.cutoff": cutoff})
-        found = record_curve(read_record(record, axis), axis, nodes, rising_from)
+        axis = load_axis(config)
+        found = record_curve(read_record(record, axis), axis)
         if out is not None:
             from pmfid.report.friction import write_curve
 
@@ -72,5 +59,8 @@ def _print(found: FrictionCurve, name: str, out: Path | None) -> None:
         table.add_row(*row)
     console = Console()
     console.print(table)
-    for line in (*(f"note: {note}" for note in found.notes), *([f"report: {out / 'friction.html'}"] if out else [])):
+    for line in (
+        *(line for finding in found.findings for line in finding.lines),
+        *([f"report: {out / 'friction.html'}"] if out else []),
+    ):
         print_text(line)

@@ -56,13 +56,17 @@ class MotionFit(Simulating, BatchEstimator):
         An input of NaN is a gap, after which the motion starts again. `there` (n,) marks the counts in use, None all.
         Raises NotIdentifiableError if the axis does not move, or if no motion of the model follows it.
         """
+        with np.errstate(all="ignore"):  # motions far from the record may overflow
+            return fit(self.problem(u, counts, there))
+
+    def problem(self, u: Floats, counts: Counts, there: Flags | None = None) -> FitProblem:
+        """Return the observations of a record, as for `examine`, and the machine."""
         check_size(u)
         self.steps_before(u.size)
         stretches = tuple(self._stretches(u, counts, np.ones(u.size, bool) if there is None else there))
         if not stretches:
             raise NotIdentifiableError(f"the record has no stretch of samples with input and counts; {MOVE}")
-        with np.errstate(all="ignore"):  # motions far from the record may overflow
-            return fit(FitProblem(machine_of(self.equation), stretches, self.encoder.resolution))
+        return FitProblem(machine_of(self.equation), stretches, self.encoder.resolution)
 
     def position(self, counts: Counts) -> Floats:
         """Return the unwrapped position (n,) of the counts, without the jumps beyond max_speed."""

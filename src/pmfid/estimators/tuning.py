@@ -98,32 +98,6 @@ class EstimatorTuning:
     cutoff_remembered: int = 3
     cutoff_slowest: int = 30
 
-    # friction_curve
-    #: Parts of a sample in the average of a hat function.
-    friction_curve_parts: int = 4
-    #: The measured velocity corrects the simulated one below this part of the cutoff.
-    friction_curve_slow: float = 0.3
-    #: A direction with a smaller part of the samples is left out.
-    least_part: float = 0.02
-    #: The first node lies at this quantile of the speed. The other values are the least distances between nodes, and to
-    #: the last node.
-    friction_curve_slowest: float = 0.02
-    friction_curve_closest: float = 0.01
-    friction_curve_apart: float = 0.05
-    #: Knots of the table that the kernel simulates.
-    friction_curve_knots: int = 128
-    #: Nodes of each direction besides the node at rest.
-    friction_curve_nodes: int = 10
-    #: Number of iterations in which the curve returns to the simulation. More iterations follow the noise of a coarse
-    #: encoder. The iterations would change the mass by up to 5 times the last change (measured: 1.2 to 5.1 times).
-    friction_curve_turns: int = 3
-    friction_curve_left: float = 3.0
-    #: Number of blocks of the record, and number of folds in which the blocks are left out.
-    friction_curve_blocks: int = 32
-    friction_curve_folds: int = 8
-    #: Part of the smoothing in the curve for the error bars. The whole smoothing may hide a poorly measured course.
-    friction_curve_less: float = 0.01
-
     # instruments
     instruments_max_iterations: int = 40
     instruments_tolerance: float = 1e-7

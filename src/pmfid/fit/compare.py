@@ -68,26 +68,27 @@ class Quadratic:
         return [*fewer, *more]
 
     def half_length(
-        self, chosen: Sequence[int], allowed: Sequence[int], covariance: Floats
+        self, chosen: Sequence[int], allowed: Sequence[int], variance: Floats, rows: Floats
     ) -> tuple[Floats, int | None]:
-        """Return the half length (plain,) of the intervals that hold 95 % of the posterior over the sets next to
-        `chosen`, and the candidate that widens them most. `covariance` (plain, plain) is that within the set.
+        """Return the half length (k,) of the intervals that hold 95 % of the posterior over the sets next to `chosen`,
+        and the candidate that widens them most, for the products of `rows` (k, plain) and the plain parameters.
+        `variance` (k,) is that within the set.
 
         The set itself has a normal distribution about 0, and each set next to it another one.
         """
         value, step, inner = self.evidence(chosen)
-        weights, shifts, sds = [1.0], [np.zeros(self.plain)], [np.sqrt(np.diag(covariance))]
+        weights, shifts, sds = [1.0], [np.zeros(variance.size)], [np.sqrt(variance)]
         sets = [one for one in self.neighbours(chosen, allowed) if np.isfinite(self.evidence(one)[0])]
         for one in sets:
             other, moved, wider = self.evidence(one)
-            more = np.diag(wider)[: self.plain] - np.diag(inner)[: self.plain]
+            more = wider[: self.plain, : self.plain] - inner[: self.plain, : self.plain]
             weights.append(math.exp(min(other - value, 50.0)))
-            shifts.append(moved[: self.plain] - step[: self.plain])
-            sds.append(np.sqrt(np.maximum(np.diag(covariance) + more, 1e-300)))
+            shifts.append(rows @ (moved[: self.plain] - step[: self.plain]))
+            sds.append(np.sqrt(np.maximum(variance + np.einsum("ij,jk,ik->i", rows, more, rows), 1e-300)))
         half = mixture_half_length(np.array(weights), np.array(shifts), np.array(sds))
         if not sets:
             return half, None
-        squares = (np.array(shifts[1:]) ** 2 + np.array(sds[1:]) ** 2) / np.maximum(np.diag(covariance), 1e-300)
+        squares = (np.array(shifts[1:]) ** 2 + np.array(sds[1:]) ** 2) / np.maximum(variance, 1e-300)
         widest = sets[int(np.argmax(np.array(weights[1:]) * np.max(squares, axis=1)))]
         return half, next(iter(set(widest) ^ set(chosen)))
 

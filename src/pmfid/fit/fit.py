@@ -217,8 +217,10 @@ class FitSearch:
         return self.plain.with_candidates([self.table[i].free_constant() for i in self.chosen])
 
     def prior(self, problem: FitProblem) -> Floats:
-        """Return the prior precisions (p,): 1 for the size of a candidate, 0 for everything else."""
-        prior = np.zeros(problem.size)
+        """Return the prior precisions (p,): those of the machine, and 1 for the size of a candidate."""
+        prior, own = np.zeros(problem.size), problem.machine.precision
+        if own is not None:
+            prior[: own.size] = own
         prior[problem.places] = 1.0
         return prior
 
@@ -245,7 +247,7 @@ class FitSearch:
 
     def explain(self) -> Intervals | None:
         """Return the likelihood of the intervals if a motion explains every count."""
-        return _explain(self)
+        return explain(self)
 
     def choose(self, chosen: Sequence[int]) -> None:
         """Take a set of candidates, with the sizes of those that were in before."""
@@ -296,6 +298,9 @@ class FitSearch:
         kept = [*range(self.own), *every.places]
         normal = normal_of(likelihood(every.linearise(q, self.starts))[1], self.starts)
         A, g = normal.A[np.ix_(kept, kept)], normal.g[kept]
+        own = self.prior(every)[: self.own]
+        A[range(self.own), range(self.own)] += own
+        g[: self.own] += own * q[: self.own]
         lowest = np.array([one.lowest for one in self.table])
         return Quadratic(A, g - A[:, self.own :] @ at, self.own, self._odds(), lowest)
 
@@ -324,7 +329,7 @@ def fit(problem: FitProblem) -> Fitted:
 def _fit_once(problem: FitProblem) -> Fitted:
     search = FitSearch(problem)
     likelihood = begin(search)
-    return conclude(search, build(search) if likelihood is None else _prune(search, likelihood))
+    return conclude(search, build(search) if likelihood is None else prune(search, likelihood))
 
 
 def begin(search: FitSearch) -> Intervals | None:
@@ -360,8 +365,8 @@ def build(search: FitSearch) -> Gaussian | Intervals:
         search.solve(search.noise)
         explained = search.explain()
         if explained is not None:
-            return _prune(search, explained)
-        _settle(search, search.wandering)
+            return prune(search, explained)
+        settle(search, search.wandering)
     return search.noise
 
 
@@ -373,12 +378,12 @@ def _settle_either(search: FitSearch) -> None:
     at, ends = (search.q, search.starts, search.noise), []
     for kind in search.wandering:
         search.q, search.starts, search.noise = at
-        _settle(search, (kind,))
+        settle(search, (kind,))
         ends.append((search.noise.evidence(errors_of(search))[0], search.q, search.starts, search.noise))
     _, search.q, search.starts, search.noise = max(ends, key=lambda end: end[0])
 
 
-def _settle(search: FitSearch, kinds: Sequence[str]) -> None:
+def settle(search: FitSearch, kinds: Sequence[str]) -> None:
     """Fit and estimate the noise in turn until the mass settles."""
     lead = search.plain.machine.lead
     for _ in range(ROUNDS):
@@ -397,10 +402,10 @@ def _alternatives(search: FitSearch, step: Sequence[int]) -> list[Sequence[int]]
     return [step, sorted([*(i for i in step if i not in new), *other])] if new and other else [step]
 
 
-def _prune(search: FitSearch, likelihood: Intervals) -> Intervals:
-    """Drop candidates without which the motion still explains every count."""
+def prune(search: FitSearch, likelihood: Intervals, fewest: int = 1) -> Intervals:
+    """Drop candidates without which the motion still explains every count, down to `fewest` candidates."""
     for i in list(search.chosen):
-        if len(search.chosen) < 2:
+        if len(search.chosen) <= fewest:
             break
         kept = search.chosen, search.q, search.starts
         search.choose([j for j in search.chosen if j != i])
@@ -472,7 +477,7 @@ def errors_of(search: FitSearch) -> list[Floats]:
     return [block.e for block in search.problem.linearise(search.q, search.starts)]
 
 
-def _explain(search: FitSearch) -> Intervals | None:
+def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
     """Return the likelihood of the intervals if a motion explains every count, and move the search to its optimum.
 
     Stops and starts of the axis make the likelihood rough. Where the residuals are as small as rounding, further tries
@@ -483,7 +488,7 @@ def _explain(search: FitSearch) -> Intervals | None:
         search.q, search.starts = at
         return None
     rng, likelihood = np.random.default_rng(1), _narrow(search)
-    for _ in range(TRIES if likelihood is None and _as_rounding(search) else 0):
+    for _ in range(tries if likelihood is None and _as_rounding(search) else 0):
         search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
         search.solve(Gaussian(search.plain.stretches), 10)
         likelihood = _narrow(search)
@@ -561,9 +566,8 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     if isinstance(likelihood, Gaussian):
         search.check_followed(likelihood)
     theta, covariance = _estimate(search, found, likelihood)
-    soft = Intervals(search.plain.stretches, EXPLAINED) if isinstance(likelihood, Intervals) else likelihood
-    local = search.local(soft)
-    half, rival = local.half_length(search.chosen, allowed, covariance)
+    local = search.local(soften(likelihood))
+    half, rival = local.half_length(search.chosen, allowed, np.diag(covariance), np.eye(search.own))
     lift = np.ones(search.own)
     lift[search.plain.machine.lead] = theta[search.plain.machine.lead]
     shift = local.evidence([])[1][: search.own] - local.evidence(search.chosen)[1][: search.own]
@@ -580,12 +584,18 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     )
 
 
+def soften(likelihood: Gaussian | Intervals) -> Gaussian | Intervals:
+    """Return a likelihood whose curvature is that of the errors, and not that of the few counts at their bounds."""
+    return Intervals(likelihood.stretches, EXPLAINED) if isinstance(likelihood, Intervals) else likelihood
+
+
 def _check_followed(search: FitSearch, noise: Gaussian) -> None:
     """Raise NotIdentifiableError if a motion without any input, but with a disturbance, explains the record as well."""
     still = [(one.y[0] - one.y) / search.plain.resolution for one in search.plain.stretches]
     alone = noise_of(noise.stretches, still, search.rate)
     gain = noise.evidence(errors_of(search))[0] - alone.evidence(still)[0]
-    if not gain > search.q.size * math.log(search.plain.rows):
+    free = np.count_nonzero(search.prior(search.problem) == 0)
+    if not gain > (free + len(search.chosen)) * math.log(search.plain.rows):
         raise NotIdentifiableError(f"the motion does not follow the input; {FOLLOW}")
 
 
@@ -606,10 +616,13 @@ def _estimate(search: FitSearch, found: Optimum, likelihood: Gaussian | Interval
     own = search.own
     if isinstance(likelihood, Gaussian):
         return search.problem.theta(found.q), sandwich(A, found.normal)[:own, :own]
-    if found.starts.size < BLOCKS:  # more start states than that would make the walk long
+    if found.q.size + found.starts.size < BLOCKS:  # more parameters than that would make the walk long
         return _estimate_in_region(search, found)
-    noise = Gaussian(search.plain.stretches)
-    plain = normal_of(noise(search.problem.linearise(found.q, found.starts))[1], found.starts)
+    blocks = search.problem.linearise(found.q, found.starts)
+    if search.plain.machine.precision is not None:  # the columns leave no error of the counts but their bounds
+        A = normal_of(soften(likelihood)(blocks)[1], found.starts).A + np.diag(search.prior(search.problem))
+        return search.problem.theta(found.q), inverse(A)[:own, :own]
+    plain = normal_of(Gaussian(search.plain.stretches)(blocks)[1], found.starts)
     return search.problem.theta(found.q), sandwich(plain.A + np.diag(search.prior(search.problem)), plain)[:own, :own]
 
 

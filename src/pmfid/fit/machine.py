@@ -53,7 +53,8 @@ class BodyModel:
 
     The parameters of the body (w,) are `rest` (w,) + `lift` (w, p) theta. `lead` is the index of the mass, and
     `lowest` (p,) are the lower bounds of the parameters.
-    `turn` is the length of a turn of a rotary axis, or 0.
+    `turn` is the length of a turn of a rotary axis, or 0. `precision` (p,) are the precisions of the parameters'
+    Gaussian priors about zero; None means no prior.
     """
 
     names: tuple[str, ...]
@@ -63,6 +64,7 @@ class BodyModel:
     lead: int
     lowest: Floats
     turn: float = 0.0
+    precision: Floats | None = None
 
     def body(self, theta: Floats) -> Floats:
         """Return the parameters (w,) of the body without its start state."""

@@ -115,7 +115,8 @@ class FitProblem:
     """A machine with further forces, and the stretches of a record.
 
     The parameters q are those of the machine, the mass as a logarithm, and then the size of each candidate in standard
-    deviations of its prior. `mass` has the bounds of the logarithm of the mass.
+    deviations of its prior. `mass` has the bounds of the logarithm of the mass, and `parts` is the number of parts of
+    an interval.
     """
 
     machine: BodyModel
@@ -123,6 +124,7 @@ class FitProblem:
     resolution: float
     candidates: tuple[ExtraForce, ...] = ()
     mass: tuple[float, float] = (-np.inf, np.inf)
+    parts: int = PARTS
 
     @property
     def size(self) -> int:
@@ -225,7 +227,7 @@ class FitProblem:
         for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True):
             body, forces, _ = self._body(q, stretch.acts)
             at = self._start_body(stretch, state, scale, body)
-            found.append(simulate(stretch.drive, forces, at, PARTS, slopes=False)[:2])
+            found.append(simulate(stretch.drive, forces, at, self.parts, slopes=False)[:2])
         return found
 
     def _body(self, q: Floats, acts: Floats | None = None) -> tuple[Floats, list[BodyForce], Floats]:
@@ -277,7 +279,7 @@ class FitProblem:
             rows = stretch.y.size
             far = ResidualBlock(np.full(rows, FAR), np.zeros((rows, lift.shape[1])), np.zeros((rows, 2)))
             return far, np.zeros(rows)
-        y, v, S = simulate(stretch.drive, forces, at, PARTS)
+        y, v, S = simulate(stretch.drive, forces, at, self.parts)
         e = np.clip(np.nan_to_num((y - stretch.y) / self.resolution, nan=FAR, posinf=FAR, neginf=-FAR), -FAR, FAR)
         J = np.nan_to_num(S @ lift) / self.resolution
         K = np.column_stack([S[:, X0], S[:, V0] * scale])

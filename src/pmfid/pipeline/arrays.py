@@ -150,7 +150,7 @@ def identify(
         raise UsageError(f"{model.kind} needs u, counts, dt and encoder: pass all four, u and counts as arrays (n,)")
     own = axis_of(model, encoder, dt, {**settings})
     place_matters = own.model.make().equation.place_matters
-    return run(join_records([_record(*pair, own) for pair in pairs], place_matters), own)
+    return run(join_records([pair_record(*pair, own) for pair in pairs], place_matters), own)
 
 
 def _read(record: object, axis: Axis) -> Records:
@@ -216,7 +216,7 @@ def check(
     if model is None or y is None or dt is None or encoder is None:
         raise UsageError("check needs u, y, model, dt and encoder, or a frame and axis")
     own = axis_of(model, encoder, dt, {})
-    return checked(_record(cast(ArrayLike, u), y, own), own)
+    return checked(pair_record(cast(ArrayLike, u), y, own), own)
 
 
 def validate(
@@ -278,7 +278,7 @@ def validate(
         raise UsageError(f"validation of a {own.model.kind} needs u and counts (n,); give both")
     else:
         axis = axis_of(own.model, encoder or own.encoder, dt or own.dt, {"cutoff": own.cutoff})
-        data = [_record(cast(ArrayLike, u), y, axis)]
+        data = [pair_record(cast(ArrayLike, u), y, axis)]
     names = parameters_of(own.model)[0]
     return validate_parameters(own.method, np.array([values[name] for name in names]), data, axis)
 
@@ -329,7 +329,7 @@ def search_terms(
     {'offset': True}
     """
     axis = axis_of(model, encoder, dt, {**settings})
-    return search_drive(_record(u, counts, axis), axis)
+    return search_drive(pair_record(u, counts, axis), axis)
 
 
 def _pairs(u: object) -> list[tuple[ArrayLike, ArrayLike]]:
@@ -339,7 +339,7 @@ def _pairs(u: object) -> list[tuple[ArrayLike, ArrayLike]]:
     return []
 
 
-def _record(u: ArrayLike, counts: ArrayLike, axis: Axis) -> Record:
+def pair_record(u: ArrayLike, counts: ArrayLike, axis: Axis) -> Record:
     """Make a record from two arrays. A sample with NaN in either array is missing."""
     inputs, given = numbers("u", u), numbers("counts", counts)
     there = np.isfinite(given) if given.dtype.kind == "f" else np.ones(given.shape, bool)

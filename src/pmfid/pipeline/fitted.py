@@ -90,7 +90,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
 def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, ...]]:
     """Return the method, its fit and notes. The fit uses the ages of edges if the record has ages."""
     method, repaired = make_fit(axis, record), repair_as_configured(record, axis).record
-    used, remarks = _counts_in_use(record, repaired), tuple[str, ...]()
+    used, remarks = counts_in_use(record, repaired), tuple[str, ...]()
     if record.ages is not None and record.ages.size == record.u.size:
         edges = like(EdgeFit, method, lines=axis.encoder.lines, tick=axis.encoder.tick)
         try:
@@ -100,7 +100,7 @@ def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, 
     return method, method.examine(repaired.u, repaired.counts, used), remarks
 
 
-def _counts_in_use(record: Record, repaired: Record) -> Flags:
+def counts_in_use(record: Record, repaired: Record) -> Flags:
     """Return the counts (n,) that were measured and that no repair replaced."""
     there = np.ones(record.u.size, bool) if record.there is None else record.there
     given, used = record.counts - record.counts[0], repaired.counts - repaired.counts[0]

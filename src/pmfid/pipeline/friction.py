@@ -1,71 +1,135 @@
-"""Estimate of a free friction curve from a record and AXIS.toml, or from arrays."""
+"""Friction over velocity, without an assumed law, from a record and AXIS.toml or from arrays."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.config.axis import Axis, check_sampling
-from pmfid.diagnostics.drives import correlation_score
-from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
+from pmfid.config.axis import Axis
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators.configuration import check_arrays
-from pmfid.estimators.cutoff import choose_cutoff
-from pmfid.estimators.friction_curve import FrictionCurve
-from pmfid.estimators.friction_curve import friction_curve as curve_of
-from pmfid.estimators.iv import IV
-from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
-from pmfid.models.drive import POSITION_KEYS, Drive
+from pmfid.estimators.configuration import like
+from pmfid.estimators.motion_fit import MotionFit
+from pmfid.findings import MOVE, Finding, codes, make_notes, sort_findings, texts
+from pmfid.fit.curve import PIECES, CurveFit, fit_curve
+from pmfid.fit.findings import findings_of
+from pmfid.models.axes import LINEAR, Units
+from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
-from pmfid.pipeline.arrays import axis_of
+from pmfid.pipeline.arrays import axis_of, pair_record
 from pmfid.pipeline.drives import match_kind
-from pmfid.pipeline.known import check_numbers_known
-from pmfid.pipeline.tuning import TUNING
-from pmfid.records.joining import unbroken
+from pmfid.pipeline.fitted import counts_in_use, make_fit
+from pmfid.pipeline.known import check_numbers_known, gain_needed
+from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
-from pmfid.types import Counts, Floats
+from pmfid.types import Floats
 
-FEEDBACK = (
-    "the input follows the part that the curve leaves unexplained. The cause is position control, or a dead time or "
-    "lag that [model] leaves out (see pmfid identify). The curve may be wrong by many standard errors, most of all "
-    "under control with one repeated stroke"
-)
+#: Half length of a 95 % interval in standard errors.
+NORMAL_95 = 1.959964
+#: Velocities of the curve from one row of a table to the next.
+ROW = 2 * PIECES
 
 
-def friction_curve(
-    u: ArrayLike,
-    counts: ArrayLike,
-    *,
-    model: Drive,
-    encoder: Encoder,
-    dt: float,
-    cutoff: float | None = None,
-    nodes: int = ESTIMATOR_TUNING.friction_curve_nodes,
-    rising_from: float | None = None,
-) -> FrictionCurve:
+@dataclass(frozen=True, eq=False, repr=False)
+class FrictionCurve(Presentable):
+    """Friction over velocity, with error bars.
+
+    `velocity` (k,) [m/s] are in rising order, the backward ones first. `force` and `std` (k,) [N] are the friction and
+    its standard errors, `mass` and `mass_std` [kg] the mass and its standard error. The standard errors contain the
+    noise, the unknown smoothness of the curve, and further forces that the record does not exclude. `samples` is the
+    number of counts. `motion` holds the units, which for a rotary axis are rad/s, N m and kg m2.
+    """
+
+    velocity: Floats
+    force: Floats
+    std: Floats
+    mass: float
+    mass_std: float
+    samples: int
+    findings: tuple[Finding, ...] = ()
+    motion: Units = LINEAR
+
+    @property
+    def visited(self) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Ranges of the curve's velocity [m/s], backward and forward.
+
+        Between the two ranges, the record cannot separate the curve from the jump at zero.
+        """
+        back, ahead = self.velocity[self.velocity < 0], self.velocity[self.velocity > 0]
+        return (float(back[0]), float(back[-1])), (float(ahead[0]), float(ahead[-1]))
+
+    def evaluate(self, velocity: ArrayLike) -> Floats:
+        """Return the friction (n,) [N] at velocities (n,) [m/s]; NaN for velocities outside the curve."""
+        return self._interpolate(velocity, self.force)
+
+    def std_at(self, velocity: ArrayLike) -> Floats:
+        """Return the standard error of the curve (n,) [N]; NaN for velocities outside the curve."""
+        return self._interpolate(velocity, self.std)
+
+    def _interpolate(self, velocity: ArrayLike, values: Floats) -> Floats:
+        v = np.asarray(velocity, np.float64)
+        inside = np.any([(low <= v) & (v <= high) for low, high in self.visited], axis=0)
+        return np.where(inside, np.interp(v, self.velocity, values), np.nan)
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """The words of the findings that are more than notes."""
+        return codes(self.findings)
+
+    def summary(self) -> Summary:
+        units = self.motion
+        mass = f"{units.inertia} = {self.mass:.6g} ± {self.mass_std:.2g} {units.of_inertia}"
+        header = (f"velocity [{units.speed}]", f"friction [{units.force}]", f"std [{units.force}]")
+        ahead = np.arange(self.velocity.size - 1, -1, -ROW)
+        shown = np.r_[np.arange(0, np.count_nonzero(self.velocity < 0), ROW), ahead[self.velocity[ahead] > 0][::-1]]
+        rows = [self._row(i) for i in shown.tolist()]
+        lines = [
+            f"{force} ± {std} {units.force} at {velocity} {units.speed}"
+            for velocity, force, std in (
+                self._row(i) for i in np.flatnonzero(np.isin(self.velocity, self.visited)).tolist()
+            )
+        ]
+        title = f"friction from {self.velocity[0]:.3g} to {self.velocity[-1]:.3g} {units.speed}; {mass}"
+        return Summary(title, header, rows, lines, remarks_of(self.status, texts(self.findings)))
+
+    def _row(self, index: int) -> tuple[str, str, str]:
+        return f"{self.velocity[index]:.4g}", f"{self.force[index]:.5g}", f"{self.std[index]:.2g}"
+
+    def columns(self) -> dict[str, object]:
+        """Return the columns of a table with one row for each velocity."""
+        return {"velocity": self.velocity, "force": self.force, "std": self.std}
+
+    def to_dict(self) -> dict[str, object]:
+        rows = zip(self.velocity.tolist(), self.force.tolist(), self.std.tolist(), strict=True)
+        return plain_dict(
+            {
+                "samples": self.samples,
+                self.motion.inertia: {"value": self.mass, "std": self.mass_std, "unit": self.motion.of_inertia},
+                "curve": [{"velocity": velocity, "force": force, "std": std} for velocity, force, std in rows],
+                "visited": [list(part) for part in self.visited],
+                "status": list(self.status),
+                "findings": [finding.to_json() for finding in self.findings],
+            }
+        )
+
+
+def friction_curve(u: ArrayLike, counts: ArrayLike, *, model: Drive, encoder: Encoder, dt: float) -> FrictionCurve:
     """Estimate the mass, and friction over velocity without an assumed law, as `pmfid friction` does.
 
     Parameters
     ----------
     u : array_like (n,)
-        The input.
+        The input. NaN marks a gap.
     counts : array_like (n,)
-        Counts of the encoder.
+        Counts of the encoder. NaN marks a missing count.
     model : Drive
-        The drive. The function uses its input_gain and dead_time, and ignores its friction.
+        The drive. The function uses every key of the drive but its friction.
     encoder : Encoder
     dt : float
         Sample period [s].
-    cutoff : float, optional
-        Pole of the filters [rad/s]. By default, the record determines the pole.
-    nodes : int
-        Number of speeds in each direction.
-    rising_from : float, optional
-        Speed [unit of y per s] above which friction does not fall. By default, friction may fall at any speed.
 
     Returns
     -------
@@ -83,64 +147,49 @@ def friction_curve(
     >>> import numpy as np
     >>> from pmfid import Drive, Encoder, friction_curve, quantize
     >>> from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
-    >>> u = prbs(3000, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    >>> u = prbs(1000, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
     >>> counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
-    >>> curve = friction_curve(
-    ...     u, counts, model=Drive(CART.input_gain), encoder=Encoder(CART_RESOLUTION), dt=CART_DT, cutoff=20.0, nodes=4
-    ... )
-    >>> round(curve.mass, 2), CART.mass
+    >>> curve = friction_curve(u, counts, model=Drive(CART.input_gain), encoder=Encoder(CART_RESOLUTION), dt=CART_DT)
+    >>> round(curve.mass, 3), CART.mass
     (1.07, 1.07)
     """
-    axis = axis_of(model, encoder, dt, {"cutoff": cutoff})
-    return _estimate_curve(*check_arrays(u, counts), dt, encoder, axis, nodes, rising_from)
+    if isinstance(model, Drive) and model.input_gain == ESTIMATE:
+        raise gain_needed("a friction curve")
+    axis = axis_of(model, encoder, dt, {})
+    return record_curve(pair_record(u, counts, axis), axis)
 
 
-def record_curve(
-    record: Record, axis: Axis, nodes: int = ESTIMATOR_TUNING.friction_curve_nodes, rising_from: float | None = None
-) -> FrictionCurve:
+def record_curve(record: Record, axis: Axis) -> FrictionCurve:
     """Return the friction curve of a record that was read for `axis`, without samples that no motion explains."""
-    record, axis = unbroken(record), match_kind(record, axis)
-    repaired, encoder = repair_as_configured(record, axis), axis.encoder.make_encoder(record.resolution)
-    found = _estimate_curve(repaired.record.u, repaired.record.counts, record.dt, encoder, axis, nodes, rising_from)
-    return replace(found, notes=(*record.notes, *filter(None, (repaired.sentence,)), *found.notes))
-
-
-def _estimate_curve(
-    u: Floats, counts: Counts, dt: float, encoder: Encoder, axis: Axis, nodes: int, rising_from: float | None
-) -> FrictionCurve:
+    axis = match_kind(record, axis)
     model = axis.model.make()
     if not isinstance(model, Drive):
         raise UsageError('a friction curve needs a machine with friction: give [model] kind = "drive"')
     check_numbers_known(axis, "a friction curve")
-    if axis.estimator.cutoff is not None:
-        check_sampling(axis, dt)
-    if others := [key for key in POSITION_KEYS if getattr(model, key)]:
-        raise UsageError(f"a friction curve with {', '.join(others)} is not supported yet; record a motion without it")
-    if model.lag:
-        raise UsageError(
-            "a friction curve with a lag is not supported, because it would be wrong by many standard errors: give the "
-            "time of the lag as [model] dead_time, or record a slower motion"
-        )
-    if model.dead_time == ESTIMATE:
-        raise UsageError(
-            "a friction curve needs a number as dead time: run pmfid identify, and write the dead_time "
-            "that it finds into [model]"
-        )
-    free = Drive(model.input_gain, friction="directional", dead_time=model.dead_time)
-    cutoff = axis.estimator.cutoff or max(
-        choose_cutoff([free], encoder, dt, u, counts), 1 / (TUNING.friction_slowest * dt)
-    )
-    estimator = IV(free, encoder, dt, cutoff, order=axis.estimator.order)
-    found = curve_of(estimator, u, counts, nodes, rising_from)
-    if not found.mass_std < found.mass:
+    free = replace(model, friction="directional", offset=False, stribeck=None, quadratic=False)
+    repaired = repair_as_configured(record, axis)
+    method = like(MotionFit, make_fit(axis, record), model=free)
+    used = counts_in_use(record, repaired.record)
+    with np.errstate(all="ignore"):  # motions far from the record may overflow
+        fit = fit_curve(method.problem(repaired.record.u, repaired.record.counts, used))
+    if not fit.mass_half < fit.mass:
         raise NotIdentifiableError(
-            f"the mass of the curve comes out as {found.mass:.3g} with a standard deviation of {found.mass_std:.2g}: "
-            "these filters do not separate friction from the mass. Use fewer nodes or a higher cutoff, or record "
-            "reversals and speeds that vary"
+            f"{model.equation.motion.inertia} comes out as {fit.mass:.3g}, and its error may be {fit.mass_half:.2g}. "
+            f"Advice: {MOVE}"
         )
-    change = np.diff(u, prepend=u[:1])[-found.error.size :]
-    follows = correlation_score(found.error, change) > DIAGNOSTIC_TUNING.significant
-    return replace(found, notes=(FEEDBACK,) if follows else (), motion=model.equation.motion)
+    notes = make_notes("record", (*record.notes, repaired.sentence))
+    findings = sort_findings((*_findings(fit, method.names, axis.estimator.tolerance), *notes))
+    std, mass_std = fit.half / NORMAL_95, fit.mass_half / NORMAL_95
+    units = model.equation.motion
+    return FrictionCurve(fit.velocity, fit.force, std, fit.mass, mass_std, int(np.sum(used)), findings, units)
+
+
+def _findings(fit: CurveFit, names: tuple[str, ...], tolerance: float) -> list[Finding]:
+    """Return the findings on the forces beyond the curve and on the mass."""
+    machine = fit.fitted.problem.machine
+    leading = np.arange(len(machine.names)) == machine.lead
+    sizes = np.where(leading, fit.mass, np.inf)
+    return list(findings_of(fit.fitted, (*names, *machine.names[len(names) :]), leading, sizes, tolerance))
 
 
 def curve_json(found: FrictionCurve, name: str) -> dict[str, object]:

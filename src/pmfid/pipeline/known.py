@@ -111,16 +111,20 @@ def put_together(result: DriveResult, known: Known, axis: Axis, estimate: Poster
     )
 
 
+def gain_needed(what: str) -> UsageError:
+    return UsageError(
+        f'{what} needs a number for the gain of the input: run pmfid identify with input_gain = "estimate", and '
+        "write the input_gain that it finds into [model]"
+    )
+
+
 def check_numbers_known(axis: Axis, what: str) -> None:
     """Raise UsageError if the input gain is not a number, or if the axis has prior information.
 
     `what` names the function that needs the input gain and does not support prior information.
     """
     if finds_gain(axis):
-        raise UsageError(
-            f'{what} needs a number for the gain of the input: run pmfid identify with input_gain = "estimate", and '
-            "write the input_gain that it finds into [model]"
-        )
+        raise gain_needed(what)
     if known := (*axis.estimator.given, *axis.estimator.prior):
         raise UsageError(f"{what} uses no prior information: drop given and prior of {', '.join(known)}")
 

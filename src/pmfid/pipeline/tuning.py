@@ -192,11 +192,6 @@ class PipelineTuning:
     #: Largest relative distance of the simulated from the recorded motion without a note.
     encoders_missed: float = 0.3
 
-    # friction
-    #: Largest time constant of the filters that the program chooses [samples]. After slower filters, nearby speeds look
-    #: alike.
-    friction_slowest: int = 30
-
     # guess.axis_file
     #: Shortest, longest and most common sample period of an axis [s].
     axis_file_shortest: float = 1e-5

@@ -7,8 +7,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from pmfid.estimators.friction_curve import FrictionCurve
-from pmfid.pipeline.friction import curve_json
+from pmfid.pipeline.friction import FrictionCurve, curve_json
 from pmfid.report.figures import COLOURS, GREY, open_figure
 from pmfid.report.html import Section, svg, write_json, write_report
 
@@ -20,31 +19,26 @@ def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
     (back, _), (slow, ahead) = found.visited
     own = found.motion
     text = (
-        f"{own.inertia.capitalize()} of the same fit: {found.mass:.5g} ± {found.mass_std:.2g} {own.of_inertia}. Points "
-        f"are the nodes, the band is two standard deviations. The record goes from {back:.3g} to {ahead:.3g} "
-        f"{own.speed}, and hardly visits velocities between {found.visited[0][1]:.3g} and {slow:.3g} {own.speed}. The "
-        "curve ends at these velocities, and does not contain friction at rest."
+        f"{own.inertia.capitalize()} of the same fit: {found.mass:.5g} ± {found.mass_std:.2g} {own.of_inertia}. The "
+        f"band is two standard deviations. The record goes from {back:.3g} to {ahead:.3g} {own.speed}. The curve ends "
+        f"at {found.visited[0][1]:.3g} and {slow:.3g} {own.speed}, and does not contain friction at rest."
     )
-    text = "\n\n".join([text, *(f"Note: {note}." for note in found.notes)])
+    text = "\n\n".join([text, *(f"{finding.paragraph}." for finding in found.findings)])
     table = found.summary()
     section = Section("Friction over velocity", text, (table.header, table.rows), svg(curve_figure(found)))
     write_report(out / "friction.html", f"{name}: friction over velocity", [section])
 
 
 def curve_figure(found: FrictionCurve) -> Figure:
-    """Draw the curve with a band of two standard deviations.
-
-    The range of velocity that the record does not visit is grey.
-    """
+    """Draw the curve with a band of two standard deviations."""
     with open_figure(3.8) as (figure, (axes,)):
         for number, way in enumerate((found.velocity < 0, found.velocity > 0)):
             v, force, std = found.velocity[way], found.force[way], found.std[way]
             label = "two standard deviations" if number == 0 else None
             axes.fill_between(v, force - 2 * std, force + 2 * std, color=COLOURS[0], alpha=0.25, lw=0, label=label)
-            axes.plot(v, force, "o-", color=COLOURS[0], ms=3.5, lw=1.2, label="friction" if number == 0 else None)
-        (_, slow_back), (slow, _) = found.visited
-        axes.axvspan(slow_back, slow, color=GREY, alpha=0.25, lw=0, label="hardly visited")
+            axes.plot(v, force, color=COLOURS[0], lw=1.4, label="friction" if number == 0 else None)
         axes.axhline(0.0, color=GREY, lw=0.8)
+        axes.axvline(0.0, color=GREY, lw=0.8)
         axes.set_xlim(*(1.03 * np.array([found.velocity[0], found.velocity[-1]])))
         axes.set_xlabel(f"velocity in {found.motion.speed}")
         axes.set_ylabel(f"friction in {found.motion.force}")

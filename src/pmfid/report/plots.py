@@ -16,13 +16,13 @@ from pmfid.design.appraisal import Appraisal
 from pmfid.design.problem import Design
 from pmfid.diagnostics.balance import make_balance
 from pmfid.errors import PmfidError, UsageError
-from pmfid.estimators.friction_curve import FrictionCurve
 from pmfid.estimators.known import Posterior, Seen
 from pmfid.estimators.results import Fit, Track, Tracks
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.encoders import EncoderChoice
+from pmfid.pipeline.friction import FrictionCurve
 from pmfid.pipeline.result import DriveResult, ProcessResult
 from pmfid.pipeline.terms import TermSearch
 from pmfid.pipeline.validation import Validation
