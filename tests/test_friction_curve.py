@@ -130,7 +130,7 @@ def test_the_command_leaves_out_a_wrong_count(tmp_path: Path) -> None:
     (tmp_path / "axis.toml").write_text(
         f'[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ndt = {case.dt!r}\n'
         f"[encoder]\nresolution = {case.resolution!r}\n"
-        f'[model]\ninput_gain = {case.input_gain!r}\naxis = "{"rotary" if case.rotary else "linear"}"\n'
+        f'[model]\ninput_gain = {float(case.input_gain)!r}\naxis = "{"rotary" if case.rotary else "linear"}"\n'
     )
     command = ["friction", str(tmp_path / "run.csv"), "--config", str(tmp_path / "axis.toml")]
     shown = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "out")])

@@ -16,6 +16,7 @@ import numpy as np
 from pmfid._body import BASE
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.fit import (
+    ROUNDS,
     TRIES,
     WANDERING,
     FitSearch,
@@ -39,24 +40,23 @@ from pmfid.types import Floats
 SPEEDS = np.r_[0.0, np.geomspace(0.01, 1.0, 19)]
 #: Velocities of the curve within a bend.
 PIECES = 8
-#: Strengths of the prior, in parts of the friction at the highest speed: those of bends like a random walk of the
-#: slope over the speed; those of bends like one over the logarithm of the speed, and the part of the highest speed
-#: below which these are; and the part of a bend that differs by direction.
-SMOOTH = (1e-4, 3e-3, 0.03, 0.3, 3.0)
-SHARP = (1e-4, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
-BELOW = (0.015, 0.03, 0.1, 0.3, 1e3)
-UNEVEN = (0.01, 0.1, 1.0)
 Strengths = tuple[float, float, float, float]
 KINDS = ("bend", "bend_even")
-GRID: tuple[Strengths, ...] = tuple(product(SMOOTH, SHARP, BELOW, UNEVEN))
+#: Strengths of the prior, in parts of the friction at the highest speed: those of bends like a random walk of the slope
+#: over the speed; those of bends like one over the logarithm of the speed, and the part of the highest speed below
+#: which these are; and the part of a bend that differs by direction.
+GRID: tuple[Strengths, ...] = tuple(
+    product(
+        (1e-4, 3e-3, 0.03, 0.3, 3.0),
+        (1e-4, 3e-3, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0),
+        (0.015, 0.03, 0.1, 0.3, 1e3),
+        (0.01, 0.1, 1.0),
+    )
+)
 #: Strengths before the record has been weighed.
 FIRST: Strengths = (0.3, 0.1, 1e3, 0.1)
-#: Most parts of an interval, which cost time. The error of a motion falls with the square of their number.
-MOST_PARTS = 8
 #: Forces of the table that bends replace.
 REPLACED = ("stribeck", "quadratic")
-#: Rounds of fit and strength, which settle in two to three.
-ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +112,10 @@ def bend_precision(own: int, force: float, strengths: Strengths) -> Floats:
 
 
 def parts_of(problem: FitProblem) -> int:
-    """Return the parts of an interval whose error is like that of one count a sample, up to `MOST_PARTS`."""
+    """Return the parts of an interval whose error is like that of one count a sample, up to 4 times the usual ones."""
     steps = np.concatenate([np.diff(one.y) for one in problem.stretches])
     counts = float(np.sqrt(np.mean(steps**2))) / problem.resolution
-    return int(np.clip(np.ceil(PARTS * np.sqrt(counts)), PARTS, MOST_PARTS))
+    return int(np.clip(np.ceil(PARTS * np.sqrt(counts)), PARTS, 4 * PARTS))
 
 
 class CurveSearch(FitSearch):
