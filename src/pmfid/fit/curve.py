@@ -38,8 +38,6 @@ from pmfid.types import Floats
 
 #: Ends of the bends in parts of the highest speed.
 SPEEDS = np.r_[0.0, np.geomspace(0.01, 1.0, 19)]
-#: Velocities of the curve within a bend.
-PIECES = 8
 Strengths = tuple[float, float, float, float]
 KINDS = ("bend", "bend_even")
 #: Strengths of the prior, in parts of the friction at the highest speed: those of bends like a random walk of the slope
@@ -53,8 +51,6 @@ GRID: tuple[Strengths, ...] = tuple(
         (0.01, 0.1, 1.0),
     )
 )
-#: Strengths before the record has been weighed.
-FIRST: Strengths = (0.3, 0.1, 1e3, 0.1)
 #: Forces of the table that bends replace.
 REPLACED = ("stribeck", "quadratic")
 
@@ -124,13 +120,14 @@ class CurveSearch(FitSearch):
     def __init__(self, problem: FitProblem) -> None:
         super().__init__(replace(problem, parts=parts_of(problem)))
         self.straight, self.force = problem.machine, 0.0
+        self.strengths: Strengths = (0.3, 0.1, 1e3, 0.1)  # loose, before the record has been weighed
 
     def explain(self) -> Intervals | None:
         """Return the likelihood of the intervals if a motion explains every count. Bends need no further tries."""
         return explain(self, TRIES if self.force == 0 else 0)
 
     def add_bends(self) -> None:
-        """Continue with bends, whose prior has the strengths `FIRST`, in place of friction by the table."""
+        """Continue with bends, in place of friction by the table."""
         kept = [i for i, one in enumerate(self.table) if one.name not in REPLACED]
         self.choose([i for i in self.chosen if i in kept])
         self.chosen, self.table = [kept.index(i) for i in self.chosen], [self.table[i] for i in kept]
@@ -140,9 +137,10 @@ class CurveSearch(FitSearch):
         bends = len(KINDS) * (SPEEDS.size - 1)
         self.q = np.insert(self.q, self.own, np.zeros(bends))
         self.plain = replace(self.plain, machine=with_bends(self.straight, speed))
-        self.set_strengths(FIRST)
+        self.set_strengths(self.strengths)
 
     def set_strengths(self, strengths: Strengths) -> None:
+        self.strengths = strengths
         self.plain = replace(self.plain, machine=replace(self.plain.machine, precision=self.precision(strengths)))
         self.problem = self._chosen_problem()
 
@@ -216,13 +214,12 @@ def fit_curve(problem: FitProblem) -> CurveFit:
     if begin(search) is None:
         build(search)
     search.add_bends()
-    strengths, likelihood = FIRST, search.follow(first=True)
+    likelihood = search.follow(first=True)
     for _ in range(ROUNDS):
         posterior = weigh_strengths(search, likelihood)
-        if GRID[posterior.best] == strengths:
+        if GRID[posterior.best] == search.strengths:
             break
-        strengths = GRID[posterior.best]
-        search.set_strengths(strengths)
+        search.set_strengths(GRID[posterior.best])
         likelihood = search.follow(first=False)
     return _conclude(search, likelihood)
 
@@ -244,11 +241,11 @@ def _conclude(search: CurveSearch, likelihood: Gaussian | Intervals) -> CurveFit
     return CurveFit(fitted, velocity, force, half[1:], float(mass * np.exp(change[0])), float(mass * half[0]))
 
 
-def velocities(search: CurveSearch) -> Floats:
-    """Return the velocities (k,) of the curve: `PIECES` in each bend, up to the fastest motion in each direction."""
+def velocities(search: CurveSearch, pieces: int = 8) -> Floats:
+    """Return the velocities (k,) of the curve: `pieces` in each bend, up to the fastest motion in each direction."""
     v = np.concatenate([v for _, v in search.problem.motion(search.q, search.starts)])
     ends = search.sizes.speed * SPEEDS[1:]
-    speeds = np.interp(np.arange(0, ends.size - 1 + 0.5 / PIECES, 1 / PIECES), np.arange(ends.size), ends)
+    speeds = np.interp(np.arange(0, ends.size - 1 + 0.5 / pieces, 1 / pieces), np.arange(ends.size), ends)
     sides = []
     for side, name in ((-1.0, "backward"), (1.0, "forward")):
         fastest = float(np.max(side * v))

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.config.axis import Axis
+from pmfid.diagnostics.verdict import NORMAL_95
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.configuration import like
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.findings import MOVE, Finding, codes, make_notes, sort_findings, texts
-from pmfid.fit.curve import PIECES, CurveFit, fit_curve
+from pmfid.fit.curve import CurveFit, fit_curve
 from pmfid.fit.findings import findings_of
 from pmfid.models.axes import LINEAR, Units
 from pmfid.models.drive import Drive
@@ -26,11 +27,6 @@ from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
 from pmfid.types import Floats
-
-#: Half length of a 95 % interval in standard errors.
-NORMAL_95 = 1.959964
-#: Velocities of the curve from one row of a table to the next.
-ROW = 2 * PIECES
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -83,8 +79,8 @@ class FrictionCurve(Presentable):
         units = self.motion
         mass = f"{units.inertia} = {self.mass:.6g} ± {self.mass_std:.2g} {units.of_inertia}"
         header = (f"velocity [{units.speed}]", f"friction [{units.force}]", f"std [{units.force}]")
-        ahead = np.arange(self.velocity.size - 1, -1, -ROW)
-        shown = np.r_[np.arange(0, np.count_nonzero(self.velocity < 0), ROW), ahead[self.velocity[ahead] > 0][::-1]]
+        sides = [np.flatnonzero(self.velocity < 0), np.flatnonzero(self.velocity > 0)[::-1]]
+        shown = np.sort(np.concatenate([side[:: side.size // 10 + 1] for side in sides]))
         rows = [self._row(i) for i in shown.tolist()]
         lines = [
             f"{force} ± {std} {units.force} at {velocity} {units.speed}"
