@@ -64,7 +64,7 @@ class BodyModel:
     lead: int
     lowest: Floats
     turn: float = 0.0
-    precision: Floats | None = None
+    precision: Floats | None = field(default=None, kw_only=True)
 
     def body(self, theta: Floats) -> Floats:
         """Return the parameters (w,) of the body without its start state."""
