@@ -130,7 +130,7 @@ def replay(text: str, t: Floats, goal: Floats, start: float) -> Floats:
         ({"kd": 0.0}, [], {"gravity": 0.0, "kd": 0.0}, 1.1),
         ({"kp": 8.0, "kd": 0.02, "gravity_angle": 0.0}, ["gravity"], {}, 1.1),
         # The lag of the loop is damping and inertia in MuJoCo, which act at the limit of the torque as well.
-        ({"kp": 8.0, "kd": 0.02, "gravity_angle": 0.0}, ["gravity", "torque_limit"], {"torque_limit": 5.0}, 1.5),
+        ({"kp": 8.0, "kd": 0.02, "gravity_angle": 0.0}, ["gravity", "torque_limit"], {"torque_limit": 5.0}, 1.1),
     ],
     ids=["free", "pendulum", "limited"],
 )
