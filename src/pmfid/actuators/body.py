@@ -70,12 +70,16 @@ def _components(size: float, angle: float) -> tuple[float, float]:
 
 
 def body_of(
-    servo: Servo, per_log: Mapping[str, int] | None = None, priors: Mapping[str, tuple[float, float]] | None = None
+    servo: Servo,
+    per_log: Mapping[str, int] | None = None,
+    priors: Mapping[str, tuple[float, float]] | None = None,
+    load: float = 0.0,
 ) -> ServoBody:
     """Return the body of a servo, with one parameter for each log in place of a name in `per_log`.
 
     Gravity of unknown size at an unknown angle has its sine as `gravity` and its cosine as `gravity_angle`. `priors`
-    have mean and standard deviation of parameters that count in standard deviations from the mean.
+    have mean and standard deviation of parameters that count in standard deviations from the mean. An unknown inertia
+    counts from that of a known `load` on.
     """
     priors = priors or {}
     names = [
@@ -97,7 +101,7 @@ def body_of(
     for i, name in enumerate(names):
         base = name.partition(".")[0]
         if base in place:
-            rest[place[base]], lift[place[base], i] = priors.get(base, (0.0, 1.0))
+            rest[place[base]], lift[place[base], i] = priors.get(base, (load if base == "inertia" else 0.0, 1.0))
     if servo.known_force:
         rest[place["force"]] = 1.0
     extra = _place_gravity(servo, place, names, rest, lift)
@@ -145,8 +149,10 @@ def _list_forces(servo: Servo) -> list[tuple[str, BodyForce]]:
         forces.append(("kd", _force(servo, "kd", "loop_filtered") if servo.filters else BodyForce("loop_velocity")))
     if servo.has("ki"):
         forces.append(("ki", BodyForce("loop_integral")))
+    if servo.has("back_emf"):
+        forces.append(("back_emf", BodyForce("column_viscous")))
     if servo.known_force:
-        forces.append(("force", BodyForce("column")))
+        forces.append(("force", BodyForce("column", column=1)))
     return forces
 
 
@@ -161,17 +167,18 @@ def excite(t: Floats, goal: Floats, tick: float, force: Floats | None = None, on
     A known torque moves along a line from row to row, in a few steps.
     """
     pieces = 1 if force is None else TUNING.pieces
-    columns = np.zeros((0, pieces * (t.size - 1)))
+    switch = np.repeat(np.ones(t.size - 1) if on is None else np.asarray(on[:-1], float), pieces)
+    columns = [switch]
     if force is not None:
         share = (np.arange(pieces) + 0.5) / pieces
-        columns = (force[:-1, None] + share * np.diff(force)[:, None]).reshape(1, -1)
+        columns.append((force[:-1, None] + share * np.diff(force)[:, None]).ravel())
     return Excitation(
         np.repeat(np.diff(t) / pieces, pieces),
         np.repeat(np.asarray(goal[:-1], float), pieces),
         pieces * np.arange(t.size, dtype=np.int32),
         np.ascontiguousarray(columns),
         tick,
-        None if on is None else np.repeat(np.asarray(on[:-1], float), pieces),
+        None if on is None else switch,
     )
 
 

@@ -22,7 +22,7 @@ from pmfid.fit.fit import FitSearch, build, errors_of
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.machine import COULOMB, DELAY, MASS, VISCOUS
 from pmfid.fit.problem import FitProblem, ObservedStretch
-from pmfid.fit.solve import Likelihood, solve
+from pmfid.fit.solve import Likelihood, Optimum, solve
 from pmfid.fit.terms import Sizes
 from pmfid.types import Floats
 
@@ -51,10 +51,18 @@ class ServoTask:
         return float(np.median(np.concatenate([np.diff(log.t) for log in self.logs])))
 
     @property
+    def load(self) -> float:
+        """Inertia of the pendulum that the logs state [kg m2], or 0."""
+        return min(float(log.stated.get("pendulum", 0.0)) for log in self.logs)
+
+    @property
     def model(self) -> Servo:
-        """What is known, with the extra terms and with the delay of the loop."""
-        terms = [*self.servo.terms, *self.extra]
-        return replace(self.servo, terms=terms if self.servo.has("loop_delay") else [*terms, "loop_delay"])
+        """What is known, with the extra terms, with the delay of the loop, and with the friction by the back-EMF if the
+        torque of a log is off in between."""
+        switched = any(log.on is not None for log in self.logs)
+        more = ["loop_delay", *(["back_emf"] if switched else [])]
+        terms = [*self.servo.terms, *self.extra, *(name for name in more if not self.servo.has(name))]
+        return replace(self.servo, terms=terms)
 
     @property
     def priors(self) -> dict[str, tuple[float, float]]:
@@ -64,7 +72,7 @@ class ServoTask:
 
     def body(self) -> ServoBody:
         """Return the body, in which the delay of the loop is uncertain unless it is given."""
-        return body_of(self.model, dict.fromkeys(self.per_log, len(self.logs)), self.priors)
+        return body_of(self.model, dict.fromkeys(self.per_log, len(self.logs)), self.priors, self.load)
 
     def problem(self, tick: float = TUNING.tick) -> FitProblem:
         """Return the logs as a problem, with a start state after each gap."""
@@ -296,18 +304,27 @@ def _extend(search: ServoSearch) -> ServoSearch:
 def find_start(task: ServoTask, head: FitProblem) -> tuple[Floats, Floats]:
     """Return parameters (p,) and start states (m, 2) of the best local minimum from random servos.
 
-    The servos are the same in each call.
+    The servos are the same in each call. The best servos of one log are starts of all logs as well.
     """
-    rng, starts = np.random.default_rng(0), head.first_starts()
-    tried = [head.clip_to_bounds(head.start(_draw(task, head.machine.names, rng))) for _ in range(TUNING.draws)]
-    costs = [_cost(head, q, starts) for q in tried]
+    rng = np.random.default_rng(0)
+    drawn = [head.clip_to_bounds(head.start(_draw(task, head.machine.names, rng))) for _ in range(TUNING.draws)]
+    if len(head.stretches) > 1:
+        alone = [replace(head, stretches=(one,)) for one in head.stretches]
+        drawn += [end.q for one in alone for end in _refine(task, one, drawn)[:2]]
+    best = _refine(task, head, drawn)[0]
+    return best.q, best.starts
+
+
+def _refine(task: ServoTask, head: FitProblem, drawn: Sequence[Floats]) -> list[Optimum]:
+    """Return the two best local minima from some servos q (p,), the best one first."""
+    starts = head.first_starts()
+    costs = [_cost(head, q, starts) for q in drawn]
     prior = np.array([float(name in task.priors) for name in head.machine.names])
     soft = Gaussian(head.stretches, scale=9.0)
-    ends = [solve(head, soft, tried[index], starts, prior, 12, 1.0) for index in np.argsort(costs)[: TUNING.refined]]
-    ends.sort(key=lambda end: end.cost)
+    chosen = np.argsort(costs)[: TUNING.refined]
+    ends = sorted((solve(head, soft, drawn[i], starts, prior, 12, 1.0) for i in chosen), key=lambda end: end.cost)
     last = [solve(head, soft, end.q, end.starts, prior, 40, 0.01) for end in ends[:2]]
-    best = min(last, key=lambda end: end.cost)
-    return best.q, best.starts
+    return sorted(last, key=lambda end: end.cost)
 
 
 def _cost(head: FitProblem, q: Floats, starts: Floats) -> float:
@@ -343,10 +360,11 @@ def _draw(task: ServoTask, names: Sequence[str], rng: np.random.Generator) -> Fl
     largest = max(float(np.max(np.abs(log.goal - log.position))) for log in task.logs)
     pair = "gravity" in names and "gravity_angle" in names
     drawn = {
-        "inertia": inertia,
+        "inertia": max(inertia - task.load, 0.03 * inertia),
         "viscous": 2 * damping * frequency * inertia,
         "coulomb": torque * _draw_positive(rng, *TUNING.frictions),
         "kp": gain,
+        "back_emf": 2 * damping * frequency * inertia * rng.uniform(0.0, 1.0),
         "kd": damping * frequency * inertia,
         "ki": gain * _draw_positive(rng, 0.1, 10.0),
         "torque_limit": gain * largest * _draw_positive(rng, 0.1, 1.5),

@@ -31,6 +31,7 @@ UNITS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "stribeck_speed": ("rad/s", "rad/s"),
         "load_friction": ("1", "1"),
         "quadratic": ("N m s2/rad2", "s2"),
+        "back_emf": ("N m s/rad", "s"),
         "ki": ("N m/(rad s)", "1/s"),
         "velocity_filter": ("s", "s"),
         "load_stribeck": ("1", "1"),
@@ -63,7 +64,8 @@ class Servo:
     The torque is kp (goal - position) - kd velocity + ki (integral of goal - position) within +-torque_limit, with the
     goal of `delay` ago. The position in the loop is that of `loop_delay` ago, and its velocity passes a lag of
     `velocity_filter`. Friction is coulomb + stribeck exp(-(velocity/stribeck_speed)^2), and the same of load_friction
-    and load_stribeck times the torque through the gear.
+    and load_stribeck times the torque through the gear. `back_emf` is the part of the viscous friction that a servo has
+    only while its torque is on.
 
     Attributes
     ----------

@@ -40,7 +40,7 @@ class ParameterReader:
             base = name.partition(".")[0]
             mean, sd = task.priors.get(base, (0.0, 1.0))
             if base != "loop_delay" or "loop_delay" in task.servo.unknown:
-                found[name] = mean + sd * value
+                found[name] = mean + sd * value + (task.load if name == "inertia" else 0.0)
         return found
 
     def _read_forces(self, q: Floats, found: dict[str, float]) -> float:
