@@ -375,10 +375,6 @@ class EstimatorTuning:
     uncertainty_smooth: float = 4.0
     #: Further widths for a rough dependence.
     uncertainty_widths: tuple[float, ...] = (1e-3, 3e-2, 0.1, 0.3)
-    #: Number of tried places of the lattice. Their mean square is exact for harmonics with nine tenths of the variance.
-    uncertainty_places: int = 8
-    #: A simulated motion that exceeds this limit [counts] runs away.
-    most_counts: float = 2.0**53
     #: Number of tried places of the lattice.
     uncertainty_phases: int = 32
     #: Number of places of the lattice at which the likelihood's top is searched.

@@ -8,12 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.base import Estimator
-from pmfid.estimators.configuration import hold_last_input
 from pmfid.estimators.likelihood import Best, cost, top
-from pmfid.estimators.motion import Difference, first_speed, mean_velocity, sum_travel
-from pmfid.estimators.results import Columns
+from pmfid.estimators.motion import Difference
 from pmfid.estimators.tuning import TUNING
 from pmfid.types import Floats
 
@@ -80,41 +76,6 @@ def widen_covariance(covariance: Floats, at: Callable[[float], Floats]) -> Float
     return raise_variances(
         covariance, np.max([coarse, *(np.diagonal(at(width)) for width in TUNING.uncertainty_widths)], axis=0)
     )
-
-
-def lattice_scatter(
-    estimator: Estimator,
-    theta: Floats,
-    u: Floats,
-    counts: NDArray[np.int64],
-    columns_of: Callable[[NDArray[np.int64]], Columns],
-    gain: Floats,
-) -> Floats:
-    """Return variances (p,) of the parameters over the places of the lattice.
-
-    The counts are those of the motion simulated at theta (p,) under u (n,). `columns_of` returns the estimator's
-    columns for counts (n,), and `gain` (p, p) converts a sum to a change of theta.
-    """
-    place, sums = _simulate_position(estimator, theta, u, counts), []
-    for k in range(TUNING.uncertainty_places):
-        read = columns_of(np.floor(place + k / TUNING.uncertainty_places).astype(np.int64))
-        sums.append(read.zeta.T @ (read.z - read.phi @ theta))
-    return np.asarray(np.mean(np.square(np.array(sums) @ gain.T), axis=0))
-
-
-def _simulate_position(estimator: Estimator, theta: Floats, u: Floats, counts: NDArray[np.int64]) -> Floats:
-    """Return the simulated position (n,) [counts] with the start velocity that the counts show."""
-    start = first_speed(counts, estimator.intervals, estimator.cutoff, 1.0)
-    step = estimator.encoder.resolution
-    velocity = mean_velocity(estimator.equation, theta, estimator.intervals, hold_last_input(u), start * step)
-    place = sum_travel(velocity, estimator.intervals) / step
-    if not np.max(np.abs(place)) < TUNING.most_counts:
-        values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
-        raise NotIdentifiableError(
-            f"the motion simulated with the estimate ({values}) grows without bound: check the model and "
-            "the signs of input and output, or record a more varied motion"
-        )
-    return place
 
 
 def phase_scatter(
