@@ -7,9 +7,8 @@
  *   counts, input -> encoder -> network of first-order stages -> columns -> recursion -> estimate
  *
  * The kernel has no fixed equation. The configuration lists the stages, and sums their outputs to regressors, target
- * and instruments. Only the optional auxiliary model knows a body with friction, and only the optional linear model
- * knows a transfer function. The kernel uses no malloc, no globals and no libc. Every target gives the same bits if
- * compiled with -std=c99 -ffp-contract=off and without -ffast-math. */
+ * and instruments. Only the optional auxiliary model knows a body with friction. The kernel uses no malloc, no globals
+ * and no libc. Every target gives the same bits if compiled with -std=c99 -ffp-contract=off and without -ffast-math. */
 #ifndef PMF_H
 #define PMF_H
 
@@ -536,52 +535,6 @@ typedef struct {
 #endif
 #endif
 
-#if PMF_WITH_LINEAR
-/* A linear process, simulated from the input alone with a slow copy of the estimate, and the filters 1 / A(s). */
-typedef struct {
-    uint32_t enabled;
-    uint32_t n, m, offset; /* the parameters are a_0 to a_(n-1), b_0 to b_m, and the constant if offset is 1 */
-    uint32_t input_node; /* node of the held input, delayed like the output and by the dead time */
-    uint32_t first_column; /* first column of regressors, target and instruments */
-    uint32_t update_samples; /* samples between two computations of the filters from the copy */
-    uint32_t settle_samples; /* samples in addition to the settling of the process itself */
-    uint32_t start_updates; /* number of updates of the direct estimate at which the model starts */
-    scalar_t half_dt;
-    scalar_t scale[PMF_MAX_ORDER + 1]; /* dt^(n-i) */
-    scalar_t limit[PMF_MAX_ORDER]; /* limit of a_i dt^(n-i), above which the process is too fast for the samples */
-    scalar_t smoothing; /* smoothing of the copy, per update */
-    scalar_t memory; /* forgetting of the comparison with the output, per sample */
-} pmf_linear_config_t;
-
-/* The filters s^i / A(s), time in samples. */
-typedef struct {
-    real_t a[PMF_MAX_ORDER];
-    real_t inverse; /* inverse of a trapezoidal step */
-    real_t step[PMF_MAX_ORDER][PMF_MAX_ORDER], gain[PMF_MAX_ORDER]; /* step and gain for a held signal */
-} pmf_linear_filter_t;
-
-/* Signals after a filter s^i / A(s). */
-typedef struct {
-    real_t held[PMF_MAX_ORDER], one[PMF_MAX_ORDER]; /* filtered input and filtered constant */
-    real_t measured[PMF_MAX_ORDER], simulated[PMF_MAX_ORDER];
-} pmf_linear_signals_t;
-
-typedef struct {
-    real_t parameter[PMF_MAX_PARAMETERS]; /* parameters of the copy */
-    real_t b[PMF_MAX_PARAMETERS]; /* numerator in the form of the simulation */
-    pmf_linear_filter_t own,
-        fast; /* filters of the copy, and more damped filters for data if the copy's filters settle too late */
-    pmf_linear_signals_t behind_own, behind_fast;
-    pmf_linear_signals_t bent; /* corrections of the coefficients of these signals, with time in samples */
-    real_t settling[PMF_MAX_ORDER];
-    real_t output, power, mismatch;
-    real_t discount; /* weight of sums from earlier filters; 1 if the filters did not change */
-    whole_t since; /* updates of the direct estimate at the start */
-    whole_t wait, age, unsettled, settled;
-    whole_t running, in_charge;
-    whole_t damped; /* 1: data pass the fast filters */
-} pmf_linear_state_t;
-#endif
 
 typedef struct {
     uint32_t settle_samples;
@@ -598,10 +551,7 @@ typedef struct {
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_config_t auxiliary;
 #endif
-#if PMF_WITH_LINEAR
-    pmf_linear_config_t linear;
-#endif
-#if PMF_WITH_AUXILIARY + PMF_WITH_LINEAR
+#if PMF_WITH_AUXILIARY
     pmf_recursion_config_t instrument; /* recursion with the simulated model, if there is one */
 #endif
 } pmf_config_t;
@@ -629,10 +579,7 @@ typedef struct {
     pmf_auxiliary_state_t auxiliary;
     pmf_estimate_t borrowed; /* direct estimate in the parameters of the instrumental estimate */
 #endif
-#if PMF_WITH_LINEAR
-    pmf_linear_state_t linear;
-#endif
-#if PMF_WITH_AUXILIARY + PMF_WITH_LINEAR
+#if PMF_WITH_AUXILIARY
     pmf_recursion_state_t instrument;
 #endif
 } pmf_state_t;

@@ -187,7 +187,7 @@ static void slide_window(const pmf_recursion_config_t *config, pmf_recursion_sta
 }
 #endif
 
-#if PMF_LINEAR || PMF_ENDLESS
+#if PMF_ENDLESS
 PMF_SELDOM void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
 {
     uint32_t i, j;

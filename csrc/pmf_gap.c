@@ -42,9 +42,6 @@ void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count)
     state->auxiliary.power *= CREDIT;
     state->auxiliary.trial = config->auxiliary.trial_samples;
 #endif
-#if PMF_LINEAR
-    pmf_clear(&state->linear, (uint32_t)sizeof state->linear);
-#endif
 }
 
 void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples)

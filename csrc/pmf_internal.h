@@ -44,10 +44,8 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
  * structures. */
 #if defined(PMF_LANES) || defined(PMF_STRAIGHT)
 #define PMF_WHOLE 0
-#define PMF_LINEAR 0 /* lanes save time on the matrices of a process only if all axes compute them at once */
 #else
 #define PMF_WHOLE 1
-#define PMF_LINEAR PMF_WITH_LINEAR
 #endif
 #ifdef PMF_WITH_MODEL /* straight steps are for one method of a drive */
 #define PMF_PROCESS 0
@@ -225,14 +223,6 @@ PMF_API whole_t pmf_auxiliary_late(const pmf_auxiliary_config_t *config, pmf_aux
 /* Move the slow copy towards an estimate, with `index` as the places of its parameters. */
 PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, truth_t where,
                                   const real_t *theta, const uint32_t *index);
-#if PMF_LINEAR
-/* Compute the columns of the linear process from the network's nodes of the same step. */
-void pmf_linear_step(const pmf_linear_config_t *config, pmf_linear_state_t *state, const real_t *node, real_t *column);
-/* Run the recursion on the columns of a settled model, otherwise use the direct estimate. Returns status bits. */
-uint32_t pmf_linear_estimate(const pmf_config_t *config, pmf_state_t *state, uint32_t direct_status, uint32_t settled);
-/* Multiply all accumulated sums by a factor <= 1. */
-void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor);
-#endif
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                    const real_t *column);

@@ -164,11 +164,6 @@ void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter
         parameter = direct_part(&config->auxiliary, parameter);
     }
 #endif
-#if PMF_LINEAR
-    if (config->linear.enabled != 0U) {
-        open_recursion(&config->instrument, &state->instrument, parameter, root);
-    }
-#endif
     open_recursion(&config->direct, &state->direct, parameter, root);
 #if PMF_WITH_PROCESS
     if (config->direct.constant != PMF_NO_PARAMETER) {

@@ -188,22 +188,6 @@ PMF_SELDOM uint32_t check_found(const pmf_found_state_t *state)
 }
 #endif
 
-#if PMF_WITH_LINEAR
-PMF_SELDOM uint32_t check_linear(const pmf_linear_config_t *config, const pmf_linear_state_t *state)
-{
-    return all_finite(state->parameter, REALS(state->parameter)) & all_finite(state->b, REALS(state->b)) &
-           all_finite((const real_t *)(const void *)&state->own, REALS(state->own)) &
-           all_finite((const real_t *)(const void *)&state->fast, REALS(state->fast)) &
-           all_finite((const real_t *)(const void *)&state->behind_own, REALS(state->behind_own)) &
-           all_finite((const real_t *)(const void *)&state->behind_fast, REALS(state->behind_fast)) &
-           all_finite((const real_t *)(const void *)&state->bent, REALS(state->bent)) & at_most(state->damped, 1U) &
-           all_finite(state->settling, REALS(state->settling)) & all_finite(&state->output, 1U) &
-           not_negative(&state->power, 1U) & not_negative(&state->mismatch, 1U) &
-           within(&state->discount, 1U, PMF_R(0.0), PMF_R(1.0)) & at_most(state->wait, config->update_samples) &
-           at_most(state->age, 0x7fffffffU) & at_most(state->unsettled, state->age) & at_most(state->settled, 1U) &
-           at_most(state->running, 1U) & at_most(state->in_charge, 1U);
-}
-#endif
 
 uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 {
@@ -238,10 +222,7 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 #endif
     fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed);
 #endif
-#if PMF_WITH_LINEAR
-    fine &= check_linear(&config->linear, &state->linear);
-#endif
-#if PMF_WITH_AUXILIARY + PMF_WITH_LINEAR
+#if PMF_WITH_AUXILIARY
     fine &= check_recursion(&config->instrument, &state->instrument);
 #endif
     return fine;

@@ -339,19 +339,6 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
     return status;
 }
 
-#if PMF_LINEAR
-void pmf_recursion_discount(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t factor)
-{
-#if PMF_WINDOW_BLOCKS > 0
-    uint32_t block;
-    for (block = 0; SCHEME(config) == PMF_WINDOW && block < PMF_WINDOW_BLOCKS; ++block) {
-        discount_sums(&state->window[block], PARAMETERS(config), factor);
-    }
-#endif
-    (void)config; /* an export has the number of parameters as a constant */
-    discount_sums(&state->sums, PARAMETERS(config), factor);
-}
-#endif
 
 #if PMF_WHOLE /* for one axis */
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion, real_t *p)

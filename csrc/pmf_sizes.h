@@ -8,7 +8,6 @@
 #define PMF_MAX_PARAMETERS 8
 #define PMF_MAX_NOISE PMF_MAX_PARAMETERS
 #define PMF_MAX_COLUMNS (5 * PMF_MAX_PARAMETERS + 4)
-#define PMF_MAX_ORDER 6 /* largest order of a simulated linear process */
 #define PMF_MAX_LATE 22 /* inputs kept for a dead time, two more than the whole samples */
 #define PMF_MAX_SHAPES 6 /* number of shapes in the auxiliary model; 0 leaves shapes out */
 #define PMF_MAX_KNOTS 520 /* knots in the tables of all shapes */
@@ -17,7 +16,6 @@
 
 /* 0 leaves out a part with its code and memory. */
 #define PMF_WITH_AUXILIARY 1 /* the auxiliary model and its recursion */
-#define PMF_WITH_LINEAR 1 /* the model of a linear process and its recursion */
 #define PMF_WITH_PROCESS 1 /* the output of a process, with its start and noise */
 #define PMF_WITH_DEAD_TIME 1 /* an input that acts late */
 #define PMF_WITH_DEAD_TIME_FOUND 1 /* an estimated dead time */

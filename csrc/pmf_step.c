@@ -68,9 +68,6 @@ static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
     state->auxiliary.velocity = PMF_R(0.0);
     state->auxiliary.position = PMF_R(0.0);
 #endif
-#if PMF_LINEAR
-    pmf_clear(&state->linear, (uint32_t)sizeof state->linear);
-#endif
 }
 
 #if PMF_WITH_AUXILIARY
@@ -144,11 +141,6 @@ __attribute__((always_inline)) inline
             correct_direct(config, state, state->network.column);
         }
 #endif
-    }
-#endif
-#if PMF_LINEAR
-    if (config->linear.enabled != 0U) {
-        pmf_linear_step(&config->linear, &state->linear, state->network.node, state->network.column);
     }
 #endif
     state->settle = PMF_IF((status & PMF_SETTLING) != 0U, PMF_W(config->settle_samples), state->settle);
@@ -321,12 +313,6 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
 #if PMF_PROCESS
 PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state)
 {
-#if PMF_LINEAR
-    if (config->linear.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
-        pmf_recursion_lift(&config->instrument, &state->instrument, &state->lifted);
-        return;
-    }
-#endif
     pmf_recursion_lift(&config->direct, &state->direct, &state->lifted);
 }
 #endif
@@ -347,11 +333,6 @@ const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t
         }
 #endif
         return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
-    }
-#endif
-#if PMF_LINEAR
-    if (config->linear.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
-        return &state->instrument.estimate;
     }
 #endif
     (void)config;
@@ -398,11 +379,6 @@ static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, who
         status = instrument_step(config, state, status, settled);
     }
 #endif
-#if PMF_LINEAR
-    if (config->linear.enabled != 0U) {
-        status = pmf_linear_estimate(config, state, status, settled != 0 ? 1U : 0U);
-    }
-#endif
     return status;
 }
 
@@ -411,9 +387,6 @@ static whole_t step_sample(const pmf_config_t *config, pmf_state_t *state, real_
     whole_t status = filter_sample(config, state, input, count) | guarded;
 #if PMF_PROCESS
     state->direct.lift = config->direct.lift * PMF_TO_REAL(state->encoder.first);
-#if PMF_LINEAR
-    state->instrument.lift = state->direct.lift;
-#endif
 #endif
     status |= estimate_step(config, state, status);
     PMF_WHERE((status & PMF_RESET) != 0U, state, restart_filters(config, state));
@@ -499,15 +472,7 @@ void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state,
         return;
     }
 #endif
-#if PMF_LINEAR
-    if (config->linear.enabled != 0U && (state->status & PMF_FALLBACK) == 0U) {
-        pmf_recursion_covariance(&config->instrument, &state->instrument, p);
-    } else {
-        pmf_recursion_covariance(&config->direct, &state->direct, p);
-    }
-#else
     pmf_recursion_covariance(&config->direct, &state->direct, p);
-#endif
 #if PMF_PROCESS
     if (config->direct.constant != PMF_NO_PARAMETER) {
         lift_covariance(config, state, p);

@@ -14,7 +14,6 @@ from studies import (
     real_processes,
     structures,
     uneven,
-    varying,
 )
 from studies.sections import Page, by_name
 
@@ -26,11 +25,10 @@ STUDIES = by_name(
     uneven.STUDY,
     real_processes.STUDY,
     structures.STUDY,
-    varying.STUDY,
     process_confidence.STUDY,
 )
 SEEDS = 100
-PARTS = {"efficiency": 10.0, "discretizations": 0.05, "varying": 0.05, "process-confidence": 0.1}
+PARTS = {"efficiency": 10.0, "discretizations": 0.05, "process-confidence": 0.1}
 INTRODUCTION = """\
 Transfer functions from input and output alone, no parameter known. The records are simulated exactly for a held input
 and start at rest; the methods do not know that. Each table states how many runs it has."""

@@ -106,7 +106,6 @@ PUBLIC = [
     "REdge",
     "RIV",
     "RLS",
-    "RSRIVC",
     "Result",
     "SRIVC",
     "ShardedFleet",
@@ -473,7 +472,6 @@ def test_kernel_has_no_heap_no_globals_no_libc(name: str) -> None:
         "pmf_within.h": {"pmf_edges.h"},
         "pmf_edges.h": {"pmf_motion.h"},
         "pmf_motion.h": {"pmf_shapes.h"},
-        "pmf_linear.c": {"pmf_linear_filters.h"},
     }
     assert includes(source) <= {"stdint.h", "pmf.h", "pmf_internal.h", "pmf_sizes.h"} | own.get(name, set())
 

@@ -19,7 +19,7 @@ LARGE = 2**32 - 1
 
 
 def made(method: str) -> pmfid.RLS:
-    model = pmfid.TransferFunction(2, 1) if method == "RSRIVC" else pmfid.Drive(input_gain=1.7)
+    model = pmfid.Drive(input_gain=1.7)
     estimator: pmfid.RLS = getattr(pmfid, method)(model, pmfid.Encoder(3e-5), 2e-3, cutoff=31.0, forgetting=0.997)
     return estimator
 
@@ -44,8 +44,6 @@ def grown(place: str) -> np.dtype[Any]:
         ("RLS", "direct"),
         ("RIV", "instrument"),
         ("RIV", "auxiliary"),
-        ("RSRIVC", "linear"),
-        ("RSRIVC", "instrument"),
     ],
 )
 def test_a_field_without_a_value_is_found(method: str, place: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,11 +102,6 @@ def test_another_number_of_bytes_is_refused(kernel: type[_kernel64.Kernel]) -> N
         ("RIV", "auxiliary", "direct_index"),
         ("RIV", "auxiliary", "cause"),
         ("RIV", "auxiliary", "role"),
-        ("RSRIVC", "linear", "n"),
-        ("RSRIVC", "linear", "m"),
-        ("RSRIVC", "linear", "offset"),
-        ("RSRIVC", "linear", "input_node"),
-        ("RSRIVC", "linear", "first_column"),
     ],
 )
 @pytest.mark.parametrize("number", [LARGE, 200])
@@ -128,7 +121,7 @@ def test_nodes_that_are_not_there_are_refused(rows: str, field: str) -> None:
         _kernel64.Kernel(config.tobytes())
 
 
-@pytest.mark.parametrize("method", ["RLS", "RIV", "RSRIVC"])
+@pytest.mark.parametrize("method", ["RLS", "RIV"])
 def test_a_kernel_from_the_bytes_of_another_gives_its_bits(method: str) -> None:
     one = made(method).runner.kernel
     other = _kernel64.Kernel(one.raw_config())

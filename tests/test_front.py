@@ -109,7 +109,7 @@ def test_every_command_says_what_it_does_in_one_line() -> None:
 
 def test_the_help_of_method_names_them_all() -> None:
     text = CliRunner().invoke(main, ["identify", "--help"], terminal_width=200).output
-    described = re.search(r"auto: from the record.*?rsrivc\.", text, re.DOTALL)
+    described = re.search(r"auto: from the record.*?srivc, rls, bcrls\.", text, re.DOTALL)
     assert described
     assert all(re.search(rf"\b{method}\b", described[0]) for method in METHODS)
 

@@ -64,6 +64,6 @@ def called(folder: Path, command: str, plant: str, axis: str, *further: str, **c
 
 def test_calls_that_ended_in_a_traceback(tmp_path: Path) -> None:
     """The calls are a method for processes on a drive, a reference of 1e200, and a cutoff of 1e-320."""
-    assert called(tmp_path, "identify", "rotary", ROTARY + 'method = "rsrivc"\n', "--method", "all") == ()
+    assert called(tmp_path, "identify", "rotary", ROTARY + 'method = "srivc"\n', "--method", "all") == ()
     assert called(tmp_path, "identify", "process", PROCESS, r=np.full(120, 1e200)) == ()
     assert called(tmp_path, "identify", "rotary", ROTARY.replace("100.0", "1e-320") + 'method = "rls"') == ()

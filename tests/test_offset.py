@@ -50,7 +50,7 @@ def test_a_counter_that_begins_below_zero() -> None:
 
 # --- on-line ----------------------------------------------------------------------------------------------------------
 
-RECURSIVE = [pmfid.RLS, pmfid.BCRLS, pmfid.RSRIVC]
+RECURSIVE = [pmfid.RLS, pmfid.BCRLS]
 #: numerator, denominator, sample period [s], cutoff [rad/s], dead time in samples
 PROCESSES = {
     "one lag": ((2.0,), (1.0, 1.5), 0.05, 4.0, 0),

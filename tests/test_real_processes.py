@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmfid import BCLS, IV, LS, RSRIVC, SRIVC, Encoder, Experiment, TransferFunction, UsageError
+from pmfid import BCLS, IV, LS, SRIVC, Encoder, Experiment, TransferFunction, UsageError
 from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
 from pmfid.estimators.srivc import fit_process, fixed_filters, solve_by_descent
@@ -220,8 +220,6 @@ def test_methods_that_cannot_take_them_say_which_can():
             LS(model, ONE, DT, 2.0)
     with pytest.raises(UsageError, match="use srivc"):
         IV(TransferFunction(2, 0, dead_time="estimate"), ONE, DT, 2.0)
-    with pytest.raises(UsageError, match="record the process and use srivc"):
-        RSRIVC(TransferFunction(2, 0, integrators=1), ONE, DT, 2.0)
 
 
 CONFIG = """

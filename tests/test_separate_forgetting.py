@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid import RLS, RSRIVC, TransferFunction, UsageError
+from pmfid import BCRLS, RLS, TransferFunction, UsageError
 from pmfid.simulation.process import simulate_process
 from studies.late_processes import simulate_varying
 from tests.conftest import CART_DT, cart_run
@@ -38,7 +38,7 @@ def test_is_the_recursion_with_p_spread_by_parameter(drive):
 def test_the_same_factor_for_all_is_plain_forgetting():
     run = make_record(LAG, 1, snr=20.0)
     same = {"a0": 0.99, "a1": 0.99, "b0": 0.99}
-    for cls in (RLS, RSRIVC):
+    for cls in (RLS, BCRLS):
         plain, separate = (
             build(cls, LAG, run, forgetting=0.99, **options).run(run.u, run.counts).theta[-1]
             for options in ({}, {"forgetting_of": same})
@@ -49,7 +49,7 @@ def test_the_same_factor_for_all_is_plain_forgetting():
 def test_a_parameter_that_stays_sharpens_the_others():
     run = make_record(LAG, 2, snr=10.0)
     spread = [
-        np.std(build(RSRIVC, LAG, run, forgetting=0.99, **options).run(run.u, run.counts)["a1"][1000:])
+        np.std(build(BCRLS, LAG, run, forgetting=0.99, **options).run(run.u, run.counts)["a1"][1000:])
         for options in ({}, {"forgetting_of": {"b0": 1.0}})
     ]
     assert spread[1] < 0.6 * spread[0]

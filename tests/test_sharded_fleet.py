@@ -230,7 +230,7 @@ def test_anything_that_happens_leaves_every_axis_as_alone(tmp_path: Path) -> Non
         (lambda fleet: fleet.gap(7, 0), "no axis has the handle 7"),
         (lambda fleet: fleet.add(BCRLS, -1), "axes must be a whole number of at least 0"),
         (lambda fleet: fleet.add(BCRLS, 10**12), "at most .* places"),
-        (lambda fleet: fleet.add(make(pmfid.RLS).model), "use rls, bcrls, riv or rsrivc"),
+        (lambda fleet: fleet.add(make(pmfid.RLS).model), "use rls, bcrls or riv"),
         (lambda fleet: fleet.checkpoint(), "no folder for checkpoints; give a folder"),
         (lambda fleet: pmfid.ShardedFleet(shard=0), "shard must be a whole number of at least 1"),
         (lambda fleet: pmfid.ShardedFleet(shard=2**30), "shard must be at most"),

@@ -19,20 +19,19 @@ from pmfid.kernel.saved import FLEET_HEAD, OLDER, _checksum, configuration, flee
 from pmfid.kernel.structures import structures, whole_words
 from tests.conftest import long_unless
 from tests.firmware.build import GCC
-from tests.hostile.crafted import LAGS, attack, estimators, folder_of, leaves, program
+from tests.hostile.crafted import attack, estimators, folder_of, leaves, program
 from tests.test_export import needs
 from tests.test_many import AXES, fleet_record, make
 
 PRECISIONS = ("float32", "float64")
 #: Whole numbers without a limit: registers, sums modulo 2^32, and counters that saturate.
 FREE = {"encoder.count", "encoder.change", "encoder.travel", "encoder.first", "guard.count", "guard.zero",
-        "updates", "since", "window_updates", "linear.since", "auxiliary.turn"}  # fmt: skip
+        "updates", "since", "window_updates", "auxiliary.turn"}  # fmt: skip
 CASES = {name: (cls, options) for name, cls, options in [
     ("bcrls", pmfid.BCRLS, {}),
     ("window", pmfid.RLS, {"forgetting_scheme": "window"}),
     ("directional", pmfid.RLS, {"forgetting_scheme": "directional"}),
     ("riv", pmfid.RIV, {"model": pmfid.Drive(2.0, offset=True)}),
-    ("rsrivc", pmfid.RSRIVC, LAGS),
 ]}  # fmt: skip
 
 

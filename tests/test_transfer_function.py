@@ -349,8 +349,6 @@ def test_estimators_say_what_they_need():
         LS(TransferFunction(4, 0), encoder, 0.01, 10.0, order=3)
     with pytest.raises(UsageError, match="riv"):
         pmfid.RIV(TransferFunction(2, 0), encoder, 0.01, 10.0)
-    with pytest.raises(UsageError, match="start"):
-        pmfid.RSRIVC(TransferFunction(2, 0, initial_conditions=True), encoder, 0.01, 10.0)
 
 
 @pytest.mark.parametrize("arguments", [("2", 1), (2.0, 1), (2, 1.0), (2, "1"), (2, 1, 3.0), (None, 1), (True, 0)])

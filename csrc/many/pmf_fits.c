@@ -117,24 +117,6 @@ static uint32_t auxiliary_fits(const pmf_auxiliary_config_t *model)
     return fits;
 }
 
-static uint32_t linear_fits(const pmf_linear_config_t *model)
-{
-    uint32_t few = model->n >= 1U && model->n <= PMF_MAX_ORDER && model->m <= PMF_MAX_ORDER && model->offset <= 1U;
-    return few != 0U && model->input_node < NODES && model->update_samples > 0U
-               ? columns_fit(model->first_column, model->n + model->m + 1U + model->offset, 1U)
-               : 0U;
-}
-
-/* Either recursion may give the estimate that is lifted. */
-static uint32_t one_level(const pmf_config_t *config)
-{
-    return config->direct.constant == config->instrument.constant &&
-                   config->direct.lowest == config->instrument.lowest &&
-                   config->direct.n_parameters == config->instrument.n_parameters
-               ? 1U
-               : 0U;
-}
-
 /* An estimated dead time is the last parameter, and only one dead time is estimated. */
 static uint32_t late_fits(const pmf_config_t *config)
 {
@@ -150,6 +132,5 @@ uint32_t pmf_fits(const pmf_config_t *config)
 {
     return late_fits(config) & network_fits(&config->network) & recursion_fits(&config->direct) &
            recursion_fits(&config->instrument) & pmf_shapes_fit(&config->auxiliary.shapes) &
-           (config->auxiliary.enabled == 0U ? 1U : auxiliary_fits(&config->auxiliary)) &
-           (config->linear.enabled == 0U ? 1U : linear_fits(&config->linear) & one_level(config));
+           (config->auxiliary.enabled == 0U ? 1U : auxiliary_fits(&config->auxiliary));
 }

@@ -118,14 +118,13 @@ static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_c
 static void find_unused(const pmf_config_t *config, unused_t *unused)
 {
     const pmf_network_config_t *network = &config->network;
-    uint32_t columns =
-        config->linear.enabled != 0U ? PMF_MAX_COLUMNS : network->n_columns; /* the model has its own filters */
     unused->ranges = 0U;
     leave_out(unused, IN_STATE(network.node) + (PMF_SIGNALS + network->n_stages) * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.node));
     leave_out(unused, IN_STATE(network.memory) + network->n_stages * (uint32_t)sizeof(scalar_t),
               END_IN_STATE(network.memory));
-    leave_out(unused, IN_STATE(network.column) + columns * (uint32_t)sizeof(scalar_t), END_IN_STATE(network.column));
+    leave_out(unused, IN_STATE(network.column) + network->n_columns * (uint32_t)sizeof(scalar_t),
+              END_IN_STATE(network.column));
     leave_recursion(unused, IN_STATE(direct), &config->direct);
     if (config->direct.constant != PMF_NO_PARAMETER) {
         leave_estimate(unused, IN_STATE(lifted), config->direct.n_parameters);
@@ -139,7 +138,7 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
         leave_out(unused, IN_STATE(hold), END_IN_STATE(hold));
         leave_out(unused, IN_STATE(guard), END_IN_STATE(guard));
     }
-    if (config->auxiliary.enabled + config->linear.enabled != 0U) {
+    if (config->auxiliary.enabled != 0U) {
         leave_recursion(unused, IN_STATE(instrument), &config->instrument);
     } else {
         leave_out(unused, IN_STATE(instrument), END_IN_STATE(instrument));
@@ -168,9 +167,6 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
     }
     if (config->late.room == 0U) {
         leave_out(unused, IN_STATE(auxiliary.parameter[PMF_DELAY]), END_IN_STATE(auxiliary.parameter[PMF_DELAY]));
-    }
-    if (config->linear.enabled == 0U) {
-        leave_out(unused, IN_STATE(linear), END_IN_STATE(linear));
     }
 }
 
@@ -253,9 +249,8 @@ uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, u
     layout->reals = layout->words;
     add_words(layout, &unused, &filled, is_whole, 1U);
     layout->packed_size = (layout->packed_size + 7U) / 8U * 8U;
-    if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW ||
-        config->linear.enabled != 0U || config->late.room != 0U || config->auxiliary.shapes.n != 0U ||
-        config->encoder.rate > PMF_SCALAR(0.0)) {
+    if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW || config->late.room != 0U ||
+        config->auxiliary.shapes.n != 0U || config->encoder.rate > PMF_SCALAR(0.0)) {
         layout->lane_words = 0U;
     }
     return layout->words < PMF_MAX_WORDS && unused.ranges < MAX_RANGES ? 1U : 0U;

@@ -11,7 +11,7 @@ typedef uint32_t pmf_stepper_t(const pmf_config_t *config, pmf_state_t *state, s
 uint32_t pmf_is_rls(const pmf_config_t *config);
 uint32_t pmf_is_bcrls(const pmf_config_t *config);
 uint32_t pmf_is_riv(const pmf_config_t *config);
-/* Return whether a configuration has a fixed step, no shapes, no dead time and no simulated linear process. */
+/* Return whether a configuration has a fixed step, no shapes and no dead time. */
 uint32_t pmf_is_plain(const pmf_config_t *config);
 /* The steps of the methods. */
 uint32_t pmf_step_rls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from pmfid.estimators.results import Track as Track
     from pmfid.estimators.results import Tracks as Tracks
     from pmfid.estimators.sharded_fleet import ShardedFleet as ShardedFleet
-    from pmfid.estimators.srivc import RSRIVC as RSRIVC
     from pmfid.estimators.srivc import SRIVC as SRIVC
     from pmfid.export.firmware import export_firmware as export_firmware
     from pmfid.findings import Finding as Finding
@@ -83,7 +82,6 @@ _PUBLIC = {
     "MotionFit": "pmfid.estimators.motion_fit",
     "NotIdentifiableError": "pmfid.errors",
     "PmfidError": "pmfid.errors",
-    "RSRIVC": "pmfid.estimators.srivc",
     "RLS": "pmfid.estimators.recursive",
     "SRIVC": "pmfid.estimators.srivc",
     "ShardedFleet": "pmfid.estimators.sharded_fleet",

@@ -20,7 +20,7 @@ from tests.hostile.specs import spec
 Rng = np.random.Generator
 
 #: Methods that run sample by sample.
-RECURSIVE = ("auto", "rls", "bcrls", "riv", "rsrivc")
+RECURSIVE = ("auto", "rls", "bcrls", "riv")
 #: Values of an option that no user intends.
 ODD = [
     "0",

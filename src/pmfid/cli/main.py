@@ -102,7 +102,7 @@ def _open_closed_streams() -> None:
     "--method",
     type=click.Choice((*METHODS, EVERY)),
     help="auto: from the record; all: every method, side by side. Off-line: fit, ls, bcls, iv, srivc; "
-    "recursive: rls, bcrls, riv, rsrivc. For a transfer function: srivc, rsrivc.",
+    "recursive: rls, bcrls, riv. For a transfer function: srivc, rls, bcrls.",
 )
 @CUTOFF
 @click.option("--order", type=int, help="Number of filter stages.")

@@ -13,7 +13,6 @@ Method = Literal[
     "rls",
     "bcrls",
     "riv",
-    "rsrivc",
 ]
 Discretization = Literal["matched", "paper", "exact"]
 ForgettingScheme = Literal["exponential", "directional", "constant-trace", "window"]

@@ -18,7 +18,7 @@ def runner_of(estimator: RecursiveEstimator | Runner[RecursiveEstimator]) -> Run
     """Return the runner from which all axes start. Raises UsageError for an estimator that is not recursive."""
     if not isinstance(estimator, RecursiveEstimator | Runner):
         what = getattr(estimator, "method", type(estimator).__name__)
-        raise UsageError(f"a fleet runs sample by sample, and {what} does not; use rls, bcrls, riv or rsrivc")
+        raise UsageError(f"a fleet runs sample by sample, and {what} does not; use rls, bcrls or riv")
     return cast("Runner[RecursiveEstimator]", estimator if isinstance(estimator, Runner) else estimator.runner)
 
 

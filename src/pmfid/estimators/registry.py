@@ -7,14 +7,14 @@ from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.ls import BCLS, LS
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.recursive import BCRLS, RLS
-from pmfid.estimators.srivc import RSRIVC, SRIVC
+from pmfid.estimators.srivc import SRIVC
 from pmfid.models.drive import Model
 
 #: Off-line methods for a drive.
 OFF_LINE = (LS, BCLS, IV, MotionFit)
 RECURSIVE = (RLS, BCRLS, RIV)
 #: Methods for a linear process alone.
-PROCESS_ONLY = (SRIVC, RSRIVC)
+PROCESS_ONLY = (SRIVC,)
 ESTIMATORS: dict[str, type[Estimator]] = {cls.method: cls for cls in (*OFF_LINE, *RECURSIVE, *PROCESS_ONLY)}
 
 

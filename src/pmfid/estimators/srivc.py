@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import comb
-from typing import TYPE_CHECKING, ClassVar, cast
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,13 +12,10 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
-from pmfid.estimators.configuration import check_arrays, check_size, hold_last_input, like
+from pmfid.estimators.configuration import check_arrays, check_size, hold_last_input
 from pmfid.estimators.least_squares import parts_of_their_own
-from pmfid.estimators.recursive import BCRLS, RecursiveEstimator
 from pmfid.estimators.results import Fit
 from pmfid.estimators.tuning import TUNING
-from pmfid.filters.columns import ColumnBuilder
-from pmfid.kernel.configuration import kernel_of, make_config
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.linear.residuals import covariance
@@ -41,7 +36,7 @@ from pmfid.models.equation import ESTIMATE, Equation
 from pmfid.models.transfer_function import MAX_DELAY, TransferFunction
 
 if TYPE_CHECKING:
-    from pmfid._kernel64 import Kernel
+    pass
 
 
 @dataclass(frozen=True)
@@ -307,100 +302,3 @@ def spread(problem: ProcessProblem) -> float:
     return sum(
         float(np.sum((y := stretch.y[stretch.rows]) ** 2) - y.size * np.mean(y) ** 2) for stretch in problem.stretches
     )
-
-
-@dataclass(frozen=True)
-class RSRIVC(ProcessOnly, RecursiveEstimator):
-    """Recursive simplified refined instrumental variables for continuous time (Young and Jakeman 1980).
-
-    Parameters
-    ----------
-    model : TransferFunction
-    encoder, dt, cutoff, order, prefilter_zeros, forgetting
-        See `BCRLS`. The time constant of the slow copy scales with 1 / cutoff.
-
-    Raises
-    ------
-    UsageError
-        The model is no `TransferFunction`, or one with initial conditions.
-
-    Notes
-    -----
-    A slow copy of the estimate simulates the process from the input alone. The simulated output, filtered by 1 / A(s)
-    like
-    the measured output, is the instrument. For white output noise, no unbiased method has a smaller variance. The
-    filters
-    follow the copy and are updated once per filter time constant. The input filters are exact for the input's hold, so
-    the
-    method has no discretisation error.
-
-    The method refuses a copy that is unstable or has poles beyond 2 / dt, and keeps the last copy. If the process rings
-    for a large part of the record so far, the data get faster filters than the instruments. The error bars of such a
-    process are too long rather than too short. The estimate is that of `BCRLS` (`Status.FALLBACK`) until the model
-    exists and is as good as `BCRLS`.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from pmfid import RSRIVC, Encoder, TransferFunction, quantize
-    >>> rng, a = np.random.default_rng(1), np.exp(-0.02)
-    >>> u, y = np.repeat(rng.choice([-1.0, 1.0], 100), 20), np.zeros(2000)
-    >>> for k in range(1999):
-    ...     y[k + 1] = a * y[k] + (1 - a) * u[k]
-    >>> rsrivc = RSRIVC(TransferFunction(1, 0), Encoder(1e-3), 0.01, 4.0)
-    >>> rsrivc.run(u, quantize(y, 1e-3)).theta[-1].round(1)
-    array([2., 2.])
-    """
-
-    method: ClassVar[str] = "rsrivc"
-    instrumental: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.model, TransferFunction):
-            raise UsageError("rsrivc needs a transfer function; for a drive, riv is the equivalent method")
-        if self.model.initial_conditions:
-            raise UsageError("rsrivc forgets the start of the process by itself; leave initial_conditions out")
-        if self.model.integrators or self.model.unstable:
-            raise UsageError(
-                "rsrivc simulates from rest, and the simulation diverges if the process is not stable; record the "
-                "process and use srivc"
-            )
-        super().__post_init__()
-
-    def make_kernel(self, forgetting: float = 1.0) -> Kernel:
-        direct = like(BCRLS, self, forgetting=forgetting)
-        p = len(self.names)
-        builder = ColumnBuilder(direct.equation, direct.spec)
-        columns = [*builder.regressors(), builder.target(), *builder.instruments()]
-        config = make_config(
-            self.precision,
-            builder.network.stages,
-            columns,
-            encoder=self.encoder_config,
-            direct=direct.recursion_config(p, True, forgetting),
-            settle_samples=self.settle_samples,
-            instrument=self.recursion_config(p, True, forgetting, len(columns)),
-            linear=self._linear_config(builder, len(columns)),
-        )
-        return kernel_of(self.precision, config)
-
-    def _linear_config(self, builder: ColumnBuilder, first: int) -> dict[str, object]:
-        """Return the kernel configuration of the model."""
-        model, per_sample = cast(TransferFunction, self.model), self.cutoff * self.dt
-        n, update = model.n, max(1, round(1 / per_sample))
-        return {
-            "enabled": 1,
-            "n": n,
-            "m": model.m,
-            "offset": int(model.offset),
-            "input_node": builder.input_node(),
-            "first_column": first,
-            "update_samples": update,
-            "settle_samples": self.settle_samples,
-            "start_updates": 2 * self.settle_samples,
-            "half_dt": self.dt / 2,
-            "scale": [self.dt ** (n - i) for i in range(n + 1)],
-            "limit": [comb(n, i) * TUNING.srivc_fastest ** (n - i) for i in range(n)],
-            "smoothing": min(1.0, update * per_sample / TUNING.copy_time_constants),
-            "memory": math.exp(-per_sample / TUNING.check_time_constants),
-        }

@@ -49,7 +49,6 @@ def make_config(
     first_samples: int | None = None,
     instrument: Values | None = None,
     auxiliary: Values | None = None,
-    linear: Values | None = None,
     late: Values | None = None,
     shapes: Values | None = None,
     rates: Rates = ((), ()),
@@ -57,10 +56,10 @@ def make_config(
     """Return the configuration of a kernel.
 
     `stages` has rows (source, a, b0, b1), and `columns` has a list of (node, weight) for each column. `encoder`,
-    `direct`, `instrument`, `auxiliary`, `linear` and `late` hold the fields of the C structures by name. Without
-    `auxiliary` and `linear` the kernel simulates no model and has no `instrument`. Without `late` the input acts at
-    once. `shapes` replaces the field `shapes` of a missing `auxiliary`. `first_samples` defaults to `settle_samples`.
-    `rates` are the rules for a varying step. Raises ValueError if a size is exceeded, or a field is missing or unknown.
+    `direct`, `instrument`, `auxiliary` and `late` hold the fields of the C structures by name. Without `auxiliary` the
+    kernel simulates no model and has no `instrument`. Without `late` the input acts at once. `shapes` replaces the
+    field `shapes` of a missing `auxiliary`. `first_samples` defaults to `settle_samples`. `rates` are the rules for a
+    varying step. Raises ValueError if a size is exceeded, or a field is missing or unknown.
     """
     parameters = max(cast("int", one["n_parameters"]) for one in (direct, instrument or direct))
     config = np.zeros((), structures(None, precision)["pmf_config_t"])
@@ -71,7 +70,6 @@ def make_config(
         "network": network_values(stages, columns, parameters, rates),
         "direct": direct,
         "auxiliary": auxiliary,
-        "linear": linear,
         "late": late,
         "instrument": instrument,
     }

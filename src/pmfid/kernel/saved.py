@@ -38,9 +38,8 @@ def configuration(kernel: Kernel, precision: str) -> Structured:
 def shape_of(config: Structured) -> KernelSizes:
     """Return the sizes and parts of the kernel that a configuration needs."""
     constants, network = constants_of(None), config["network"]
-    linear, shapes = config["linear"], config["auxiliary"]["shapes"]
+    shapes = config["auxiliary"]["shapes"]
     recursions = recursions_of(config)
-    columns = columns_of(config)
     parameters = max(int(recursion["n_parameters"]) for recursion in recursions)
     noise = any(
         recursion["compensated"] or recursion["biased"] or recursion["unexplained"] > 0 for recursion in recursions
@@ -53,8 +52,7 @@ def shape_of(config: Structured) -> KernelSizes:
         max_taps=int(network["tap_end"][int(network["n_columns"]) - 1]),
         max_parameters=parameters,
         max_noise=parameters if noise else 1,
-        max_columns=columns,
-        max_order=int(linear["n"]) if linear["enabled"] else 1,
+        max_columns=int(network["n_columns"]),
         max_shapes=int(shapes["n"]),
         max_knots=knots_of(shapes),
         max_rates=max(1, 4 * -(-int(network["n_rates"]) // 4)),  # the kernel computes four rules at once
@@ -64,7 +62,6 @@ def shape_of(config: Structured) -> KernelSizes:
         with_dead_time_found=int(config["late"]["found"] > 0),
         with_lag=int(config["late"]["lags"] > 0),
         with_auxiliary=int(config["auxiliary"]["enabled"] or shapes["n"] > 0),
-        with_linear=int(linear["enabled"]),
         with_process=int(process),
         with_guard=int(config["encoder"]["guard"] > 0),
         with_separate=int(constants["PMF_SEPARATE"] in schemes),
@@ -99,19 +96,12 @@ def knots_of(shapes: Structured) -> int:
 
 def recursions_of(config: Structured) -> list[Structured]:
     """Return the recursions that a configuration uses."""
-    two = config["auxiliary"]["enabled"] or config["linear"]["enabled"]
-    return [config["direct"], config["instrument"]] if two else [config["direct"]]
+    return [config["direct"], config["instrument"]] if config["auxiliary"]["enabled"] else [config["direct"]]
 
 
 def long_memory(recursion: Structured) -> bool:
     """Return whether a float32 recursion forgets so slowly that its sums may be full (csrc/pmf_forgetting.h)."""
     return recursion["forgetting"].dtype == np.float32 and bool(recursion["forgetting"] >= np.float32(LONG_MEMORY))
-
-
-def columns_of(config: Structured) -> int:
-    """Return the number of columns in the network and in the model of a linear process."""
-    n, linear = int(config["network"]["n_columns"]), config["linear"]
-    return int(linear["first_column"]) + 2 * int(config["instrument"]["n_parameters"]) + 1 if linear["enabled"] else n
 
 
 def split_signals(turns: bool) -> list[int]:

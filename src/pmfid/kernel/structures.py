@@ -53,7 +53,6 @@ class KernelSizes:
     max_parameters: int
     max_noise: int
     max_columns: int
-    max_order: int
     max_shapes: int
     max_knots: int
     max_rates: int
@@ -63,7 +62,6 @@ class KernelSizes:
     with_dead_time_found: int
     with_lag: int
     with_auxiliary: int
-    with_linear: int
     with_process: int
     with_guard: int
     with_separate: int

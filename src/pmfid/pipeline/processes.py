@@ -45,7 +45,7 @@ FREE = ", ".join(name for name, cls in ESTIMATORS.items() if issubclass(cls, Pro
 class Processes(Kind[Sequence[Experiment]]):
     """Transfer functions, with one estimate from one or more records."""
 
-    on_line: ClassVar[str] = "rsrivc"
+    on_line: ClassVar[str] = "bcrls"
 
     def check_on_line(self, axis: Axis) -> None:
         if axis.record.hold != "zoh":

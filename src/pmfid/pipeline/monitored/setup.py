@@ -269,7 +269,7 @@ def check_monitored(axis: Axis) -> None:
     if reason:
         raise UsageError(
             f"the monitor is for a machine with friction that it can simulate, but {reason}. To follow the parameters "
-            "of this equation use pmfid identify with forgetting < 1 and bcrls, or rsrivc for a transfer function"
+            "of this equation use pmfid identify with forgetting < 1 and bcrls"
         )
 
 
