@@ -22,7 +22,7 @@ from pmfid.records.clock import PlacedRows, place_rows
 from pmfid.records.gaps import fill_gaps
 from pmfid.records.joining import unbroken
 from pmfid.records.record import Record, record_of
-from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
+from pmfid.simulation import DriveParameters, multisine, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
 from tests.conftest import long_unless
@@ -308,3 +308,19 @@ def test_a_row_that_was_left_out_gives_no_input() -> None:
     assert rows.place_inputs(u) == pytest.approx(
         np.array([0.0, 1.0, 2.0, lost, 4.0, lost, lost, lost, lost, 6.0, 7.0, 8.0]), nan_ok=True
     )
+
+
+@pytest.mark.parametrize("kind", ["prbs", "multisine"])
+def test_an_input_that_is_lost_is_unknown_to_the_fit(kind: str) -> None:
+    """An interpolated input is wrong by half a step where the input switches, and moves the axis by many counts."""
+    errors = []
+    for seed in range(4):
+        rng, dt, step = np.random.default_rng(seed), 0.01, 1e-3
+        frequencies = np.array([0.3, 0.7, 1.7, 3.1])
+        u = prbs(1000, 10, 4.0, rng) if kind == "prbs" else multisine(1000, dt, frequencies, 4.0, rng)
+        counts = quantize(simulate_drive(DriveParameters(1.07, 12.8, 0.8, 2.0), u, dt).x, step)
+        u[rng.integers(1, 999, 10)] = np.nan
+        result = identify(u, counts, model=Drive(2.0), dt=dt, encoder=Encoder(step))
+        assert result.status == ()
+        errors.append((result.theta - [1.07, 12.8, 0.8]) / result.theta_std)
+    assert np.sqrt(np.mean(np.square(errors))) < 1.7

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -20,9 +21,13 @@ from pmfid.fit.findings import findings_of
 from pmfid.fit.fit import MOST_LEFT, Fitted
 from pmfid.pipeline.known import known_of, put_together
 from pmfid.pipeline.result import DriveResult
+from pmfid.records.gaps import is_held
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
 from pmfid.types import Flags, Floats
+
+#: Note on inputs that the fit treats as unknown.
+RESTARTED = "the motion restarts after each lost input that its neighbours do not determine"
 
 
 def uses_fit(axis: Axis) -> bool:
@@ -97,7 +102,24 @@ def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, 
             return edges, *edges.examine_edges(repaired.u, repaired.counts, record.ages, used)
         except NotIdentifiableError as error:
             remarks = (f"the ages of edges are not used: {error}",)
+    unknown = _unknown_inputs(record, repaired)
+    if np.any(unknown):
+        with suppress(NotIdentifiableError):
+            cut = np.where(unknown, np.nan, repaired.u)
+            return method, method.examine(cut, repaired.counts, used), (*remarks, RESTARTED)
     return method, method.examine(repaired.u, repaired.counts, used), remarks
+
+
+def _unknown_inputs(record: Record, repaired: Record) -> Flags:
+    """Return the samples (n,) with a replaced or interpolated input. An input that keeps its values is known between
+    two equal values."""
+    unknown = np.isfinite(repaired.u) & (record.u != repaired.u)
+    if record.there is not None:
+        measured = record.there if record.given is None else record.there | record.given
+        held = is_held(record.u, record.there) and np.isfinite(record.u)
+        between = np.r_[False, (record.u[:-2] == record.u[1:-1]) & (record.u[1:-1] == record.u[2:]), False]
+        unknown |= ~measured & np.isfinite(repaired.u) & ~(held & between)
+    return np.asarray(unknown)
 
 
 def counts_in_use(record: Record, repaired: Record) -> Flags:
