@@ -317,7 +317,11 @@ def test_an_input_that_is_lost_is_unknown_to_the_fit(kind: str) -> None:
     for seed in range(4):
         rng, dt, step = np.random.default_rng(seed), 0.01, 1e-3
         frequencies = np.array([0.3, 0.7, 1.7, 3.1])
-        u = prbs(1000, 10, 4.0, rng) if kind == "prbs" else multisine(1000, dt, frequencies, 4.0, rng)
+        u = (
+            prbs(1000, clock=10, amplitude=4.0, rng=rng)
+            if kind == "prbs"
+            else multisine(1000, dt, frequencies, 4.0, rng)
+        )
         counts = quantize(simulate_drive(DriveParameters(1.07, 12.8, 0.8, 2.0), u, dt).x, step)
         u[rng.integers(1, 999, 10)] = np.nan
         result = identify(u, counts, model=Drive(2.0), dt=dt, encoder=Encoder(step))
