@@ -71,8 +71,17 @@ TESTS ?= tests/test_identify.py tests/test_frames.py tests/test_golden.py tests/
 test-wheel:
 	$(PYTHON) -m tests.wheel dist $(PYTHONS) --tests $(TESTS)
 
-demo: .venv/installed
-	.venv/bin/python -m examples.demo --out demo-report
+# A first run needs a third of the packages, and the kernel without its code for many axes at once. A folder of its own
+# keeps this build apart from the whole one.
+.venv/first: requirements-first.txt pyproject.toml CMakeLists.txt $(SOURCES)
+	test -x .venv/bin/python || $(PYTHON) -m venv .venv
+	$(PIP) install --no-deps --no-compile --require-hashes -r requirements-first.txt
+	$(PIP) install --no-deps --no-compile --no-build-isolation -C build-dir=build/first -C cmake.define.PMFID_LANES=OFF -e .
+	touch $@
+
+FIRST = $(if $(wildcard .venv/installed),.venv/installed,.venv/first)
+demo: $(FIRST)
+	env -u PYTHONDONTWRITEBYTECODE .venv/bin/python -m examples.demo --out demo-report
 
 # Cross compiler, emulator and checkers for the firmware's tests, which skip without these tools. INSTALL_TOOLS requests
 # the installation, which needs apt.

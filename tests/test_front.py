@@ -18,7 +18,7 @@ import pytest
 from click.testing import CliRunner
 
 import pmfid
-from examples.demo.__main__ import main as demo
+from examples.demo import main as demo
 from pmfid.cli import terminal as progress_module
 from pmfid.cli.main import main
 from pmfid.cli.terminal import progress
@@ -121,7 +121,7 @@ def test_what_the_demo_writes_can_be_identified_as_it_stands(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     demo(["--out", str(tmp_path)])
-    command = capsys.readouterr().out.splitlines()[-1].split()
+    command = capsys.readouterr().out.partition("next: ")[2].split()[:-2]
     assert command[:2] == ["pmfid", "identify"]
     result = CliRunner().invoke(main, command[1:], catch_exceptions=False)
     assert result.exit_code == 0

@@ -1,1 +1,0 @@
-"""`pmfid demo`: several estimators on the same simulated cart."""
