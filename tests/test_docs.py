@@ -61,6 +61,46 @@ def test_the_comparison_with_mujoco_leaves_its_intervals():
     assert "error bar" not in section
 
 
+def numbers_apart(text: str) -> tuple[str, list[float]]:
+    """Return a text without its numbers, and the numbers."""
+    number = r"[-+]?\d+(?:\.\d+)?(?:e-?\d+)?"
+    return " ".join(re.sub(number, "#", text).split()), [float(found) for found in re.findall(number, text)]
+
+
+def check_output(printed: str, shown: str) -> None:
+    """Require the shown text in an output, with numbers that agree to 1 % or to the last digit shown."""
+    (text, values), (wanted, expected) = numbers_apart(printed), numbers_apart(shown)
+    assert wanted in text
+    first = text[: text.index(wanted)].count("#")
+    assert values[first : first + len(expected)] == pytest.approx(expected, rel=0.01, abs=0.02)
+
+
+def test_the_readme_shows_what_its_commands_print(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from examples import demo
+
+    command, python, table = blocks("text", "README.md")
+    shell = (ROOT / "README.md").read_text(encoding="utf-8").partition("    pip install")[2].partition("```")[0]
+    lines = "\n".join(line.strip() for line in shell.splitlines()[1:] if line)
+    (outcome,) = run_blocks(f"```sh\n{lines}\n```\n", tmp_path)
+    check_output(outcome.text, command)
+    assert [outcome.text for outcome in run_page("README.md", tmp_path, {})] == [python]
+    demo.main(["--out", str(tmp_path)])
+    check_output(capsys.readouterr().out, table)
+
+
+def test_the_skill_works_when_followed_literally(tmp_path: Path) -> None:
+    outcomes = run_page("SKILL.md", tmp_path, {})
+    assert "# TO DO" not in (tmp_path / "AXIS.toml").read_text(encoding="utf-8")
+    assert "mass 1.07 kg status: none" in outcomes[-1].text
+    assert '"findings": []' in outcomes[2].text
+
+
+def test_the_skill_has_a_row_for_each_status_word() -> None:
+    text = (ROOT / "SKILL.md").read_text(encoding="utf-8").partition("## What to do for each status word")[2]
+    rows = re.findall(r"^\| (`.*?`) \|", text, re.MULTILINE)
+    assert sorted(word for row in rows for word in re.findall(r"\w+", row)) == sorted(list_words())
+
+
 def test_version_is_one():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert project["version"] == pmfid.__version__
@@ -68,6 +108,8 @@ def test_version_is_one():
 
 PAGES = [
     "README.md",
+    "SKILL.md",
+    "llms.txt",
     "ARCHITECTURE.md",
     *(str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md"))),
 ]

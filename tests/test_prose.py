@@ -14,7 +14,7 @@ GENERATED = {"axis_toml.md", "plant_toml.md"}
 PAGES = [
     PROJECT / "README.md",
     PROJECT / "ARCHITECTURE.md",
-    *(PROJECT / f"{name}.md" for name in ("CONTRIBUTING", "SECURITY", "CODE_OF_CONDUCT")),
+    *(PROJECT / f"{name}.md" for name in ("SKILL", "CONTRIBUTING", "SECURITY", "CODE_OF_CONDUCT")),
     *sorted(path for path in (PROJECT / "docs").rglob("*.md") if path.name not in GENERATED),
 ]
 MOST_WORDS = 25
