@@ -91,7 +91,7 @@ def test_the_readme_shows_what_its_commands_print(tmp_path: Path, capsys: pytest
 def test_the_skill_works_when_followed_literally(tmp_path: Path) -> None:
     outcomes = run_page("SKILL.md", tmp_path, {})
     assert "# TO DO" not in (tmp_path / "AXIS.toml").read_text(encoding="utf-8")
-    assert "mass 1.07 kg status: none" in outcomes[-1].text
+    assert "mass 1.0701 kg status: none" in outcomes[-1].text
     assert '"findings": []' in outcomes[2].text
 
 
