@@ -8,6 +8,7 @@ curve and its covariance are means over the strengths.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import pairwise, product
 
@@ -24,6 +25,7 @@ from pmfid.fit.fit import (
     begin,
     build,
     conclude,
+    estimate_variance,
     explain,
     inverse,
     prune,
@@ -128,16 +130,37 @@ class CurveSearch(FitSearch):
 
     def add_bends(self) -> None:
         """Continue with bends, in place of friction by the table."""
-        kept = [i for i, one in enumerate(self.table) if one.name not in REPLACED]
+        kept, replaced = [i for i, one in enumerate(self.table) if one.name not in REPLACED], self._sum_replaced()
         self.choose([i for i in self.chosen if i in kept])
         self.chosen, self.table = [kept.index(i) for i in self.chosen], [self.table[i] for i in kept]
         theta, speed = self.plain.theta(self.q[: self.own]), self.sizes.speed
         ends = friction_rows(self.straight, np.array([speed, -speed])) @ theta
         self.force = float(np.max(np.abs(ends)))
-        bends = len(KINDS) * (SPEEDS.size - 1)
+        old, bends = self.own, len(KINDS) * (SPEEDS.size - 1)
         self.q = np.insert(self.q, self.own, np.zeros(bends))
         self.plain = replace(self.plain, machine=with_bends(self.straight, speed))
         self.set_strengths(self.strengths)
+        v = speed * np.r_[-SPEEDS[:0:-1], SPEEDS[1:]]
+        rows = friction_rows(self.plain.machine, v)
+        scale = np.where(rows.any(axis=0), self.force / np.maximum(np.abs(rows).max(axis=0), 1e-300), 0.0)
+        scale[old:] = 1 / np.sqrt(self.precision(self.strengths)[old:])
+        self.q[: self.own] += scale * np.linalg.lstsq(rows * scale, np.sign(v) * replaced(np.abs(v)), rcond=None)[0]
+
+    def _sum_replaced(self) -> Callable[[Floats], Floats]:
+        """Return the friction over the speed by the chosen forces that bends replace."""
+        parts = []
+        for k, one in self.problem.place_candidates():
+            if one.name in REPLACED and one.force is not None:
+                constant = self.q[k + 1] * one.constant if one.free else one.force.p
+                parts.append((one.name, self.q[k] * one.sd, constant, one.force.q))
+
+        def evaluate(speed: Floats) -> Floats:
+            total = np.zeros_like(speed)
+            for name, size, p, q in parts:
+                total += size * (np.exp(-((speed / p) ** 2)) if name == "stribeck" else (speed / q) ** p)
+            return total
+
+        return evaluate
 
     def set_strengths(self, strengths: Strengths) -> None:
         self.strengths = strengths
@@ -229,16 +252,19 @@ def _conclude(search: CurveSearch, likelihood: Gaussian | Intervals) -> CurveFit
     own, lead, mass = search.own, search.plain.machine.lead, fitted.theta[search.plain.machine.lead]
     velocity = velocities(search)
     rows = np.vstack([np.eye(own)[lead], friction_rows(search.plain.machine, velocity)])
-    unit = np.ones(own)
-    unit[lead] = mass
-    inner = fitted.covariance / np.outer(unit, unit)
-    posterior = weigh_strengths(search, likelihood)
     wide = np.hstack([rows, np.zeros((len(rows), search.q.size - own))])
-    change, variance = posterior.mean(wide, np.einsum("ij,jk,ik->i", rows, inner, rows))
+    change, variance = weigh_strengths(search, likelihood).mean(wide, _variance(search, likelihood, wide))
     local = search.local(soften(likelihood))
     half, _ = local.half_length(search.chosen, range(len(search.table)), variance, rows)
     force = rows[1:] @ fitted.theta + change[1:]
     return CurveFit(fitted, velocity, force, half[1:], float(mass * np.exp(change[0])), float(mass * half[0]))
+
+
+def _variance(search: CurveSearch, likelihood: Gaussian | Intervals, rows: Floats) -> Floats:
+    """Return the variances (k,) of the products of `rows` (k, r) and the parameters under the present strengths."""
+    noise = likelihood if isinstance(likelihood, Gaussian) else Gaussian(search.plain.stretches)
+    normal = normal_of(noise(search.problem.linearise(search.q, search.starts))[1], search.starts)
+    return estimate_variance(normal.A + np.diag(search.prior(search.problem)), normal, rows)
 
 
 def velocities(search: CurveSearch, pieces: int = 8) -> Floats:

@@ -629,14 +629,21 @@ def _estimate(search: FitSearch, found: Optimum, likelihood: Gaussian | Interval
 def sandwich(A: Floats, normal: Normal) -> Floats:
     """Return the covariance (p, p) for scores whose sums over blocks of the record scatter more than the information A
     says (Huber 1967). No parameter has a smaller variance than by A alone."""
+    covariance = inverse(A)
+    wider = np.sqrt(estimate_variance(A, normal, np.eye(len(A))) / np.maximum(np.diag(covariance), 1e-300))
+    return np.asarray(covariance * np.outer(wider, wider))
+
+
+def estimate_variance(A: Floats, normal: Normal, rows: Floats) -> Floats:
+    """Return the variances (k,) of the products of `rows` (k, p) and the parameters, as `sandwich` does for one
+    parameter."""
     covariance, sums = inverse(A), []
     for block, inner in zip(normal.blocks, normal.inner, strict=True):
         scores = (block.J - block.K @ inner[:, 1:]) * block.e[:, None]
         sums += [part.sum(axis=0) for part in np.array_split(scores, max(1, round(BLOCKS * len(scores) / normal.rows)))]
-    moves = np.array(sums) @ covariance
+    moves = np.array(sums) @ covariance @ rows.T
     scattered = np.sum(moves**2, axis=0) * len(sums) / max(1, len(sums) - 1)
-    wider = np.sqrt(np.maximum(scattered / np.maximum(np.diag(covariance), 1e-300), 1.0))
-    return np.asarray(covariance * np.outer(wider, wider))
+    return np.asarray(np.maximum(scattered, np.sum((rows @ covariance) * rows, axis=1)))
 
 
 def _estimate_in_region(search: FitSearch, found: Optimum) -> tuple[Floats, Floats]:
