@@ -205,7 +205,7 @@ def test_logs_of_one_servo_share_their_parameters() -> None:
     for name, gain in (("kp.1", 8.0), ("kp.2", 16.0)):
         assert fit.theta[fit.raw_names.index(name)] == pytest.approx(gain, rel=0.01)
     one = fit_logs(servo, logs[:1], search=False)
-    assert fit.theta_std[0] < 0.9 * one.theta_std[0]
+    assert fit.theta_std[2] < 0.9 * one.theta_std[2]
     with pytest.raises(UsageError, match="gravity cannot differ by log"):
         fit_logs(servo, logs, ["gravity"])
 
@@ -221,6 +221,13 @@ def test_rows_with_the_torque_off_are_a_free_motion() -> None:
     assert fit.theta[fit.raw_names.index("viscous")] == pytest.approx(0.06, rel=0.02)
     assert fit.theta[fit.raw_names.index("kp")] == pytest.approx(8.0, rel=0.02)
     assert abs(fit.theta[fit.raw_names.index("back_emf")]) < 3 * fit.theta_std[fit.raw_names.index("back_emf")] + 1e-9
+
+
+def test_only_the_first_part_of_a_long_log_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ActuatorTuning, "longest", 4.0)
+    fit = fit_servo(Servo(STEP, {"kp": 8.0, "kd": 0.0}), *make_log(seed=3, gravity=0.0, kd=0.0), search=False)
+    assert fit.simulated[0].size == 401
+    assert any("first 4 s" in finding.sentence for finding in fit.findings)
 
 
 def test_rows_may_be_missing() -> None:

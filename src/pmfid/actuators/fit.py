@@ -52,7 +52,7 @@ class ServoFit(Presentable):
     theta, theta_std : ndarray
         Estimates and standard errors (p,) in the units of `units`.
     simulated : tuple of ndarray
-        Position [rad] of the model under the commands of each log.
+        Position [rad] of the model under the commands of each log, as far as the fit used it.
     residual : float
         Root mean square of the simulated minus the measured position [rad].
     limited : float
@@ -225,11 +225,25 @@ def fit_logs(servo: Servo, logs: Sequence[JointLog], per_log: Sequence[str] = ()
             f"{', '.join(name for name in servo.unknown if name != 'inertia')}, and do not give its value"
         )
     servo = replace(servo, known_force=any(log.force is not None for log in logs))
-    task = ServoTask(servo, logs, tuple(per_log) if len(logs) > 1 else ())
+    used = [_cut_long(log) for log in logs]
+    task = ServoTask(servo, used, tuple(per_log) if len(logs) > 1 else ())
     with np.errstate(all="ignore"):  # motions far from the log may overflow
         found = find_search(task, search)
         fitted = conclude(found, found.noise)
-    return _conclude(found, fitted)
+    fit = _conclude(found, fitted)
+    if all(one is log for one, log in zip(used, logs, strict=True)):
+        return fit
+    sentence = f"the fit uses the first {TUNING.longest:.0f} s of each log"
+    return replace(fit, findings=(*fit.findings, Finding("cut", sentence, severity="note")))
+
+
+def _cut_long(log: JointLog) -> JointLog:
+    """Return the first part of a long log, because more would only take more time."""
+    last = int(np.searchsorted(log.t, log.t[0] + TUNING.longest, side="right"))
+    if last == log.t.size:
+        return log
+    force, on = (None if own is None else own[:last] for own in (log.force, log.on))
+    return replace(log, t=log.t[:last], goal=log.goal[:last], position=log.position[:last], force=force, on=on)
 
 
 def _check(servo: Servo, log: JointLog) -> None:

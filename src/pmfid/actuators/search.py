@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -17,7 +18,7 @@ from pmfid.actuators.servo import Servo
 from pmfid.actuators.terms import LOOP_FRICTION, odds_of, table_of
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
-from pmfid.fit.compare import Quadratic
+from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.fit import FitSearch, build, errors_of
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.machine import COULOMB, DELAY, MASS, VISCOUS
@@ -28,6 +29,8 @@ from pmfid.types import Floats
 
 #: Terms that each have starts of their own.
 EXTRAS = ("torque_limit", "ki")
+#: Effects that repeat along the travel, which are sought in whole logs.
+WAVES = ("wave", "rub")
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +118,7 @@ class ServoSearch(FitSearch):
     """The search of a servo, from parameters q (p,) of the problem on."""
 
     wandering: ClassVar[Sequence[str]] = ("position",)
-    seeks_waves = False
+    waves: Sequence[str] = ()
 
     def __init__(self, task: ServoTask, problem: FitProblem, q: Floats, starts: Floats, search: bool) -> None:
         self.task = task
@@ -170,7 +173,11 @@ class ServoSearch(FitSearch):
     def value(self) -> float:
         """Return the log evidence of the present model in its own noise, with the cost of its parameters."""
         noise = self.estimate_noise(self.wandering)
-        return noise.evidence(errors_of(self))[0] - 0.5 * self.q.size * math.log(self.plain.rows)
+        return (
+            noise.evidence(errors_of(self))[0]
+            - 0.5 * self.q.size * math.log(self.plain.rows)
+            + len(self.task.extra) * ODDS
+        )
 
 
 def _sizes_of(task: ServoTask, problem: FitProblem, q: Floats, starts: Floats) -> Sizes:
@@ -197,11 +204,12 @@ def find_search(task: ServoTask, search: bool) -> ServoSearch:
     """Return the search at the best model of the logs, with a limit of the torque and gravity or without."""
     found = list(_start_searches(task, search))
     best = max(found, key=_settled_value)
+    best = max([best, *_with_load_friction(best)], key=lambda one: one.value())
     _check_explains(best)
     if search:
         build(best)
     best = _extend(_drop_limit(best))
-    best.seeks_waves = search
+    best.waves = WAVES if search else ()
     if search:
         build(best)
     return _drop_limit(best)
@@ -235,8 +243,33 @@ def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
             q = np.delete(q, problem.machine.names.index("torque_limit"))
             own, problem = task, head_of(task.problem())
         at = ServoSearch(own, problem, q, starts, search)
-        yield at
+        yield _move_to_terms(at, "ki") if "ki" in extra else at
         yield from _with_load(at, own, problem, q, starts, search)
+
+
+def _move_to_terms(at: ServoSearch, name: str) -> ServoSearch:
+    """Return the search with a parameter of the model as a term of the table, which has odds and may go again."""
+    place = at.plain.machine.names.index(name)
+    size, task = float(at.q[place]), replace(at.task, extra=())
+    kept = np.arange(at.own) != place
+    parts = tuple(replace(one, acts=None if one.acts is None else one.acts[kept]) for one in at.plain.stretches)
+    plain = replace(at.plain, machine=task.body(), stretches=parts)
+    other = ServoSearch(task, plain, np.delete(at.q[: at.own], place), at.starts, search=True)
+    term = next(i for i, one in enumerate(other.table) if one.name == name)
+    other.choose([*other.chosen, term])
+    other.q[other.problem.places[other.chosen.index(term)]] = size / other.table[term].sd
+    return other
+
+
+def _with_load_friction(at: ServoSearch) -> list[ServoSearch]:
+    """Return the settled search with friction in proportion to the load, which other terms hide if they come first."""
+    loads = [i for i, one in enumerate(at.table) if one.name == "load_friction"]
+    if not loads:
+        return []
+    other = copy(at)
+    other.choose([*at.chosen, *loads])
+    _settled_value(other)
+    return [other]
 
 
 def limited_part(problem: FitProblem, q: Floats, starts: Floats) -> float:

@@ -10,8 +10,8 @@ from pmfid.fit.compare import ODDS
 from pmfid.fit.machine import DIRECTIONAL, OFFSET, BodyForce
 from pmfid.fit.terms import ExtraForce, Sizes
 
-#: Log odds of terms that many servos have: the gear rubs under load in every published model of one.
-COMMON_ODDS = {"load_friction": 0.0, "kd": math.log(0.3)}
+#: Log odds of terms that most servos have. The gear rubs under load in every published model of one.
+COMMON_ODDS = {"load_friction": 0.0, "kd": 0.0}
 #: The part of the viscous friction that the loop makes. Every servo without a named kd has this term, because no motion
 #: below the limit of the torque shows it: it hides a part of the inertia, its size times the age of its velocity.
 LOOP_FRICTION = "loop_friction"

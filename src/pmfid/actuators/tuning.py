@@ -32,8 +32,8 @@ class ActuatorTuning:
     head: float = 12.0
     most_heads: int = 4
     #: Random servos that are simulated, and the best of them that are refined.
-    draws: int = 300
-    refined: int = 5
+    draws: int = 200
+    refined: int = 4
     #: Ranges of random servos: natural frequency [rad/s], damping ratio, Coulomb friction over the torque of the lag,
     #: delay [sample periods].
     frequencies: tuple[float, float] = (5.0, 300.0)
@@ -53,9 +53,11 @@ class ActuatorTuning:
     # values
     #: Half length of a 95 % interval of a normal distribution, in standard deviations.
     normal: float = 1.96
-    #: Least standard error relative to the value: steps of the simulation and ticks of a real loop differ by so much.
-    least_error: float = 1e-4
+    #: Least standard error relative to the value: a loop in continuous time differs from one in ticks by this part.
+    least_error: float = 1e-3
     # fit
+    #: So much of each log is used [s].
+    longest: float = 120.0
     #: A parameter is not determined from this relative standard error on.
     open: float = 0.5
     #: Samples that a fit needs for each parameter.

@@ -93,8 +93,22 @@ def read_parameters(search: ServoSearch, fitted: Fitted) -> tuple[tuple[str, ...
     std = _spread(_gradient(read, q, width), covariance)
     if "delay" in found:  # a goal waits for the next tick of the loop
         std[names.index("delay")] = math.hypot(std[names.index("delay")], search.task.servo.loop_period / math.sqrt(12))
+    if "coulomb" in found:
+        std[names.index("coulomb")] = math.hypot(std[names.index("coulomb")], _measure_rests(search, fitted))
     std = np.where(np.isfinite(std) & (std > 0), std, np.inf)
     return names, theta, np.maximum(std, TUNING.least_error * np.abs(theta))
+
+
+def _measure_rests(search: ServoSearch, fitted: Fitted) -> float:
+    """Return the standard error of the Coulomb friction [N m] by the counts in the loop.
+
+    At each turn or rest, the count that the loop sees differs from the position by a rounding, which acts as friction.
+    """
+    problem, turns = fitted.problem, 1
+    for _, v in problem.motion(fitted.solution.q, fitted.solution.starts):
+        turns += int(np.sum(np.diff(np.sign(v)) != 0))
+    body, _, _ = problem._body(fitted.solution.q, problem.stretches[0].acts)
+    return float(body[-problem.machine.loops]) * problem.resolution / math.sqrt(12 * turns)
 
 
 def _covariance(search: ServoSearch, fitted: Fitted) -> Floats:

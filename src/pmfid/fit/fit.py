@@ -181,8 +181,8 @@ class FitSearch:
 
     #: Kinds of disturbances that may wander.
     wandering: ClassVar[Sequence[str]] = WANDERING
-    #: Whether effects that repeat along the travel are sought.
-    seeks_waves = True
+    #: Effects that repeat along the travel and are sought, kinds of `WAVES`.
+    waves: Sequence[str] = tuple(WAVES)
 
     def __init__(self, problem: FitProblem) -> None:
         start, solution = blind_start(problem.stretches, problem.resolution, problem.machine.turn)
@@ -360,7 +360,7 @@ def build(search: FitSearch) -> Gaussian | Intervals:
         step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
         if step is not None:
             search.choose_best(_alternatives(search, step))
-        elif not (search.seeks_waves and search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
+        elif not (search.waves and search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
             break
         search.solve(search.noise)
         explained = search.explain()
@@ -427,13 +427,13 @@ def _follows(search: FitSearch) -> bool:
 def _add_wave(search: FitSearch) -> bool:
     """Add the effect with a period along the travel that the residuals show best, if they show one."""
     reach = 2 * search.sizes.travel
-    kind, wavenumber, gain = _strongest(search, np.arange(1, WAVENUMBERS + 1) / (2 * reach), tuple(WAVES))
+    kind, wavenumber, gain = _strongest(search, np.arange(1, WAVENUMBERS + 1) / (2 * reach), search.waves)
     step = 1 / (2 * reach)
     for _ in range(3):
         step /= 4
         nearby = wavenumber + step * np.arange(-3, 4)
         _, wavenumber, gain = _strongest(search, np.asarray(nearby[nearby > 0]), (kind,))
-    if gain < math.log(WAVENUMBERS * len(WAVES)) - 2 * ODDS:
+    if gain < math.log(WAVENUMBERS * len(search.waves)) - 2 * ODDS:
         return False
     size = search.problem.resolution * 3 if not kind else 0.3 * search.sizes.coulomb
     first = len(search.table)

@@ -39,7 +39,6 @@ def _draw_joint(joint: FittedJoint) -> Section:
     findings = [f"{finding.paragraph[0].upper()}{finding.paragraph[1:]}." for finding in fit.findings]
     deviation = f"The simulated motion deviates by {fit.residual / log.resolution:.2f} encoder steps (rms)."
     simulated = fit.simulated[0]
-    figure = followed_figure(
-        log.t, (log.position, simulated), "position [rad]", simulated - log.position, "difference [rad]"
-    )
+    t, position = log.t[: simulated.size], log.position[: simulated.size]
+    figure = followed_figure(t, (position, simulated), "position [rad]", simulated - position, "difference [rad]")
     return Section(_name_joint(joint), "\n\n".join([deviation, *findings, *notes]), svg=svg(figure))
