@@ -488,12 +488,6 @@ typedef struct {
     uint32_t room; /* largest number of whole samples; 0: no dead time */
     scalar_t rate; /* samples per second */
     scalar_t dead_time; /* dead time [s], if no auxiliary model has its own */
-#if PMF_WITH_DEAD_TIME_FOUND
-    uint32_t found; /* 1: the last parameter is an estimated dead time */
-    uint32_t within; /* 1: the motion within the counts also estimates the dead time */
-    scalar_t counts; /* counts per unit of position */
-    scalar_t growth; /* growth of the covariance of the estimated parameters, per sample */
-#endif
 #if PMF_WITH_LAG
     uint32_t lags; /* 1: the input has a lag and a known dead time */
     pmf_decay_t decay[2]; /* decays over the parts of the older and the newer input */
@@ -511,28 +505,6 @@ typedef struct {
     whole_t at;
 } pmf_late_state_t;
 
-#if PMF_WITH_DEAD_TIME_FOUND
-/* The estimate at the accepted dead time, and a motion that is held within the counts to find the dead time. */
-typedef struct {
-    pmf_estimate_t believed; /* accepted estimate in the parameters of the active recursion */
-    real_t dead_time; /* dead time of the accepted estimate */
-    real_t theta[PMF_MAX_PARAMETERS]; /* parameters of the motion */
-    real_t covariance[PMF_MAX_PARAMETERS + 2]
-                     [PMF_MAX_PARAMETERS + 2]; /* covariance of place, velocity and theta of the motion */
-    real_t place; /* place in counts, from the lower edge of the last count */
-    real_t velocity;
-    real_t push, speed; /* largest force of the input, and largest speed */
-    real_t begun; /* dead time of the motion at its beginning */
-    real_t before, unsure; /* earlier dead time of the motion, and its variance */
-    real_t surprise, expected; /* squares of the distance beyond an edge, observed and expected */
-    integer_t change; /* change of the counts in the last interval */
-    whole_t running;
-    whole_t age, near; /* samples since the beginning of the motion, and samples near an edge; saturating */
-    whole_t looks; /* 1: the motion began from an earlier result of the motion; 2: this result also stayed */
-    whole_t tries; /* beginnings since the motion was last accepted */
-    whole_t believes; /* source of the accepted dead time, PMF_BELIEVES_... */
-} pmf_found_state_t;
-#endif
 #endif
 
 
@@ -568,9 +540,6 @@ typedef struct {
     pmf_recursion_state_t direct;
 #if PMF_WITH_DEAD_TIME
     pmf_late_state_t late;
-#if PMF_WITH_DEAD_TIME_FOUND
-    pmf_found_state_t found;
-#endif
 #endif
 #if PMF_WITH_PROCESS
     pmf_estimate_t lifted; /* estimate with the constant of the output itself */

@@ -89,11 +89,6 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_SAMPLE(config) 1U
 #define PMF_SPAN(config, state) ((config)->dt)
 #endif
-#if !PMF_WHOLE
-#define PMF_FOUND 0
-#else
-#define PMF_FOUND (PMF_LATE && PMF_WITH_DEAD_TIME_FOUND)
-#endif
 #ifdef PMF_FLOAT32
 #define PMF_ENDLESS PMF_WITH_ENDLESS
 #else
@@ -129,16 +124,6 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_STATUS(state) ((state)->edge.status)
 #else
 #define PMF_STATUS(state) ((state)->status)
-
-/* Source of the accepted value of an estimated dead time. */
-#define PMF_BELIEVES_NONE 0U /* the recursion, without a better source */
-#define PMF_BELIEVES_HELD 1U /* the last accepted value */
-#define PMF_BELIEVES_OWN 2U /* the recursion, which knows the dead time well */
-#define PMF_BELIEVES_WITHIN 3U /* the motion within the counts */
-
-#define PMF_OLDEST 1000000U /* limit of the motion's counter of samples */
-#define PMF_LOOKS 2U /* looks until the motion's dead time is accepted */
-#define PMF_MOST_TRIES 3U /* beginnings of the motion until another dead time is tried */
 
 #define PMF_FOLLOWED 4U /* samples between two steps of the slow copy, a power of two */
 
@@ -185,20 +170,6 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 /* Step the auxiliary model if the input changes inside the interval. */
 PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                                      const pmf_late_state_t *late, real_t *signal);
-#endif
-#if PMF_FOUND
-/* The two inputs of an interval. The older input acts for the fraction `part`, then the newer input. */
-typedef struct {
-    real_t older, newer, part;
-} acts_t;
-
-/* Move the motion within the counts by two inputs, and fit the motion and its parameters to the next count. `usable`
- * means that the counts show the axis. */
-void pmf_within_step(const pmf_config_t *config, pmf_state_t *state, const acts_t *acts, uint32_t usable);
-/* Set the auxiliary model to the motion within the counts, which the counts have checked. */
-void pmf_within_lend(const pmf_config_t *config, pmf_state_t *state);
-/* Return whether the motion within the counts has a reliable dead time, and the variance of this dead time. */
-uint32_t pmf_within_known(const pmf_config_t *config, const pmf_state_t *state, real_t *variance);
 #endif
 #if PMF_SHAPED
 /* Compute the forces of a place at the measured position, after the encoder's signals of the same step. */

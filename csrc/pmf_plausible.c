@@ -169,25 +169,6 @@ PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const 
 }
 #endif
 
-#if PMF_WITH_AUXILIARY && PMF_WITH_DEAD_TIME && PMF_WITH_DEAD_TIME_FOUND
-PMF_SELDOM uint32_t check_found(const pmf_found_state_t *state)
-{
-    uint32_t i,
-        fine = check_estimate(&state->believed) & all_finite(state->theta, REALS(state->theta)) &
-               all_finite(&state->dead_time, 1U) & all_finite(&state->begun, 1U) & all_finite(&state->before, 1U) &
-               not_negative(&state->unsure, 1U) & all_finite(&state->covariance[0][0], REALS(state->covariance)) &
-               all_finite(&state->velocity, 1U) & within(&state->place, 1U, -MOST_COUNTS, MOST_COUNTS) &
-               not_negative(&state->push, 1U) & not_negative(&state->speed, 1U) & not_negative(&state->surprise, 1U) &
-               not_negative(&state->expected, 1U) & at_most(state->running, 1U) & at_most(state->age, PMF_OLDEST) &
-               at_most(state->near, PMF_OLDEST) & at_most(state->looks, PMF_LOOKS) &
-               at_most(state->tries, PMF_MOST_TRIES) & at_most(state->believes, PMF_BELIEVES_WITHIN);
-    for (i = 0; i < PMF_MAX_PARAMETERS + 2U; ++i) {
-        fine &= not_negative(&state->covariance[i][i], 1U);
-    }
-    return state->running == 0U || state->expected > PMF_R(0.0) ? fine : 0U;
-}
-#endif
-
 
 uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 {
@@ -213,9 +194,6 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
     fine &= all_finite(state->late.past, REALS(state->late.past)) & all_finite(&state->late.older, 1U) &
             all_finite(&state->late.newer, 1U) & within(&state->late.part, 1U, PMF_R(0.0), PMF_R(1.0)) &
             all_finite(&state->late.gathered, 1U) & at_most(state->late.at, config->late.room + 1U);
-#if PMF_WITH_DEAD_TIME_FOUND
-    fine &= check_found(&state->found);
-#endif
 #endif
 #if PMF_WITH_LAG
     fine &= all_finite(&state->late.lagged, 1U);

@@ -18,7 +18,6 @@
 #define PMF_WITH_AUXILIARY 1 /* the auxiliary model and its recursion */
 #define PMF_WITH_PROCESS 1 /* the output of a process, with its start and noise */
 #define PMF_WITH_DEAD_TIME 1 /* an input that acts late */
-#define PMF_WITH_DEAD_TIME_FOUND 1 /* an estimated dead time */
 #define PMF_WITH_LAG 1 /* an input with a first-order lag */
 #define PMF_WITH_SEPARATE 1 /* forgetting by parameter */
 #define PMF_WITH_GUARD 1 /* guard against samples that no motion explains */

@@ -136,11 +136,6 @@ __attribute__((always_inline)) inline
     if (PMF_MODELLED(config)) {
         pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, config->instrument.first_column,
                               state->network.column);
-#if PMF_LATE
-        if (config->late.room != 0U) {
-            correct_direct(config, state, state->network.column);
-        }
-#endif
     }
 #endif
     state->settle = PMF_IF((status & PMF_SETTLING) != 0U, PMF_W(config->settle_samples), state->settle);
@@ -221,12 +216,6 @@ static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
     truth_t enough = TAKE_OVER * gathered > state->direct.sums.weight;
     enough = enough & ((own->variance_factor[mass] < TAKE_OVER * direct->variance_factor[direct_mass]) |
                        (own->variance_factor[mass] * own->inflation[mass] * own->innovation_variance < small * small));
-#if PMF_FOUND
-    if (config->late.found != 0U && state->found.looks != 0U) {
-        enough = TAKE_OVER * gathered >
-                 state->direct.sums.weight; /* both estimates have ended the search for the dead time */
-    }
-#endif
     return (state->instrument.started > 0U) & ((state->direct.started == 0U) | enough);
 }
 
@@ -266,43 +255,23 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     status = PMF_IF(trusted & settled, stepped, status);
     status |= pmf_auxiliary_feedback(&state->auxiliary, &state->instrument, trusted & settled,
                                      state->encoder.input - state->encoder.input_before);
-#if PMF_FOUND
-    if (config->late.within == 0U) /* an estimated dead time within the counts has its own verdict, from more samples */
-#endif
-        status |= pmf_auxiliary_late(auxiliary, &state->auxiliary, state->network.column,
-                                     trusted & settled & (state->auxiliary.in_charge != 0U));
+    status |= pmf_auxiliary_late(auxiliary, &state->auxiliary, state->network.column,
+                                 trusted & settled & (state->auxiliary.in_charge != 0U));
     in_charge = trusted & (state->auxiliary.in_charge != 0U);
     if (PMF_ANY(trusted & PMF_NOT(in_charge))) {
         in_charge = in_charge | (trusted & takes_over(config, state));
         forget_start(state, in_charge & (state->auxiliary.in_charge == 0U));
     }
     state->auxiliary.in_charge = PMF_BIT(in_charge, 1U);
-#if PMF_FOUND
-    if (config->late.found != 0U) {
-        status |= find_dead_time(config, state, (uint32_t)settled, (uint32_t)in_charge);
-        own = direct = &state->found.believed;
-    }
-#endif
     pmf_auxiliary_follow(auxiliary, &state->auxiliary, in_charge, own->theta, auxiliary->index);
     if (PMF_ALL(in_charge)) {
-#if PMF_FOUND
-        follow_dead_time(config, state);
-#endif
         return status;
     }
     borrows = PMF_NOT(in_charge) & (state->direct.started != 0U) & ((direct_status & PMF_POOR_EXCITATION) == 0U);
     if (auxiliary->has_initial != 0U) {
         borrows = borrows & PMF_NOT(trusted);
     }
-#if PMF_FOUND
-    if (config->late.found != 0U && state->found.believes == PMF_BELIEVES_WITHIN) {
-        pmf_auxiliary_follow(auxiliary, &state->auxiliary, 1, state->found.theta, auxiliary->index);
-    } else
-#endif
-        pmf_auxiliary_follow(auxiliary, &state->auxiliary, borrows, direct->theta, auxiliary->direct_index);
-#if PMF_FOUND
-    follow_dead_time(config, state);
-#endif
+    pmf_auxiliary_follow(auxiliary, &state->auxiliary, borrows, direct->theta, auxiliary->direct_index);
     PMF_WHERE(PMF_NOT(in_charge), &state->borrowed, borrow_estimate(config, direct, state));
     direct_status = (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK;
     return PMF_IF(in_charge, status, direct_status | (status & KEPT_ON_FALLBACK));
@@ -327,11 +296,6 @@ const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t
 #endif
 #if PMF_WITH_AUXILIARY
     if (PMF_MODELLED(config)) {
-#if PMF_FOUND
-        if (config->late.found != 0U && (state->status & PMF_FALLBACK) == 0U) {
-            return &state->found.believed;
-        }
-#endif
         return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
     }
 #endif
@@ -457,11 +421,6 @@ void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state,
 #if PMF_WITH_AUXILIARY
     if (PMF_MODELLED(config) && (state->status & PMF_FALLBACK) == 0U) {
         pmf_recursion_covariance(&config->instrument, &state->instrument, p);
-#if PMF_FOUND
-        if (config->late.found != 0U) {
-            covariance_there(&config->instrument, &state->instrument, &state->found.believed, p);
-        }
-#endif
         return;
     }
     if (PMF_MODELLED(config)) {

@@ -125,14 +125,12 @@ VARIANTS = {
     "places": {"drive": pmfid.Drive(2.0, gravity=True)},
     "late": {"drive": pmfid.Drive(2.0, dead_time=0.017)},
     "after a lag": {"drive": pmfid.Drive(2.0, dead_time=0.017, lag=0.006)},
-    "late by how much": {"drive": pmfid.Drive(2.0, dead_time="estimate", stribeck=0.05)},
-    "late, within the counts": {"drive": pmfid.Drive(2.0, dead_time="estimate")},
     "order": {"order": 4},
 }
 
 
 #: Variants of `make test`: each part of the kernel that an export may leave out.
-OFTEN_VARIED = ("directional", "offset", "shapes", "late by how much")
+OFTEN_VARIED = ("directional", "offset", "shapes", "late")
 
 
 @needs(GCC)
@@ -153,7 +151,7 @@ def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstima
     assert difference(exported(estimator, tmp_path, *hostile()), GCC, "-O0", *WARNINGS) is None
 
 
-@pytest.mark.parametrize("variant", ["shapes", "after a lag", "late by how much", "late, within the counts"])
+@pytest.mark.parametrize("variant", ["shapes", "after a lag"])
 @pytest.mark.parametrize(
     "target",
     [pytest.param(t, marks=[needs(t), *([pytest.mark.long] if t is M4F else [])], id=t.name) for t in (CLANG, M4F, M7)],
@@ -193,7 +191,6 @@ def gaps_differ(estimator: RecursiveEstimator, folder: Path, u: np.ndarray, coun
     [
         (pmfid.RIV, "plain", "float32"),
         pytest.param(pmfid.RIV, "plain", "float64", marks=pytest.mark.long),
-        pytest.param(pmfid.RIV, "late by how much", "float32", marks=pytest.mark.long),
         pytest.param(pmfid.BCRLS, "plain", "float32", marks=pytest.mark.long),
         pytest.param(pmfid.RLS, "directional", "float64", marks=pytest.mark.long),
     ],

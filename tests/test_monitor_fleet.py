@@ -71,7 +71,6 @@ CASES: dict[str, tuple[Callable[[], RecursiveEstimator], str, bool]] = {
     ),
     "bcrls with a window, chi-square": (lambda: estimator(BCRLS, forgetting_scheme="window"), "chi-square", False),
     "riv with units of work, glr": (lambda: estimator(RIV), "glr", True),
-    "riv that finds a dead time, glr": (lambda: estimator(RIV, dead_time="estimate"), "glr", False),
 }
 
 

@@ -117,20 +117,10 @@ static uint32_t auxiliary_fits(const pmf_auxiliary_config_t *model)
     return fits;
 }
 
-/* An estimated dead time is the last parameter, and only one dead time is estimated. */
-static uint32_t late_fits(const pmf_config_t *config)
-{
-    uint32_t last = config->instrument.n_parameters - 1U;
-    return config->late.room < PMF_MAX_LATE - 1U &&
-                   (config->late.found == 0U || config->auxiliary.adapt == 0U ||
-                    (config->late.room > 0U && config->auxiliary.index[PMF_DELAY] == last))
-               ? 1U
-               : 0U;
-}
-
 uint32_t pmf_fits(const pmf_config_t *config)
 {
-    return late_fits(config) & network_fits(&config->network) & recursion_fits(&config->direct) &
-           recursion_fits(&config->instrument) & pmf_shapes_fit(&config->auxiliary.shapes) &
+    return (config->late.room < PMF_MAX_LATE - 1U ? 1U : 0U) & network_fits(&config->network) &
+           recursion_fits(&config->direct) & recursion_fits(&config->instrument) &
+           pmf_shapes_fit(&config->auxiliary.shapes) &
            (config->auxiliary.enabled == 0U ? 1U : auxiliary_fits(&config->auxiliary));
 }

@@ -162,9 +162,6 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
     if (config->late.room == 0U) {
         leave_out(unused, IN_STATE(late), END_IN_STATE(late));
     }
-    if (config->late.found == 0U) {
-        leave_out(unused, IN_STATE(found), END_IN_STATE(found));
-    }
     if (config->late.room == 0U) {
         leave_out(unused, IN_STATE(auxiliary.parameter[PMF_DELAY]), END_IN_STATE(auxiliary.parameter[PMF_DELAY]));
     }

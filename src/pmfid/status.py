@@ -96,9 +96,8 @@ _WORDS: dict[Status, tuple[str, str, str]] = {
     Status.DEAD_TIME: (
         "the plant moves later than the model",
         'set dead_time = "estimate"',
-        "The input acts late, or friction at low speed differs from the model; the error bars do not cover this. If "
-        'dead_time is already "estimate", the dead time is not known yet, or not plausible. Steps in open loop show '
-        "the dead time best; or find the dead time off-line, and give its value.",
+        "The input acts late, or friction at low speed differs from the model; the error bars do not cover this. "
+        "Steps in open loop show the dead time best. For riv, estimate it with fit or iv, and give its value.",
     ),
 }
 _FINDINGS = {

@@ -52,7 +52,7 @@ def estimators() -> dict[str, RecursiveEstimator]:
         "bcrls of a process, paper": BCRLS(TransferFunction(3, 0), *plain, discretization="paper"),
         "riv": RIV(EVERYTHING, *plain, **tight),
         "riv late": RIV(late, *plain, order=4, **tight),
-        "riv float32": RIV(Drive(GAIN, dead_time="estimate"), *plain, precision="float32", **tight),
+        "riv float32": RIV(Drive(GAIN, dead_time=0.7 * CART_DT), *plain, precision="float32", **tight),
     }
 
 

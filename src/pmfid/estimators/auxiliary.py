@@ -19,7 +19,7 @@ from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
 from pmfid.kernel.configuration import fill, kernel_of, make_config
 from pmfid.kernel.structures import Structured, constants_of
-from pmfid.models.equation import ESTIMATE, LATE, ROLES, Equation
+from pmfid.models.equation import LATE, ROLES, Equation
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -102,7 +102,7 @@ def make_auxiliary_kernel(
     config = np.frombuffer(bytearray(known[key].tobytes()), known[key].dtype).reshape(())
     values = estimator.equation.role_values(initial)
     config["auxiliary"]["initial"][: len(values)] = values
-    if (late := _late(estimator, float(values[LATE]), forgetting)) is not None:
+    if (late := estimator.late_config(float(values[LATE]))) is not None:
         fill(config["late"], late)
     return kernel_of(estimator.precision, config), auxiliary_columns(estimator)[2]
 
@@ -159,20 +159,6 @@ def _make_config(estimator: Estimator, forgetting: float, has_initial: bool, ada
         auxiliary=auxiliary,
         rates=network.rates if estimator.steps is not None else ((), ()),
     )
-
-
-def _late(estimator: Estimator, start: float, forgetting: float) -> dict[str, object] | None:
-    """Return the kernel configuration of a late input; None if the input acts at once.
-
-    If the dead time is unknown and the motion depends on body and input only, the motion within the counts also
-    determines the dead time.
-    """
-    config, equation = estimator.late_config(start), estimator.equation
-    if config is None or equation.dead_time != ESTIMATE:
-        return config
-    within = not equation.shaped and not equation.place_matters
-    counts = 1 / estimator.encoder.resolution
-    return config | {"found": 1, "within": int(within), "counts": counts, "growth": 1 / forgetting}
 
 
 def _with_check(estimator: Estimator, recursion: Mapping[str, object]) -> dict[str, object]:

@@ -123,8 +123,8 @@ class Estimator:
         """Return the reason, with a remedy, why the method cannot estimate this equation; empty if it can."""
         if equation.dead_time == ESTIMATE:
             return (
-                f'{cls.method} does not simulate the motion, and dead_time = "estimate" needs that; use iv, '
-                "riv or fit, or give the dead time in s"
+                f'{cls.method} does not simulate the motion, and dead_time = "estimate" needs that; use iv '
+                "or fit, or give the dead time in s"
             )
         if equation.lag == ESTIMATE:
             return f"{cls.method} cannot estimate a lag: use iv or fit, or give the lag in s"

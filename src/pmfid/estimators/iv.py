@@ -154,11 +154,6 @@ class RIV(Simulating, RecursiveEstimator):
     The input alone drives a model with a slow copy of the estimate. If the model does not follow the measured velocity,
     the estimate is that of `BCRLS`, with `Status.FALLBACK`. The model then restarts from the estimate of `BCRLS`.
 
-    An estimated dead time comes from a second motion, which each count limits to its nearest edge (csrc/pmf_within.h).
-    Under control, the change of the input follows the encoder's error and is a poor instrument. The other parameters
-    hold for the estimated dead time, and their variances include the variance of the dead time. The status has
-    `Status.DEAD_TIME` until the dead time is credible.
-
     Examples
     --------
     >>> import numpy as np
@@ -180,12 +175,8 @@ class RIV(Simulating, RecursiveEstimator):
     @classmethod
     def refuses(cls, equation: Equation) -> str:
         refused = super().refuses(equation)
-        if not refused and equation.lag and ESTIMATE in (equation.lag, equation.dead_time):
-            return (
-                "riv accepts a lag with a dead time only if both are known: estimate them with iv "
-                f'or fit, and give them; or set dead_time = "{ESTIMATE}" without a lag, for '
-                "the mean delay of both"
-            )
+        if not refused and ESTIMATE in (equation.lag, equation.dead_time):
+            return "riv needs numbers for dead_time and lag: estimate them with iv or fit, and give them in s"
         if refused or not equation.further:
             return refused
         names = ", ".join(dict(equation.further))

@@ -245,10 +245,6 @@ def late_values(
         "room": room,
         "rate": 1 / dt,
         "dead_time": dead_time,
-        "found": 0,
-        "within": 0,
-        "counts": 0.0,
-        "growth": 1.0,
         "lags": int(lag > 0),
         "decay": decays(samples - math.floor(samples), lag / dt) if lag > 0 else [(0.0, 0.0, 0.0)] * 2,
     }

@@ -59,7 +59,6 @@ def shape_of(config: Structured) -> KernelSizes:
         window_blocks=constants["PMF_WINDOW_BLOCKS"] if constants["PMF_WINDOW"] in schemes else 0,
         max_late=int(config["late"]["room"]) + 2 if config["late"]["room"] else 1,
         with_dead_time=int(config["late"]["room"] > 0),
-        with_dead_time_found=int(config["late"]["found"] > 0),
         with_lag=int(config["late"]["lags"] > 0),
         with_auxiliary=int(config["auxiliary"]["enabled"] or shapes["n"] > 0),
         with_process=int(process),

@@ -59,7 +59,6 @@ class KernelSizes:
     window_blocks: int
     max_late: int
     with_dead_time: int
-    with_dead_time_found: int
     with_lag: int
     with_auxiliary: int
     with_process: int

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid._stage import bars, follow_many
 from pmfid.estimators.configuration import configuration_of, construct_estimator
-from pmfid.models.equation import ESTIMATE
 from pmfid.monitor.axis import REASONS
 from pmfid.monitor.axis_fleet import AxisFleet, slices
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, Event, FleetRows, Outlier, StateChange
@@ -36,13 +35,10 @@ class Quiet:
         alone = monitor.known is not None  # each estimate needs its own combination with prior information
         self._calm = np.array([state not in UNEASY and not alone for state in range(len(STATES))])
         self._memory = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0))
-        self._one_reference = monitor.estimator.equation.dead_time == ESTIMATE  # the kernel has one reference
-        self._theta = monitor.calibration.theta
 
     def may_run(self, watched: Watched, index: Places) -> Flags:
         """Return which of these axes can run here, (k,)."""
-        quiet = self._calm[watched.state[index]]
-        return quiet & np.all(watched.theta[index] == self._theta, axis=1) if self._one_reference else quiet
+        return self._calm[watched.state[index]]
 
     def run(
         self, every: AxisStates, index: Places, sampled: Sampled, u: Floats, counts: Counts, rows: FleetRows

@@ -407,15 +407,10 @@ def _recursive(
             "the record ends before its motion determines every parameter, so no estimate exists; record longer"
         )
     theta, std = track.theta[-1], track.theta_std[-1]
-    late, free = late_of(estimator), track.theta
     if _needs_simulation(estimator):
         simulating = like(IV, estimator, prefilter_zeros=None, precision="float64")
         columns = simulating.columns_at(theta, record.u, record.counts)
-    elif late is not None:  # the dead time is then known
-        at = estimator.model.replace_dead_time(max(0.0, float(theta[late])))
-        columns = like(LS, estimator, model=at, prefilter_zeros=None).columns(record.u, record.counts)
-        free = np.delete(free, late, axis=1)
-    relative = _relative_error(columns, free, track.status)
+    relative = _relative_error(columns, track.theta, track.status)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.SAMPLE_REJECTED | Status.RESET)
     held = occurred | (last & ~int(Status.SETTLING | Status.DISTORTED))
     last_estimate: Estimate | Posterior = estimator.estimate
