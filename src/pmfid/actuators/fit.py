@@ -230,7 +230,7 @@ def fit_logs(servo: Servo, logs: Sequence[JointLog], per_log: Sequence[str] = ()
     with np.errstate(all="ignore"):  # motions far from the log may overflow
         found = find_search(task, search)
         fitted = conclude(found, found.noise)
-    fit = _conclude(found, fitted)
+        fit = _conclude(found, fitted)
     if all(one is log for one, log in zip(used, logs, strict=True)):
         return fit
     sentence = f"the fit uses the first {TUNING.longest:.0f} s of each log"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from pmfid.actuators.search import ServoSearch
 from pmfid.actuators.terms import LOOP_FRICTION
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.fit import Fitted, sandwich
+from pmfid.fit.problem import ResidualBlock
 from pmfid.types import Floats
 
 
@@ -59,13 +60,12 @@ class ParameterReader:
 
     def _place_loop(self, found: dict[str, float], lags: float) -> None:
         """Add the friction of the loop to kd if the logs show kd, and to the viscous friction if not."""
-        loop = found.pop(LOOP_FRICTION, 0.0)
-        if "kd" not in found or "kd" in self.fitted.problem.machine.names:
+        has_loop, loop = LOOP_FRICTION in found, found.pop(LOOP_FRICTION, 0.0)
+        if "kd" in found and "kd" not in self.fitted.problem.machine.names:
+            found["kd"] += loop
+            found["velocity_filter"] = lags / found["kd"] if found["kd"] > 0 else 0.0
+        elif has_loop:
             found["viscous"] = found.get("viscous", 0.0) + loop
-            return
-        found["kd"] += loop
-        if found["kd"] > 0 and lags > 0:
-            found["velocity_filter"] = lags / found["kd"]
 
     def _read_waves(self, q: Floats, found: dict[str, float]) -> None:
         """Write the sizes of the effects that turn with the position."""
@@ -113,13 +113,25 @@ def _measure_rests(search: ServoSearch, fitted: Fitted) -> float:
 
 def _covariance(search: ServoSearch, fitted: Fitted) -> Floats:
     """Return the covariance (p, p) of the coordinates, with the spread over models that the logs do not exclude."""
-    normal = fitted.solution.normal
-    covariance = sandwich(normal.A + np.diag(search.prior(search.problem)), normal)
+    covariance = _scatter(search, fitted)
     std, wide = np.sqrt(np.diag(covariance)), np.ones(len(covariance))
     half = fitted.half.copy()
     half[search.plain.machine.lead] /= fitted.theta[search.plain.machine.lead]
     wide[: search.own] = np.maximum(half / TUNING.normal / np.maximum(std[: search.own], 1e-300), 1.0)
     return np.asarray(covariance * np.outer(wide, wide))
+
+
+def _scatter(search: ServoSearch, fitted: Fitted) -> Floats:
+    """Return the covariance (p, p) of the coordinates in the chosen model, infinite where the logs say nothing."""
+    normal = fitted.solution.normal
+    A = normal.A + np.diag(search.prior(search.problem))
+    known = np.diag(A) > 0
+    blocks = [ResidualBlock(block.e, block.J[:, known], block.K) for block in normal.blocks]
+    inner = [part[:, np.append(True, known)] for part in normal.inner]
+    part = A[np.ix_(known, known)]
+    covariance = np.diag(np.where(known, 0.0, np.inf))
+    covariance[np.ix_(known, known)] = sandwich(part, replace(normal, blocks=blocks, inner=inner))
+    return covariance
 
 
 def _spread(gradient: Floats, covariance: Floats) -> Floats:
