@@ -13,7 +13,8 @@ import pmfid
 from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
 from pmfid.diagnostics.free_run import drive_run, firsts_of, process_run
-from pmfid.estimators.output_error import OE
+from pmfid.estimators.motion_fit import MotionFit
+from pmfid.estimators.srivc import SRIVC
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.simulation.process import simulate_process
 from studies.record_parts import measured
@@ -116,8 +117,8 @@ def test_python_gives_what_the_command_gives(tmp_path: Path) -> None:
     assert finer.runs[0].rmse == pytest.approx(found["records"][0]["rmse"], rel=0.5)
 
 
-def method(step: float = STEP) -> OE:
-    return OE(pmfid.Drive(1.5), pmfid.Encoder(step), DT, 60.0)
+def method(step: float = STEP) -> MotionFit:
+    return MotionFit(pmfid.Drive(1.5), pmfid.Encoder(step), DT, 60.0)
 
 
 def test_nothing_after_the_start_is_used() -> None:
@@ -199,7 +200,7 @@ def test_a_transfer_function_predicts_other_records_gaps_included(tmp_path: Path
 
 
 def test_horizons_of_a_slow_process_are_longer() -> None:
-    method = OE(pmfid.TransferFunction(2, 0, offset=True), pmfid.Encoder(1e-29), 5.0, 0.04)
+    method = SRIVC(pmfid.TransferFunction(2, 0, offset=True), pmfid.Encoder(1e-29), 5.0, 0.04)
     theta = np.array([2.0 / 50**2, 1.1 / 50, 3.0 / 50**2, 10.0 / 50**2])
     run = process_run(method, theta, process_record(3, slower=50.0), None)
     assert [horizon.seconds for horizon in run.horizons] == [1000.0, 2000.0]
@@ -207,7 +208,7 @@ def test_horizons_of_a_slow_process_are_longer() -> None:
 
 
 def test_an_unstable_transfer_function_is_refused() -> None:
-    method = OE(pmfid.TransferFunction(1, 0), pmfid.Encoder(1e-29), 0.1, 2.0)
+    method = SRIVC(pmfid.TransferFunction(1, 0), pmfid.Encoder(1e-29), 0.1, 2.0)
     with pytest.raises(pmfid.UsageError, match="pole at"):
         process_run(method, np.array([-0.5, 1.0]), process_record(3), None)
 

@@ -7,19 +7,28 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import UsageError
-from pmfid.estimators.configuration import check_arrays, check_size, hold_last_input
-from pmfid.estimators.motion import Difference, rms
-from pmfid.estimators.output_error import OE
-from pmfid.estimators.search import choose_start, fit_start, start_samples
+from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import check_arrays
+from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.srivc import make_problem, process_of
-from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
+from pmfid.fit.free_motion import FEWEST, FreeMotion
+from pmfid.fit.machine import machine_of
+from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.linear.experiment import Experiment, RecordStretch
 from pmfid.linear.responses import simulate
 from pmfid.linear.solve import ProcessProblem, visit
-from pmfid.types import Floats, Numbers
+from pmfid.types import Counts, Flags, Floats
+
+#: Time that shows the start of a process, in time constants of its filters.
+READ = 5.0
+
+
+def rms(signal: Floats) -> float:
+    return float(np.sqrt(np.mean(signal**2)))
 
 
 @dataclass(frozen=True)
@@ -40,12 +49,13 @@ class Horizon:
 class FreeRun:
     """A free run of a model in comparison with the record.
 
-    The time t [s], the measured and the simulated output have shape (n,). `read` is the length of the first stretch
-    [s], which determines the start. `encoder` is the root mean square error of the encoder alone, or None without an
-    encoder. `notes` are sentences for the user.
+    The time t [s], the measured and the simulated output have shape (n,). They belong to the samples `rows` (n,) of the
+    record. `read` is the length of the first stretch [s], which determines the start. `encoder` is the root mean square
+    error of the encoder alone, or None without an encoder. `notes` are sentences for the user.
     """
 
     name: str
+    rows: NDArray[np.intp]
     t: Floats
     measured: Floats
     simulated: Floats
@@ -94,51 +104,63 @@ class FreeRun:
 
 
 @np.errstate(all="ignore")  # parameters from a file may overflow, and `finite` checks the result
-def drive_run(method: OE, theta: Floats, u: Floats, counts: Numbers, name: str) -> FreeRun:
+def drive_run(
+    method: MotionFit, theta: Floats, u: Floats, counts: Counts, name: str, there: Flags | None = None
+) -> FreeRun:
     """Return the free run of a drive with parameters theta (p,) and input u (n,), started at the first counts of (n,).
 
-    Raises UsageError if the mass is not positive or if the parameters allow no simulation.
+    An input of NaN is a gap, after which the run starts again. `there` (n,) marks the counts in use, None all. Raises
+    UsageError if the mass is not positive or if the parameters allow no simulation.
     """
     u, counts = check_arrays(u, counts)
-    check_size(u)
+    stretches = tuple(method.observe(u, counts, np.ones(u.size, bool) if there is None else there))
+    _check_motion(method, theta, stretches, name)
+    problem = FitProblem(machine_of(method.equation), stretches, method.encoder.resolution)
+    q = problem.start(theta)
+    inside = problem.clip_to_bounds(q.copy())
+    below = [n for n, value, least in zip(method.names, q, inside, strict=False) if value < least]
+    notes = [f"{', '.join(below)} is below zero, and is simulated as zero"] if below else []
+    motion = FreeMotion.make(problem, problem.theta(inside))
+    pairs = [(one.y, motion.simulate(one)[0]) for one in stretches]
+    measured, simulated = (np.concatenate(parts) for parts in zip(*pairs, strict=True))
+    horizons = measure_horizons(
+        u.size * method.dt,
+        motion.reads,
+        lambda seconds: _restart_simulations(motion, stretches, max(2, round(seconds / method.dt)), method.dt),
+    )
+    t = np.append(0.0, np.cumsum(np.broadcast_to(method.intervals, u.shape)[:-1]))
+    rows = np.concatenate([one.first + one.drive.row for one in stretches])
+    first, encoder = method.position(counts)[0], method.encoder.resolution / math.sqrt(12)
+    measured, simulated = first + measured, first + simulated
+    return finite(FreeRun(name, rows, t[rows], measured, simulated, motion.reads, encoder, horizons, tuple(notes)))
+
+
+def _check_motion(method: MotionFit, theta: Floats, stretches: Sequence[ObservedStretch], name: str) -> None:
     leading = method.equation.leading
     if not theta[leading] > 0:
         raise UsageError(
             f"{method.names[leading]} = {theta[leading]:g} must be positive to simulate a motion; identify again, from "
             "a record with more motion"
         )
-    y = method.position(counts)
-    if not np.ptp(y) > 0 or not np.any(u):
-        what = "axis does not move" if np.any(u) else "input is zero"
-        raise UsageError(f"{name}: the {what} in the whole record; give a record of a motion")
-    difference = method.make_difference(theta, hold_last_input(u), y)
-    scaled = theta / difference.scale[: theta.size]
-    below = [n for n, value, least in zip(method.names, scaled, difference.lower, strict=False) if value < least]
-    notes = [f"{', '.join(below)} is below zero, and is simulated as zero"] if below else []
-    scaled = np.maximum(scaled, difference.lower[: theta.size])
-    run = _run(difference, scaled, method.cutoff)
-    read = min(start_samples(method.dt, method.cutoff), u.size)
-    horizons = measure_horizons(
-        u.size * method.dt,
-        read * method.dt,
-        lambda seconds: _restart_simulations(difference, scaled, method.cutoff, max(2, round(seconds / method.dt))),
-    )
-    t = np.arange(u.size, dtype=np.float64) * method.dt
-    encoder = method.encoder.resolution / math.sqrt(12)
-    return finite(FreeRun(name, t, difference.y, run, read * method.dt, encoder, horizons, tuple(notes)))
-
-
-def _run(part: Difference, theta: Floats, cutoff: float) -> Floats:
-    """Return the simulated positions (n,) at scaled parameters (p,)."""
-    read = part.part(0, min(start_samples(part.dt, cutoff), part.y.size))
-    return part.motion(fit_start(read, choose_start(read, theta, cutoff)))[0]
+    if not any(np.any(one.drive.u) for one in stretches):
+        raise UsageError(f"{name}: the input is zero in the whole record; give a record of a motion")
+    if not any(np.ptp(one.y) > 0 for one in stretches):
+        raise UsageError(f"{name}: the axis does not move in the whole record; give a record of a motion")
 
 
 def _restart_simulations(
-    difference: Difference, theta: Floats, cutoff: float, samples: int
+    motion: FreeMotion, stretches: Sequence[ObservedStretch], samples: int, step: float
 ) -> list[tuple[Floats, Floats]]:
-    parts = [difference.part(first, first + samples) for first in firsts_of(difference.y.size, samples)]
-    return [(part.y, _run(part, theta, cutoff)) for part in parts]
+    """Return the measured and the simulated positions of consecutive runs, each after a lead with a known input."""
+    lead, runs = math.ceil(motion.lead / step), []
+    for stretch in stretches:
+        for first in firsts_of(stretch.drive.step.size + 1, samples):
+            begin = max(0, first - lead)
+            part = stretch.part(begin, first + samples - 1)
+            kept = part.drive.row >= first - begin
+            if np.count_nonzero(kept) > FEWEST:
+                runs.append((part.y[kept], motion.simulate(part)[0][kept]))
+    return runs
 
 
 def firsts_of(n: int, samples: int) -> list[int]:
@@ -185,7 +207,7 @@ def finite(run: FreeRun) -> FreeRun:
     return run
 
 
-def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: float | None) -> FreeRun:
+def process_run(method: Estimator, theta: Floats, experiment: Experiment, encoder: float | None) -> FreeRun:
     """Return the free run of a transfer function with parameters theta (p,).
 
     Each stretch without a gap has its own start. `encoder` is the root mean square error of the encoder alone, or None
@@ -202,7 +224,7 @@ def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: floa
         )
     plain = replace(experiment, reference=None)
     n = poles.size
-    read = max(ESTIMATOR_TUNING.search_read / method.cutoff, TUNING.free_run_samples * n * plain.period)
+    read = max(READ / method.cutoff, TUNING.free_run_samples * n * plain.period)
     parts = _simulate_stretches(method, theta, [plain], read)
     horizons = measure_horizons(
         float(plain.times[-1] - plain.times[0]),
@@ -212,11 +234,11 @@ def process_run(method: OE, theta: Floats, experiment: Experiment, encoder: floa
     rows = np.concatenate([stretch.samples for stretch, _ in parts])
     measured = np.concatenate([stretch.y[stretch.rows] for stretch, _ in parts])
     simulated = np.concatenate([output for _, output in parts])
-    return finite(FreeRun(plain.name, plain.times[rows], measured, simulated, read, encoder, horizons))
+    return finite(FreeRun(plain.name, rows, plain.times[rows], measured, simulated, read, encoder, horizons))
 
 
 def _simulate_stretches(
-    method: OE, theta: Floats, experiments: Sequence[Experiment], read: float
+    method: Estimator, theta: Floats, experiments: Sequence[Experiment], read: float
 ) -> list[tuple[RecordStretch, Floats]]:
     """Return each stretch with its simulated output at the measured samples."""
     problem = make_problem(method, experiments)
@@ -239,7 +261,7 @@ def _first(stretch: RecordStretch, read: float, problem: ProcessProblem) -> Reco
 
 
 def _restart_processes(
-    method: OE, theta: Floats, experiment: Experiment, read: float, samples: int
+    method: Estimator, theta: Floats, experiment: Experiment, read: float, samples: int
 ) -> list[tuple[Floats, Floats]]:
     parts = [_part(experiment, first, first + samples) for first in firsts_of(experiment.u.size, samples)]
     usable = [part for part in parts if np.all(np.isfinite(part.u)) and np.count_nonzero(np.isfinite(part.y)) > 2]

@@ -163,7 +163,7 @@ class EdgeFit(MotionFit):
                 f"the record has {np.count_nonzero(used)} edges for {p} parameters: record a longer motion"
             )
         edges = Edges(edges.instants[used], edges.lines[used], edges.samples[used])
-        parts = list(self._stretches(u, counts, there))
+        parts = list(self.observe(u, counts, there))
         found = [_merge(one, t, edges, self.tick, int(whole[0]), self.encoder.resolution) for one in parts]
         return tuple(one for one, _ in found), [margin for _, margin in found]
 

@@ -63,7 +63,7 @@ class MotionFit(Simulating, BatchEstimator):
         """Return the observations of a record, as for `examine`, and the machine."""
         check_size(u)
         self.steps_before(u.size)
-        stretches = tuple(self._stretches(u, counts, np.ones(u.size, bool) if there is None else there))
+        stretches = tuple(self.observe(u, counts, np.ones(u.size, bool) if there is None else there))
         if not stretches:
             raise NotIdentifiableError(f"the record has no stretch of samples with input and counts; {MOVE}")
         return FitProblem(machine_of(self.equation), stretches, self.encoder.resolution)
@@ -84,8 +84,9 @@ class MotionFit(Simulating, BatchEstimator):
         relative = float(np.linalg.norm(residual) / np.linalg.norm(travel))
         return Fit(self.names, self.units, fitted.theta, fitted.covariance, residual.size, residual, relative, 0)
 
-    def _stretches(self, u: Floats, counts: Counts, there: Flags) -> Iterator[ObservedStretch]:
-        """Yield the stretches of a record between gaps of the input, with at least two counts that differ."""
+    def observe(self, u: Floats, counts: Counts, there: Flags) -> Iterator[ObservedStretch]:
+        """Yield the stretches of a record between gaps of the input, with at least three counts, from the first
+        count of the record."""
         force, position = u * self.equation.input_gain, self.position(counts)
         position = position - position[0]
         intervals = np.broadcast_to(self.intervals, u.shape)

@@ -76,7 +76,7 @@ class ObservedStretch:
         drive = replace(self.drive, row=np.ascontiguousarray(self.drive.row[chosen]))
         return self._choose(drive, chosen, self.first)
 
-    def _choose(self, drive: Excitation, chosen: Flags, first: int) -> ObservedStretch:
+    def _choose(self, drive: Excitation, chosen: Flags | slice, first: int) -> ObservedStretch:
         line = None if self.line is None else self.line[chosen]
         y, variance, counted, rest = self.y[chosen], self.variance[chosen], self.counted[chosen], self.rest[chosen]
         return ObservedStretch(drive, y, variance, counted, rest, first, line, self.acts)
@@ -85,14 +85,16 @@ class ObservedStretch:
         """Return the observations between two times [s], with the input from the first of them on."""
         ends = np.append(0.0, np.cumsum(self.drive.step))
         begin = int(np.clip(np.searchsorted(ends, first, side="right") - 1, 0, self.drive.step.size - 1))
-        end = int(np.clip(np.searchsorted(ends, last), begin + 1, self.drive.step.size))
-        chosen = (self.drive.row >= begin) & (self.drive.row <= end)
-        row = np.ascontiguousarray(self.drive.row[chosen] - np.int32(begin))
-        part = slice(begin, end)
+        return self.part(begin, int(np.clip(np.searchsorted(ends, last), begin + 1, self.drive.step.size)))
+
+    def part(self, begin: int, end: int) -> ObservedStretch:
+        """Return the observations from the start of interval `begin` to that of interval `end`."""
+        row = self.drive.row
+        chosen, part = slice(*np.searchsorted(row, [begin, end + 1]).tolist()), slice(begin, end)
         drive = Excitation(
             np.ascontiguousarray(self.drive.step[part]),
             np.ascontiguousarray(self.drive.u[part]),
-            row,
+            np.ascontiguousarray(row[chosen] - np.int32(begin)),
             np.ascontiguousarray(self.drive.columns[:, part]),
             self.drive.tick,
             None if self.drive.on is None else np.ascontiguousarray(self.drive.on[part]),

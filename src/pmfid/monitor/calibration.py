@@ -13,7 +13,7 @@ from pmfid.elementary import exp, log, power
 from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.motion import mean_velocity
+from pmfid.fit.free_motion import simulate_from_rest
 from pmfid.monitor.detectors import EDGE, ChiSquare, Detector, make_detectors, statistics
 from pmfid.monitor.scores import (
     UNUSABLE,
@@ -460,8 +460,7 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
 
     `phase` is the start on the encoder's lattice, in counts.
     """
-    mean = mean_velocity(estimator.equation, theta, estimator.dt, u)
-    position = np.concatenate([[0.0], np.cumsum(mean[:-1] * estimator.dt)])
+    position = simulate_from_rest(estimator.equation, theta, u, estimator.dt)
     if not np.max(np.abs(position)) < TUNING.most_counts * estimator.encoder.resolution:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
         raise NotIdentifiableError(

@@ -38,14 +38,14 @@ from pmfid.models.shapes import Square
 from pmfid.pipeline import checks
 from pmfid.pipeline.checks.inputs import note_one_level
 from pmfid.pipeline.checks.readings import INTEGRATE, convert_velocity
-from pmfid.pipeline.fitted import identify_by_fit, uses_fit
-from pmfid.pipeline.kinds import Kind, Progress, method_of, settings, simulator
+from pmfid.pipeline.fitted import counts_in_use, identify_by_fit, make_fit, uses_fit
+from pmfid.pipeline.kinds import Kind, Progress, method_of, settings
 from pmfid.pipeline.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
 from pmfid.pipeline.result import DriveResult
 from pmfid.pipeline.stored import Stored
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.edge_ages import Coarser
-from pmfid.records.joining import join_records, unbroken
+from pmfid.records.joining import join_records
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record, read_record, record_of
 from pmfid.status import Status, status_findings
@@ -159,12 +159,11 @@ class Drives(Kind[Record]):
         return result.with_findings(*known.findings, *_clock_findings(data), *note_one_level([data.u], scaling))
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
-        whole = unbroken(data)
-        known = repair_as_configured(whole, axis)
-        method = simulator(axis, data.dt, data.resolution)
-        run = drive_run(method, theta, known.record.u, known.record.counts, data.name)
-        cut = whole.notes[len(data.notes) :]
-        return [replace(run, notes=(*cut, *filter(None, (known.sentence,)), *run.notes))]
+        record = data if data.own is None else data.own
+        known, axis = repair_as_configured(record, axis), match_kind(data, axis)
+        method, used = make_fit(axis, record), counts_in_use(record, known.record)
+        run = drive_run(method, theta, known.record.u, known.record.counts, data.name, used)
+        return [replace(run, notes=(*filter(None, (known.sentence,)), *run.notes))]
 
     def check_known(self, stored: Stored, data: Record, axis: Axis) -> None:
         equation = axis.model.make().equation

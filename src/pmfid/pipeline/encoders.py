@@ -12,14 +12,16 @@ from pmfid.config.axis import Axis
 from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError, did_you_mean
-from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import hold_last_input, like
 from pmfid.estimators.edges import EdgeFit
-from pmfid.estimators.motion import first_speed
-from pmfid.estimators.output_error import IntervalML
+from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.results import Fit
+from pmfid.fit.free_motion import FreeMotion
+from pmfid.fit.machine import Excitation, machine_of
+from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.models.axes import ROTARY
-from pmfid.pipeline.drives import Drives, make_estimator
+from pmfid.pipeline.drives import Drives
+from pmfid.pipeline.fitted import make_fit
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.kinds import Progress
 from pmfid.pipeline.known import check_numbers_known
@@ -28,7 +30,7 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict
 from pmfid.records.joining import unbroken
 from pmfid.records.record import Record
-from pmfid.types import Floats
+from pmfid.types import Counts, Floats
 
 __all__ = ["EncoderChoice", "compare_encoders"]
 
@@ -133,7 +135,7 @@ def compare_encoders(
         )
     check_numbers_known(axis, "a comparison of encoders")
     record = replace(unbroken(record), own=None, ages=None)
-    axis = kind.prepare_axis(record, axis)
+    axis = kind.settle_axis(record, axis)
     result = kind.estimate(record, axis)
     names = result.names
     if parameter is not None and parameter not in names:
@@ -163,7 +165,7 @@ class _Trial:
     the simulated from the recorded motion.
     """
 
-    estimator: Estimator
+    method: MotionFit
     theta: Floats
     u: Floats
     path: Trajectory
@@ -173,18 +175,18 @@ class _Trial:
 
     @classmethod
     def make(cls, result: DriveResult, record: Record, axis: Axis, line_error: float) -> _Trial:
-        estimator, every = make_estimator(axis, record), TUNING.encoders_parts
-        counting = like(IntervalML, estimator, prefilter_zeros=None)
-        u, y = hold_last_input(record.u), counting.position(record.counts)
-        own = counting.make_difference(result.theta, u, y)
-        start = [y[0], first_speed(y, record.dt, counting.cutoff, record.resolution)]
-        dt = record.dt / every
-        fine = replace(own, dt=dt, u=np.repeat(u, every), y=np.repeat(y, every))
-        x = fine.motion(np.r_[result.theta, start] / own.scale)[0]
-        missed = float(np.std(x[::every] - y) / np.std(y))
-        path = Trajectory.sample(x, dt)
-        turn = TURN if estimator.equation.motion is ROTARY and not record.in_counts else None
-        return cls(estimator, result.theta, u, path, turn, line_error, missed)
+        method, u = make_fit(axis, record), hold_last_input(record.u)
+        there = np.ones(u.size, bool) if record.there is None else record.there
+        (stretch,) = method.observe(u, record.counts, there)
+        problem = FitProblem(machine_of(method.equation), (stretch,), record.resolution)
+        theta = result.theta[: len(method.names)]
+        motion = FreeMotion.make(problem, theta)
+        fine = _refine(stretch, TUNING.encoders_parts)
+        x, v = motion.simulate(fine, motion.find_start(stretch))
+        missed = float(np.std(x[:: TUNING.encoders_parts][stretch.drive.row] - stretch.y) / np.std(stretch.y))
+        path = Trajectory(np.asarray(np.arange(x.size) * (record.dt / TUNING.encoders_parts)), x, v)
+        turn = TURN if method.equation.motion is ROTARY and not record.in_counts else None
+        return cls(method, theta, u, path, turn, line_error, missed)
 
     def list_steps(self) -> Floats:
         """Return the steps of the encoders, the coarsest first: powers of 4 per turn, or decimal steps."""
@@ -197,36 +199,49 @@ class _Trial:
         """Return the relative uncertainty of a parameter from counts, and from counts with edge times."""
         travel = float(np.ptp(self.path.x)) if self.turn is None else self.turn
         lines = max(1, round(travel / step))
-        changes = {"encoder": Encoder(step), "prefilter_zeros": None}
-        counting = like(IntervalML, self.estimator, **changes)
-        timing = None
-        if not EdgeFit.refuses(self.estimator.equation):
-            own = None if self.turn is None else lines
-            timing = like(EdgeFit, self.estimator, **changes, lines=own, tick=TUNING.encoders_tick)
-        by_counts: list[Fit] = []
-        by_edges: list[Fit] = []
+        counting = replace(self.method, encoder=Encoder(step))
+        timing = like(EdgeFit, counting, lines=None if self.turn is None else lines, tick=TUNING.encoders_tick)
+        by_counts: list[Fit | None] = []
+        by_edges: list[Fit | None] = []
         for seed in range(TUNING.encoders_draws):
             rng = np.random.default_rng([seed, lines])
             errors = step * self.line_error * rng.uniform(-1.0, 1.0, lines)
             counts, ages = read_edge_times(
                 self.path, Lattice(step, step * rng.random(), errors), TUNING.encoders_parts, TUNING.encoders_tick
             )
-            with suppress(NotIdentifiableError):
-                by_counts.append(counting.fit(self.u, counts))
-            with suppress(NotIdentifiableError):
-                by_edges += [timing.fit(self.u, counts, ages)] if timing else []
+            by_counts.append(_try_fit(counting, self.u, counts))
+            # without a fit of the edges, `identify` uses the counts
+            by_edges.append(_try_fit(timing, self.u, counts, ages) or by_counts[-1])
         return self._summarise(by_counts, index), self._summarise(by_edges, index)
 
-    def _summarise(self, fits: Sequence[Fit], index: int) -> float:
+    def _summarise(self, tried: Sequence[Fit | None], index: int) -> float:
         """Return the larger of the median standard deviation and the root mean square error, relative to the truth.
 
         The result is NaN if half of the positions of the disc give no fit.
         """
+        fits = [fit for fit in tried if fit is not None]
         if 2 * len(fits) <= TUNING.encoders_draws:
             return float("nan")
         std = np.median([fit.theta_std[index] for fit in fits])
         error = np.sqrt(np.mean([(fit.theta[index] - self.theta[index]) ** 2 for fit in fits]))
         return float(max(std, error) / abs(self.theta[index]))
+
+
+def _try_fit(method: MotionFit, *record: Floats | Counts) -> Fit | None:
+    with suppress(NotIdentifiableError):
+        return method.fit(*record)
+    return None
+
+
+def _refine(stretch: ObservedStretch, parts: int) -> ObservedStretch:
+    """Return a stretch in parts of its intervals, with an observation at each instant."""
+    drive = stretch.drive
+    rows = np.arange(drive.step.size * parts + 1, dtype=np.int32)
+    fine = Excitation(
+        np.repeat(drive.step / parts, parts), np.repeat(drive.u, parts), rows, np.zeros((0, rows.size - 1))
+    )
+    y, flags = np.interp(rows / parts, drive.row, stretch.y), np.ones(rows.size, bool)
+    return ObservedStretch(fine, y, np.full(rows.size, 1 / 12), flags, ~flags, stretch.first)
 
 
 def _find_limits(trial: _Trial, own: float, wanted: float, parameter: str) -> Iterator[str]:

@@ -7,12 +7,11 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import ClassVar, Generic, TypeVar
 
-from pmfid.config.axis import Axis, check_sampling
+from pmfid.config.axis import Axis
 from pmfid.diagnostics.free_run import FreeRun
 from pmfid.errors import UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.output_error import OE
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.findings import Finding
 from pmfid.io.tables import Table
@@ -73,7 +72,7 @@ class Kind(ABC, Generic[Data]):
     def free_runs(self, data: Data, axis: Axis, theta: Floats) -> list[FreeRun]:
         """Return simulations of the model with parameters theta (p,), and the measured outputs.
 
-        The parameters have the order of `simulator`. Raises UsageError if the model cannot be simulated.
+        The parameters have the order of `parameters_of`. Raises UsageError if the model cannot be simulated.
         """
 
     @abstractmethod
@@ -105,19 +104,11 @@ def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
     Raises UsageError for an equation that cannot be simulated.
     """
     equation = model.equation
-    if OE.refuses(equation):
+    if equation.without_simulation and not equation.process:
         reason = equation.without_simulation
         raise UsageError(f"a free run cannot simulate this equation, because {reason}; change the equation")
     further = tuple(zip(*equation.further, strict=True)) or ((), ())
     return equation.names + further[0], equation.units + further[1]
-
-
-def simulator(axis: Axis, dt: float, resolution: float) -> OE:
-    """Return the method that simulates the model of `axis`, with dt [s] and the resolution [unit of the output]."""
-    if axis.estimator.cutoff is not None:
-        check_sampling(axis, dt)
-    cutoff = axis.estimator.cutoff or 0.2 / dt
-    return OE(axis.model.make(), axis.encoder.make_encoder(resolution), dt, cutoff, order=axis.estimator.order)
 
 
 def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:

@@ -21,7 +21,7 @@ from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.estimators.srivc import ProcessSolver, make_problem, process_of, with_dead_time
+from pmfid.estimators.srivc import SRIVC, ProcessSolver, make_problem, process_of, with_dead_time
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import make_notes, sort_findings
 from pmfid.io.tables import Table
@@ -29,7 +29,7 @@ from pmfid.linear.experiment import Experiment
 from pmfid.linear.order import DELAYS, ORDERS, UNSTABLE, OrderCandidate, Search, accepted_first, search_structure
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.pipeline.checks.inputs import note_one_level
-from pmfid.pipeline.kinds import Kind, Progress, method_of, settings, simulator
+from pmfid.pipeline.kinds import Kind, Progress, method_of, settings
 from pmfid.pipeline.result import ProcessResult, delay_of, expects_unstable
 from pmfid.pipeline.stored import Stored
 from pmfid.records.edge_ages import Coarser
@@ -70,7 +70,7 @@ class Processes(Kind[Sequence[Experiment]]):
     def free_runs(self, data: Sequence[Experiment], axis: Axis, theta: Floats) -> list[FreeRun]:
         resolution = axis.encoder.resolution
         encoder = None if resolution == NO_ENCODER else resolution / np.sqrt(12.0)
-        return [process_run(simulator(axis, part.period, resolution), theta, part, encoder) for part in data]
+        return [process_run(_make_simulator(part, axis), theta, part, encoder) for part in data]
 
     def check_known(self, stored: Stored, data: Sequence[Experiment], axis: Axis) -> None:
         model = axis.model.make()
@@ -99,6 +99,14 @@ class Processes(Kind[Sequence[Experiment]]):
         findings = sort_findings((*status_findings(bits), *found))
         counted = axis.record.output_kind == "counts"
         return ProcessResult(estimator, theta, std, findings, tuple(data), process, checks, counted)
+
+
+def _make_simulator(experiment: Experiment, axis: Axis) -> SRIVC:
+    """Return a method with the structure of the model and the time scale of an experiment."""
+    dt, cutoff = experiment.period, axis.estimator.cutoff
+    if cutoff is not None:
+        check_sampling(axis, dt)
+    return SRIVC(axis.model.make(), Encoder(axis.encoder.resolution), dt, cutoff or 0.2 / dt)
 
 
 def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Estimator:

@@ -7,6 +7,7 @@ wrong.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -17,16 +18,18 @@ from pmfid.diagnostics.free_run import FreeRun
 from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.findings import MOVE, Finding, codes, sort_findings
-from pmfid.pipeline.drives import Drives
+from pmfid.pipeline.drives import Drives, take_own_instants
 from pmfid.pipeline.identify import describe_refusal, identify, kind_of
 from pmfid.pipeline.kinds import Records, parameters_of
 from pmfid.pipeline.known import set_stored_gain
 from pmfid.pipeline.result import Result
 from pmfid.pipeline.stored import Stored
 from pmfid.pipeline.tuning import TUNING
-from pmfid.records.joining import unbroken
 from pmfid.records.record import Record
 from pmfid.types import Floats
+
+#: Largest probability of chance at which intervals that miss their parameters are too short.
+CHANCE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -98,14 +101,13 @@ def run_selftest(
     names, units = parameters_of(axis.model.make())
     theta = stored.theta(axis.model.kind, names, units)
     kind.check_known(stored, data, axis)
-    data = unbroken(data)
-    prepared = kind.prepare_axis(data, axis)
-    own = kind.free_runs(data, prepared, theta)[0]
+    data = replace(take_own_instants(data, axis), own=None)
+    own = kind.free_runs(data, axis, theta)[0]
     rng, noise = np.random.default_rng(seed), measure_noise(own, data.resolution)
     found, refused, deviations = list[Result](), 0, list[float]()
     for number in range(runs):
         record = _simulate_record(data, own, noise, rng)
-        deviations.append(measure_deviation(kind.free_runs(record, prepared, theta)[0])[0])
+        deviations.append(measure_deviation(kind.free_runs(record, axis, theta)[0])[0])
         try:
             found.append(identify(record, axis))
         except NotIdentifiableError:
@@ -125,10 +127,11 @@ def run_selftest(
 def measure_noise(run: FreeRun, step: float) -> float:
     """Return the standard deviation of the measured position before rounding, in steps of the encoder.
 
-    Second differences remove the motion. The simulated motion, rounded as well, shows what rounding contributes.
+    Second differences within a stretch remove the motion. The simulated motion, rounded as well, shows what rounding
+    contributes.
     """
-    simulated = np.floor(run.simulated / step)
-    power = [np.mean(np.diff(values, 2) ** 2) for values in (run.measured / step, simulated)]
+    simulated, near = np.floor(run.simulated / step), run.rows[2:] - run.rows[:-2] == 2
+    power = [np.mean(np.diff(values, 2)[near] ** 2) for values in (run.measured / step, simulated)]
     return float(np.sqrt(max(power[0] - power[1], 0.0) / 6.0))
 
 
@@ -143,8 +146,9 @@ def measure_deviation(run: FreeRun) -> tuple[float, float]:
 def _simulate_record(data: Record, run: FreeRun, noise: float, rng: np.random.Generator) -> Record:
     """Return the record with counts of the simulated motion, at a random phase of the encoder."""
     position = run.simulated / data.resolution + rng.random() + noise * rng.standard_normal(run.simulated.size)
-    counts = np.floor(position).astype(np.int64)
-    return replace(data, counts=counts, there=None, own=None, steps=None, ages=None)
+    counts = data.counts.copy()
+    counts[run.rows] = np.floor(position).astype(np.int64)
+    return replace(data, counts=counts, ages=None)
 
 
 def _measure_recovery(name: str, unit: str, value: float, found: Sequence[Result]) -> Recovery:
@@ -186,10 +190,17 @@ def _judge_motion(recoveries: Sequence[Recovery], runs: int, refused: int) -> li
 
 
 def _judge_coverage(test: SelfTest) -> list[Finding]:
-    if not test.coverage < TUNING.selftest_coverage:
+    done = test.runs - test.refused
+    chances = [_chance_of(done, one.covered) for one in test.recoveries]
+    if not min(chances, default=1.0) * len(chances) < CHANCE:
         return []
     sentence = f"only {100 * test.coverage:.0f} % of the intervals contain their parameter"
     return [Finding("std_too_small", sentence, "widen the error bars, or choose another method")]
+
+
+def _chance_of(runs: int, covered: int) -> float:
+    """Return the probability that at most `covered` of all intervals of 95 % contain their parameter."""
+    return sum(math.comb(runs, k) * 0.95**k * 0.05 ** (runs - k) for k in range(covered + 1))
 
 
 def _judge_record(data: Record, axis: Axis, names: Sequence[str], theta: Floats) -> list[Finding]:

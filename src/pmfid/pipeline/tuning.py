@@ -362,9 +362,8 @@ class PipelineTuning:
     #: more than this part of the motion.
     selftest_beyond: float = 2.0
     selftest_material: float = 0.02
-    #: A parameter is lost from this error on (rms, relative). The intervals are too small below this coverage.
+    #: A parameter is lost from this error on (rms, relative).
     selftest_lost: float = 0.3
-    selftest_coverage: float = 0.7
     #: Largest distance of a parameter from the estimate out of the same record [standard deviations].
     selftest_away: float = 3.0
 

@@ -183,12 +183,11 @@ def validate_parameters(method: str, theta: Floats, data: Sequence[Records], axi
     kind, (names, units) = kind_of(axis), parameters_of(axis.model.make())
     if not data:
         raise UsageError("the list of records is empty; give at least one record to validate on")
-    asked, axis = axis, kind.prepare_axis(data[0], axis)
     if not np.all(np.isfinite(theta)):
         raise UsageError("a parameter is not finite: identify the record again")
     for record in data:
         kind.check(record, axis)
     runs = tuple(run for record in data for run in kind.free_runs(record, axis, theta))
-    every = (finding for record in data for finding in check(record, asked))
+    every = (finding for record in data for finding in check(record, axis))
     findings = sort_findings(finding for finding in every if not is_small_doubt(finding))
     return Validation(axis.model.kind, method, names, units, theta, kind.unit_of_output(axis), runs, findings)

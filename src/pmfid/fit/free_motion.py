@@ -1,0 +1,147 @@
+"""Motions of a machine with known parameters, each from the start state that its first observations show."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmfid.fit.fit import GAIN, MOST_SQUARES, SPREADS
+from pmfid.fit.likelihood import Gaussian, Intervals
+from pmfid.fit.machine import DELAY, LAGGING, MASS, VISCOUS, BodyModel, Excitation, machine_of, simulate
+from pmfid.fit.problem import PARTS, FitProblem, ObservedStretch, ResidualBlock
+from pmfid.fit.solve import Optimum, solve
+from pmfid.models.equation import Equation
+from pmfid.types import Floats
+
+#: Observations that determine a start at first. Twice as many follow as long as the motion explains them.
+FIRST = 20
+#: Fewest observations of a start: two for the state, and one that contradicts a wrong count.
+FEWEST = 3
+#: Time constants of a lag after which the unknown input before a stretch has no more effect: exp(-5) is below 1 %.
+FORGOTTEN = 5.0
+
+
+class KnownProblem(FitProblem):
+    """A problem with known parameters. Only its start states are unknown."""
+
+    def linearise(self, q: Floats, starts: Floats) -> list[ResidualBlock]:
+        return [replace(block, J=np.zeros_like(block.J)) for block in super().linearise(q, starts)]
+
+
+@dataclass(frozen=True, eq=False)
+class FreeMotion:
+    """A machine at parameters theta (p,), simulated from the input alone.
+
+    At most `read` observations determine the start, after the time `lead` [s] whose force depends on an unknown earlier
+    input. `step` is the mean time between observations [s]. `resolution` is the travel of a count.
+    """
+
+    machine: BodyModel
+    theta: Floats
+    resolution: float
+    read: int
+    lead: float
+    step: float
+
+    @classmethod
+    def make(cls, problem: FitProblem, theta: Floats) -> FreeMotion:
+        """Return the motion of a problem's machine at theta (p,).
+
+        N counts over a time T show a velocity to a count over T sqrt(N). An error of the velocity moves the axis for
+        its time constant, mass over viscous friction, or to the end of the motion. The start is read until this error
+        is below that of rounding, a count over sqrt(12).
+        """
+        body = problem.machine.body(theta)
+        times = [float(np.sum(one.drive.step)) for one in problem.stretches]
+        step = sum(times) / problem.rows
+        lasting = min(max(times), float(body[MASS] / max(body[VISCOUS], 1e-300))) / step
+        read = max(FIRST, math.ceil((math.sqrt(12) * lasting) ** (2 / 3)))
+        lead = float(body[DELAY] + FORGOTTEN * body[LAGGING])
+        return cls(problem.machine, theta, problem.resolution, read, lead, step)
+
+    @property
+    def reads(self) -> float:
+        """Time from the start of a stretch whose observations are used [s]."""
+        return self.lead + self.read * self.step
+
+    def simulate(self, stretch: ObservedStretch, start: Floats | None = None) -> tuple[Floats, Floats]:
+        """Return positions and velocities (k,) at the observations of a stretch [unit, unit/s].
+
+        `start` (1, 2) is that of `find_start`, which is the default.
+        """
+        problem = self._make_problem(stretch)
+        start = self.find_start(stretch) if start is None else start
+        (motion,) = problem.motion(problem.start(self.theta), start / [1.0, next(problem.scales())])
+        return motion
+
+    def find_start(self, stretch: ObservedStretch) -> Floats:
+        """Return the most likely start (1, 2) of a stretch: position from the first one [counts], speed [counts/s]."""
+        size = FIRST
+        problem = self._make_problem(self._begin(stretch, size))
+        starts = self._try_speeds(problem)
+        while _explains(problem, self.theta, starts) and size < min(self.read, stretch.y.size):
+            size = min(2 * size, self.read)
+            longer = self._make_problem(self._begin(stretch, size))
+            start = starts * [1.0, next(problem.scales()) / next(longer.scales())]
+            start = _solve(longer, self.theta, Gaussian(longer.stretches), start).starts
+            if not _explains(longer, self.theta, start):
+                break
+            problem, starts = longer, start
+        return _narrow(problem, self.theta, starts) * [1.0, next(problem.scales())]
+
+    def _make_problem(self, stretch: ObservedStretch) -> KnownProblem:
+        return KnownProblem(self.machine, (stretch,), self.resolution)
+
+    def _begin(self, stretch: ObservedStretch, size: int) -> ObservedStretch:
+        """Return the first observations of a stretch, without those that an unknown earlier input moves."""
+        row = stretch.drive.row
+        times = stretch.times if self.lead else row
+        skipped = int(np.searchsorted(times, times[0] + self.lead))
+        last = min(skipped + size, row.size)
+        early = stretch.part(0, max(int(row[last - 1]), 1))
+        kept = np.r_[True, np.arange(1, early.y.size) >= skipped]
+        return early.keep(kept) if np.count_nonzero(kept) >= FEWEST else early
+
+    def _try_speeds(self, problem: KnownProblem) -> Floats:
+        """Return the start (1, 2) of least squares, from the speeds that the counts show and from standstill.
+
+        A search from standstill does not leave stiction, and one from a wrong speed may end in it.
+        """
+        (early,) = problem.stretches
+        whole = float((early.y[-1] - early.y[0]) / self.resolution / (early.y.size - 1))
+        speeds = dict.fromkeys((float(problem.first_starts()[0, 1]), whole, 0.0))
+        soft, q = Gaussian(problem.stretches), problem.start(self.theta)
+        first = min(speeds, key=lambda v: soft(problem.linearise(q, np.array([[0.0, v]])))[0])
+        return _solve(problem, self.theta, soft, np.array([[0.0, first]])).starts
+
+
+def _solve(problem: KnownProblem, theta: Floats, likelihood: Gaussian | Intervals, starts: Floats) -> Optimum:
+    return solve(problem, likelihood, problem.start(theta), starts, np.zeros(problem.size), small=GAIN)
+
+
+def _explains(problem: KnownProblem, theta: Floats, starts: Floats) -> bool:
+    """Return whether a motion is so near the counts that one next to it may explain every count."""
+    (block,) = problem.linearise(problem.start(theta), starts)
+    return float(np.mean(block.e**2)) < MOST_SQUARES
+
+
+def _narrow(problem: KnownProblem, theta: Floats, starts: Floats) -> Floats:
+    """Return the start (1, 2) in intervals that narrow as long as that makes the counts more likely."""
+    cost = math.inf
+    for spread in SPREADS:
+        end = _solve(problem, theta, Intervals(problem.stretches, spread), starts)
+        if not end.cost < cost:
+            break
+        starts, cost = end.starts, end.cost
+    return starts
+
+
+def simulate_from_rest(equation: Equation, theta: Floats, u: Floats, dt: float) -> Floats:
+    """Return the positions (n,) from rest at zero at the parameters theta (p,), under an input u (n,) that is held over
+    each dt [s]."""
+    machine, n = machine_of(equation), u.size - 1
+    force = np.ascontiguousarray(u[:-1] * equation.input_gain)
+    drive = Excitation(np.full(n, dt), force, np.arange(u.size, dtype=np.int32), np.zeros((0, n)))
+    return simulate(drive, machine.forces, machine.body(theta), PARTS, slopes=False)[0]
