@@ -15,16 +15,13 @@ from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import check_arrays
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.srivc import make_problem, process_of
-from pmfid.fit.free_motion import FEWEST, FreeMotion
+from pmfid.fit.free_motion import FreeMotion
 from pmfid.fit.machine import machine_of
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.linear.experiment import Experiment, RecordStretch
 from pmfid.linear.responses import simulate
 from pmfid.linear.solve import ProcessProblem, visit
 from pmfid.types import Counts, Flags, Floats
-
-#: Time that shows the start of a process, in time constants of its filters.
-READ = 5.0
 
 
 def rms(signal: Floats) -> float:
@@ -158,7 +155,7 @@ def _restart_simulations(
             begin = max(0, first - lead)
             part = stretch.part(begin, first + samples - 1)
             kept = part.drive.row >= first - begin
-            if np.count_nonzero(kept) > FEWEST:
+            if np.count_nonzero(kept) > 2:
                 runs.append((part.y[kept], motion.simulate(part)[0][kept]))
     return runs
 
@@ -224,7 +221,7 @@ def process_run(method: Estimator, theta: Floats, experiment: Experiment, encode
         )
     plain = replace(experiment, reference=None)
     n = poles.size
-    read = max(READ / method.cutoff, TUNING.free_run_samples * n * plain.period)
+    read = max(5 / method.cutoff, TUNING.free_run_samples * n * plain.period)
     parts = _simulate_stretches(method, theta, [plain], read)
     horizons = measure_horizons(
         float(plain.times[-1] - plain.times[0]),

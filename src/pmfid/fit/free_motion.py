@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,13 +15,6 @@ from pmfid.fit.problem import PARTS, FitProblem, ObservedStretch, ResidualBlock
 from pmfid.fit.solve import Optimum, solve
 from pmfid.models.equation import Equation
 from pmfid.types import Floats
-
-#: Observations that determine a start at first. Twice as many follow as long as the motion explains them.
-FIRST = 20
-#: Fewest observations of a start: two for the state, and one that contradicts a wrong count.
-FEWEST = 3
-#: Time constants of a lag after which the unknown input before a stretch has no more effect: exp(-5) is below 1 %.
-FORGOTTEN = 5.0
 
 
 class KnownProblem(FitProblem):
@@ -34,8 +28,9 @@ class KnownProblem(FitProblem):
 class FreeMotion:
     """A machine at parameters theta (p,), simulated from the input alone.
 
-    At most `read` observations determine the start, after the time `lead` [s] whose force depends on an unknown earlier
-    input. `step` is the mean time between observations [s]. `resolution` is the travel of a count.
+    The `first` observations determine the start, and then twice as many as long as the motion explains them, up to
+    `read`. They come after the time `lead` [s] whose force depends on an unknown earlier input. `step` is the mean time
+    between observations [s]. `resolution` is the travel of a count.
     """
 
     machine: BodyModel
@@ -44,6 +39,7 @@ class FreeMotion:
     read: int
     lead: float
     step: float
+    first: ClassVar[int] = 20
 
     @classmethod
     def make(cls, problem: FitProblem, theta: Floats) -> FreeMotion:
@@ -57,8 +53,8 @@ class FreeMotion:
         times = [float(np.sum(one.drive.step)) for one in problem.stretches]
         step = sum(times) / problem.rows
         lasting = min(max(times), float(body[MASS] / max(body[VISCOUS], 1e-300))) / step
-        read = max(FIRST, math.ceil((math.sqrt(12) * lasting) ** (2 / 3)))
-        lead = float(body[DELAY] + FORGOTTEN * body[LAGGING])
+        read = max(cls.first, math.ceil((math.sqrt(12) * lasting) ** (2 / 3)))
+        lead = float(body[DELAY] + 5 * body[LAGGING])  # exp(-5) is below 1 %
         return cls(problem.machine, theta, problem.resolution, read, lead, step)
 
     @property
@@ -78,7 +74,7 @@ class FreeMotion:
 
     def find_start(self, stretch: ObservedStretch) -> Floats:
         """Return the most likely start (1, 2) of a stretch: position from the first one [counts], speed [counts/s]."""
-        size = FIRST
+        size = self.first
         problem = self._make_problem(self._begin(stretch, size))
         starts = self._try_speeds(problem)
         while _explains(problem, self.theta, starts) and size < min(self.read, stretch.y.size):
@@ -102,7 +98,7 @@ class FreeMotion:
         last = min(skipped + size, row.size)
         early = stretch.part(0, max(int(row[last - 1]), 1))
         kept = np.r_[True, np.arange(1, early.y.size) >= skipped]
-        return early.keep(kept) if np.count_nonzero(kept) >= FEWEST else early
+        return early.keep(kept) if np.count_nonzero(kept) > 2 else early
 
     def _try_speeds(self, problem: KnownProblem) -> Floats:
         """Return the start (1, 2) of least squares, from the speeds that the counts show and from standstill.

@@ -12,7 +12,9 @@ from pmfid.diagnostics.free_run import FreeRun
 from pmfid.errors import UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.srivc import SRIVC
 from pmfid.findings import Finding
 from pmfid.io.tables import Table
 from pmfid.linear.experiment import Experiment
@@ -104,7 +106,7 @@ def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:
     Raises UsageError for an equation that cannot be simulated.
     """
     equation = model.equation
-    if equation.without_simulation and not equation.process:
+    if all(method.refuses(equation) for method in (MotionFit, SRIVC)):
         reason = equation.without_simulation
         raise UsageError(f"a free run cannot simulate this equation, because {reason}; change the equation")
     further = tuple(zip(*equation.further, strict=True)) or ((), ())

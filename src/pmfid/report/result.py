@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pmfid.diagnostics.processes import search_notes
-from pmfid.estimators.output_error import Following
+from pmfid.estimators.base import Simulating
 from pmfid.io.row_file import fresh
 from pmfid.linear.order import Search
 from pmfid.linear.process import Process
@@ -112,7 +112,8 @@ def _figures(result: DriveResult) -> list[Section]:
     if result.track is not None:
         sections.insert(0, Section("Estimates", svg=svg(estimate_figure(t, result.track, None))))
         sections.append(Section("Status", svg=svg(status_figure(t, result.track.status))))
-    follows = isinstance(result.estimator, Following)  # such a method has no filtered equation
+    method = result.estimator
+    follows = isinstance(method, Simulating) and not method.instrumental  # such a method has no filtered equation
     if result.fit is not None and not follows:
         used = t[record.u.size - result.fit.samples :]
         figure = residual_figure(used, result.fit.residual, unit=own.force)
