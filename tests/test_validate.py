@@ -15,7 +15,7 @@ from pmfid.config.axis import load_axis
 from pmfid.diagnostics.free_run import drive_run, firsts_of, process_run
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.srivc import SRIVC
-from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
+from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs, quantize, simulate_drive
 from pmfid.simulation.process import simulate_process
 from studies.record_parts import measured
 from tests.conftest import Run, needs_emps
@@ -161,6 +161,26 @@ def test_very_many_runs_are_thinned() -> None:
     assert 100 <= len(firsts) <= 200
     assert firsts[-1] + 10 <= 100_000
     assert firsts_of(5, 10) == []
+
+
+def test_each_part_between_gaps_has_a_start_and_missing_counts_have_no_error() -> None:
+    run, there = run_of(2), np.arange(1200) % 7 > 0
+    u, counts = run.u.copy(), run.counts.copy()
+    u[500:520], counts[500:520], counts[~there] = np.nan, counts[500], counts[0]
+    found = drive_run(method(), np.array([0.45, 3.1, 0.6]), u, counts, "gap", there)
+    assert found.t.size == np.count_nonzero(there) - np.count_nonzero(there[500:520])
+    assert found.encoder is not None
+    assert found.rmse < 1.2 * found.encoder
+
+
+def test_runs_that_restart_know_the_input_within_the_dead_time() -> None:
+    rng = np.random.default_rng(6)
+    u = prbs(1600, clock=14, amplitude=3.0, rng=rng)
+    run = drive_machine(Machine(AXIS, dead_time=0.0125), u, DT, 2e-4, steps=40)
+    late = MotionFit(pmfid.Drive(1.5, dead_time=0.0125), pmfid.Encoder(2e-4), DT, 60.0)
+    found = drive_run(late, np.array([0.45, 3.1, 0.6]), u, run.counts, "late")
+    assert found.encoder is not None
+    assert all(horizon.rmse < 1.3 * found.encoder for horizon in found.horizons)
 
 
 def test_negative_friction_is_simulated_as_none_and_said() -> None:

@@ -68,7 +68,7 @@ class DiagnosticTuning:
     #: Lengths of the free runs [s]. `free_run_worth` is the smallest ratio of a run to the stretch that determines its
     #: start. Shorter or longer records use the same lengths, scaled by powers of ten.
     free_run_horizons: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)
-    free_run_worth: float = 4.0
+    free_run_worth: float = 2.0
     #: Largest number of runs for each horizon.
     most_runs: int = 200
     #: Greatest number whose square is still a finite float.

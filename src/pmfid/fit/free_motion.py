@@ -47,13 +47,13 @@ class FreeMotion:
 
         N counts over a time T show a velocity to a count over T sqrt(N). An error of the velocity moves the axis for
         its time constant, mass over viscous friction, or to the end of the motion. The start is read until this error
-        is below that of rounding, a count over sqrt(12).
+        is below a tenth of a count.
         """
         body = problem.machine.body(theta)
         times = [float(np.sum(one.drive.step)) for one in problem.stretches]
         step = sum(times) / problem.rows
         lasting = min(max(times), float(body[MASS] / max(body[VISCOUS], 1e-300))) / step
-        read = max(cls.first, math.ceil((math.sqrt(12) * lasting) ** (2 / 3)))
+        read = max(cls.first, math.ceil((10 * lasting) ** (2 / 3)))
         lead = float(body[DELAY] + 5 * body[LAGGING])  # exp(-5) is below 1 %
         return cls(problem.machine, theta, problem.resolution, read, lead, step)
 
@@ -85,7 +85,9 @@ class FreeMotion:
             if not _explains(longer, self.theta, start):
                 break
             problem, starts = longer, start
-        return _narrow(problem, self.theta, starts) * [1.0, next(problem.scales())]
+        starts = _narrow(problem, self.theta, starts) * [1.0, next(problem.scales())]
+        away = (problem.stretches[0].y[0] - stretch.y[0]) / self.resolution
+        return np.asarray(starts + np.array([away, 0.0]))
 
     def _make_problem(self, stretch: ObservedStretch) -> KnownProblem:
         return KnownProblem(self.machine, (stretch,), self.resolution)
@@ -97,7 +99,7 @@ class FreeMotion:
         skipped = int(np.searchsorted(times, times[0] + self.lead))
         last = min(skipped + size, row.size)
         early = stretch.part(0, max(int(row[last - 1]), 1))
-        kept = np.r_[True, np.arange(1, early.y.size) >= skipped]
+        kept = np.arange(early.y.size) >= skipped
         return early.keep(kept) if np.count_nonzero(kept) > 2 else early
 
     def _try_speeds(self, problem: KnownProblem) -> Floats:

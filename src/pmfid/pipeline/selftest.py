@@ -189,7 +189,7 @@ def _judge_motion(recoveries: Sequence[Recovery], runs: int, refused: int) -> li
 def _judge_coverage(test: SelfTest) -> list[Finding]:
     done = test.runs - test.refused
     chances = [_chance_of(done, one.covered) for one in test.recoveries]
-    if not min(chances, default=1.0) * len(chances) < 1e-3:
+    if not chances or not min(chances) * len(chances) < 1e-3:
         return []
     sentence = f"only {100 * test.coverage:.0f} % of the intervals contain their parameter"
     return [Finding("std_too_small", sentence, "widen the error bars, or choose another method")]
