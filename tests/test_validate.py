@@ -363,7 +363,9 @@ def test_the_published_parameters_predict_the_measured_drive() -> None:
     last = slice(whole.u.size * 2 // 3, None)
     encoder, runs = pmfid.Encoder(whole.resolution), {}
     for name, (model, theta) in PUBLISHED.items():
-        runs[name] = drive_run(MotionFit(model, encoder, whole.dt, 50.0), theta, whole.u[last], whole.counts[last], name)
+        runs[name] = drive_run(
+            MotionFit(model, encoder, whole.dt, 50.0), theta, whole.u[last], whole.counts[last], name
+        )
     assert runs["symmetric, offset"].rmse == pytest.approx(7.3e-3, rel=0.05)
     assert runs["directional"].rmse == pytest.approx(3.5e-3, rel=0.05)
     assert [horizon.seconds for horizon in runs["directional"].horizons] == [1.0, 2.0, 5.0]
