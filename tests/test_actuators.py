@@ -70,7 +70,7 @@ def test_derivatives_are_those_of_the_simulated_motion() -> None:
     names = ["wave", "stribeck", "load", "load_stribeck", "loop_velocity", "loop_filtered", "loop_integral"]
     constants = {"wave": 2 * math.pi, "stribeck": 0.5, "load_stribeck": 0.4, "loop_filtered": 4e-3}
     free = {"stribeck", "load_stribeck", "loop_filtered"}
-    forces = [(KINDS[name], 0, name in free, np.zeros(1), constants.get(name, 0.0), 0.0) for name in names]
+    forces = [(KINDS[name], 0, name in free, np.zeros(1), constants.get(name, 0.0), 0.0, False) for name in names]
     base = [0.01, 0.15, 0.1, 0.1, 0.01, 0.0137, 0.0, 0.1, 0.2]
     values = np.array([*base, 1.0, 0.08, 0.1, 0.05, 0.05, 0.06, 3.0, 0.5, 0.4, 4e-3, 9.0, 3.0, 2.3e-3])
     rows, columns = np.arange(301, dtype=np.int32), np.zeros((0, 300))

@@ -24,13 +24,13 @@ INPUT = np.ascontiguousarray(6.0 * RNG.choice([-1.0, -0.4, 0.7, 1.0], STEPS // 1
 CLOCK = 0.01 * (1 + 0.2 * RNG.random(STEPS))
 NO_TABLE = np.zeros(1)
 FORCES = {
-    "spring": (KINDS["spring"], 0, False, NO_TABLE, 0.0, 0.0),
-    "power": (KINDS["power"], 0, False, NO_TABLE, 1.5, 0.5),
-    "stribeck": (KINDS["stribeck"], 0, True, NO_TABLE, 0.2, 0.0),
-    "wave": (KINDS["wave"], 0, False, NO_TABLE, 0.1, 0.3),
-    "column": (KINDS["column"], 0, False, NO_TABLE, 0.0, 0.0),
-    "bend": (KINDS["bend"], 0, False, NO_TABLE, 0.05, 0.3),
-    "bend_even": (KINDS["bend_even"], 0, False, NO_TABLE, 0.05, 0.3),
+    "spring": (KINDS["spring"], 0, False, NO_TABLE, 0.0, 0.0, False),
+    "power": (KINDS["power"], 0, False, NO_TABLE, 1.5, 0.5, False),
+    "stribeck": (KINDS["stribeck"], 0, True, NO_TABLE, 0.2, 0.0, False),
+    "wave": (KINDS["wave"], 0, False, NO_TABLE, 0.1, 0.3, False),
+    "column": (KINDS["column"], 0, False, NO_TABLE, 0.0, 0.0, False),
+    "bend": (KINDS["bend"], 0, False, NO_TABLE, 0.05, 0.3, False),
+    "bend_even": (KINDS["bend_even"], 0, False, NO_TABLE, 0.05, 0.3, False),
 }
 
 

@@ -5,7 +5,6 @@
 
 #define MOST_PARTS 10000 /* of an interval */
 #define MOST_TURNS 16 /* stops within a part, after which the mass rests until the part ends */
-static const double TAU = 6.283185307179586;
 
 /* (1 - exp(-z)) / z, (z - 1 + exp(-z)) / z^2 and their derivatives. */
 typedef struct {
@@ -28,105 +27,6 @@ static phi phi_of(double z)
         f.q2 = (-f.q1 - f.p2) / z;
     }
     return f;
-}
-
-/* A force, and its derivatives by position, velocity and the constant p. */
-typedef struct {
-    double h, hx, hv, hp;
-} value;
-
-static value table_at(const pmf_force *f, double x)
-{
-    value r = {0, 0, 0, 0};
-    double at = (x - f->p) / f->q;
-    int i = (int)floor(at < 0 ? 0 : at > f->knots - 1 ? f->knots - 1 : at);
-    if (at <= 0 || at >= f->knots - 1) {
-        r.h = f->table[at <= 0 ? 0 : f->knots - 1];
-        return r;
-    }
-    r.hx = (f->table[i + 1] - f->table[i]) / f->q;
-    r.h = f->table[i] + (at - i) * f->q * r.hx;
-    return r;
-}
-
-static value force_at(const pmf_force *f, double p, double x, double v, double s, double column)
-{
-    value r = {0, 0, 0, 0};
-    double z, w;
-    switch (f->kind) {
-    case PMF_FORCE_STRIBECK:
-        z = v / p;
-        w = s * exp(-z * z);
-        r.h = w;
-        r.hv = -2 * z / p * w;
-        r.hp = 2 * z * z / p * w;
-        break;
-    case PMF_FORCE_POWER:
-        z = fabs(v) / f->q;
-        if (p == 2) {
-            r.h = s * z * z;
-            r.hv = 2 * z / f->q;
-        } else {
-            r.h = s * pow(z, p);
-            r.hp = z > 0 ? r.h * log(z) : 0;
-            r.hv = z > 0 ? p * pow(z, p - 1) / f->q : 0;
-        }
-        break;
-    case PMF_FORCE_WAVE:
-    case PMF_FORCE_RUB:
-        z = TAU / p;
-        r.h = sin(z * x + f->q);
-        r.hx = z * cos(z * x + f->q);
-        r.hp = -r.hx * x / p;
-        if (f->kind == PMF_FORCE_RUB) {
-            r.h *= s;
-            r.hx *= s;
-            r.hp *= s;
-        }
-        break;
-    case PMF_FORCE_SPRING:
-        r.h = x;
-        r.hx = 1;
-        break;
-    case PMF_FORCE_SPEED:
-        r = table_at(f, fabs(v));
-        r.h *= s;
-        r.hv = r.hx;
-        r.hx = 0;
-        break;
-    case PMF_FORCE_BEND:
-    case PMF_FORCE_BEND_EVEN:
-        z = fabs(v);
-        w = z <= f->p ? 0 : z < f->q ? (z - f->p) / (f->q - f->p) : 1;
-        r.h = s * (w < 1 ? 0.5 * w * (z - f->p) : z - 0.5 * (f->p + f->q));
-        r.hv = w;
-        if (f->kind == PMF_FORCE_BEND_EVEN) {
-            r.h *= s;
-            r.hv *= s;
-        }
-        break;
-    case PMF_FORCE_PLACE: r = table_at(f, x); break;
-    case PMF_FORCE_RUB_PLACE:
-        r = table_at(f, x);
-        r.h *= s;
-        r.hx *= s;
-        break;
-    case PMF_FORCE_LOAD: r.h = s * column; break; /* the column is the force through the gear */
-    case PMF_FORCE_LOAD_STRIBECK:
-        z = v / p;
-        w = s * column * exp(-z * z);
-        r.h = w;
-        r.hv = -2 * z / p * w;
-        r.hp = 2 * z * z / p * w;
-        break;
-    case PMF_FORCE_COLUMN: r.h = column; break;
-    case PMF_FORCE_COLUMN_FRICTION: r.h = s * column; break;
-    case PMF_FORCE_COLUMN_VISCOUS:
-        r.h = v * column;
-        r.hv = column;
-        break;
-    }
-    return r;
 }
 
 typedef struct {
@@ -175,7 +75,7 @@ static double sum_forces(const state *t, double x, double v, double s, int i, do
     for (int j = 0; j < t->b->forces; j++) {
         const pmf_force *f = t->b->force + j;
         if (t->size[j] != 0 && !in_loop(f))
-            sum += t->size[j] * force_at(f, t->p[j], x, v, s, is_load_friction(f) ? fabs(T) : column_at(t, f, i)).h;
+            sum += t->size[j] * pmf_force_at(f, t->p[j], x, v, s, is_load_friction(f) ? fabs(T) : column_at(t, f, i)).h;
     }
     return sum;
 }
@@ -188,7 +88,7 @@ static double gear_force(const state *t, double drive, int i)
         return 0;
     for (int j = 0; j < t->b->forces; j++)
         if (is_load(t->b->force + j))
-            T += t->size[j] * force_at(t->b->force + j, t->p[j], t->x, 0, 1, column_at(t, t->b->force + j, i)).h;
+            T += t->size[j] * pmf_force_at(t->b->force + j, t->p[j], t->x, 0, 1, column_at(t, t->b->force + j, i)).h;
     return T;
 }
 
@@ -357,7 +257,7 @@ static double load_friction(state *t, double v, double s, double T, const double
     for (int j = 0; j < t->b->forces; j++) {
         const pmf_force *f = t->b->force + j;
         if (is_load_friction(f)) {
-            const value r = force_at(f, t->p[j], 0, v, s, 1);
+            const pmf_push r = pmf_force_at(f, t->p[j], 0, v, s, 1);
             const double a = t->size[j];
             sum += a * r.h * fabs(T);
             dn[PMF_BODY_BASE + j] -= r.h * fabs(T);
@@ -390,12 +290,12 @@ static double net_force(state *t, double x, double v, double s, double drive, in
     for (int j = 0; j < b->forces; j++) {
         const pmf_force *f = b->force + j;
         const int own = shape;
-        value r;
+        pmf_push r;
         double a = t->size[j];
         shape += f->unknown;
         if (in_loop(f) || is_load_friction(f))
             continue;
-        r = force_at(f, t->p[j], x, v, s, column_at(t, f, i));
+        r = pmf_force_at(f, t->p[j], x, v, s, column_at(t, f, i));
         dn[PMF_BODY_BASE + j] -= r.h;
         if (f->unknown)
             dn[own] -= a * r.hp;

@@ -62,6 +62,7 @@ typedef struct {
     int column; /* row of the columns, for the kinds with a column */
     int unknown; /* 1 if the constant p is a parameter */
     int knots; /* length of the table */
+    int load; /* 1 if the force acts on the second mass of an elastic axis */
     const double *table; /* (knots) values at p + q i */
     double p, q;
 } pmf_force;
@@ -79,6 +80,14 @@ typedef struct {
     double tick; /* longest part of an interval with a controller [s], or 0 without one */
     const double *on; /* (n) 0 where the controller is off; may be null */
 } pmf_body;
+
+/* A force of size 1, and its derivatives by position, velocity and the constant p. */
+typedef struct {
+    double h, hx, hv, hp;
+} pmf_push;
+
+/* The force f with the constant p at position x and velocity v in direction s, with the value of its column. */
+pmf_push pmf_force_at(const pmf_force *f, double p, double x, double v, double s, double column);
 
 /* Simulate the motion at theta (w), w = PMF_BODY_BASE + forces + shapes, + PMF_LOOP_PARAMETERS with a controller:
  * positions y (rows), velocities v (rows), derivatives S (rows, w) of y.

@@ -3,10 +3,11 @@ from numpy.typing import NDArray
 
 BASE: int
 LOOP: int
+ELASTIC_BASE: int
 KINDS: dict[str, int]
 
 def run(
-    forces: list[tuple[int, int, bool, NDArray[np.float64], float, float]],
+    forces: list[tuple[int, int, bool, NDArray[np.float64], float, float, bool]],
     step: NDArray[np.float64],
     u: NDArray[np.float64],
     row: NDArray[np.int32],
@@ -16,7 +17,11 @@ def run(
     slopes: bool,
     tick: float = 0.0,
     on: NDArray[np.float64] | None = None,
+    elastic: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]: ...
+def drive_load(
+    x: NDArray[np.float64], step: float, substeps: int, loads: NDArray[np.float64]
+) -> NDArray[np.float64]: ...
 def whiten(
     X: NDArray[np.float64],
     step: NDArray[np.float64],

@@ -17,7 +17,7 @@ cdef extern from "fit/body.h":
         PMF_FORCE_LOAD, PMF_FORCE_LOAD_STRIBECK, PMF_LOOP_VELOCITY, PMF_LOOP_FILTERED, PMF_LOOP_INTEGRAL
         PMF_LOOP_PARAMETERS
     ctypedef struct pmf_force:
-        int kind, column, unknown, knots
+        int kind, column, unknown, knots, load
         const double *table
         double p, q
     ctypedef struct pmf_body:
@@ -32,6 +32,12 @@ cdef extern from "fit/body.h":
     int pmf_body_work(const pmf_body *body)
     int pmf_body_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work) nogil
 
+cdef extern from "fit/elastic.h":
+    enum:
+        PMF_ELASTIC_BASE
+    int pmf_elastic_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work) nogil
+    void pmf_elastic_drive(int n, double step, int substeps, const double *x, const double *load, double *force) nogil
+
 cdef extern from "fit/whiten.h":
     ctypedef struct pmf_wander:
         double rate, force_sd, force_memory, position_sd, position_memory
@@ -41,6 +47,7 @@ cdef extern from "fit/whiten.h":
 BASE = PMF_BODY_BASE
 #: Number of parameters of a controller, after the free constants of the forces: gain, limit, delay of the loop.
 LOOP = PMF_LOOP_PARAMETERS
+ELASTIC_BASE = PMF_ELASTIC_BASE
 KINDS = {
     "stribeck": PMF_FORCE_STRIBECK, "power": PMF_FORCE_POWER, "wave": PMF_FORCE_WAVE, "rub": PMF_FORCE_RUB,
     "spring": PMF_FORCE_SPRING, "speed": PMF_FORCE_SPEED, "bend": PMF_FORCE_BEND, "bend_even": PMF_FORCE_BEND_EVEN, "place": PMF_FORCE_PLACE,
@@ -55,16 +62,18 @@ KINDS = {
 def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.ndarray[double, mode="c"] u not None,
         cnp.ndarray[int, mode="c"] row not None, cnp.ndarray[double, ndim=2, mode="c"] columns not None,
         cnp.ndarray[double, mode="c"] theta not None, int parts, bint slopes, double tick=0.0,
-        cnp.ndarray[double, mode="c"] on=None):
+        cnp.ndarray[double, mode="c"] on=None, bint elastic=False):
     """Return positions, velocities (rows,) and derivatives (rows, w), and the number of finite rows.
 
-    forces: tuples (kind, column, free, table, p, q). step, u: (n,). row: (rows,) rising, 0 to n. columns: (c, n).
+    forces: tuples (kind, column, free, table, p, q, load). step, u: (n,). row: (rows,) rising, 0 to n. columns: (c, n).
     theta: (w,). Without `slopes`, the derivatives are (rows, 0). A controller moves the body in parts of at most `tick`
-    [s], if that is positive. u is then its goal, and it is off where `on` (n,) is 0.
+    [s], if that is positive. u is then its goal, and it is off where `on` (n,) is 0. An `elastic` body has two masses
+    and no controller.
     """
     cdef Py_ssize_t n = step.shape[0], rows = row.shape[0], count = len(forces), k
     cdef int shapes = sum(bool(force[2]) for force in forces), done
-    cdef Py_ssize_t w = PMF_BODY_BASE + count + shapes + (PMF_LOOP_PARAMETERS if tick > 0.0 else 0)
+    cdef Py_ssize_t base = PMF_ELASTIC_BASE if elastic else PMF_BODY_BASE
+    cdef Py_ssize_t w = base + count + shapes + (PMF_LOOP_PARAMETERS if tick > 0.0 else 0)
     if n < 1 or rows < 1 or u.shape[0] != n or theta.shape[0] != w or columns.shape[1] != n or parts < 1:
         raise ValueError(f"lengths of step, u, columns or theta do not fit: {n}, {u.shape[0]}, {columns.shape[1]}, "
                          f"{theta.shape[0]} for {w} parameters")
@@ -86,23 +95,46 @@ def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.n
         raise MemoryError
     try:
         for k in range(count):
-            kind, column, is_free, values, p, q = forces[k]
+            kind, column, is_free, values, p, q, load = forces[k]
             table = values
             list_[k].kind, list_[k].column, list_[k].unknown, list_[k].knots = kind, column, is_free, table.shape[0]
             list_[k].table, list_[k].p, list_[k].q = <double *>table.data, p, q
+            list_[k].load = load
             if PMF_FORCE_COLUMN <= kind <= PMF_FORCE_COLUMN_VISCOUS and not 0 <= column < columns.shape[0]:
                 raise ValueError(f"force {k} has no column {column}")
         body.n, body.parts, body.forces, body.shapes, body.rows = n, parts, count, shapes, rows
         body.row, body.step, body.u = <int *>row.data, <double *>step.data, <double *>u.data
         body.force, body.column = list_, <double *>columns.data
         body.tick, body.on = tick, <double *>on.data if on is not None else NULL
-        work = np.empty(pmf_body_work(&body))
+        work = np.empty(15 * w if elastic else pmf_body_work(&body))
         with nogil:
-            done = pmf_body_run(&body, <double *>theta.data, <double *>yy.data, <double *>vv.data, slope,
-                                <double *>work.data)
+            if elastic:
+                done = pmf_elastic_run(&body, <double *>theta.data, <double *>yy.data, <double *>vv.data, slope,
+                                       <double *>work.data)
+            else:
+                done = pmf_body_run(&body, <double *>theta.data, <double *>yy.data, <double *>vv.data, slope,
+                                    <double *>work.data)
     finally:
         free(list_)
     return y, v, S, done
+
+
+def drive_load(cnp.ndarray[double, mode="c"] x not None, double step, int substeps,
+               cnp.ndarray[double, ndim=2, mode="c"] loads not None):
+    """Return the forces (n, g) of g loads on a motor that moves through x (n,), per mass of the load.
+
+    loads: (g, 4) square of the rate, damping, drag and Coulomb friction, each per mass.
+    """
+    cdef Py_ssize_t n = x.shape[0], g = loads.shape[0], k
+    if n < 1 or substeps < 1 or loads.shape[1] != 4:
+        raise ValueError("x needs a value, loads four columns, and substeps at least 1")
+    force = np.empty((g, n))
+    cdef cnp.ndarray[double, ndim=2, mode="c"] forces = force
+    with nogil:
+        for k in range(g):
+            pmf_elastic_drive(n, step, substeps, <double *>x.data, <double *>loads.data + 4 * k,
+                              <double *>forces.data + n * k)
+    return force.T
 
 
 def whiten(cnp.ndarray[double, ndim=2, mode="c"] X not None, cnp.ndarray[double, mode="c"] step not None,

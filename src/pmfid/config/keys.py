@@ -11,7 +11,7 @@ from typing import Literal, Required, TypedDict
 from pmfid.estimators import Discretization, ForgettingScheme, Method, Precision
 from pmfid.linear.experiment import Hold
 from pmfid.models.axes import AxisKind
-from pmfid.models.drive import Friction
+from pmfid.models.drive import Body, Friction
 from pmfid.models.signals import Signal
 from pmfid.monitor.names import DetectorName
 
@@ -103,6 +103,7 @@ class ModelKeys(TypedDict, total=False):
     unstable: bool
     axis: AxisKind
     input_gain: float | str
+    body: Body
     friction: Friction
     offset: bool
     spring: bool

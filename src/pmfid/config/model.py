@@ -16,7 +16,7 @@ from pmfid.config.keys import Form, KindName
 from pmfid.config.toml_file import FileSection
 from pmfid.errors import UsageError
 from pmfid.models.axes import AxisKind
-from pmfid.models.drive import Drive, EquationModel, Friction, Model
+from pmfid.models.drive import Body, Drive, EquationModel, Friction, Model
 from pmfid.models.equation import Equation, Term
 from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
 from pmfid.models.signals import Signal
@@ -135,6 +135,7 @@ class ModelConfig(FileSection):
         description='the force in N per unit of u, for example 2.0 or "0.35 N m/A", negative if u > 0 pushes backward, '
         'or "estimate"',
     )
+    body: Body = Field("rigid", description='"rigid", or "two-mass" for a load on a spring')
     friction: Friction = Field("symmetric", description="whether friction differs between forward and backward")
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
     spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")

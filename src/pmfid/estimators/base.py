@@ -77,6 +77,7 @@ class Estimator:
     misreads: ClassVar[bool] = False
     #: The method simulates the motion, from which it takes friction that depends on the speed.
     knows_shapes: ClassVar[bool] = False
+    knows_elastic: ClassVar[bool] = False
     #: Discretisations of the held signals that the method accepts.
     discretizations: ClassVar[tuple[str, ...]] = tuple(sorted(HOLD_FILTERS))
 
@@ -121,6 +122,8 @@ class Estimator:
     @classmethod
     def refuses(cls, equation: Equation) -> str:
         """Return the reason, with a remedy, why the method cannot estimate this equation; empty if it can."""
+        if equation.elastic and not cls.knows_elastic:
+            return equation.refuse_second_mass(cls.method)
         if equation.dead_time == ESTIMATE:
             return (
                 f'{cls.method} does not simulate the motion, and dead_time = "estimate" needs that; use iv '
@@ -423,7 +426,7 @@ class Simulating(Estimator):
     @classmethod
     def refuses(cls, equation: Equation) -> str:
         refused = super().refuses(equation.at_once)
-        if refused or not equation.without_simulation:
+        if refused or equation.elastic or not equation.without_simulation:
             return refused
         return (
             f"{cls.method} needs a simulated motion, and this equation does not allow one: "

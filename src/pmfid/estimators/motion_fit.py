@@ -43,6 +43,7 @@ class MotionFit(Simulating, BatchEstimator):
     """
 
     method: ClassVar[str] = "fit"
+    knows_elastic: ClassVar[bool] = True
 
     def _check_steps(self) -> None:
         """Any step is possible, because the motion is exact over any time."""

@@ -11,10 +11,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from pmfid._body import BASE
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
 from pmfid.fit.compare import MOST, ODDS, Quadratic
+from pmfid.fit.elastic import elastic_start
 from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
 from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.posterior import allowed_region
@@ -127,6 +127,8 @@ def candidates_of(machine: BodyModel, sizes: Sizes) -> list[ExtraForce]:
     has = {row for row in (OFFSET, DIRECTIONAL, DELAY, LAGGING) if np.any(machine.lift[row] != 0)}
     kinds = {(force.kind, force.p if force.kind == "power" else 0.0) for force in machine.forces}
     rows = [one for row in TABLE for one in row(sizes)]
+    if machine.elastic:
+        rows = [one.place_on_load() for one in rows if one.base != LAGGING and one.name != "spring"]
     return [
         one
         for one in rows
@@ -153,22 +155,27 @@ def with_columns(problem: FitProblem, candidates: Sequence[ExtraForce]) -> tuple
 
 
 def first_theta(machine: BodyModel, start: Floats, sizes: Sizes, share: float) -> Floats:
-    """Return the machine's parameters (p,) at the blind start (mass, viscous, Coulomb, load).
+    """Return the machine's parameters (p,) at the blind start (mass, viscous, Coulomb, load), or at that of two masses.
 
     An unknown speed of Stribeck friction starts at a `share` of the highest speed.
     """
     body = np.zeros(len(machine.rest))
-    body[[MASS, VISCOUS, COULOMB, OFFSET]] = start[:4]
-    body[[DELAY, LAGGING]] = 0.5 * sizes.step
+    if machine.elastic:
+        body[: machine.base] = start
+    else:
+        body[[MASS, VISCOUS, COULOMB, OFFSET]] = start[:4]
+        body[[DELAY, LAGGING]] = 0.5 * sizes.step
     for j, force in enumerate(machine.forces):
-        body[BASE + j] = 0.2 * sizes.coulomb if force.free else _first_size(force, start, sizes.turn)
-    body[BASE + len(machine.forces) :] = share * sizes.speed
+        body[machine.base + j] = 0.2 * sizes.coulomb if force.free else _first_size(force, start, sizes.turn)
+    body[machine.base + len(machine.forces) :] = share * sizes.speed
     rows = np.any(machine.lift != 0, axis=1)
     return np.asarray(np.linalg.lstsq(machine.lift[rows], body[rows], rcond=None)[0])
 
 
 def _first_size(force: BodyForce, start: Floats, turn: float) -> float:
-    """Return the size of a force at the blind start."""
+    """Return the size of a force at the blind start. That of two masses has no force on the load."""
+    if force.load:
+        return 0.0
     if force.kind == "spring":
         return float(start[4])
     if force.kind == "wave" and turn and force.p == turn:
@@ -185,11 +192,21 @@ class FitSearch:
     waves: Sequence[str] = tuple(WAVES)
 
     def __init__(self, problem: FitProblem) -> None:
-        start, solution = blind_start(problem.stretches, problem.resolution, problem.machine.turn)
+        machine = problem.machine
+        start, solution = (
+            elastic_start(problem)
+            if machine.elastic
+            else blind_start(problem.stretches, problem.resolution, machine.turn)
+        )
         self.sizes = sizes_of(problem, start, solution)
         self.plain, self.table = with_columns(problem, candidates_of(problem.machine, self.sizes))
-        self.first = start.theta(solution.q)
-        self.plain = replace(self.plain, mass=tuple(np.log(self.first[0]) + np.array([-FAR, FAR])))
+        self.first, self.begin = start.theta(solution.q), problem.first_starts()
+        logs = solution.q[start.machine.logs[:2]]  # of each mass
+        if machine.elastic:
+            self.first = start.machine.body(self.first)
+            self.begin[[one is start.stretches[0] for one in problem.stretches]] = solution.starts[0]
+        bounds = (float(np.min(logs)) - FAR, float(np.max(logs)) + FAR)
+        self.plain = replace(self.plain, mass=bounds, rate=start.rate)
         self.chosen: list[int] = []
         self.restart(self.chosen)
         self.solution: Optimum | None = None
@@ -205,7 +222,7 @@ class FitSearch:
         self.chosen = list(chosen)
         self.problem = self._chosen_problem()
         self.q = self.problem.start(theta)
-        self.starts = self.plain.first_starts()
+        self.starts = self.begin
         for k, candidate in self.problem.place_candidates():
             if not candidate.reads:
                 force = candidate.force
@@ -246,8 +263,11 @@ class FitSearch:
         _check_followed(self, noise)
 
     def explain(self) -> Intervals | None:
-        """Return the likelihood of the intervals if a motion explains every count."""
-        return explain(self)
+        """Return the likelihood of the intervals if a motion explains every count.
+
+        Two masses stop and start so often that the likelihood of their intervals is too rough.
+        """
+        return None if self.plain.machine.elastic else explain(self)
 
     def choose(self, chosen: Sequence[int]) -> None:
         """Take a set of candidates, with the sizes of those that were in before."""
@@ -340,8 +360,9 @@ def begin(search: FitSearch) -> Intervals | None:
     loads = [i for i, one in enumerate(search.table) if one.base == OFFSET]
     springs, turned = ([i for i, one in enumerate(search.table) if one.name == name] for name in ("spring", "gravity"))
     speeds = SPEEDS if any(force.free for force in search.plain.machine.forces) else SPEEDS[:1]
+    sets = ([], loads) if search.plain.machine.elastic else ([], loads, [*loads, *springs], turned)
     costs = []
-    for chosen, share in product(dict.fromkeys(map(tuple, ([], loads, [*loads, *springs], turned))), speeds):
+    for chosen, share in product(dict.fromkeys(map(tuple, sets)), speeds):
         search.restart(chosen, share)
         cost = search.solve(search.noise).cost
         likelihood = search.explain()
@@ -569,7 +590,7 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     local = search.local(soften(likelihood))
     half, rival = local.half_length(search.chosen, allowed, np.diag(covariance), np.eye(search.own))
     lift = np.ones(search.own)
-    lift[search.plain.machine.lead] = theta[search.plain.machine.lead]
+    lift[search.plain.machine.logs] = theta[search.plain.machine.logs]
     shift = local.evidence([])[1][: search.own] - local.evidence(search.chosen)[1][: search.own]
     return Fitted(
         search.problem,
@@ -648,7 +669,7 @@ def estimate_variance(A: Floats, normal: Normal, rows: Floats) -> Floats:
 
 def _estimate_in_region(search: FitSearch, found: Optimum) -> tuple[Floats, Floats]:
     e, J = _stack(search.problem.linearise(found.q, found.starts))
-    prior = np.append(search.prior(search.problem), np.tile(START, len(found.starts)))
+    prior = np.append(search.prior(search.problem), np.tile(START[: found.starts.shape[1]], len(found.starts)))
     wide = inverse(12.0 * J.T @ J + np.diag(prior))
     beyond = max(0.0, float(np.max(np.abs(e))) - 0.5)
     bound = np.full(e.size, 0.5 + 2 * beyond + 1e-5)

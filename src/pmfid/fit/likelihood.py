@@ -55,7 +55,8 @@ class Gaussian:
         rows = np.column_stack([block.e, block.K, block.J])
         self._whiten(rows, stretch)
         rows /= size
-        return ResidualBlock(rows[:, 0], rows[:, 3:], rows[:, 1:3])
+        first = 1 + block.K.shape[1]
+        return ResidualBlock(rows[:, 0], rows[:, first:], rows[:, 1:first])
 
     def _lines(self, stretch: ObservedStretch) -> bool:
         return self.spread > 0 and stretch.line is not None

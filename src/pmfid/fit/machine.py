@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid._body import BASE, KINDS, run
+from pmfid._body import BASE, ELASTIC_BASE, KINDS, run
 from pmfid.errors import UsageError
 from pmfid.models.axes import ROTARY
 from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation, Term
@@ -16,6 +16,8 @@ from pmfid.models.shapes import Shape, Square, Stribeck, Wave
 from pmfid.types import Floats
 
 MASS, VISCOUS, COULOMB, OFFSET, DIRECTIONAL, DELAY, LAGGING, X0, V0 = range(BASE)
+#: Further parameters of an elastic body, whose first mass has the others (csrc/fit/elastic.h).
+LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING, TWIST, SLIP = range(BASE, ELASTIC_BASE)
 
 #: Share of each term of the body's first parameters. Friction in one direction is the mean of both directions and half
 #: of their difference.
@@ -34,7 +36,7 @@ SHARES: dict[tuple[str, int], dict[int, float]] = {
 @dataclass(frozen=True, eq=False)
 class BodyForce:
     """A force of given form: one of `KINDS`, with the constants p and q, a table, or the number of a column. A free
-    force has its constant p among the parameters."""
+    force has its constant p among the parameters. A force on the `load` acts on the second mass."""
 
     kind: str
     p: float = 0.0
@@ -42,9 +44,10 @@ class BodyForce:
     table: Floats = field(default_factory=lambda: np.zeros(1))
     column: int = 0
     free: bool = False
+    load: bool = False
 
-    def pack(self) -> tuple[int, int, bool, Floats, float, float]:
-        return KINDS[self.kind], self.column, self.free, self.table, self.p, self.q
+    def pack(self) -> tuple[int, int, bool, Floats, float, float, bool]:
+        return KINDS[self.kind], self.column, self.free, self.table, self.p, self.q, self.load
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +57,8 @@ class BodyModel:
     The parameters of the body (w,) are `rest` (w,) + `lift` (w, p) theta. `lead` is the index of the mass, and
     `lowest` (p,) are the lower bounds of the parameters.
     `turn` is the length of a turn of a rotary axis, or 0. `precision` (p,) are the precisions of the parameters'
-    Gaussian priors about zero; None means no prior.
+    Gaussian priors about zero; None means no prior. An `elastic` body has two masses. `further` are the indices of its
+    second mass, stiffness and damping.
     """
 
     names: tuple[str, ...]
@@ -65,6 +69,23 @@ class BodyModel:
     lowest: Floats
     turn: float = 0.0
     precision: Floats | None = field(default=None, kw_only=True)
+    elastic: bool = field(default=False, kw_only=True)
+    further: tuple[int, ...] = field(default=(), kw_only=True)
+
+    @property
+    def base(self) -> int:
+        """Number of parameters of the body before the sizes of its forces."""
+        return ELASTIC_BASE if self.elastic else BASE
+
+    @property
+    def starts(self) -> tuple[int, ...]:
+        """Indices of the start state among the parameters of the body."""
+        return (X0, V0, TWIST, SLIP) if self.elastic else (X0, V0)
+
+    @property
+    def logs(self) -> list[int]:
+        """Indices of the parameters that the fit searches as logarithms: masses and stiffness."""
+        return [self.lead, *self.further[:2]]
 
     def body(self, theta: Floats) -> Floats:
         """Return the parameters (w,) of the body without its start state."""
@@ -80,9 +101,10 @@ class BodyModel:
         return 0
 
 
-def force_of(term: Term) -> BodyForce:
-    """Return the force of a term with a shape, or of a spring."""
+def force_of(term: Term, elastic: bool = False) -> BodyForce:
+    """Return the force of a term with a shape, or of a spring. The gravity of an elastic body acts on its load."""
     shape, rubs = term.shape, term.signal == "friction"
+    loads = elastic and str(term.name).startswith("gravity")  # gravity turns the load
     if shape is None:
         return BodyForce("spring")
     if isinstance(shape, Stribeck):
@@ -90,7 +112,7 @@ def force_of(term: Term) -> BodyForce:
     if isinstance(shape, Square):
         return BodyForce("power", 2.0, 1.0)
     if isinstance(shape, Wave):
-        return BodyForce("rub" if rubs else "wave", shape.period, np.pi / 2 if shape.cosine else 0.0)
+        return BodyForce("rub" if rubs else "wave", shape.period, np.pi / 2 if shape.cosine else 0.0, load=loads)
     return _table(shape, rubs)
 
 
@@ -102,19 +124,20 @@ def _table(shape: Shape, rubs: bool) -> BodyForce:
 
 def machine_of(equation: Equation) -> BodyModel:
     """Return the body of an equation. Raises UsageError for an equation that no body simulates."""
-    if equation.without_simulation:
+    if equation.without_simulation and not equation.elastic:
         raise UsageError(f"the motion cannot be simulated, because {equation.without_simulation}")
     shaped = [i for i, term in enumerate(equation.unknown) if term.shape is not None or term.place[:2] == ("output", 0)]
-    forces = tuple(force_of(equation.unknown[i]) for i in shaped)
+    forces = tuple(force_of(equation.unknown[i], equation.elastic) for i in shaped)
     names = equation.names + tuple(name for name, _ in equation.further)
     free = [j for j, force in enumerate(forces) if force.free]
-    lift = np.zeros((BASE + len(forces) + len(free), len(names)))
+    base = ELASTIC_BASE if equation.elastic else BASE
+    lift = np.zeros((base + len(forces) + len(free), len(names)))
     for i, term in enumerate(equation.unknown):
         for row, share in SHARES.get((term.signal, term.derivative), {}).items():
             lift[row, i] = share * term.coefficient
     for j, i in enumerate(shaped):
-        lift[BASE + j, i] = equation.unknown[i].coefficient
-    for name, row in _further_rows(equation, free, shaped, BASE + len(forces)).items():
+        lift[base + j, i] = equation.unknown[i].coefficient
+    for name, row in _further_rows(equation, free, shaped, base + len(forces)).items():
         lift[row, names.index(name)] = 1.0
     rest = np.zeros(len(lift))
     rest[DELAY] = 0.0 if equation.dead_time == ESTIMATE else float(equation.dead_time)
@@ -122,7 +145,12 @@ def machine_of(equation: Equation) -> BodyModel:
     positive = np.append(equation.positive, np.ones(len(equation.further), bool))
     lowest = np.where(positive & (np.arange(len(names)) != equation.leading), 0.0, -np.inf)
     turn = 2 * np.pi if equation.motion is ROTARY else 0.0
-    return BodyModel(names, forces, rest, lift, equation.leading, lowest, turn)
+    rows = (LOAD_MASS, STIFFNESS, DAMPING) if equation.elastic else ()
+    further = tuple(int(np.flatnonzero(lift[row])[0]) for row in rows)
+    lowest[list(further[:2])] = -np.inf
+    return BodyModel(
+        names, forces, rest, lift, equation.leading, lowest, turn, elastic=equation.elastic, further=further
+    )
 
 
 def _further_rows(equation: Equation, free: Sequence[int], shaped: Sequence[int], first: int) -> dict[str, int]:
@@ -130,6 +158,9 @@ def _further_rows(equation: Equation, free: Sequence[int], shaped: Sequence[int]
     rows = {DEAD_TIME: DELAY} if equation.dead_time == ESTIMATE else {}
     if equation.lag == ESTIMATE:
         rows[LAG] = LAGGING
+    if equation.elastic:
+        places = (LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
+        rows |= dict(zip((name for name, _ in equation.second), places, strict=True))
     speeds = [f"{equation.unknown[shaped[j]].name}_speed".replace("_friction", "") for j in free]
     return rows | {name: first + j for j, name in enumerate(speeds)}
 
@@ -149,7 +180,12 @@ class Excitation:
 
 
 def simulate(
-    drive: Excitation, forces: Sequence[BodyForce], body: Floats, parts: int, slopes: bool = True
+    drive: Excitation,
+    forces: Sequence[BodyForce],
+    body: Floats,
+    parts: int,
+    slopes: bool = True,
+    elastic: bool = False,
 ) -> tuple[Floats, Floats, Floats]:
     """Return positions (k,), velocities (k,) and derivatives (k, w) of the positions by the body's parameters (w,).
 
@@ -157,5 +193,5 @@ def simulate(
     """
     packed = [force.pack() for force in forces]
     inputs = (packed, drive.step, drive.u, drive.row, drive.columns, np.ascontiguousarray(body))
-    y, v, S, _ = run(*inputs, parts, slopes, drive.tick, drive.on)
+    y, v, S, _ = run(*inputs, parts, slopes, drive.tick, drive.on, elastic)
     return y, v, S

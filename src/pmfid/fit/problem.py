@@ -10,8 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid._body import BASE
-from pmfid.fit.machine import MASS, V0, X0, BodyForce, BodyModel, Excitation, simulate
+from pmfid.fit.machine import MASS, BodyForce, BodyModel, Excitation, simulate
 from pmfid.fit.terms import ExtraForce
 from pmfid.types import Flags, Floats
 
@@ -104,8 +103,9 @@ class ObservedStretch:
 
 @dataclass(frozen=True, eq=False)
 class ResidualBlock:
-    """Residuals e (k,) of a stretch [counts], their derivatives J (k, p) by the parameters and K (k, 2) by the start
-    state, which is a position [counts] and a velocity [counts per mean step]."""
+    """Residuals e (k,) of a stretch [counts], their derivatives J (k, p) by the parameters and K (k, s) by the start
+    state, which is a position [counts] and a velocity [counts per mean step], and for an elastic body those of the
+    second mass relative to the first."""
 
     e: Floats
     J: Floats
@@ -117,8 +117,8 @@ class FitProblem:
     """A machine with further forces, and the stretches of a record.
 
     The parameters q are those of the machine, the mass as a logarithm, and then the size of each candidate in standard
-    deviations of its prior. `mass` has the bounds of the logarithm of the mass, and `parts` is the number of parts of
-    an interval.
+    deviations of its prior. `mass` has the bounds of the logarithm of each mass, and `rate` those of the resonance of
+    two masses [1/s], whose damping ratio is 1 at most. `parts` is the number of parts of an interval.
     """
 
     machine: BodyModel
@@ -127,6 +127,7 @@ class FitProblem:
     candidates: tuple[ExtraForce, ...] = ()
     mass: tuple[float, float] = (-np.inf, np.inf)
     parts: int = PARTS
+    rate: tuple[float, float] = (0.0, np.inf)
 
     @property
     def size(self) -> int:
@@ -168,34 +169,45 @@ class FitProblem:
             high += [np.inf, CONSTANT[1]] if one.free else [np.inf]
         q = np.clip(q, low, high)
         q[self.machine.lead] = np.clip(q[self.machine.lead], *self.mass)
+        return self._clip_pair(q) if self.machine.elastic else q
+
+    def _clip_pair(self, q: Floats) -> Floats:
+        """Return q (p,) within the bounds of the second mass, the resonance and its damping."""
+        load, stiffness, damping = self.machine.further
+        q[load] = np.clip(q[load], *self.mass)
+        reduced = -np.logaddexp(-q[self.machine.lead], -q[load])
+        with np.errstate(divide="ignore"):
+            q[stiffness] = np.clip(q[stiffness], *(2 * np.log(self.rate) + reduced))
+        q[damping] = np.clip(q[damping], 0.0, 2 * np.exp((q[stiffness] + reduced) / 2))
         return q
 
     def theta(self, q: Floats) -> Floats:
         """Return the machine's parameters in their units."""
         theta = q[: len(self.machine.names)].copy()
-        theta[self.machine.lead] = np.exp(np.clip(theta[self.machine.lead], -300, 300))
+        theta[self.machine.logs] = np.exp(np.clip(theta[self.machine.logs], -300, 300))
         return theta
 
     def start(self, theta: Floats) -> Floats:
         """Return q at theta, with candidates of size 0 and their constants at their first values."""
         q = np.zeros(self.size)
         q[: theta.size] = theta
-        q[self.machine.lead] = np.log(theta[self.machine.lead])
+        q[self.machine.logs] = np.log(theta[self.machine.logs])
         for k, candidate in self.place_candidates():
             if candidate.free:
                 q[k + 1] = 1.0
         return q
 
     def first_starts(self) -> Floats:
-        """Return start states (m, 2) from the first counts of each stretch."""
-        return np.array([[0.0, _first_speed(one, self.resolution)] for one in self.stretches])
+        """Return start states (m, s) from the first counts of each stretch."""
+        further = [0.0] * (len(self.machine.starts) - 2)
+        return np.array([[0.0, _first_speed(one, self.resolution), *further] for one in self.stretches])
 
     def scales(self) -> Iterator[float]:
         """Yield the unit of the start velocity [1/s] of each stretch."""
         return (1.0 / float(np.mean(one.steps)) for one in self.stretches)
 
     def linearise(self, q: Floats, starts: Floats) -> list[ResidualBlock]:
-        """Return a block for each stretch at q (p,) and the start states (m, 2)."""
+        """Return a block for each stretch at q (p,) and the start states (m, s)."""
         blocks = [
             self._block(stretch, state, scale, *self._body(q, stretch.acts))
             for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True)
@@ -229,25 +241,26 @@ class FitProblem:
         for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True):
             body, forces, _ = self._body(q, stretch.acts)
             at = self._start_body(stretch, state, scale, body)
-            found.append(simulate(stretch.drive, forces, at, self.parts, slopes=False)[:2])
+            two = self.machine.elastic
+            found.append(simulate(stretch.drive, forces, at, self.parts, slopes=False, elastic=two)[:2])
         return found
 
     def _body(self, q: Floats, acts: Floats | None = None) -> tuple[Floats, list[BodyForce], Floats]:
         """Return the body's parameters (w,), its forces, and the derivatives (w, p) of the parameters by q."""
         m = self.machine
         own, count = len(m.names), len(m.forces)
-        shapes = m.lift.shape[0] - BASE - count - m.loops
+        base, shapes = m.base, m.lift.shape[0] - m.base - count - m.loops
         theta = self.theta(q) if acts is None else self.theta(q) * acts
         slopes = m.lift_at(theta) if acts is None else m.lift_at(theta) * acts
         extra = [one.force for one in self.candidates if one.force is not None]
         w = m.lift.shape[0] + len(extra) + sum(one.free for one in self.candidates)
         # rows: base, forces of the machine, further forces, constants of the machine, further constants, controller
-        place = [*range(BASE + count), *range(BASE + count + len(extra), BASE + count + len(extra) + shapes)]
+        place = [*range(base + count), *range(base + count + len(extra), base + count + len(extra) + shapes)]
         place += range(w - m.loops, w)
         body, lift = np.zeros(w), np.zeros((w, self.size))
         body[place], lift[np.ix_(place, range(own))] = m.body(theta), slopes
-        lift[:, m.lead] *= theta[m.lead]
-        row, constant = BASE + count, BASE + count + len(extra) + shapes
+        lift[:, m.logs] *= theta[m.logs]
+        row, constant = base + count, base + count + len(extra) + shapes
         for k, candidate in self.place_candidates():
             if candidate.reads:
                 continue
@@ -263,7 +276,8 @@ class FitProblem:
 
     def _start_body(self, stretch: ObservedStretch, state: Floats, scale: float, body: Floats) -> Floats:
         at = body.copy()
-        at[X0], at[V0] = stretch.y[0] + state[0] * self.resolution, state[1] * self.resolution * scale
+        at[list(self.machine.starts)] = state * self.resolution * np.resize([1.0, scale], state.size)
+        at[self.machine.starts[0]] += stretch.y[0]
         return at
 
     def _block(
@@ -279,12 +293,12 @@ class FitProblem:
         at = self._start_body(stretch, state, scale, body)
         if not (np.all(np.isfinite(at)) and at[MASS] > 0):
             rows = stretch.y.size
-            far = ResidualBlock(np.full(rows, FAR), np.zeros((rows, lift.shape[1])), np.zeros((rows, 2)))
+            far = ResidualBlock(np.full(rows, FAR), np.zeros((rows, lift.shape[1])), np.zeros((rows, state.size)))
             return far, np.zeros(rows)
-        y, v, S = simulate(stretch.drive, forces, at, self.parts)
+        y, v, S = simulate(stretch.drive, forces, at, self.parts, elastic=self.machine.elastic)
         e = np.clip(np.nan_to_num((y - stretch.y) / self.resolution, nan=FAR, posinf=FAR, neginf=-FAR), -FAR, FAR)
         J = np.nan_to_num(S @ lift) / self.resolution
-        K = np.column_stack([S[:, X0], S[:, V0] * scale])
+        K = S[:, list(self.machine.starts)] * np.resize([1.0, scale], state.size)
         return ResidualBlock(e, J, np.nan_to_num(K)), np.nan_to_num(v)
 
 

@@ -12,8 +12,8 @@ from pmfid.fit.problem import FitProblem, ResidualBlock
 from pmfid.types import Floats
 
 #: Precisions of the start states about zero [1/counts^2, and of counts per mean step]: weak, because an axis at rest
-#: says nothing about its start velocity.
-START = np.array([1e-2, 1e-6])
+#: says nothing about its start velocity. A second mass at rest says little of its place.
+START = np.array([1e-2, 1e-6, 1e-8, 1e-6])
 
 
 class Likelihood(Protocol):
@@ -42,7 +42,7 @@ class Normal:
         return sum(block.e.size for block in self.blocks)
 
     def starts(self, step: Floats) -> Floats:
-        """Return the steps (m, 2) of the start states that go with a step (p,) of the parameters."""
+        """Return the steps (m, s) of the start states that go with a step (p,) of the parameters."""
         return np.array([-(h[:, 0] + h[:, 1:] @ step) for h in self.inner])
 
 
@@ -51,11 +51,12 @@ def normal_of(blocks: Sequence[ResidualBlock], starts: Floats, damping: float = 
     p = blocks[0].J.shape[1]
     A, g, inner, fall = np.zeros((p, p)), np.zeros(p), [], 0.0
     for block, state in zip(blocks, starts, strict=True):
-        cross, own = block.K.T @ block.J, block.K.T @ block.K + np.diag(START)
-        pull = block.K.T @ block.e + START * state
+        weak = START[: state.size]
+        cross, own = block.K.T @ block.J, block.K.T @ block.K + np.diag(weak)
+        pull = block.K.T @ block.e + weak * state
         own = own + damping * np.diag(np.diag(own))
         size = np.sqrt(np.diag(own))
-        scaled = own / np.outer(size, size) + 1e-12 * np.eye(2)
+        scaled = own / np.outer(size, size) + 1e-12 * np.eye(state.size)
         solved = np.linalg.solve(scaled, np.column_stack([pull, cross]) / size[:, None]) / size[:, None]
         A += block.J.T @ block.J - cross.T @ solved[:, 1:]
         g += block.J.T @ block.e - cross.T @ solved[:, 0]
@@ -66,7 +67,7 @@ def normal_of(blocks: Sequence[ResidualBlock], starts: Floats, damping: float = 
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """Parameters q (p,), start states (m, 2), the cost, and the normal equations there without prior and damping.
+    """Parameters q (p,), start states (m, s), the cost, and the normal equations there without prior and damping.
     `settled` is False if the steps ended before the cost did."""
 
     q: Floats
@@ -109,7 +110,7 @@ class _Point:
     def __init__(self, problem: FitProblem, likelihood: Likelihood, q: Floats, starts: Floats, prior: Floats) -> None:
         self.problem, self.likelihood, self.q, self.starts, self.prior = problem, likelihood, q, starts, prior
         cost, self.blocks = likelihood(problem.linearise(q, starts))
-        self.cost = float(cost + 0.5 * prior @ q**2 + 0.5 * np.sum(START * starts**2))
+        self.cost = float(cost + 0.5 * prior @ q**2 + 0.5 * np.sum(START[: starts.shape[1]] * starts**2))
 
     def move(self, step: Floats, starts: Floats) -> _Point:
         q = self.problem.clip_to_bounds(self.q + step)

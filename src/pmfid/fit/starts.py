@@ -69,7 +69,7 @@ def blind_start(stretches: tuple[ObservedStretch, ...], resolution: float, turn:
     problem = replace(problem, mass=(middle - FAR, middle + FAR))
     best: Optimum | None = None
     for guess in guesses:
-        tried = solve(problem, _soft((windows[0],)), problem.start(guess), problem.first_starts(), prior, 25, 0.1)
+        tried = solve(problem, soften((windows[0],)), problem.start(guess), problem.first_starts(), prior, 25, 0.1)
         if best is None or tried.cost < best.cost:
             best = tried
     assert best is not None
@@ -77,11 +77,11 @@ def blind_start(stretches: tuple[ObservedStretch, ...], resolution: float, turn:
         starts = best.starts if window.first == problem.stretches[0].first else None
         problem = replace(problem, stretches=(window,))
         starts = problem.first_starts() if starts is None else starts
-        best = solve(problem, _soft((window,)), best.q, starts, prior)
+        best = solve(problem, soften((window,)), best.q, starts, prior)
     return problem, best
 
 
-def _soft(stretches: tuple[ObservedStretch, ...]) -> Gaussian:
+def soften(stretches: tuple[ObservedStretch, ...]) -> Gaussian:
     """Return a likelihood with three times the rounding, because the first guesses are far away."""
     return Gaussian(stretches, scale=9.0)
 

@@ -75,6 +75,12 @@ class ExtraForce:
         words = f"an input that acts {-size:.3g} s before it is logged"
         return replace(self, words=words, remedy=f"shift the input's column earlier by {-size:.3g} s: the log is late")
 
+    def place_on_load(self) -> ExtraForce:
+        """Return the candidate for an elastic body, whose load gravity turns."""
+        if self.force is None or self.name != "gravity":
+            return self
+        return replace(self, force=replace(self.force, load=True))
+
     def place_column(self, column: int) -> ExtraForce:
         """Return the candidate with the number of its column."""
         return self if self.force is None else replace(self, force=replace(self.force, column=column))

@@ -16,6 +16,9 @@ from pmfid.models.signals import Signal
 
 Friction = Literal["symmetric", "directional"]
 FRICTIONS: tuple[Friction, ...] = get_args(Friction)
+Body = Literal["rigid", "two-mass"]
+BODIES: tuple[Body, ...] = get_args(Body)
+TWO_MASS: Body = "two-mass"
 #: Fields of `Drive` whose force depends on the position.
 POSITION_KEYS = ("spring", "gravity", "cogging", "friction_period")
 
@@ -130,6 +133,10 @@ class Drive:
     lag : float or "estimate"
         Time constant [s] of a first-order lag of the input, as in a current loop, up to 20 samples. "estimate" makes
         the lag a parameter, off-line (iv, fit).
+    body : {"rigid", "two-mass"}
+        With "two-mass", a load follows on a spring with damping, as on a belt, a coupling or a harmonic drive. The
+        input acts on the motor, the encoder shows the motor, and gravity acts on the load. The off-line fit estimates
+        such an axis, and no recursion does.
     axis : {"linear", "rotary"}
         With "rotary", y is an angle, forces are torques, and the mass is an inertia [kg m2]. For a rotary axis, the
         units m and N on this page stand for rad and N m.
@@ -150,6 +157,10 @@ class Drive:
     Further parameters follow in this order: [, stribeck_friction [N]] [, quadratic_friction [N s2/m2]] [, gravity_sin,
     gravity_cos [N]] [, cogging_sin, cogging_cos [N]] [, friction_sin, friction_cos [N]] [, dead_time [s]] [, lag [s]]
     [, stribeck_speed [m/s]].
+
+    With body="two-mass", the first parameter is motor_mass [kg] or motor_inertia [kg m2], and load_mass or
+    load_inertia, load_viscous_friction, load_coulomb_friction, stiffness [N/m] and damping [N s/m] follow. The other
+    forces and frictions act on the motor.
 
     For forces and friction that depend on the position, the position counts from the first sample.
 
@@ -175,6 +186,7 @@ class Drive:
     cogging: float | None = None
     friction_period: float | None = None
     lag: Late = 0.0
+    body: Body = "rigid"
     axis: AxisKind = "linear"
 
     def __post_init__(self) -> None:
@@ -188,6 +200,10 @@ class Drive:
         check_late(DEAD_TIME, self.dead_time)
         check_late(LAG, self.lag)
         check_choice("friction", self.friction, FRICTIONS)
+        check_choice("body", self.body, BODIES)
+        if self.body == TWO_MASS and (self.spring or self.lag):
+            name = "spring" if self.spring else "lag"
+            raise UsageError(f'body = "{TWO_MASS}" excludes {name}; leave {name} out, or use body = "rigid"')
         if self.friction == "directional" and self.offset:
             raise UsageError(
                 "offset and directional friction cannot be distinguished; leave the offset out, because it equals half "
@@ -199,9 +215,11 @@ class Drive:
 
     @cached_property
     def equation(self) -> Equation:
-        turns = self.axis == "rotary"
+        turns, elastic = self.axis == "rotary", self.body == TWO_MASS
+        inertia = ROTARY.inertia if turns else LINEAR.inertia
+        second = tuple((name, rotary(unit) if turns else unit) for name, unit in _second(inertia)) if elastic else ()
         unknown = [
-            Term("output", 2, ROTARY.inertia if turns else LINEAR.inertia, "kg"),
+            Term("output", 2, f"motor_{inertia}" if elastic else inertia, "kg"),
             *_FRICTION_TERMS[self.friction],
         ]
         if self.offset or (self.spring and self.friction == "symmetric"):
@@ -214,7 +232,7 @@ class Drive:
         # forces are relative to the gain if the gain is unknown
         gain = 1.0 if isinstance(self.input_gain, str) else self.input_gain
         known = (Term("input", 0, coefficient=gain),)
-        return Equation(tuple(unknown), known, dead_time=self.dead_time, lag=self.lag)
+        return Equation(tuple(unknown), known, dead_time=self.dead_time, lag=self.lag, second=second)
 
     def _make_shaped_terms(self) -> list[Term]:
         terms = []
@@ -232,9 +250,10 @@ class Drive:
 
     @property
     def symmetric(self) -> Drive:
-        """Drive that can be identified without a simulated motion, because its friction is equal in both directions."""
+        """Drive that can be identified without a simulated motion: one mass with equal friction in both directions."""
         both = self.friction == "symmetric"
         plain = replace(self, friction="symmetric", offset=self.offset or not both, stribeck=None, quadratic=False)
+        plain = replace(plain, body="rigid")
         return self if self == plain else plain
 
     @property
@@ -255,6 +274,17 @@ def remove_unknown_lateness(model: Machine) -> Machine:
     """Return the model without a dead time or lag if the model has an unknown one."""
     plain = model.replace_dead_time(0.0) if model.equation.dead_time == ESTIMATE else model
     return plain.replace_lag(0.0) if model.equation.lag == ESTIMATE else plain
+
+
+def _second(inertia: str) -> tuple[tuple[str, str], ...]:
+    """Return names and units of a load on a spring on a linear axis (see `Equation`)."""
+    return (
+        (f"load_{inertia}", "kg"),
+        ("load_viscous_friction", "N s/m"),
+        ("load_coulomb_friction", "N"),
+        ("stiffness", "N/m"),
+        ("damping", "N s/m"),
+    )
 
 
 def _waves(signal: Signal, name: str, period: float) -> list[Term]:

@@ -159,6 +159,9 @@ class Equation:
     lag : float or "estimate"
         Time constant [s] of a first-order lag of the input, as in a current loop. With "estimate", the equation is not
         linear in the lag.
+    second : tuple of (name, unit)
+        Inertia, viscous and Coulomb friction of a second mass, stiffness and damping of the spring between the masses,
+        or nothing. The terms belong to the first mass, on which the input acts and which the encoder shows.
 
     Raises
     ------
@@ -181,6 +184,7 @@ class Equation:
     further: tuple[tuple[str, str], ...] = ()
     dead_time: float | Literal["estimate"] = 0.0
     lag: float | Literal["estimate"] = 0.0
+    second: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         self._check_late()
@@ -204,7 +208,7 @@ class Equation:
             )
         free = tuple((f"{term.name}_speed".replace("_friction", ""), self.motion.speed) for term in self._free)
         lag = ((LAG, "s"),) if self.lag == ESTIMATE else ()
-        object.__setattr__(self, "further", tuple(dict.fromkeys((*lag, *self.further, *free))))
+        object.__setattr__(self, "further", tuple(dict.fromkeys((*lag, *self.second, *self.further, *free))))
         places = [term.place for term in (*self.unknown, *self.known)]
         if len(set(places)) < len(places):
             raise UsageError(
@@ -404,6 +408,16 @@ class Equation:
         return replace(self, unknown=(*kept, *merged), further=())
 
     @property
+    def elastic(self) -> bool:
+        """Whether a second mass follows on a spring."""
+        return bool(self.second)
+
+    def refuse_second_mass(self, what: str) -> str:
+        """Return why `what`, which knows one mass, refuses the equation; empty if it has one mass."""
+        way = 'estimate a two-mass axis off-line: pmfid identify with method = "fit"'
+        return f"{what} knows one mass; {way}" if self.elastic else ""
+
+    @property
     def text(self) -> str:
         """Equation in one line, for people."""
         if not self.process:
@@ -414,7 +428,8 @@ class Equation:
             delay = (f", u from {late} before" if self.dead_time else "") + (
                 f", u lagging by {lag}" if self.lag else ""
             )
-            return f"{' + '.join(left)} = {driven}{delay}"
+            second = f" - {self.second[3][0]} twist - {self.second[4][0]} twist'" if self.elastic else ""
+            return f"{' + '.join(left)} = {driven}{second}{delay}"
         # the known term is the highest derivative of the output, and terms of the input have the factor -1
         highest = Term("process_output", self.order).reads
         left, right = (
@@ -427,6 +442,8 @@ class Equation:
     def without_simulation(self) -> str:
         """Reason why the auxiliary model cannot simulate the equation. The text is empty if the model can."""
         known = {(term.signal, term.derivative) for term in self.known}
+        if self.elastic:
+            return "a second mass follows on a spring, which the off-line fit estimates"
         if self.process:
             return "the equation belongs to a linear process"
         if self.roles[MASS] is None:

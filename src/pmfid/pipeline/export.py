@@ -57,6 +57,8 @@ def check_exportable(axis: Axis) -> EstimatorConfig:
     """
     kind, config, model = kind_of(axis), axis.estimator, axis.model.make()
     check_numbers_known(axis, "firmware")
+    if refused := model.equation.refuse_second_mass("firmware"):
+        raise UsageError(refused)
     if axis.encoder.resolution == NO_ENCODER:
         raise UsageError(
             "firmware reads counts: give the travel per count of the encoder or converter as [encoder] resolution"

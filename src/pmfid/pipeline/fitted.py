@@ -35,7 +35,8 @@ def uses_fit(axis: Axis) -> bool:
     method = axis.estimator.method == MotionFit.method or (
         axis.estimator.method == AUTO and axis.estimator.forgetting == 1
     )
-    return method and not axis.model.make().equation.without_simulation
+    equation = axis.model.make().equation
+    return method and (equation.elastic or not equation.without_simulation)
 
 
 def make_fit(axis: Axis, record: Record) -> MotionFit:
@@ -86,6 +87,8 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
         forces=fitted.weighed,
         model_spread=spread,
     )
+    if result.coupling is not None:
+        result = result.with_findings(*make_notes("coupling", result.coupling.lines))
     if known is None:
         _check_mass(result)
         return result

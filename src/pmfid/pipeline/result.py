@@ -23,6 +23,7 @@ from pmfid.fit.weighing import WeighedForce
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.models.transfer_function import TransferFunction
+from pmfid.models.two_mass import Coupling, couple
 from pmfid.presentation import Parameters, Presentable, Summary, plain_dict
 from pmfid.records.record import Record
 from pmfid.types import Floats
@@ -338,6 +339,21 @@ class DriveResult(Result):
     def samples(self) -> int:
         return int(self.record.u.size)
 
+    @property
+    def coupling(self) -> Coupling | None:
+        """Resonance, damping and inertia ratio of two masses; None for one mass."""
+        equation = self.estimator.equation
+        if not equation.elastic or self.fit is None:
+            return None
+        names = (equation.names[equation.leading], *(equation.second[i][0] for i in (0, 3, 4)))
+        index = [self.names.index(name) for name in names]
+        spread = 0.0 if self.model_spread is None else np.diag(self.model_spread[index] ** 2)
+        return couple(
+            dict(zip(self.names, self.theta.tolist(), strict=True)),
+            names,
+            self.fit.theta_cov[np.ix_(index, index)] + spread,
+        )
+
     def particulars(self) -> dict[str, object]:
         beforehand: dict[str, object] = {}
         if self.known is not None:
@@ -347,6 +363,7 @@ class DriveResult(Result):
             "equation": self.estimator.equation.text,
             "input_gain": self.estimator.equation.input_gain,
             "fit": {"relative_error": self.relative_error},
+            **({} if self.coupling is None else {"coupling": self.coupling.to_json()}),
             "prefilter_zeros": list(self.estimator.zeros),
             **beforehand,
         }

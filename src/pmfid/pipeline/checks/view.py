@@ -328,6 +328,8 @@ class CheckedLog:
     def sudden_stops(self) -> list[Stop]:
         """Stretches of equal counts during which the axis is not at rest."""
         counts = self.record.counts
+        if set_any_gain(self.axis).model.make().equation.elastic:
+            return []  # a motor that friction holds stops suddenly, because its load moves on
         stops = long_stops(counts)
         found = sudden(counts, stops) if stops else set()
         if stops and not found and self.view is not None and self.is_machine and not self.place_matters:

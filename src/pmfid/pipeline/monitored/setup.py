@@ -265,7 +265,10 @@ def calibration_notes(calibration: Calibration, detector: str, mtbf_hours: float
 
 def check_monitored(axis: Axis) -> None:
     """Raise UsageError for a model that the monitor cannot watch. The check needs no record."""
-    reason = axis.model.make().equation.without_simulation
+    equation = axis.model.make().equation
+    if refused := equation.refuse_second_mass("the monitor"):
+        raise UsageError(refused)
+    reason = equation.without_simulation
     if reason:
         raise UsageError(
             f"the monitor is for a machine with friction that it can simulate, but {reason}. To follow the parameters "

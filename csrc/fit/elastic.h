@@ -1,0 +1,36 @@
+/* Two masses on a spring, the input on the first one: their motion, and the exact derivatives by every parameter.
+ *
+ * SPDX-License-Identifier: Apache-2.0
+ *
+ *   m v' = g - d v - e |v| - F sign(v) - c - p - forces,   p = stiffness (x - x2) + damping (v - v2)
+ *   m2 v2' = p - d2 v2 - F2 sign(v2) - forces on the load
+ *
+ * Between stops, starts and switches of the input the motion is linear. Its Taylor series of tenth order is exact to
+ * rounding within a tenth of a period. The same series shows when a mass stops or starts. */
+#ifndef PMF_ELASTIC_H
+#define PMF_ELASTIC_H
+
+#include "body.h"
+
+/* Places of the further parameters. The sizes of the forces follow, then their free constants. */
+enum {
+    PMF_ELASTIC_MASS = PMF_BODY_BASE,
+    PMF_ELASTIC_VISCOUS,
+    PMF_ELASTIC_COULOMB,
+    PMF_ELASTIC_STIFFNESS,
+    PMF_ELASTIC_DAMPING,
+    PMF_ELASTIC_TWIST, /* x2 - x at the start */
+    PMF_ELASTIC_SLIP, /* v2 - v at the start */
+    PMF_ELASTIC_BASE
+};
+
+/* Simulate as pmf_body_run, with w = PMF_ELASTIC_BASE + forces + shapes, and without a lag. Positions and velocities
+ * are those of the first mass. `work` has room for 15 w numbers. */
+int pmf_elastic_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work);
+
+/* Force of a load on the motor per mass of the load, force (n), where the motor moves through x (n) at intervals of
+ * `step` [s], to first order in the substeps. load: square of the rate of spring and load [1/s^2], damping and drag per
+ * mass [1/s], and Coulomb friction per mass. */
+void pmf_elastic_drive(int n, double step, int substeps, const double *x, const double load[4], double *force);
+
+#endif

@@ -1,0 +1,155 @@
+"""First guesses of two masses from the measured motion, which drives the load.
+
+The force of the input is that of the motor's mass and friction, which is linear in its unknowns, and that of a load
+that the measured motion of the motor drives. Such a load follows no wrong motion of the motor, so that its four
+constants have few local optima. Everything is smoothed by a Gaussian kernel.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from pmfid._body import drive_load
+from pmfid.fit.problem import ObservedStretch
+from pmfid.fit.tuning import TUNING
+from pmfid.types import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothRecord:
+    """A stretch after smoothing: position x (n,), force (m,), and the columns (m, 4) of a rigid motor, which are
+    acceleration, velocity, direction and 1. `width` is that of the kernel [steps], and `step` is in s."""
+
+    x: Floats
+    force: Floats
+    columns: Floats
+    width: float
+    step: float
+
+    def smooth(self, signal: Floats, derivative: int = 0) -> Floats:
+        """Return a smoothed signal (n, ...) without the ends that the kernel does not cover."""
+        return _smooth(signal, self.width, derivative) / self.step**derivative
+
+    def loads(self, loads: Floats) -> Floats:
+        """Return the smoothed forces (m, g) per mass of loads (g, 4), which are logarithms."""
+        values = np.exp(loads)
+        substeps = max(1, math.ceil(self.step * math.sqrt(float(np.max(values[:, 0]))) / TUNING.reach))
+        return self.smooth(drive_load(self.x, self.step, substeps, np.ascontiguousarray(values)))
+
+
+def _smooth(signal: Floats, width: float, derivative: int = 0, cut: bool = True) -> Floats:
+    from scipy.ndimage import gaussian_filter1d
+
+    smoothed = gaussian_filter1d(signal, width, axis=0, order=derivative, mode="nearest", truncate=TUNING.tail)
+    end = math.ceil(TUNING.tail * width)
+    return np.asarray(smoothed[end:-end] if cut else smoothed)
+
+
+def smooth_record(stretch: ObservedStretch, resolution: float) -> SmoothRecord | None:
+    """Return the record after a kernel that hides the rounding of the acceleration, on an even clock; None if the
+    record is too short for one."""
+    step, count = float(np.mean(stretch.drive.step)), stretch.drive.step.size + 1
+    ends = np.append(0.0, np.cumsum(stretch.drive.step))
+    clock = np.linspace(0.0, float(ends[-1]), count)
+    y = np.interp(clock, stretch.times, stretch.y - stretch.y[0])
+    held = np.append(stretch.drive.u, stretch.drive.u[-1])
+    u = np.r_[held[0], (held[1:] + held[:-1]) / 2]  # the mean of the force before and after each instant
+    for width in TUNING.kernels:
+        if count < 40 * TUNING.tail * width:
+            return None
+        rounding = resolution * math.sqrt((1 / 12) * 3 / (8 * math.sqrt(math.pi) * width**5))
+        if rounding < TUNING.rounding * np.std(_smooth(y, width, 2)):
+            break
+    direction = np.sign(_smooth(y, width, 1, cut=False))
+    columns = [_smooth(y, width, 2) / step**2, _smooth(y, width, 1) / step, _smooth(direction, width)]
+    columns.append(np.ones(columns[0].size))
+    x = np.ascontiguousarray(_smooth(y, 0.7 * width, cut=False))
+    return SmoothRecord(x, _smooth(u, width), np.column_stack(columns), width, step)
+
+
+def driven_guesses(stretch: ObservedStretch, resolution: float) -> list[Floats]:
+    """Return guesses of (mass, viscous, Coulomb, offset, load mass, load viscous, load Coulomb, stiffness, damping),
+    the best one first."""
+    record = smooth_record(stretch, resolution)
+    if record is None or not np.std(record.force) > 0:
+        return []
+    basis, _ = np.linalg.qr(record.columns / np.maximum(np.linalg.norm(record.columns, axis=0), 1e-300))
+    rest = record.force - basis @ (basis.T @ record.force)
+    loads = _list_loads(record)
+    forces = record.loads(loads)
+    forces -= basis @ (basis.T @ forces)
+    gains = (forces.T @ rest) ** 2 / np.maximum(np.sum(forces**2, axis=0), 1e-300)
+    kept: list[Floats] = []
+    for index in np.argsort(-gains).tolist():
+        if forces[:, index] @ rest > 0 and all(np.max(np.abs(loads[index] - one)) > 0.3 for one in kept):
+            kept.append(loads[index])
+        if len(kept) == TUNING.kept:
+            break
+    refined = _refine(record, basis, rest, np.array(kept)) if kept else []
+    guesses = [_complete(record, load) for load in refined]
+    return [one for one in guesses if one[0] > 0 and one[4] > 0]
+
+
+def _list_loads(record: SmoothRecord) -> Floats:
+    """Return the loads (g, 4) of the scan as logarithms."""
+    low = 2 * math.pi * max(1.0, 2 / (record.x.size * record.step))
+    high = max(2 * low, min(2 * math.pi * TUNING.highest_load, 2 * math.pi * TUNING.fastest / record.step))
+    rates = np.geomspace(low, high, max(2, round(TUNING.loads_per_octave * math.log2(high / low))))
+    size = float(np.std(record.columns[:, 0])) + 1e-300
+    return np.log(
+        [
+            (w * w, 2 * TUNING.load_ratio * w, 0.1 * TUNING.load_ratio * w, part * size)
+            for w, part in product(rates.tolist(), TUNING.frictions)
+        ]
+    )
+
+
+def _refine(record: SmoothRecord, basis: Floats, rest: Floats, loads: Floats) -> list[Floats]:
+    """Return the loads (4,) after some steps of variable projection (Kaufman 1975), the best one first."""
+    count = len(loads)
+    damping, cost, best, tried = np.full(count, 1e-2), np.full(count, np.inf), loads.copy(), loads.copy()
+    normal: list[tuple[Floats, Floats]] = [(np.eye(5), np.zeros(5))] * count
+    steps = np.vstack([np.zeros(4), TUNING.step * np.eye(4)])
+    for _ in range(TUNING.turns):
+        forces = record.loads((tried[:, None, :] + steps).reshape(-1, 4))
+        forces = (forces - basis @ (basis.T @ forces)).reshape(-1, count, 5)
+        for k in range(count):
+            own = forces[:, k, 0]
+            mass = float(own @ rest) / max(float(own @ own), 1e-300)
+            left = rest - mass * own
+            if left @ left < cost[k]:
+                cost[k], best[k], damping[k] = left @ left, tried[k], damping[k] / 5
+                J = np.column_stack([own, (forces[:, k, 1:] - own[:, None]) / TUNING.step * mass])
+                normal[k] = J.T @ J, J.T @ left
+            else:
+                damping[k] *= 8
+            tried[k] = best[k] + np.clip(_solve_step(*normal[k], damping[k])[1:], -0.5, 0.5)
+    return [best[k] for k in np.argsort(cost).tolist()]
+
+
+def _solve_step(A: Floats, g: Floats, damping: float) -> Floats:
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    return np.asarray(np.linalg.solve(A / np.outer(size, size) + (damping + 1e-9) * np.eye(5), g / size) / size)
+
+
+def _complete(record: SmoothRecord, load: Floats) -> Floats:
+    """Return the masses, frictions and spring of a load (4,)."""
+    X = np.column_stack([record.columns, record.loads(load[None])])
+    mass, viscous, coulomb, offset, second = np.linalg.lstsq(X, record.force, rcond=None)[0].tolist()
+    rate, damping, drag, rub = np.exp(load).tolist()
+    friction = (max(viscous, 0.0), max(coulomb, 0.0), offset)
+    return np.array([mass, *friction, second, second * drag, second * rub, second * rate, second * damping])
+
+
+def distinct(points: Sequence[Floats], distance: float) -> list[int]:
+    """Return the indices of points that are farther than a distance from each earlier one of them."""
+    kept: list[int] = []
+    for index, point in enumerate(points):
+        if all(np.max(np.abs(point - points[other])) > distance for other in kept):
+            kept.append(index)
+    return kept

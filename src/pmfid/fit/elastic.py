@@ -1,0 +1,207 @@
+"""Blind starts of two masses on a spring, from the measured motion and from a scan of resonances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from pmfid._body import ELASTIC_BASE
+from pmfid.errors import NotIdentifiableError
+from pmfid.findings import MOVE
+from pmfid.fit.driven import distinct, driven_guesses
+from pmfid.fit.machine import (
+    COULOMB,
+    DAMPING,
+    DELAY,
+    LOAD_COULOMB,
+    LOAD_MASS,
+    LOAD_VISCOUS,
+    MASS,
+    OFFSET,
+    STIFFNESS,
+    VISCOUS,
+    BodyModel,
+)
+from pmfid.fit.problem import FitProblem, ObservedStretch, ResidualBlock
+from pmfid.fit.solve import START, Likelihood, Optimum, normal_of, solve
+from pmfid.fit.starts import make_first_body, soften
+from pmfid.fit.tuning import TUNING
+from pmfid.types import Floats
+
+#: Parameters of the first fits, in the order of `driven_guesses`.
+ROWS = (MASS, VISCOUS, COULOMB, OFFSET, LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
+
+
+def elastic_start(problem: FitProblem) -> tuple[FitProblem, Optimum]:
+    """Return the fit of two masses with friction and a load to the liveliest stretch.
+
+    Raises NotIdentifiableError if the axis does not move, or if the input is zero.
+    """
+    stretch = max(problem.stretches, key=lambda one: float(np.sum(np.abs(np.diff(one.y)))))
+    force = float(np.sqrt(np.mean(stretch.drive.u**2)))
+    if not (np.ptp(stretch.y) > 0 and force > 0):
+        raise NotIdentifiableError(f"the axis or the input does not move in this record; {MOVE}")
+    late = problem.machine.lift[DELAY]
+    pair = make_first_pair(bool(np.any(late)), float(problem.machine.rest[DELAY]))
+    guess = guess_sum(stretch, force)
+    bounds = (math.log(guess[0]) - TUNING.far, math.log(guess[0]) + TUNING.far)
+    plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=resonances(stretch))
+    prior = np.zeros(plain.size)
+    prior[3] = 1 / (0.5 * force) ** 2
+    best = _follow_guesses(plain, prior)
+    if best is None or best.cost > TUNING.rounded * stretch.y.size:
+        ends = [_follow_scan(plain, prior, guess), *([best] if best is not None else [])]
+        best = min(ends, key=lambda end: end.cost)
+    return plain, best
+
+
+def make_first_pair(late: bool, dead_time: float) -> BodyModel:
+    """Return two masses with viscous and Coulomb friction, a load and a dead time [s], which is free if `late`."""
+    rows = [*ROWS, *([DELAY] if late else [])]
+    lift = np.zeros((ELASTIC_BASE, len(rows)))
+    lift[rows, range(len(rows))] = 1.0
+    lowest = np.where(np.isin(rows, (MASS, OFFSET, LOAD_MASS, STIFFNESS)), -np.inf, 0.0)
+    rest = dead_time * np.eye(ELASTIC_BASE)[DELAY]
+    places = (ROWS.index(LOAD_MASS), ROWS.index(STIFFNESS), ROWS.index(DAMPING))
+    return BodyModel(tuple(map(str, rows)), (), rest, lift, 0, lowest, elastic=True, further=places)
+
+
+def resonances(stretch: ObservedStretch) -> tuple[float, float]:
+    """Return the lowest and the highest resonance [1/s] that a stretch may show."""
+    step, time = float(np.mean(stretch.drive.step)), float(np.sum(stretch.drive.step))
+    low = max(TUNING.lowest, 2 / time)
+    return 2 * math.pi * low, 2 * math.pi * max(TUNING.highest / step, 2 * low)
+
+
+def _start(plain: FitProblem, guess: Floats) -> Floats:
+    """Return q (p,) at a guess, with a dead time of half a step if it is free."""
+    late = [0.5 * float(np.mean(plain.stretches[0].drive.step))] * (plain.size - len(ROWS))
+    return plain.clip_to_bounds(plain.start(np.append(guess, late)))
+
+
+def _follow_guesses(plain: FitProblem, prior: Floats) -> Optimum | None:
+    """Return the best fit of the whole stretch from guesses by the measured motion, or None without a guess."""
+    (stretch,) = plain.stretches
+    like, starts = soften(plain.stretches), plain.first_starts()
+    points = [_start(plain, guess) for guess in driven_guesses(stretch, plain.resolution)]
+    points = [points[i] for i in distinct(points, 0.02)]
+    ends = sorted(
+        (solve(plain, like, q, settle_starts(plain, like, q, starts), prior, 2, 0.1) for q in points),
+        key=lambda end: end.cost,
+    )
+    best: Optimum | None = None
+    for end in ends[:2]:
+        tried = solve(plain, like, end.q, end.starts, prior, 20, 0.1)
+        best = tried if best is None or tried.cost < best.cost else best
+        if best.cost < TUNING.rounded * stretch.y.size:
+            break
+    return best
+
+
+def settle_starts(problem: FitProblem, likelihood: Likelihood, q: Floats, starts: Floats) -> Floats:
+    """Return the start states (m, s) of least cost at parameters q (p,)."""
+    damping, still = 1e-3, np.zeros(q.size)
+
+    def cost_at(states: Floats) -> tuple[float, list[ResidualBlock]]:
+        cost, blocks = likelihood(problem.linearise(q, states))
+        return cost + 0.5 * float(np.sum(START[: states.shape[1]] * states**2)), blocks
+
+    cost, blocks = cost_at(starts)
+    for _ in range(8):
+        moved = starts + normal_of(blocks, starts, damping).starts(still)
+        tried, there = cost_at(moved)
+        if not tried < cost:
+            damping *= 10
+            continue
+        gain, starts, cost, blocks, damping = cost - tried, moved, tried, there, damping / 10
+        if gain < 0.1:
+            break
+    return starts
+
+
+def guess_sum(stretch: ObservedStretch, force: float) -> tuple[float, float, float]:
+    """Return mass, viscous and Coulomb friction of both masses together by least squares on smoothed motions.
+
+    Motions faster than the resonance show less than the whole mass, so that the largest mass counts.
+    """
+    t, u = stretch.times, np.append(stretch.drive.u, 0.0)[stretch.drive.row]
+    best, sizes = np.zeros(3), []
+    for width in (max(3, int(part * t.size)) for part in TUNING.widths):
+        kernel = np.ones(width) / width
+        y, force_of, at = (_smooth(column, kernel) for column in (stretch.y - stretch.y[0], u, t))
+        v = np.gradient(y, at)
+        a = np.gradient(v, at)
+        X = np.column_stack([a, v, np.sign(v), np.ones(v.size)])
+        size = np.linalg.norm(X, axis=0) + 1e-300
+        theta = np.linalg.lstsq(X / size, force_of, rcond=None)[0] / size
+        sizes.append(float(np.std(force_of) / (np.std(a) + 1e-300)))
+        best = max(best, theta[:3], key=lambda one: float(one[0]))
+    mass = float(best[0]) if best[0] > 0 else min(sizes)
+    return mass, max(float(best[1]), 0.0), max(float(best[2]), 0.1 * force)
+
+
+def _smooth(column: Floats, kernel: Floats) -> Floats:
+    for _ in range(3):
+        column = np.convolve(column, kernel, "valid")
+    return column
+
+
+def _follow_scan(plain: FitProblem, prior: Floats, guess: tuple[float, float, float]) -> Optimum:
+    """Return the best fit of the whole stretch from a scan of a window, which then grows."""
+    (stretch,) = plain.stretches
+    at = _stiffest(plain, guess)
+    problem = replace(plain, stretches=(stretch.cut(*at),))
+    like, first = soften(problem.stretches), problem.first_starts()
+    kept = [solve(problem, like, q, first, prior, 3, 0.1) for q in _scan(plain, guess)]
+    for count, steps in ((6, 12), (3, 20)):
+        kept = [solve(problem, like, one.q, one.starts, prior, steps, 0.1) for one in _best(kept, count)]
+    end = float(stretch.times[-1])
+    while problem.stretches[0].y.size < stretch.y.size:
+        length = 2 * (at[1] - at[0])
+        begin = max(0.0, min(at[0], end - length))
+        moved, at = begin < at[0], (begin, begin + length)
+        problem = replace(plain, stretches=(stretch.cut(*at) if length < end else stretch,))
+        like, first = soften(problem.stretches), problem.first_starts()
+        starts = [settle_starts(problem, like, one.q, first) if moved else one.starts for one in kept]
+        kept = [solve(problem, like, one.q, at, prior, 20, 0.1) for one, at in zip(kept, starts, strict=True)]
+        kept = _best(kept, 3)
+    return kept[0]
+
+
+def _best(ends: Sequence[Optimum], count: int) -> list[Optimum]:
+    """Return the best optima whose masses and stiffness differ."""
+    ends = sorted(ends, key=lambda end: end.cost)
+    return [ends[i] for i in distinct([end.q[[0, 4, 7]] for end in ends], 0.01)[:count]]
+
+
+def _scan(plain: FitProblem, guess: tuple[float, float, float]) -> Iterator[Floats]:
+    """Yield starts q (p,) over resonances and shares of the load."""
+    (low, high), (mass, viscous, coulomb) = plain.rate, guess
+    count = max(2, round(TUNING.per_octave * math.log2(high / low)))
+    for rate, share in product(np.geomspace(low, high, count).tolist(), TUNING.shares):
+        reduced = mass * share * (1 - share)
+        motor, load = mass * (1 - share), mass * share
+        spring = (reduced * rate**2, 2 * TUNING.ratio * rate * reduced)
+        yield _start(plain, np.array([motor, viscous / 2, coulomb / 2, 0.0, load, viscous / 2, coulomb / 2, *spring]))
+
+
+def _stiffest(plain: FitProblem, guess: tuple[float, float, float]) -> tuple[float, float]:
+    """Return begin and end [s] of the window that a rigid body follows worst."""
+    (stretch,) = plain.stretches
+    step, end = float(np.mean(stretch.steps)), float(stretch.times[-1])
+    length = min(end, max(min(TUNING.seconds, TUNING.most * step), TUNING.fewest * step))
+    worst, at = -1.0, 0.0
+    for begin in np.linspace(0.0, end - length, max(1, min(TUNING.windows, round(end / length)))).tolist():
+        window = stretch.cut(begin, begin + length)
+        rigid = FitProblem(make_first_body(0.0), (window,), plain.resolution)
+        if np.sum(np.abs(np.diff(window.y))) < 10 * plain.resolution:
+            continue
+        q = rigid.start(np.array([*guess, 0.0, 0.0]))
+        like = soften(rigid.stretches)
+        cost = solve(rigid, like, q, rigid.first_starts(), 1e-12 * np.ones(5), 5, 1.0).cost / window.y.size
+        worst, at = max((worst, at), (cost, begin))
+    return at, at + length

@@ -1,0 +1,50 @@
+"""Sizes of the blind starts of two masses. They bound a search, and no result depends on them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ElasticTuning:
+    """Sizes of `fit.driven` and `fit.elastic`."""
+
+    #: Widths of the kernel [steps], and the largest part of rounding in the acceleration.
+    kernels: tuple[float, ...] = (0.8, 1.2, 1.8, 2.6, 3.8, 5.7, 8.4, 12.5, 18.5, 27.0, 40.0, 60.0)
+    rounding: float = 0.05
+    #: Length of the kernel in widths. Derivatives by a shorter one would show the position itself.
+    tail: float = 6.0
+    #: Loads of the scan by motion: highest rate [1/step] and antiresonance [Hz], loads per octave, damping ratio, and
+    #: Coulomb friction per mass over the size of the acceleration.
+    fastest: float = 0.3
+    highest_load: float = 150.0
+    loads_per_octave: int = 4
+    load_ratio: float = 0.03
+    frictions: tuple[float, ...] = (0.02, 0.06, 0.2, 0.6, 2.0)
+    #: Largest step over the rate of a load.
+    reach: float = 0.35
+    #: Loads that are refined, turns of that, and the relative step of a derivative.
+    kept: int = 5
+    turns: int = 5
+    step: float = 1e-3
+    #: Resonances of the scan by fits: lowest [Hz], highest [1/step], number per octave, shares of the load in the
+    #: inertia, and damping ratio.
+    lowest: float = 2.0
+    highest: float = 0.45
+    per_octave: int = 3
+    shares: tuple[float, ...] = (0.3, 0.75)
+    ratio: float = 0.05
+    #: Length of the first window [s], and in steps: at least, at most; windows that a rigid body is fitted to.
+    seconds: float = 1.0
+    fewest: int = 300
+    most: int = 1500
+    windows: int = 10
+    #: Cost of an observation in the softened likelihood that rounding explains: 1/18, and a little more.
+    rounded: float = 0.065
+    #: Largest distance of a mass from the first guess, as a logarithm.
+    far: float = 5.0
+    #: Widths of the smoothing of the first guesses, as a part of the record.
+    widths: tuple[float, ...] = (0.002, 0.005, 0.01, 0.02, 0.05)
+
+
+TUNING = ElasticTuning()

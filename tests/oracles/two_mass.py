@@ -1,0 +1,80 @@
+"""Motion of two masses on a spring by the classical Runge-Kutta method, with stops located inside a step.
+
+m v' = f - p - d v - F sign(v),   m2 v2' = p - d2 v2 - F2 sign(v2),   p = k (x - x2) + c (v - v2)
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class TwoMasses:
+    """Motor, its viscous and Coulomb friction, load, its frictions, stiffness and damping of the spring."""
+
+    mass: float
+    viscous: float
+    coulomb: float
+    load: float
+    load_viscous: float
+    load_coulomb: float
+    stiffness: float
+    damping: float
+
+    def pull(self, state: Floats, force: float) -> tuple[float, float]:
+        """Return the forces on both masses by input and spring."""
+        spring = self.stiffness * (state[0] - state[2]) + self.damping * (state[1] - state[3])
+        return force - spring, spring
+
+    def directions(self, state: Floats, force: float) -> list[int]:
+        """Return the direction of each mass, 0 at rest."""
+        found = []
+        for v, pull, hold in zip(state[1::2], self.pull(state, force), (self.coulomb, self.load_coulomb), strict=True):
+            found.append(int(np.sign(v)) if v != 0 else int(np.sign(pull)) if abs(pull) > hold else 0)
+        return found
+
+    def rates(self, state: Floats, force: float, way: list[int]) -> Floats:
+        motor, load = self.pull(state, force)
+        first = (motor - self.viscous * state[1] - way[0] * self.coulomb) / self.mass if way[0] else 0.0
+        second = (load - self.load_viscous * state[3] - way[1] * self.load_coulomb) / self.load if way[1] else 0.0
+        return np.array([state[1], first, state[3], second])
+
+    def step(self, state: Floats, force: float, way: list[int], h: float) -> Floats:
+        a = self.rates(state, force, way)
+        b = self.rates(state + h / 2 * a, force, way)
+        c = self.rates(state + h / 2 * b, force, way)
+        d = self.rates(state + h * c, force, way)
+        return np.asarray(state + h / 6 * (a + 2 * b + 2 * c + d))
+
+    def advance(self, state: Floats, force: float, h: float) -> Floats:
+        """Return the state after h seconds, through at most a few stops."""
+        way = self.directions(state, force)
+        for _ in range(6):
+            end = self.step(state, force, way, h)
+            over = [k for k in (0, 1) if way[k] * end[2 * k + 1] < 0]
+            if not over or h <= 0:
+                return end
+            v = 2 * over[0] + 1
+            stop = h * state[v] / (state[v] - end[v])
+            for _ in range(3):  # Newton's method
+                there = self.step(state, force, way, stop)
+                stop = float(np.clip(stop - there[v] / self.rates(there, force, way)[v], 0.0, h))
+            state, h = self.step(state, force, way, stop), h - stop
+            state[v] = 0.0
+            way = self.directions(state, force)
+        return state
+
+
+def simulate_two_masses(pair: TwoMasses, u: Floats, step: float, start: Floats, substeps: int = 50) -> Floats:
+    """Return the states (n + 1, 4), which are x, v, x2, v2, under a held input u (n,)."""
+    states, state = [start], start
+    for force in u.tolist():
+        for _ in range(substeps):
+            state = pair.advance(state, force, step / substeps)
+        states.append(state)
+    return np.array(states)

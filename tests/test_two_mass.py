@@ -1,0 +1,133 @@
+"""Two masses on a spring: the body against an independent integrator, its derivatives, and the fit."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import pmfid
+from pmfid._body import BASE, ELASTIC_BASE, KINDS, run
+from pmfid.cli.main import main
+from pmfid.errors import UsageError
+from pmfid.types import Counts, Floats
+from tests.oracles.two_mass import TwoMasses, simulate_two_masses
+
+STEP = 0.002
+RNG = np.random.default_rng(5)
+INPUT = np.ascontiguousarray(RNG.uniform(-1, 1, 40).repeat(8))
+#: Motor, its friction, load and its friction, spring: a resonance of 20 Hz and one of 60 Hz.
+PAIRS = [(0.5, 0.5, 0.1, 0.5, 0.3, 0.15, 3947.8, 1.2566), (0.2, 0.3, 0.05, 0.8, 0.4, 0.2, 22739.6, 6.0319)]
+
+
+def body_of(pair: tuple[float, ...], delay: float = 0.0) -> Floats:
+    theta = np.zeros(ELASTIC_BASE)
+    theta[[0, 1, 2, BASE, BASE + 1, BASE + 2, BASE + 3, BASE + 4]] = pair
+    theta[[5, BASE + 5, BASE + 6]] = delay, 0.001, 0.02
+    return theta
+
+
+def simulate(theta: Floats, u: Floats = INPUT, step: float = STEP, forces: list[object] | None = None) -> list[Floats]:
+    row, clock = np.arange(u.size + 1, dtype=np.int32), np.full(u.size, step)
+    y, v, S, rows = run(forces or [], clock, u, row, np.zeros((0, u.size)), theta, 2, True, elastic=True)  # type: ignore[arg-type]
+    assert rows == u.size + 1
+    return [y, v, S]
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_the_motion_is_that_of_an_independent_integrator(pair: tuple[float, ...]) -> None:
+    theta = body_of(pair)
+    truth = simulate_two_masses(TwoMasses(*pair), INPUT, STEP, np.array([0.0, 0.0, 0.001, 0.02]))
+    y, v, _ = simulate(theta)
+    assert np.max(np.abs(y - truth[:, 0])) < 1e-5 * np.ptp(y)  # the integrator starts a mass at the end of a substep
+    assert np.max(np.abs(v - truth[:, 1])) < 1e-4 * np.ptp(v)
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+@pytest.mark.parametrize("load", [False, True])
+def test_the_derivatives_are_those_of_the_motion(pair: tuple[float, ...], load: bool) -> None:
+    forces: list[object] = [(KINDS["wave"], 0, False, np.zeros(1), 0.1, 0.3, load)]
+    theta = np.append(body_of(pair, 0.3 * STEP), 0.02)
+    slopes = simulate(theta, forces=forces)[2]
+    for index in [*range(6), 7, *range(BASE, theta.size)]:  # a start velocity of 0 within friction has no derivative
+        step = np.zeros(theta.size)
+        step[index] = 1e-8 if index == 5 else 1e-6 * max(abs(theta[index]), 1e-3)
+        ahead, back = simulate(theta + step, forces=forces)[0], simulate(theta - step, forces=forces)[0]
+        quotient = (ahead - back) / (2 * step[index])
+        assert np.max(np.abs(quotient - slopes[:, index])) < 2e-4 * np.max(np.abs(quotient)), index
+
+
+def test_a_stiff_spring_is_a_rigid_axis() -> None:
+    theta = body_of((0.4, 0.3, 0.1, 0.6, 0.2, 0.0, 4e5, 300.0))
+    theta[[BASE + 5, BASE + 6]] = 0.0
+    rigid = np.array([1.0, 0.5, 0.1, 0, 0, 0, 0, 0, 0])
+    row = np.arange(INPUT.size + 1, dtype=np.int32)
+    args = ([], np.full(INPUT.size, STEP), INPUT, row, np.zeros((0, INPUT.size)), rigid, 1, False)
+    y = run(*args)[0]  # type: ignore[arg-type]
+    assert np.max(np.abs(simulate(theta)[0] - y)) < 1e-2 * np.ptp(y)
+
+
+def record() -> tuple[Floats, Counts, float]:
+    u, resolution = np.random.default_rng(3).uniform(-1, 1, 150).repeat(12), 1e-5
+    y = simulate_two_masses(TwoMasses(*PAIRS[0]), u[:-1], STEP, np.zeros(4), 10)[:, 0]
+    return u, np.floor(y / resolution + 0.4).astype(np.int64), resolution
+
+
+@pytest.fixture(scope="module")
+def result() -> pmfid.Result:
+    u, counts, resolution = record()
+    drive = pmfid.Drive(1.0, body="two-mass")
+    return pmfid.identify(u, counts, model=drive, dt=STEP, encoder=pmfid.Encoder(resolution))
+
+
+def test_both_masses_and_the_spring_are_found(result: pmfid.Result) -> None:
+    names = ("motor_mass", "viscous_friction", "coulomb_friction", "load_mass", "load_viscous_friction")
+    assert result.names == (*names, "load_coulomb_friction", "stiffness", "damping")
+    truth = np.array(PAIRS[0])
+    part = np.abs(result.theta / truth - 1)
+    assert np.all(part[[0, 3, 6]] < 0.005), part
+    assert np.all(part < 0.05), part
+    assert np.sum((result.interval_95[:, 0] <= truth) & (truth <= result.interval_95[:, 1])) >= 7
+
+
+def test_people_read_the_resonance(result: pmfid.Result) -> None:
+    coupling = result.to_json()["coupling"]
+    assert isinstance(coupling, dict)
+    assert coupling["resonance"]["value"] == pytest.approx(20.0, rel=0.005)
+    assert coupling["antiresonance"]["value"] == pytest.approx(20.0 / np.sqrt(2), rel=0.005)
+    assert coupling["damping_ratio"]["value"] == pytest.approx(0.02, rel=0.1)
+    assert any("resonance 20." in note or "resonance 19.9" in note for note in result.notes)
+
+
+@pytest.mark.parametrize("method", ["riv", "bcls", "rls", "iv"])
+def test_other_methods_name_the_way_off_line(method: str) -> None:
+    u, counts, resolution = record()
+    drive = pmfid.Drive(1.0, body="two-mass")
+    with pytest.raises(UsageError, match='two-mass axis off-line: pmfid identify with method = "fit"'):
+        pmfid.identify(u, counts, model=drive, dt=STEP, encoder=pmfid.Encoder(resolution), method=method)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("field", ["spring", "lag"])
+def test_what_the_body_does_not_have_is_refused(field: str) -> None:
+    with pytest.raises(UsageError, match=f'body = "two-mass" excludes {field}'):
+        pmfid.Drive(1.0, body="two-mass", **{field: True if field == "spring" else 0.01})  # type: ignore[arg-type]
+
+
+def test_the_command_takes_the_body(tmp_path: Path) -> None:
+    u, counts, resolution = record()
+    np.savetxt(tmp_path / "log.csv", np.column_stack([u, counts]), "%.9g", ",", header="u,counts", comments="")
+    (tmp_path / "AXIS.toml").write_text(
+        '[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ndt = 0.002\n'
+        f'[encoder]\nresolution = {resolution}\n[model]\ninput_gain = 1.0\nbody = "two-mass"\n',
+        encoding="utf-8",
+    )
+    log, axis = str(tmp_path / "log.csv"), str(tmp_path / "AXIS.toml")
+    found = CliRunner().invoke(main, ["identify", log, "--config", axis, "--json"])
+    assert json.loads(found.stdout)["parameters"]["stiffness"]["value"] == pytest.approx(3947.8, rel=0.005)
+    for command in (["export", axis, "--out", str(tmp_path / "out")], ["monitor", log, "--config", axis]):
+        said = CliRunner().invoke(main, command)
+        assert said.exit_code == 2
+        assert "off-line" in said.stderr
