@@ -16,8 +16,7 @@ from pmfid.estimators.configuration import check_arrays
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.srivc import make_problem, process_of
 from pmfid.fit.free_motion import FreeMotion
-from pmfid.fit.machine import machine_of
-from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.problem import ObservedStretch
 from pmfid.linear.experiment import Experiment, RecordStretch
 from pmfid.linear.responses import simulate
 from pmfid.linear.solve import ProcessProblem, visit
@@ -110,9 +109,9 @@ def drive_run(
     UsageError if the mass is not positive or if the parameters allow no simulation.
     """
     u, counts = check_arrays(u, counts)
-    stretches = tuple(method.observe(u, counts, np.ones(u.size, bool) if there is None else there))
+    problem = method.problem(u, counts, there)
+    stretches = problem.stretches
     _check_motion(method, theta, stretches, name)
-    problem = FitProblem(machine_of(method.equation), stretches, method.encoder.resolution)
     q = problem.start(theta)
     inside = problem.clip_to_bounds(q.copy())
     below = [n for n, value, least in zip(method.names, q, inside, strict=False) if value < least]

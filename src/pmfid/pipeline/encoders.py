@@ -17,8 +17,8 @@ from pmfid.estimators.edges import EdgeFit
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.results import Fit
 from pmfid.fit.free_motion import FreeMotion
-from pmfid.fit.machine import Excitation, machine_of
-from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.machine import Excitation
+from pmfid.fit.problem import ObservedStretch
 from pmfid.models.axes import ROTARY
 from pmfid.pipeline.drives import Drives
 from pmfid.pipeline.fitted import make_fit
@@ -177,8 +177,8 @@ class _Trial:
     def make(cls, result: DriveResult, record: Record, axis: Axis, line_error: float) -> _Trial:
         method, u = make_fit(axis, record), hold_last_input(record.u)
         there = np.ones(u.size, bool) if record.there is None else record.there
-        (stretch,) = method.observe(u, record.counts, there)
-        problem = FitProblem(machine_of(method.equation), (stretch,), record.resolution)
+        problem = method.problem(u, record.counts, there)
+        (stretch,) = problem.stretches
         theta = result.theta[: len(method.names)]
         motion = FreeMotion.make(problem, theta)
         fine = _refine(stretch, TUNING.encoders_parts)
