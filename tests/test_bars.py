@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.estimators.uncertainty import block_scatter
 from studies.machines import AXES, machine_record, truth
 
 SEEDS = 8
@@ -42,14 +41,3 @@ def test_bars_are_those_of_repeated_experiments(cls, name, motion, increments, l
     ratio = np.sqrt(np.mean(bars**2, axis=0) / np.mean(errors**2, axis=0))
     assert np.all(ratio < longest), ratio  # eight experiments show the deviation only to a quarter of its value
     assert np.all(ratio > 0.4), ratio
-
-
-def test_noise_that_cancels_over_a_block_is_no_scatter():
-    rng = np.random.default_rng(2)
-    noise = rng.standard_normal((60, 3002))
-    scores = np.diff(noise, n=2, axis=1)
-    observed = np.mean(scores.sum(axis=1) ** 2)  # the variance of the two ends is about 4
-    found = np.mean([block_scatter(series[:, None], 25)[0] for series in scores])
-    sharp = np.mean([np.var(series.reshape(-1, 25).sum(axis=1)) * 120 for series in scores])
-    assert found < sharp / 10
-    assert 0.5 * observed < found

@@ -13,7 +13,6 @@ from pmfid.config.axis import Axis
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.ls import LS
-from pmfid.estimators.motion import Restart
 from pmfid.estimators.recursive import RLS
 from pmfid.estimators.stretches import gaps_in, parts_of
 from pmfid.pipeline.identify import identify as identify_record
@@ -254,23 +253,6 @@ def test_what_looks_at_one_motion_takes_the_part_without_gaps_that_moves_most_an
     part = unbroken(replace(whole, u=u))
     assert part.counts.tolist() == list(range(22, 90))
     assert part.notes == ("this method uses only the part without gaps that moves most: 68 of 200 samples",)
-
-
-def test_a_start_after_a_gap_is_found_though_the_axis_moves_otherwise_there() -> None:
-    """A start speed moves the axis little from rest and much beyond friction. Steps by the effect at rest once
-    overflowed.
-    """
-    t = np.linspace(0.0, 1.0, 50)
-
-    def motion(parameters: Floats, speed: float, force: Floats | None) -> tuple[Floats, Floats]:
-        moved = 0.1 * speed if abs(speed) < 0.05 else 0.1 * speed + 10 * (abs(speed) - 0.05) * np.sign(speed)
-        return moved * t, np.full(50, moved)
-
-    y = motion(np.zeros(0), 0.31, None)[0]
-    later = Restart(slice(0, 50), y + 7.0, 1e-8, 0.0, 0.1, motion)
-    position, _ = later.best(np.zeros(0), None)
-    assert later.speed == pytest.approx(0.31, rel=1e-3)
-    assert position - 7.0 == pytest.approx(y, abs=1e-3)
 
 
 def test_a_row_right_after_another_costs_no_record() -> None:

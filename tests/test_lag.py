@@ -9,11 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.signal import lfilter
 
 import pmfid
 from pmfid import IV, RIV, Drive, Encoder, MotionFit, UsageError
-from pmfid.estimators.motion import mean_velocity
 from pmfid.export.firmware import export_firmware
 from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
 from tests.conftest import long_unless
@@ -37,24 +35,6 @@ def run_lagged(axis: str, lag: float, dead_time: float = 0.0, switches: int = 25
 def made(method: type, axis: str, **late: object) -> pmfid.IV:
     gain, _, _, _, dt, _, step, cutoff = AXES[axis]
     return method(Drive(gain, **late), Encoder(step), dt, cutoff)
-
-
-@pytest.mark.parametrize("late_by", [0.0, 0.0037, 0.013])
-@pytest.mark.parametrize("lag", [0.0004, 0.005, 0.07])
-def test_the_motion_after_a_lag_is_that_of_the_lagged_input_in_small_steps(lag: float, late_by: float) -> None:
-    rng, dt, fine = np.random.default_rng(1), 0.01, 200
-    u = 3 * np.repeat(rng.choice([-1.0, 1.0], 60), 5)
-    delayed = np.r_[np.zeros(round(late_by / dt * fine)), np.repeat(u, fine)][: u.size * fine]
-    kept = np.exp(-dt / fine / lag)
-    begun = lfilter([0.0, 1 - kept], [1.0, -kept], delayed)
-    mean = delayed + (begun - delayed) * (1 - kept) * lag * fine / dt
-    reference = mean_velocity(Drive(2.0).equation, THETA, dt / fine, mean).reshape(-1, fine).mean(axis=1)
-    found = mean_velocity(Drive(2.0, lag=lag, dead_time=late_by).equation, THETA, dt, u)
-    np.testing.assert_allclose(found, reference, atol=6e-4)  # a reversal is simulated in four parts of a sample
-    free = THETA * [1.0, 1.0, 0.0]
-    found = mean_velocity(Drive(2.0, lag=lag, dead_time=late_by).equation, free, dt, u)
-    reference = mean_velocity(Drive(2.0).equation, free, dt / fine, mean).reshape(-1, fine).mean(axis=1)
-    np.testing.assert_allclose(found, reference, atol=2e-5)
 
 
 LAGS = [0.2, 0.9, 2.5]

@@ -13,7 +13,6 @@ from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.batch import check_identifiable
 from pmfid.estimators.least_squares import inverse_of
-from pmfid.estimators.motion import least
 from pmfid.estimators.results import Columns
 from pmfid.pipeline.identify import identify
 from pmfid.records.record import Record
@@ -55,20 +54,6 @@ def test_columns_beyond_the_numbers_are_refused() -> None:
     huge = Columns(np.full((50, 2), 1e200), np.ones(50), np.ones((50, 2)), np.ones(50, bool), 0)
     with pytest.raises(NotIdentifiableError, match="exceeds the range of numbers"):
         check_identifiable(huge, ("mass", "drag"))
-
-
-def test_sensitivities_that_are_not_finite_are_refused() -> None:
-    class Runaway:
-        lower, y = np.full(2, -np.inf), np.zeros(3)
-
-        def __call__(self, q: np.ndarray) -> np.ndarray:
-            return np.array([q[0] - 1, q[1] - 2, q[0] * q[1]])
-
-        def forward_jacobian(self, q: np.ndarray, e: np.ndarray) -> np.ndarray:
-            return np.full((e.size, q.size), np.nan)
-
-    with pytest.raises(NotIdentifiableError, match="exceeds the range of numbers"):
-        least(Runaway(), np.ones(2))  # type: ignore[arg-type]
 
 
 def test_prefilter_zeros_are_no_parameters_of_a_method_that_simulates() -> None:

@@ -11,7 +11,6 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
-from pmfid.estimators.uncertainty import widen_covariance
 from tests.conftest import cart_run, long_unless
 
 DT = 0.01
@@ -26,22 +25,6 @@ encoder = { resolution = 1.220703125e-4 }
 model = { input_gain = 1.0, offset = true }
 estimator = { method = "METHOD", cutoff = CUTOFF }
 """
-
-
-def test_smooth_bars_stay_as_they_are() -> None:
-    fine = np.array([[1.0, 0.2], [0.2, 2.0]])
-    assert widen_covariance(fine, lambda width: fine * (1 + 10 * width)) is fine
-
-
-def test_the_longest_bar_counts_where_the_widths_disagree() -> None:
-    fine = np.array([[1e-8, 0.0], [0.0, 2.0]])
-    wide = widen_covariance(fine, lambda width: np.diag([width**2, 2.0]))
-    np.testing.assert_allclose(np.diag(wide), [0.09, 2.0])
-
-
-def test_a_bar_that_is_long_by_accident_stays_long() -> None:
-    fine = np.diag([1.0, 2.0])
-    np.testing.assert_allclose(widen_covariance(fine, lambda width: np.diag([1e-6, 2.0])), fine)
 
 
 def motor_log(name: str, dt: float) -> np.ndarray:

@@ -7,7 +7,6 @@ import pytest
 from numpy.typing import ArrayLike
 
 from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, Fleet, MotionFit, TransferFunction, UsageError
-from pmfid.estimators.motion import mean_velocity
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.status import Status
@@ -89,18 +88,6 @@ def test_samples_of_a_burst_count_as_the_time_that_they_stand_for() -> None:
     even = IV(*setup).fit(u, counts // 8)
     fit = IV(*setup, steps=np.r_[CART_DT, after[:-1]]).fit(np.repeat(u, often), np.repeat(counts // 8, often))
     np.testing.assert_array_less(np.abs(fit.theta - even.theta), 0.1 * even.theta_std)
-
-
-@pytest.mark.parametrize(("late", "lag"), [(0.013, 0.0), (0.0, 0.02), (0.013, 0.02)])
-def test_an_input_that_acts_late_switches_inside_the_steps(late: float, lag: float) -> None:
-    u, _, steps = jittered(0.5)
-    u, after = u[:300], np.append(steps[1:300], CART_DT)
-    equation = Drive(CART.input_gain, dead_time=late, lag=lag).equation
-    found = mean_velocity(equation, TRUTH, after, u, parts=32)
-    fine = np.rint(after / (CART_DT / PARTS)).astype(int)
-    exact = mean_velocity(equation, TRUTH, CART_DT / PARTS, np.repeat(u, fine), parts=1)
-    firsts = np.append(0, np.cumsum(fine)[:-1])
-    np.testing.assert_allclose(found, np.add.reduceat(exact, firsts) / fine, atol=2e-5)
 
 
 @pytest.mark.parametrize("wrong", [0.0, -0.01, np.nan, np.inf, 1e9])

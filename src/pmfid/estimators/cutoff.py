@@ -13,12 +13,11 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.iv import IV
-from pmfid.estimators.least_squares import solve_with_instruments
+from pmfid.estimators.least_squares import long_run_covariance, solve_with_instruments
 from pmfid.estimators.ls import BCLS
 from pmfid.estimators.results import Columns
 from pmfid.estimators.stretches import liveliest
 from pmfid.estimators.tuning import TUNING
-from pmfid.estimators.uncertainty import scatter
 from pmfid.models.drive import Model
 from pmfid.types import Floats
 
@@ -126,5 +125,5 @@ def _uncertainty(columns: Columns, settle_samples: int) -> float:
     except NotIdentifiableError:
         return np.inf
     scores = columns.zeta * (columns.z - columns.phi @ theta)[:, None]
-    sign, size = np.linalg.slogdet(scatter(scores @ gain.T, TUNING.instruments_lasting * settle_samples))
+    sign, size = np.linalg.slogdet(long_run_covariance(scores @ gain.T, settle_samples))
     return float(size) if sign > 0 and np.isfinite(size) else np.inf
