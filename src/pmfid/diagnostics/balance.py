@@ -11,13 +11,15 @@ from numpy.typing import ArrayLike
 
 from pmfid._stage import first_order
 from pmfid.diagnostics.drives import recent
+from pmfid.diagnostics.free_run import rms
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import hold_last_input, like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import long_run_covariance
-from pmfid.estimators.motion import mean_velocity, rms, sum_travel
-from pmfid.estimators.output_error import OE
+from pmfid.estimators.motion_fit import MotionFit
+from pmfid.fit.machine import Excitation, machine_of, simulate
+from pmfid.fit.problem import PARTS
 from pmfid.models.axes import Units
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import (
@@ -247,16 +249,15 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
     # A plant that is pushed by its friction has no motion for a comparison.
     plausible = np.where(twin.equation.positive, np.maximum(at, 0.0), at)
     u, counts, dt = hold_last_input(np.asarray(u, float)), np.asarray(counts), twin.intervals
-    y = like(OE, twin).position(counts)
-    speed = simulated_velocity(twin, plausible, u)
+    y, x = like(MotionFit, twin).position(counts), simulate_position(twin, plausible, u)
+    speed = np.diff(x) / dt
     columns = twin.columns_at(plausible, u, counts)
     used = np.flatnonzero(columns.used)
     chosen = used[recent(estimator, used.size)]
     if not (np.all(np.isfinite(speed)) and chosen.size > 4 * TUNING.fewest_bins):
         return None
-    measured, x = np.diff(y, append=y[-1]) / dt, sum_travel(speed, dt)
-    time = sum_travel(np.ones(y.size), dt)
-    drift = (y - x)[chosen]
+    measured, time = np.diff(y, append=y[-1]) / dt, np.cumsum(np.broadcast_to(dt, y.shape)) - dt
+    drift = (y - x[:-1])[chosen]
     rows = slice(columns.z.size - chosen.size, None)
     late = chosen - 2  # A sample ends the preceding interval, and the columns of the kernel are one sample late.
     slow, modelled, way = (low_pass(twin, signal)[-1][late] for signal in (measured, speed, y - y[0]))
@@ -264,9 +265,12 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
     return Balance(twin, at, t, slow, modelled, y[0] + way, drift - drift[0], target, phi)
 
 
-def simulated_velocity(estimator: IV, theta: Floats, u: Floats) -> Floats:
-    """Return the mean velocity (n,) [m/s] of each interval, simulated from rest under the input u (n,) alone."""
-    return mean_velocity(estimator.equation, theta, estimator.intervals, u)
+def simulate_position(estimator: IV, theta: Floats, u: Floats) -> Floats:
+    """Return the positions (n + 1,) [m] from rest under the input u (n,) alone."""
+    machine, row = machine_of(estimator.equation), np.arange(u.size + 1, dtype=np.int32)
+    steps = np.array(np.broadcast_to(estimator.intervals, u.shape), np.float64)
+    drive = Excitation(steps, u * estimator.equation.input_gain, row, np.zeros((0, u.size)))
+    return simulate(drive, machine.forces, machine.body(theta), PARTS, slopes=False)[0]
 
 
 @dataclass(frozen=True)

@@ -110,11 +110,5 @@ class DiagnosticTuning:
     far_outlier: float = 10.0
     processes_few: float = 0.01
 
-    # verdict
-    #: Prior odds that a machine has a plausible force. Every machine has some of the tested forces.
-    verdict_odds: float = 10.0
-    #: Greatest argument of the exponential function, because larger results are useless.
-    most_evidence: float = 500.0
-
 
 TUNING = DiagnosticTuning()

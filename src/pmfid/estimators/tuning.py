@@ -9,45 +9,6 @@ from dataclasses import dataclass
 class EstimatorTuning:
     """Thresholds, limits and counts of `pmfid.estimators`, by module."""
 
-    # adequacy
-    #: Smallest assumed Coulomb friction of a machine, as a part of the motor's force.
-    least_friction: float = 0.02
-    #: Stribeck friction is averaged over parts of a sample, because it changes within a fraction of a sample at a
-    #: reversal. The first value is the largest change of velocity within a part, as a fraction of the Stribeck speed.
-    #: The second value is the largest number of parts.
-    adequacy_fine: float = 0.1
-    most_parts: int = 16
-    #: A smaller change of velocity, as a part of the Stribeck speed, counts as zero.
-    adequacy_steady: float = 1e-3
-    #: Plausible sizes of unmodelled effects, as parts of Coulomb friction, viscous friction, the motor's force, a
-    #: sample, and the largest input.
-    adequacy_stribeck: float = 0.3
-    adequacy_uneven: float = 0.15
-    adequacy_curved: float = 0.15
-    late_by: float = 0.5
-    dead_zone: float = 0.03
-    #: Parts of the largest input at which an amplifier may begin to give less.
-    adequacy_kinks: tuple[float, float, float] = (0.5, 0.7, 0.9)
-    #: The model misses a force if the force's score exceeds this number of standard deviations. Chance does so once in
-    #: a thousand records.
-    adequacy_missed: float = 4.0
-    #: A finding also names each force that explains at least this part of what the best force explains. The second
-    #: value is the largest number of named forces.
-    adequacy_nearly: float = 0.8
-    most_said: int = 3
-    #: Number of parts of a record. Each part tests the force that the other parts show.
-    adequacy_parts: int = 6
-    #: A part of a record says nothing about a force below this part of the information on the force.
-    adequacy_rare: float = 1e-6
-    #: Two estimates contradict each other from this number of standard deviations of their difference.
-    adequacy_contradicted: float = 2.5
-    #: Nothing can be said about a force if less than this part of its effect is independent of the parameters' effects.
-    adequacy_apart: float = 1e-4
-    #: Steps of a force in the simulation, for its derivative: a part of the plausible size, and a part of the motor's
-    #: force.
-    adequacy_step: float = 0.1
-    step_of_force: float = 1e-3
-
     # auxiliary
     #: Time constant of the estimate's slow copy, which drives the model, in filter time constants. The instruments must
     #: not follow the noise of the samples that they are multiplied with.
@@ -122,9 +83,6 @@ class EstimatorTuning:
     #: Lags that are tried before the estimation of a lag, and step of the difference quotient by the lag [samples].
     tried_lags: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
     lag_step: float = 1e-3
-    #: Settling times of the filters in the shortest block of the scores. Tapered blocks separate the filtered noise
-    #: from errors that last longer.
-    instruments_lasting: int = 4
 
     # iv
     #: A dead time with a smaller standard error [samples] moves nothing. The whole motion may improve a less certain
@@ -142,42 +100,6 @@ class EstimatorTuning:
     #: Samples of a record over which the parameters' correlation counts as constant.
     known_piece: int = 200
 
-    # likelihood
-    #: Smallest standard deviation of the position's noise [counts]. Below this value the likelihood is a box without
-    #: slopes.
-    noise_floor: float = 0.02
-    #: Relative accuracy of the noise. The likelihood is flat around its top.
-    noise_tolerance: float = 1e-3
-    #: A noise above this multiple of the floor is either true or a sign of a local maximum.
-    given_away: float = 1.5
-    #: Distance of starts around a local maximum [standard deviations], and their shrinking noise [counts].
-    likelihood_around: float = 1.5
-    likelihood_shrinking: tuple[float, float, float] = (0.3, 0.1, 0.04)
-    #: Number of starts after the first that must find the same maximum to end the search. The second value is the
-    #: largest difference of log-likelihoods at the same maximum. On 56 records with 10 to 300 counts of travel, no
-    #: further start found a larger maximum.
-    likelihood_agreeing: int = 3
-    likelihood_same: float = 0.01
-    likelihood_max_iterations: int = 100
-    #: Number of downward steps that are accepted for the sake of later ones. If these do not help, the factors tie the
-    #: step to small changes of the differences, all computed side by side.
-    likelihood_downward: int = 2
-    likelihood_ties: tuple[float, ...] = (1e-2, 1e-1, 1e0, 1e1, 1e2, 1e3, 1e4, 1e5)
-    #: Longest and shortest step of the difference quotients. A step longer than the remaining way misses the top.
-    likelihood_quotient: float = 1e-5
-    least_quotient: float = 1e-8
-    #: Largest difference [counts] for which a likelihood is evaluated.
-    likelihood_lost: float = 1e6
-    #: Most steps to the top, and the gain of one step that counts as the top.
-    top_steps: int = 30
-    top_settled: float = 1e-3
-    #: Number of columns from which most entries of a motion in windows are zero and dense equations take long.
-    dense_columns: int = 40
-    #: An edge has no influence at a greater distance [standard deviations of the noise].
-    likelihood_reach: float = 8.0
-    #: Noise [counts] from which the edges of the counts no longer matter.
-    likelihood_wide: float = 3.0
-
     # ls
     ls_passes: int = 12
     #: Relative change of every parameter at which the passes end.
@@ -185,69 +107,10 @@ class EstimatorTuning:
     #: Relative change from which the passes count as converged if rounding or noise prevents ls_settled.
     ls_close: float = 1e-6
 
-    # motion
-    #: Default number of parts per sample, for forces with a shape and reversals under a lagging input.
-    motion_parts: int = 4
-    #: Damping that the kernel adds to a body in every step to avoid a division by zero.
-    little_damping: float = 1e-9
-    #: Most iterations for the speed after a gap. The search ends at a step below the second value, a part of the prior
-    #: standard deviation. The motion is linear within such a step.
-    motion_turns: int = 30
-    motion_small: float = 1e-3
-    #: A step without improvement is tried once more, shortened to this part.
-    motion_shorter: float = 0.25
-    #: Step of the difference quotient by the speed after a gap, as a part of the prior standard deviation.
-    velocity_step: float = 0.1
-    #: Step of the difference quotients as a part of a parameter. The step is far above the kinks that stops and
-    #: reversals leave in the simulated position, and far below the position's curvature.
-    quotient_step: float = 1e-4
-    max_evaluations: int = 200
-    #: Number of motions that vector lanes compute in about the time of one.
-    trials_together: int = 8
-    #: Most samples of motions that are simulated at once, which bounds the memory.
-    samples_together: int = 1_000_000
-    #: A step below this part of a standard error ends an iteration.
-    settled_step: float = 0.01
-    #: Damping of the first step, and the largest damping. A step with more damping moves nothing.
-    first_damping: float = 1e-3
-    max_damping: float = 1e8
-    #: Longest step, in sizes of the parameters at the start. Some of these sizes are only guesses.
-    longest_step: float = 1e6
-    #: Tolerance for a sum of squares with kinks, at which the last digits never converge. A stop of the model that
-    #: comes and goes makes such kinks.
-    rough_tolerance: float = 1e-7
-    #: Largest root mean square difference [counts] that the encoder explains. Rounding down alone gives 0.29.
-    encoder_alone: float = 0.5
-    #: Accuracy of the simulated position, as a part of the travel.
-    simulation_error: float = 1e-5
-    #: Error of the simulated position that shapes may add [counts].
-    parts_error: float = 0.005
-    #: Counts within a filter time constant by which the start velocity may be off.
-    start_counts: float = 3.0
     #: A fit is invalid if a larger part of the motion stays unexplained.
     worst_fit: float = 0.5
-    #: Time constants of the longest lag after which an input has no effect left.
-    motion_lagging: int = 16
     #: Least mass, as a part of the start's mass. Without mass the motion has no equation.
     least_mass: float = 1e-3
-    #: Least value of a parameter that enters the equation nonlinearly, as a part of its start value.
-    least_shape: float = 1e-2
-    #: Least part of a sensitivity that must be independent of the others.
-    motion_apart: float = 1e-3
-
-    # output_error
-    #: Parts per sample in the first search of a motion with more parts.
-    parts_roughly: int = 2
-    #: A mass below this multiple of the smallest allowed mass counts as no mass.
-    at_bound: float = 3.0
-    #: Largest factor by which the high-pass raises white noise. A larger residual does not explain the counts.
-    output_error_hopeless: float = 2.5
-    #: Local minima do not explain a difference above this multiple of the encoder's error.
-    output_error_far: float = 10.0
-    #: Relative tolerance of the rough search.
-    output_error_roughly: float = 1e-3
-    #: Poles of the high-passes between the first and none, as parts of the first.
-    output_error_slower: tuple[float, ...] = (1 / 4, 1 / 16, 1 / 64, 0.0)
 
     # plants
     #: Part of a column's power that products of columns show accurately. The rounding error is 1e-16 over its square.
@@ -302,47 +165,6 @@ class EstimatorTuning:
     #: Less work than this [axes times samples] is not worth a second thread.
     runner_small: int = 20_000
 
-    # search
-    #: Time constants of the filters in which the start of a free run is read.
-    search_read: float = 5.0
-    #: Most Gauss-Newton passes. A stop that comes and goes may prevent convergence.
-    search_passes: int = 8
-    settled_start: float = 1e-12
-    #: A step that is too long is tried once more, shortened to this part.
-    search_shorter: float = 0.25
-    #: Start values of the Stribeck speed, as parts of the usual speed. The remaining sum of squares differs between
-    #: them.
-    stribeck_speeds: tuple[float, float, float] = (0.03, 0.1, 0.3)
-    #: Number of start speeds that the search keeps, because the best start need not lead to the best maximum.
-    most_speeds: int = 2
-    #: Number of windows over each sample. Two overlapping windows make the result independent of the windows' places.
-    search_hops: int = 2
-    max_steps: int = 60
-    #: Number of steps that measure the pace of a descent. Some of these steps may only raise the damping.
-    steps_watched: int = 6
-    #: A step that lowers the sum of squares by a smaller part ends the descent.
-    settled_descent: float = 1e-8
-    #: Tolerance of a descent for the comparison of windows of different lengths.
-    search_roughly: float = 1e-4
-    #: Parts of the record, each predicted from the others by a free run.
-    search_folds: int = 3
-    #: Numbers of pieces in which a part is also run, each piece with its own start. One long run depends on chance, and
-    #: many short ones say little about drift. The second value is the least ratio of a piece to the span for its start.
-    search_pieces: tuple[int, ...] = (1, 2, 4, 8)
-    search_worth: int = 4
-    #: Shortest window, in time constants of the filters and in samples. A shorter window shows little but its start.
-    search_shortest: float = 20.0
-    search_fewest: int = 40
-    #: A motion from a single start is lost if it leaves this part of the motion. Windows in these numbers are then
-    #: tried, as far as the record has samples. Fewer windows are taken if the sum of squares grows by at most the last
-    #: number of standard deviations.
-    restarts_lost: float = 0.3
-    restarts_tried: tuple[int, ...] = (32, 64, 128)
-    restarts_worse: float = 4.0
-    #: A longer window is preferred if its prediction error is larger by at most this part, because it contains more
-    #: information.
-    as_well: float = 0.05
-
     # sharded_fleet
     #: Places of a shard. A disk writes these megabytes at once, and a single changed axis makes little to write again.
     sharded_fleet_shard: int = 4096
@@ -354,8 +176,6 @@ class EstimatorTuning:
     same_period: float = 0.05
     #: Least part of a sensitivity that must be independent of the others.
     srivc_apart: float = 1e-6
-    #: Fastest pole that samples can show, as a multiple of 1 / dt.
-    srivc_fastest: float = 2.0
 
     # stretches
     #: Samples of the longest record that is used as a whole in each step. A longer record is represented by its
@@ -363,22 +183,6 @@ class EstimatorTuning:
     stretch: int = 20_000
     #: Turns of the iteration on a long record from the estimate of a stretch.
     stretch_turns: int = 12
-    #: Greatest number of parts of a sample for Stribeck friction along a long record.
-    stretch_parts: int = 4
-
-    # uncertainty
-    #: Least number of blocks of the greatest length.
-    uncertainty_fewest: int = 24
-    #: Width of the coarse difference quotients that check the fine ones, as a part of a parameter.
-    uncertainty_coarse: float = 1e-2
-    #: A larger factor between two variances shows that the dependence is not smooth.
-    uncertainty_smooth: float = 4.0
-    #: Further widths for a rough dependence.
-    uncertainty_widths: tuple[float, ...] = (1e-3, 3e-2, 0.1, 0.3)
-    #: Number of tried places of the lattice.
-    uncertainty_phases: int = 32
-    #: Number of places of the lattice at which the likelihood's top is searched.
-    uncertainty_tops: int = 16
 
     # edges
     #: Largest relative excess of an age over the step of the clock.
