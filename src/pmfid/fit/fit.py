@@ -47,7 +47,10 @@ FAR = 3.0
 #: Gain of log likelihood below which a step of the search ends: an eighth of a standard error. The conclusion goes on.
 GAIN = 0.01
 #: Advice if no motion follows.
-FOLLOW = "check input_gain, sign and scale of input and output, and [encoder] bits"
+FOLLOW = (
+    "check input_gain, sign and scale of input and output, and [encoder] bits; an input that acts many samples late "
+    'needs dead_time = "estimate"'
+)
 #: Start values of an unknown speed of Stribeck friction, as shares of the highest speed. The search ends in the
 #: right optimum from starts up to four times above or below the true speed.
 SPEEDS = (0.05, 0.2, 0.5)
