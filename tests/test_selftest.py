@@ -70,7 +70,7 @@ def test_a_good_result_is_recovered(tmp_path: Path, seed: int) -> None:
     [
         Machine(DRIVE, stribeck=1.0, stribeck_speed=0.1),
         pytest.param(Machine(DRIVE, stiffness=4.0), marks=pytest.mark.long),
-        pytest.param(Machine(DRIVE, dead_time=0.01), marks=pytest.mark.long),
+        pytest.param(Machine(DRIVE, dead_time=0.005), marks=pytest.mark.long),
     ],
 )
 def test_a_wrong_model_is_reported(tmp_path: Path, machine: Machine) -> None:
