@@ -34,7 +34,7 @@ from pmfid.fit.fit import (
 )
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.machine import COULOMB, DIRECTIONAL, OFFSET, VISCOUS, BodyForce, BodyModel
-from pmfid.fit.problem import PARTS, FitProblem
+from pmfid.fit.problem import FitProblem
 from pmfid.fit.solve import normal_of
 from pmfid.types import Floats
 
@@ -109,18 +109,11 @@ def bend_precision(own: int, force: float, strengths: Strengths) -> Floats:
     return np.concatenate([np.zeros(own), 1 / variance, 1 / (part**2 * variance)])
 
 
-def parts_of(problem: FitProblem) -> int:
-    """Return the parts of an interval whose error is like that of one count a sample, up to 4 times the usual ones."""
-    steps = np.concatenate([np.diff(one.y) for one in problem.stretches])
-    counts = float(np.sqrt(np.mean(steps**2))) / problem.resolution
-    return int(np.clip(np.ceil(PARTS * np.sqrt(counts)), PARTS, 4 * PARTS))
-
-
 class CurveSearch(FitSearch):
     """A search for a machine with bends, which begins with the friction of the table in their place."""
 
     def __init__(self, problem: FitProblem) -> None:
-        super().__init__(replace(problem, parts=parts_of(problem)))
+        super().__init__(problem.refine())
         self.straight, self.force = problem.machine, 0.0
         self.strengths: Strengths = (0.3, 0.1, 1e3, 0.1)  # loose, before the record has been weighed
 

@@ -140,6 +140,13 @@ class FitProblem:
         lengths = [1 + candidate.free for candidate in self.candidates]
         return [len(self.machine.names) + sum(lengths[:i]) for i in range(len(lengths))]
 
+    def refine(self) -> FitProblem:
+        """Return the problem with so many parts of an interval that its error is that of one count a sample, up to 8
+        times `PARTS`."""
+        steps = np.concatenate([np.diff(one.y) for one in self.stretches])
+        counts = float(np.sqrt(np.mean(steps**2))) / self.resolution
+        return replace(self, parts=int(np.clip(np.ceil(PARTS * np.sqrt(counts)), PARTS, 8 * PARTS)))
+
     def cut(self, count: int) -> FitProblem:
         """Return the problem with each stretch cut into `count` parts of the same time, which have their own starts."""
         parts = []
