@@ -19,6 +19,7 @@ from pmfid.estimators.motion_fit import MotionFit
 from pmfid.findings import MOVE, make_notes, sort_findings
 from pmfid.fit.findings import findings_of
 from pmfid.fit.fit import MOST_LEFT, Fitted
+from pmfid.fit.likelihood import Intervals
 from pmfid.pipeline.known import known_of, put_together
 from pmfid.pipeline.result import DriveResult
 from pmfid.records.gaps import is_held
@@ -85,6 +86,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
         matter,
         fit=fit,
         forces=fitted.weighed,
+        explained=isinstance(fitted.likelihood, Intervals) and not fitted.problem.candidates,
         model_spread=spread,
     )
     if result.coupling is not None:

@@ -26,6 +26,10 @@ KINDS: dict[str, Kind[Records]] = {
 }
 
 
+#: Findings that a counter stops while the axis moves.
+OF_STOPS = ("stuck", "clipped")
+
+
 def kind_of(axis: Axis) -> Kind[Records]:
     """Return the kind of plant that [model] describes."""
     return KINDS[axis.model.kind]
@@ -48,6 +52,8 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
         raise explain_error(error, kind.check_record(data, axis)) from error
     suspicious = bool(SUSPICIOUS & set(result.status))
     log = kind.check_record(data, axis) if suspicious else kind.scan_record(data, axis)
+    if isinstance(result, DriveResult) and result.explained:  # the motion itself stops there
+        log = tuple(one for one in log if one.code not in OF_STOPS)
     if "unmodelled" in codes(log):  # the log names the effect, and the model's doubts come from it
         result = replace(result, findings=tuple(one for one in result.findings if one.code not in OF_MODEL))
     return result.with_findings(*log, *make_notes("cutoff", describe_choices(given, axis)))

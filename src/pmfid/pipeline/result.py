@@ -303,6 +303,7 @@ class DriveResult(Result):
     `relative_error` belongs to the filtered equation at theta. `fit` or `track` holds details of an off-line or a
     recursive method, without prior information. `known` is the prior information. `matter` says how far unmodelled
     effects may move the parameters, which decides the status. `forces` are those that the fit compared.
+    `explained` says whether a motion of the model, without further forces, explains every count.
     """
 
     record: Record
@@ -312,6 +313,7 @@ class DriveResult(Result):
     track: Track | None = None
     known: Known | None = None
     forces: tuple[WeighedForce, ...] = ()
+    explained: bool = False
 
     def with_findings(self, *further: Finding) -> Self:
         return super().with_findings(*weigh_findings(further, self.matter))
