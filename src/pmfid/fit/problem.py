@@ -141,8 +141,8 @@ class FitProblem:
         return [len(self.machine.names) + sum(lengths[:i]) for i in range(len(lengths))]
 
     def refine(self) -> FitProblem:
-        """Return the problem with more parts of an interval for a faster motion, up to 8 times `PARTS`. The error of the
-        motion is then that of a slow motion with one count a sample."""
+        """Return the problem with more parts of an interval for a faster motion, up to 8 times `PARTS`. The error of
+        the motion is then that of a slow motion with one count a sample."""
         steps = np.concatenate([np.diff(one.y) for one in self.stretches])
         counts = float(np.sqrt(np.mean(steps**2))) / self.resolution
         return replace(self, parts=int(np.clip(np.ceil(PARTS * np.sqrt(counts)), PARTS, 8 * PARTS)))
