@@ -58,6 +58,14 @@ def _monitor() -> Monitor:
 
 
 @cache
+def _jump(estimator: pmfid.BCRLS) -> pmfid.Estimate:
+    """Return the estimate of the first count that repeats the end of a run after the run."""
+    u, counts = RUN.u, RUN.counts
+    for k in range(estimator.delay):
+        estimator.step(float(u[k]), int(counts[k]))
+    return estimator.step(float(u[estimator.delay]), int(counts[estimator.delay]))
+
+
 def gallery() -> dict[str, Presentable | pmfid.Estimate]:
     """Return one of each object by its description."""
     bcrls = pmfid.BCRLS(DRIVE, RUN.encoder, CART_DT, CUTOFF, forgetting=0.995)
@@ -77,7 +85,7 @@ def gallery() -> dict[str, Presentable | pmfid.Estimate]:
         "fit": fit,
         "track": track,
         "tracks": fleet.run(RUN.u, np.array([RUN.counts, longer, RUN.counts]), every=20),
-        "estimate": bcrls.step(float(RUN.u[-1]), int(RUN.counts[-1])),
+        "estimate": _jump(bcrls),
         "posterior": pmfid.Known(bcrls, prior={"mass": (1.1, 0.05)}).combine(fit),
         "curve": pmfid.friction_curve(RUN.u, RUN.counts, model=DRIVE, encoder=RUN.encoder, dt=CART_DT),
         "validation": pmfid.validate(offline, RUN.u, RUN.counts),

@@ -320,8 +320,11 @@ def test_input_of_zero_while_the_axis_moves(tmp_path: Path, cart: Cart, method: 
 @pytest.mark.parametrize("method", EVERY_METHOD)
 def test_constant_input_and_speed(tmp_path: Path, method: str) -> None:
     record = written(tmp_path, moved(np.full(3000, 3.0)))
-    text = complaint(run(record, "--json", "--method", method), code=3)
-    assert "the excitation is too small: record reversals" in text
+    result = run(record, "--json", "--method", method)
+    if method == "fit":  # the start of the motion shows a mass, and the status says how little that is
+        assert {"little_motion", "uncertain"} <= set(json.loads(result.stdout)["status"])
+        return
+    assert "the excitation is too small: record reversals" in complaint(result, code=3)
 
 
 #: Steps of an encoder [m] and samples until the input starts.

@@ -59,10 +59,10 @@ def test_the_window_is_the_least_squares_solution_of_its_samples():
     estimator = make(pmfid.RLS, "window", resolution)
     track = estimator.run(u, counts)
     columns = pmfid.LS(pmfid.Drive(CART.input_gain), estimator.encoder, CART_DT, CUTOFF).columns(u, counts)
-    block, n = 14, columns.z.size
+    block, n = 14, columns.z.size - estimator.delay
     samples = 7 * block + n % block
     assert n > 8 * block
-    theta = np.linalg.lstsq(columns.phi[-samples:], columns.z[-samples:])[0]
+    theta = np.linalg.lstsq(columns.phi[n - samples : n], columns.z[n - samples : n])[0]
     np.testing.assert_allclose(
         track.theta[-1], theta, rtol=2e-6
     )  # the late regularisation of the kernel causes a difference

@@ -676,11 +676,22 @@ def _estimate_in_region(search: FitSearch, found: Optimum) -> tuple[Floats, Floa
     wide = inverse(12.0 * J.T @ J + np.diag(prior))
     beyond = max(0.0, float(np.max(np.abs(e))) - 0.5)
     bound = 0.5 + 2 * beyond + 1e-5 + _integration_errors(search.problem, found, e)
+    e, J, bound = (np.concatenate(pair) for pair in zip((e, J, bound), _lowest_rows(search, found, wide), strict=True))
     mean, inner = allowed_region(e, J, bound, wide, np.random.default_rng(1))
     own, p = search.own, found.q.size
     if not np.all(np.diag(inner)[:own] < 100 * np.diag(wide)[:own]):
         return search.problem.theta(found.q), wide[:own, :own]
     return search.problem.theta(found.q + mean[:p]), inner[:own, :own]
+
+
+def _lowest_rows(search: FitSearch, found: Optimum, wide: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return residuals, derivatives and bounds of one row for each parameter with a lowest value. The other end of its
+    interval is out of reach."""
+    lowest = search.plain.machine.lowest
+    at = np.flatnonzero(np.isfinite(lowest))
+    above = np.maximum(found.q[at] - lowest[at], 0.0)
+    reach = above + 1e3 * np.sqrt(np.diag(wide)[at])
+    return above - reach, np.eye(len(wide))[at], reach
 
 
 def _integration_errors(problem: FitProblem, found: Optimum, e: Floats) -> Floats:
