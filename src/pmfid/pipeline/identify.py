@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import cast
 
+import numpy as np
+
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import OF_LOG, OF_MODEL, is_small_doubt, weigh_findings
 from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
@@ -15,6 +17,7 @@ from pmfid.pipeline.drives import Drives
 from pmfid.pipeline.kinds import Kind, Progress, Records
 from pmfid.pipeline.processes import Processes
 from pmfid.pipeline.result import DriveResult, Result
+from pmfid.records.record import Record
 
 #: Flags of results that a mistake in the columns may explain. The flags justify slow checks of the log.
 SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback", "not_followed", "unmodelled"}
@@ -49,7 +52,7 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     try:
         result = kind.estimate(data, axis, progress)
     except NotIdentifiableError as error:
-        raise explain_error(error, kind.check_record(data, axis)) from error
+        raise _name_speed(explain_error(error, kind.check_record(data, axis)), data, axis) from error
     suspicious = bool(SUSPICIOUS & set(result.status))
     log = kind.check_record(data, axis) if suspicious else kind.scan_record(data, axis)
     if isinstance(result, DriveResult) and result.explained:  # the motion itself stops there
@@ -57,6 +60,19 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     if "unmodelled" in codes(log):  # the log names the effect, and the model's doubts come from it
         result = replace(result, findings=tuple(one for one in result.findings if one.code not in OF_MODEL))
     return result.with_findings(*log, *make_notes("cutoff", describe_choices(given, axis)))
+
+
+def _name_speed(error: NotIdentifiableError, data: Records, axis: Axis) -> NotIdentifiableError:
+    """Return an error that names max_speed if it excludes changes of the counts, or the error itself."""
+    speed = axis.encoder.make_encoder(data.resolution).max_speed if isinstance(data, Record) else None
+    if not isinstance(data, Record) or speed is None:
+        return error
+    excluded = float(np.mean(np.abs(np.diff(data.counts)) * data.resolution > speed * data.dt + data.resolution))
+    if not excluded:
+        return error
+    return NotIdentifiableError(
+        f"{error}; [encoder] max_speed excludes {excluded:.0%} of the changes of the counts: check it"
+    )
 
 
 def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
