@@ -209,7 +209,9 @@ def scatter(
         columns.append(np.c_[np.sum(weights, 0), np.sum(weights * np.array([v[:-2], v[1:-1], v[2:]]) ** 2, 0)])
     if not squares:
         return 1 / 12, 0.0
-    return _fit_variances(np.concatenate(squares), np.concatenate(columns))
+    square, column = np.concatenate(squares), np.concatenate(columns)
+    finite = np.isfinite(square) & np.all(np.isfinite(column), axis=1)  # the motion of a wrong force may overflow
+    return _fit_variances(square[finite], column[finite]) if np.any(finite) else (1 / 12, 0.0)
 
 
 def _fit_variances(squares: Floats, columns: Floats) -> tuple[float, float]:
