@@ -84,8 +84,8 @@ def test_too_little_motion_is_reported(tmp_path: Path) -> None:
     (tmp_path / "guess.json").write_text(json.dumps(content))
     words = (record, "--config", axis, "--model", str(tmp_path / "guess.json"), "--runs", "2", "--json")
     found = json.loads(call("selftest", *words).stdout)
-    assert {"refused", "poor_excitation"} <= set(found["status"])
-    assert found["refused"] == 2
+    assert "poor_excitation" in found["status"]
+    assert {"refused", "uncertain"} & set(found["status"])
     assert found["coverage"] is None
 
 
