@@ -57,9 +57,9 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #ifndef PMF_SPLIT /* otherwise no column has the signals beyond input, velocity and direction */
 #define PMF_SPLIT PMF_WITH_SPLIT
 #endif
-#if !PMF_WHOLE && !defined(PMF_MOTIONS)
-#define PMF_SHAPED 0 /* if each axis reads a table elsewhere, lanes save time only for motions */
-#define PMF_LATE 0 /* if each axis reads another input, lanes save time only for motions */
+#if !PMF_WHOLE
+#define PMF_SHAPED 0 /* each axis reads a table elsewhere, so that lanes save no time */
+#define PMF_LATE 0 /* each axis reads another input, so that lanes save no time */
 #else
 #define PMF_SHAPED (PMF_MAX_SHAPES > 0)
 #define PMF_LATE PMF_WITH_DEAD_TIME

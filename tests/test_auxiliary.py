@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmfid import Drive, _kernel32, _kernel64
-from pmfid.kernel.configuration import decays, shape_bytes
+from pmfid import _kernel32, _kernel64
 from pmfid.simulation.drive import DriveParameters, simulate_drive
 from pmfid.simulation.signals import prbs
 
@@ -28,7 +27,7 @@ def test_equals_the_event_driven_simulation(parameters, amplitude):
     motion = simulate_drive(parameters, u, dt)
     p = parameters
     roles = (p.mass, p.viscous_friction, p.viscous_friction, p.coulomb_friction, p.coulomb_friction, p.offset, 0.0)
-    mean, direction, moving, _ = _kernel64.simulate(roles, p.input_gain, dt, u)
+    mean, direction, moving = _kernel64.simulate(roles, p.input_gain, dt, u)
     x = np.r_[0.0, np.cumsum(mean) * dt]
     span = np.ptp(motion.x)
     np.testing.assert_allclose(x[:-1], motion.x, atol=2e-6 * span)
@@ -46,35 +45,3 @@ def test_approximant_is_good_at_strong_damping():
     mean, *_ = _kernel64.simulate((p.mass, 12.8, 12.8, 0.8, 0.8, 0.0, 0.0), 2.0, 0.01, u)
     expected = np.diff(simulate_drive(p, u, 0.01).x) / 0.01
     np.testing.assert_allclose(mean[:-1], expected, atol=1e-4 * np.ptp(mean))
-
-
-@pytest.mark.parametrize("late_by", [0.0, 0.0137])
-@pytest.mark.parametrize("options", [{}, {"gravity": True, "axis": "rotary", "stribeck": 0.05, "quadratic": True}])
-def test_motions_in_lanes_have_the_bits_of_each_alone(options, late_by):
-    rng, shapes = np.random.default_rng(3), Drive(2.0, **options).equation.shapes
-    u, force = prbs(500, clock=7, amplitude=4.0, rng=rng), rng.standard_normal((11, 500))
-    roles = np.r_[1.07, 12.8, 12.8, 0.8, 0.8, 0.1, 2.0, late_by, np.full(len(shapes), 0.3)]
-    theta = roles * (1 + 1e-2 * rng.standard_normal((11, roles.size)))
-    table, start = shape_bytes(shapes), rng.standard_normal((2, 11))
-    lags = [decays(0.3, 1.7)] * 11 if late_by else None
-    past = np.array([1.0, 2.0])
-    found = _kernel64.simulate_many(theta, 2.0, 0.0025, u, *start, table, past, lags, force, 4, 4)
-    for k in range(11):
-        apart = _kernel64.simulate(
-            theta[k], 2.0, 0.0025, np.repeat(u, 4), *start[:, k], table, np.repeat(past, 4), lags and lags[k],
-            np.repeat(force[k], 4),
-        )  # fmt: skip
-        a, b, c, d = apart[0].reshape(-1, 4).T
-        np.testing.assert_array_equal(found[0][k], (((a + b) + c) + d) / 4)
-        assert found[3][k] == apart[3]
-
-
-def test_spans_that_are_all_the_same_are_an_even_clock():
-    u, roles, rest = (
-        prbs(500, clock=7, amplitude=4.0, rng=np.random.default_rng(4)),
-        [[1.07, 12.8, 12.8, 0.8, 0.8]],
-        [0.0],
-    )
-    even = _kernel64.simulate_many(roles, 2.0, 0.01, u, rest, rest)
-    same = _kernel64.simulate_many(roles, 2.0, 9.9, u, rest, rest, steps=np.full(500, 0.01))
-    np.testing.assert_array_equal(same[0], even[0])

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 from pmfid import BCLS, IV, LS, SRIVC, Encoder, Experiment, TransferFunction, UsageError
 from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
-from pmfid.estimators.srivc import fit_process, fixed_filters, solve_by_descent
+from pmfid.estimators.srivc import fit_process, fixed_filters
 from pmfid.linear.experiment import Grid, respond
 from pmfid.linear.process import Process
 from pmfid.linear.responses import respond_bounded
@@ -103,7 +103,7 @@ def test_srivc_and_iv_take_them_too():
     u = steps(5)
     y = simulate_late([3.0], [1, 2, 4], u, DT, 0.135)
     model = TransferFunction(2, 0, dead_time="estimate")
-    found = fit_process(SRIVC(model, ONE, DT, 2.0), [Experiment(u, y, dt=DT)], solve_by_descent)
+    found = fit_process(SRIVC(model, ONE, DT, 2.0), [Experiment(u, y, dt=DT)])
     np.testing.assert_allclose(found.theta, [4, 2, 3, 0.135], rtol=1e-6)
     assert found.process.delay == pytest.approx(0.135)
     y = simulate_process([3.0], [1, 1, 0], u, DT)

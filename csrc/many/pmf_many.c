@@ -1,6 +1,5 @@
 /* Many axes, in groups as wide as the processor's vectors. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_many.h"
-#include "pmf_motions.h"
 #include "pmf_straight.h"
 
 #define FEW_SAMPLES 8U /* with fewer samples, the change into lanes and back costs too much */
@@ -40,22 +39,6 @@ uint32_t pmf_many_way(void)
         --way;
     }
     return way;
-}
-
-const pmf_motions_run_t *pmf_motions_widest(void)
-{
-    switch (pmf_many_way()) {
-#if defined(PMF_HAVE_LANES_16) && !defined(PMF_FLOAT32)
-    case PMF_LANES_16: return &pmf_motions_16;
-#endif
-#if defined(PMF_HAVE_LANES_32) && !defined(PMF_FLOAT32)
-    case PMF_LANES_32: return &pmf_motions_32;
-#endif
-#if defined(PMF_HAVE_LANES_64) && !defined(PMF_FLOAT32)
-    case PMF_LANES_64: return &pmf_motions_64;
-#endif
-    default: return 0;
-    }
 }
 
 const pmf_lanes_t *pmf_lanes_for(uint32_t way, const pmf_layout_t *layout, uint64_t samples)

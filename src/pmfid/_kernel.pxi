@@ -82,32 +82,10 @@ cdef extern from "pmf_internal.h":
     void pmf_doubt(const pmf_config_t *, pmf_state_t *, uint32_t) nogil
     const pmf_estimate_t *pmf_estimate(const pmf_config_t *, const pmf_state_t *) nogil
     void pmf_clear(void *, uint32_t) nogil
-    void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, const pmf_late_state_t *,
-                                 real_t *) nogil
     void pmf_auxiliary_step(const pmf_auxiliary_config_t *, pmf_auxiliary_state_t *, real_t *) nogil
     uint32_t pmf_parameters(const pmf_config_t *) nogil
     void pmf_clear_computed(const pmf_config_t *, pmf_state_t *) nogil
     void pmf_covariance_factor(const pmf_config_t *, const pmf_state_t *, real_t *) nogil
-
-cdef extern from "many/pmf_motions.h":
-    ctypedef struct pmf_motions_t:
-        const pmf_auxiliary_config_t *config
-        uint64_t motions, samples, hold, parts
-        const double *parameter
-        const double *velocity
-        const double *position
-        const double *input
-        const double *span
-        const double *before
-        uint64_t n_before
-        const double *decay
-        const double *on_top
-        uint32_t own_force
-        double *mean
-        double *direction
-        double *moving
-        double *end
-    void pmf_move_all(const pmf_motions_t *) nogil
 
 cdef extern from "many/pmf_straight.h":
     ctypedef uint32_t pmf_stepper_t(const pmf_config_t *, pmf_state_t *, real_t, uint32_t) noexcept nogil
@@ -602,83 +580,32 @@ cdef class ManyKernel:
             pmf_many_run(&self.config, &self.layout, &many, first, end, states)
 
 
-def simulate_many(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, velocity, position,
-                  bytes shapes=b"", before=(0.0,), decay=None, on_top=None, Py_ssize_t hold=1, Py_ssize_t parts=1, bint sides=False,
-                  steps=None):
-    """Simulate a body with friction under a held input, for m sets of parameters.
+def simulate(parameters, double input_gain, double dt, cnp.ndarray[double, mode="c"] u not None, double velocity=0.0):
+    """Simulate the body of the on-line model under a held input u (n,), from position 0.
 
-    `parameters` (m, roles) are mass, viscous friction forward and backward, Coulomb friction forward and backward,
-    offset, stiffness, dead time [s] >= 0, and the coefficients of the shapes. Missing parameters are 0. `u` (n,) acts
-    after the dead time, each value for `hold` steps of `dt` [s]. The results are means over `parts` steps. `before`
-    (b,), b >= 1, are the inputs before the first one. The oldest of them has always acted. `velocity` and `position`
-    (m,) are the initial motion. A spring is slack at position 0.
+    `parameters` (k,) are mass, viscous friction forward and backward, Coulomb friction forward and backward, offset and
+    stiffness. Missing parameters are 0. `velocity` is that of the start. A spring is slack at the start.
 
-    `shapes` is a `pmf_shapes_config_t` as bytes, with nodes that begin at PMF_SIGNALS. `decay` (m, 2, 3) describes a
-    lag after the dead time. `pmfid.kernel.configuration` makes both. `on_top` (n hold / parts,), or with a row for each
-    motion, is an input that acts at once. `sides` selects the results by direction. `steps` (n,) are lengths of the
-    intervals [s] in place of hold dt, without any dead time or lag.
-
-    Returns the mean velocity, the signed moving fraction and the moving fraction (m, n hold / parts), and the final
-    velocities (m,). Without `sides` the second and the third are None. Raises ValueError for too many parameters,
-    impossible shapes, and arrays of other sizes.
+    Returns the mean velocity, the signed moving fraction and the moving fraction (n,). Raises ValueError for too many
+    parameters.
     """
     cdef pmf_auxiliary_config_t config
-    cdef pmf_motions_t motions
+    cdef pmf_auxiliary_state_t state
+    cdef real_t signal[PMF_SIGNALS + PMF_MAX_SHAPES]
+    cdef Py_ssize_t k
+    if len(parameters) > PMF_BODY_ROLES:
+        raise ValueError(f"the model takes {PMF_BODY_ROLES} parameters, got {len(parameters)}")
     pmf_clear(&config, sizeof(config))
-    pmf_clear(&motions, sizeof(motions))
-    config.dt, config.input_gain = dt, input_gain
-    if len(shapes):
-        if len(shapes) != sizeof(pmf_shapes_config_t):
-            raise ValueError(f"shapes have {sizeof(pmf_shapes_config_t)} bytes, got {len(shapes)}")
-        memcpy(&config.shapes, <const char *> shapes, sizeof(pmf_shapes_config_t))
-        if pmf_shapes_fit(&config.shapes) == 0 or any(
-            not PMF_SIGNALS <= config.shapes.shape[i].node < PMF_SIGNALS + PMF_MAX_SHAPES for i in range(config.shapes.n)
-        ):
-            raise ValueError("these numbers are no shapes: one of them would lead beyond the kernel's memory")
-    given = np.asarray(parameters, np.float64)
-    m, n, rows = given.shape[0], u.shape[0], u.shape[0] * hold // max(parts, 1)
-    if given.shape[1] > PMF_BODY_ROLES + config.shapes.n:
-        raise ValueError(f"the model takes {PMF_BODY_ROLES + config.shapes.n} parameters, got {given.shape[1]}")
-    if hold < 1 or parts < 1 or hold % parts:
-        raise ValueError(f"hold must be a multiple of parts, got {hold} and {parts}")
-    cdef cnp.ndarray[double, ndim=2, mode="c"] roles = np.zeros((m, PMF_ROLES))
-    roles[:, : given.shape[1]] = given
-    cdef cnp.ndarray[double, mode="c"] speeds = np.ascontiguousarray(velocity, np.float64)
-    cdef cnp.ndarray[double, mode="c"] places = np.ascontiguousarray(position, np.float64)
-    cdef cnp.ndarray[double, mode="c"] past = np.ascontiguousarray(before, np.float64)
-    lag = None if decay is None else np.ascontiguousarray(decay, np.float64)
-    extra = None if on_top is None else np.ascontiguousarray(on_top, np.float64)
-    if past.shape[0] == 0:
-        raise ValueError("before has no input; give at least one")
-    if (speeds.shape[0], places.shape[0]) != (m, m) or (lag is not None and lag.shape != (m, 2, 3)):
-        raise ValueError(f"velocity, position and decay must be those of {m} motions")
-    if extra is not None and extra.shape not in ((rows,), (m, rows)):
-        raise ValueError(f"on_top must have {rows} samples, one row or {m}, got {extra.shape}")
-    spans = None if steps is None else np.ascontiguousarray(steps, np.float64)
-    if spans is not None and (spans.shape != (n,) or lag is not None or np.any(roles[:, PMF_DELAY] > 0)):
-        raise ValueError("steps must have the length of u, and then no input acts late")
-    mean, end = np.empty((m, rows)), np.empty(m)
-    direction, moving = (np.empty((m, rows)), np.empty((m, rows))) if sides else (None, None)
-    motions.config = &config
-    motions.motions, motions.samples, motions.hold, motions.parts = m, n, hold, parts
-    motions.parameter, motions.velocity, motions.position = &roles[0, 0], &speeds[0], &places[0]
-    motions.input, motions.before, motions.n_before = <double *> _numbers(u), &past[0], past.shape[0]
-    motions.span = NULL if spans is None else <double *> _numbers(spans)
-    motions.decay = NULL if lag is None else <double *> _numbers(lag)
-    motions.on_top = NULL if extra is None else <double *> _numbers(extra)
-    motions.own_force = extra is not None and extra.ndim == 2
-    motions.mean, motions.end = <double *> _numbers(mean), <double *> _numbers(end)
-    if sides:
-        motions.direction, motions.moving = <double *> _numbers(direction), <double *> _numbers(moving)
-    with nogil:
-        pmf_move_all(&motions)
-    return mean, direction, moving, end
-
-
-def simulate(parameters, double input_gain, double dt, u, double velocity=0.0, double position=0.0,
-             bytes shapes=b"", before=(0.0,), decay=None, on_top=None, steps=None):
-    """Simulate one motion with the arguments of `simulate_many`. Returns its mean velocity, signed moving fraction and
-    moving fraction (n,), and the final velocity."""
-    found = simulate_many([parameters], input_gain, dt, u, [velocity], [position], shapes, before,
-                          None if decay is None else [decay], on_top, sides=True, steps=steps)
-    return found[0][0], found[1][0], found[2][0], float(found[3][0])
+    pmf_clear(&state, sizeof(state))
+    pmf_clear(signal, sizeof(signal))
+    config.dt, config.input_gain, state.velocity = dt, input_gain, velocity
+    for k, parameter in enumerate(parameters):
+        state.parameter[k] = parameter
+    cdef cnp.ndarray[double, ndim=2, mode="c"] means = np.empty((3, u.shape[0]))
+    for k in range(u.shape[0]):
+        signal[PMF_LATE_INPUT] = <real_t> u[k]
+        pmf_auxiliary_step(&config, &state, signal)
+        means[0, k] = signal[PMF_AUXILIARY + PMF_VELOCITY]
+        means[1, k] = signal[PMF_AUXILIARY + PMF_DIRECTION]
+        means[2, k] = signal[PMF_AUXILIARY + PMF_MOVING]
+    return means[0], means[1], means[2]

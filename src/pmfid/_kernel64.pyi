@@ -88,35 +88,9 @@ class ManyKernel:
         self, states: NDArray[np.uint8], packing: int, is_whole: bytes, back: bool = False
     ) -> NDArray[np.uint8]: ...
 
-def simulate_many(
-    parameters: NDArray[np.float64] | Sequence[Sequence[float]],
-    input_gain: float,
-    dt: float,
-    u: NDArray[np.float64],
-    velocity: NDArray[np.float64] | Sequence[float],
-    position: NDArray[np.float64] | Sequence[float],
-    shapes: bytes = b"",
-    before: NDArray[np.float64] | Sequence[float] = (0.0,),
-    decay: Sequence[Sequence[tuple[float, float, float]]] | None = None,
-    on_top: NDArray[np.float64] | None = None,
-    hold: int = 1,
-    parts: int = 1,
-    sides: bool = False,
-    steps: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, NDArray[np.float64] | None, NDArray[np.float64]]: ...
 def simulate(
-    parameters: Sequence[float],
-    input_gain: float,
-    dt: float,
-    u: NDArray[np.float64],
-    velocity: float = 0.0,
-    position: float = 0.0,
-    shapes: bytes = b"",
-    before: NDArray[np.float64] | Sequence[float] = (0.0,),
-    decay: Sequence[tuple[float, float, float]] | None = None,
-    on_top: NDArray[np.float64] | None = None,
-    steps: NDArray[np.float64] | None = None,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]: ...
+    parameters: Sequence[float], input_gain: float, dt: float, u: NDArray[np.float64], velocity: float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
 
 class EdgeKernel:
     def __init__(

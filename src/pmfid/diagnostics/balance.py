@@ -18,8 +18,7 @@ from pmfid.estimators.configuration import hold_last_input, like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import long_run_covariance
 from pmfid.estimators.motion_fit import MotionFit
-from pmfid.fit.machine import Excitation, machine_of, simulate
-from pmfid.fit.problem import PARTS
+from pmfid.fit.free_motion import simulate_from_rest
 from pmfid.models.axes import Units
 from pmfid.models.drive import EquationModel
 from pmfid.models.equation import (
@@ -249,7 +248,7 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
     # A plant that is pushed by its friction has no motion for a comparison.
     plausible = np.where(twin.equation.positive, np.maximum(at, 0.0), at)
     u, counts, dt = hold_last_input(np.asarray(u, float)), np.asarray(counts), twin.intervals
-    y, x = like(MotionFit, twin).position(counts), simulate_position(twin, plausible, u)
+    y, x = like(MotionFit, twin).position(counts), simulate_from_rest(twin.equation, plausible, u, dt)
     speed = np.diff(x) / dt
     columns = twin.columns_at(plausible, u, counts)
     used = np.flatnonzero(columns.used)
@@ -263,14 +262,6 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
     slow, modelled, way = (low_pass(twin, signal)[-1][late] for signal in (measured, speed, y - y[0]))
     t, target, phi = time[chosen], columns.z[rows], columns.phi[rows]
     return Balance(twin, at, t, slow, modelled, y[0] + way, drift - drift[0], target, phi)
-
-
-def simulate_position(estimator: IV, theta: Floats, u: Floats) -> Floats:
-    """Return the positions (n + 1,) [m] from rest under the input u (n,) alone."""
-    machine, row = machine_of(estimator.equation), np.arange(u.size + 1, dtype=np.int32)
-    steps = np.array(np.broadcast_to(estimator.intervals, u.shape), np.float64)
-    drive = Excitation(steps, u * estimator.equation.input_gain, row, np.zeros((0, u.size)))
-    return simulate(drive, machine.forces, machine.body(theta), PARTS, slopes=False)[0]
 
 
 @dataclass(frozen=True)

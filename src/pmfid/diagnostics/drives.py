@@ -64,22 +64,3 @@ def recent(estimator: Estimator, samples: int) -> slice:
     return slice(
         -round(min(samples, TUNING.drives_memories / max(1e-9, 1 - getattr(estimator, "forgetting", 1.0)))), None
     )
-
-
-def correlation_score(error: NDArray[np.float64], change: NDArray[np.float64], lags: int = 5) -> float:
-    """Return the largest correlation of an error (n,) with later changes of the input (n,), in standard deviations.
-
-    The changes of the input follow the error by up to `lags` samples. The standard deviation holds for independent
-    coloured series (Bartlett 1935).
-    """
-    n = error.size
-    error, change = error - error.mean(), change - change.mean()
-    if n <= 4 * lags or not np.any(error) or not np.any(change):
-        return 0.0
-    power = np.sqrt(np.sum(error**2) * np.sum(change**2))
-    cross = [np.sum(error[: n - lag] * change[lag:]) / power for lag in range(lags + 1)]
-    size = 2 ** int(np.ceil(np.log2(2 * n)))
-    own = [np.fft.irfft(np.abs(np.fft.rfft(series, size)) ** 2, size)[: n // 4] for series in (error, change)]
-    rho = [series / series[0] for series in own]
-    variance = (1 + 2 * np.sum(rho[0][1:] * rho[1][1:])) / n
-    return float(np.max(np.abs(cross)) / np.sqrt(max(variance, 0.2 / n)))

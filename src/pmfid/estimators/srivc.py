@@ -24,10 +24,7 @@ from pmfid.linear.solve import (
     ProcessPoint,
     ProcessProblem,
     Solution,
-    descend,
-    first_guess,
     keep_outputs_after,
-    refine,
     solve,
     solve_dead_time,
     with_fixed_filter,
@@ -195,11 +192,6 @@ def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -
 def fixed_filters(problem: ProcessProblem) -> Solution:
     """Solve by instrumental variables with the filters of the estimator's cutoff."""
     return with_fixed_filter(problem, 1.0)
-
-
-def solve_by_descent(problem: ProcessProblem) -> Solution:
-    """Solve by least squares of the output error."""
-    return descend(problem, refine(problem, first_guess(problem, 1.0)).point)
 
 
 def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> ProcessProblem:

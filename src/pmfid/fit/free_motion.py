@@ -136,10 +136,10 @@ def _narrow(problem: KnownProblem, theta: Floats, starts: Floats) -> Floats:
     return starts
 
 
-def simulate_from_rest(equation: Equation, theta: Floats, u: Floats, dt: float) -> Floats:
-    """Return the positions (n,) from rest at zero at the parameters theta (p,), under an input u (n,) that is held over
-    each dt [s]."""
-    machine, n = machine_of(equation), u.size - 1
-    force = np.ascontiguousarray(u[:-1] * equation.input_gain)
-    drive = Excitation(np.full(n, dt), force, np.arange(u.size, dtype=np.int32), np.zeros((0, n)))
+def simulate_from_rest(equation: Equation, theta: Floats, u: Floats, dt: float | Floats) -> Floats:
+    """Return the positions (n + 1,) from rest at zero at the parameters theta (p,), under an input u (n,) that is held
+    over each dt [s], a number or (n,). Raises UsageError for an equation that no body simulates."""
+    machine, row = machine_of(equation), np.arange(u.size + 1, dtype=np.int32)
+    steps = np.array(np.broadcast_to(dt, u.shape), np.float64)
+    drive = Excitation(steps, np.ascontiguousarray(u * equation.input_gain), row, np.zeros((0, u.size)))
     return simulate(drive, machine.forces, machine.body(theta), PARTS, slopes=False)[0]

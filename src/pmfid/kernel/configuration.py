@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING, Literal, cast
 
 import numpy as np
@@ -214,16 +213,6 @@ def too_many(tables: Sequence[ShapeTable]) -> str:
         f"the model has {len(tables)} forces of a given form, with {knots} values in their tables, and the kernel "
         f"holds at most {MOST_SHAPES} forces and {MOST_KNOTS} values; use fewer terms such as cogging or gravity"
     )
-
-
-@lru_cache
-def shape_bytes(shapes: tuple[Acting, ...]) -> bytes:
-    """Return the bytes of `pmf_shapes_config_t` for `_kernel64.simulate`. They are empty without shapes."""
-    if not shapes:
-        return b""
-    config = np.zeros((), structures(None, "float64")["pmf_shapes_config_t"])
-    fill(config, shape_values(shapes, range(FIRST_NODE, FIRST_NODE + len(shapes))))
-    return config.tobytes()
 
 
 #: exp(-t / lag) over a part of a sample: its end value, its integral, and the integral of t exp(-t / lag), t in

@@ -460,7 +460,7 @@ def simulated_counts(estimator: Estimator, theta: Floats, u: Floats, phase: floa
 
     `phase` is the start on the encoder's lattice, in counts.
     """
-    position = simulate_from_rest(estimator.equation, theta, u, estimator.dt)
+    position = simulate_from_rest(estimator.equation, theta, u[:-1], estimator.dt)
     if not np.max(np.abs(position)) < TUNING.most_counts * estimator.encoder.resolution:
         values = ", ".join(f"{name} {value:.3g}" for name, value in zip(estimator.names, theta.tolist(), strict=False))
         raise NotIdentifiableError(
