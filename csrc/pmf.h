@@ -124,8 +124,8 @@ enum {
     PMF_SEPARATE = 4 /* every parameter has its own rate */
 };
 
-/* Samples after a count that the guard waits for. With the guard, status and estimate belong to the sample so many
- * samples before the last. */
+/* Number of samples after a count that the guard waits for. With the guard, status and estimate lag the last sample by
+ * this number. */
 #define PMF_AHEAD 8U
 #define PMF_VIEW (PMF_AHEAD + 1U) /* the judged sample and those after it */
 #define PMF_PAST 5U /* accepted counts: three accelerations, which show an oscillation of four samples or more */

@@ -19,10 +19,10 @@ from pmfid.actuators.terms import LOOP_FRICTION, odds_of, table_of
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import ODDS, Quadratic
-from pmfid.fit.fit import FitSearch, build, errors_of
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.machine import COULOMB, DELAY, MASS, VISCOUS
 from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.search import FitSearch, build, errors_of
 from pmfid.fit.solve import Likelihood, Optimum, solve
 from pmfid.fit.terms import Sizes
 from pmfid.types import Floats

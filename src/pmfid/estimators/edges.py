@@ -15,10 +15,11 @@ from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.results import Fit
 from pmfid.estimators.tuning import TUNING
 from pmfid.fit.edges import FEWEST, EdgeSearch, fit_edges
-from pmfid.fit.fit import EXPLAINED, Fitted
+from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Intervals
 from pmfid.fit.machine import machine_of
 from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.search import EXPLAINED
 from pmfid.types import Counts, Flags, Floats
 
 

@@ -16,25 +16,11 @@ import numpy as np
 
 from pmfid._body import BASE
 from pmfid.errors import NotIdentifiableError
-from pmfid.fit.fit import (
-    ROUNDS,
-    TRIES,
-    WANDERING,
-    FitSearch,
-    Fitted,
-    begin,
-    build,
-    conclude,
-    estimate_variance,
-    explain,
-    inverse,
-    prune,
-    settle,
-    soften,
-)
+from pmfid.fit.fit import Fitted, conclude, estimate_variance, soften
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.machine import COULOMB, DIRECTIONAL, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.problem import FitProblem
+from pmfid.fit.search import ROUNDS, TRIES, WANDERING, FitSearch, begin, build, explain, inverse, prune, settle
 from pmfid.fit.solve import normal_of
 from pmfid.types import Floats
 

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
-from pmfid.fit.fit import ROUNDS, FitSearch, Fitted, begin, build, conclude, errors_of
+from pmfid.fit.fit import Fitted, conclude
 from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
 from pmfid.fit.machine import DELAY, LAGGING
 from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.search import ROUNDS, FitSearch, begin, build, errors_of
 from pmfid.fit.terms import ExtraForce
 from pmfid.types import Flags, Floats
 

@@ -8,10 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 
-from pmfid.fit.fit import GAIN, MOST_SQUARES, SPREADS
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.machine import DELAY, LAGGING, MASS, VISCOUS, BodyModel, Excitation, machine_of, simulate
 from pmfid.fit.problem import PARTS, FitProblem, ObservedStretch, ResidualBlock
+from pmfid.fit.search import GAIN, MOST_SQUARES, SPREADS
 from pmfid.fit.solve import Optimum, solve
 from pmfid.models.equation import Equation
 from pmfid.types import Floats

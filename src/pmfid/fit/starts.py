@@ -16,6 +16,7 @@ from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.machine import COULOMB, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.solve import Optimum, solve
+from pmfid.fit.terms import Sizes
 from pmfid.types import Floats
 
 #: Changes of the counts, and observations, in the first window.
@@ -114,3 +115,29 @@ def _windows(stretch: ObservedStretch, resolution: float) -> Iterator[ObservedSt
             yield stretch.cut(float(times[first]), float(times[first + count]))
         count *= 2
     yield stretch
+
+
+def sizes_of(problem: FitProblem, start: FitProblem, solution: Optimum) -> Sizes:
+    """Return the sizes that scale the priors, from the record and its blind start."""
+    u = np.concatenate([one.drive.u for one in problem.stretches])
+    y = np.concatenate([one.y for one in problem.stretches])
+    (_, v), *_ = start.motion(solution.q, solution.starts)
+    theta = start.theta(solution.q)
+    force, top = float(np.sqrt(np.mean(u**2))), float(np.max(np.abs(u)))
+    moving = np.abs(v[np.isfinite(v) & (v != 0)])
+    if not moving.size:
+        raise NotIdentifiableError(f"no motion under this input follows the record; {MOVE}")
+    speed = float(np.quantile(moving, 0.98))
+    acting = np.abs(u[np.abs(u) > 1e-6 * top])
+    return Sizes(
+        force,
+        top,
+        speed,
+        max(float(theta[2]), 0.05 * force),
+        max(float(theta[1]), 0.05 * force / speed),
+        max(float(np.ptp(y)) / 2, problem.resolution),
+        float(np.mean([np.mean(one.drive.step) for one in problem.stretches])),
+        sum(float(np.sum(one.drive.step)) for one in problem.stretches),
+        bool(np.ptp(acting) > 1e-3 * top),
+        problem.machine.turn,
+    )

@@ -1,0 +1,492 @@
+"""The search for the forces that explain a record: blind start, comparison of forces, noise, and explained counts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import product
+from typing import ClassVar
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.fit.compare import MOST, ODDS, Quadratic
+from pmfid.fit.elastic import elastic_start
+from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
+from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
+from pmfid.fit.problem import FitProblem
+from pmfid.fit.solve import Likelihood, Optimum, normal_of, solve
+from pmfid.fit.starts import blind_start, sizes_of
+from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, waves
+from pmfid.types import Floats
+
+#: Spreads of a white error in addition to rounding [counts], in falling order.
+SPREADS = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0003)
+#: Spread down to which the intervals must narrow for the model to explain every count.
+EXPLAINED = SPREADS[4]
+#: Mean square of residuals [counts^2] up to which a model may explain every count, tries to find that motion, and their
+#: distance in standard errors of least squares.
+MOST_SQUARES, TRIES, NEARBY = 0.15, 8, 2.0
+#: Largest mean square of residuals within half a count [counts^2]. Least squares has no larger one.
+WITHIN = 0.5**2
+#: Kinds of a disturbance that wanders.
+WANDERING = ("force", "position")
+#: Rounds of fit and noise, which settle in two to four, and most steps of the comparison.
+ROUNDS, MOST_STEPS = 5, 12
+#: Number of wavenumbers that a record is searched for.
+WAVENUMBERS = 100
+#: Largest distance of the mass from the blind start, as a logarithm. A fit that goes further follows noise.
+FAR = 3.0
+#: Gain of log likelihood below which a step of the search ends: an eighth of a standard error. The conclusion goes on.
+GAIN = 0.01
+#: Advice if no motion follows.
+FOLLOW = (
+    "check input_gain, sign and scale of input and output, and [encoder] bits; an input that acts many samples late "
+    'needs dead_time = "estimate"'
+)
+#: Start values of an unknown speed of Stribeck friction, as shares of the highest speed. The search ends in the
+#: right optimum from starts up to four times above or below the true speed.
+SPEEDS = (0.05, 0.2, 0.5)
+#: Largest change of the mass between rounds that counts as settled, relative.
+SETTLED = 1e-4
+
+
+def candidates_of(machine: BodyModel, sizes: Sizes) -> list[ExtraForce]:
+    """Return the rows of the table that the machine does not have already."""
+    has = {row for row in (OFFSET, DIRECTIONAL, DELAY, LAGGING) if np.any(machine.lift[row] != 0)}
+    kinds = {(force.kind, force.p if force.kind == "power" else 0.0) for force in machine.forces}
+    rows = [one for row in TABLE for one in row(sizes)]
+    if machine.elastic:
+        rows = [one.place_on_load() for one in rows if one.base != LAGGING and one.name != "spring"]
+    return [
+        one
+        for one in rows
+        if one.base not in has
+        and (one.force is None or (one.force.kind, one.force.p if one.force.kind == "power" else 0.0) not in kinds)
+    ]
+
+
+def with_columns(problem: FitProblem, candidates: Sequence[ExtraForce]) -> tuple[FitProblem, list[ExtraForce]]:
+    """Return the problem with the candidates' columns, and the candidates with the numbers of their columns."""
+    first = problem.stretches[0].drive.columns.shape[0]
+    makers = [one.column for one in candidates if one.column is not None]
+    clocks = np.append(0.0, np.cumsum([float(np.sum(one.drive.step)) for one in problem.stretches]))
+    stretches = []
+    for stretch, begin in zip(problem.stretches, clocks, strict=False):
+        t = begin + np.cumsum(stretch.drive.step)
+        t = np.append(t, clocks[-1])  # the columns know how long the whole record is
+        rows = [make(np.append(stretch.drive.u, 0.0), t)[:-1] for make in makers]
+        columns = np.ascontiguousarray(np.vstack([stretch.drive.columns, *rows]))
+        stretches.append(replace(stretch, drive=replace(stretch.drive, columns=columns)))
+    numbers = iter(range(first, first + len(makers)))
+    placed = [one if one.column is None else one.place_column(next(numbers)) for one in candidates]
+    return replace(problem, stretches=tuple(stretches)), placed
+
+
+def first_theta(machine: BodyModel, start: Floats, sizes: Sizes, share: float) -> Floats:
+    """Return the machine's parameters (p,) at the blind start (mass, viscous, Coulomb, load), or at that of two masses.
+
+    An unknown speed of Stribeck friction starts at a `share` of the highest speed.
+    """
+    body = np.zeros(len(machine.rest))
+    if machine.elastic:
+        body[: machine.base] = start
+    else:
+        body[[MASS, VISCOUS, COULOMB, OFFSET]] = start[:4]
+        body[[DELAY, LAGGING]] = 0.5 * sizes.step
+    for j, force in enumerate(machine.forces):
+        body[machine.base + j] = 0.2 * sizes.coulomb if force.free else _first_size(force, start, sizes.turn)
+    body[machine.base + len(machine.forces) :] = share * sizes.speed
+    rows = np.any(machine.lift != 0, axis=1)
+    return np.asarray(np.linalg.lstsq(machine.lift[rows], body[rows], rcond=None)[0])
+
+
+def _first_size(force: BodyForce, start: Floats, turn: float) -> float:
+    """Return the size of a force at the blind start. That of two masses has no force on the load."""
+    if force.load:
+        return 0.0
+    if force.kind == "spring":
+        return float(start[4])
+    if force.kind == "wave" and turn and force.p == turn:
+        return float(start[5 if force.q == 0 else 6])
+    return 0.0
+
+
+class FitSearch:
+    """The state of a fit: the table of candidates, the chosen ones, the noise and the solution."""
+
+    #: Kinds of disturbances that may wander.
+    wandering: ClassVar[Sequence[str]] = WANDERING
+    #: Effects that repeat along the travel and are sought, kinds of `WAVES`.
+    waves: Sequence[str] = tuple(WAVES)
+
+    def __init__(self, problem: FitProblem) -> None:
+        machine = problem.machine
+        start, solution = (
+            elastic_start(problem)
+            if machine.elastic
+            else blind_start(problem.stretches, problem.resolution, machine.turn)
+        )
+        self.sizes = sizes_of(problem, start, solution)
+        self.plain, self.table = with_columns(problem, candidates_of(problem.machine, self.sizes))
+        self.first, self.begin = start.theta(solution.q), problem.first_starts()
+        logs = solution.q[start.machine.logs[:2]]  # of each mass
+        if machine.elastic:
+            self.first = start.machine.body(self.first)
+            self.begin[[one is start.stretches[0] for one in problem.stretches]] = solution.starts[0]
+        bounds = (float(np.min(logs)) - FAR, float(np.max(logs)) + FAR)
+        self.plain = replace(self.plain, mass=bounds, rate=start.rate)
+        self.chosen: list[int] = []
+        self.restart(self.chosen)
+        self.solution: Optimum | None = None
+
+    @property
+    def own(self) -> int:
+        return len(self.plain.machine.names)
+
+    def restart(self, chosen: Sequence[int], share: float = SPEEDS[0]) -> None:
+        """Return to the blind start, with a set of candidates that may have the load of the start. `share` is that of
+        `first_theta`."""
+        theta = first_theta(self.plain.machine, self.first, self.sizes, share)
+        self.chosen = list(chosen)
+        self.problem = self._chosen_problem()
+        self.q = self.problem.start(theta)
+        self.starts = self.begin
+        for k, candidate in self.problem.place_candidates():
+            if not candidate.reads:
+                force = candidate.force
+                size = self.first[3] if force is None else _first_size(force, self.first, self.sizes.turn)
+                self.q[k] = size / candidate.sd
+        self.noise = Gaussian(self.plain.stretches)
+
+    def _chosen_problem(self) -> FitProblem:
+        return self.plain.with_candidates([self.table[i].free_constant() for i in self.chosen])
+
+    def prior(self, problem: FitProblem) -> Floats:
+        """Return the prior precisions (p,): those of the machine, and 1 for the size of a candidate."""
+        prior, own = np.zeros(problem.size), problem.machine.precision
+        if own is not None:
+            prior[: own.size] = own
+        prior[problem.places] = 1.0
+        return prior
+
+    def solve(self, likelihood: Likelihood, steps: int = 30) -> Optimum:
+        found = solve(self.problem, likelihood, self.q, self.starts, self.prior(self.problem), steps, GAIN)
+        self.q, self.starts, self.solution = found.q, found.starts, found
+        return found
+
+    @property
+    def rate(self) -> float:
+        body, _, _ = self.problem._body(self.q)
+        return max(0.0, float(body[VISCOUS] / body[MASS]))
+
+    def estimate_noise(self, kinds: Sequence[str]) -> Gaussian:
+        """Return the noise of the residuals, with the rests of the simulated motion."""
+        motion = self.problem.motion(self.q, self.starts)
+        stretches = tuple(one.resting(v == 0) for one, (_, v) in zip(self.plain.stretches, motion, strict=True))
+        return noise_of(stretches, errors_of(self), self.rate, kinds)
+
+    def check_followed(self, noise: Gaussian) -> None:
+        """Raise NotIdentifiableError if a motion without any input, but with a disturbance, explains the record as
+        well."""
+        _check_followed(self, noise)
+
+    def explain(self) -> Intervals | None:
+        """Return the likelihood of the intervals if a motion explains every count.
+
+        Two masses stop and start so often that the likelihood of their intervals is too rough.
+        """
+        return None if self.plain.machine.elastic else explain(self)
+
+    def choose(self, chosen: Sequence[int]) -> None:
+        """Take a set of candidates, with the sizes of those that were in before."""
+        sizes = self._sizes()
+        self.chosen = sorted(chosen)
+        self.problem = self._chosen_problem()
+        theta = self.q[: self.own]
+        self.q = self.problem.start(self.plain.theta(theta))
+        for i, (k, candidate) in zip(self.chosen, self.problem.place_candidates(), strict=True):
+            # a force of size 0 shows nothing of its constant, and a lag of 0 moves the body as a dead time does
+            self.q[k], constant = sizes.get(i, (0.3 if candidate.base in (DELAY, LAGGING) else 0.02, 1.0))
+            if candidate.free:
+                self.q[k + 1] = constant
+
+    def choose_best(self, sets: Sequence[Sequence[int]]) -> None:
+        """Take the set of candidates whose motion fits best in the present noise."""
+        at, ends = (self.chosen, self.problem, self.q, self.starts), []
+        for chosen in sets:
+            self.chosen, self.problem, self.q, self.starts = at
+            self.choose(chosen)
+            if len(sets) > 1:
+                ends.append((self.solve(self.noise, 10).cost, self.chosen, self.problem, self.q, self.starts))
+        if ends:
+            _, self.chosen, self.problem, self.q, self.starts = min(ends, key=lambda end: end[0])
+
+    def _odds(self) -> Floats:
+        """Return the log odds of each candidate. The candidates of one name share those of their row."""
+        names = [one.name for one in self.table]
+        return np.array([ODDS - math.log(names.count(name)) for name in names])
+
+    def _sizes(self) -> dict[int, tuple[float, float]]:
+        """Return the size of each chosen candidate, and its constant in units of the first one."""
+        places = zip(self.chosen, self.problem.place_candidates(), strict=True)
+        return {i: (float(self.q[k]), float(self.q[k + 1]) if one.free else 1.0) for i, (k, one) in places}
+
+    def local(self, likelihood: Likelihood) -> Quadratic:
+        """Return the quadratic log likelihood by the machine's parameters and by all candidates of the table, about
+        size 0 of each candidate."""
+        sizes = self._sizes()
+        every = self.plain.with_candidates(
+            [one.free_constant() if i in self.chosen else one for i, one in enumerate(self.table)]
+        )
+        q, at = every.start(self.plain.theta(self.q[: self.own])), np.zeros(len(self.table))
+        for i, (k, candidate) in enumerate(every.place_candidates()):
+            at[i] = q[k] = sizes.get(i, (0.0, 1.0))[0]
+            if candidate.free:
+                q[k + 1] = sizes[i][1]
+        kept = [*range(self.own), *every.places]
+        normal = normal_of(likelihood(every.linearise(q, self.starts))[1], self.starts)
+        A, g = normal.A[np.ix_(kept, kept)], normal.g[kept]
+        own = self.prior(every)[: self.own]
+        A[range(self.own), range(self.own)] += own
+        g[: self.own] += own * q[: self.own]
+        lowest = np.array([one.lowest for one in self.table])
+        return Quadratic(A, g - A[:, self.own :] @ at, self.own, self._odds(), lowest)
+
+
+def begin(search: FitSearch) -> Intervals | None:
+    """Solve from the blind starts with forces of the position or without, and keep the best set of them.
+
+    Returns the likelihood of the intervals if a motion explains every count.
+    """
+    loads = [i for i, one in enumerate(search.table) if one.base == OFFSET]
+    springs, turned = ([i for i, one in enumerate(search.table) if one.name == name] for name in ("spring", "gravity"))
+    speeds = SPEEDS if any(force.free for force in search.plain.machine.forces) else SPEEDS[:1]
+    sets = ([], loads) if search.plain.machine.elastic else ([], loads, [*loads, *springs], turned)
+    costs = []
+    for chosen, share in product(dict.fromkeys(map(tuple, sets)), speeds):
+        search.restart(chosen, share)
+        cost = search.solve(search.noise).cost
+        likelihood = search.explain()
+        if likelihood is not None:
+            return likelihood
+        costs.append((search.plain.rows * math.log(cost) + len(chosen) * math.log(search.plain.rows), chosen, share))
+    search.restart(*min(costs)[1:])
+    search.solve(search.noise)
+    return None
+
+
+def build(search: FitSearch) -> Gaussian | Intervals:
+    """Add and drop forces until the counts are explained or no force gains evidence, and return the likelihood."""
+    _settle_either(search)
+    for _ in range(MOST_STEPS):
+        step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
+        if step is not None:
+            search.choose_best(_alternatives(search, step))
+        elif not (search.waves and search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
+            break
+        search.solve(search.noise)
+        explained = search.explain()
+        if explained is not None:
+            return prune(search, explained)
+        settle(search, search.wandering)
+    return search.noise
+
+
+def _settle_either(search: FitSearch) -> None:
+    """Settle with a force that wanders, and with an error of the position, and keep the likelier end.
+
+    The residuals of a poor fit look like an error of the position, even where a force wanders.
+    """
+    at, ends = (search.q, search.starts, search.noise), []
+    for kind in search.wandering:
+        search.q, search.starts, search.noise = at
+        settle(search, (kind,))
+        ends.append((search.noise.evidence(errors_of(search))[0], search.q, search.starts, search.noise))
+    _, search.q, search.starts, search.noise = max(ends, key=lambda end: end[0])
+
+
+def settle(search: FitSearch, kinds: Sequence[str]) -> None:
+    """Fit and estimate the noise in turn until the mass settles."""
+    lead = search.plain.machine.lead
+    for _ in range(ROUNDS):
+        before = search.q[lead]
+        search.noise = search.estimate_noise(kinds)
+        search.solve(search.noise)
+        if abs(search.q[lead] - before) < SETTLED:
+            break
+
+
+def _alternatives(search: FitSearch, step: Sequence[int]) -> list[Sequence[int]]:
+    """Return a set, and the set with a lag in place of a new dead time or the reverse: near zero they are the same."""
+    late = {i: one.name for i, one in enumerate(search.table) if one.base in (DELAY, LAGGING)}
+    new = [i for i in step if i in late and i not in search.chosen]
+    other = [i for i in late if i not in step]
+    return [step, sorted([*(i for i in step if i not in new), *other])] if new and other else [step]
+
+
+def prune(search: FitSearch, likelihood: Intervals, fewest: int = 1) -> Intervals:
+    """Drop candidates without which the motion still explains every count, down to `fewest` candidates."""
+    for i in list(search.chosen):
+        if len(search.chosen) <= fewest:
+            break
+        kept = search.chosen, search.q, search.starts
+        search.choose([j for j in search.chosen if j != i])
+        shorter = _narrow(search) if _follows(search) else None
+        if shorter is None:
+            search.choose(kept[0])
+            search.q, search.starts = kept[1], kept[2]
+        else:
+            likelihood = shorter
+    return likelihood
+
+
+def _follows(search: FitSearch) -> bool:
+    """Return whether least squares ends near rounding."""
+    search.solve(Gaussian(search.plain.stretches), 10)
+    return _as_rounding(search)
+
+
+def _add_wave(search: FitSearch) -> bool:
+    """Add the effect with a period along the travel that the residuals show best, if they show one."""
+    reach = 2 * search.sizes.travel
+    kind, wavenumber, gain = _strongest(search, np.arange(1, WAVENUMBERS + 1) / (2 * reach), search.waves)
+    step = 1 / (2 * reach)
+    for _ in range(3):
+        step /= 4
+        nearby = wavenumber + step * np.arange(-3, 4)
+        _, wavenumber, gain = _strongest(search, np.asarray(nearby[nearby > 0]), (kind,))
+    if gain < math.log(WAVENUMBERS * len(search.waves)) - 2 * ODDS:
+        return False
+    size = search.problem.resolution * 3 if not kind else 0.3 * search.sizes.coulomb
+    first = len(search.table)
+    search.table += waves(kind, 1 / wavenumber, size)
+    search.choose([*search.chosen, first, first + 1])
+    return True
+
+
+def _strongest(search: FitSearch, wavenumbers: Floats, kinds: Sequence[str]) -> tuple[str, float, float]:
+    """Return kind, wavenumber [1/unit] and gain of log evidence of the strongest wave."""
+    best = ("", 0.0, -math.inf)
+    for kind in kinds:
+        size = search.problem.resolution * 3 if not kind else 0.3 * search.sizes.coulomb
+        pairs = [one for w in wavenumbers.tolist() for one in waves(kind, 1 / w, size)]
+        problem = replace(search.problem, candidates=(*search.problem.candidates, *pairs))
+        q = np.append(search.q, np.zeros(len(pairs)))
+        normal = normal_of(search.noise(problem.linearise(q, search.starts))[1], search.starts)
+        prior = search.prior(problem)
+        gains = pair_gains(normal.A + np.diag(prior), normal.g + prior * q, search.q.size)
+        top = int(np.argmax(gains))
+        if gains[top] > best[2]:
+            best = (kind, float(wavenumbers[top]), float(gains[top]))
+    return best
+
+
+def pair_gains(A: Floats, g: Floats, base: int) -> Floats:
+    """Return the gain (m,) of log evidence by each of m pairs of parameters after the first `base`."""
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    A, g = A / np.outer(size, size), g / size
+    solved = np.linalg.solve(A[:base, :base] + 1e-12 * np.eye(base), np.column_stack([A[:base, base:], g[:base]]))
+    inner = A[base:, base:] - A[base:, :base] @ solved[:, :-1]
+    pull = g[base:] - A[base:, :base] @ solved[:, -1]
+    m = pull.size // 2
+    blocks = inner.reshape(m, 2, m, 2)[range(m), :, range(m), :]
+    step = np.linalg.solve(blocks + 1e-9 * np.eye(2), pull.reshape(m, 2, 1))[..., 0]
+    logs = np.log(np.maximum(np.linalg.det(blocks), 1e-300)) + 2 * np.log(size[base:]).reshape(m, 2).sum(axis=1)
+    return np.asarray(0.5 * np.sum(step * pull.reshape(m, 2), axis=1) - 0.5 * logs)
+
+
+def errors_of(search: FitSearch) -> list[Floats]:
+    return [block.e for block in search.problem.linearise(search.q, search.starts)]
+
+
+def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
+    """Return the likelihood of the intervals if a motion explains every count, and move the search to its optimum.
+
+    Stops and starts of the axis make the likelihood rough. Where the residuals are as small as rounding, further tries
+    begin at random places around the optimum of least squares.
+    """
+    at = search.q, search.starts
+    if not _may_explain(search):
+        search.q, search.starts = at
+        return None
+    rng, likelihood = np.random.default_rng(1), _narrow(search)
+    for _ in range(tries if likelihood is None and _as_rounding(search) else 0):
+        search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
+        search.solve(Gaussian(search.plain.stretches), 10)
+        likelihood = _narrow(search)
+        if likelihood is not None:
+            return likelihood
+    if likelihood is None:
+        search.q, search.starts = at
+    return likelihood
+
+
+def _narrow(search: FitSearch) -> Intervals | None:
+    """Narrow the intervals down to the counts; None if that stops to pay."""
+    before, best = -math.inf, None
+    for spread in SPREADS:
+        likelihood = Intervals(search.plain.stretches, spread)
+        value = -search.solve(likelihood, 15).cost
+        if value <= before:
+            break
+        before, best = value, (likelihood, search.q, search.starts)
+    assert best is not None
+    likelihood, search.q, search.starts = best
+    return likelihood if likelihood.spread <= EXPLAINED else None
+
+
+def _may_explain(search: FitSearch) -> bool:
+    """Return whether a motion near the present one may explain every count."""
+    if _mean_square(search) > WITHIN:
+        search.solve(Gaussian(search.plain.stretches))
+    return _mean_square(search) < WITHIN
+
+
+def _mean_square(search: FitSearch) -> float:
+    return float(np.mean(np.concatenate(errors_of(search)) ** 2))
+
+
+def _as_rounding(search: FitSearch) -> bool:
+    return _mean_square(search) < MOST_SQUARES
+
+
+def _nearby(search: FitSearch, q: Floats, starts: Floats, rng: np.random.Generator) -> Floats:
+    """Return parameters a few standard errors of least squares away."""
+    noise = Gaussian(search.plain.stretches)
+    normal = normal_of(noise(search.problem.linearise(q, starts))[1], starts)
+    A = normal.A + np.diag(search.prior(search.problem))
+    values, vectors = np.linalg.eigh(_scale_matrix(A)[0])
+    step = vectors @ (rng.standard_normal(q.size) / np.sqrt(np.maximum(values, 1e-6)))
+    return search.problem.clip_to_bounds(q + NEARBY * step / _scale_matrix(A)[1])
+
+
+def _nearby_starts(search: FitSearch, rng: np.random.Generator) -> Floats:
+    """Return start states near those that the first counts show. An axis at rest shows nothing of its speed."""
+    starts = search.plain.first_starts()
+    starts[:, 0] += 0.3 * rng.standard_normal(len(starts))
+    starts[:, 1] += (0.3 + 0.3 * np.abs(starts[:, 1])) * rng.standard_normal(len(starts))
+    return starts
+
+
+def inverse(A: Floats) -> Floats:
+    """Return the inverse of an information matrix, with a large variance where it has no information."""
+    scaled, size = _scale_matrix(A)
+    return np.asarray(np.linalg.inv(scaled + 1e-12 * np.eye(len(A))) / np.outer(size, size))
+
+
+def _scale_matrix(A: Floats) -> tuple[Floats, Floats]:
+    """Return a matrix with a unit diagonal, and the roots of the diagonal."""
+    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    return A / np.outer(size, size), size
+
+
+def _check_followed(search: FitSearch, noise: Gaussian) -> None:
+    """Raise NotIdentifiableError if a motion without any input, but with a disturbance, explains the record as well."""
+    still = [(one.y[0] - one.y) / search.plain.resolution for one in search.plain.stretches]
+    alone = noise_of(noise.stretches, still, search.rate)
+    gain = noise.evidence(errors_of(search))[0] - alone.evidence(still)[0]
+    free = np.count_nonzero(search.prior(search.problem) == 0)
+    if not gain > (free + len(search.chosen)) * math.log(search.plain.rows):
+        raise NotIdentifiableError(f"the motion does not follow the input; {FOLLOW}")
