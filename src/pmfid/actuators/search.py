@@ -155,7 +155,7 @@ class ServoSearch(FitSearch):
 
     def prior(self, problem: FitProblem) -> Floats:
         prior = super().prior(problem)
-        prior[: self.own] = self._plain_prior()
+        prior[: self.count] = self._plain_prior()
         return prior
 
     def _odds(self) -> Floats:
@@ -165,8 +165,8 @@ class ServoSearch(FitSearch):
         local = super().local(likelihood)
         prior = self._plain_prior()
         A, g = local.A.copy(), local.g.copy()
-        A[range(self.own), range(self.own)] += prior
-        g[: self.own] += prior * self.q[: self.own]
+        A[range(self.count), range(self.count)] += prior
+        g[: self.count] += prior * self.q[: self.count]
         pair = tuple(i for i, one in enumerate(self.table) if one.name == "gravity")
         return BoundedQuadratic(A, g, local.plain, local.odds, local.lowest, pair, self.kept)
 
@@ -251,10 +251,10 @@ def _move_to_terms(at: ServoSearch, name: str) -> ServoSearch:
     """Return the search with a parameter of the model as a term of the table, which has odds and may go again."""
     place = at.plain.machine.names.index(name)
     size, task = float(at.q[place]), replace(at.task, extra=())
-    kept = np.arange(at.own) != place
+    kept = np.arange(at.count) != place
     parts = tuple(replace(one, acts=None if one.acts is None else one.acts[kept]) for one in at.plain.stretches)
     plain = replace(at.plain, machine=task.body(), stretches=parts)
-    other = ServoSearch(task, plain, np.delete(at.q[: at.own], place), at.starts, search=True)
+    other = ServoSearch(task, plain, np.delete(at.q[: at.count], place), at.starts, search=True)
     term = next(i for i, one in enumerate(other.table) if one.name == name)
     other.choose([*other.chosen, term])
     other.q[other.problem.places[other.chosen.index(term)]] = size / other.table[term].sd

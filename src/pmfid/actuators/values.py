@@ -117,7 +117,7 @@ def _covariance(search: ServoSearch, fitted: Fitted) -> Floats:
     std, wide = np.sqrt(np.diag(covariance)), np.ones(len(covariance))
     half = fitted.half.copy()
     half[search.plain.machine.lead] /= fitted.theta[search.plain.machine.lead]
-    wide[: search.own] = np.maximum(half / TUNING.normal / np.maximum(std[: search.own], 1e-300), 1.0)
+    wide[: search.count] = np.maximum(half / TUNING.normal / np.maximum(std[: search.count], 1e-300), 1.0)
     return np.asarray(covariance * np.outer(wide, wide))
 
 

@@ -112,18 +112,18 @@ class CurveSearch(FitSearch):
         kept, replaced = [i for i, one in enumerate(self.table) if one.name not in REPLACED], self._sum_replaced()
         self.choose([i for i in self.chosen if i in kept])
         self.chosen, self.table = [kept.index(i) for i in self.chosen], [self.table[i] for i in kept]
-        theta, speed = self.plain.theta(self.q[: self.own]), self.sizes.speed
+        theta, speed = self.plain.theta(self.q[: self.count]), self.sizes.speed
         ends = friction_rows(self.straight, np.array([speed, -speed])) @ theta
         self.force = float(np.max(np.abs(ends)))
-        old, bends = self.own, len(KINDS) * (SPEEDS.size - 1)
-        self.q = np.insert(self.q, self.own, np.zeros(bends))
+        old, bends = self.count, len(KINDS) * (SPEEDS.size - 1)
+        self.q = np.insert(self.q, self.count, np.zeros(bends))
         self.plain = replace(self.plain, machine=with_bends(self.straight, speed))
         self.set_strengths(self.strengths)
         v = speed * np.r_[-SPEEDS[:0:-1], SPEEDS[1:]]
         rows = friction_rows(self.plain.machine, v)
         scale = np.where(rows.any(axis=0), self.force / np.maximum(np.abs(rows).max(axis=0), 1e-300), 0.0)
         scale[old:] = 1 / np.sqrt(self.precision(self.strengths)[old:])
-        self.q[: self.own] += scale * np.linalg.lstsq(rows * scale, np.sign(v) * replaced(np.abs(v)), rcond=None)[0]
+        self.q[: self.count] += scale * np.linalg.lstsq(rows * scale, np.sign(v) * replaced(np.abs(v)), rcond=None)[0]
 
     def _sum_replaced(self) -> Callable[[Floats], Floats]:
         """Return the friction over the speed by the chosen forces that bends replace."""
@@ -192,7 +192,7 @@ class StrengthPosterior:
 def weigh_strengths(search: CurveSearch, likelihood: Gaussian | Intervals) -> StrengthPosterior:
     A, g, prior = search.data(soften(likelihood))
     values, steps, covariances = [], [], []
-    own = search.own
+    own = search.count
     for strengths in GRID:
         precision = prior.copy()
         precision[:own] = search.precision(strengths)
@@ -228,7 +228,7 @@ def fit_curve(problem: FitProblem) -> CurveFit:
 
 def _conclude(search: CurveSearch, likelihood: Gaussian | Intervals) -> CurveFit:
     fitted = conclude(search, likelihood)
-    own, lead, mass = search.own, search.plain.machine.lead, fitted.theta[search.plain.machine.lead]
+    own, lead, mass = search.count, search.plain.machine.lead, fitted.theta[search.plain.machine.lead]
     velocity = velocities(search)
     rows = np.vstack([np.eye(own)[lead], friction_rows(search.plain.machine, velocity)])
     wide = np.hstack([rows, np.zeros((len(rows), search.q.size - own))])

@@ -119,12 +119,12 @@ def _refine(record: SmoothRecord, basis: Floats, rest: Floats, loads: Floats) ->
         forces = record.loads((tried[:, None, :] + steps).reshape(-1, 4))
         forces = (forces - basis @ (basis.T @ forces)).reshape(-1, count, 5)
         for k in range(count):
-            own = forces[:, k, 0]
-            mass = float(own @ rest) / max(float(own @ own), 1e-300)
-            left = rest - mass * own
+            of_mass = forces[:, k, 0]
+            mass = float(of_mass @ rest) / max(float(of_mass @ of_mass), 1e-300)
+            left = rest - mass * of_mass
             if left @ left < cost[k]:
                 cost[k], best[k], damping[k] = left @ left, tried[k], damping[k] / 5
-                J = np.column_stack([own, (forces[:, k, 1:] - own[:, None]) / TUNING.step * mass])
+                J = np.column_stack([of_mass, (forces[:, k, 1:] - of_mass[:, None]) / TUNING.step * mass])
                 normal[k] = J.T @ J, J.T @ left
             else:
                 damping[k] *= 8

@@ -91,27 +91,27 @@ def _fit_once(problem: FitProblem) -> Fitted:
 
 def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     allowed, prior = range(len(search.table)), search.prior(search.problem)
-    found = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
-    if min(np.abs(found.q[search.plain.machine.lead] - np.array(search.plain.mass))) < SETTLED:
+    optimum = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
+    if min(np.abs(optimum.q[search.plain.machine.lead] - np.array(search.plain.mass))) < SETTLED:
         raise NotIdentifiableError(f"no motion of the model follows the record; {FOLLOW}")
     if isinstance(likelihood, Gaussian):
         search.check_followed(likelihood)
-    theta, covariance = _estimate(search, found, likelihood)
+    theta, covariance = _estimate(search, optimum, likelihood)
     local = search.local(soften(likelihood))
-    half, rival = local.half_length(search.chosen, allowed, np.diag(covariance), np.eye(search.own))
-    lift = np.ones(search.own)
+    half, rival = local.half_length(search.chosen, allowed, np.diag(covariance), np.eye(search.count))
+    lift = np.ones(search.count)
     lift[search.plain.machine.logs] = theta[search.plain.machine.logs]
-    shift = local.evidence([])[1][: search.own] - local.evidence(search.chosen)[1][: search.own]
+    shift = local.evidence([])[1][: search.count] - local.evidence(search.chosen)[1][: search.count]
     return Fitted(
         search.problem,
-        found,
+        optimum,
         likelihood,
         theta,
         covariance * np.outer(lift, lift),
         half * lift,
         theta + shift * lift,
         search.table[rival].words if rival is not None else "",
-        _weigh(search, found, likelihood, lift),
+        _weigh(search, optimum, likelihood, lift),
     )
 
 
@@ -121,30 +121,34 @@ def soften(likelihood: Gaussian | Intervals) -> Gaussian | Intervals:
 
 
 def _weigh(
-    search: FitSearch, found: Optimum, likelihood: Gaussian | Intervals, lift: Floats
+    search: FitSearch, optimum: Optimum, likelihood: Gaussian | Intervals, lift: Floats
 ) -> tuple[WeighedForce, ...]:
     """Return the forces of the table in the noise of the residuals, which is rounding if every count is explained."""
     noise = likelihood if isinstance(likelihood, Gaussian) else Gaussian(search.plain.stretches)
-    normal = normal_of(noise(search.problem.linearise(found.q, found.starts))[1], found.starts)
+    normal = normal_of(noise(search.problem.linearise(optimum.q, optimum.starts))[1], optimum.starts)
     covariance = sandwich(normal.A + np.diag(search.prior(search.problem)), normal)
     at = search.problem.places
-    return weigh(search.local(noise), search.table, search.chosen, found.q[at], np.sqrt(np.diag(covariance))[at], lift)
+    return weigh(
+        search.local(noise), search.table, search.chosen, optimum.q[at], np.sqrt(np.diag(covariance))[at], lift
+    )
 
 
-def _estimate(search: FitSearch, found: Optimum, likelihood: Gaussian | Intervals) -> tuple[Floats, Floats]:
+def _estimate(search: FitSearch, optimum: Optimum, likelihood: Gaussian | Intervals) -> tuple[Floats, Floats]:
     """Return the machine's parameters (p,), and their covariance with the mass as a logarithm."""
-    A = found.normal.A + np.diag(search.prior(search.problem))
-    own = search.own
+    A = optimum.normal.A + np.diag(search.prior(search.problem))
+    count = search.count
     if isinstance(likelihood, Gaussian):
-        return search.problem.theta(found.q), sandwich(A, found.normal)[:own, :own]
-    if found.q.size + found.starts.size < BLOCKS:  # more parameters than that would make the walk long
-        return _estimate_in_region(search, found)
-    blocks = search.problem.linearise(found.q, found.starts)
+        return search.problem.theta(optimum.q), sandwich(A, optimum.normal)[:count, :count]
+    if optimum.q.size + optimum.starts.size < BLOCKS:  # more parameters than that would make the walk long
+        return _estimate_in_region(search, optimum)
+    blocks = search.problem.linearise(optimum.q, optimum.starts)
     if search.plain.machine.precision is not None:  # the columns leave no error of the counts but their bounds
-        A = normal_of(soften(likelihood)(blocks)[1], found.starts).A + np.diag(search.prior(search.problem))
-        return search.problem.theta(found.q), inverse(A)[:own, :own]
-    plain = normal_of(Gaussian(search.plain.stretches)(blocks)[1], found.starts)
-    return search.problem.theta(found.q), sandwich(plain.A + np.diag(search.prior(search.problem)), plain)[:own, :own]
+        A = normal_of(soften(likelihood)(blocks)[1], optimum.starts).A + np.diag(search.prior(search.problem))
+        return search.problem.theta(optimum.q), inverse(A)[:count, :count]
+    plain = normal_of(Gaussian(search.plain.stretches)(blocks)[1], optimum.starts)
+    return search.problem.theta(optimum.q), sandwich(plain.A + np.diag(search.prior(search.problem)), plain)[
+        :count, :count
+    ]
 
 
 def sandwich(A: Floats, normal: Normal) -> Floats:
@@ -167,36 +171,38 @@ def estimate_variance(A: Floats, normal: Normal, rows: Floats) -> Floats:
     return np.asarray(np.maximum(scattered, np.sum((rows @ covariance) * rows, axis=1)))
 
 
-def _estimate_in_region(search: FitSearch, found: Optimum) -> tuple[Floats, Floats]:
-    e, J = _stack(search.problem.linearise(found.q, found.starts))
-    prior = np.append(search.prior(search.problem), np.tile(START[: found.starts.shape[1]], len(found.starts)))
+def _estimate_in_region(search: FitSearch, optimum: Optimum) -> tuple[Floats, Floats]:
+    e, J = _stack(search.problem.linearise(optimum.q, optimum.starts))
+    prior = np.append(search.prior(search.problem), np.tile(START[: optimum.starts.shape[1]], len(optimum.starts)))
     wide = inverse(12.0 * J.T @ J + np.diag(prior))
     beyond = max(0.0, float(np.max(np.abs(e))) - 0.5)
-    bound = 0.5 + 2 * beyond + 1e-5 + _integration_errors(search.problem, found, e)
-    e, J, bound = (np.concatenate(pair) for pair in zip((e, J, bound), _lowest_rows(search, found, wide), strict=True))
+    bound = 0.5 + 2 * beyond + 1e-5 + _integration_errors(search.problem, optimum, e)
+    e, J, bound = (
+        np.concatenate(pair) for pair in zip((e, J, bound), _lowest_rows(search, optimum, wide), strict=True)
+    )
     mean, inner = allowed_region(e, J, bound, wide, np.random.default_rng(1))
-    own, p = search.own, found.q.size
-    if not np.all(np.diag(inner)[:own] < 100 * np.diag(wide)[:own]):
-        return search.problem.theta(found.q), wide[:own, :own]
-    return search.problem.theta(found.q + mean[:p]), inner[:own, :own]
+    count, p = search.count, optimum.q.size
+    if not np.all(np.diag(inner)[:count] < 100 * np.diag(wide)[:count]):
+        return search.problem.theta(optimum.q), wide[:count, :count]
+    return search.problem.theta(optimum.q + mean[:p]), inner[:count, :count]
 
 
-def _lowest_rows(search: FitSearch, found: Optimum, wide: Floats) -> tuple[Floats, Floats, Floats]:
+def _lowest_rows(search: FitSearch, optimum: Optimum, wide: Floats) -> tuple[Floats, Floats, Floats]:
     """Return residuals, derivatives and bounds of one row for each parameter with a lowest value. The other end of its
     interval is out of reach."""
     lowest = search.plain.machine.lowest
     at = np.flatnonzero(np.isfinite(lowest))
-    above = np.maximum(found.q[at] - lowest[at], 0.0)
+    above = np.maximum(optimum.q[at] - lowest[at], 0.0)
     reach = above + 1e3 * np.sqrt(np.diag(wide)[at])
     return above - reach, np.eye(len(wide))[at], reach
 
 
-def _integration_errors(problem: FitProblem, found: Optimum, e: Floats) -> Floats:
+def _integration_errors(problem: FitProblem, optimum: Optimum, e: Floats) -> Floats:
     """Return the errors (n,) of the simulated motion [counts]: its change with twice as many parts of an
     interval, which is three quarters of them (Richardson 1911)."""
     if not problem.machine.forces and not any(one.force is not None for one in problem.candidates):
         return np.zeros(e.size)
-    finer = _stack(replace(problem, parts=2 * problem.parts).linearise(found.q, found.starts))[0]
+    finer = _stack(replace(problem, parts=2 * problem.parts).linearise(optimum.q, optimum.starts))[0]
     return np.asarray(np.abs(finer - e) / 0.75)
 
 

@@ -142,7 +142,8 @@ class FitSearch:
         self.solution: Optimum | None = None
 
     @property
-    def own(self) -> int:
+    def count(self) -> int:
+        """Number of the machine's parameters, which stand before the candidates."""
         return len(self.plain.machine.names)
 
     def restart(self, chosen: Sequence[int], share: float = SPEEDS[0]) -> None:
@@ -165,16 +166,16 @@ class FitSearch:
 
     def prior(self, problem: FitProblem) -> Floats:
         """Return the prior precisions (p,): those of the machine, and 1 for the size of a candidate."""
-        prior, own = np.zeros(problem.size), problem.machine.precision
-        if own is not None:
-            prior[: own.size] = own
+        prior, precision = np.zeros(problem.size), problem.machine.precision
+        if precision is not None:
+            prior[: precision.size] = precision
         prior[problem.places] = 1.0
         return prior
 
     def solve(self, likelihood: Likelihood, steps: int = 30) -> Optimum:
-        found = solve(self.problem, likelihood, self.q, self.starts, self.prior(self.problem), steps, GAIN)
-        self.q, self.starts, self.solution = found.q, found.starts, found
-        return found
+        optimum = solve(self.problem, likelihood, self.q, self.starts, self.prior(self.problem), steps, GAIN)
+        self.q, self.starts, self.solution = optimum.q, optimum.starts, optimum
+        return optimum
 
     @property
     def rate(self) -> float:
@@ -204,7 +205,7 @@ class FitSearch:
         sizes = self._sizes()
         self.chosen = sorted(chosen)
         self.problem = self._chosen_problem()
-        theta = self.q[: self.own]
+        theta = self.q[: self.count]
         self.q = self.problem.start(self.plain.theta(theta))
         for i, (k, candidate) in zip(self.chosen, self.problem.place_candidates(), strict=True):
             # a force of size 0 shows nothing of its constant, and a lag of 0 moves the body as a dead time does
@@ -240,19 +241,19 @@ class FitSearch:
         every = self.plain.with_candidates(
             [one.free_constant() if i in self.chosen else one for i, one in enumerate(self.table)]
         )
-        q, at = every.start(self.plain.theta(self.q[: self.own])), np.zeros(len(self.table))
+        q, at = every.start(self.plain.theta(self.q[: self.count])), np.zeros(len(self.table))
         for i, (k, candidate) in enumerate(every.place_candidates()):
             at[i] = q[k] = sizes.get(i, (0.0, 1.0))[0]
             if candidate.free:
                 q[k + 1] = sizes[i][1]
-        kept = [*range(self.own), *every.places]
+        kept = [*range(self.count), *every.places]
         normal = normal_of(likelihood(every.linearise(q, self.starts))[1], self.starts)
         A, g = normal.A[np.ix_(kept, kept)], normal.g[kept]
-        own = self.prior(every)[: self.own]
-        A[range(self.own), range(self.own)] += own
-        g[: self.own] += own * q[: self.own]
+        own = self.prior(every)[: self.count]
+        A[range(self.count), range(self.count)] += own
+        g[: self.count] += own * q[: self.count]
         lowest = np.array([one.lowest for one in self.table])
-        return Quadratic(A, g - A[:, self.own :] @ at, self.own, self._odds(), lowest)
+        return Quadratic(A, g - A[:, self.count :] @ at, self.count, self._odds(), lowest)
 
 
 def begin(search: FitSearch) -> Intervals | None:
