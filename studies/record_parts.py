@@ -53,7 +53,7 @@ def measured(resolution: float) -> Motion:
     return Motion((data["vir"] * data["gtau"]).ravel(), counts, resolution, EMPS_DT)
 
 
-def _cart(name: str) -> Motion:
+def cart_log(name: str) -> Motion:
     """Return a record on an even clock, without its first two rows."""
     time, current, position = np.loadtxt(CART / f"{name}.csv", delimiter=",", usecols=(0, 1, 2), skiprows=2).T
     even = np.arange(time[0], time[-1], CART_DT)
@@ -64,7 +64,7 @@ def _cart(name: str) -> Motion:
 def work(name: str) -> dict[str, Parts]:
     """Return the parts' estimates, by parameter."""
     emps = name == "EMPS"
-    whole = measured(5e-8) if emps else _cart(name)
+    whole = measured(5e-8) if emps else cart_log(name)
     model = pmfid.Drive(1.0, offset=True) if emps else pmfid.Drive(FORCE)
     found = list(_identified(whole, model))
     return {

@@ -17,10 +17,12 @@ from pmfid._stage import find_outliers
 from pmfid.cli.main import main
 from pmfid.records.outliers import repair_record
 from pmfid.records.record import Record
-from pmfid.simulation import CART, CART_DT, quantize, resolution_of, simulate_drive
+from pmfid.simulation import CART as CART_AXIS
+from pmfid.simulation import CART_DT, quantize, resolution_of, simulate_drive
 from studies.glitches import KINDS, wrong_sizes
 from studies.machines import AXES, MOTIONS, machine_record
 from studies.paper.truth import CartRecord
+from studies.record_parts import CART, FORCE, cart_log
 from tests.conftest import long_unless
 
 AXIS = "rotary"
@@ -183,7 +185,7 @@ def test_a_noisy_sensor_has_no_wrong_counts() -> None:
 def test_no_square_wave_is_suspected(hold: int) -> None:
     u = 3.0 * np.where(np.arange(1500) // hold % 2, -1.0, 1.0)
     for increments in (16384, 1024, 64):
-        counts = quantize(simulate_drive(CART, u, CART_DT).x, resolution_of(increments))
+        counts = quantize(simulate_drive(CART_AXIS, u, CART_DT).x, resolution_of(increments))
         assert repair_record(logged(counts, u)).sentence == ""
 
 
@@ -267,3 +269,30 @@ def test_a_shift_of_the_zero_moves_the_values_in_gaps() -> None:
     repaired = repair_record(record)
     assert repaired.status == ("count_jump",)
     assert np.max(np.abs(repaired.record.counts - counts)) <= 3
+
+
+def test_the_counts_after_a_shift_of_the_zero_count() -> None:
+    """After each shift, the motion has a start of its own, and the rest of the record is used."""
+    record = recorded(AXIS, "prbs", 1024)
+    counts = record.counts.copy()
+    for row in (300, 900, 1500, 2400):
+        counts[row:] += 700
+    model, encoder, dt = pmfid.Drive(0.4), pmfid.Encoder(record.resolution), AXES[AXIS].dt
+    shifted, clean = (
+        pmfid.identify(record.u, values, model=model, encoder=encoder, dt=dt) for values in (counts, record.counts)
+    )
+    assert shifted.status == ("count_jump",)
+    assert np.all(np.abs(shifted.theta - clean.theta) <= 2 * shifted.theta_std)
+    assert np.all(shifted.theta_std < 6 * clean.theta_std)
+
+
+@pytest.mark.skipif(not CART.exists(), reason=f"the measured logs {CART} are absent")
+def test_each_measured_log_with_shifts_at_its_reversals_has_a_mass() -> None:
+    """The belt stretches at each reversal. Uniform acceleration between the reversals gives 6.6 to 6.8 kg."""
+    for path in sorted(CART.glob("*.csv")):
+        log = cart_log(path.stem)
+        result = pmfid.identify(
+            log.u, log.counts, model=pmfid.Drive(FORCE), encoder=pmfid.Encoder(log.resolution), dt=log.dt
+        )
+        assert "unmodelled" in result.status
+        assert 6.0 < result["mass"] < 8.0

@@ -78,7 +78,7 @@ def test_a_wrong_model_is_reported(tmp_path: Path, machine: Machine) -> None:
 
 
 def test_too_little_motion_is_reported(tmp_path: Path) -> None:
-    record, axis = write_record(tmp_path, 0.58 * np.sign(draw_input(4, samples=50)), Machine(DRIVE))
+    record, axis = write_record(tmp_path, 0.53 * np.sign(draw_input(4, samples=50)), Machine(DRIVE))
     values = {"mass": 0.8, "viscous_friction": 4.0, "coulomb_friction": 0.5}
     content = {"model": "drive", "parameters": {name: {"value": value} for name, value in values.items()}}
     (tmp_path / "guess.json").write_text(json.dumps(content))

@@ -12,15 +12,13 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import FitProblem, ResidualBlock
-from pmfid.fit.search import EXPLAINED, FOLLOW, SETTLED, FitSearch, begin, build, inverse, prune
+from pmfid.fit.search import EXPLAINED, FOLLOW, FitSearch, begin, build, inverse, prune
 from pmfid.fit.solve import START, Normal, Optimum, normal_of, solve
 from pmfid.fit.weighing import WeighedForce, weigh
 from pmfid.types import Floats
 
 #: Blocks of a record whose scores are compared with the information.
 BLOCKS = 40
-#: Kinds of forces of the position.
-OF_POSITION = ("spring", "wave", "rub", "place", "rub_place")
 #: Part of the travel that may stay unexplained before the model follows nothing: a model at rest leaves all of it.
 MOST_LEFT = 1.0
 
@@ -68,19 +66,16 @@ def fit(problem: FitProblem) -> Fitted:
     A model that explains every count is the end. Otherwise the comparison adds or drops one force at a time, in the
     noise of the residuals, until the counts are explained or no force gains evidence.
 
-    A force of the position may push the axis away from where it is, so that the motion forgets no error of its start.
-    Where no motion over the whole record follows, shorter stretches have starts of their own (Bock 1983).
+    A free axis forgets no error of its position, and a force of the position may even push the axis away. Where no
+    motion over the whole record follows, shorter stretches have starts of their own (Bock 1983).
 
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
-    if not any(force.kind in OF_POSITION for force in problem.machine.forces):
-        return _fit_once(problem)
-    for count in (1, 4):
-        with suppress(NotIdentifiableError):
-            fitted = _fit_once(problem.cut(count))
-            if fitted.left < MOST_LEFT:
-                return fitted
-    return _fit_once(problem.cut(16))
+    with suppress(NotIdentifiableError):
+        fitted = _fit_once(problem)
+        if fitted.left < MOST_LEFT:
+            return fitted
+    return _fit_once(problem.cut(parts=16))
 
 
 def _fit_once(problem: FitProblem) -> Fitted:
@@ -92,7 +87,7 @@ def _fit_once(problem: FitProblem) -> Fitted:
 def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     allowed, prior = range(len(search.table)), search.prior(search.problem)
     optimum = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
-    if min(np.abs(optimum.q[search.plain.machine.lead] - np.array(search.plain.mass))) < SETTLED:
+    if search.reaches_bound(optimum.q):
         raise NotIdentifiableError(f"no motion of the model follows the record; {FOLLOW}")
     if isinstance(likelihood, Gaussian):
         search.check_followed(likelihood)

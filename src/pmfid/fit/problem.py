@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -147,14 +148,15 @@ class FitProblem:
         counts = float(np.sqrt(np.mean(steps**2))) / self.resolution
         return replace(self, parts=int(np.clip(np.ceil(PARTS * np.sqrt(counts)), PARTS, 8 * PARTS)))
 
-    def cut(self, count: int) -> FitProblem:
-        """Return the problem with each stretch cut into `count` parts of the same time, which have their own starts."""
-        parts = []
-        for stretch in self.stretches:
-            ends = np.linspace(0.0, float(np.sum(stretch.drive.step)), count + 1)
-            cuts = [stretch.cut(*times) for times in pairwise(ends.tolist())] if count > 1 else [stretch]
-            parts += [part for part in cuts if part.y.size > 2]
-        return replace(self, stretches=tuple(parts))
+    def cut(self, parts: int) -> FitProblem:
+        """Return the problem with stretches of at most 1/`parts` of the record's time, which have their own starts."""
+        times = [float(np.sum(one.drive.step)) for one in self.stretches]
+        pieces = []
+        for stretch, time in zip(self.stretches, times, strict=True):
+            ends = np.linspace(0.0, time, math.ceil(parts * time / sum(times) - 1e-9) + 1)
+            cuts = [stretch.cut(*pair) for pair in pairwise(ends.tolist())] if ends.size > 2 else [stretch]
+            pieces += [piece for piece in cuts if piece.y.size > 2]
+        return replace(self, stretches=tuple(pieces))
 
     def place_candidates(self) -> Iterator[tuple[int, ExtraForce]]:
         """Yield the index of the size of each candidate, and the candidate."""
@@ -215,8 +217,9 @@ class FitProblem:
 
     def linearise(self, q: Floats, starts: Floats) -> list[ResidualBlock]:
         """Return a block for each stretch at q (p,) and the start states (m, s)."""
+        same = self._body(q)
         blocks = [
-            self._block(stretch, state, scale, *self._body(q, stretch.acts))
+            self._block(stretch, state, scale, *(same if stretch.acts is None else self._body(q, stretch.acts)))
             for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True)
         ]
         if any(one.reads for one in self.candidates):
@@ -303,10 +306,12 @@ class FitProblem:
             far = ResidualBlock(np.full(rows, FAR), np.zeros((rows, lift.shape[1])), np.zeros((rows, state.size)))
             return far, np.zeros(rows)
         y, v, S = simulate(stretch.drive, forces, at, self.parts, elastic=self.machine.elastic)
-        e = np.clip(np.nan_to_num((y - stretch.y) / self.resolution, nan=FAR, posinf=FAR, neginf=-FAR), -FAR, FAR)
-        J = np.nan_to_num(S @ lift) / self.resolution
+        e, J = (y - stretch.y) / self.resolution, S @ lift / self.resolution
         K = S[:, list(self.machine.starts)] * np.resize([1.0, scale], state.size)
-        return ResidualBlock(e, J, np.nan_to_num(K)), np.nan_to_num(v)
+        if not (np.isfinite(e.sum()) and np.isfinite(J.sum()) and np.isfinite(K.sum()) and np.isfinite(v.sum())):
+            e = np.nan_to_num(e, nan=FAR, posinf=FAR, neginf=-FAR)
+            J, K, v = np.nan_to_num(J), np.nan_to_num(K), np.nan_to_num(v)
+        return ResidualBlock(np.clip(e, -FAR, FAR), J, K), v
 
 
 def _first_speed(stretch: ObservedStretch, resolution: float) -> float:

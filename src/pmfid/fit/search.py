@@ -182,6 +182,10 @@ class FitSearch:
         body, _, _ = self.problem._body(self.q)
         return max(0.0, float(body[VISCOUS] / body[MASS]))
 
+    def reaches_bound(self, q: Floats) -> bool:
+        """Return whether the mass of q (p,) is at a bound, where no motion of the model follows the record."""
+        return bool(min(np.abs(q[self.plain.machine.lead] - np.array(self.plain.mass))) < SETTLED)
+
     def estimate_noise(self, kinds: Sequence[str]) -> Gaussian:
         """Return the noise of the residuals, with the rests of the simulated motion."""
         motion = self.problem.motion(self.q, self.starts)
@@ -281,7 +285,7 @@ def begin(search: FitSearch) -> Intervals | None:
 def build(search: FitSearch) -> Gaussian | Intervals:
     """Add and drop forces until the counts are explained or no force gains evidence, and return the likelihood."""
     _settle_either(search)
-    for _ in range(MOST_STEPS):
+    for _ in range(0 if search.reaches_bound(search.q) else MOST_STEPS):
         step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
         if step is not None:
             search.choose_best(_alternatives(search, step))

@@ -48,20 +48,20 @@ class Normal:
 
 def normal_of(blocks: Sequence[ResidualBlock], starts: Floats, damping: float = 0.0) -> Normal:
     """Return the normal equations of weighted blocks."""
-    p = blocks[0].J.shape[1]
-    A, g, inner, fall = np.zeros((p, p)), np.zeros(p), [], 0.0
-    for block, state in zip(blocks, starts, strict=True):
-        weak = START[: state.size]
-        cross, own = block.K.T @ block.J, block.K.T @ block.K + np.diag(weak)
-        pull = block.K.T @ block.e + weak * state
-        own = own + damping * np.diag(np.diag(own))
-        size = np.sqrt(np.diag(own))
-        scaled = own / np.outer(size, size) + 1e-12 * np.eye(state.size)
-        solved = np.linalg.solve(scaled, np.column_stack([pull, cross]) / size[:, None]) / size[:, None]
-        A += block.J.T @ block.J - cross.T @ solved[:, 1:]
-        g += block.J.T @ block.e - cross.T @ solved[:, 0]
-        fall += float(pull @ solved[:, 0])
-        inner.append(solved)
+    weak = START[: starts.shape[1]]
+    cross = np.array([block.K.T @ block.J for block in blocks])
+    curved = np.array([block.K.T @ block.K for block in blocks]) + np.diag(weak)
+    pull = np.array([block.K.T @ block.e for block in blocks]) + weak * starts
+    diagonal = np.einsum("mss->ms", curved)
+    curved = curved + damping * diagonal[:, None, :] * np.eye(weak.size)
+    size = np.sqrt(np.einsum("mss->ms", curved))
+    scaled = curved / (size[:, :, None] * size[:, None, :]) + 1e-12 * np.eye(weak.size)
+    inner = (
+        np.linalg.solve(scaled, np.concatenate([pull[..., None], cross], axis=2) / size[..., None]) / size[..., None]
+    )
+    A = sum(block.J.T @ block.J for block in blocks) - np.einsum("msp,msq->pq", cross, inner[..., 1:])
+    g = sum(block.J.T @ block.e for block in blocks) - np.einsum("msp,ms->p", cross, inner[..., 0])
+    fall = float(np.sum(pull * inner[..., 0]))
     return Normal(A, g, blocks, inner, fall)
 
 

@@ -38,7 +38,7 @@ from pmfid.models.shapes import Square
 from pmfid.pipeline import checks
 from pmfid.pipeline.checks.inputs import note_one_level
 from pmfid.pipeline.checks.readings import INTEGRATE, convert_velocity
-from pmfid.pipeline.fitted import counts_in_use, identify_by_fit, make_fit, uses_fit
+from pmfid.pipeline.fitted import identify_by_fit, make_fit, uses_fit
 from pmfid.pipeline.kinds import Kind, Progress, method_of, settings
 from pmfid.pipeline.known import finds_gain, known_of, put_together, set_any_gain, set_gain, try_both_signs
 from pmfid.pipeline.result import DriveResult
@@ -161,8 +161,7 @@ class Drives(Kind[Record]):
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
         record = data if data.own is None else data.own
         known, axis = repair_as_configured(record, axis), match_kind(data, axis)
-        method, used = make_fit(axis, record), counts_in_use(record, known.record)
-        run = drive_run(method, theta, known.record.u, known.record.counts, data.name, used)
+        run = drive_run(make_fit(axis, record), theta, known.record.u, known.record.counts, data.name, known.used)
         return [replace(run, notes=(*filter(None, (known.sentence,)), *run.notes))]
 
     def check_known(self, stored: Stored, data: Record, axis: Axis) -> None:

@@ -99,8 +99,8 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
 
 def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, ...]]:
     """Return the method, its fit and notes. The fit uses the ages of edges if the record has ages."""
-    method, repaired = make_fit(axis, record), repair_as_configured(record, axis).record
-    used, remarks = counts_in_use(record, repaired), tuple[str, ...]()
+    method, known = make_fit(axis, record), repair_as_configured(record, axis)
+    repaired, used, remarks = known.record, known.used, tuple[str, ...]()
     if record.ages is not None and record.ages.size == record.u.size:
         edges = like(EdgeFit, method, lines=axis.encoder.lines, tick=axis.encoder.tick)
         try:
@@ -108,10 +108,12 @@ def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, 
         except NotIdentifiableError as error:
             remarks = (f"the ages of edges are not used: {error}",)
     unknown = _unknown_inputs(record, repaired)
-    if np.any(unknown):
+    ends = np.append(known.shifted[1:], False)  # the last sample before each shift of the zero
+    if np.any(unknown | ends):
         with suppress(NotIdentifiableError):
-            cut = np.where(unknown, np.nan, repaired.u)
-            return method, method.examine(cut, repaired.counts, used), (*remarks, RESTARTED)
+            cut = np.where(unknown | ends, np.nan, repaired.u)
+            fitted = method.examine(cut, repaired.counts, used)
+            return method, fitted, (*remarks, RESTARTED) if np.any(unknown) else remarks
     return method, method.examine(repaired.u, repaired.counts, used), remarks
 
 
@@ -125,13 +127,6 @@ def _unknown_inputs(record: Record, repaired: Record) -> Flags:
         between = np.r_[False, (record.u[:-2] == record.u[1:-1]) & (record.u[1:-1] == record.u[2:]), False]
         unknown |= ~measured & np.isfinite(repaired.u) & ~(held & between)
     return np.asarray(unknown)
-
-
-def counts_in_use(record: Record, repaired: Record) -> Flags:
-    """Return the counts (n,) that were measured and that no repair replaced."""
-    there = np.ones(record.u.size, bool) if record.there is None else record.there
-    given, used = record.counts - record.counts[0], repaired.counts - repaired.counts[0]
-    return np.asarray(there & (given == used))
 
 
 def _spread(fitted: Fitted, std: Floats) -> Floats:

@@ -21,7 +21,7 @@ from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.pipeline.arrays import axis_of, pair_record
 from pmfid.pipeline.drives import match_kind
-from pmfid.pipeline.fitted import counts_in_use, make_fit
+from pmfid.pipeline.fitted import make_fit
 from pmfid.pipeline.known import check_numbers_known, gain_needed
 from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.records.outliers import repair_as_configured
@@ -165,9 +165,8 @@ def record_curve(record: Record, axis: Axis) -> FrictionCurve:
     free = replace(model, friction="directional", offset=False, stribeck=None, quadratic=False)
     repaired = repair_as_configured(record, axis)
     method = like(MotionFit, make_fit(axis, record), model=free)
-    used = counts_in_use(record, repaired.record)
     with np.errstate(all="ignore"):  # motions far from the record may overflow
-        fit = fit_curve(method.problem(repaired.record.u, repaired.record.counts, used))
+        fit = fit_curve(method.problem(repaired.record.u, repaired.record.counts, repaired.used))
     if not fit.mass_half < fit.mass:
         raise NotIdentifiableError(
             f"{model.equation.motion.inertia} comes out as {fit.mass:.3g}, and its error may be {fit.mass_half:.2g}. "
@@ -177,7 +176,7 @@ def record_curve(record: Record, axis: Axis) -> FrictionCurve:
     findings = sort_findings((*_findings(fit, method.names, axis.estimator.tolerance), *notes))
     std, mass_std = fit.half / NORMAL_95, fit.mass_half / NORMAL_95
     units = model.equation.motion
-    return FrictionCurve(fit.velocity, fit.force, std, fit.mass, mass_std, int(np.sum(used)), findings, units)
+    return FrictionCurve(fit.velocity, fit.force, std, fit.mass, mass_std, int(np.sum(repaired.used)), findings, units)
 
 
 def _findings(fit: CurveFit, names: tuple[str, ...], tolerance: float) -> list[Finding]:

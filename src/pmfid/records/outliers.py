@@ -103,9 +103,15 @@ def _spans(change: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, exte
 
 @dataclass(frozen=True)
 class RepairedRecord:
-    """A record without the samples that no motion explains, and findings on these samples."""
+    """A record without the samples that no motion explains, and findings on these samples.
+
+    `used` (n,) marks the counts that were measured and that no repair replaced. `shifted` (n,) marks the first count
+    after each shift of the counter's zero.
+    """
 
     record: Record
+    used: Flags
+    shifted: Flags
     findings: tuple[Finding, ...] = ()
 
     @property
@@ -133,8 +139,18 @@ def repair_record(record: Record, max_speed: float | None = None) -> RepairedRec
     named = (_describe_shift(row, int(moved[row])) for row in shifts[: TUNING.outliers_named].tolist())
     findings = (*_wrong(rows, _limit_of(record, max_speed) > 0), *named, *_spiky(spikes))
     if not findings:
-        return RepairedRecord(record)
-    return RepairedRecord(replace(record, u=_bridge_input(record.u, spikes), counts=counts), findings)
+        return _keep(record)
+    used, shifted = _measured_in(record), np.zeros(record.counts.size, bool)
+    used[rows], shifted[shifts] = False, True
+    return RepairedRecord(replace(record, u=_bridge_input(record.u, spikes), counts=counts), used, shifted, findings)
+
+
+def _keep(record: Record) -> RepairedRecord:
+    return RepairedRecord(record, _measured_in(record), np.zeros(record.counts.size, bool))
+
+
+def _measured_in(record: Record) -> Flags:
+    return np.ones(record.counts.size, bool) if record.there is None else record.there.copy()
 
 
 def _find_in_measured(record: Record, speed: float) -> tuple[Counts, Flags, Counts]:
@@ -157,7 +173,7 @@ def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:
     """Return the repaired record if the configuration has the guard on and the plant can be at rest."""
     rests = plant_of(axis.model.make().equation).rests
     if not (axis.encoder.guard and rests):
-        return RepairedRecord(record)
+        return _keep(record)
     return repair_record(record, axis.encoder.make_encoder(record.resolution).max_speed)
 
 
