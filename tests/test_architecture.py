@@ -132,7 +132,7 @@ PUBLIC = [
 
 SLOW_TO_IMPORT = {
     *("numpy", "scipy", "pydantic", "polars", "matplotlib", "rich"),
-    *("starlette", "uvicorn", "paho", "prometheus_client", "serial"),
+    *("starlette", "uvicorn", "paho", "prometheus_client"),
     *("pyspark", "py4j", "pyarrow", "pandas"),
 }
 

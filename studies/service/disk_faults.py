@@ -1,29 +1,23 @@
-"""Faults of disks and receivers: full, read-only, slow."""
+"""Faults of disks: full, read-only."""
 
 from __future__ import annotations
 
 import os
 import sqlite3
 import subprocess
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, closing, contextmanager, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from studies.service.finding import Finding, changes, others_unchanged, sentences, without_alarm
 from studies.service.hall import PATIENCE, Hall, Metrics, Report, hall, name_of
-from studies.service.processes import Service
 
 AXES, BEFORE, DURING, AFTER = 6, 5.0, 20.0, 10.0
 SINKS = """
 [sinks.database]
 kind = "sqlite"
-
-[sinks.table]
-kind = "file"
-path = "state/rows.jsonl"
 """
 
 
@@ -50,7 +44,7 @@ def _small(place: Path) -> AbstractContextManager[bool]:
 
 @dataclass
 class Disk:
-    """A fault of the disk that holds state, database and table of a hall.
+    """A fault of the disk that holds state and database of a hall.
 
     `how` describes the fault, `begin` and `end` cause and remove it, and `hits` are the counters that it must affect.
     """
@@ -69,7 +63,7 @@ def full(state: Path) -> Disk:
             while file.write(bytes(4096)):
                 pass
 
-    return Disk("disk full (a tmpfs of 3 MB, filled)", begin, filler.unlink, ("checkpoint", "table", "database"))
+    return Disk("disk full (a tmpfs of 3 MB, filled)", begin, filler.unlink, ("checkpoint", "database"))
 
 
 def read_only(state: Path) -> Disk:
@@ -165,7 +159,7 @@ def forced_read_only(place: Path) -> Finding | None:
                 device.write_text("1")
             there.play(DURING)
             during, reported = there.through(), there.notices()
-            disk = Disk("", lambda: None, lambda: None, ("checkpoint", "table"))
+            disk = Disk("", lambda: None, lambda: None, ("checkpoint",))
             claims = [others_unchanged(there), without_alarm(reported), *_stopped(there, disk, during, reported)]
             at = there.at
     with mounted(place / "state", *how):
@@ -193,65 +187,3 @@ def _again(place: Path, at: int) -> Iterator[tuple[str, bool]]:
         missing, number = there.total("pmfid_samples_missing_total"), int(there.rows(name_of(0))[0][-1])
         claim = f"{missing:g} samples without a checkpoint are said to be missing, and the numbers go on at {number}"
         yield claim, 0 < missing < AXES * at and at < number <= there.at
-
-
-# --- a receiver that is too slow --------------------------------------------------------------------------------------
-
-RATE = 1e6
-
-
-@dataclass
-class Slow:
-    """A reader of a named pipe that takes RATE bytes a second and counts the rows."""
-
-    path: Path
-    rows: int = 0
-    ended: threading.Event = field(default_factory=threading.Event)
-
-    def __post_init__(self) -> None:
-        os.mkfifo(self.path)
-        threading.Thread(target=self._run, daemon=True).start()
-
-    def _run(self) -> None:
-        rest = b""
-        with self.path.open("rb", buffering=0) as pipe:
-            while piece := pipe.read(20_000):
-                *whole, rest = (rest + piece).split(b"\n")
-                self.rows += sum(b'"theta":' in one for one in whole)
-                time.sleep(len(piece) / RATE)
-        self.ended.set()
-
-
-def slow_sink(place: Path) -> Finding:
-    """Send every row of 12 axes, ten times as fast as real time, to a reader of 1 MB/s with a queue of 20 000 rows."""
-    place.mkdir(parents=True, exist_ok=True)
-    receiver = Slow(place / "slow")
-    sink = f'\n[sinks.slow]\nkind = "file"\npath = "{receiver.path}"\nqueue_rows = 20000\n'
-    with hall(place, 12, 260.0, sink, "every = 0") as there:
-        there.play(BEFORE, speed=10.0)
-        there.through()
-        start = there.served.metrics()
-        there.play(150.0, speed=10.0)
-        there.through()
-        after, reported = _drained(there), there.notices()
-        dropped = there.total("pmfid_dropped_rows_total", after)
-        slower = _slower(there.served, after, 0.5) - _slower(there.served, start, 0.5)
-        claims = [others_unchanged(there), without_alarm(reported)]
-        claims.append((f"{slower:g} deliveries waited longer than 0.5 s", slower == 0))
-        claims.append((f"{dropped:g} rows are said to be dropped", dropped > 0))
-    receiver.ended.wait(PATIENCE)
-    total = receiver.rows + dropped
-    claims.append((f"{receiver.rows} rows received, {total:g} with the dropped, {there.sent} given out",
-                   total == there.sent))  # fmt: skip
-    return Finding("sink that takes 1 MB/s (a named pipe)", sentences(reported), changes(start, after), claims)
-
-
-def _slower(served: Service, metrics: Metrics, limit: float) -> float:
-    return metrics.get(f'pmfid_deliveries_slower_total{{than="{limit:g}"}}', 0.0)
-
-
-def _drained(there: Hall) -> Metrics:
-    end = time.monotonic() + PATIENCE
-    while (found := there.served.metrics()).get('pmfid_sink_waiting_rows{sink="slow"}') and time.monotonic() < end:
-        time.sleep(0.5)
-    return found

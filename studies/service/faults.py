@@ -13,7 +13,7 @@ import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from studies.service.disk_faults import disk_fault, forced_read_only, full, read_only, slow_sink
+from studies.service.disk_faults import disk_fault, forced_read_only, full, read_only
 from studies.service.finding import Finding
 from studies.service.hall import hall
 from studies.service.message_faults import message_faults, wraps
@@ -52,7 +52,6 @@ def of_disks(place: Path) -> Iterator[Finding]:
     forced = forced_read_only(place / "forced")
     if forced is not None:
         yield forced
-    yield slow_sink(place / "slow")
 
 
 def of_the_process(place: Path) -> Iterator[Finding]:

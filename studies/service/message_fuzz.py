@@ -68,10 +68,11 @@ def many_axes(draw: random.Random, axis: str) -> bytes:
     return "\n".join(f'{{"axis":"{axis}{k}","t":0}}' for k in range(draw.randrange(40_000))).encode()
 
 
-def line_protocol(draw: random.Random, axis: str) -> bytes:
-    values = "1", "1i", "t", '"x"'
-    fields = ",".join(f"k{k}={draw.choice(values)}" for k in range(int(10 ** draw.uniform(0, 4.5))))
-    return "\n".join([f"drive,axis={axis} {fields} {k}" for k in range(draw.randrange(1, 50))]).encode()
+def metrics(draw: random.Random, axis: str) -> bytes:
+    """Return samples in the form of Telegraf."""
+    fields = ",".join(f'"k{k}":{draw.choice(VALUES)(draw)}' for k in range(int(10 ** draw.uniform(0, 3))))
+    own = f'"fields":{{{fields}}},"tags":{{"axis":"{axis}"}},"name":"drive"'
+    return "\n".join(f'{{{own},"timestamp":{k}}}' for k in range(draw.randrange(1, 50))).encode()
 
 
 def brackets(draw: random.Random, axis: str) -> bytes:
@@ -89,7 +90,7 @@ def damaged_block(draw: random.Random, block: Block) -> bytes:
     return bytes(data)
 
 
-KINDS = (columns, columns, objects, many_axes, line_protocol, brackets, noise)
+KINDS = (columns, columns, objects, many_axes, metrics, brackets, noise)
 
 
 def fuzzed(draw: random.Random, sent: list[int]) -> Callable[[Block], list[bytes]]:

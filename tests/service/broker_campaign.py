@@ -21,12 +21,14 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from examples.gateway import Gateway
 from pmfid.pipeline.monitored import setup
 from pmfid.service import arrangement
 from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.sources.mqtt import MqttSourceSection
-from pmfid.service.wire.sender import Sender
 from pmfid.simulation import CART, CART_DT, Schedule
+from pmfid.stream.blocks import encode
+from pmfid.stream.delivery import Block
 from pmfid.stream.groups import prepare
 from pmfid.types import Counts, Floats
 from studies.monitoring.axis import INCREMENTS, changing
@@ -76,17 +78,19 @@ def gateway(work: Work, broker: Broker, speed: float) -> int:
         return number
     code = 1
     try:
-        sender = Sender(
-            "hall/blocks", CART_DT, broker.section, client="gateway", epoch=1, samples=BLOCK, size=1500, delay=0.05,
-            keep=KEPT,
-        )  # fmt: skip
+        sender = Gateway("hall/blocks", port=broker.port, keep=KEPT)
         begin = time.monotonic()
         for start in range(0, work.samples, BLOCK):
             due = begin + (start + BLOCK) * CART_DT / speed if speed else begin
             time.sleep(max(0.0, due - time.monotonic()))
-            for name, (u, counts) in zip(AXES, work.motions, strict=True):
-                sender.add(name, u[start : start + BLOCK], counts[start : start + BLOCK], start * CART_DT)
-        code = 0 if sender.close(PATIENCE) and not sender.dropped else 1
+            part = slice(start, start + BLOCK)
+            blocks = (
+                Block(name, 1, start, start * CART_DT, CART_DT, u[part], counts[part])
+                for name, (u, counts) in zip(AXES, work.motions, strict=True)
+            )
+            sender.send(b"".join(map(encode, blocks)))
+        sender.waiting.join()
+        code = 0
     finally:
         os._exit(code)
 

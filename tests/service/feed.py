@@ -1,15 +1,18 @@
-"""Rows and notices as an engine offers them, and a sink that can fail, for the tests of sinks."""
+"""Rows and notices as an engine offers them, a sink that can fail, and a standard input for the tests of services."""
 
 from __future__ import annotations
 
+import os
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
 from pmfid.stream.outcome import Counters, EstimateRows, Kindred, Notice
 from tests.patience import PATIENCE
@@ -137,3 +140,18 @@ def until(true: Callable[[], object], seconds: float = PATIENCE) -> bool:
             return False
         time.sleep(0.002)
     return True
+
+
+@contextmanager
+def standard_input() -> Iterator[Callable[[str], None]]:
+    """Replace standard input by a pipe, and yield a function that writes to the pipe."""
+    out, into = os.pipe()
+    with os.fdopen(out) as stream, pytest.MonkeyPatch.context() as patched:
+        patched.setattr("sys.stdin", stream)
+        yield lambda text: _write(into, text.encode())
+    os.close(into)
+
+
+def _write(file: int, data: bytes) -> None:
+    while data:
+        data = data[os.write(file, data) :]

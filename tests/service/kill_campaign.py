@@ -35,7 +35,7 @@ from pmfid.service.context import Context, Source, SourceSection, Take
 from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog
-from pmfid.service.sources.file import FileSource, Player
+from pmfid.service.sources.record import Player, RecordSource
 from pmfid.simulation import CART_DT
 from pmfid.stream.checkpoint import Saved, Snapshot, Vault, read_snapshot
 from pmfid.stream.delivery import Block, Delivery, Item, Lines, Mark
@@ -108,13 +108,12 @@ class Broker(SourceSection):
         return _Client(name, Path(self.folder), WORK[self.seed, self.seconds])
 
 
-class Played(FileSource):
+class Played(RecordSource):
     """The record of the folder, read before the fork, because a fork does not copy the reader's threads."""
 
     def make(self, name: str, context: Context) -> Source:
         axis, path = context.axis(self.axis), context.folder / self.path
         assert axis is not None
-        assert self.speed is not None
         return Player(name, self.axis, path, axis, self.speed, RECORDS[path])
 
 
@@ -202,7 +201,7 @@ def plant_of(folder: Path, axis: Path, seed: int, seconds: float) -> Plant:
     service = ServiceSection(state="state", checkpoint=0.05, window=WINDOW * CART_DT, every=0.0)
     sources: dict[str, SourceSection] = {
         "broker": Broker(folder=str(folder), seed=seed, seconds=seconds),
-        "record": Played(kind="file", path="run.csv", axis="x2", speed=20.0),
+        "record": Played(kind="record", path="run.csv", axis="x2", speed=20.0),
     }
     return Plant(folder, service, dict.fromkeys(("x1", "x2", "x3"), axis), sources, page={"enabled": False})
 

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.patience import PATIENCE
+from examples.gateway import Gateway
+from pmfid.stream.blocks import encode
+from pmfid.stream.delivery import Block
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.engine import FakeEngine, wait_for
-from tests.service.test_mqtt import connected, sender, source, stop
+from tests.service.test_mqtt import connected, source, stop
 
 pytestmark = [needs_broker, pytest.mark.usefixtures("stopped_brokers")]
 
@@ -23,14 +25,16 @@ def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[
     thread = engine.running(hall)
     assert connected(hall)
     ended, sent = threading.Event(), {"x1": 0, "x2": 0}
-    gateway = sender(broker, "killed/a", samples=5, size=400, delay=0.02, keep=10.0)  # a loaded broker saves late
+    gateway = Gateway("killed/a", port=broker.port, keep=10.0)  # a loaded broker saves late
 
     def feed() -> None:
         while not ended.wait(0.02):
             for name in sent:
-                n = int(rng.integers(1, 9))
-                gateway.add(name, np.arange(sent[name], sent[name] + n), np.arange(sent[name], sent[name] + n))
-                sent[name] += n
+                numbers = np.arange(sent[name], sent[name] + int(rng.integers(1, 9)))
+                gateway.send(
+                    encode(Block(name, 1, sent[name], 0.01 * sent[name], 0.01, numbers.astype(float), numbers))
+                )
+                sent[name] += numbers.size
 
     feeder = threading.Thread(target=feed)
     feeder.start()
@@ -44,8 +48,7 @@ def through_kills(folder: Path, kills: int, seconds: float, more: str) -> tuple[
     ended.wait(seconds / 2)
     ended.set()
     feeder.join()
-    assert gateway.close(PATIENCE), gateway.problem
-    assert gateway.dropped == 0
+    assert wait_for(lambda: not gateway.waiting.unfinished_tasks)
 
     def complete() -> bool:
         engine.checkpoint()
@@ -116,11 +119,3 @@ def test_two_services_under_one_name_are_reported(tmp_path: Path) -> None:
     assert wait_for(lambda: "another service uses the session 'same'" in str(engine.problems()))
     stop(first, threads[0])
     stop(second, threads[1])
-
-
-def test_what_is_kept_while_the_broker_is_away_is_bounded(tmp_path: Path) -> None:
-    gateway = sender(Broker(tmp_path), "a", most=600)
-    gateway.add("x1", np.zeros(20), np.zeros(20, int))
-    assert not gateway.close(0.3)
-    assert "no connection" in gateway.problem
-    assert gateway.dropped == 20 - 600 // 60

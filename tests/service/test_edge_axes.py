@@ -18,7 +18,6 @@ from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.pipeline.monitored.timeline import Line, Sample
 from pmfid.service.arrangement import arrange_groups
 from pmfid.service.wire.messages import Messages, Readers
-from pmfid.service.wire.sender import Numbering
 from pmfid.simulation import CART_DT
 from pmfid.stream.blocks import decode, encode
 from pmfid.stream.checkpoint import read_snapshot, snapshot
@@ -84,9 +83,6 @@ def test_rows_and_alarms_are_those_of_the_monitor(edge_axis: Prepared, motion: M
 def texts(motion: Motion, form: str) -> bytes:
     """Return the first samples of x1 in a form of text; a missing age is a missing field or null."""
     rows = list(enumerate(zip(*(part[:400].tolist() for part in motion), strict=True)))
-    if form == "line":
-        fields = (f"u={u!r},n={n}i" + ("" if math.isnan(age) else f",age={age!r}") for _, (u, n, age) in rows)
-        return "\n".join(f"x1 {own},t={CART_DT * k!r}" for k, own in enumerate(fields)).encode()
     given = [
         {"axis": "x1", "t": CART_DT * k, "u": u, "n": n, "age": None if math.isnan(age) else age}
         for k, (u, n, age) in rows
@@ -97,19 +93,25 @@ def texts(motion: Motion, form: str) -> bytes:
     return json.dumps(given).encode()
 
 
-@pytest.mark.parametrize("form", ["json", "columns", "line", "csv", "block"])
+def messages_of(motion: Motion, first: int = 0) -> list[bytes]:
+    """Return blocks of 50 samples, of which the first has the number `first`."""
+    parts = (slice(k, k + 50) for k in range(0, motion[0].size, 50))
+    return [
+        encode(Block("x1", 1, first + p.start, CART_DT * (first + p.start), CART_DT, *(column[p] for column in motion)))
+        for p in parts
+    ]
+
+
+@pytest.mark.parametrize("form", ["json", "columns", "csv", "block"])
 def test_every_form_of_input_gives_the_same_rows(edge_axis: Prepared, motion: Motion, form: str) -> None:
     config = edge_axis.axis
     if form == "csv":
         parser = LineParser(b"t,u,n,age", config)
-        lines = texts(motion, "line").decode().split("\n")
         cells = zip(*(part[:400].tolist() for part in motion), strict=True)
         rows = [f"{CART_DT * k!r},{u!r},{n},{'' if math.isnan(a) else repr(a)}" for k, (u, n, a) in enumerate(cells)]
-        assert len(rows) == len(lines)
         items: list[Item] = [Lines("x1", [line for row in rows if (line := parser(row.encode())) is not None])]
     elif form == "block":
-        numbering = Numbering(CART_DT, 1, 50)
-        items = [*decode(b"".join(numbering.add("x1", *(part[:400] for part in motion[:2]), 0.0, motion[2][:400])))]
+        items = [*decode(b"".join(messages_of(tuple(part[:400] for part in motion))))]
     else:
         items = list(Messages(Readers({"x1": config}.get)).items(texts(motion, form)))
     found = [bits for _, bits in run(edge_axis, [items]).of("x1")]
@@ -134,7 +136,7 @@ def test_wrong_ages_are_a_status_and_no_crash(edge_axis: Prepared, motion: Motio
     moved = np.flatnonzero(np.diff(counts) != 0)[200:320:10] + 1
     wrong = [-1e-3, math.inf, -math.inf, math.nan, 1e300, 5e-324 + 0.011, -0.1, 1.0, 1e9, -1e300, 0.0101, 2.0]
     ages[moved] = wrong
-    messages = b"".join(Numbering(CART_DT, 1, 50).add("x1", u, counts, 0.0, ages))
+    messages = b"".join(messages_of((u, counts, ages)))
     table = dict(run(edge_axis, [[*decode(messages)]]).of("x1"))
     flagged = [number - 1 for number, bits in sorted(table.items()) if bits[3] & Status.INVALID_INPUT]
     assert flagged == moved.tolist()
@@ -199,10 +201,10 @@ def test_the_monitor_takes_ages_from_a_pipe(tmp_path: Path, motion: Motion) -> N
 
 def test_shards_of_a_stream_keep_the_states(edge_axis: Prepared, motion: Motion) -> None:
     plan = StreamPlan(edge_axis, Pace(0.0, 0.0), 1)
-    numbering, body, rows = Numbering(CART_DT, 1, 50), None, list[np.ndarray]()
+    body, rows = None, list[np.ndarray]()
     for k in range(0, 1200, 400):
         shard = StreamShard(plan, 0, body)
-        shard.take(numbering.add("x1", *(part[k : k + 400] for part in motion[:2]), math.nan, motion[2][k : k + 400]))
+        shard.take(messages_of(tuple(part[k : k + 400] for part in motion), k))
         rows += [found.theta for found in shard.outcomes.estimates]
         body = shard.save_state()
     samples = [

@@ -11,13 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from paho.mqtt.publish import multiple, single
 from pydantic import Field
 
+from examples.gateway import Gateway
 from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
-from pmfid.service.broker import BrokerSection, pauses, secret
+from pmfid.service.broker import pauses, secret
 from pmfid.service.sources.mqtt import MqttSource, MqttSourceSection
-from pmfid.service.wire.sender import Sender
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block, Lines, Unusable
 from tests.patience import PATIENCE
@@ -57,9 +58,10 @@ def numbers(blocks: list[Block]) -> list[int]:
     return [block.first for block in blocks]
 
 
-def sender(broker: Broker, topic: str, **options: object) -> Sender:
-    """Return a sender with one message for each block of one sample."""
-    return Sender(topic, 0.01, broker.section, **{"epoch": 3, "samples": 1, "size": 1, **options})
+def send(broker: Broker, topic: str, samples: int, epoch: int = 3, **options: object) -> None:
+    """Publish one message for each block of one sample, until the broker has acknowledged all of them."""
+    blocks = (Block("x1", epoch, k, 5.0 + 0.01 * k, 0.01, np.array([float(k)]), np.array([k])) for k in range(samples))
+    multiple([(topic, encode(block), 1, False) for block in blocks], "127.0.0.1", broker.port, **options)
 
 
 def test_a_message_is_acknowledged_when_it_is_durable(broker: Broker) -> None:
@@ -67,9 +69,7 @@ def test_a_message_is_acknowledged_when_it_is_durable(broker: Broker) -> None:
     hall = source(engine, broker, "durable", receive_maximum=5)
     thread = engine.running(hall)
     assert connected(hall)
-    with sender(broker, "durable/a") as gateway:
-        gateway.add("x1", np.arange(12.0), np.arange(12), time=5.0)
-        assert gateway.flush(PATIENCE)
+    send(broker, "durable/a", 12)
     assert wait_for(lambda: len(engine.blocks) == 5)
     assert not wait_for(lambda: len(engine.blocks) > 5, 0.2), "more than receive_maximum came unacknowledged"
     engine.checkpoint()
@@ -101,21 +101,20 @@ def test_more_wait_for_a_checkpoint_than_mosquitto_has_in_flight_by_itself(broke
     hall = source(engine, broker, "flight")
     thread = engine.running(hall)
     assert connected(hall)
-    with sender(broker, "flight/a") as gateway:
-        gateway.add("x1", np.zeros(60), np.zeros(60, int))
+    send(broker, "flight/a", 60)
     assert wait_for(lambda: len(engine.blocks) == 60)
     stop(hall, thread)
 
 
-def test_a_message_that_nobody_has_subscribed_to_is_kept(broker: Broker) -> None:
-    engine, gateway = FakeEngine(), sender(broker, "nobody/a")
-    gateway.add("x1", np.zeros(5), np.zeros(5, int))
-    assert not gateway.flush(0.3)
-    assert wait_for(lambda: "No matching subscribers" in gateway.problem)
+def test_a_gateway_keeps_a_message_that_nobody_has_subscribed_to(broker: Broker) -> None:
+    engine, gateway = FakeEngine(), Gateway("nobody/a", port=broker.port)
+    for k in range(5):
+        gateway.send(encode(Block("x1", 0, k, 0.0, 0.01, np.zeros(1), np.zeros(1, int))))
+    assert not wait_for(lambda: not gateway.waiting.unfinished_tasks, 1.0)
     hall = source(engine, broker, "nobody")
     thread = engine.running(hall)
     assert connected(hall)
-    assert gateway.close(PATIENCE)
+    assert wait_for(lambda: not gateway.waiting.unfinished_tasks)
     assert wait_for(lambda: numbers(engine.blocks)[-1:] == [4])
     stop(hall, thread)
     assert list(dict.fromkeys(numbers(engine.blocks))) == [0, 1, 2, 3, 4]
@@ -127,8 +126,7 @@ def test_a_stale_acknowledgement_is_none(broker: Broker) -> None:
     hall = source(engine, broker, "stale")
     thread = engine.running(hall)
     assert connected(hall)
-    with sender(broker, "stale/a") as gateway:
-        gateway.add("x1", np.zeros(3), np.zeros(3, int))
+    send(broker, "stale/a", 3)
     assert wait_for(lambda: len(engine.blocks) == 3)
     stop(hall, thread)
     engine.checkpoint()
@@ -138,55 +136,32 @@ def test_a_stale_acknowledgement_is_none(broker: Broker) -> None:
     stop(hall, thread)
 
 
-def test_many_axes_go_in_one_message_and_numbers_go_on(broker: Broker) -> None:
-    engine = FakeEngine()
-    hall = source(engine, broker, "many")
-    thread = engine.running(hall)
-    assert connected(hall)
-    with sender(broker, "many/a", samples=50, size=2**16, delay=2.0) as gateway:
-        for _ in range(3):
-            for name in ("x1", "x2", "ümlaut"):
-                gateway.add(name, np.ones(30), np.arange(30))
-        gateway.skip("x2", 7)
-        gateway.add("x2", 2.0, 5)
-        assert wait_for(lambda: len(engine.deliveries) == 1), "a message waits no longer than its delay"
-    stop(hall, thread)
-    assert [(b.axis, b.first, b.end) for b in engine.blocks if b.axis != "ümlaut"] == [
-        ("x1", 0, 50),
-        ("x2", 0, 50),
-        ("x2", 50, 90),
-        ("x1", 50, 90),
-        ("x2", 97, 98),
-    ]
-
-
 def test_back_pressure_does_not_read_on(broker: Broker) -> None:
     engine = FakeEngine(slow=0.05)
     hall = source(engine, broker, "pressure")
     thread = engine.running(hall)
     assert connected(hall)
-    with sender(broker, "pressure/a") as gateway:
-        gateway.add("x1", np.zeros(20), np.zeros(20, int))
-        assert gateway.flush(PATIENCE), "the broker takes what the service does not"
-        assert len(engine.blocks) < 20
+    send(broker, "pressure/a", 20)
+    assert len(engine.blocks) < 20, "the broker takes what the service does not"
     assert wait_for(lambda: len(engine.blocks) == 20)
     assert numbers(engine.blocks) == list(range(20))
     engine.ends = True
-    with sender(broker, "pressure/a", epoch=4) as gateway:
-        gateway.add("x1", 0.0, 0)
-        thread.join(PATIENCE)
+    send(broker, "pressure/a", 1, epoch=4)
+    thread.join(PATIENCE)
     assert not thread.is_alive(), "a source ends when nothing is taken any more"
 
 
 def test_a_topic_may_name_the_axis_and_messages_have_any_form(broker: Broker, tmp_path: Path) -> None:
-    from paho.mqtt.publish import single
-
     engine = FakeEngine()
     hall = replace(source(engine, broker, "named", "named/{axis}/data", "other/+"), axis={"x1": axis(tmp_path)}.get)
     thread = engine.running(hall)
     assert connected(hall)
     block = encode(Block("x1", 0, 0, 0.0, 0.01, np.zeros(2), np.zeros(2, int)))
-    texts = [json.dumps({"t": 0, "u": 1, "x": 1}), "anything t=1,u=1,x=1", "x1 t=2,u=1,x=1"]
+    texts = [
+        json.dumps({"t": 0, "u": 1, "x": 1}),
+        json.dumps([{"t": 1, "u": 1, "x": 1}]),
+        json.dumps({"axis": "x1", "t": 2, "u": 1, "x": 1}),
+    ]
     for topic, payload in (
         ("named/x1/data", block),
         ("named/x2/data", block),
@@ -208,7 +183,7 @@ def test_a_topic_may_name_the_axis_and_messages_have_any_form(broker: Broker, tm
         (Lines, "x1"),
         (Lines, "x1"),
         (Lines, "x1"),
-        (Unusable, "line"),
+        (Unusable, "json"),
     ]
 
 
@@ -219,10 +194,7 @@ def test_what_the_broker_keeps_is_bounded_by_its_configuration(tmp_path: Path) -
     thread = engine.running(hall)
     assert connected(hall)
     stop(hall, thread)
-    with sender(small, "queue/a") as gateway:
-        gateway.add("x1", np.zeros(100), np.zeros(100, int))
-        assert gateway.flush(PATIENCE)
-        assert gateway.dropped == 0
+    send(small, "queue/a", 100)
     hall = source(engine, small, "queue")
     thread = engine.running(hall)
     assert wait_for(lambda: len(engine.blocks) >= 30)
@@ -256,9 +228,8 @@ def test_tls_with_a_password_out_of_a_file(tmp_path: Path) -> None:
     hall = replace(source(engine, safe, "tls", **options), folder=tmp_path)
     thread = engine.running(hall)
     assert connected(hall), engine.problems()
-    section = BrokerSection(port=safe.port, **options)
-    with Sender("tls/a", 0.01, section, folder=tmp_path, samples=1) as gateway:
-        gateway.add("x1", 1.0, 1)
+    trust = {"auth": {"username": "hall", "password": "s3cret words"}, "tls": {"ca_certs": str(tmp_path / "ca.pem")}}
+    send(safe, "tls/a", 1, **trust)
     assert wait_for(lambda: len(engine.blocks) == 1)
     stop(hall, thread)
     for change in ({"password_file": "wrong"}, {"ca": None, "tls": True}):

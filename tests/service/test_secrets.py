@@ -26,6 +26,7 @@ from pmfid.service.sinks.plain import NoticeLog, json_line
 from pmfid.service.web.config import PageConfig
 from tests.patience import PATIENCE
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
+from tests.service.feed import standard_input
 from tests.service.loopback import until
 from tests.service.test_serve import Acting, called, folder  # noqa: F401 a fixture
 from tests.service.web_servers import Server, web_server
@@ -64,8 +65,7 @@ read_token_file = "reader.token"
 [axes.x1]
 config = "axis.toml"
 [sources.log]
-kind = "file"
-path = "log.csv"
+kind = "stdin"
 axis = "x1"
 [sources.broker]
 kind = "mqtt"
@@ -104,9 +104,6 @@ user = "me"
 password_env = "SINK_PASSWORD"
 [sinks.db]
 kind = "sqlite"
-[sinks.lines]
-kind = "file"
-path = "lines.jsonl"
 """
 
 
@@ -172,7 +169,6 @@ def running(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
     place.mkdir()
     for name in ("axis.toml", "normal.csv"):
         (place / name).write_text((folder / name).read_text())
-    (place / "log.csv").write_text("")
     with ExitStack() as stack:
         web, angry = stack.enter_context(web_server()), stack.enter_context(web_server(401))
         for name, secret in SECRETS.items():
@@ -224,8 +220,7 @@ def test_no_secret_comes_out_anywhere(
         return any(dict(labels).get("source") == "broker" for name, labels in keys if name == "pmfid_unusable_total")
 
     def operate(publish: Callable[[], None]) -> None:
-        with (place / "log.csv").open("a") as file:
-            file.write("".join(rows[:900]))
+        send("".join(rows[:900]))
         acting.samples(800)
         assert until(lambda: publish() or is_unusable_counted()), "what comes before the source subscribes is lost"
         for path in PATHS:
@@ -246,7 +241,7 @@ def test_no_secret_comes_out_anywhere(
         running.ask(acting, "/metrics", SECRETS["PAGE_TOKEN"])
         running.ask(acting, "/api/stream", SECRETS["PAGE_TOKEN"])
 
-    with listening(running.broker) as (got, publish):
+    with standard_input() as send, listening(running.broker) as (got, publish):
         acting.act(lambda: operate(publish))
     messages = b"\n".join(got)
     out, err = capfd.readouterr()
@@ -295,7 +290,7 @@ def _were_used(running: Running, seen: dict[str, bytes], messages: bytes) -> Non
     assert any(path.endswith("hook-path-Ri27dx39ipFr") for path, _, _ in running.web.got)
     assert b"pmfid/hall/status online" in messages
     names = [Path(name).name for name in seen]
-    assert {"checkpoint-0", "db.sqlite", "lines.jsonl"} <= set(names)
+    assert {"checkpoint-0", "db.sqlite"} <= set(names)
     for what in ("refused", "down", "angry", "wrong"):
         assert what.encode() in seen["log"], "its failure is reported"
 

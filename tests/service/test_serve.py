@@ -27,6 +27,7 @@ from pmfid.service.sinks.plain import NoticeLog
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.patience import PATIENCE
+from tests.service.feed import standard_input
 
 Events = list[dict[str, Any]]
 
@@ -106,7 +107,7 @@ enabled = false
 [axes.x1]
 config = "axis.toml"
 [sources.a]
-kind = "file"
+kind = "record"
 path = "run.csv"
 axis = "x1"
 speed = 0.0
@@ -148,8 +149,8 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
     "an unknown section": (lambda text: text + "[axis.x3]\n", r"\[axis\] is an unknown section"),
     "an unknown key": (lambda text: text.replace("window", "windows"), r"\[service\] windows is an unknown key"),
     "an unknown kind": (
-        lambda text: text.replace('"file"', '"fil"'),
-        r"\[sources.a\] kind = 'fil' is none of .*'file'",
+        lambda text: text.replace('"record"', '"recor"'),
+        r"\[sources.a\] kind = 'recor' is none of .*'record'",
     ),
     "an AXIS.toml in its place": (
         lambda text: '[record]\ninput = "u"\n[model]\nkind = "drive"\n',
@@ -160,7 +161,7 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
         r"outside a named section; write \[axes.NAME\]",
     ),
     "axes in double brackets": (lambda text: '[[axes]]\nconfig = "axis.toml"\n', r"\[axes.NAME\] .* single brackets"),
-    "no kind": (lambda text: text.replace('kind = "file"', ""), r"\[sources.a\] has no kind; give one of .*mqtt"),
+    "no kind": (lambda text: text.replace('kind = "record"', ""), r"\[sources.a\] has no kind; give one of .*mqtt"),
     "an URL of a broker": (
         lambda text: text + '[sources.b]\nkind = "mqtt"\nhost = "mqtt://hall"\ntopics = ["a"]\n',
         r"\[sources.b\] host = 'mqtt://hall': .*without mqtt://",
@@ -274,16 +275,14 @@ def acting(folder: Path) -> Acting:
 
 
 def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting: Acting) -> None:
-    plant, log = folder / "plant.toml", folder / "log.csv"
-    log.write_text("t,u,counts\n")
+    plant = folder / "plant.toml"
     rows = (folder / "run.csv").read_text().splitlines(keepends=True)[1:]
-    follow = PLANT.replace("run.csv", "log.csv").replace("speed = 0.0\n", "")
+    follow = PLANT.replace('"record"\npath = "run.csv"', '"stdin"').replace("speed = 0.0\n", "")
     plant.write_text(follow + '[axes.x2]\nconfig = "axis.toml"\n')
 
     def write(part: list[str], samples: int) -> Callable[[], None]:
         def step() -> None:
-            with log.open("a") as file:
-                file.write("".join(part))
+            send("".join(part))
             acting.samples(samples)
 
         return step
@@ -297,7 +296,8 @@ def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting:
         os.kill(os.getpid(), signal.SIGHUP)
         acting.until("reload", times=2)
 
-    found = acting.run(write(rows[:900], 900), reload, write(rows[900:], 1600))
+    with standard_input() as send:
+        found = acting.run(write(["t,u,counts\n", *rows[:900]], 900), reload, write(rows[900:], 1600))
     reported = [event for event in found if event["event"] == "reload"]
     assert (reported[0]["added"], reported[0]["changed"], reported[0]["removed"]) == (1, 0, 1)
     assert reported[0]["problem"].startswith("changes of [service] are not applied"), (

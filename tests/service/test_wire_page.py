@@ -12,9 +12,8 @@ from pydantic import Field
 
 from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.service.plant import SINKS, SOURCES
-from pmfid.service.sources.execd import ExecdSection
 from pmfid.service.sources.mqtt import MqttSourceSection
-from pmfid.service.sources.serial import SerialSection
+from pmfid.service.sources.stdin import StdinSource
 from pmfid.service.web.config import PORT
 from pmfid.service.wire.messages import LARGEST, MOST_POINTS, Messages, Readers
 from pmfid.stream.blocks import MOST_SAMPLES
@@ -24,11 +23,11 @@ from tests.service.test_lines import axis
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "wire.md").read_text(encoding="utf-8")
 GUIDE = (ROOT / "docs" / "howto" / "service.md").read_text(encoding="utf-8")
-SECTIONS = (MqttSourceSection, SerialSection, ExecdSection)
+SECTIONS = (MqttSourceSection, StdinSource)
 
 
 class Plant(FileSection):
-    sources: dict[str, MqttSourceSection | SerialSection | ExecdSection] = Field(description="sources")
+    sources: dict[str, MqttSourceSection | StdinSource] = Field(description="sources")
 
 
 def test_the_sections_are_valid_and_every_kind_has_one() -> None:
@@ -39,12 +38,12 @@ def test_the_sections_are_valid_and_every_kind_has_one() -> None:
     assert validate_sections(Plant, commented).sources["hall"].address == ("127.0.0.1", 8883)
 
 
-@pytest.mark.parametrize("form", ["JSON", "columns", "line protocol"])
+@pytest.mark.parametrize("form", ["JSON", "columns", "Telegraf"])
 def test_the_samples_are_read(tmp_path: Path, form: str) -> None:
     found = {
-        "JSON": re.findall(r"```json\n(.*?)```", PAGE, re.DOTALL),
+        "JSON": re.findall(r"```json\n(\{\"axis.*?)```", PAGE, re.DOTALL),
+        "Telegraf": re.findall(r"```json\n(\{\"fields.*?)```", PAGE, re.DOTALL),
         "columns": re.findall(r"one object of columns,\s`(.*?)`", PAGE, re.DOTALL),
-        "line protocol": re.findall(r"```\n(drive,axis.*?)```", PAGE, re.DOTALL),
     }
     (text,) = found[form]
     (lines,) = Messages(Readers({"x1": axis(tmp_path)}.get)).items(text.encode())

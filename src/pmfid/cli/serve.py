@@ -71,8 +71,7 @@ def serve(
         return plant.with_page(page)
 
     line = json_line if as_json else _sentence
-    log = NoticeLog(sys.stderr if load().speaks else sys.stdout, line)
-    Service(load, log, until_end, record).run()
+    Service(load, NoticeLog(sys.stdout, line), until_end, record).run()
 
 
 def _sentence(notice: object) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from pmfid.config.axis import Axis
 from pmfid.config.toml_file import FileSection
-from pmfid.errors import PmfidError
+from pmfid.errors import PmfidError, UsageError
 from pmfid.stream.delivery import Delivery, Mark
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
 
@@ -84,6 +84,13 @@ class Context:
     counters: Counters
     tell: Tell
     axis: FindAxis
+
+    def require(self, axis: str) -> Axis:
+        """Return the present AXIS.toml of an axis. Raises UsageError for an axis that is not in the plant."""
+        found = self.axis(axis)
+        if found is None:
+            raise UsageError(f"the plant has no axis {axis!r}; give the name of a section [axes.NAME]")
+        return found
 
 
 @dataclass

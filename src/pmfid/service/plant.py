@@ -16,40 +16,26 @@ from pmfid.config.model import Name
 from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.service.context import SourceSection
-from pmfid.service.sinks.file import FileSinkSection
 from pmfid.service.sinks.mqtt import MqttSinkSection
 from pmfid.service.sinks.queued import SinkSection
 from pmfid.service.sinks.sqlite import SqliteSection
 from pmfid.service.sinks.webhook import WebhookSection
-from pmfid.service.sources.execd import ExecdSection
-from pmfid.service.sources.file import FileSource, StdinSource
 from pmfid.service.sources.mqtt import MqttSourceSection
-from pmfid.service.sources.serial import SerialSection
+from pmfid.service.sources.record import RecordSource
+from pmfid.service.sources.stdin import StdinSource
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.config import HERE, PORT, PageConfig
 
 SOURCES: dict[str, type[SourceSection]] = {
-    "execd": ExecdSection,
-    "file": FileSource,
     "mqtt": MqttSourceSection,
-    "serial": SerialSection,
+    "record": RecordSource,
     "stdin": StdinSource,
 }
 SINKS: dict[str, type[SinkSection]] = {
-    "file": FileSinkSection,
     "mqtt": MqttSinkSection,
     "sqlite": SqliteSection,
     "webhook": WebhookSection,
 }
-_BY_TELEGRAF = "use the kind mqtt or file; Telegraf reads either of them and writes to any database"
-#: Removed kinds, and the programs or kinds that replace them.
-REMOVED: dict[str, str] = {
-    "arrow": _BY_TELEGRAF,
-    "line_protocol": _BY_TELEGRAF,
-    "opcua": "use the kind execd with Telegraf's inputs.opcua",
-    "plotjuggler": "use the kind mqtt, to which PlotJuggler subscribes",
-}
-
 #: Pattern of names of the service, axes, sources and sinks, because these names occur in topics and file names.
 _PATTERN = r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}"
 Word = Annotated[str, Field(pattern=f"^{_PATTERN}$")]
@@ -135,11 +121,6 @@ class Plant:
         return self if page is None else replace(self, page={**(self.page or {}), **page})
 
     @property
-    def speaks(self) -> bool:
-        """Return whether a source writes on standard output, which must then carry nothing else."""
-        return any(getattr(one, "pass_on", False) for one in self.sources.values())
-
-    @property
     def state(self) -> Path | None:
         return None if self.service.state is None else self.folder / self.service.state
 
@@ -190,7 +171,7 @@ def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, ob
     piped = str(source) == "-"
     raw: dict[str, object] = {"kind": "stdin", "axis": name}
     if not piped:
-        raw = {"kind": "file", "axis": name, "path": str(source.absolute()), "speed": speed}
+        raw = {"kind": "record", "axis": name, "path": str(source.absolute()), "speed": speed}
     sources = {"input" if piped else "record": _read_kind("sources", "input" if piped else "record", raw, SOURCES)}
     own = {"name": name, "window": 0.0, "every": 0.1} | ({} if piped else {"silence": 0.0})  # a record ends
     service = _section("service", ServiceSection, own | dict(given or {}))
@@ -283,8 +264,6 @@ def _read_kind(where: str, name: str, table: Mapping[str, Any], kinds: Mapping[s
     if "kind" not in table:
         raise UsageError(f"[{where}.{name}] has no kind; give one of {', '.join(kinds)}")
     kind = str(table["kind"])
-    if kind in REMOVED:
-        raise UsageError(f"[{where}.{name}] kind = {kind!r} was removed; {REMOVED[kind]} (docs/howto/service.md)")
     if kind not in kinds:
         raise UsageError(f"[{where}.{name}] kind = {kind!r} is none of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
     return _section(f"{where}.{name}", kinds[kind], table)

@@ -79,8 +79,7 @@ class ServiceTuning:
     queued_steady: float = 60.0
     #: Shortest time between two notices on a slow sink [s].
     tell_every: float = 60.0
-    #: Time after which `put` is called with no outcomes [s], so that a sink notices a closed connection or an outdated
-    #: file.
+    #: Time after which `put` is called with no outcomes [s], so that a sink notices a closed connection.
     queued_idle: float = 5.0
     #: Largest number of different problems with refused outcomes that are reported.
     most_refusals: int = 10
@@ -95,22 +94,17 @@ class ServiceTuning:
     #: Number of notices remembered as delivered while earlier notices are tried again.
     webhook_remembered: int = 2048
 
-    # Interval of `sources.execd` between checks for the end of the service while no data arrive [s].
-    execd_look: float = 0.2
-
-    # sources.file
-    #: Time between two tests of a file that does not grow [s].
-    file_look: float = 0.1
+    # sources.record
     #: Duration of the blocks of a played record [s], and largest number of samples in a block.
     block_time: float = 0.05
-    file_block: int = 1000
+    record_block: int = 1000
     #: Limits of the speed at which a record is played.
-    file_slowest: float = 0.001
-    file_fastest: float = 1e6
+    record_slowest: float = 0.001
+    record_fastest: float = 1e6
 
-    # sources.serial
-    #: Time without a byte that ends a read [s].
-    serial_silence: float = 0.1
+    # sources.stdin
+    #: Time without a byte after which the source looks whether the service ends [s].
+    stdin_look: float = 0.2
 
     # workers
     #: Priority by which calibrations yield to the service.
@@ -165,14 +159,6 @@ class ServiceTuning:
     server_backlog: int = 1024
     #: Send buffer of the system for each browser [bytes]. The default would be some megabytes.
     server_waiting: int = 262_144
-
-    # wire.sender
-    #: Number of messages in transit that the broker has not acknowledged, unless the broker asks for fewer.
-    under_way: int = 100
-    #: Answer of the broker to a message without a subscriber, which is lost.
-    sender_nobody: int = 0x10
-    #: Longest pause between two attempts to connect [s].
-    sender_longest_pause: float = 5.0
 
 
 TUNING = ServiceTuning()

@@ -180,7 +180,7 @@ def decode(data: bytes) -> list[Block | Unusable]:
 
 @dataclass
 class BlockStream:
-    """The blocks of a stream without messages, for example of a serial line."""
+    """The blocks of a stream without messages, for example of a growing file."""
 
     _rest: bytes = field(default=b"", init=False)
 

@@ -112,7 +112,7 @@ class Reading:
 
 
 class FieldReader:
-    """A reader that converts named fields of JSON or line protocol to a `Line`.
+    """A reader that converts named fields of JSON to a `Line`.
 
     [record] names the fields of input, output and time. Raises UsageError if the configuration cannot be read one
     sample at a time.

@@ -19,7 +19,7 @@ from pydantic import AfterValidator, Field
 
 from pmfid.service.broker import BrokerSection, Text, new_client, pauses
 from pmfid.service.context import Context, FindAxis, ProblemReport, SourceSection, Take, Tell
-from pmfid.service.wire.messages import LARGEST, Form, Messages, Precision, Readers
+from pmfid.service.wire.messages import LARGEST, Form, Messages, Readers
 from pmfid.stream.delivery import Delivery, Mark
 
 if TYPE_CHECKING:
@@ -55,12 +55,8 @@ class MqttSourceSection(BrokerSection, SourceSection):
     )
     format: Form = Field(
         "auto",
-        description=(
-            'the format of the messages: "block", "json" or "line"; "auto" recognises the format of each message'
-        ),
+        description='the format of the messages: "block" or "json"; "auto" recognises the format of each message',
     )
-    axis_tag: Text = Field("axis", description="the tag of line protocol that contains the name of the axis")
-    precision: Precision = Field("ns", description='the unit of the time stamps in line protocol, for example "ms"')
     client: Text | None = Field(None, description="the name of the session at the broker, different for each service")
     qos: Literal[0, 1] = Field(1, description="the quality of service: 1, or 0 if messages may be lost")
     session: int = Field(
@@ -105,8 +101,7 @@ class MqttSource:
 
     def __post_init__(self) -> None:
         self._report = ProblemReport(self.name, self.tell)
-        section, readers = self.section, Readers(self.axis)
-        self._messages = Messages(readers, section.format, section.axis_tag, section.precision, section.largest)
+        self._messages = Messages(Readers(self.axis), self.section.format, self.section.largest)
 
     def run(self, take: Take, mark: Mark | None) -> None:
         """Take messages until `stop`. Raises UsageError for a section that cannot work."""

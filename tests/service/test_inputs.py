@@ -1,4 +1,4 @@
-"""Files as sources: played records, pipes, and files that grow, are replaced or are cut short."""
+"""Records and standard input as sources."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +14,15 @@ import pytest
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.timeline import Line
+from pmfid.pipeline.tuning import TUNING
 from pmfid.service.context import Context, Source
-from pmfid.service.sources.file import Follower, Piped, Player
-from pmfid.stream.delivery import Block, Delivery, Lines, Mark
+from pmfid.service.sources.record import Player
+from pmfid.service.sources.stdin import CsvLines, Piped, StdinSource
+from pmfid.service.wire.messages import LineSplitter
+from pmfid.stream.delivery import Block, Delivery, Lines, Mark, Unusable
 from pmfid.stream.outcome import Counters
 from tests.patience import PATIENCE
+from tests.service.feed import standard_input
 
 
 @pytest.fixture(scope="module")
@@ -83,79 +86,10 @@ def rows(*numbers: int) -> str:
     return "".join(f"{0.01 * k:.2f},0.5,{k}\n" for k in numbers)
 
 
-def follower(path: Path, axis: Axis, reported: list[dict[str, Any]]) -> Follower:
-    context = Context("hall", path.parent, None, Counters(), reported.append, lambda name: axis)
-    return Follower("log", "x1", path, axis, context)
-
-
-def test_a_growing_file_is_followed_through_rotation_and_cuts(tmp_path: Path, axis: Axis) -> None:
-    path, reported = tmp_path / "log.csv", list[dict[str, Any]]()
-    taken = Taken(follower(path, axis, reported))
-    taken.until(lambda: len(reported) == 1)
-    path.write_text("# a logger\n" + HEADER + rows(0, 1) + "0.02,0.5")
-    taken.until(lambda: len(taken.lines) == 2)
-    with path.open("a") as file:
-        file.write(",2\n" + rows(3))
-    taken.until(lambda: len(taken.lines) == 4)
-    path.rename(tmp_path / "log.1")
-    path.write_text(HEADER + rows(4, 5))
-    taken.until(lambda: len(taken.lines) == 6)
-    path.write_text(HEADER)
-    time.sleep(0.3)
-    with path.open("a") as file:
-        file.write(rows(6))
-    taken.until(lambda: len(taken.lines) == 7)
-    assert taken.ended().times == [0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06]
-    assert [line.counts for line in taken.lines] == list(range(7))
-    assert [what["problem"] for what in reported[:2]] == ["log.csv: No such file or directory", ""], (
-        "its end is reported, too"
-    )
-
-
-def test_a_file_goes_on_after_the_mark_and_another_one_from_its_start(tmp_path: Path, axis: Axis) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text(HEADER + rows(0, 1, 2) + "0.03,0.5")
-    taken = Taken(follower(path, axis, []))
-    taken.until(lambda: len(taken.lines) == 3)
-    mark = taken.ended().deliveries[-1].mark
-    with path.open("a") as file:
-        file.write(",3\n" + rows(4))
-    again = Taken(follower(path, axis, []), mark)
-    again.until(lambda: len(again.lines) == 2)
-    assert again.ended().times == [0.03, 0.04]
-    path.unlink()
-    path.with_suffix(".new").write_text(HEADER + rows(7))
-    path.with_suffix(".new").rename(path)
-    other = Taken(follower(path, axis, []), {**(mark or {}), "file": -1})
-    other.until(lambda: len(other.lines) == 1)
-    assert other.ended().times == [0.07]
-
-
-def test_what_a_source_could_not_hand_over_comes_again(tmp_path: Path, axis: Axis) -> None:
-    path = tmp_path / "log.csv"
-    path.write_text(HEADER + rows(*range(9000)))
-    first = Taken(follower(path, axis, []), most=1).ended(stop=False)
-    rest = Taken(follower(path, axis, []), first.deliveries[-1].mark)
-    rest.until(lambda: len(first.lines) + len(rest.lines) == 9000)
-    assert [line.counts for line in [*first.lines, *rest.ended().lines]] == list(range(9000))
-
-
-def test_a_file_without_the_columns_is_said_and_the_next_one_taken(tmp_path: Path, axis: Axis) -> None:
-    path, reported = tmp_path / "log.csv", list[dict[str, Any]]()
-    path.write_text("time;force\n1;2\n")
-    taken = Taken(follower(path, axis, reported))
-    taken.until(lambda: len(reported) == 1)
-    assert "no column" in reported[0]["problem"]
-    path.unlink()
-    path.write_text(HEADER + rows(1))
-    taken.until(lambda: len(taken.lines) == 1)
-    taken.ended()
-
-
 def test_a_pipe_is_read_to_its_end(axis: Axis) -> None:
     out, into = os.pipe()
     with os.fdopen(out, "rb") as stream:
-        taken = Taken(Piped("input", "x1", axis, stream))
+        taken = Taken(Piped("input", CsvLines("x1", axis), stream))
         os.write(into, (HEADER + rows(0, 1)).encode())
         taken.until(lambda: len(taken.lines) == 2)
         os.write(into, rows(2).rstrip().encode())
@@ -168,9 +102,40 @@ def test_a_pipe_without_a_header_is_an_error(axis: Axis) -> None:
     out, into = os.pipe()
     with os.fdopen(out, "rb") as stream:
         os.write(into, b"1,2,3\n1,2,3\n")
-        taken = Taken(Piped("input", "x1", axis, stream)).ended(stop=False)
+        taken = Taken(Piped("input", CsvLines("x1", axis), stream)).ended(stop=False)
         os.close(into)
     assert isinstance(taken.error, UsageError)
+
+
+SENT = (
+    b'{"fields":{"u":1.5,"counts":3,"q":"OK"},"name":"a","tags":{"axis":"x1"},"timestamp":1700000000000000000}\n'
+    b'{"fields":{"usage":5},"name":"cpu","tags":{"host":"a"},"timestamp":1700000000000000000}\n'
+    b"broken\n"
+    b'\n{"axis":"x1","t":0.02,"u":1,"counts":4}\n'
+    b'{"fields":{"u":1,"counts":5},"name":"x1","tags":{},"timestamp":1700000000010000000}\n'
+)
+
+
+def test_lines_of_telegraf_are_samples(axis: Axis, tmp_path: Path) -> None:
+    context = Context("hall", tmp_path, None, Counters(), lambda what: None, {"x1": axis}.get)
+    with standard_input() as send:
+        taken = Taken(StdinSource(kind="stdin").make("telegraf", context))
+        for k in range(0, len(SENT), 37):
+            send(SENT[k : k + 37].decode())
+        taken.until(lambda: len(taken.lines) == 3)
+        taken.ended()
+    assert [line.counts for line in taken.lines] == [3, 4, 5]
+    assert taken.times == pytest.approx([1.7e9, 0.02, 1.7e9 + 0.01], abs=1e-6)
+    items = [item for delivery in taken.deliveries for item in delivery.items]
+    assert [item.reason for item in items if isinstance(item, Unusable)] == ["axis", "json"]
+
+
+def test_lines_longer_than_any_are_left_out() -> None:
+    splitter = LineSplitter()
+    assert splitter.feed(b"a\nb") == [b"a"]
+    assert splitter.feed(b"c" * (TUNING.longest_line + 1)) == []
+    assert splitter.feed(b"d" * 10 + b"\ne\n") == [b"e"]
+    assert splitter.feed(b"x" * (TUNING.longest_line + 1) + b"\nf\n") == [b"f"]
 
 
 def test_a_record_is_played_and_goes_on_after_its_mark(plant_folder: Path, axis: Axis) -> None:
