@@ -42,8 +42,8 @@ def test_the_motion_is_that_of_an_independent_integrator(pair: tuple[float, ...]
     theta = body_of(pair)
     truth = simulate_two_masses(TwoMasses(*pair), INPUT, STEP, np.array([0.0, 0.0, 0.001, 0.02]))
     y, v, _ = simulate(theta)
-    assert np.max(np.abs(y - truth[:, 0])) < 1e-5 * np.ptp(y)  # the integrator starts a mass at the end of a substep
-    assert np.max(np.abs(v - truth[:, 1])) < 1e-4 * np.ptp(v)
+    assert np.max(np.abs(y - truth[:, 0])) < 1e-8 * np.ptp(y)
+    assert np.max(np.abs(v - truth[:, 1])) < 1e-7 * np.ptp(v)
 
 
 @pytest.mark.parametrize("pair", PAIRS)

@@ -1,4 +1,4 @@
-"""Motion of two masses on a spring by the classical Runge-Kutta method, with stops located inside a step.
+"""Motion of two masses on a spring by the classical Runge-Kutta method, with stops and starts located inside a step.
 
 m v' = f - p - d v - F sign(v),   m2 v2' = p - d2 v2 - F2 sign(v2),   p = k (x - x2) + c (v - v2)
 """
@@ -51,23 +51,36 @@ class TwoMasses:
         d = self.rates(state + h * c, force, way)
         return np.asarray(state + h / 6 * (a + 2 * b + 2 * c + d))
 
+    def margin(self, state: Floats, force: float, way: list[int], k: int) -> float:
+        """Return what is left before mass k stops or starts, negative beyond that."""
+        if way[k]:
+            return float(way[k] * state[2 * k + 1])
+        return (self.coulomb, self.load_coulomb)[k] - abs(self.pull(state, force)[k])
+
     def advance(self, state: Floats, force: float, h: float) -> Floats:
-        """Return the state after h seconds, through at most a few stops."""
+        """Return the state after h seconds, through at most a few stops and starts."""
         way = self.directions(state, force)
         for _ in range(6):
             end = self.step(state, force, way, h)
-            over = [k for k in (0, 1) if way[k] * end[2 * k + 1] < 0]
-            if not over or h <= 0:
+            turned = [k for k in (0, 1) if self.margin(end, force, way, k) < 0]
+            if not turned or h <= 0:
                 return end
-            v = 2 * over[0] + 1
-            stop = h * state[v] / (state[v] - end[v])
-            for _ in range(3):  # Newton's method
-                there = self.step(state, force, way, stop)
-                stop = float(np.clip(stop - there[v] / self.rates(there, force, way)[v], 0.0, h))
-            state, h = self.step(state, force, way, stop), h - stop
-            state[v] = 0.0
+            ends = [self.find_turn(state, force, way, h, k) for k in turned]
+            first, k = min(zip(ends, turned, strict=True))
+            state, h = self.step(state, force, way, first), h - first
+            if way[k]:
+                state[2 * k + 1] = 0.0
             way = self.directions(state, force)
         return state
+
+    def find_turn(self, state: Floats, force: float, way: list[int], h: float, k: int) -> float:
+        """Return the time just after mass k stops or starts, by bisection."""
+        low, high = 0.0, h
+        for _ in range(30):
+            middle = (low + high) / 2
+            beyond = self.margin(self.step(state, force, way, middle), force, way, k) < 0
+            low, high = (low, middle) if beyond else (middle, high)
+        return high
 
 
 def simulate_two_masses(pair: TwoMasses, u: Floats, step: float, start: Floats, substeps: int = 50) -> Floats:
