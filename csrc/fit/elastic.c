@@ -3,29 +3,45 @@
 #include <math.h>
 #include <string.h>
 
-#define ORDER 10 /* of the series, whose error is 1e-11 within REACH */
-#define REACH 0.5 /* largest product of a step and the fastest rate */
-#define MOST_STEPS 20 /* steps within an interval; a faster pair counts as an overflow */
-#define MOST_TURNS                                                                                     \
-    32 /* stops and starts within a step, after which friction keeps its direction until the step ends \
-        */
+#define ORDER 14 /* most terms of the series, whose error is 1e-12 within REACH */
+#define REACH 1.0 /* largest product of a step and the fastest rate */
+#define MOST_STEPS 10 /* steps within an interval; a faster pair counts as an overflow */
+/* Stops and starts within a step, after which friction keeps its direction until the step ends. */
+#define MOST_TURNS 32
+#define LENGTHS 6 /* of steps with matrices of their own */
+#define OFTEN 8 /* steps of one length after which its matrices pay */
+#define INPUTS 5 /* of a step: v, x2 - x, v2 and both forces */
+#define SOURCES 6 /* parameters that multiply the state */
 
 static const int MASS[2] = {PMF_BODY_MASS, PMF_ELASTIC_MASS};
 static const int VISCOUS[2] = {PMF_BODY_VISCOUS, PMF_ELASTIC_VISCOUS};
 static const int COULOMB[2] = {PMF_BODY_COULOMB, PMF_ELASTIC_COULOMB};
 
+static const int SOURCE[SOURCES] = {PMF_BODY_MASS,       PMF_BODY_VISCOUS,      PMF_ELASTIC_MASS,
+                                    PMF_ELASTIC_VISCOUS, PMF_ELASTIC_STIFFNESS, PMF_ELASTIC_DAMPING};
+
 typedef double series[4][ORDER + 1]; /* of x, v, x2, v2 */
+
+/* Derivatives after a step of h seconds without stops and starts, from those before: of the state by v, x2 - x and v2,
+ * by the forces, and by the parameters that multiply the state, for each of the inputs. */
+typedef struct {
+    double h, state[4][3], force[4][2], source[4][INPUTS][SOURCES];
+    int hits;
+} flight;
 
 typedef struct {
     const pmf_body *b;
     const double *theta, *size; /* parameters, and sizes of the forces among them */
     double *p; /* (forces) constants, from the parameters if free */
     int w, late, slopes; /* number of parameters; index of the present input; whether derivatives are asked for */
+    int order; /* number of terms of the series */
     int side[2]; /* direction of each mass, 0 at rest */
     double z[4]; /* x, v, x2, v2 */
     double *dz[4], *mid[4],
         *term[4]; /* (w) derivatives of the state, in the middle of a step, and of a power of time */
     double *dn[2]; /* (w) derivatives of the forces on each mass */
+    double net[2], light[2]; /* forces of the present series; one over each mass */
+    flight (*flights)[LENGTHS]; /* by the directions of both masses */
 } pair;
 
 static double column_at(const pair *t, const pmf_force *f, int i)
@@ -98,26 +114,28 @@ static double net_force(pair *t, int side, const double z[4], double drive, int 
 }
 
 /* Series of the motion under constant forces `net`. */
-static void expand(const pair *t, const double net[2], series c)
+static void expand(pair *t, const double net[2], series c)
 {
     const double k = t->theta[PMF_ELASTIC_STIFFNESS], damping = t->theta[PMF_ELASTIC_DAMPING];
+    const double d1 = drag(t, 0), d2 = drag(t, 1);
+    const double m1 = t->side[0] ? t->light[0] : 0, m2 = t->side[1] ? t->light[1] : 0;
+    double f1 = net[0], f2 = net[1];
+    t->net[0] = f1, t->net[1] = f2;
     for (int r = 0; r < 4; r++)
         c[r][0] = t->z[r];
-    for (int j = 0; j < ORDER; j++) {
-        const double tie = k * (c[0][j] - c[2][j]) + damping * (c[1][j] - c[3][j]);
-        for (int side = 0; side < 2; side++) {
-            const double *v = c[2 * side + 1];
-            const double sum = (side ? tie : -tie) - drag(t, side) * v[j] + (j ? 0 : net[side]);
-            c[2 * side][j + 1] = v[j] / (j + 1);
-            c[2 * side + 1][j + 1] = t->side[side] ? sum / t->theta[MASS[side]] / (j + 1) : 0;
-        }
+    for (int j = 0; j < t->order; j++, f1 = f2 = 0) {
+        const double tie = k * (c[0][j] - c[2][j]) + damping * (c[1][j] - c[3][j]), part = 1.0 / (j + 1);
+        c[0][j + 1] = c[1][j] * part;
+        c[2][j + 1] = c[3][j] * part;
+        c[1][j + 1] = (f1 - tie - d1 * c[1][j]) * m1 * part;
+        c[3][j + 1] = (f2 + tie - d2 * c[3][j]) * m2 * part;
     }
 }
 
-static double value_at(const double *c, double h, double *slope)
+static double value_at(const double *c, int order, double h, double *slope)
 {
     double sum = 0, rise = 0;
-    for (int j = ORDER; j >= 0; j--) {
+    for (int j = order; j >= 0; j--) {
         rise = rise * h + sum;
         sum = sum * h + c[j];
     }
@@ -126,14 +144,14 @@ static double value_at(const double *c, double h, double *slope)
 }
 
 /* Zero in (a, b) of a series that falls, or of its slope that rises. */
-static double zero_of(const double *c, double a, double b, int of_slope)
+static double zero_of(const double *c, int order, double a, double b, int of_slope)
 {
     for (int turn = 0; turn < 60 && b - a > 1e-15 * b; turn++) {
-        double rise, middle = 0.5 * (a + b), value = value_at(c, middle, &rise);
+        double rise, middle = 0.5 * (a + b), value = value_at(c, order, middle, &rise);
         if (!of_slope && rise < 0) { /* Newton's method where it stays inside */
             const double next = middle - value / rise;
             if (next > a && next < b) {
-                double r, v = value_at(c, next, &r);
+                double r, v = value_at(c, order, next, &r);
                 if (v > 0)
                     a = next;
                 else
@@ -150,22 +168,22 @@ static double zero_of(const double *c, double a, double b, int of_slope)
 }
 
 /* First time in (0, h] at which a series that starts at 0 or above falls below 0; HUGE_VAL if it does not. */
-static double first_zero(const double *c, double h)
+static double first_zero(const double *c, int order, double h)
 {
     double power = h, far = 0, a = 0, slope = c[1];
-    for (int j = 1; j <= ORDER; j++, power *= h)
+    for (int j = 1; j <= order; j++, power *= h)
         far += fabs(c[j]) * power;
     if (c[0] > far)
         return HUGE_VAL;
     far = -1e-13 * (far + fabs(c[0]));
     for (int part = 1; part <= 4; part++) {
         double rise, b = h * part / 4;
-        if (value_at(c, b, &rise) < far)
-            return zero_of(c, a, b, 0);
+        if (value_at(c, order, b, &rise) < far)
+            return zero_of(c, order, a, b, 0);
         if (slope < 0 && rise > 0) {
-            double flat, low = zero_of(c, a, b, 1);
-            if (value_at(c, low, &flat) < far)
-                return zero_of(c, a, low, 0);
+            double flat, low = zero_of(c, order, a, b, 1);
+            if (value_at(c, order, low, &flat) < far)
+                return zero_of(c, order, a, low, 0);
         }
         a = b, slope = rise;
     }
@@ -178,18 +196,18 @@ static double next_turn(const pair *t, int side, series c, double drive, double 
     double g[ORDER + 1], first = HUGE_VAL;
     if (t->side[side]) {
         *s = 0;
-        for (int j = 0; j <= ORDER; j++)
+        for (int j = 0; j <= t->order; j++)
             g[j] = t->side[side] * c[2 * side + 1][j];
-        return first_zero(g, h);
+        return first_zero(g, t->order, h);
     }
     for (int way = -1; way <= 1; way += 2) {
-        for (int j = 0; j <= ORDER; j++) {
+        for (int j = 0; j <= t->order; j++) {
             const double tie = t->theta[PMF_ELASTIC_STIFFNESS] * (c[0][j] - c[2][j]) +
                                t->theta[PMF_ELASTIC_DAMPING] * (c[1][j] - c[3][j]);
             g[j] = way * (side ? -tie : tie);
         }
         g[0] += way * (hold(t, side, way, i) - (side ? 0 : drive));
-        const double time = first_zero(g, h);
+        const double time = first_zero(g, t->order, h);
         if (time < first)
             first = time, *s = way;
     }
@@ -197,11 +215,11 @@ static double next_turn(const pair *t, int side, series c, double drive, double 
 }
 
 /* Derivatives of the state after h seconds of a series, from those before. */
-static void carry(const pair *t, series c, double h, double *const to[4])
+static void follow(const pair *t, series c, double h, double *const to[4])
 {
     const double k = t->theta[PMF_ELASTIC_STIFFNESS], damping = t->theta[PMF_ELASTIC_DAMPING];
     const double d1 = drag(t, 0), d2 = drag(t, 1);
-    const double m1 = t->side[0] ? 1 / t->theta[MASS[0]] : 0, m2 = t->side[1] ? 1 / t->theta[MASS[1]] : 0;
+    const double m1 = t->side[0] ? t->light[0] : 0, m2 = t->side[1] ? t->light[1] : 0;
     double *restrict x1 = t->term[0], *restrict v1 = t->term[1], *restrict x2 = t->term[2], *restrict v2 = t->term[3];
     const double *restrict n1 = t->dn[0], *restrict n2 = t->dn[1];
     double power = 1;
@@ -210,7 +228,7 @@ static void carry(const pair *t, series c, double h, double *const to[4])
         if (to[r] != t->dz[r])
             memcpy(to[r], t->dz[r], t->w * sizeof(double));
     }
-    for (int j = 0; j < ORDER; j++) {
+    for (int j = 0; j < t->order; j++) {
         const double scale = h / (j + 1), f1 = scale * m1, f2 = scale * m2, once = j ? 0 : 1;
         for (int q = 0; q < t->w; q++) {
             const double tie = k * (x1[q] - x2[q]) + damping * (v1[q] - v2[q]);
@@ -241,6 +259,96 @@ static void carry(const pair *t, series c, double h, double *const to[4])
     }
 }
 
+/* Find the matrices of a step from the motion at each unit input. */
+static void find_flight(const pair *t, flight *f)
+{
+    double room[10][PMF_ELASTIC_BASE];
+    pair u = *t;
+    u.w = PMF_ELASTIC_BASE;
+    for (int r = 0; r < 4; r++)
+        u.dz[r] = room[r], u.term[r] = room[4 + r];
+    u.dn[0] = room[8], u.dn[1] = room[9];
+    for (int i = 0; i <= INPUTS; i++) {
+        const double net[2] = {i == 3, i == 4};
+        series c;
+        memset(room, 0, sizeof room);
+        for (int r = 0; r < 4; r++)
+            u.z[r] = r == i + 1;
+        if (i == INPUTS)
+            room[1][0] = room[2][1] = room[3][2] = room[8][3] = room[9][4] = 1;
+        expand(&u, net, c);
+        follow(&u, c, f->h, u.dz);
+        for (int r = 0; r < 4; r++)
+            if (i < INPUTS)
+                for (int k = 0; k < SOURCES; k++)
+                    f->source[r][i][k] = room[r][SOURCE[k]];
+            else
+                memcpy(f->state[r], room[r], sizeof f->state[r]), memcpy(f->force[r], room[r] + 3, sizeof f->force[r]);
+    }
+}
+
+/* Matrices of a step of h seconds if steps of this length are frequent, otherwise null. */
+static const flight *flight_of(const pair *t, double h)
+{
+    flight *f = t->flights[3 * t->side[0] + t->side[1] + 4], *rare = f, *end = f + LENGTHS;
+    for (; f < end && fabs(f->h - h) > 1e-9 * h; f++)
+        if (f->hits < rare->hits)
+            rare = f;
+    if (f < end && f->hits < OFTEN && ++f->hits == OFTEN)
+        find_flight(t, f);
+    else if (f == end && rare->hits < OFTEN)
+        rare->h = h, rare->hits = 0;
+    return f < end && f->hits == OFTEN ? f : NULL;
+}
+
+/* Add what the parameters and forces themselves change within a step. */
+static void add_sources(const pair *t, const flight *f, double *const to[4])
+{
+    const double input[INPUTS] = {t->z[1], t->z[2] - t->z[0], t->z[3], t->net[0], t->net[1]};
+    for (int r = 0; r < 4; r++) {
+        double sum[SOURCES] = {0}, *out = to[r];
+        const double f1 = f->force[r][0], f2 = f->force[r][1], *n1 = t->dn[0], *n2 = t->dn[1];
+        for (int i = 0; i < INPUTS; i++)
+            for (int k = 0; k < SOURCES; k++)
+                sum[k] += f->source[r][i][k] * input[i];
+        for (int k = 0; k < SOURCES; k++)
+            out[SOURCE[k]] += sum[k];
+        out[PMF_BODY_DIRECTIONAL] += t->side[0] * sum[1];
+        if (t->b->forces) {
+            for (int q = 0; q < t->w; q++)
+                out[q] += f1 * n1[q] + f2 * n2[q];
+        } else {
+            out[PMF_BODY_COULOMB] += f1 * n1[PMF_BODY_COULOMB];
+            out[PMF_BODY_OFFSET] += f1 * n1[PMF_BODY_OFFSET];
+            out[PMF_ELASTIC_COULOMB] += f2 * n2[PMF_ELASTIC_COULOMB];
+        }
+    }
+}
+
+/* Derivatives of the state after h seconds of a series, from those before. */
+static void carry(pair *t, series c, double h, double *to[4])
+{
+    const flight *f = flight_of(t, h);
+    const double *x1 = t->dz[0], *v1 = t->dz[1], *x2 = t->dz[2], *v2 = t->dz[3];
+    if (!f) {
+        follow(t, c, h, to);
+        return;
+    }
+    double **out = to == t->dz ? t->term : to;
+    for (int r = 0; r < 4; r++) {
+        const double *restrict v = v1, *restrict w = v2, *restrict x = x1, *restrict y = x2;
+        const double a = f->state[r][0], b = f->state[r][1], d = f->state[r][2], keep = r % 2 == 0;
+        double *restrict sum = out[r];
+        for (int q = 0; q < t->w; q++)
+            sum[q] = keep * x[q] + a * v[q] + b * (y[q] - x[q]) + d * w[q];
+    }
+    add_sources(t, f, out);
+    for (int r = 0; r < 4 && to == t->dz; r++) {
+        double *const before = t->dz[r];
+        t->dz[r] = t->term[r], t->term[r] = before;
+    }
+}
+
 /* Series of the next step of h seconds, with forces in its middle. */
 static void plan(pair *t, int i, double drive, double h, series c)
 {
@@ -256,7 +364,7 @@ static void plan(pair *t, int i, double drive, double h, series c)
     if (t->slopes)
         carry(t, c, h / 2, t->mid);
     for (int r = 0; r < 4; r++)
-        z[r] = value_at(c[r], h / 2, &s);
+        z[r] = value_at(c[r], t->order, h / 2, &s);
     for (int side = 0; side < 2; side++)
         if (t->side[side]) {
             z[2 * side + 1] = t->side[side] * z[2 * side + 1] > 0 ? z[2 * side + 1] : 0;
@@ -300,7 +408,7 @@ static void move(pair *t, int i, double left)
         if (t->slopes)
             carry(t, c, step, t->dz);
         for (int r = 0; r < 4; r++)
-            t->z[r] = value_at(c[r], step, slope + r);
+            t->z[r] = value_at(c[r], t->order, step, slope + r);
         left -= step;
         if (turned >= 0 && t->side[turned])
             stop(t, turned, drive, slope[2 * turned + 1], i);
@@ -338,6 +446,16 @@ static void move_interval(pair *t, int i, int steps, double *wait)
         }
 }
 
+/* Terms of the series within a step, for its product with the fastest rate. */
+static int order_of(double reach)
+{
+    double term = reach;
+    int order = 1;
+    while (order < ORDER && term > 1e-12)
+        term *= reach / ++order;
+    return order;
+}
+
 /* Fastest rate of the pair [1/s]. */
 static double rate_of(const double *theta)
 {
@@ -352,7 +470,12 @@ int pmf_elastic_run(const pmf_body *b, const double *theta, double *y, double *v
     const int w = PMF_ELASTIC_BASE + b->forces + b->shapes, parts = b->forces ? b->parts : 1;
     const double rate = rate_of(theta);
     double wait = b->step[0] + theta[PMF_BODY_DELAY];
+    flight flights[9][LENGTHS];
     pair t = {0};
+    for (int j = 0; j < 9 * LENGTHS; j++)
+        flights[j / LENGTHS][j % LENGTHS].h = 0, flights[j / LENGTHS][j % LENGTHS].hits = -1;
+    t.flights = flights;
+    t.light[0] = 1 / theta[PMF_BODY_MASS], t.light[1] = 1 / theta[PMF_ELASTIC_MASS];
     t.b = b, t.theta = theta, t.size = theta + PMF_ELASTIC_BASE, t.w = w, t.slopes = S != NULL;
     for (int r = 0; r < 4; r++)
         t.dz[r] = work + r * w, t.mid[r] = work + (4 + r) * w, t.term[r] = work + (8 + r) * w;
@@ -379,6 +502,8 @@ int pmf_elastic_run(const pmf_body *b, const double *theta, double *y, double *v
             const double steps = ceil(b->step[i] * rate / REACH);
             if (!(steps <= MOST_STEPS))
                 return k;
+            if (i == 0 || b->step[i] != b->step[i - 1])
+                t.order = order_of(b->step[i] * rate / fmax(steps, parts));
             move_interval(&t, i, steps > parts ? (int)steps : parts, &wait);
         }
     }
