@@ -84,22 +84,65 @@ def _start(plain: FitProblem, guess: Floats) -> Floats:
 
 
 def _follow_guesses(plain: FitProblem, prior: Floats) -> Optimum | None:
-    """Return the best fit of the whole stretch from guesses by the measured motion, or None without a guess."""
+    """Return the best fit of the whole stretch from guesses by the measured motion, or None without a guess.
+
+    Parts of a few periods with starts of their own (Bock 1983) keep wrong parameters near the record.
+    """
     (stretch,) = plain.stretches
-    like, starts = soften(plain.stretches), plain.first_starts()
     points = [_start(plain, guess) for guess in driven_guesses(stretch, plain.resolution)]
-    points = [points[i] for i in distinct(points, 0.02)]
-    ends = sorted(
-        (solve(plain, like, q, settle_starts(plain, like, q, starts), prior, 2, 0.1) for q in points),
-        key=lambda end: end.cost,
-    )
+    points = [points[i] for i in distinct(points, 0.02)[: TUNING.followed]]
+    if not points:
+        return None
+    length = max(TUNING.periods * _period(plain, points[0]), TUNING.shortest * float(np.mean(stretch.steps)))
+    problem = plain.cut(_count_parts(plain, length))
+    problem = replace(problem, stretches=problem.stretches[:: math.ceil(len(problem.stretches) / TUNING.parts)])
+    ends = sorted((_settle(problem, q, problem.first_starts(), prior, 4) for q in points), key=lambda end: end.cost)
     best: Optimum | None = None
     for end in ends[:2]:
-        tried = solve(plain, like, end.q, end.starts, prior, 20, 0.1)
+        end = solve(problem, soften(problem.stretches), end.q, end.starts, prior, 20, 0.1)
+        tried = _join(plain, problem, end, length, prior)
         best = tried if best is None or tried.cost < best.cost else best
         if best.cost < TUNING.rounded * stretch.y.size:
-            break
-    return best
+            return best
+    assert best is not None
+    return _restart(plain, best, prior)
+
+
+def _restart(plain: FitProblem, end: Optimum, prior: Floats) -> Optimum:
+    """Return the better of a fit of the whole stretch and another one from parts of it, for stops make the likelihood
+    rough."""
+    length = float(plain.stretches[0].times[-1]) / TUNING.joined
+    problem = plain.cut(_count_parts(plain, length))
+    tried = _join(plain, problem, _settle(problem, end.q, problem.first_starts(), prior, 20), length, prior)
+    return min(tried, end, key=lambda one: one.cost)
+
+
+def _period(plain: FitProblem, q: Floats) -> float:
+    """Return the period of the resonance [s]."""
+    masses, stiffness = plain.theta(q)[[0, ROWS.index(LOAD_MASS)]], plain.theta(q)[ROWS.index(STIFFNESS)]
+    return float(2 * math.pi / np.sqrt(stiffness * np.sum(1 / masses)))
+
+
+def _count_parts(problem: FitProblem, length: float) -> int:
+    """Return the number of parts of about a length [s] in the only stretch."""
+    return max(1, int(float(problem.stretches[0].times[-1]) / length))
+
+
+def _settle(problem: FitProblem, q: Floats, starts: Floats, prior: Floats, steps: int) -> Optimum:
+    like = soften(problem.stretches)
+    return solve(problem, like, q, settle_starts(problem, like, q, starts), prior, steps, 0.1)
+
+
+def _join(plain: FitProblem, problem: FitProblem, end: Optimum, length: float, prior: Floats) -> Optimum:
+    """Return the fit of the whole stretch from that of its parts of a length [s], which become longer."""
+    while len(problem.stretches) > 1:
+        known = dict(zip((one.first for one in problem.stretches), end.starts, strict=True))
+        length *= TUNING.joined
+        problem = plain.cut(_count_parts(plain, length))
+        pairs = zip(problem.stretches, problem.first_starts(), strict=True)
+        starts = np.array([known.get(one.first, start) for one, start in pairs])
+        end = _settle(problem, end.q, starts, prior, 20)
+    return end
 
 
 def settle_starts(problem: FitProblem, likelihood: Likelihood, q: Floats, starts: Floats) -> Floats:
@@ -118,7 +161,7 @@ def settle_starts(problem: FitProblem, likelihood: Likelihood, q: Floats, starts
             damping *= 10
             continue
         gain, starts, cost, blocks, damping = cost - tried, moved, tried, there, damping / 10
-        if gain < 0.1:
+        if gain < max(0.1, 0.01 * cost):
             break
     return starts
 

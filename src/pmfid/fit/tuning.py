@@ -27,6 +27,13 @@ class ElasticTuning:
     kept: int = 5
     turns: int = 5
     step: float = 1e-3
+    #: Guesses that are followed, through parts of some periods of the resonance and of some steps at least, most of
+    #: the first parts, and the factor by which their length grows.
+    followed: int = 3
+    periods: float = 5.0
+    shortest: float = 40.0
+    parts: int = 40
+    joined: float = 6.0
     #: Resonances of the scan by fits: lowest [Hz], highest [1/step], number per octave, shares of the load in the
     #: inertia, and damping ratio.
     lowest: float = 2.0
