@@ -19,8 +19,8 @@ from pmfid.fit.solve import Optimum, solve
 from pmfid.fit.terms import Sizes
 from pmfid.types import Floats
 
-#: Changes of the counts, and observations, in the first window.
-FEWEST_CHANGES, FEWEST_ROWS = 60, 200
+#: Changes of the counts in the first window, and its fewest and most observations.
+FEWEST_CHANGES, FEWEST_ROWS, MOST_ROWS = 60, 200, 10_000
 #: Largest distance of the mass from the first guess, as a logarithm.
 FAR = 7.0
 #: Phases of the sine and the cosine of gravity.
@@ -78,7 +78,7 @@ def blind_start(stretches: tuple[ObservedStretch, ...], resolution: float, turn:
         starts = best.starts if window.first == problem.stretches[0].first else None
         problem = replace(problem, stretches=(window,))
         starts = problem.first_starts() if starts is None else starts
-        best = solve(problem, soften((window,)), best.q, starts, prior)
+        best = solve(problem, soften((window,)), best.q, starts, prior, small=0.1)
     return problem, best
 
 
@@ -109,7 +109,7 @@ def _windows(stretch: ObservedStretch, resolution: float) -> Iterator[ObservedSt
         raise NotIdentifiableError(f"the axis does not move in this record; {MOVE}")
     times, total = stretch.times, np.append(0.0, np.cumsum(changes))
     first = max(0, int(np.argmax(total > 0)) - 5)
-    count = max(FEWEST_ROWS, stretch.y.size // 10)
+    count = min(max(FEWEST_ROWS, stretch.y.size // 10), MOST_ROWS)
     while first + count < stretch.y.size:
         if total[first + count] >= FEWEST_CHANGES:
             yield stretch.cut(float(times[first]), float(times[first + count]))
