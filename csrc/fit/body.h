@@ -40,7 +40,7 @@ enum {
     PMF_FORCE_POWER, /* s |v/q|^p */
     PMF_FORCE_WAVE, /* sin(2 pi x / p + q) */
     PMF_FORCE_RUB, /* s sin(2 pi x / p + q) */
-    PMF_FORCE_SPRING, /* x */
+    PMF_FORCE_SPRING, /* x - q */
     PMF_FORCE_SPEED, /* s times a table over |v|, with values at p + q i */
     PMF_FORCE_BEND, /* s times a bend from slope 0 at |v| = p to slope 1 at q and above */
     PMF_FORCE_BEND_EVEN, /* the bend, with the same sign in both directions */

@@ -54,7 +54,7 @@ pmf_push pmf_force_at(const pmf_force *f, double p, double x, double v, double s
         }
         break;
     case PMF_FORCE_SPRING:
-        r.h = x;
+        r.h = x - f->q;
         r.hx = 1;
         break;
     case PMF_FORCE_SPEED:

@@ -157,9 +157,14 @@ class FitSearch:
         for k, candidate in self.problem.place_candidates():
             if not candidate.reads:
                 force = candidate.force
-                size = self.first[3] if force is None else _first_size(force, self.first, self.sizes.turn)
+                size = self._first_load() if force is None else _first_size(force, self.first, self.sizes.turn)
                 self.q[k] = size / candidate.sd
         self.noise = Gaussian(self.plain.stretches)
+
+    def _first_load(self) -> float:
+        """Return the load at the blind start, whose spring acts from the first count on."""
+        springs = [one.force for one in self.problem.candidates if one.force is not None and one.force.kind == "spring"]
+        return float(self.first[3] + sum(self.first[4] * one.q for one in springs))
 
     def _chosen_problem(self) -> FitProblem:
         return self.plain.with_candidates([self.table[i].free_constant() for i in self.chosen])

@@ -140,4 +140,5 @@ def sizes_of(problem: FitProblem, start: FitProblem, solution: Optimum) -> Sizes
         sum(float(np.sum(one.drive.step)) for one in problem.stretches),
         bool(np.ptp(acting) > 1e-3 * top),
         problem.machine.turn,
+        float(np.mean(y)),
     )

@@ -89,8 +89,8 @@ class ExtraForce:
 @dataclass(frozen=True)
 class Sizes:
     """Sizes of a record that scale the priors, in SI units: root mean square and largest force of the input, highest
-    speed, Coulomb friction, viscous friction, half the travel, mean step, the time from start to end, and whether the
-    input has more than one size, and the length of a turn or 0."""
+    speed, Coulomb friction, viscous friction, half the travel, mean step, the time from start to end, whether the
+    input has more than one size, the length of a turn or 0, and the mean position."""
 
     force: float
     top_force: float
@@ -102,6 +102,7 @@ class Sizes:
     time: float
     levels: bool
     turn: float
+    middle: float
 
 
 #: A row of the table: it yields its candidates for a record.
@@ -140,9 +141,9 @@ def quadratic(s: Sizes) -> Iterator[ExtraForce]:
 
 
 def spring(s: Sizes) -> Iterator[ExtraForce]:
-    yield ExtraForce(
-        "spring", "a force of the position", "set spring = true", 0.5 * s.force / s.travel, force=BodyForce("spring")
-    )
+    """Yield a spring about the mean position, where a constant load of the machine stays the mean force."""
+    force = BodyForce("spring", q=s.middle)
+    yield ExtraForce("spring", "a force of the position", "set spring = true", 0.5 * s.force / s.travel, force=force)
 
 
 def gravity(s: Sizes) -> Iterator[ExtraForce]:
