@@ -197,6 +197,7 @@ def _sizes_of(task: ServoTask, problem: FitProblem, q: Floats, starts: Floats) -
         sum(float(one.times[-1]) for one in problem.stretches),
         True,
         2 * math.pi,
+        0.0,
     )
 
 

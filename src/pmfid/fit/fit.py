@@ -19,8 +19,6 @@ from pmfid.types import Floats
 
 #: Blocks of a record whose scores are compared with the information.
 BLOCKS = 40
-#: Part of the travel that may stay unexplained before the model follows nothing: a model at rest leaves all of it.
-MOST_LEFT = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +53,11 @@ class Fitted:
         return float(np.linalg.norm(np.concatenate(self.residuals)) / max(float(np.linalg.norm(travel)), 1e-300))
 
     @property
+    def follows(self) -> bool:
+        """Whether the motion explains more of the travel than an axis at rest, which leaves all of it."""
+        return self.left < 1.0
+
+    @property
     def residuals(self) -> list[Floats]:
         """Residuals (k,) of each stretch [counts]."""
         return [block.e for block in self.problem.linearise(self.solution.q, self.solution.starts)]
@@ -73,7 +76,7 @@ def fit(problem: FitProblem) -> Fitted:
     """
     with suppress(NotIdentifiableError):
         fitted = _fit_once(problem)
-        if fitted.left < MOST_LEFT:
+        if fitted.follows:
             return fitted
     return _fit_once(problem.cut(parts=16))
 

@@ -18,7 +18,7 @@ from pmfid.estimators.edges import EdgeFit
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.findings import MOVE, make_notes, sort_findings
 from pmfid.fit.findings import findings_of
-from pmfid.fit.fit import MOST_LEFT, Fitted
+from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Intervals
 from pmfid.pipeline.known import known_of, put_together
 from pmfid.pipeline.result import DriveResult
@@ -58,7 +58,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
     """
     method, fitted, remarks = _examine(record, axis)
     fit = method.summarise(fitted)
-    if not fit.relative_error < MOST_LEFT:
+    if not fitted.follows:
         raise NotIdentifiableError(
             f"no motion of the model follows the measured motion; {fit.relative_error:.0%} of the motion stays "
             f"unexplained. Advice: check input_gain, sign and scale of input and output, and [encoder] bits"
