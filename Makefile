@@ -1,7 +1,7 @@
 # Each target makes the environment that it needs, in .venv.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
 FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang valgrind
-SERVICE_TOOLS = mosquitto chromium
+SERVICE_TOOLS = mosquitto chromium nginx-light
 SPARK_TOOLS = openjdk-17-jre-headless
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')

@@ -19,7 +19,7 @@ from docs.blocks import ROOT
 from pmfid.cli.main import main as program
 from pmfid.config.axis import load_axis
 from pmfid.pipeline.designs import load_spec
-from pmfid.service.plant import load_plant
+from pmfid.service.plant import load_plant, page_config
 from tests.firmware.build import GCC, REQUIRED, command
 
 PAGES = ["README.md", *(str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md")))]
@@ -71,11 +71,12 @@ def test_a_configuration_loads(page: str, text: str, tmp_path: Path) -> None:
     elif "experiment" in tables:
         file.write_text(text)
         assert load_spec(file).experiment.unknown
-    elif tables.keys() & {"sources", "sinks"}:
+    elif tables.keys() & {"sources", "sinks", "page"}:
         (tmp_path / "axis.toml").write_text((ROOT / "examples/plant_axis.toml").read_text())
         rest = "" if "sources" in tables else '[sources.hall]\nkind = "mqtt"\nhost = "localhost"\ntopics = ["a"]\n'
         file.write_text(f'[service]\nname = "hall"\n[axes.x1]\nconfig = "axis.toml"\n{text}\n{rest}')
         plant = load_plant(file)
+        assert page_config(plant).enabled
         assert tables.get("sources", plant.sources).keys() <= plant.sources.keys()
         assert tables.get("sinks", plant.sinks).keys() <= plant.sinks.keys()
     else:

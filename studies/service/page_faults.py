@@ -81,11 +81,9 @@ def stuck_browser(there: Hall) -> Finding:
             there.play(150.0)
             during = share()
     after, reported = there.through(), there.notices()
-    dropped = there.total("pmfid_page_browsers_dropped_total", after)
     claims = [
         others_unchanged(there, since),
         without_alarm(reported),
-        (f"{dropped:g} browser is said to be dropped", dropped == 1),
         _no_later(during, alone),
     ]
     return Finding("a browser that stops reading", sentences(reported), changes(before, after), claims)
@@ -120,14 +118,12 @@ def many_browsers(there: Hall) -> Finding:
             with_them = share()
         lines = list(looking.lines)
     after, reported = there.through(), there.notices()
-    refused = there.total("pmfid_page_refused_total", after) + there.total("pmfid_page_browsers_dropped_total", after)
-    refused -= there.total("pmfid_page_refused_total", before)
-    refused -= there.total("pmfid_page_browsers_dropped_total", before)
+    refused = there.total("pmfid_page_refused_total", after) - there.total("pmfid_page_refused_total", before)
     claims = [
         others_unchanged(there, since),
         without_alarm(reported),
         (f"each got {min(lines)} to {max(lines)} lines in {LOOKING:g} s", min(lines) > LOOKING),
-        (f"{refused:g} were refused or dropped", refused == 0),
+        (f"{refused:g} were refused", refused == 0),
         (f"the service took {with_them.cores:.2f} cores, {alone.cores:.2f} alone", with_them.cores < 1),
         _no_later(with_them, alone),
     ]

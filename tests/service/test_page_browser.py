@@ -401,21 +401,6 @@ def test_an_alarm_says_what_to_do_and_its_parameter_stands_first(browser: Any) -
 
 
 @pytest.mark.long
-def test_who_may_only_look_is_offered_nothing_to_write(browser: Any, tmp_path: Path) -> None:
-    (tmp_path / "reader").write_text("a-token-that-only-reads-0123456789")
-    (tmp_path / "reader").chmod(0o600)
-    with served(troubled(12), read_token_file=str(tmp_path / "reader")) as there, tab(browser) as page:
-        page.goto(there.page.url + "#token=a-token-that-only-reads-0123456789")
-        page.wait_for_selector(".card.alarm")
-        assert page.locator("button:has-text('Acknowledge')").count() == 0
-        page.click("a.axis-name >> nth=0")
-        page.wait_for_selector(".u-over")
-        assert page.locator("button:has-text('Acknowledge')").count() == 0
-        assert page.locator("text=Set as reference").count() == 0
-        assert page.locator("text=Save as CSV").count() == 1
-
-
-@pytest.mark.long
 def test_what_the_theme_button_chooses_stays(browser: Any, page: Served) -> None:
     ground = "getComputedStyle(document.body).backgroundColor"
     with tab(browser) as there:

@@ -37,7 +37,6 @@ PASSWD = shutil.which("mosquitto_passwd")
 #: Variables and files -> secrets, all different; their receivers refuse those with WRONG.
 SECRETS = {
     "PAGE_TOKEN": "page-token-Zq81kd93mvLx0",
-    "reader.token": "reader-token-Yw72jc84nuKw",
     "BROKER_PASSWORD": "broker-Xe63+hb75/mtJv",
     "wrong.password": "WRONG-source-Vr54ga66lsIu",
     "HOOK_SECRET": "Bearer hook-Sy36ey48jqGs",
@@ -61,7 +60,6 @@ silence = 2.0
 [page]
 port = 0
 token_env = "PAGE_TOKEN"
-read_token_file = "reader.token"
 [axes.x1]
 config = "axis.toml"
 [sources.log]
@@ -111,7 +109,7 @@ def test_the_plant_has_every_key_that_names_a_secret() -> None:
     sections = {"page": PageConfig, **SOURCES, **SINKS}
     keys = {key for made in sections.values() for key in made.model_fields if key.endswith(("_env", "_file"))}
     stems = {key.rpartition("_")[0] for key in keys}
-    assert stems == {"token", "read_token", "password", "url", "secret"}
+    assert stems == {"token", "password", "url", "secret"}
     assert {stem for stem in stems if f"{stem}_env" in PLANT or f"{stem}_file" in PLANT} == stems
 
 
@@ -224,9 +222,9 @@ def test_no_secret_comes_out_anywhere(
         acting.samples(800)
         assert until(lambda: publish() or is_unusable_counted()), "what comes before the source subscribes is lost"
         for path in PATHS:
-            for token in (SECRETS["PAGE_TOKEN"], SECRETS["reader.token"], None, *GUESSES):
+            for token in (SECRETS["PAGE_TOKEN"], None, *GUESSES):
                 running.ask(acting, path, token)
-        for token in (*GUESSES, SECRETS["reader.token"], SECRETS["PAGE_TOKEN"]):
+        for token in (*GUESSES, SECRETS["PAGE_TOKEN"]):
             running.ask(acting, "/api/axis/x1/anew", token, "POST")
         assert running.ask(acting, "/api/plant", SECRETS["PAGE_TOKEN"]) == 200
         assert until(lambda: counted("pmfid_sink_silent", sink="down") == 1), "alarms of silence are among it"

@@ -33,7 +33,6 @@ HELP: dict[str, str] = {
     "pmfid_deliveries_slower_total": "Deliveries whose estimates took longer than the limit in the label, in seconds.",
     "pmfid_latency_seconds": "Age of the oldest delivery in the last step, when its estimates were ready, in seconds.",
     "pmfid_lines_dropped_total": "Lines that are no samples, are repeated, or arrived too late.",
-    "pmfid_page_browsers_dropped_total": "Browsers that did not read the data that the page sent.",
     "pmfid_page_refused_total": "Requests to the page that were refused, by reason.",
     "pmfid_page_rows_dropped_total": "Rows of an axis in a live view that were dropped because a browser was too slow.",
     "pmfid_page_rows_missed_total": "Rows of an axis in a live view that a browser did not receive.",

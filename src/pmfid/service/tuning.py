@@ -117,14 +117,6 @@ class ServiceTuning:
     #: Largest number of displayed rows of a reference record.
     api_rows: int = 50_000
 
-    # web.connection
-    #: Time for a TLS handshake [s], and pause if the system has no file left for a connection [s].
-    connection_handshake: float = 5.0
-    #: Time for a whole request [s], and time without a byte read by a browser with waiting data [s].
-    connection_request: float = 10.0
-    connection_stuck: float = 10.0
-    no_file: float = 0.1
-
     # web.hub
     #: Time between two tests of the board [s], and numbers of tests between two overviews, of few and of many axes.
     hub_tick: float = 0.25
@@ -144,14 +136,8 @@ class ServiceTuning:
     #: Largest body of a request [bytes], and its longest duration [s].
     largest_body: int = 4096
     slowest_body: float = 5.0
-    #: Largest number of wrong tokens from one address in a time window [s], and number of remembered addresses.
-    security_free: int = 10
-    security_window: float = 60.0
-    security_addresses: int = 4096
 
     # web.server
-    #: Number of connections for files, histories and metrics, in addition to the streams.
-    server_further: int = 64
     #: Times until the page answers, and until it has ended [s].
     server_started: float = 10.0
     server_ended: float = 3.0

@@ -17,7 +17,6 @@ from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
-from starlette.types import Receive, Scope, Send
 
 from pmfid.errors import UsageError
 from pmfid.monitor.events import STATES
@@ -107,7 +106,6 @@ class Hub:
         self._written: dict[tuple[int, int, bool], tuple[int, bytes]] = {}
         self._tick = asyncio.Condition()
         self._ticks = 0
-        self.streams = 0
         self.ended = False
 
     async def run(self) -> None:
@@ -206,8 +204,7 @@ NO_AXIS = "no axis has this name; PLANT.toml may have changed"
 class Api:
     """The interface of the page.
 
-    `name` is the name of the service. `streams` is the largest number of open streams. The other fields are arguments
-    of `server.serve`.
+    `name` is the name of the service. The other fields are arguments of `server.serve`.
     """
 
     name: str
@@ -218,7 +215,6 @@ class Api:
     reference: Callable[[str], Record | None]
     metrics: Callable[[], str] | None
     alive: Callable[[], bool]
-    streams: int
 
     def routes(self) -> list[Route]:
         """Return the routes. Names of axes may contain any characters, even slashes, because they are never opened
@@ -241,7 +237,6 @@ class Api:
         """Answer with the plant, whose content changes only with its layout."""
         content = {
             "name": self.name,
-            "may": request.scope["may"],
             "layout": self.board.layout,
             "every": self.board.every,
             "states": list(STATES),
@@ -257,12 +252,7 @@ class Api:
             self._find_axis(axis)
         if request.method == "HEAD":
             return Response(media_type=LineResponse.media_type)
-        if self.hub.streams >= self.streams:
-            self.counters.add("pmfid_page_refused_total", reason="streams")
-            raise HTTPException(
-                503, "the largest number of browsers is connected; raise [page] browsers, or close another page"
-            )
-        return LineResponse(self.hub, self.hub.overview() if axis is None else self.hub.axis(axis))
+        return LineResponse(self.hub.overview() if axis is None else self.hub.axis(axis))
 
     async def trends(self, request: Request) -> Response:
         """Answer `?group=0&axes=3,17` with the trends of these axes, in this order."""
@@ -337,20 +327,12 @@ def _answer_command(taken: bool) -> Response:
 
 
 class LineResponse(StreamingResponse):
-    """A response of NDJSON, which the hub counts until the browser leaves."""
+    """A response of NDJSON, which no proxy shall buffer."""
 
     media_type = "application/x-ndjson"
 
-    def __init__(self, hub: Hub, lines: AsyncIterator[bytes]) -> None:
+    def __init__(self, lines: AsyncIterator[bytes]) -> None:
         super().__init__(lines, headers={"x-accel-buffering": "no"})
-        self._hub = hub
-
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        self._hub.streams += 1
-        try:
-            await super().__call__(scope, receive, send)
-        finally:
-            self._hub.streams -= 1
 
 
 def csv_of(record: Record) -> bytes:

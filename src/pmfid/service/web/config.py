@@ -1,4 +1,4 @@
-"""The section [page] of PLANT.toml, with the address, the users and the memory of the page."""
+"""The section [page] of PLANT.toml, with the address, the token and the memory of the page."""
 
 from __future__ import annotations
 
@@ -18,32 +18,20 @@ HERE, PORT = "127.0.0.1", 8127
 class PageConfig(FileSection):
     """The section [page]. Without this section the page is on `HERE` and `PORT`.
 
-    Keys that end in `_env` or `_file` name the tokens, which never stand in this section.
+    Keys that end in `_env` or `_file` name the token, which never stands in this section.
     """
 
     enabled: bool = Field(True, description="false to run without a page")
     address: Name = Field(HERE, description=f'the address to listen on, for example "{HERE}"')
     port: int = Field(PORT, ge=0, le=65535, description="the port of the page; 0 chooses a free port")
-    allow_remote: bool = Field(False, description="true to accept requests from other machines")
     hosts: tuple[Name, ...] = Field(
         (),
         strict=False,
         description=f'the host names that browsers use for the page, for example ["hall.example:{PORT}"]',
     )
-    token_env: Name | None = Field(
-        None, description="the environment variable that holds the token for reading and writing"
-    )
-    token_file: Name | None = Field(None, description="the file that holds the token for reading and writing")
-    read_token_env: Name | None = Field(
-        None, description="the environment variable that holds the token for reading only"
-    )
-    read_token_file: Name | None = Field(None, description="the file that holds the token for reading only")
-    certificate: Name | None = Field(None, description="the file of the TLS certificate")
-    key: Name | None = Field(None, description="the file of the private key of the certificate")
+    token_env: Name | None = Field(None, description="the environment variable that holds the token")
+    token_file: Name | None = Field(None, description="the file that holds the token")
     history_mb: Positive = Field(64.0, description="the memory in MB for the history of the axes, for example 64.0")
-    browsers: int = Field(
-        256, ge=1, le=4096, description="the largest number of browsers with a live view at the same time"
-    )
 
     @property
     def local(self) -> bool:
@@ -52,20 +40,15 @@ class PageConfig(FileSection):
 
     @model_validator(mode="after")
     def _check_access(self) -> Self:
-        for scope in ("", "read_"):
-            if getattr(self, f"{scope}token_env") and getattr(self, f"{scope}token_file"):
-                raise UsageError(f"[page] {scope}token_env and {scope}token_file are both given; keep one of them")
-        if bool(self.certificate) != bool(self.key):
-            raise UsageError("[page] certificate and key belong together; give both, or neither")
+        if self.token_env and self.token_file:
+            raise UsageError("[page] token_env and token_file are both given; keep one of them")
         if not self.local:
             self._check_remote()
         return self
 
     def _check_remote(self) -> None:
-        """Check the three settings that an address for other machines needs."""
+        """Check the two settings that an address for other machines needs."""
         where = f"other machines can reach [page] address = {self.address!r}"
-        if not self.allow_remote:
-            raise UsageError(f"{where}; set allow_remote = true to permit that, or use {HERE}")
         if not (self.token_env or self.token_file):
             raise UsageError(
                 f"{where}, so the page needs a token of your choice; name its file, for example token_file = "

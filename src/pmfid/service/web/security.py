@@ -1,15 +1,12 @@
-"""Tokens, hosts and rates of requests."""
+"""The token of the page, and the hosts and origins of requests."""
 
 from __future__ import annotations
 
 import asyncio
-import ipaddress
 import json
-import math
 import os
 import secrets
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from hashlib import sha256
 from hmac import compare_digest
@@ -28,45 +25,45 @@ from pmfid.service.tuning import TUNING
 from pmfid.service.web.config import PageConfig
 from pmfid.stream.outcome import Counters
 
-READ, WRITE = "read", "write"
-
 
 @dataclass(frozen=True)
-class Tokens:
-    """The tokens of the page, which never appear in a printed form of this object.
+class Token:
+    """The token of the page, which never appears in a printed form of this object.
 
-    `write` allows everything. `read` allows only viewing, and is None without a token for viewers. `made` is true if
-    this start made the token. The start line may then show the token.
+    `made` is true if this start made the token. The start line may then show the token.
     """
 
-    write: str = field(repr=False)
-    read: str | None = field(default=None, repr=False)
+    text: str = field(repr=False)
     made: bool = False
 
-    def scope(self, header: str | None) -> str | None:
-        """Return WRITE, READ, or None for an `Authorization` that allows nothing.
+    def opens(self, headers: Headers) -> bool:
+        """Return whether a request has the token in its only header `Authorization`.
 
-        The duration of this call reveals nothing about the tokens, because all digests are compared and equally long.
+        The duration of the comparison reveals nothing about the token, because both digests are equally long.
         """
-        scheme, _, given = (header or "").partition(" ")
-        found = None
-        digest = sha256(given.strip().encode()).digest()
-        for scope, token in ((READ, self.read), (WRITE, self.write)):
-            if compare_digest(digest, sha256((token or "").encode()).digest()) and token:
-                found = scope
-        return found if scheme.lower() == "bearer" else None
+        scheme, _, given = ",".join(headers.getlist("authorization")).partition(" ")
+        digests = [sha256(text.encode()).digest() for text in (given.strip(), self.text)]
+        return compare_digest(*digests) and scheme.lower() == "bearer"
 
 
-def load_tokens(config: PageConfig, folder: Path) -> Tokens:
-    """Return the tokens that [page] names, or a new token. Names of files are relative to `folder`. Raises
+def load_token(config: PageConfig, folder: Path) -> Token:
+    """Return the token that [page] names, or a new token. Names of files are relative to `folder`. Raises
     UsageError."""
-    write = _read_token("token", config.token_env, config.token_file, folder)
-    read = _read_token("read_token", config.read_token_env, config.read_token_file, folder)
-    if read and read == write:
+    variable, file = config.token_env, config.token_file
+    if variable is None and file is None:
+        return Token(secrets.token_urlsafe(32), made=True)
+    where = f"[page] token_env = {variable!r}" if variable else f"[page] token_file = {file!r}"
+    try:
+        token = os.environ.get(variable, "") if variable else read_secret(folder / str(file))
+    except UsageError as error:
+        raise UsageError(f"{where}: {error}") from None
+    token = token.strip()
+    if len(token) < TUNING.security_shortest or not token.isascii() or not token.isprintable() or " " in token:
         raise UsageError(
-            "[page] both tokens are the same, the one for reading and the one for writing; choose two different tokens"
+            f"{where} does not contain a token: {TUNING.security_shortest} or more letters and digits, "
+            'without spaces; make one with: python -c "import secrets; print(secrets.token_urlsafe(32))"'
         )
-    return Tokens(write or secrets.token_urlsafe(32), read, made=not write)
+    return Token(token)
 
 
 def keep_token(token: str, folder: Path | None) -> str:
@@ -88,23 +85,6 @@ def keep_token(token: str, folder: Path | None) -> str:
     return f"open the page with #token=... after its address; the file {path} contains the token of this start"
 
 
-def _read_token(name: str, variable: str | None, file: str | None, folder: Path) -> str | None:
-    if variable is None and file is None:
-        return None
-    where = f"[page] {name}_env = {variable!r}" if variable else f"[page] {name}_file = {file!r}"
-    try:
-        token = os.environ.get(variable, "") if variable else read_secret(folder / str(file))
-    except UsageError as error:
-        raise UsageError(f"{where}: {error}") from None
-    token = token.strip()
-    if len(token) < TUNING.security_shortest or not token.isascii() or not token.isprintable() or " " in token:
-        raise UsageError(
-            f"{where} does not contain a token: {TUNING.security_shortest} or more letters and digits, "
-            'without spaces; make one with: python -c "import secrets; print(secrets.token_urlsafe(32))"'
-        )
-    return token
-
-
 HEADERS = {
     "content-security-policy": (
         "default-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'; object-src 'none'; "
@@ -123,44 +103,12 @@ class Refusal(Exception):  # noqa: N818  it is answered, not raised to anyone
     """Raised for a request that is refused.
 
     `reason` is the word for counters, `status` the HTTP status. `problem` is a sentence that repeats no content of the
-    request. `wait` is the time until the next allowed request [s], 0 for an immediate one.
+    request.
     """
 
-    def __init__(self, reason: str, status: int, problem: str, wait: float = 0.0) -> None:
+    def __init__(self, reason: str, status: int, problem: str) -> None:
         super().__init__(problem)
-        self.reason, self.status, self.problem, self.wait = reason, status, problem, wait
-
-
-@dataclass
-class Brake:
-    """A brake on guesses, which counts wrong tokens by the address of their sender, in bounded memory.
-
-    `clock` returns a monotonic time [s]. Only wrong tokens are counted, so that a valid token works even if someone
-    guesses from the same address.
-    """
-
-    clock: Callable[[], float] = time.monotonic
-    _wrong: dict[str, tuple[int, float]] = field(default_factory=dict, init=False)  # number, start; oldest first
-
-    def wrong(self, address: str) -> float:
-        """Count a wrong token, and return the time [s] for which the address is blocked."""
-        now, key = self.clock(), _network(address)
-        number, since = self._wrong.pop(key, (0, now))
-        if now - since >= TUNING.security_window:
-            number, since = 0, now
-        self._wrong[key] = number + 1, since
-        if len(self._wrong) > TUNING.security_addresses:
-            del self._wrong[next(iter(self._wrong))]
-        return since + TUNING.security_window - now if number >= TUNING.security_free else 0.0
-
-
-def _network(address: str) -> str:
-    """Return an IPv4 address, or the first 64 bits of an IPv6 address, because an owner of one address has them all."""
-    try:
-        parsed = ipaddress.ip_address(address.partition("%")[0])
-    except ValueError:
-        return address
-    return str(parsed) if parsed.version == 4 else str(ipaddress.ip_network((parsed, 64), strict=False))
+        self.reason, self.status, self.problem = reason, status, problem
 
 
 def hosts_of(address: str, port: int, more: Iterable[str]) -> frozenset[str]:
@@ -177,17 +125,16 @@ def hosts_of(address: str, port: int, more: Iterable[str]) -> frozenset[str]:
 
 @dataclass
 class Guard:
-    """A guard that refuses forbidden requests, and passes on the others with `scope["may"]` READ, WRITE or None.
+    """A guard that refuses forbidden requests, and passes on the others.
 
     `closed` has the prefixes of paths that need a token. All other paths are files without data of the plant.
     """
 
     app: ASGIApp
     hosts: frozenset[str]
-    tokens: Tokens
+    token: Token
     counters: Counters
     closed: tuple[str, ...] = ("/api/", "/metrics")
-    brake: Brake = field(default_factory=Brake)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] != "http":
@@ -200,8 +147,10 @@ class Guard:
             length = headers.get("content-length", "0")  # this check comes before the body is read
             if not length.isdecimal() or int(length[:20]) > TUNING.largest_body:
                 raise Refusal("size", 413, f"a request must have at most {TUNING.largest_body} bytes")
-            if scope["path"].startswith(self.closed):
-                self._check_token(scope, headers)
+            if scope["path"].startswith(self.closed) and not self.token.opens(headers):
+                raise Refusal(
+                    "token", 401, "the page needs a token: open the address that pmfid serve printed at its start"
+                )
         except Refusal as refusal:
             self.counters.add("pmfid_page_refused_total", reason=refusal.reason)
             await _build_answer(refusal)(scope, receive, answer)
@@ -227,27 +176,12 @@ class Guard:
         if foreign or not (from_here or headers.get("sec-fetch-mode") == "navigate"):
             raise Refusal("origin", 403, "requests from another web page are refused")
 
-    def _check_token(self, scope: Scope, headers: Headers) -> None:
-        given = headers.getlist("authorization")
-        may = self.tokens.scope(given[0]) if len(given) == 1 else None
-        if given and may is None and (wait := self.brake.wrong((scope.get("client") or ("",))[0])):
-            raise Refusal("guesses", 429, f"too many wrong tokens were sent; try again in {math.ceil(wait)} s", wait)
-        if may is None:
-            raise Refusal(
-                "token", 401, "the page needs a token: open the address that pmfid serve printed at its start"
-            )
-        if scope["method"] not in ("GET", "HEAD") and may != WRITE:
-            raise Refusal("scope", 403, "this token allows reading only, not writing")
-        scope["may"] = may
-
 
 def _build_answer(refusal: Refusal) -> JSONResponse:
     """Build the answer to a refused request. The connection then ends, and further data on it are not read."""
     headers = {"connection": "close"}
     if refusal.status == 401:
         headers["www-authenticate"] = "Bearer"
-    if refusal.wait:
-        headers["retry-after"] = str(math.ceil(refusal.wait))
     return JSONResponse({"problem": refusal.problem}, refusal.status, headers)
 
 

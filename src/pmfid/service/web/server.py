@@ -10,10 +10,8 @@ import socket
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from threading import Thread
-from typing import cast
 
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
@@ -30,13 +28,12 @@ from pmfid.service.tuning import TUNING
 from pmfid.service.web.api import Api, Hub
 from pmfid.service.web.board import Board
 from pmfid.service.web.config import PageConfig
-from pmfid.service.web.connection import Entrance, Guarded, most_connections
-from pmfid.service.web.security import Guard, Tokens, hosts_of, load_tokens
+from pmfid.service.web.security import Guard, Token, hosts_of, load_token
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.outcome import Counters
 
 
-def make_app(api: Api, hosts: frozenset[str], tokens: Tokens) -> ASGIApp:
+def make_app(api: Api, hosts: frozenset[str], token: Token) -> ASGIApp:
     """Return the application inside the guard, which serves the files of the page and the API."""
     mimetypes.add_type("text/javascript", ".js")  # the type must not depend on the system
     files = StaticFiles(directory=Path(__file__).parent / "static", html=True)
@@ -52,7 +49,7 @@ def make_app(api: Api, hosts: frozenset[str], tokens: Tokens) -> ASGIApp:
         exception_handlers={HTTPException: _answer_error, Exception: _answer_error},
         lifespan=lifespan,
     )
-    return Guard(inner, hosts, tokens, api.counters)
+    return Guard(inner, hosts, token, api.counters)
 
 
 async def _answer_error(request: Request, error: Exception) -> Response:
@@ -108,27 +105,21 @@ def serve(
     `metrics` returns text for Prometheus. `alive` returns whether the engine is alive, for health checks. Raises
     UsageError if the address is not available, a token is missing, or the extra is not installed.
     """
-    tokens = load_tokens(config, folder)
+    token = load_token(config, folder)
     board.keep(1e6 * config.history_mb)
     listener = _listener(config)
-    port, most = listener.getsockname()[1], most_connections(config.browsers + TUNING.server_further)
-    hub, streams = Hub(board, counters), min(config.browsers, max(1, most - TUNING.server_further))
-    api = Api(name, board, counters, hub, engine, reference, metrics, alive, streams)
-    app = make_app(api, hosts_of(config.address, port, config.hosts), tokens)
-    try:
-        server = _server(_uvicorn_config(app, config, counters, folder), hub, Entrance(listener, most, counters))
-    except UsageError:
-        listener.close()
-        raise
-    thread = Thread(target=lambda: asyncio.run(server.serve([])), name="page", daemon=True)
+    port, hub = listener.getsockname()[1], Hub(board, counters)
+    api = Api(name, board, counters, hub, engine, reference, metrics, alive)
+    server = _server(make_app(api, hosts_of(config.address, port, config.hosts), token), hub)
+    thread = Thread(target=lambda: server.run([listener]), name="page", daemon=True)
     thread.start()
     end = time.monotonic() + TUNING.server_started
     while not server.started and thread.is_alive() and time.monotonic() < end:
         time.sleep(0.01)
     if not server.started:
         raise UsageError("the page did not start; the log contains the reason")
-    url = f"{'https' if config.certificate else 'http'}://{_shown_host(config, port)}/"
-    return Page(url, tokens.write if tokens.made else None, _notes(config, tokens), server, api, thread)
+    url = f"http://{_shown_host(config, port)}/"
+    return Page(url, token.text if token.made else None, _notes(config, token), server, api, thread)
 
 
 def _listener(config: PageConfig) -> socket.socket:
@@ -145,14 +136,27 @@ def _listener(config: PageConfig) -> socket.socket:
         ) from None
 
 
-def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder: Path) -> Config:
-    """Return a configuration without a log of requests, and with limits on slow and stuck connections."""
-    certificate, key = ((folder / str(path)) if path else None for path in (config.certificate, config.key))
-    try:
-        made = Config(
-            app,  # type: ignore[arg-type]
-            http=type("Guarded", (Guarded,), {"counters": counters}),
+def _only_failures(record: logging.LogRecord) -> bool:
+    """Keep failures of the page, with their trace. Invalid requests are only counted, so that they do not fill a
+    log."""
+    return record.exc_info is not None
+
+
+def _server(app: ASGIApp, hub: Hub) -> Server:
+    """Return a server without a log of requests, which ends the streams before it waits for them."""
+    logging.getLogger("uvicorn.error").addFilter(_only_failures)
+    logging.getLogger("uvicorn.access").disabled = True  # any handler of the process overrides `access_log`
+
+    class Own(Server):
+        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+            await hub.stop()
+            await super().shutdown(sockets)
+
+    return Own(
+        Config(
+            app,
             loop="asyncio",
+            http="h11",
             ws="none",
             lifespan="on",
             log_config=None,
@@ -162,39 +166,8 @@ def _uvicorn_config(app: object, config: PageConfig, counters: Counters, folder:
             timeout_keep_alive=20,
             timeout_graceful_shutdown=1,
             h11_max_incomplete_event_size=16384,
-            ssl_certfile=certificate,
-            ssl_keyfile=key,
         )
-        made.load()
-    except OSError as error:  # includes ssl.SSLError
-        raise UsageError(f"[page] certificate and key cannot be used: {error}; give files in PEM format") from None
-    return made
-
-
-def _only_failures(record: logging.LogRecord) -> bool:
-    """Keep failures of the page, with their trace. Invalid requests are only counted, so that they do not fill a
-    log."""
-    return record.exc_info is not None
-
-
-def _server(config: Config, hub: Hub, entrance: Entrance) -> Server:
-    """Return a server with its own entrance, which ends the streams before it waits for them."""
-    logging.getLogger("uvicorn.error").addFilter(_only_failures)
-
-    class Own(Server):
-        async def startup(self, sockets: list[socket.socket] | None = None) -> None:
-            await super().startup(sockets)
-            kind = cast("type[Guarded]", config.http_protocol_class)
-            make = partial(kind, config, self.server_state, self.lifespan.state)
-            self.entering = asyncio.create_task(entrance.run(config.ssl, make))
-
-        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-            self.entering.cancel()
-            await asyncio.wait([self.entering])
-            await hub.stop()
-            await super().shutdown(sockets)
-
-    return Own(config)
+    )
 
 
 def _shown_host(config: PageConfig, port: int) -> str:
@@ -203,12 +176,13 @@ def _shown_host(config: PageConfig, port: int) -> str:
     return f"[{config.address}]:{port}" if ":" in config.address else f"{config.address}:{port}"
 
 
-def _notes(config: PageConfig, tokens: Tokens) -> tuple[str, ...]:
+def _notes(config: PageConfig, token: Token) -> tuple[str, ...]:
     notes = []
     if not config.local:
-        notes.append(f"other machines can reach the page at {config.address}: whoever has the token has access")
-        if not config.certificate:
-            notes.append("the page and its token are sent unencrypted: give [page] certificate and key, or use a proxy")
-    if not tokens.made:
+        notes.append(
+            f"other machines can reach the page at {config.address}, and its token is sent unencrypted: put a proxy "
+            "with TLS before the page"
+        )
+    if not token.made:
         notes.append("open the page with #token=... and your token after its address")
     return tuple(notes)

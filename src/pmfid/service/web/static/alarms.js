@@ -59,7 +59,7 @@ function settledOf(alarm) {
   return settled.length ? `Now ${settled.join(", ")}.` : null;
 }
 
-export function alarmCard(alarm, alarms, mayWrite, withAxis = true) {
+export function alarmCard(alarm, alarms, withAxis = true) {
   const known = !isOpen(alarm);
   const settled = settledOf(alarm);
   const button = el(
@@ -88,7 +88,7 @@ export function alarmCard(alarm, alarms, mayWrite, withAxis = true) {
       alarm.cleared === null ? null : el("p", { class: "fine" }, `back since ${wall(alarm.cleared)}`),
       alarm.acknowledged === null ? null : el("p", { class: "fine note-text" }, `acknowledged ${wall(alarm.acknowledged)}`, alarm.note ? `: “${alarm.note}”` : ""),
     ),
-    known || !mayWrite ? null : button,
+    known ? null : button,
   );
 }
 

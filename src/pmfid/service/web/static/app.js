@@ -24,7 +24,6 @@ function showConnection({ live, retry, problem, status }) {
     return;
   }
   if (status === 401) return askForToken("This token opens nothing here; the service may have been started anew.");
-  if (status === 429) return askForToken(problem);
   lostAt ??= new Date();
   connection.dataset.live = "no";
   say(connection, "not connected");
@@ -89,7 +88,6 @@ async function start() {
     plant = new Plant(await (await ask("api/plant")).json());
   } catch (error) {
     if (error.status === 401) return askForToken("");
-    if (error.status === 429) return askForToken(error.message);
     showConnection({ live: false, retry: 3000, problem: error.message });
     setTimeout(start, 3000);
     return;

@@ -150,8 +150,8 @@ export class AxisView {
       this.back,
       el("button", { type: "button", onclick: () => this.save() }, "Save as CSV"),
       this.compareButton,
-      this.plant.may === "write" ? refer : null,
-      this.plant.may === "write" ? anew : null,
+      refer,
+      anew,
       this.said,
     );
   }
@@ -310,10 +310,9 @@ export class AxisView {
     const key = own.map((alarm) => [alarm.number, alarm.acknowledged, alarm.cleared, alarm.settled ? 1 : 0]).join() + this.plant.notices.length;
     if (key === this.alarmsSeen) return;
     this.alarmsSeen = key;
-    const write = this.plant.may === "write";
     const known = own.filter((alarm) => !isOpen(alarm));
-    this.open.replaceChildren(...own.filter(isOpen).map((alarm) => alarmCard(alarm, own, write, false)));
-    this.known.replaceChildren(...(known.length ? known.map((alarm) => alarmCard(alarm, own, write, false)) : [el("li", { class: "fine" }, own.length ? "the open alarms are above" : "none so far")]));
+    this.open.replaceChildren(...own.filter(isOpen).map((alarm) => alarmCard(alarm, own, false)));
+    this.known.replaceChildren(...(known.length ? known.map((alarm) => alarmCard(alarm, own, false)) : [el("li", { class: "fine" }, own.length ? "the open alarms are above" : "none so far")]));
     this.putFirst(own.find((alarm) => isOpen(alarm) && !alarm.silent)?.parameter);
     const happened = this.plant.notices.filter((notice) => notice.axis === this.axis).slice(-60).reverse();
     this.log.replaceChildren(...(happened.length ? happened.map(noticeLine) : [el("li", { class: "fine" }, "nothing so far")]));

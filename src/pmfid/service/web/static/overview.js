@@ -142,7 +142,7 @@ export class Overview {
     if (seen === this.seen) return;
     this.seen = seen;
     const shown = this.allAlarms ? open.slice(0, 200) : open.slice(0, CARDS);
-    this.cards.replaceChildren(...shown.map((alarm) => alarmCard(alarm, this.plant.alarms.values(), this.plant.may === "write")));
+    this.cards.replaceChildren(...shown.map((alarm) => alarmCard(alarm, this.plant.alarms.values())));
     this.more.hidden = open.length <= CARDS;
     say(this.more, this.allAlarms ? "Show only the latest alarms" : `Show all ${open.length} alarms`);
   }

@@ -7,7 +7,7 @@ export const isOpen = (alarm) => alarm.acknowledged === null && alarm.cleared ==
 
 export class Plant {
   constructor(facts) {
-    Object.assign(this, facts); // name, may, layout, states, status, groups, every
+    Object.assign(this, facts); // name, layout, states, status, groups, every
     this.starts = [];
     this.names = [];
     for (const group of this.groups) {
