@@ -281,7 +281,6 @@ study: .venv/tools .venv/spark
 	@$(MAKE) --no-print-directory spark-tools INSTALL_TOOLS=1
 	.venv/bin/python -m studies.fleet_stream --out results/fleet_stream.md --seconds 120
 	.venv/bin/python -m studies.actuators --out results/actuators.md
-	.venv/bin/python -m studies.million --out results/million.md
 	.venv/bin/python -m studies.growth --out docs/benchmarks.md --samples 100000000 --axes 1000000
 	.venv/bin/python -m tests.hostile.study --out results/hostile.md
 

@@ -108,7 +108,6 @@ PUBLIC = [
     "RLS",
     "Result",
     "SRIVC",
-    "ShardedFleet",
     "Square",
     "Status",
     "Stribeck",

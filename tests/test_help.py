@@ -28,7 +28,6 @@ OBJECTS = [
 OBJECTS += ["TransferFunction", "Wave"]
 FUNCTIONS = [
     "Fleet",
-    "ShardedFleet",
     "export_firmware",
     "friction_curve",
     "identify",

@@ -15,8 +15,8 @@ import pytest
 
 import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.kernel.saved import FLEET_HEAD, OLDER, _checksum, configuration, fleet_head, shape_of
-from pmfid.kernel.structures import structures, whole_words
+from pmfid.kernel.saved import FLEET_HEAD, _checksum, configuration, shape_of
+from pmfid.kernel.structures import structures
 from tests.conftest import long_unless
 from tests.firmware.build import GCC
 from tests.hostile.crafted import attack, estimators, folder_of, leaves, program
@@ -165,43 +165,3 @@ def test_crafted_states_do_no_harm(name: str, place: str, tmp_path: Path) -> Non
     outcome = attack(program(estimator, place, tmp_path), folder_of(estimator, place, tmp_path / "files"), 300, 1)
     assert outcome.report == ""
     assert 100 < outcome.taken < 300
-
-
-@pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.RIV])
-@pytest.mark.parametrize(("version", "larger"), [(2, 1.2), (3, 1.02)])
-def test_a_fleet_continues_from_a_state_of_an_earlier_version(cls: type, version: int, larger: float) -> None:
-    """Earlier versions also saved values that are always zero or that each step computes again."""
-    u, counts = fleet_record()
-    fleet, other = pmfid.Fleet(make(cls), AXES), pmfid.Fleet(make(cls), AXES)
-    fleet.run(u, counts)
-    kernel = fleet._many.kernel
-    older = kernel.repack(kernel.states, version, whole_words("float64"), back=True)
-    assert older.shape[1] > larger * kernel.states.shape[1]
-    head = fleet_head(kernel, "float64")
-    head["version"], head["size"] = version, older.shape[1]
-    head["checksum"] = zlib.crc32(older.tobytes(), zlib.crc32(head.tobytes()[:-4]))
-    other.set_state(head.tobytes() + older.tobytes())
-    assert other.get_state() == fleet.get_state()
-
-
-@pytest.mark.parametrize("version", OLDER)
-def test_a_sharded_fleet_continues_from_shards_of_an_earlier_version(
-    version: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    u, counts = fleet_record()
-    fleet = pmfid.ShardedFleet(tmp_path, [make(pmfid.BCRLS)], shard=2 * AXES)
-    handles = fleet.add(make(pmfid.BCRLS), AXES)
-    fleet.run(handles, u, counts)
-    shard, words = fleet._shards[0], whole_words("float64")
-    expected, kernel, identity = shard.used.copy(), shard.group.borrow(), shard.group.identity
-    identities = {version: older for older, version in shard.group.older.items()}
-    monkeypatch.setattr(shard.group, "identity", identities[version])
-    shard.states = kernel.repack(shard.states, version, words, back=True)
-    fleet.checkpoint()
-    fleet.close()
-    for _ in range(2):  # the second time, the state has the present version
-        again = pmfid.ShardedFleet(tmp_path, [make(pmfid.BCRLS)], shard=2 * AXES)
-        assert again._shards[0].group.identity == identity
-        assert np.array_equal(again._shards[0].used, expected)
-        again.checkpoint()
-        again.close()

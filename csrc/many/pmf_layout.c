@@ -226,20 +226,16 @@ static void add_words(pmf_layout_t *layout, const unused_t *unused, const pmf_st
     layout->lane_words = lane;
 }
 
-uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, uint32_t version, pmf_layout_t *layout)
+uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, pmf_layout_t *layout)
 {
     unused_t unused;
     pmf_state_t filled;
     find_unused(config, &unused);
     fill_state(&filled);
-    if (version >= PMF_WITHOUT_COMPUTED) {
-        pmf_clear_computed(config, &filled);
-        leave_idle(&unused, IN_STATE(direct), &config->direct);
-        leave_idle(&unused, IN_STATE(instrument), &config->instrument);
-    }
-    if (version >= PMF_WITHOUT_ZEROS) {
-        leave_zeros(&unused, config);
-    }
+    pmf_clear_computed(config, &filled);
+    leave_idle(&unused, IN_STATE(direct), &config->direct);
+    leave_idle(&unused, IN_STATE(instrument), &config->instrument);
+    leave_zeros(&unused, config);
     layout->words = 0U;
     layout->packed_size = 0U;
     add_words(layout, &unused, &filled, is_whole, 0U);

@@ -97,10 +97,8 @@ extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 uint32_t pmf_fits(const pmf_config_t *config);
 uint32_t pmf_shapes_fit(const pmf_shapes_config_t *shapes);
 /* Compute the layout. For every four bytes of a pmf_state_t, `is_whole` has 1 for an integer, otherwise 0.
- * `version` is the version of packed states. Returns 0 if the words exceed a layout. */
-#define PMF_WITHOUT_COMPUTED 3U /* from this version on, values that each step computes again are not packed */
-#define PMF_WITHOUT_ZEROS 4U /* from this version on, values that are always zero are not packed */
-uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, uint32_t version, pmf_layout_t *layout);
+ * Returns 0 if the words exceed a layout. */
+uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, pmf_layout_t *layout);
 void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed);
 /* Unpack a state. The unused part of the state stays, which is zero after pmf_init() or pmf_clear(). */
 void pmf_unpack(const pmf_layout_t *layout, const unsigned char *packed, pmf_state_t *state);

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from pmfid.estimators.results import Fit as Fit
     from pmfid.estimators.results import Track as Track
     from pmfid.estimators.results import Tracks as Tracks
-    from pmfid.estimators.sharded_fleet import ShardedFleet as ShardedFleet
     from pmfid.estimators.srivc import SRIVC as SRIVC
     from pmfid.export.firmware import export_firmware as export_firmware
     from pmfid.findings import Finding as Finding
@@ -84,7 +83,6 @@ _PUBLIC = {
     "PmfidError": "pmfid.errors",
     "RLS": "pmfid.estimators.recursive",
     "SRIVC": "pmfid.estimators.srivc",
-    "ShardedFleet": "pmfid.estimators.sharded_fleet",
     "Experiment": "pmfid.linear.experiment",
     "Process": "pmfid.linear.process",
     "Status": "pmfid.status",

@@ -125,7 +125,7 @@ cdef extern from "many/pmf_many.h":
         unsigned char *lost
     uint32_t pmf_fits(const pmf_config_t *) nogil
     uint32_t pmf_shapes_fit(const pmf_shapes_config_t *) nogil
-    uint32_t pmf_layout(const pmf_config_t *, const unsigned char *, uint32_t, pmf_layout_t *) nogil
+    uint32_t pmf_layout(const pmf_config_t *, const unsigned char *, pmf_layout_t *) nogil
     void pmf_pack(const pmf_layout_t *, const pmf_state_t *, unsigned char *) nogil
     void pmf_unpack(const pmf_layout_t *, const unsigned char *, pmf_state_t *) nogil
     uint32_t pmf_many_way() nogil
@@ -413,7 +413,10 @@ cdef class ManyKernel:
 
     def __init__(self, Kernel kernel, Py_ssize_t axes, bytes is_whole not None):
         self.config = kernel.config
-        self._lay_out(&self.layout, self.packing, is_whole)
+        if 4 * len(is_whole) != sizeof(pmf_state_t):
+            raise ValueError(f"a state has {sizeof(pmf_state_t) // 4} words, got {len(is_whole)}")
+        if pmf_layout(&self.config, <const unsigned char *> is_whole, &self.layout) == 0:
+            raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/many/pmf_many.h")
         cdef cnp.ndarray own = np.zeros(self.layout.packed_size, np.uint8)
         pmf_pack(&self.layout, &kernel.state, <unsigned char *> cnp.PyArray_DATA(own))
         self._start = own
@@ -443,37 +446,6 @@ cdef class ManyKernel:
             if pmf_plausible(&self.config, &state) == 0:
                 raise ValueError(IMPLAUSIBLE)
         self.states[:] = taken
-
-    def older_size(self, uint32_t packing, bytes is_whole not None):
-        """Return the size of a state [byte] in the older version `packing`. Raises the constructor's errors."""
-        cdef pmf_layout_t layout
-        self._lay_out(&layout, packing, is_whole)
-        return layout.packed_size
-
-    def repack(self, cnp.ndarray[unsigned char, ndim=2, mode="c"] states not None, uint32_t packing, bytes is_whole not None,
-               bint back=False):
-        """Convert states (axes, bytes) from the older version `packing` to the present one, with `back` in reverse.
-        Raises ValueError for a wrong number of bytes."""
-        cdef pmf_layout_t older
-        cdef pmf_state_t state
-        cdef Py_ssize_t axis
-        self._lay_out(&older, packing, is_whole)
-        cdef pmf_layout_t *given = &self.layout if back else &older
-        cdef pmf_layout_t *wanted = &older if back else &self.layout
-        if states.shape[1] != given.packed_size:
-            raise ValueError(f"a state has {given.packed_size} bytes, got {states.shape[1]}")
-        cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] packed = np.zeros((states.shape[0], wanted.packed_size), np.uint8)
-        pmf_clear(&state, sizeof(state))
-        for axis in range(states.shape[0]):
-            pmf_unpack(given, &states[axis, 0], &state)
-            pmf_pack(wanted, &state, &packed[axis, 0])
-        return packed
-
-    cdef _lay_out(self, pmf_layout_t *layout, uint32_t packing, bytes is_whole):
-        if 4 * len(is_whole) != sizeof(pmf_state_t):
-            raise ValueError(f"a state has {sizeof(pmf_state_t) // 4} words, got {len(is_whole)}")
-        if pmf_layout(&self.config, <const unsigned char *> is_whole, packing, layout) == 0:
-            raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/many/pmf_many.h")
 
     def hold(self, cnp.ndarray[unsigned char, ndim=2, mode="c"] states not None):
         """Replace the states by an array (axes, bytes) of the same configuration with any number of axes. Later calls

@@ -216,7 +216,7 @@ int main(int argc, char **argv)
     }
 #ifdef FLEET
     (void)read_file(argv[1], "whole", whole, sizeof whole);
-    if (pmf_layout(&config, whole, PMF_WITHOUT_COMPUTED, &layout) == 0U) {
+    if (pmf_layout(&config, whole, &layout) == 0U) {
         (void)fprintf(stderr, "the layout of a fleet is refused\n");
         return 6;
     }

@@ -165,12 +165,6 @@ class EstimatorTuning:
     #: Less work than this [axes times samples] is not worth a second thread.
     runner_small: int = 20_000
 
-    # sharded_fleet
-    #: Places of a shard. A disk writes these megabytes at once, and a single changed axis makes little to write again.
-    sharded_fleet_shard: int = 4096
-    #: Axes that a thread steps at once.
-    sharded_fleet_piece: int = 512
-
     # srivc
     #: Largest relative difference of two sample periods that count as equal.
     same_period: float = 0.05

@@ -20,7 +20,6 @@ from pmfid.kernel.structures import (
     layout_number,
     resize_structure,
     structures,
-    whole_words,
 )
 
 if TYPE_CHECKING:
@@ -206,9 +205,6 @@ def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
 #: Envelope of a fleet's states. The checksum is the CRC-32 of the preceding words and the states.
 FLEET_HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
 FLEET_MAGIC = 0x46464D50  # the bytes "PMFF"
-#: The earlier versions that are read. Their states also contain values that are always zero, those of version 2 also
-#: values that each step computes again.
-OLDER = (2, 3)
 
 
 def save_fleet(kernel: ManyKernel, precision: str) -> bytes:
@@ -227,18 +223,14 @@ def load_fleet(kernel: ManyKernel, precision: str, data: bytes) -> None:
     if len(data) < place:
         raise UsageError(_FOREIGN_FLEET)
     head, expected = np.frombuffer(data[:place], FLEET_HEAD)[0], fleet_head(kernel, precision)
-    axes, version = len(kernel.states), int(head["version"])
-    if version in OLDER:
-        expected["version"], expected["size"] = version, head["size"]
-    if len(data) != place + axes * int(expected["size"]):
+    if len(data) != place + kernel.states.nbytes:
         raise UsageError(_FOREIGN_FLEET)
     if head["checksum"] != zlib.crc32(data[place:], zlib.crc32(data[: place - 4])):
         raise UsageError(_DAMAGED)
     if head.tobytes()[:-4] != expected.tobytes()[:-4]:
         raise UsageError(_FOREIGN_FLEET)
-    states = np.frombuffer(data, np.uint8, offset=place).reshape(axes, -1)
     with _refused_in_one_sentence():
-        kernel.set_states(kernel.repack(states, version, whole_words(precision)) if version in OLDER else states)
+        kernel.set_states(np.frombuffer(data, np.uint8, offset=place).reshape(kernel.states.shape))
 
 
 def fleet_head(kernel: ManyKernel, precision: str) -> Structured:
