@@ -115,15 +115,6 @@ enum {
     PMF_DISTORTED = PMF_UNMODELLED | PMF_FEEDBACK | PMF_DEAD_TIME
 };
 
-/* Forgetting of old samples, in addition to the regularisation. */
-enum {
-    PMF_EXPONENTIAL = 0, /* all samples are forgotten at the same rate */
-    PMF_DIRECTIONAL = 1, /* forgetting only in the direction of each phi; least squares only */
-    PMF_CONSTANT_TRACE = 2, /* forgetting keeps the trace of P */
-    PMF_WINDOW = 3, /* the last samples have equal weight, older ones none */
-    PMF_SEPARATE = 4 /* every parameter has its own rate */
-};
-
 /* Number of samples after a count that the guard waits for. With the guard, status and estimate lag the last sample by
  * this number. */
 #define PMF_AHEAD 8U
@@ -276,8 +267,6 @@ typedef struct {
     scalar_t forgetting;
     scalar_t regularization; /* information that is never forgotten, as a fraction of the largest so far */
     scalar_t pivot; /* smallest relative pivot for a first estimate */
-    uint32_t scheme; /* forgetting scheme */
-    uint32_t window_block; /* samples in a block of the window */
     uint32_t compensated; /* 1: the noise of the columns is known */
     scalar_t noise[PMF_MAX_NOISE][PMF_MAX_NOISE]; /* covariance of the known noise in one sample's phi phi^T */
 #if PMF_WITH_PROCESS
@@ -286,9 +275,6 @@ typedef struct {
     uint32_t constant,
         lowest; /* parameters of the output's constant and of its lowest coefficient; PMF_NO_PARAMETER: none */
     scalar_t lift; /* shift of the constant for the first count, as a multiple of `lowest` */
-#endif
-#if PMF_WITH_SEPARATE
-    scalar_t keep[PMF_MAX_PARAMETERS]; /* root of each parameter's forgetting factor */
 #endif
     uint32_t block; /* updates in a block with correlated errors. The spread of blocks scales P. */
     scalar_t correlated; /* number of updates with equal errors, assumed until blocks exist */
@@ -357,8 +343,6 @@ typedef struct {
     whole_t moved; /* looks at samples in motion in this half memory */
     whole_t swings; /* swings of the leading column in this half memory and the last, as bits */
     whole_t outdated; /* remaining updates of fast forgetting, after motions that were larger than the recent ones */
-    whole_t excited; /* constant trace: remaining looks for which the axis counts as excited */
-    whole_t since; /* updates since the start or since information was outdated, saturating */
     whole_t frozen; /* 1: too little information is left for further forgetting */
 #if PMF_WITH_PROCESS
     real_t lift; /* effect of `lowest` on the constant of the output itself */
@@ -370,12 +354,6 @@ typedef struct {
 #if PMF_WITH_NOISE
     pmf_check_t check, check_before; /* checks of the model in this stretch of samples and in the last */
     whole_t unmodelled; /* last verdict of the check, as a status bit */
-#endif
-    real_t reference[PMF_MAX_PARAMETERS]; /* diagonal of P that constant trace keeps */
-    real_t trace; /* mean of P over the reference; 0: not set yet */
-#if PMF_WINDOW_BLOCKS > 0
-    pmf_sums_t window[PMF_WINDOW_BLOCKS];
-    whole_t window_block, window_updates; /* index of the current block, and its updates */
 #endif
 } pmf_recursion_state_t;
 

@@ -121,12 +121,6 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
         }
         hold_estimate(config, state);
     }
-#if PMF_WINDOW_BLOCKS > 0
-    if (config->scheme == PMF_WINDOW) { /* the remainder counts as the newest block */
-        pmf_clear(state->window, (uint32_t)sizeof state->window);
-        pmf_copy(&state->sums, &state->window[state->window_block], (uint32_t)sizeof state->sums);
-    }
-#endif
     state->weight *= keep; /* the innovations since the change do not show the noise */
     state->innovation_square *= keep;
     state->blocks = 0U; /* the blocks before the change do not show the colour of the noise */

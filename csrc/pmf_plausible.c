@@ -98,22 +98,6 @@ PMF_SELDOM uint32_t check_estimate(const pmf_estimate_t *estimate)
            not_negative(&estimate->innovation_variance, 1U);
 }
 
-PMF_SELDOM uint32_t check_window(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
-{
-    uint32_t fine = 1U;
-#if PMF_WINDOW_BLOCKS > 0
-    uint32_t block;
-    for (block = 0; block < PMF_WINDOW_BLOCKS; ++block) {
-        fine &= check_sums(config, &state->window[block]);
-    }
-    fine &= at_most(state->window_block, PMF_WINDOW_BLOCKS - 1U);
-#else
-    (void)config;
-    (void)state;
-#endif
-    return fine;
-}
-
 #if PMF_WITH_NOISE
 PMF_SELDOM uint32_t check_check(const pmf_check_t *check)
 {
@@ -127,19 +111,16 @@ PMF_SELDOM uint32_t check_scale(const pmf_recursion_config_t *config, const pmf_
     return not_negative(state->peak, REALS(state->peak)) & not_negative(&state->power, 1U) &
            not_negative(&state->power_before, 1U) & at_most(state->moved, config->half_memory) &
            at_most(state->swings, PMF_SWING_BITS) & at_most(state->outdated, 2U * config->half_memory * PMF_LOOK) &
-           at_most(state->excited, 2U * config->half_memory) & at_most(state->frozen, 1U);
+           at_most(state->frozen, 1U);
 }
 
 PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
-    return check_sums(config, &state->sums) & check_estimate(&state->estimate) & check_window(config, state) &
-           check_scale(config, state) & all_finite(&state->factor[0][0], REALS(state->factor)) &
+    return check_sums(config, &state->sums) & check_estimate(&state->estimate) & check_scale(config, state) &
+           all_finite(&state->factor[0][0], REALS(state->factor)) &
            not_negative(state->inverse_pivot, REALS(state->inverse_pivot)) &
            within(&state->mass, 1U, PMF_R(0.0), PMF_R(1.0)) & not_negative(&state->weight, 1U) &
            not_negative(&state->innovation_square, 1U) & at_most(state->started, state->updates) &
-           all_finite(state->score, REALS(state->score)) & at_most(state->blocks, PMF_BLOCK_MEMORY) &
-           /* a block counts only updates without a status, and may end some updates late */
-           at_most(state->block_updates, state->updates) &
 #if PMF_WITH_NOISE
            check_check(&state->check) & check_check(&state->check_before) & at_most(state->unmodelled, PMF_UNMODELLED) &
 #endif
@@ -149,7 +130,9 @@ PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const 
 #if PMF_WITH_MISREAD
            not_negative(state->misread, REALS(state->misread)) & not_negative(state->spread, REALS(state->spread)) &
 #endif
-           not_negative(state->reference, REALS(state->reference)) & not_negative(&state->trace, 1U);
+           all_finite(state->score, REALS(state->score)) & at_most(state->blocks, PMF_BLOCK_MEMORY) &
+           /* a block counts only updates without a status, and may end some updates late */
+           at_most(state->block_updates, state->updates);
 }
 
 #if PMF_WITH_AUXILIARY

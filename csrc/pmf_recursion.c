@@ -195,9 +195,6 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
         }
     }
     note_innovation(config, state, PMF_NOT(waits));
-    if (SCHEME(config) == PMF_CONSTANT_TRACE) {
-        note_trace(config, state, PMF_NOT(waits), status);
-    }
 #if PMF_WITH_NOISE
     if (config->unexplained > PMF_SCALAR(0.0)) {
         unmodelled = check_model(config, state, PMF_NOT(waits) & (state->started > SKIPPED_INNOVATIONS), column[p]);

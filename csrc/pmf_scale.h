@@ -48,9 +48,6 @@ PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursio
     real_t square = config->shown * lead * lead;
     truth_t moves = looks & (square > SOME), ends, excited;
     uint32_t i;
-    if (SCHEME(config) == PMF_CONSTANT_TRACE) {
-        state->excited -= PMF_BIT(looks & (state->excited != 0U), 1U);
-    }
     if (!PMF_ANY(moves)) {
         return;
     }
@@ -64,9 +61,6 @@ PMF_SELDOM void compare_sizes(const pmf_recursion_config_t *config, pmf_recursio
     excited = ends & excites(config, state);
     for (i = 0; i < p; ++i) {
         state->peak[i] = PMF_IF(excited, config->leak * state->peak[i], state->peak[i]);
-    }
-    if (SCHEME(config) == PMF_CONSTANT_TRACE) {
-        state->excited = PMF_IF(excited, PMF_W(2U * config->half_memory), state->excited);
     }
     excited = excited & (known > config->outgrown * (state->power + state->power_before));
     state->outdated = PMF_IF(excited, PMF_W(2U * config->half_memory * PMF_LOOK), state->outdated);

@@ -12,14 +12,12 @@
 #define PMF_MAX_SHAPES 6 /* number of shapes in the auxiliary model; 0 leaves shapes out */
 #define PMF_MAX_KNOTS 520 /* knots in the tables of all shapes */
 #define PMF_MAX_RATES 16 /* rules by which stages follow a varying step */
-#define PMF_WINDOW_BLOCKS 8 /* blocks of a sliding window; 0 saves the memory of the window */
 
 /* 0 leaves out a part with its code and memory. */
 #define PMF_WITH_AUXILIARY 1 /* the auxiliary model and its recursion */
 #define PMF_WITH_PROCESS 1 /* the output of a process, with its start and noise */
 #define PMF_WITH_DEAD_TIME 1 /* an input that acts late */
 #define PMF_WITH_LAG 1 /* an input with a first-order lag */
-#define PMF_WITH_SEPARATE 1 /* forgetting by parameter */
 #define PMF_WITH_GUARD 1 /* guard against samples that no motion explains */
 #define PMF_WITH_ENDLESS 1 /* float32 with so little forgetting that sums may be full */
 #define PMF_WITH_SPLIT 1 /* signals beyond input, velocity and direction */
@@ -32,7 +30,7 @@
 #define PMF_CONFIG 0U /* CRC-32 of the configuration, likewise */
 
 /* An export also defines the number of parameters of every recursion (PMF_PARAMETERS), the use of instruments
- * (PMF_INSTRUMENTAL), the forgetting (PMF_SCHEME), and PMF_FLOAT32 for float32 arithmetic. The build defines these
+ * (PMF_INSTRUMENTAL), and PMF_FLOAT32 for float32 arithmetic. The build defines these
  * macros for the module. */
 
 #endif

@@ -1,8 +1,7 @@
-"""Linear processes with a late input, under control, or with changing parameters."""
+"""Linear processes with a late input or under control."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,25 +63,3 @@ def simulate_loop(
         u[k] = controller.gain * (error + controller.lead * slope)
         x = move[:n, :n] @ x + move[:n, n] * u[k]
     return u, y
-
-
-def simulate_varying(theta: Callable[[float], Floats], n: int, u: ArrayLike, dt: float) -> Floats:
-    """Return the output (samples,) of y^(n) + sum a_i(t) y^(i) = b_0(t) u under a held input u (samples,), from rest.
-
-    `theta` maps the time [s] to a_0 to a_{n-1}, b_0 (n + 1,). The parameters are constant over each sample and have the
-    values at the sample's middle. The exponential is a power series to fifth order, for slow parameters and poles well
-    below 1 / dt.
-    """
-    u = np.asarray(u, float)
-    move, x, y = np.zeros((n + 1, n + 1)), np.zeros(n + 1), np.zeros(u.size)
-    for k in range(u.size - 1):
-        values = theta((k + 0.5) * dt)
-        move[:n, 1:] = np.eye(n)
-        move[n - 1, :n], move[n - 1, n] = -values[:n], values[n]
-        x[n] = u[k]
-        term = x.copy()
-        for power in range(1, 6):
-            term = move @ term * (dt / power)
-            x += term
-        y[k + 1] = x[0]
-    return y

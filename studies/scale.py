@@ -10,12 +10,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Final, Literal
 
 import numpy as np
 
 from pmfid.encoder import Encoder
-from pmfid.estimators import PRECISIONS, ForgettingScheme, Precision
+from pmfid.estimators import PRECISIONS, Precision
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import BCRLS, RLS, RecursiveEstimator
 from pmfid.models.drive import Drive
@@ -36,14 +35,6 @@ LEAST_FORCE = 4.0
 #: Ratios of the new mass to the old mass, for even and for odd seeds.
 LOADS = (1.3, 0.7)
 CLASSES: Mapping[str, type[RecursiveEstimator]] = MappingProxyType({"riv": RIV, "bcrls": BCRLS, "rls": RLS})
-BY_PARAMETER: Final = "by parameter"
-SCHEMES: tuple[ForgettingScheme | Literal["by parameter"], ...] = (
-    "exponential",
-    "constant-trace",
-    "window",
-    BY_PARAMETER,
-    "directional",
-)
 #: Axes on which nothing was chosen.
 HELD_BACK = ("spindle", "gantry")
 LIMIT = 0.05
@@ -51,10 +42,9 @@ LIMIT = 0.05
 
 @dataclass(frozen=True)
 class Setting:
-    """The measured object: estimator, forgetting scheme, precision."""
+    """The measured object: estimator and precision."""
 
     method: str
-    scheme: ForgettingScheme | Literal["by parameter"]
     precision: Precision
 
 
@@ -73,14 +63,8 @@ class Outcome:
 
 
 def settings() -> list[Setting]:
-    """Return all valid combinations: directional forgetting needs least squares."""
-    return [
-        Setting(method, scheme, precision)
-        for method in CLASSES
-        for scheme in SCHEMES
-        for precision in PRECISIONS
-        if scheme != "directional" or method == "rls"
-    ]
+    """Return all combinations."""
+    return [Setting(method, precision) for method in CLASSES for precision in PRECISIONS]
 
 
 def memory(axis: Axis) -> int:
@@ -97,8 +81,6 @@ def make(setting: Setting, axis: Axis) -> RecursiveEstimator:
         axis.dt,
         CUTOFF / axis.dt,
         forgetting=1 - 1 / memory(axis),
-        forgetting_scheme="exponential" if setting.scheme == BY_PARAMETER else setting.scheme,
-        forgetting_of={"viscous_friction": 1.0} if setting.scheme == BY_PARAMETER else None,
         precision=setting.precision,
     )
 
@@ -149,7 +131,7 @@ def rows(name: str, seeds: int, factors: Sequence[float]) -> list[list[str]]:
     found = [one for factor in factors for one in outcomes(name, factor, seeds)]
     held = " (held back)" if name in HELD_BACK else ""
     return [
-        [name + held, one.method, one.scheme, one.precision, *row([part for part in found if part.setting == one])]
+        [name + held, one.method, one.precision, *row([part for part in found if part.setting == one])]
         for one in settings()
     ]
 
@@ -161,7 +143,7 @@ def page(axes: Sequence[str], seeds: int, factors: Sequence[float]) -> str:
         for line in rows(name, seeds, factors):
             lines.append(line)
             print(" | ".join(line), flush=True)
-    head = ["axis", "method", "scheme", "precision", "median [%]", "99 % [%]", "largest [%]", "at factor"]
+    head = ["axis", "method", "precision", "median [%]", "99 % [%]", "largest [%]", "at factor"]
     before, between, after = STRETCHES
     return "\n".join(
         [
@@ -173,8 +155,8 @@ def page(axes: Sequence[str], seeds: int, factors: Sequence[float]) -> str:
             f"{between + after}, of which the last {after} with a mass of "
             f"{' or '.join(f'{load:g}' for load in LOADS)} times the first. The smaller amplitude has "
             f"{LEAST_FORCE:g} times the Coulomb friction; encoders of 4096 increments, filter time constant "
-            f"{1 / CUTOFF:g} T. `{BY_PARAMETER}`: `forgetting_of = {{viscous_friction = 1}}`. Error of the mass at the "
-            "end. Least squares has a bias of its own where the motion is small for the encoder, with or without a "
+            f"{1 / CUTOFF:g} T. Error of the mass at the end. "
+            "Least squares has a bias of its own where the motion is small for the encoder, with or without a "
             "history; its error is against the same estimator that saw the last stretch alone, that of the others "
             "against the truth.",
             "",

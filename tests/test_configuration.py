@@ -92,7 +92,6 @@ def test_another_number_of_bytes_is_refused(kernel: type[_kernel64.Kernel]) -> N
         ("RLS", "direct", "instrumental"),
         ("RLS", "direct", "first_column"),
         ("RLS", "direct", "leading"),
-        ("RLS", "direct", "scheme"),
         ("RIV", "instrument", "first_column"),
         ("RIV", "auxiliary", "check_column"),
         ("RIV", "auxiliary", "target_column"),

@@ -40,13 +40,6 @@ def test_the_contract(check):
     check()
 
 
-def test_forgetting_of_keeps_the_contract_in_both_precisions():
-    for precision in ("float64", "float32"):
-        options = {"forgetting": 0.99, "forgetting_of": {"mass": 1.0}, "precision": precision}
-        for _, check in checks_of(pmfid.RIV(pmfid.Drive(2.0), pmfid.Encoder(1e-5), DT, CUTOFF, **options)):
-            check()
-
-
 def test_the_contract_has_checks():
     assert len(COMMON) == 9
     assert len(OFF_LINE) == 3

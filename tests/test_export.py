@@ -115,9 +115,6 @@ SPOILING = (
     ("-ffinite-math-only",),
 )
 VARIANTS = {
-    "window": {"forgetting_scheme": "window"},
-    "constant-trace": {"forgetting_scheme": "constant-trace"},
-    "directional": {"forgetting_scheme": "directional"},
     "offset": {"drive": pmfid.Drive(2.0, offset=True)},
     "spring": {"drive": pmfid.Drive(2.0, spring=True)},
     "friction": {"drive": pmfid.Drive(2.0, friction="directional")},
@@ -130,16 +127,14 @@ VARIANTS = {
 
 
 #: Variants of `make test`: each part of the kernel that an export may leave out.
-OFTEN_VARIED = ("directional", "offset", "shapes", "late")
+OFTEN_VARIED = ("offset", "shapes", "late")
 
 
 @needs(GCC)
 @pytest.mark.parametrize(
     ("variant", "cls"),
     long_unless(
-        lambda variant, cls: (
-            (cls is pmfid.RIV and variant in OFTEN_VARIED) or (cls, variant) == (pmfid.BCRLS, "window")
-        ),
+        lambda variant, cls: cls is pmfid.RIV and variant in OFTEN_VARIED,
         product(VARIANTS, RECURSIVE),
     ),
 )
@@ -167,8 +162,6 @@ PROCESS = pmfid.TransferFunction(2, 1, delay=2, offset=True)
 PROCESSES = {
     "rls": (pmfid.RLS, {}),
     "bcrls": (pmfid.BCRLS, {}),
-    "window": (pmfid.BCRLS, {"forgetting_scheme": "window"}),
-    "separate": (pmfid.BCRLS, {"forgetting_of": {"b0": 1.0}}),
     "start": (pmfid.RLS, {"model": pmfid.TransferFunction(2, 0, initial_conditions=True)}),
     "order": (pmfid.BCRLS, {"model": pmfid.TransferFunction(3, 1)}),
 }
@@ -192,7 +185,7 @@ def gaps_differ(estimator: RecursiveEstimator, folder: Path, u: np.ndarray, coun
         (pmfid.RIV, "plain", "float32"),
         pytest.param(pmfid.RIV, "plain", "float64", marks=pytest.mark.long),
         pytest.param(pmfid.BCRLS, "plain", "float32", marks=pytest.mark.long),
-        pytest.param(pmfid.RLS, "directional", "float64", marks=pytest.mark.long),
+        pytest.param(pmfid.RLS, "plain", "float64", marks=pytest.mark.long),
     ],
 )
 def test_lost_samples_have_the_bits_of_python(

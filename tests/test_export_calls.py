@@ -26,7 +26,7 @@ BUILDS = [(GCC, "-O2"), (CLANG, "-O2"), (M4F, "-O3"), *OFTEN]
 )
 def test_no_call_of_a_library(target: Target, optimize: str, tmp_path: Path) -> None:
     """The export is the one with the most code; `test_exported_code_computes_the_bits_of_python` covers all methods."""
-    pmfid.export_firmware(make(pmfid.RIV, forgetting_scheme="window"), tmp_path)
+    pmfid.export_firmware(make(pmfid.RIV), tmp_path)
     called = calls(tmp_path, target, objects(tmp_path, target, optimize))
     assert {name for name in called if not name.startswith("axis_pmf_")} == set()
     assert called, "the objects call each other at least"

@@ -174,7 +174,6 @@ def test_wrong_options_of_models_and_estimators_name_the_right_one() -> None:
         (lambda: pmfid.Drive(2.0, axis="rotatory"), "rotary"),  # type: ignore[arg-type]
         (lambda: pmfid.IV(drive, encoder, 0.01, 20.0, discretization="match"), "matched"),  # type: ignore[arg-type]
         (lambda: pmfid.IV(drive, encoder, 0.01, 20.0, precision="float23"), "float32"),  # type: ignore[arg-type]
-        (lambda: pmfid.RLS(drive, encoder, 0.01, 20.0, forgetting_scheme="windows"), "window"),  # type: ignore[arg-type]
     ]
     for make, right in wrong:
         with pytest.raises(UsageError, match=f"did you mean '{right}'"):

@@ -91,15 +91,6 @@ def test_after_a_jump_it_goes_on_from_the_new_zero(cls: Any, precision: str) -> 
     np.testing.assert_allclose(track.theta[2000:], np.broadcast_to(TRUTH, (1000, 3)), rtol=0.05)
 
 
-def test_a_wrong_input_does_not_turn_directional_forgetting_over() -> None:
-    run = cart_run(9, samples=3000)
-    u = run.u.copy()
-    u[2000] = 1e8
-    track = estimator(RLS, run.encoder.resolution, forgetting_scheme="directional").run(u, run.counts)
-    assert np.flatnonzero(track.has_status(Status.INVALID_INPUT)).tolist() == [2000 + DELAY]
-    np.testing.assert_allclose(track.theta[2000:], np.broadcast_to(TRUTH, (1000, 3)), rtol=0.05)
-
-
 @pytest.mark.parametrize("place", [120, 250])
 def test_a_wrong_count_early_in_a_smooth_motion_hides_no_later_ones(place: int) -> None:
     """A smooth motion is fully predicted. The guard once learned nothing from such a motion, and after a first wrong

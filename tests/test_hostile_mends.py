@@ -171,9 +171,9 @@ def test_a_limit_that_limits_nothing_is_refused(tmp_path: Path) -> None:
 # --- the kernel -------------------------------------------------------------------------------------------------------
 
 
-def test_directional_forgetting_takes_no_information_below_zero() -> None:
+def test_a_foreign_state_has_no_negative_variance() -> None:
     """A foreign state may be no sum of squares: the variance once became negative."""
-    estimator = used("directional", "float32")
+    estimator = used("rls", "float32")
     parameters = int(configuration(estimator.runner.kernel, "float32")["direct"]["n_parameters"])
     for element in range(1, parameters * parameters):
         estimator.set_state(forged(estimator, "direct.sums.cross", 1e9, element))

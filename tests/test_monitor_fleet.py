@@ -69,7 +69,7 @@ CASES: dict[str, tuple[Callable[[], RecursiveEstimator], str, bool]] = {
         "page-hinkley",
         False,
     ),
-    "bcrls with a window, chi-square": (lambda: estimator(BCRLS, forgetting_scheme="window"), "chi-square", False),
+    "bcrls, chi-square": (lambda: estimator(BCRLS), "chi-square", False),
     "riv with units of work, glr": (lambda: estimator(RIV), "glr", True),
 }
 

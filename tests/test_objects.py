@@ -23,6 +23,7 @@ from tests.conftest import cart_run
 
 DT, CUTOFF, SAMPLES = 0.01, 100 / 3, 1000
 PRECISIONS = ("float64", "float32")
+START = {"mass": 1.0, "viscous_friction": 10.0, "coulomb_friction": 1.0}
 MODELS = {"drive": pmfid.Drive(2.0), "process": pmfid.TransferFunction(2, 1)}
 COPIES = (copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one)))
 RUN = cart_run(1, samples=1300)
@@ -30,14 +31,13 @@ FIRST, LAST = (RUN.u[:SAMPLES], RUN.counts[:SAMPLES]), (RUN.u[SAMPLES:], RUN.cou
 
 
 def recursive(precision: str) -> list[RecursiveEstimator]:
-    """Return every recursive estimator on every model that it takes, and one with `forgetting_of`."""
-    made = [
+    """Return every recursive estimator on every model that it takes."""
+    return [
         ESTIMATORS[method](model, RUN.encoder, DT, CUTOFF, forgetting=0.995, precision=precision)
         for model in MODELS.values()
         for method in methods_for(model)
         if issubclass(ESTIMATORS[method], RecursiveEstimator)
     ]
-    return [*made, replace(made[0], forgetting_of={"mass": 1.0})]
 
 
 def bits(estimator: RecursiveEstimator | Runner) -> bytes:
@@ -108,29 +108,26 @@ def test_a_copy_of_a_fleet_goes_on_with_the_bits_and_has_its_beginning(precision
 
 
 def test_a_configuration_is_a_value() -> None:
-    given, zeros = {"mass": 1.0}, [-1.0, -3.0]
-    one = pmfid.BCRLS(
-        MODELS["drive"], RUN.encoder, DT, CUTOFF, forgetting=0.99, forgetting_of=given, prefilter_zeros=zeros
-    )
+    initial, zeros = dict(START), [-1.0, -3.0]
+    one = pmfid.RIV(MODELS["drive"], RUN.encoder, DT, CUTOFF, forgetting=0.99, initial=initial, prefilter_zeros=zeros)
     same = replace(one)
-    given["mass"], zeros[0] = 0.99, -2.0  # the caller's own objects
-    assert one.forgetting_of == {"mass": 1.0}
+    initial["mass"], zeros[0] = 0.99, -2.0  # the caller's own objects
+    assert one.initial == START
     assert one.prefilter_zeros == (-1.0, -3.0)
     assert one == same
     assert hash(one) == hash(same)
-    assert one != replace(one, forgetting_of={"mass": 0.995})
-    assert len({one, same, replace(one, forgetting_of=None)}) == 2
+    assert one != replace(one, initial=START | {"mass": 0.995})
+    assert len({one, same, replace(one, initial=None)}) == 2
     with pytest.raises(FrozenInstanceError):
         one.forgetting = 0.5
     with pytest.raises(TypeError):
-        one.forgetting_of["mass"] = 0.5
+        one.initial["mass"] = 0.5
 
 
 def test_the_order_of_names_is_no_part_of_a_configuration() -> None:
-    start = {"mass": 1.0, "viscous_friction": 10.0, "coulomb_friction": 1.0}
     one, two = (
         pmfid.RIV(MODELS["drive"], RUN.encoder, DT, CUTOFF, initial=initial)
-        for initial in (start, dict(reversed(list(start.items()))))
+        for initial in (START, dict(reversed(list(START.items()))))
     )
     assert one == two
     assert hash(one) == hash(two)
@@ -142,15 +139,11 @@ def test_an_equation_of_lists_is_a_value_too() -> None:
     assert hash(pmfid.LS(model, RUN.encoder, DT, CUTOFF)) == hash(pmfid.LS(model, RUN.encoder, DT, CUTOFF))
 
 
-START = {"mass": 1.0, "viscous_friction": 10.0, "coulomb_friction": 1.0}
-
-
 @pytest.mark.parametrize(
     ("source", "options", "target"),
     [
         (pmfid.IV, {"initial": START}, pmfid.RIV),
-        (pmfid.RLS, {"forgetting": 0.99, "forgetting_scheme": "window"}, pmfid.BCRLS),
-        (pmfid.RLS, {"forgetting": 0.99, "forgetting_of": {"mass": 1.0}}, pmfid.RIV),
+        (pmfid.RLS, {"forgetting": 0.99, "precision": "float32"}, pmfid.BCRLS),
     ],
 )
 def test_like_keeps_all_that_the_other_method_has_a_use_for(source, options, target) -> None:
@@ -163,7 +156,8 @@ def test_like_keeps_all_that_the_other_method_has_a_use_for(source, options, tar
 def test_like_leaves_the_names_of_another_model_out() -> None:
     """A copy for another model keeps the settings that are numbers."""
     directional = pmfid.Drive(2.0, friction="directional")
-    method = pmfid.RIV(directional, RUN.encoder, DT, CUTOFF, forgetting=0.99, forgetting_of={"mass": 1.0})
+    initial = dict.fromkeys(directional.equation.names, 1.0)
+    method = pmfid.RIV(directional, RUN.encoder, DT, CUTOFF, forgetting=0.99, initial=initial)
     other = like(pmfid.RIV, method, model=directional.symmetric)
-    assert other.forgetting_of is None
+    assert other.initial is None
     assert other.forgetting == 0.99

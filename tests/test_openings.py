@@ -36,14 +36,13 @@ def test_an_opened_estimate_comes_back(cls: type[RecursiveEstimator], precision:
         estimator.open_memory(1e-5, parameter)
 
 
-@pytest.mark.parametrize("scheme", ["exponential", "window"])
-def test_opening_moves_no_estimate(scheme: str) -> None:
+def test_opening_moves_no_estimate() -> None:
     """The estimate also stays when the right-hand side is in force."""
-    estimator = make(pmfid.RLS, forgetting=0.99, forgetting_scheme=scheme)
+    estimator = make(pmfid.RLS, forgetting=0.99)
     u, counts = fleet_record()
     estimator.run(u[0, :300], counts[0, :300])
     theta = estimator.estimate.theta
-    twin = make(pmfid.RLS, forgetting=0.99, forgetting_scheme=scheme)
+    twin = make(pmfid.RLS, forgetting=0.99)
     twin.set_state(estimator.get_state())
     estimator.open_memory(0.5, "viscous_friction")
     moved, usual = (np.abs(one.run(u[0, 300:303], counts[0, 300:303]).theta[-1] - theta) for one in (estimator, twin))

@@ -11,7 +11,7 @@ import pmfid
 from pmfid import Status
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, Schedule, prbs, quantize, simulate_drive
 from studies.scale import outcomes
-from tests.test_forgetting import CASES
+from tests.test_forgetting import RECURSIVE
 
 MEMORY = 500
 LOADED = replace(CART, mass=1.3 * CART.mass)
@@ -29,9 +29,9 @@ def amplitude_step(before: float, after: float, seed: int):
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize(("before", "after"), [(1.0, 1.0), (12.0, 1.0), (30.0, 1.0), (4.0, 1.0), (1.0, 100.0)])
-@pytest.mark.parametrize(("cls", "scheme"), CASES)
-def test_a_change_of_mass_is_followed_after_a_change_of_amplitude(cls, scheme, before, after, precision, drive):
-    options = {"forgetting": 1 - 1 / MEMORY, "forgetting_scheme": scheme, "precision": precision}
+@pytest.mark.parametrize("cls", RECURSIVE)
+def test_a_change_of_mass_is_followed_after_a_change_of_amplitude(cls, before, after, precision, drive):
+    options = {"forgetting": 1 - 1 / MEMORY, "precision": precision}
     for seed in range(2):
         track = cls(drive, pmfid.Encoder(CART_RESOLUTION), CART_DT, 50.0, **options).run(
             *amplitude_step(before, after, seed)
@@ -41,20 +41,16 @@ def test_a_change_of_mass_is_followed_after_a_change_of_amplitude(cls, scheme, b
 
 
 @pytest.mark.parametrize("factor", [1 / 100, 1 / 30])
-@pytest.mark.parametrize("scheme", ["exponential", "window"])
-def test_the_instruments_forget_a_large_input_as_the_sums_do(scheme, factor):
+def test_the_instruments_forget_a_large_input_as_the_sums_do(factor):
     """For bcrls, the memory of the slow pre-filter zero ends within the memory of the estimator."""
-    found = [
-        one for one in outcomes("cart", factor, 4) if (one.setting.method, one.setting.scheme) == ("bcrls", scheme)
-    ]
+    found = [one for one in outcomes("cart", factor, 4) if one.setting.method == "bcrls"]
     assert max(one.error for one in found) < 0.05
     assert not any(one.flagged for one in found)
 
 
 def test_a_motion_that_the_encoder_shows_only_in_the_mean_is_enough():
     """Single accelerations of the rotary axis are within the error of its encoder."""
-    found = [one for one in outcomes("rotary", 1 / 10, 4) if one.setting.scheme in ("exponential", "constant-trace")]
-    assert max(one.error for one in found) < 0.05
+    assert max(one.error for one in outcomes("rotary", 1 / 10, 4)) < 0.05
 
 
 def test_pre_filter_zeros_do_not_outlast_the_memory(drive):
@@ -78,24 +74,20 @@ def test_rest_and_a_constant_speed_after_a_large_motion_are_harmless(cls, drive)
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize(("cls", "scheme"), CASES)
+@pytest.mark.parametrize("cls", RECURSIVE)
 @pytest.mark.long
-def test_an_hour_of_standstill_is_harmless_in_every_scheme(cls, scheme, precision, drive):
-    """Standstill keeps the earlier estimate, and one memory later the estimate equals the original.
-
-    A window drops its older blocks until hardly any information remains, so that its estimate rests on fewer samples.
-    The estimate of the mass stays, too.
-    """
+def test_an_hour_of_standstill_is_harmless(cls, precision, drive):
+    """Standstill keeps the earlier estimate, and one memory later the estimate equals the original."""
     head, still = 2000, 360_000
     wave = prbs(2 * head, clock=10, amplitude=6.0, rng=np.random.default_rng(6))
     u = np.r_[wave[:head], np.zeros(still), wave[head:]]
     counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
-    options = {"forgetting": 0.998, "forgetting_scheme": scheme, "precision": precision}
+    options = {"forgetting": 0.998, "precision": precision}
     track = cls(drive, pmfid.Encoder(CART_RESOLUTION), CART_DT, 50.0, **options).run(u, counts)
     before, rested = track.theta[head - 1], slice(head + 200, head + still)
     deviation = np.abs(track.theta[rested] / before - 1)
     assert np.max(deviation[:, 0]) < 0.01
-    assert np.max(deviation) < (0.1 if scheme == "window" else 0.05)
+    assert np.max(deviation) < 0.05
     assert track.has_status(Status.STANDSTILL)[head + still - 1]
     np.testing.assert_allclose(track["mass"][-1], CART.mass, rtol=0.03)
     assert track.status[-1] == 0

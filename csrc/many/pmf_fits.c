@@ -68,7 +68,7 @@ static uint32_t recursion_fits(const pmf_recursion_config_t *recursion)
 {
     return columns_fit(recursion->first_column, recursion->n_parameters, recursion->instrumental) != 0U &&
                    recursion->leading < PMF_MAX_PARAMETERS && level_fits(recursion) != 0U &&
-                   recursion->scheme <= PMF_SEPARATE && misread_fits(recursion) != 0U
+                   misread_fits(recursion) != 0U
                ? 1U
                : 0U;
 }

@@ -16,8 +16,6 @@
 #include "pmf_method.h"
 #endif
 #include "../pmf_sizes.h"
-#undef PMF_WINDOW_BLOCKS
-#define PMF_WINDOW_BLOCKS 0 /* a window is rarely used, but would take most of the memory */
 
 #include "../pmf_auxiliary.c"
 #include "../pmf_verdicts.c"

@@ -77,18 +77,6 @@ static void leave_zeros(unused_t *unused, const pmf_config_t *config)
     }
 }
 
-/* Mark the parts that only other configurations use. */
-static void leave_idle(unused_t *unused, uint32_t at, const pmf_recursion_config_t *config)
-{
-    if (config->scheme != PMF_CONSTANT_TRACE) {
-        leave_out(unused, at + IN_RECURSION(reference), at + IN_RECURSION(trace) + (uint32_t)sizeof(scalar_t));
-        leave_out(unused, at + IN_RECURSION(excited), at + IN_RECURSION(since) + 4U);
-    }
-    if (!(config->lift > PMF_SCALAR(0.0)) && !(config->lift < PMF_SCALAR(0.0))) {
-        leave_out(unused, at + IN_RECURSION(lift), at + IN_RECURSION(lift) + (uint32_t)sizeof(scalar_t));
-    }
-}
-
 static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_config_t *config)
 {
     uint32_t p = config->n_parameters;
@@ -99,7 +87,6 @@ static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_c
     leave_matrix(unused, at + IN_RECURSION(factor), p, 1U, 0U);
     leave_tail(unused, at + IN_RECURSION(inverse_pivot), p, sizeof(scalar_t));
     leave_tail(unused, at + IN_RECURSION(score), p, sizeof(scalar_t));
-    leave_tail(unused, at + IN_RECURSION(reference), p, sizeof(scalar_t));
     leave_estimate(unused, at + IN_RECURSION(estimate), p);
     if (config->misread_column == 0U) {
         leave_out(unused, at + IN_RECURSION(misread), at + IN_RECURSION(spread) + N_BYTES);
@@ -110,8 +97,8 @@ static void leave_recursion(unused_t *unused, uint32_t at, const pmf_recursion_c
     if (!(config->unexplained > PMF_SCALAR(0.0))) {
         leave_out(unused, at + IN_RECURSION(check), at + IN_RECURSION(unmodelled) + 4U);
     }
-    if (config->scheme != PMF_WINDOW) {
-        leave_out(unused, at + IN_RECURSION(window), at + IN_RECURSION(window_updates) + 4U);
+    if (!(config->lift > PMF_SCALAR(0.0)) && !(config->lift < PMF_SCALAR(0.0))) {
+        leave_out(unused, at + IN_RECURSION(lift), at + IN_RECURSION(lift) + (uint32_t)sizeof(scalar_t));
     }
 }
 
@@ -161,10 +148,9 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
     }
     if (config->late.room == 0U) {
         leave_out(unused, IN_STATE(late), END_IN_STATE(late));
-    }
-    if (config->late.room == 0U) {
         leave_out(unused, IN_STATE(auxiliary.parameter[PMF_DELAY]), END_IN_STATE(auxiliary.parameter[PMF_DELAY]));
     }
+    leave_zeros(unused, config);
 }
 
 static uint32_t is_used(const unused_t *unused, uint32_t offset)
@@ -176,17 +162,6 @@ static uint32_t is_used(const unused_t *unused, uint32_t offset)
         }
     }
     return 1U;
-}
-
-/* Lanes are compiled without windows. */
-static uint32_t has_lane(uint32_t offset)
-{
-    uint32_t direct = IN_STATE(direct), instrument = IN_STATE(instrument), from = IN_RECURSION(window);
-    uint32_t to = IN_RECURSION(window_updates) + 4U;
-    return (offset >= direct + from && offset < direct + to) ||
-                   (offset >= instrument + from && offset < instrument + to)
-               ? 0U
-               : 1U;
 }
 
 /* Fill a state without a zero byte. */
@@ -207,7 +182,7 @@ static void add_words(pmf_layout_t *layout, const unused_t *unused, const pmf_st
     const unsigned char *kept = (const unsigned char *)filled;
     uint32_t offset = 0, lane = 0;
     while (offset < sizeof(pmf_state_t)) {
-        uint32_t found = is_whole[offset / 4U], lies = has_lane(offset);
+        uint32_t found = is_whole[offset / 4U];
         uint32_t size = found != 0U ? 4U : (uint32_t)sizeof(scalar_t);
         if (found == 0U && offset % sizeof(scalar_t) != 0U) { /* the gap before an aligned real */
             offset += 4U;
@@ -217,10 +192,10 @@ static void add_words(pmf_layout_t *layout, const unused_t *unused, const pmf_st
             pmf_word_t *word = &layout->word[layout->words++];
             word->offset = offset;
             word->packed = layout->packed_size;
-            word->lane = lies != 0U ? lane : PMF_NO_LANE;
+            word->lane = lane;
             layout->packed_size += size;
         }
-        lane += lies;
+        lane += 1U;
         offset += size;
     }
     layout->lane_words = lane;
@@ -233,17 +208,13 @@ uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, p
     find_unused(config, &unused);
     fill_state(&filled);
     pmf_clear_computed(config, &filled);
-    leave_idle(&unused, IN_STATE(direct), &config->direct);
-    leave_idle(&unused, IN_STATE(instrument), &config->instrument);
-    leave_zeros(&unused, config);
     layout->words = 0U;
     layout->packed_size = 0U;
     add_words(layout, &unused, &filled, is_whole, 0U);
     layout->reals = layout->words;
     add_words(layout, &unused, &filled, is_whole, 1U);
     layout->packed_size = (layout->packed_size + 7U) / 8U * 8U;
-    if (config->direct.scheme == PMF_WINDOW || config->instrument.scheme == PMF_WINDOW || config->late.room != 0U ||
-        config->auxiliary.shapes.n != 0U || config->encoder.rate > PMF_SCALAR(0.0)) {
+    if (config->late.room != 0U || config->auxiliary.shapes.n != 0U || config->encoder.rate > PMF_SCALAR(0.0)) {
         layout->lane_words = 0U;
     }
     return layout->words < PMF_MAX_WORDS && unused.ranges < MAX_RANGES ? 1U : 0U;

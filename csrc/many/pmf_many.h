@@ -16,7 +16,6 @@ enum { PMF_ONE_BY_ONE = 0, PMF_LANES_16, PMF_LANES_32, PMF_LANES_64, PMF_WAYS };
 typedef struct {
     uint32_t offset, packed, lane;
 } pmf_word_t;
-#define PMF_NO_LANE 0xffffffffU
 #define PMF_MAX_WORDS 8192
 
 /* The words in use, reals first. */
@@ -97,7 +96,8 @@ extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 uint32_t pmf_fits(const pmf_config_t *config);
 uint32_t pmf_shapes_fit(const pmf_shapes_config_t *shapes);
 /* Compute the layout. For every four bytes of a pmf_state_t, `is_whole` has 1 for an integer, otherwise 0.
- * Returns 0 if the words exceed a layout. */
+ * Values that each step computes again, or that are always zero, are left out. Returns 0 if the words exceed a layout.
+ */
 uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, pmf_layout_t *layout);
 void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed);
 /* Unpack a state. The unused part of the state stays, which is zero after pmf_init() or pmf_clear(). */

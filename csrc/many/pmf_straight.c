@@ -42,8 +42,7 @@ static uint32_t has_recursion(const pmf_recursion_config_t *config)
     for (i = 0; i < PMF_PARAMETERS; ++i) {
         alike &= config->target_noise[i] == 0;
     }
-    return alike && config->n_parameters == PMF_PARAMETERS && config->instrumental == PMF_INSTRUMENTAL &&
-           config->scheme == PMF_SCHEME;
+    return alike && config->n_parameters == PMF_PARAMETERS && config->instrumental == PMF_INSTRUMENTAL;
 }
 
 static uint32_t has_method(const pmf_config_t *config)

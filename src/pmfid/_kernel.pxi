@@ -409,7 +409,7 @@ cdef class ManyKernel:
 
     fastest_way = pmf_many_way()
     #: The version of packed states.
-    packing = 4
+    packing = 5
 
     def __init__(self, Kernel kernel, Py_ssize_t axes, bytes is_whole not None):
         self.config = kernel.config

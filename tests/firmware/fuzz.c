@@ -74,7 +74,7 @@ static int is_recursion_finite(const pmf_recursion_state_t *state)
 {
     return FINITE(state->sums) && FINITE(state->peak) && FINITE(state->factor) && FINITE(state->inverse_pivot) &&
            FINITE(state->estimate) && FINITE(state->mass) && FINITE(state->weight) &&
-           FINITE(state->innovation_square) && FINITE(state->score) && FINITE(state->trace);
+           FINITE(state->innovation_square) && FINITE(state->score);
 }
 
 static int is_state_finite(const pmf_state_t *state)

@@ -44,7 +44,7 @@ def estimators() -> dict[str, RecursiveEstimator]:
     return {
         "rls": RLS(drive, *plain, **tight),
         "rls paper": RLS(drive, *plain, order=5, discretization="paper", **tight),
-        "rls directional": RLS(spring, *plain, forgetting_scheme="directional", **tight),
+        "rls with a spring": RLS(spring, *plain, **tight),
         "rls of a process": RLS(TransferFunction(5, 0), *plain),
         "bcrls": BCRLS(drive, *plain, order=3, **tight),
         "bcrls with steps": BCRLS(drive, *plain, steps="given", **tight),

@@ -37,7 +37,7 @@ class Outcome:
 
 
 def estimators() -> Iterator[tuple[str, RecursiveEstimator]]:
-    """Yield the name and the estimator of every method, scheme, model and precision, each after a run."""
+    """Yield the name and the estimator of every method, model and precision, each after a run."""
     cases = [(cls, options, fleet_record()) for cls, options in VARIANTS]
     cases += [(cls, LAGS | options, process_record()) for cls, options in PROCESSES]
     for precision in ("float32", "float64"):

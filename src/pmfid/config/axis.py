@@ -18,7 +18,7 @@ from pmfid.config.record import NO_ENCODER, EncoderConfig, RecordConfig, Section
 from pmfid.config.toml_file import FileSection, load_sections, override_sections
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import UsageError
-from pmfid.estimators import Discretization, ForgettingScheme, Method, Precision
+from pmfid.estimators import Discretization, Method, Precision
 from pmfid.estimators.facts import INPUT_GAIN, check_known
 from pmfid.models.drive import POSITION_KEYS
 from pmfid.models.equation import ESTIMATE
@@ -52,9 +52,6 @@ class EstimatorConfig(FileSection):
         gt=0,
         le=1,
         description="a factor in (0, 1]; for a memory of T seconds use 1 - dt/T, 1 never forgets",
-    )
-    forgetting_scheme: ForgettingScheme = Field(
-        "exponential", description="the scheme by which old samples lose weight if forgetting < 1"
     )
     given: dict[str, float] = Field({}, description="known values, such as { mass = 1.25 }")
     prior: dict[str, Annotated[tuple[float, float], Field(strict=False)]] = Field(

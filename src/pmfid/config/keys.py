@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, Required, TypedDict
 
-from pmfid.estimators import Discretization, ForgettingScheme, Method, Precision
+from pmfid.estimators import Discretization, Method, Precision
 from pmfid.linear.experiment import Hold
 from pmfid.models.axes import AxisKind
 from pmfid.models.drive import Body, Friction
@@ -123,7 +123,6 @@ class EstimatorKeys(TypedDict, total=False):
     cutoff: float | None
     order: int | None
     forgetting: float | None
-    forgetting_scheme: ForgettingScheme | None
     given: dict[str, float] | None
     prior: dict[str, tuple[float, float]] | None
     discretization: Discretization | None

@@ -15,7 +15,6 @@ Method = Literal[
     "riv",
 ]
 Discretization = Literal["matched", "paper", "exact"]
-ForgettingScheme = Literal["exponential", "directional", "constant-trace", "window"]
 Precision = Literal["float64", "float32"]
 METHODS: tuple[Method, ...] = get_args(Method)
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)

@@ -82,9 +82,7 @@ def _make_columns(estimator: Estimator) -> tuple[Network, list[Taps], int, int]:
 
 def direct_estimator(estimator: Estimator) -> BCRLS:
     """Return the estimator without an auxiliary model, which gives the start values and the fallback."""
-    scheme = getattr(estimator, "forgetting_scheme", "exponential")
-    symmetric = estimator.model.symmetric
-    return like(Direct, estimator, model=symmetric, forgetting_scheme=scheme, forgetting=1.0, forgetting_of=None)
+    return like(Direct, estimator, model=estimator.model.symmetric, forgetting=1.0)
 
 
 def make_auxiliary_kernel(

@@ -180,8 +180,8 @@ def change_arguments(estimator: C, changes: Mapping[str, object]) -> C:
 def like(cls: type[C], estimator: Configured, **changes: object) -> C:
     """Return an estimator of another class with the arguments that both classes share, and with the changes.
 
-    Arguments with parameter names (`initial`, `forgetting_of`) are kept only with the same model, because another model
-    has other parameters.
+    Arguments with parameter names (`initial`) are kept only with the same model, because another model has other
+    parameters.
     """
     taken, given = {field.name for field in fields(cls) if field.init}, configuration_of(estimator)
     kept = {name: value for name, value in given.items() if name in taken}

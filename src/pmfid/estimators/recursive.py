@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid._stage import first_order, products
 from pmfid.elementary import cos_sin, exp, geometric, power
-from pmfid.errors import UsageError, check_choice
-from pmfid.estimators import ForgettingScheme
+from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator, memory_of
 from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.estimators.least_squares import level_of
@@ -24,7 +23,6 @@ from pmfid.estimators.runner import Runner
 from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import ColumnBuilder
 from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Network, Taps
-from pmfid.kernel.saved import MOST_WEIGHT
 from pmfid.kernel.structures import constants_of
 from pmfid.types import Floats
 
@@ -124,13 +122,6 @@ def frequency_response(estimator: Estimator, network: Network, column: Taps) -> 
     return total
 
 
-#: Number in the kernel for each forgetting scheme.
-FORGETTING_SCHEMES = {
-    name: constants_of(None)[f"PMF_{name.upper().replace('-', '_')}"]
-    for name in ("exponential", "directional", "constant-trace", "window")
-}
-#: Number in the kernel for `forgetting_of`, which is a separate scheme there.
-SEPARATE = constants_of(None)["PMF_SEPARATE"]
 #: Samples between two checks of the motion's size by the kernel.
 LOOK = constants_of(None)["PMF_LOOK"]
 
@@ -143,21 +134,8 @@ class RecursiveEstimator(Estimator):
     forgets nothing in float64. A float32 sum would ignore new samples after some millions of samples. In float32, the
     gathered information is halved whenever it amounts to 2^19 samples.
 
-    forgetting_scheme: one of four schemes. No scheme winds up without excitation.
-
-    - "exponential" forgets all samples alike. A small part of the largest information is never forgotten, and theta is
-      held once only this part is left (Levenberg-Marquardt, Ljung and Soderstrom 1983).
-    - "directional" forgets only in the directions that the samples excite (Cao and Schwartz 2000), for least squares
-      only. Rest and constant speed lose no information, except by the noise of a coarse encoder, which also excites. An
-      excited direction has a longer memory, by a factor of about the number of parameters.
-    - "constant-trace" keeps the mean of P constant, with each entry relative to its value after the first memory. The
-      forgetting is at most twice as fast as `forgetting` (Goodwin and Sin 1984, section 3.3).
-    - "window" gives equal weight to the samples of the last memory, and zero weight to older ones, in blocks of an
-      eighth.
-
-    forgetting_of: factors by name for parameters that change more slowly than the others, or never: {"b0": 1.0}.
-    `forgetting_of` requires the exponential scheme. A parameter that stays known sharpens the estimates of the others.
-    In float32 the memory of each parameter is at most 2^19 samples in which the others are excited.
+    A small part of the largest information is never forgotten, and theta is held once only this part is left
+    (Levenberg-Marquardt, Ljung and Soderstrom 1983). Nothing therefore winds up without excitation.
 
     The configuration is frozen and alone decides equality and hash. A `Runner` holds the state that samples change, and
     `start()` makes as many runners as needed. The attribute `runner` is the estimator's own runner. `step`, `run`,
@@ -166,8 +144,6 @@ class RecursiveEstimator(Estimator):
     """
 
     forgetting: float = field(default=1.0, kw_only=True)
-    forgetting_scheme: ForgettingScheme = field(default="exponential", kw_only=True)
-    forgetting_of: Mapping[str, float] | None = field(default=None, kw_only=True)
     runner: Runner[Self] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -176,36 +152,10 @@ class RecursiveEstimator(Estimator):
             raise UsageError(
                 f"forgetting must be in (0, 1], got {self.forgetting!r}; for a memory of T seconds use 1 - dt/T"
             )
-        self._check_scheme()
         self._check_room()
         object.__setattr__(self, "runner", self.start())
         if type(self).step is RecursiveEstimator.step:  # an instance attribute saves a look-up in Python at each call
             object.__setattr__(self, "step", self.runner.kernel.step)
-
-    def _check_scheme(self) -> None:
-        scheme = self.forgetting_scheme
-        check_choice("forgetting_scheme", scheme, sorted(FORGETTING_SCHEMES))
-        if refused := self.scheme_refused():
-            raise UsageError(refused)
-        for name, factor in (self.forgetting_of or {}).items():
-            if name not in self.names or not self.forgetting <= factor <= 1:
-                raise UsageError(
-                    f"forgetting_of needs factors from forgetting = {self.forgetting} to 1 for parameters of "
-                    f"{list(self.names)}, got {factor} for {name!r}"
-                )
-        if self.forgetting_of and scheme != "exponential":
-            raise UsageError(f"forgetting_of is for the exponential scheme, not for {scheme}")
-
-    def scheme_refused(self) -> str:
-        """Return the reason and a remedy if the method cannot use the forgetting scheme. Return an empty string
-        otherwise.
-        """
-        if self.forgetting_scheme != "directional":
-            return ""
-        return (
-            f"directional forgetting works with rls, but not with {self.method}, whose instruments have "
-            "other directions; use constant-trace or window"
-        )
 
     def _check_room(self) -> None:
         most, model = self.kernel_class.max_parameters, self.model
@@ -214,15 +164,6 @@ class RecursiveEstimator(Estimator):
                 f"{self.method} estimates at most {most} parameters, but this {model.kind} has "
                 f"{len(self.names)}: {', '.join(self.names)}; use fewer {self.plant.fewer}"
             )
-
-    @property
-    def _slowest(self) -> float:
-        """Return the slowest forgetting of one parameter that the precision allows.
-
-        In float32, sums with slower forgetting fill up at different samples and become inconsistent. All sums hold
-        still at rest, so the limit costs nothing at rest.
-        """
-        return 1 - 1 / MOST_WEIGHT if self.precision == "float32" else 1.0
 
     @property
     def encoder_config(self) -> dict[str, float]:
@@ -250,8 +191,6 @@ class RecursiveEstimator(Estimator):
         if level is not None and level.lowest is not None:  # the kernel's constant refers to the output itself
             config["constant"], config["lowest"] = level.constant, level.lowest
             config["lift"] = level.ratio * self.encoder.resolution
-        scheme = self.forgetting_scheme if forgetting < 1 else "exponential"
-        config["scheme"] = FORGETTING_SCHEMES[scheme]
         if self.misreads and self._misread_columns[2]:
             config["biased"], config["noise"] = 1, noise_covariance(self)[:-1, :-1].tolist()
         if forgetting < 1 and self.plant.rests:
@@ -261,24 +200,7 @@ class RecursiveEstimator(Estimator):
                 exp(-TUNING.recursive_haste / 2),
             )
             config["leading"], config["shown"] = self.equation.leading, compute_encoder_floor(self)
-            directions = parameters if scheme == "directional" else 1
-            # a sample forgets one direction, and this power gives each direction the same memory
-            config["forgetting"] = power(forgetting, directions)
             config["outgrown"] = TUNING.recursive_outgrown * LOOK
-        # the accumulated right-hand side does not follow this forgetting: innovations only
-        if self.forgetting_of and forgetting < 1:
-            config["residual_updates"] = 0
-            config["scheme"] = SEPARATE
-            config["keep"] = [
-                math.sqrt(min(self.forgetting_of.get(name, forgetting), self._slowest)) for name in self.names
-            ]
-        if scheme == "directional":  # the accumulated right-hand side does not follow the forgetting: innovations only
-            config["residual_updates"] = 0
-        if scheme == "constant-trace":  # the scheme itself bounds P, except in a direction that others outgrow by far
-            config["regularization"] = TUNING.trace_regularization
-        if scheme == "window":
-            config["residual_updates"] = 2**32 - 1
-            config["window_block"] = math.ceil(1 / (1 - forgetting) / TUNING.window_blocks)
         return config
 
     def start(self, state: bytes | None = None) -> Runner[Self]:
@@ -391,9 +313,6 @@ class RLS(RecursiveEstimator):
 
     method: ClassVar[str] = "rls"
     misreads: ClassVar[bool] = True
-
-    def scheme_refused(self) -> str:
-        return ""
 
 
 @dataclass(frozen=True)

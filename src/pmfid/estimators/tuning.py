@@ -147,14 +147,10 @@ class EstimatorTuning:
     #: Number of frequencies for the gain of an encoder's error, and their decades below the sampling frequency.
     recursive_frequencies: int = 4096
     recursive_decades: int = 9
-    #: Information that is never forgotten under constant trace, as a part of the largest seen.
-    trace_regularization: float = 1e-6
     #: Factor by which the recursion forgets information from larger earlier motions faster.
     recursive_haste: int = 8
     #: Information above this multiple of the last memory's information counts as that of larger motions.
     recursive_outgrown: int = 3
-    #: The sliding window drops one of its 8 blocks at a time: it holds 7 to 8 of them.
-    window_blocks: float = 7.5
 
     # runner
     #: The number of axes that a thread takes at once is a multiple of this number, the size of the kernel's largest

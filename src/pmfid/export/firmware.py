@@ -312,7 +312,7 @@ def list_rates(network: Structured) -> str:
     return " ".join(listed)
 
 
-def fixed_recursion(config: Structured) -> tuple[int, int, int] | None:
-    """Return number of parameters, use of instruments, and scheme of forgetting, if all recursions agree."""
-    kinds = {(int(one["n_parameters"]), int(one["instrumental"]), int(one["scheme"])) for one in recursions_of(config)}
+def fixed_recursion(config: Structured) -> tuple[int, int] | None:
+    """Return number of parameters and use of instruments, if all recursions agree."""
+    kinds = {(int(one["n_parameters"]), int(one["instrumental"])) for one in recursions_of(config)}
     return kinds.pop() if len(kinds) == 1 else None

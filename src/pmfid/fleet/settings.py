@@ -132,7 +132,7 @@ def make_settings(given: Axis, chosen: Chosen, most: float, segment: float | Non
             f"segments of {segment:.3g} s are shorter than the {least:.3g} s that the filters need; use "
             "longer periods or segments, or a higher cutoff"
         )
-    estimator = replace(estimator, forgetting=forgetting_of(segment, chosen.dt), forgetting_scheme="exponential")
+    estimator = replace(estimator, forgetting=forgetting_of(segment, chosen.dt))
     return Settings(axis, estimator, segment, max(segment, min(TUNING.settings_span * segment, most)))
 
 

@@ -36,14 +36,13 @@ def configuration(kernel: Kernel, precision: str) -> Structured:
 
 def shape_of(config: Structured) -> KernelSizes:
     """Return the sizes and parts of the kernel that a configuration needs."""
-    constants, network = constants_of(None), config["network"]
+    network = config["network"]
     shapes = config["auxiliary"]["shapes"]
     recursions = recursions_of(config)
     parameters = max(int(recursion["n_parameters"]) for recursion in recursions)
     noise = any(
         recursion["compensated"] or recursion["biased"] or recursion["unexplained"] > 0 for recursion in recursions
     )
-    schemes = {int(recursion["scheme"]) for recursion in recursions}
     process = config["encoder"]["process"] or any(np.any(recursion["target_noise"]) for recursion in recursions)
     nodes = {*network["stage"]["source"].tolist(), *network["tap"]["node"].tolist()}
     return KernelSizes(
@@ -55,14 +54,12 @@ def shape_of(config: Structured) -> KernelSizes:
         max_shapes=int(shapes["n"]),
         max_knots=knots_of(shapes),
         max_rates=max(1, 4 * -(-int(network["n_rates"]) // 4)),  # the kernel computes four rules at once
-        window_blocks=constants["PMF_WINDOW_BLOCKS"] if constants["PMF_WINDOW"] in schemes else 0,
         max_late=int(config["late"]["room"]) + 2 if config["late"]["room"] else 1,
         with_dead_time=int(config["late"]["room"] > 0),
         with_lag=int(config["late"]["lags"] > 0),
         with_auxiliary=int(config["auxiliary"]["enabled"] or shapes["n"] > 0),
         with_process=int(process),
         with_guard=int(config["encoder"]["guard"] > 0),
-        with_separate=int(constants["PMF_SEPARATE"] in schemes),
         with_endless=int(any(long_memory(recursion) for recursion in recursions)),
         with_split=int(
             bool(process)

@@ -56,14 +56,12 @@ class KernelSizes:
     max_shapes: int
     max_knots: int
     max_rates: int
-    window_blocks: int
     max_late: int
     with_dead_time: int
     with_lag: int
     with_auxiliary: int
     with_process: int
     with_guard: int
-    with_separate: int
     with_endless: int
     with_split: int
     with_noise: int

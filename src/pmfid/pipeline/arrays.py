@@ -101,9 +101,9 @@ def identify(
     encoder : Encoder
         The encoder, which every machine needs. With an encoder, the output of a transfer function is in counts.
     **settings
-        Keys of [estimator] in AXIS.toml: method ("auto"), cutoff, order, forgetting, forgetting_scheme, discretization,
-        prefilter_zeros and precision. The cutoff is the pole of the filters [rad/s]. By default, the record of a
-        machine determines the cutoff. A machine also has tolerance, given and prior. Examples of prior information are
+        Keys of [estimator] in AXIS.toml: method ("auto"), cutoff, order, forgetting, discretization, prefilter_zeros
+        and precision. The cutoff is the pole of the filters [rad/s]. By default, the record of a machine determines the
+        cutoff. A machine also has tolerance, given and prior. Examples of prior information are
         given={"mass": 1.25} and prior={"mass": (1.0, 0.1)}. Drive(input_gain="estimate") needs prior information in
         place of a known gain.
 

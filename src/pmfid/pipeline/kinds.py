@@ -119,7 +119,7 @@ def settings(axis: Axis, cls: type[Estimator]) -> dict[str, object]:
     options: dict[str, object] = {"order": config.order, "discretization": config.discretization}
     options |= {"precision": config.precision, "prefilter_zeros": config.prefilter_zeros}
     if issubclass(cls, RecursiveEstimator):
-        options |= {"forgetting": config.forgetting, "forgetting_scheme": config.forgetting_scheme}
+        options |= {"forgetting": config.forgetting}
     return options
 
 

@@ -279,8 +279,8 @@ class Case:
     @property
     def endless(self) -> Estimator:
         """The estimator at its start, without forgetting."""
-        taken, endless = configuration_of(self.configured), {"forgetting": 1.0, "forgetting_of": None}
-        return change_arguments(self.configured, {name: value for name, value in endless.items() if name in taken})
+        takes = "forgetting" in configuration_of(self.configured)
+        return change_arguments(self.configured, {"forgetting": 1.0} if takes else {})
 
     @property
     def theta(self) -> Floats:
