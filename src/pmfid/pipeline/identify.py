@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 
 from pmfid.config.axis import Axis
-from pmfid.diagnostics.matter import OF_LOG, OF_MODEL, is_small_doubt, weigh_findings
+from pmfid.diagnostics.matter import OF_LOG, is_small_doubt, weigh_findings
 from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
 from pmfid.estimators.registry import methods_for
 from pmfid.findings import Finding, codes, make_notes, sort_findings
@@ -57,8 +57,6 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     log = kind.check_record(data, axis) if suspicious else kind.scan_record(data, axis)
     if isinstance(result, DriveResult) and result.explained:  # the motion itself stops there
         log = tuple(one for one in log if one.code not in OF_STOPS)
-    if "unmodelled" in codes(log):  # the log names the effect, and the model's doubts come from it
-        result = replace(result, findings=tuple(one for one in result.findings if one.code not in OF_MODEL))
     return result.with_findings(*log, *make_notes("cutoff", describe_choices(given, axis)))
 
 

@@ -13,7 +13,7 @@ from pmfid.findings import Finding, codes, sort_findings
 from pmfid.pipeline.checks.counter import find_frozen_counts, forgotten_bits, held_output, jump
 from pmfid.pipeline.checks.force import find_command, find_unsigned
 from pmfid.pipeline.checks.inputs import find_saturation, held_input
-from pmfid.pipeline.checks.readings import find_gravity, find_load, no_inertia, no_motion, read_as
+from pmfid.pipeline.checks.readings import find_gravity, no_inertia, no_motion, read_as
 from pmfid.pipeline.checks.timing import drifts, odd_period, too_fast, too_slow
 from pmfid.pipeline.checks.view import CheckedLog
 from pmfid.records.joining import unbroken
@@ -28,7 +28,6 @@ SOON: tuple[tuple[Check, ...], ...] = (
     (no_motion, forgotten_bits, too_fast),
     (find_unsigned, find_command, find_gravity),
     (read_as,),
-    (find_load,),
     (held_output, find_frozen_counts, held_input, find_saturation),
     (too_slow, odd_period, jump),
 )

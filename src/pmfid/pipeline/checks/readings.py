@@ -13,8 +13,6 @@ from pmfid.findings import Finding
 from pmfid.models.drive import Drive
 from pmfid.pipeline.checks.timing import drifts, too_slow
 from pmfid.pipeline.checks.view import (
-    COULOMB,
-    LOAD,
     MASS,
     PLAIN,
     VISCOUS,
@@ -64,23 +62,6 @@ def find_gravity(log: CheckedLog) -> Iterator[Finding]:
         and _is_one_body(hanging)
     ):
         yield _make_finding("gravity", "gravity turns the load", "set gravity = true in [model]", left)
-
-
-def find_load(log: CheckedLog) -> Iterator[Finding]:
-    """Yield a finding if a large constant load acts on an axis whose model has no load."""
-    model, view = set_any_gain(log.axis).model.make(), log.closest_view
-    if not (log.is_machine and isinstance(model, Drive) and view is not None and model.friction != "directional"):
-        return
-    if model.offset or model.gravity or model.spring:
-        return
-    force = log.force[log.part]  # the motion must explain its variation, because a load alone explains its mean
-    if view.unexplained * np.sqrt(np.mean(force**2)) >= TUNING.readings_follows * np.std(force):
-        return
-    small = abs(view.theta[LOAD]) < abs(view.theta[COULOMB])  # the tests of an estimate name a small load
-    if not small and view.shows_load(TUNING.readings_better, TUNING.readings_certain):
-        size = f"{abs(view.theta[LOAD]):.2g}"  # in the unit of the input, because the view has no gain
-        says = f"a constant load acts on the axis, like an input of {size}, and the model has none"
-        yield Finding("unmodelled", says, "set offset = true in [model]")
 
 
 def _other_reading(log: CheckedLog) -> Finding | None:
