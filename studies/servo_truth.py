@@ -56,8 +56,9 @@ class TrueServo:
 
     def find_delay(self, t: Floats, goal: Floats) -> float:
         """Return the mean time [s] from a command to the tick at which the command acts."""
-        acts = t[1:][np.diff(goal) != 0] + self.delay
-        return self.delay + float(np.mean(-(acts / LOOP + self.phase) % 1.0) * LOOP)
+        every = round(LOOP / STEP)
+        acts = t[1:][np.diff(goal) != 0] + self.delay + round(self.phase * every) / every * LOOP
+        return self.delay + float(np.mean(-(acts - 1e-9) / LOOP % 1.0) * LOOP)
 
 
 def simulate_servos(servos: Sequence[TrueServo], t: Floats | Sequence[Floats], goals: Sequence[Floats]) -> list[Floats]:

@@ -10,8 +10,13 @@ import pytest
 
 from pmfid._body import BASE, KINDS, run
 from pmfid.actuators import JointLog, Servo, ServoFit, fit_logs, fit_servo, simulate_servo
+from pmfid.actuators.body import body_of, excite
+from pmfid.actuators.bounded import cut_below
+from pmfid.actuators.ticks import run_ticks, split_loop
 from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.fit.machine import simulate
+from pmfid.fit.problem import ObservedStretch
 from pmfid.types import Floats
 from studies.servo_truth import TrueServo, simulate_servos
 
@@ -186,6 +191,44 @@ def test_the_inertia_of_a_servo_with_a_filtered_velocity_is_within_its_bar() -> 
     fit = fit_servo(Servo(STEP, {"kp": 8.0}), *simulate_law(2, kd_filtered=0.15, velocity_filter=3e-3))
     assert abs(fit.theta[0] - 0.01) < 3 * fit.theta_std[0]
     assert fit.theta_std[0] < 0.1 * 0.01
+
+
+def test_counts_in_a_derivative_gain_do_not_loosen_the_friction_of_the_table() -> None:
+    """Each count is a pulse of torque of twice the Coulomb friction. Without the ticks, kp was 16 % low, 4 bars."""
+    t, rng = np.arange(0.0, 8.0, 0.01), np.random.default_rng(3)
+    goal = np.where(t < 4, rng.uniform(-0.7, 0.7, 21)[(t / 0.4).astype(int)], 0.4 * np.sin(5 * t))
+    truth = TrueServo(2e-3, 0.026, 0.035, 1.5, 0.009, 2 * math.pi / 1024, kd=0.0175, ki=4.5, gravity=0.1)
+    truth = replace(truth, load_friction=0.13)
+    position = simulate_servos([truth], t, [goal])[0]
+    fit = fit_servo(Servo(truth.resolution, {"gravity": 0.1}), t, goal, position)
+    for name in ("inertia", "coulomb", "kp", "ki", "load_friction"):
+        place = fit.raw_names.index(name)
+        assert abs(fit.theta[place] - getattr(truth, name)) < 3 * fit.theta_std[place], name
+        assert fit.theta_std[place] < 0.2 * fit.theta[place], name
+
+
+def test_ticks_of_a_fine_encoder_leave_the_motion_of_the_body() -> None:
+    t = np.arange(200) * 0.01
+    goal = 0.5 * np.sign(np.sin(4 * t))
+    servo = Servo(1e-7, {"kp": 8.0, "kd": 0.0, "inertia": 0.01, "viscous": 0.3, "coulomb": 0.05, "delay": 0.012})
+    body = body_of(servo)
+    drive = excite(t, goal, 1e-3)
+    flags = np.ones(t.size, bool)
+    stretch = ObservedStretch(drive, goal, np.ones(t.size), flags, ~flags)
+    smooth, _, _ = simulate(drive, body.forces, body.rest, 2, slopes=False)
+    ticked = run_ticks(stretch, split_loop(body.rest, body.forces), 1e-3, 1e-7, 2)
+    assert np.max(np.abs(ticked - smooth)) < 1e-3
+    assert np.max(np.abs(smooth)) > 0.4
+
+
+def test_a_normal_distribution_without_its_negative_part() -> None:
+    mean, covariance = np.array([-0.3, 1.0]), np.array([[1.0, -0.6], [-0.6, 1.0]])
+    drawn = np.random.default_rng(0).multivariate_normal(mean, covariance, 400_000)
+    kept = drawn[drawn[:, 0] > 0]
+    value, centre, inner = cut_below(mean, covariance, np.array([0.0, -np.inf]))
+    assert value == pytest.approx(math.log(len(kept) / len(drawn)), abs=0.01)
+    assert centre == pytest.approx(kept.mean(axis=0), abs=0.01)
+    assert inner == pytest.approx(np.cov(kept.T), abs=0.01)
 
 
 @pytest.mark.parametrize("friction", [0.1, 0.0])

@@ -111,6 +111,29 @@ def test_the_likelihood_of_an_interval_is_smooth() -> None:
     np.testing.assert_allclose(curvature[inside], -(above[1] - below[1])[inside] / (2 * step), rtol=1e-3)
 
 
+class _Line:
+    """A problem whose residuals J q - e are linear, with the lower bound 0 of the first parameter."""
+
+    def __init__(self, e: Floats, J: Floats) -> None:
+        self.e, self.J = e, J
+
+    def linearise(self, q: Floats, starts: Floats) -> list[ResidualBlock]:
+        return [ResidualBlock(self.J @ q - self.e, self.J, np.zeros((self.e.size, 2)))]
+
+    def clip_to_bounds(self, q: Floats) -> Floats:
+        return np.maximum(q, [0.0, -np.inf])
+
+
+def test_the_solver_goes_along_a_bound() -> None:
+    """The best point without the bound is (-1, 3). At the bound, the second parameter alone is best at 2.001."""
+    J = np.array([[1.0, 1.0], [1.0, 1.001], [0.0, 0.01]])
+    problem = _Line(J @ [-1.0, 3.0], J)
+    noise = lambda blocks: (0.5 * float(blocks[0].e @ blocks[0].e), blocks)  # noqa: E731
+    end = solve(problem, noise, np.array([0.5, 0.0]), np.zeros((1, 2)), np.zeros(2), small=1e-12)  # type: ignore[arg-type]
+    best = float(J[:, 1] @ problem.e / (J[:, 1] @ J[:, 1]))
+    assert end.q == pytest.approx([0.0, best], abs=1e-4)
+
+
 def test_the_posterior_of_bounds_is_uniform() -> None:
     """Bounds on both sides of two parameters: mean and variance of a uniform distribution."""
     J = np.vstack([np.eye(2), np.eye(2)])

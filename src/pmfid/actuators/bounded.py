@@ -37,21 +37,30 @@ class BoundedQuadratic(Quadratic):
         return [one for k, one in enumerate(sets) if one not in sets[:k]]
 
     def evidence(self, chosen: Sequence[int]) -> tuple[float, Floats, Floats]:
-        from scipy.special import log_ndtr
-
         free = Quadratic(self.A, self.g, self.plain, self.odds, np.full(self.lowest.size, -np.inf))
         value, step, covariance = free.evidence(chosen)
         if not math.isfinite(value):
             return value, step, covariance
-        for k, j in enumerate(chosen, start=self.plain):
-            if self.lowest[j] < 0:
-                continue
-            sd = math.sqrt(max(float(covariance[k, k]), 1e-300))
-            z = float(step[k]) / sd
-            log_part = float(log_ndtr(z))
-            ratio = math.exp(-0.5 * z * z - 0.5 * math.log(2 * math.pi) - log_part)
-            value += math.log(2) + log_part
-            along = covariance[:, k] / sd
-            step = step + along * ratio
-            covariance = covariance - np.outer(along, along) * min(ratio * (ratio + z), 1 - 1e-9)
-        return value, step, covariance
+        lowest = np.full(step.size, -np.inf)
+        lowest[self.plain :] = [self.lowest[j] for j in chosen]
+        part, step, covariance = cut_below(step, covariance, lowest)
+        doubled = int(np.sum(np.isfinite(lowest)))  # a half-normal prior has twice the density
+        return value + part + doubled * math.log(2), step, covariance
+
+
+def cut_below(mean: Floats, covariance: Floats, lowest: Floats) -> tuple[float, Floats, Floats]:
+    """Return the logarithm of the part of a normal distribution above the bounds `lowest` (p,), with its mean (p,) and
+    covariance (p, p). The coordinates are cut one after the other, and the others follow along their covariance."""
+    from scipy.special import log_ndtr
+
+    value = 0.0
+    for k in np.flatnonzero(np.isfinite(lowest)):
+        sd = math.sqrt(max(float(covariance[k, k]), 1e-300))
+        z = (float(mean[k]) - float(lowest[k])) / sd
+        log_part = float(log_ndtr(z))
+        ratio = math.exp(-0.5 * z * z - 0.5 * math.log(2 * math.pi) - log_part)
+        value += log_part
+        along = covariance[:, k] / sd
+        mean = mean + along * ratio
+        covariance = covariance - np.outer(along, along) * min(ratio * (ratio + z), 1 - 1e-9)
+    return value, mean, covariance

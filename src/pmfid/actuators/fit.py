@@ -9,9 +9,11 @@ from functools import cached_property
 
 import numpy as np
 
+from pmfid.actuators.lags import LagFit, profile_lags
 from pmfid.actuators.logs import JointLog
-from pmfid.actuators.search import ServoSearch, ServoTask, find_search, limited_part
+from pmfid.actuators.search import ServoSearch, ServoTask, limited_part
 from pmfid.actuators.servo import SIGNED, UNITS, Servo
+from pmfid.actuators.starts import find_search
 from pmfid.actuators.tuning import TUNING
 from pmfid.actuators.values import read_parameters
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -229,8 +231,9 @@ def fit_logs(servo: Servo, logs: Sequence[JointLog], per_log: Sequence[str] = ()
     task = ServoTask(servo, used, tuple(per_log) if len(logs) > 1 else ())
     with np.errstate(all="ignore"):  # motions far from the log may overflow
         found = find_search(task, search)
-        fitted = conclude(found, found.noise)
-        fit = _conclude(found, fitted)
+        lags = profile_lags(found) if found.kept else []
+        found = max(lags, key=lambda at: at.value).search if lags else found
+        fit = _conclude(found, conclude(found, found.noise), lags)
     if all(one is log for one, log in zip(used, logs, strict=True)):
         return fit
     sentence = f"the fit uses the first {TUNING.longest:.0f} s of each log"
@@ -268,8 +271,8 @@ def _check(servo: Servo, log: JointLog) -> None:
 # --- values -----------------------------------------------------------------------------------------------------------
 
 
-def _conclude(search: ServoSearch, fitted: Fitted) -> ServoFit:
-    names, theta, std = read_parameters(search, fitted)
+def _conclude(search: ServoSearch, fitted: Fitted, lags: Sequence[LagFit]) -> ServoFit:
+    names, theta, std = read_parameters(search, fitted, lags)
     residual = np.concatenate(fitted.residuals) * search.plain.resolution
     rms = float(np.sqrt(np.mean(residual**2)))
     servo = search.task.servo

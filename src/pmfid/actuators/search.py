@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from copy import copy
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -17,20 +16,14 @@ from pmfid.actuators.logs import JointLog
 from pmfid.actuators.servo import Servo
 from pmfid.actuators.terms import LOOP_FRICTION, odds_of, table_of
 from pmfid.actuators.tuning import TUNING
-from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.likelihood import Gaussian
-from pmfid.fit.machine import COULOMB, DELAY, MASS, VISCOUS
+from pmfid.fit.machine import COULOMB, DELAY, VISCOUS
 from pmfid.fit.problem import FitProblem, ObservedStretch
-from pmfid.fit.search import FitSearch, build, errors_of
-from pmfid.fit.solve import Likelihood, Optimum, solve
+from pmfid.fit.search import FitSearch, errors_of
+from pmfid.fit.solve import Likelihood
 from pmfid.fit.terms import Sizes
 from pmfid.types import Floats
-
-#: Terms that each have starts of their own.
-EXTRAS = ("torque_limit", "ki")
-#: Effects that repeat along the travel, which are sought in whole logs.
-WAVES = ("wave", "rub")
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +133,34 @@ class ServoSearch(FitSearch):
         self.problem = self._chosen_problem()
         self.q, self.starts, self.noise = q, starts, Gaussian(problem.stretches)
 
+    @property
+    def lag(self) -> float:
+        """Lag of the velocity in the loop [s]."""
+        force = self.table[self.kept[0]].force
+        assert force is not None
+        return force.p
+
+    def set_lag(self, lag: float) -> None:
+        """Give the velocity in the loop a lag [s]. The inertia takes what the gain hides at the new lag."""
+        i, change = self.kept[0], lag - self.lag
+        force = self.table[i].force
+        assert force is not None
+        gain = self._sizes()[i][0] * self.table[i].sd
+        self.table = [*self.table[:i], replace(self.table[i], force=replace(force, p=lag)), *self.table[i + 1 :]]
+        self.problem = self._chosen_problem()
+        if "inertia" in self.plain.machine.names:
+            q, place = self.q.copy(), self.plain.machine.names.index("inertia")
+            q[place] += math.log1p(float(np.clip(gain * change / math.exp(max(q[place], -300.0)), -0.5, 1.0)))
+            self.q = q
+
+    def lowest(self) -> Floats:
+        """Return the lowest values (p,) of the coordinates."""
+        lowest = np.full(self.problem.size, -np.inf)
+        lowest[: self.count] = self.plain.machine.lowest
+        for k, one in self.problem.place_candidates():
+            lowest[k] = one.lowest
+        return lowest
+
     def _gain(self, problem: FitProblem, q: Floats) -> float:
         return float(problem._body(q, problem.stretches[0].acts)[0][-problem.machine.loops])
 
@@ -201,78 +222,6 @@ def _sizes_of(task: ServoTask, problem: FitProblem, q: Floats, starts: Floats) -
     )
 
 
-def find_search(task: ServoTask, search: bool) -> ServoSearch:
-    """Return the search at the best model of the logs, with a limit of the torque and gravity or without."""
-    found = list(_start_searches(task, search))
-    best = max(found, key=_settled_value)
-    best = max([best, *_with_load_friction(best)], key=lambda one: one.value())
-    _check_explains(best)
-    if search:
-        build(best)
-    best = _extend(_drop_limit(best))
-    best.waves = WAVES if search else ()
-    if search:
-        build(best)
-    return _drop_limit(best)
-
-
-def _drop_limit(search: ServoSearch) -> ServoSearch:
-    """Return the search without a limit of the torque that nobody named and that never acts."""
-    if "torque_limit" not in search.task.extra or limited_part(search.problem, search.q, search.starts) > 0:
-        return search
-    place = search.plain.machine.names.index("torque_limit")
-    task = replace(search.task, extra=())
-    problem = replace(search.plain, machine=task.body())
-    kept = np.arange(len(search.plain.machine.names)) != place
-    acts = [replace(one, acts=None if one.acts is None else one.acts[kept]) for one in problem.stretches]
-    noise, q = search.noise, np.delete(search.q, place)
-    search.task = task
-    search.take(replace(problem, stretches=tuple(acts)), q, search.starts, search.chosen)
-    search.noise = replace(noise, stretches=search.plain.stretches)
-    return search
-
-
-def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
-    """Yield searches at the best starts: plain, with a limit of the torque or with an integral gain, each with gravity
-    and without. The motion of a servo is far from that of one without these."""
-    extras = [(), *((name,) for name in EXTRAS if search and not task.servo.has(name))]
-    for extra in extras:
-        own = replace(task, extra=extra)
-        problem = head_of(own.problem())
-        q, starts = find_start(own, problem)
-        if "torque_limit" in extra and not limited_part(problem, q, starts) > 0:
-            q = np.delete(q, problem.machine.names.index("torque_limit"))
-            own, problem = task, head_of(task.problem())
-        at = ServoSearch(own, problem, q, starts, search)
-        yield _move_to_terms(at, "ki") if "ki" in extra else at
-        yield from _with_load(at, own, problem, q, starts, search)
-
-
-def _move_to_terms(at: ServoSearch, name: str) -> ServoSearch:
-    """Return the search with a parameter of the model as a term of the table, which has odds and may go again."""
-    place = at.plain.machine.names.index(name)
-    size, task = float(at.q[place]), replace(at.task, extra=())
-    kept = np.arange(at.count) != place
-    parts = tuple(replace(one, acts=None if one.acts is None else one.acts[kept]) for one in at.plain.stretches)
-    plain = replace(at.plain, machine=task.body(), stretches=parts)
-    other = ServoSearch(task, plain, np.delete(at.q[: at.count], place), at.starts, search=True)
-    term = next(i for i, one in enumerate(other.table) if one.name == name)
-    other.choose([*other.chosen, term])
-    other.q[other.problem.places[other.chosen.index(term)]] = size / other.table[term].sd
-    return other
-
-
-def _with_load_friction(at: ServoSearch) -> list[ServoSearch]:
-    """Return the settled search with friction in proportion to the load, which other terms hide if they come first."""
-    loads = [i for i, one in enumerate(at.table) if one.name == "load_friction"]
-    if not loads:
-        return []
-    other = copy(at)
-    other.choose([*at.chosen, *loads])
-    _settled_value(other)
-    return [other]
-
-
 def limited_part(problem: FitProblem, q: Floats, starts: Floats) -> float:
     """Return the part of the time at which the controller's torque is at its limit."""
     parts = []
@@ -286,130 +235,3 @@ def limited_part(problem: FitProblem, q: Floats, starts: Floats) -> float:
             torque = torque - size * v * (force.kind in ("loop_velocity", "loop_filtered"))
         parts.append(np.abs(torque) >= limit)
     return float(np.mean(np.concatenate(parts)))
-
-
-def _with_load(
-    at: ServoSearch, task: ServoTask, head: FitProblem, q: Floats, starts: Floats, search: bool
-) -> list[ServoSearch]:
-    """Return the search with the candidates of gravity, if the servo has none yet."""
-    loads = [i for i, one in enumerate(at.table) if one.name == "gravity"]
-    if not loads:
-        return []
-    other = ServoSearch(task, head, q, starts, search)
-    other.choose([*other.kept, *loads])
-    return [other]
-
-
-def _settled_value(search: ServoSearch) -> float:
-    search.solve(search.noise)
-    search.noise = search.estimate_noise(search.wandering)
-    search.solve(search.noise, 15)
-    return search.value()
-
-
-def _check_explains(search: ServoSearch) -> None:
-    """Raise NotIdentifiableError if the motion leaves more than half of the variance of the position."""
-    left = sum(float(e @ e) for e in errors_of(search)) * search.plain.resolution**2
-    total = sum(float(np.sum((one.y - np.mean(one.y)) ** 2)) for one in search.plain.stretches)
-    if not left < 0.5 * total:
-        raise NotIdentifiableError(
-            "no servo model explains the motion: check that goal and position have the same joint, unit and sign"
-        )
-
-
-def _extend(search: ServoSearch) -> ServoSearch:
-    """Go from the first parts of the logs to the whole logs, in parts of an interval that are short enough."""
-    body, _, _ = search.problem._body(search.q, search.plain.stretches[0].acts)
-    frequency = math.sqrt(max(float(body[-search.plain.machine.loops] / body[MASS]), 1.0))
-    tick = float(np.clip(TUNING.angle / frequency, 2e-4, TUNING.tick))
-    whole = search.task.problem(tick)
-    starts = whole.first_starts()
-    search.take(whole, search.q, starts, search.chosen)
-    search.solve(search.noise, 15)
-    for _ in range(2):
-        search.noise = search.estimate_noise(search.wandering)
-        search.solve(search.noise, 15)
-    return search
-
-
-# --- starts -----------------------------------------------------------------------------------------------------------
-
-
-def find_start(task: ServoTask, head: FitProblem) -> tuple[Floats, Floats]:
-    """Return parameters (p,) and start states (m, 2) of the best local minimum from random servos.
-
-    The servos are the same in each call. The best servos of one log are starts of all logs as well.
-    """
-    rng = np.random.default_rng(0)
-    drawn = [head.clip_to_bounds(head.start(_draw(task, head.machine.names, rng))) for _ in range(TUNING.draws)]
-    if len(head.stretches) > 1:
-        alone = [replace(head, stretches=(one,)) for one in head.stretches]
-        drawn += [end.q for one in alone for end in _refine(task, one, drawn)[:2]]
-    best = _refine(task, head, drawn)[0]
-    return best.q, best.starts
-
-
-def _refine(task: ServoTask, head: FitProblem, drawn: Sequence[Floats]) -> list[Optimum]:
-    """Return the two best local minima from some servos q (p,), the best one first."""
-    starts = head.first_starts()
-    costs = [_cost(head, q, starts) for q in drawn]
-    prior = np.array([float(name in task.priors) for name in head.machine.names])
-    soft = Gaussian(head.stretches, scale=9.0)
-    chosen = np.argsort(costs)[: TUNING.refined]
-    ends = sorted((solve(head, soft, drawn[i], starts, prior, 12, 1.0) for i in chosen), key=lambda end: end.cost)
-    last = [solve(head, soft, end.q, end.starts, prior, 40, 0.01) for end in ends[:2]]
-    return sorted(last, key=lambda end: end.cost)
-
-
-def _cost(head: FitProblem, q: Floats, starts: Floats) -> float:
-    moved = head.motion(q, starts)
-    apart = np.concatenate([y - one.y for (y, _), one in zip(moved, head.stretches, strict=True)])
-    return float(np.mean(np.square(np.nan_to_num(np.clip(apart, -1e6, 1e6), nan=1e6))))
-
-
-def _draw_positive(rng: np.random.Generator, low: float, high: float) -> float:
-    """Draw a number with a uniform logarithm."""
-    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
-
-
-def _gain(task: ServoTask, rng: np.random.Generator, frequency: float) -> float:
-    """Draw a gain [N m/rad] that agrees with what is given."""
-    given = task.servo.given
-    if task.servo.relative or "kp" in given:
-        return given.get("kp", 1.0)
-    if "inertia" in given:
-        return given["inertia"] * frequency**2
-    known = [float(np.abs(log.force).max()) for log in task.logs if log.force is not None]
-    torque = next((given[name] for name in ("gravity", "torque_limit", "coulomb", "kd") if given.get(name)), None)
-    return (torque or max(known, default=1.0)) / task.lag * _draw_positive(rng, 0.03, 30.0)
-
-
-def _draw(task: ServoTask, names: Sequence[str], rng: np.random.Generator) -> Floats:
-    """Draw one servo, (p,)."""
-    frequency, damping = _draw_positive(rng, *TUNING.frequencies), _draw_positive(rng, *TUNING.dampings)
-    gain = _gain(task, rng, frequency)
-    inertia = task.servo.given.get("inertia", gain / frequency**2)
-    torque = gain * task.lag
-    speed = max(float(np.std(np.diff(log.position) / np.diff(log.t))) for log in task.logs) + 1e-9
-    largest = max(float(np.max(np.abs(log.goal - log.position))) for log in task.logs)
-    pair = "gravity" in names and "gravity_angle" in names
-    drawn = {
-        "inertia": max(inertia - task.load, 0.03 * inertia),
-        "viscous": 2 * damping * frequency * inertia,
-        "coulomb": torque * _draw_positive(rng, *TUNING.frictions),
-        "kp": gain,
-        "back_emf": 2 * damping * frequency * inertia * rng.uniform(0.0, 1.0),
-        "kd": damping * frequency * inertia,
-        "ki": gain * _draw_positive(rng, 0.1, 10.0),
-        "torque_limit": gain * largest * _draw_positive(rng, 0.1, 1.5),
-        "delay": max(rng.uniform(0.0, TUNING.delays) * task.period, 1e-6),
-        "gravity": torque * _draw_positive(rng, 0.1, 10.0),
-        "gravity_angle": torque * rng.uniform(-1.0, 1.0) if pair else rng.uniform(-math.pi, math.pi),
-        "stribeck": torque * _draw_positive(rng, *TUNING.frictions),
-        "stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
-        "load_friction": _draw_positive(rng, 0.01, 0.3),
-        "load_stribeck": _draw_positive(rng, 0.01, 0.3),
-        "load_stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
-        "quadratic": inertia * _draw_positive(rng, 0.01, 1.0),
-    }
-    return np.array([drawn.get(name.partition(".")[0], 0.0) for name in names])

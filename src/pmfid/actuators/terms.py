@@ -11,7 +11,7 @@ from pmfid.fit.machine import DIRECTIONAL, OFFSET, BodyForce
 from pmfid.fit.terms import ExtraForce, Sizes
 
 #: Log odds of terms that most servos have. The gear rubs under load in every published model of one.
-COMMON_ODDS = {"load_friction": 0.0, "kd": 0.0}
+COMMON_ODDS = {"load_friction": 0.0}
 #: The part of the viscous friction that the loop makes. Every servo without a named kd has this term, because no motion
 #: below the limit of the torque shows it: it hides a part of the inertia, its size times the age of its velocity.
 LOOP_FRICTION = "loop_friction"
@@ -41,15 +41,8 @@ def _loads(s: Sizes) -> Iterator[ExtraForce]:
 
 
 def _loop(servo: Servo, gain: float, s: Sizes) -> Iterator[ExtraForce]:
-    force = BodyForce("loop_filtered", servo.loop_period)
+    force = BodyForce("loop_filtered", 0.5 * servo.loop_period)
     yield _row(LOOP_FRICTION, "a derivative gain", 0.5 * s.viscous, force=force, lowest=0.0)
-    # A gain on the true velocity acts as viscous friction does, up to the limit of the torque. A lag of the velocity
-    # acts as less inertia, by the gain times the lag, so that the two lags next to the true one stand for it.
-    if servo.has("torque_limit"):
-        yield _row("kd", "a derivative gain", s.viscous, force=BodyForce("loop_velocity"), lowest=0.0)
-    for lag in (1e-3, 3e-3, 8e-3):
-        force = BodyForce("loop_filtered", lag)
-        yield _row("kd", "a derivative gain on a filtered velocity", s.viscous, force=force, lowest=0.0)
     yield _row("ki", "an integral gain", 3.0 * gain, force=BodyForce("loop_integral"), lowest=0.0)
 
 

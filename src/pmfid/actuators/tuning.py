@@ -50,6 +50,15 @@ class ActuatorTuning:
     far: float = 5.0
     #: Standard deviation of the lag of the velocity in the loop [s].
     filter: float = 3e-3
+    # lags
+    #: Lags of the velocity in a loop at which the fit is tried first [s], and the standard deviation of the lag.
+    lags: tuple[float, ...] = (0.0, 0.5e-3, 1e-3, 2e-3, 4e-3, 7e-3, 11e-3)
+    lag: float = 5e-3
+    #: Lags next to the best one differ by less than this log evidence, after halvings of their distance.
+    lag_drop: float = 1.5
+    halvings: int = 3
+    #: So much of each log is simulated with the ticks of the loop [s].
+    ticked: float = 10.0
     # values
     #: Half length of a 95 % interval of a normal distribution, in standard deviations.
     normal: float = 1.96
@@ -66,6 +75,9 @@ class ActuatorTuning:
     noisy: float = 3.0
     #: Part of the time at which the torque is limited, from which on a limit hides the other parameters.
     limited: float = 0.2
+    # sysid
+    #: Part of a gain whose error does not matter.
+    negligible: float = 0.02
     # checks
     #: Samples that a check of a log needs, and the longest lag of a position after its goal, or before it [s].
     least_checked: int = 50

@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pmfid.actuators.body import CONSTANTS
-from pmfid.actuators.search import ServoSearch
+from pmfid.actuators.lags import LagFit, has_gain, mix
+from pmfid.actuators.search import ServoSearch, limited_part
 from pmfid.actuators.terms import LOOP_FRICTION
+from pmfid.actuators.ticks import measure_ticks
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.fit import Fitted, sandwich
 from pmfid.fit.problem import ResidualBlock
+from pmfid.fit.search import inverse
 from pmfid.types import Floats
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterReader:
-    """The function from coordinates (p,) of a fit to parameters by name."""
+    """The function from coordinates (p,) of a fit to parameters by name. The lag of the velocity in the loop comes
+    last if the fit has one. `gain` says whether the log shows the derivative gain: below the limit of the torque, only
+    the age of the velocity tells it from viscous friction."""
 
     search: ServoSearch
     fitted: Fitted
+    gain: bool = False
 
     def __call__(self, q: Floats) -> dict[str, float]:
         found = self._read_machine(q)
-        lags = self._read_forces(q, found)
-        self._place_loop(found, lags)
+        self._read_forces(q, found)
+        self._place_loop(found, float(q[-1]))
         self._read_waves(q, found)
         asked = self.search.task.servo.unknown
         if "gravity" in asked and "gravity_angle" in asked:
@@ -44,27 +51,21 @@ class ParameterReader:
                 found[name] = mean + sd * value + (task.load if name == "inertia" else 0.0)
         return found
 
-    def _read_forces(self, q: Floats, found: dict[str, float]) -> float:
-        """Write the sizes of the terms that were found, and return the sum of velocity gains times their lags."""
-        lags = 0.0
+    def _read_forces(self, q: Floats, found: dict[str, float]) -> None:
+        """Write the sizes of the terms that were found."""
         for k, one in self.fitted.problem.place_candidates():
-            size, force = float(q[k]) * one.sd, one.force
-            if force is not None and force.kind in ("wave", "rub"):
+            if one.force is not None and one.force.kind in ("wave", "rub"):
                 continue
-            found[one.name] = found.get(one.name, 0.0) + size
+            found[one.name] = found.get(one.name, 0.0) + float(q[k]) * one.sd
             if one.free:
                 found[CONSTANTS[one.name]] = float(q[k + 1]) * one.constant
-            elif force is not None and force.kind == "loop_filtered":
-                lags += size * force.p
-        return lags
 
-    def _place_loop(self, found: dict[str, float], lags: float) -> None:
-        """Add the friction of the loop to kd if the logs show kd, and to the viscous friction if not."""
-        has_loop, loop = LOOP_FRICTION in found, found.pop(LOOP_FRICTION, 0.0)
-        if "kd" in found and "kd" not in self.fitted.problem.machine.names:
-            found["kd"] += loop
-            found["velocity_filter"] = lags / found["kd"] if found["kd"] > 0 else 0.0
-        elif has_loop:
+    def _place_loop(self, found: dict[str, float], lag: float) -> None:
+        """Name the friction of the loop if the log shows it, and add it to the viscous friction if not."""
+        loop = found.pop(LOOP_FRICTION, None)
+        if loop is not None and self.gain:
+            found |= {"kd": loop, "velocity_filter": lag}
+        elif loop is not None:
             found["viscous"] = found.get("viscous", 0.0) + loop
 
     def _read_waves(self, q: Floats, found: dict[str, float]) -> None:
@@ -84,19 +85,41 @@ def _polar(sine: float, cosine: float) -> dict[str, float]:
     return {"gravity": math.hypot(sine, cosine), "gravity_angle": math.atan2(-cosine, sine)}
 
 
-def read_parameters(search: ServoSearch, fitted: Fitted) -> tuple[tuple[str, ...], Floats, Floats]:
+def read_parameters(
+    search: ServoSearch, fitted: Fitted, lags: Sequence[LagFit]
+) -> tuple[tuple[str, ...], Floats, Floats]:
     """Return names, values and standard errors (m,) of the parameters that were known or found."""
-    read, q, covariance = ParameterReader(search, fitted), fitted.solution.q, _covariance(search, fitted)
+    q, covariance, gain = fitted.solution.q, _covariance(search, fitted), False
+    if lags:
+        q, covariance = _mix_lags(search, fitted, lags, covariance)
+    else:
+        ticks = measure_ticks(search, q)
+        q, covariance = np.maximum(q + ticks.mean, search.lowest()), covariance + ticks.covariance
+    if lags:
+        at = next(k for k, one in fitted.problem.place_candidates() if one.name == LOOP_FRICTION)
+        limited = limited_part(fitted.problem, fitted.solution.q, fitted.solution.starts) > 0
+        gain = limited and has_gain(search) and math.sqrt(covariance[at, at]) < TUNING.open * q[at]
+    read = ParameterReader(search, fitted, gain)
     found = read(q)
     names, theta = tuple(found), np.array(list(found.values()))
     width = np.nan_to_num(np.sqrt(np.abs(np.diag(covariance))), nan=1.0, posinf=1.0)
     std = _spread(_gradient(read, q, width), covariance)
-    if "delay" in found:  # a goal waits for the next tick of the loop
-        std[names.index("delay")] = math.hypot(std[names.index("delay")], search.task.servo.loop_period / math.sqrt(12))
-    if "coulomb" in found:
-        std[names.index("coulomb")] = math.hypot(std[names.index("coulomb")], _measure_rests(search, fitted))
+    more = {"delay": search.task.servo.loop_period / math.sqrt(12)}  # a goal waits for the next tick of the loop
+    more["coulomb"] = _measure_rests(search, fitted) if "coulomb" in found else 0.0
+    std = np.hypot(std, [more.get(name, 0.0) for name in names])
     std = np.where(np.isfinite(std) & (std > 0), std, np.inf)
     return names, theta, np.maximum(std, TUNING.least_error * np.abs(theta))
+
+
+def _mix_lags(search: ServoSearch, fitted: Fitted, lags: Sequence[LagFit], plain: Floats) -> tuple[Floats, Floats]:
+    """Return mean and covariance of the coordinates and the lag, as much wider than by the information of the log as
+    the covariance `plain` (p, p) at the best lag."""
+    q, covariance = mix(lags)
+    A = fitted.solution.normal.A + np.diag(search.prior(search.problem))
+    wide = np.sqrt(np.maximum(np.diag(plain) / np.maximum(np.diag(inverse(A)), 1e-300), 1.0))
+    known = np.append(np.isfinite(wide), True)
+    wide = np.where(known, np.append(wide, 1.0), 0.0)
+    return q, covariance * np.outer(wide, wide) + np.diag(np.where(known, 0.0, np.inf))
 
 
 def _measure_rests(search: ServoSearch, fitted: Fitted) -> float:

@@ -13,6 +13,7 @@ from pmfid.errors import NotIdentifiableError, UsageError, printable
 
 if TYPE_CHECKING:
     from pmfid.actuators.joints import FittedJoint
+    from pmfid.actuators.sysid import Feedforward
 
 
 @click.command(short_help="Identify the servos in logs of position commands.")
@@ -74,7 +75,7 @@ def actuators(
     """Find inertia, friction, gain and delay of every joint in LOG, which has its position commands and positions.
 
     Several logs of the same joints are fitted at once. LOG is a table of any format, a data set of LeRobot, a folder
-    of SAGE, or a log of BAM in JSON.
+    of SAGE, a log of BAM in JSON, or a log of WPILib SysId in JSON, which gives kS, kV and kA.
 
     Without a known torque, such as kp or gravity, torques are multiples of kp.
 
@@ -84,12 +85,17 @@ def actuators(
     with progress("actuators") as tell:
         from pmfid.actuators.joints import fit_joints
         from pmfid.actuators.logs import LogLayout, read_joints
+        from pmfid.actuators.sysid import fit_sysid, is_sysid, read_sysid
 
         if bits is not None and resolution is not None:
             raise UsageError("--bits and --resolution both give the encoder's step: give only one of them")
         step = 2 * math.pi / 2**bits if bits is not None else resolution
         if step is not None and not (math.isfinite(step) and step > 0):
             raise UsageError(f"--resolution must be positive and finite, got {step}: give it in rad")
+        if len(log) == 1 and is_sysid(log[0]):
+            mechanisms = [fit_sysid(one, one.turn / 2**bits if bits else resolution) for one in read_sysid(log[0])]
+            _show_gains(mechanisms, name, out, as_json)
+            return
         layout = LogLayout(time, goal, position, unit, step, episode, goal_unit, known_forces)
         logs = [joint for path in log for joint in read_joints(path, layout)]
         found = fit_joints(logs, _read_given(given), terms, loop_period, per_log=per_log, search=search, tell=tell)
@@ -116,7 +122,32 @@ def _read_given(texts: tuple[str, ...]) -> dict[str, float]:
     return given
 
 
+def _show_gains(mechanisms: list[Feedforward], name: str, out: Path | None, as_json: bool) -> None:
+    """Print the gains of a log of SysId, and write them into a folder."""
+    content = {one.name: one.to_wpilib() for one in mechanisms}
+    if out is not None:
+        from pmfid.report.html import write_json
+
+        out.mkdir(parents=True, exist_ok=True)
+        write_json(out / "wpilib.json", content)
+    if as_json:
+        print_json({"log": printable(name), "mechanisms": {one.name: one.to_dict() for one in mechanisms}})
+        return
+    lines = [line for one in mechanisms for line in one.lines]
+    lines += list(dict.fromkeys(f"note: {note}" for one in mechanisms for note in one.notes))
+    lines += [f"gains: {out / 'wpilib.json'}"] if out else []
+    _print_table(name, [one.rows for one in mechanisms], lines)
+
+
 def _print(found: list[FittedJoint], name: str, out: Path | None) -> None:
+    lines = [line for joint in found for line in joint.lines]
+    lines += list(dict.fromkeys(f"note: {note}" for joint in found for note in joint.notes))
+    lines += [f"report: {out / 'actuators.html'}"] if out else []
+    _print_table(name, [joint.rows for joint in found], lines)
+
+
+def _print_table(name: str, groups: list[list[list[str]]], lines: list[str]) -> None:
+    """Print a table with a section for each group of rows, and lines."""
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
@@ -126,13 +157,11 @@ def _print(found: list[FittedJoint], name: str, out: Path | None) -> None:
     table = Table(title=escape(printable(name)))
     for heading in HEADER:
         table.add_column(heading, justify="right" if heading in ("value", "std") else "left", no_wrap=True)
-    for joint in found:
-        for row in joint.rows:
+    for rows in groups:
+        for row in rows:
             table.add_row(*(escape(printable(cell)) for cell in row))
         table.add_section()
     console = Console()
     console.print(table)
-    lines = [line for joint in found for line in joint.lines]
-    lines += list(dict.fromkeys(f"note: {note}" for joint in found for note in joint.notes))
-    for line in (*lines, *([f"report: {out / 'actuators.html'}"] if out else [])):
+    for line in lines:
         console.print(printable(line), highlight=False, markup=False, soft_wrap=True)

@@ -39,7 +39,7 @@ class Quadratic:
         index = [*range(self.plain), *(self.plain + j for j in chosen)]
         A = self.A[np.ix_(index, index)].copy()
         A[range(self.plain, len(index)), range(self.plain, len(index))] += 1.0
-        size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+        size = np.sqrt(np.maximum(np.diag(A), 1e-200))
         try:
             root = np.linalg.cholesky(A / np.outer(size, size) + 1e-9 * np.eye(len(index)))
         except np.linalg.LinAlgError:  # the motion overflows

@@ -395,7 +395,7 @@ def _strongest(search: FitSearch, wavenumbers: Floats, kinds: Sequence[str]) -> 
 
 def pair_gains(A: Floats, g: Floats, base: int) -> Floats:
     """Return the gain (m,) of log evidence by each of m pairs of parameters after the first `base`."""
-    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    size = np.sqrt(np.maximum(np.diag(A), 1e-200))
     A, g = A / np.outer(size, size), g / size
     solved = np.linalg.solve(A[:base, :base] + 1e-12 * np.eye(base), np.column_stack([A[:base, base:], g[:base]]))
     inner = A[base:, base:] - A[base:, :base] @ solved[:, :-1]
@@ -488,7 +488,7 @@ def inverse(A: Floats) -> Floats:
 
 def _scale_matrix(A: Floats) -> tuple[Floats, Floats]:
     """Return a matrix with a unit diagonal, and the roots of the diagonal."""
-    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
+    size = np.sqrt(np.maximum(np.diag(A), 1e-200))
     return A / np.outer(size, size), size
 
 

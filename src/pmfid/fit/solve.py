@@ -121,8 +121,13 @@ def _descend(at: _Point, damping: float, small: float) -> tuple[_Point | None, f
     """Return a better point or None, and the next damping. A step whose slope promises less than `small` ends it."""
     for _ in range(12):
         normal = normal_of(at.blocks, at.starts, damping)
-        g = normal.g + at.prior * at.q
-        step = find_step(normal.A + np.diag(at.prior), g, damping)
+        A, g = normal.A + np.diag(at.prior), normal.g + at.prior * at.q
+        step = find_step(A, g, damping)
+        held = (step != 0) & (at.problem.clip_to_bounds(at.q + step) == at.q)
+        if np.any(held):  # the others step along the bound (Bertsekas 1982)
+            free = ~held
+            g = g * free
+            step = find_step(A * np.outer(free, free), g, damping)
         if not np.all(np.isfinite(step)) or normal.fall - float(g @ step) < small:
             return None, damping
         tried = at.move(step, normal.starts(step))

@@ -1,0 +1,205 @@
+"""The start of a servo's fit: random servos with and without the terms that move it far, and the search from them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from pmfid.actuators.lags import choose_lag
+from pmfid.actuators.search import ServoSearch, ServoTask, head_of, limited_part
+from pmfid.actuators.tuning import TUNING
+from pmfid.errors import NotIdentifiableError
+from pmfid.fit.likelihood import Gaussian
+from pmfid.fit.machine import MASS
+from pmfid.fit.problem import FitProblem
+from pmfid.fit.search import build, errors_of
+from pmfid.fit.solve import Optimum, solve
+from pmfid.types import Floats
+
+#: Terms that each have starts of their own, because the motion with them is far from that without.
+EXTRAS = ((), ("torque_limit",), ("ki",), ("torque_limit", "ki"), ("load_friction",))
+#: Effects that repeat along the travel, which are sought in whole logs.
+WAVES = ("wave", "rub")
+
+
+def find_search(task: ServoTask, search: bool) -> ServoSearch:
+    """Return the search at the best model of the logs, with a limit of the torque and gravity or without."""
+    found = list(_start_searches(task, search))
+    best = max(found, key=_settled_value)
+    _check_explains(best)
+    best = choose_lag(best)
+    if search:
+        build(best)
+    best = choose_lag(_extend(_drop_limit(best)))
+    best.waves = WAVES if search else ()
+    if search:
+        build(best)
+    return _drop_limit(best)
+
+
+def _drop_limit(search: ServoSearch) -> ServoSearch:
+    """Return the search without a limit of the torque that nobody named and that never acts."""
+    if "torque_limit" not in search.task.extra or limited_part(search.problem, search.q, search.starts) > 0:
+        return search
+    place = search.plain.machine.names.index("torque_limit")
+    task = replace(search.task, extra=tuple(name for name in search.task.extra if name != "torque_limit"))
+    problem = replace(search.plain, machine=task.body())
+    kept = np.arange(len(search.plain.machine.names)) != place
+    acts = [replace(one, acts=None if one.acts is None else one.acts[kept]) for one in problem.stretches]
+    noise, q = search.noise, np.delete(search.q, place)
+    search.task = task
+    search.take(replace(problem, stretches=tuple(acts)), q, search.starts, search.chosen)
+    search.noise = replace(noise, stretches=search.plain.stretches)
+    return search
+
+
+def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
+    """Yield searches at the best starts with extra terms, each with gravity and without."""
+    for extra in EXTRAS if search else EXTRAS[:1]:
+        if any(task.servo.has(name) for name in extra):
+            continue
+        own = replace(task, extra=extra)
+        problem = head_of(own.problem())
+        q, starts = find_start(own, problem)
+        at = _drop_limit(ServoSearch(own, problem, q, starts, search))
+        for name in extra:
+            at = at if name == "torque_limit" else _move_to_terms(at, name)
+        yield at
+        loads = [i for i, one in enumerate(at.table) if one.name == "gravity"]
+        if loads:
+            other = copy(at)
+            other.choose([*at.chosen, *loads])
+            yield other
+
+
+def _move_to_terms(at: ServoSearch, name: str) -> ServoSearch:
+    """Return the search with a parameter of the model as a term of the table, which has odds and may go again."""
+    place = at.plain.machine.names.index(name)
+    size, task = float(at.q[place]), replace(at.task, extra=tuple(one for one in at.task.extra if one != name))
+    kept = np.arange(at.count) != place
+    parts = tuple(replace(one, acts=None if one.acts is None else one.acts[kept]) for one in at.plain.stretches)
+    plain = replace(at.plain, machine=task.body(), stretches=parts)
+    other = ServoSearch(task, plain, np.delete(at.q[: at.count], place), at.starts, search=True)
+    term = next(i for i, one in enumerate(other.table) if one.name == name)
+    other.choose([*other.chosen, term])
+    other.q[other.problem.places[other.chosen.index(term)]] = size / other.table[term].sd
+    return other
+
+
+def _settled_value(search: ServoSearch) -> float:
+    search.solve(search.noise)
+    search.noise = search.estimate_noise(search.wandering)
+    search.solve(search.noise, 15)
+    return search.value()
+
+
+def _check_explains(search: ServoSearch) -> None:
+    """Raise NotIdentifiableError if the motion leaves more than half of the variance of the position."""
+    left = sum(float(e @ e) for e in errors_of(search)) * search.plain.resolution**2
+    total = sum(float(np.sum((one.y - np.mean(one.y)) ** 2)) for one in search.plain.stretches)
+    if not left < 0.5 * total:
+        raise NotIdentifiableError(
+            "no servo model explains the motion: check that goal and position have the same joint, unit and sign"
+        )
+
+
+def _extend(search: ServoSearch) -> ServoSearch:
+    """Go from the first parts of the logs to the whole logs, in parts of an interval that are short enough."""
+    body, _, _ = search.problem._body(search.q, search.plain.stretches[0].acts)
+    frequency = math.sqrt(max(float(body[-search.plain.machine.loops] / body[MASS]), 1.0))
+    tick = float(np.clip(TUNING.angle / frequency, 2e-4, TUNING.tick))
+    whole = search.task.problem(tick)
+    starts = whole.first_starts()
+    search.take(whole, search.q, starts, search.chosen)
+    search.solve(search.noise, 15)
+    for _ in range(2):
+        search.noise = search.estimate_noise(search.wandering)
+        search.solve(search.noise, 15)
+    return search
+
+
+# --- starts -----------------------------------------------------------------------------------------------------------
+
+
+def find_start(task: ServoTask, head: FitProblem) -> tuple[Floats, Floats]:
+    """Return parameters (p,) and start states (m, 2) of the best local minimum from random servos.
+
+    The servos are the same in each call. The best servos of one log are starts of all logs as well.
+    """
+    rng = np.random.default_rng(0)
+    drawn = [head.clip_to_bounds(head.start(_draw(task, head.machine.names, rng))) for _ in range(TUNING.draws)]
+    if len(head.stretches) > 1:
+        alone = [replace(head, stretches=(one,)) for one in head.stretches]
+        drawn += [end.q for one in alone for end in _refine(task, one, drawn)[:2]]
+    best = _refine(task, head, drawn)[0]
+    return best.q, best.starts
+
+
+def _refine(task: ServoTask, head: FitProblem, drawn: Sequence[Floats]) -> list[Optimum]:
+    """Return the two best local minima from some servos q (p,), the best one first."""
+    starts = head.first_starts()
+    costs = [_cost(head, q, starts) for q in drawn]
+    prior = np.array([float(name in task.priors) for name in head.machine.names])
+    soft = Gaussian(head.stretches, scale=9.0)
+    chosen = np.argsort(costs)[: TUNING.refined]
+    ends = sorted((solve(head, soft, drawn[i], starts, prior, 12, 1.0) for i in chosen), key=lambda end: end.cost)
+    last = [solve(head, soft, end.q, end.starts, prior, 40, 0.01) for end in ends[:2]]
+    return sorted(last, key=lambda end: end.cost)
+
+
+def _cost(head: FitProblem, q: Floats, starts: Floats) -> float:
+    moved = head.motion(q, starts)
+    apart = np.concatenate([y - one.y for (y, _), one in zip(moved, head.stretches, strict=True)])
+    return float(np.mean(np.square(np.nan_to_num(np.clip(apart, -1e6, 1e6), nan=1e6))))
+
+
+def _draw_positive(rng: np.random.Generator, low: float, high: float) -> float:
+    """Draw a number with a uniform logarithm."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def _gain(task: ServoTask, rng: np.random.Generator, frequency: float) -> float:
+    """Draw a gain [N m/rad] that agrees with what is given."""
+    given = task.servo.given
+    if task.servo.relative or "kp" in given:
+        return given.get("kp", 1.0)
+    if "inertia" in given:
+        return given["inertia"] * frequency**2
+    known = [float(np.abs(log.force).max()) for log in task.logs if log.force is not None]
+    torque = next((given[name] for name in ("gravity", "torque_limit", "coulomb", "kd") if given.get(name)), None)
+    return (torque or max(known, default=1.0)) / task.lag * _draw_positive(rng, 0.03, 30.0)
+
+
+def _draw(task: ServoTask, names: Sequence[str], rng: np.random.Generator) -> Floats:
+    """Draw one servo, (p,)."""
+    frequency, damping = _draw_positive(rng, *TUNING.frequencies), _draw_positive(rng, *TUNING.dampings)
+    gain = _gain(task, rng, frequency)
+    inertia = task.servo.given.get("inertia", gain / frequency**2)
+    torque = gain * task.lag
+    speed = max(float(np.std(np.diff(log.position) / np.diff(log.t))) for log in task.logs) + 1e-9
+    largest = max(float(np.max(np.abs(log.goal - log.position))) for log in task.logs)
+    pair = "gravity" in names and "gravity_angle" in names
+    drawn = {
+        "inertia": max(inertia - task.load, 0.03 * inertia),
+        "viscous": 2 * damping * frequency * inertia,
+        "coulomb": torque * _draw_positive(rng, *TUNING.frictions),
+        "kp": gain,
+        "back_emf": 2 * damping * frequency * inertia * rng.uniform(0.0, 1.0),
+        "kd": damping * frequency * inertia,
+        "ki": gain * _draw_positive(rng, 0.1, 10.0),
+        "torque_limit": gain * largest * _draw_positive(rng, 0.1, 1.5),
+        "delay": max(rng.uniform(0.0, TUNING.delays) * task.period, 1e-6),
+        "gravity": torque * _draw_positive(rng, 0.1, 10.0),
+        "gravity_angle": torque * rng.uniform(-1.0, 1.0) if pair else rng.uniform(-math.pi, math.pi),
+        "stribeck": torque * _draw_positive(rng, *TUNING.frictions),
+        "stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
+        "load_friction": _draw_positive(rng, 0.01, 0.3),
+        "load_stribeck": _draw_positive(rng, 0.01, 0.3),
+        "load_stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
+        "quadratic": inertia * _draw_positive(rng, 0.01, 1.0),
+    }
+    return np.array([drawn.get(name.partition(".")[0], 0.0) for name in names])
