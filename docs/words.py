@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
@@ -11,15 +11,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pmfid.simulation import Machine, control_machine
-from studies.check_logs import ALL, Logged, Run, faulty, logged
+from studies.check_logs import Logged, faulty, logged
 
 GOOD, BAD = "tab:blue", "tab:red"
 
 
 @dataclass(frozen=True)
 class Picture:
-    """The log of a word: a fault of `studies.check_logs`, or "gravity", its seed, and the times to draw [s]."""
+    """The log of a word: a fault of `studies.check_logs`, its seed, and the times to draw [s]."""
 
     fault: str
     seed: int = 5
@@ -32,7 +31,6 @@ PICTURES: Mapping[str, Picture] = MappingProxyType(
         "reversed": Picture("reversed sign", 3, 4.0, 8.0),
         "exchanged": Picture("exchanged columns"),
         "velocity": Picture("velocity as position"),
-        "gravity": Picture("gravity", end=12.0),
         "drift": Picture("input of another clock", 2, 57.0, 60.0),
         "stuck": Picture("stuck counter"),
         "clipped": Picture("clipped counter"),
@@ -50,21 +48,8 @@ PICTURES: Mapping[str, Picture] = MappingProxyType(
 
 def make_logs(picture: Picture) -> tuple[Logged, Logged]:
     """Return the log of a run without the fault, and with the fault."""
-    if picture.fault == "gravity":
-        return _swing(0.0), _swing(0.8)
     bad = faulty(picture.fault, picture.seed)
     return logged(bad.run, bad.run.u, bad.run.counts), bad
-
-
-def _swing(gravity: float) -> Logged:
-    """Return the log of a joint under position control that carries a load; `gravity` is its largest torque [N m]."""
-    axis, t = ALL["joint"], np.arange(0, 30.0, 0.01)
-    drive = replace(axis.drive, mass=0.02, viscous_friction=0.05, coulomb_friction=0.1, input_gain=1.0)
-    path = 1.2 * np.sin(0.7 * t) + 0.5 * np.sin(2.9 * t + 1) + 0.2 * np.sin(7.1 * t)
-    machine, resolution = Machine(drive, gravity=gravity, gravity_angle=0.3), 2 * np.pi / 4096
-    moved = control_machine(machine, path, 0.01, resolution, kp=8.0, kd=0.8, u_max=5.0)
-    run = Run(moved.u, moved.counts, resolution, 0.01, replace(axis, drive=drive), "joint with a load")
-    return logged(run, run.u, run.counts, model_axis="rotary")
 
 
 def draw_log(word: str) -> Figure:

@@ -35,7 +35,6 @@ FLAGS = {
     "unstable": ("a pole is in the right half-plane: set unstable = true if a controller holds the process"),
     "reversed": "the output has the opposite sign of the input: reverse one of them",
     "exchanged": "the columns of input and output are exchanged: exchange input and output in [record]",
-    "gravity": "gravity turns the load of a rotary axis, and the model has none: set gravity = true in [model]",
     "velocity": 'the output is a velocity, read as a position: set output_kind = "velocity", or integrate it',
     "wrapped": "the counter restarts at the end of its range: give [encoder] bits or range",
     "stuck": "the output stays constant while the axis moves on: check the counter and its reading",

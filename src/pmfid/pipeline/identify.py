@@ -29,6 +29,8 @@ KINDS: dict[str, Kind[Records]] = {
 }
 
 
+#: Findings on samples that a repair replaced, after which the estimate goes on.
+REPAIRED = {"count_jump", "invalid_input"}
 #: Findings that a counter stops while the axis moves.
 OF_STOPS = ("stuck", "clipped")
 
@@ -97,11 +99,12 @@ def describe_refusal(error: NotIdentifiableError) -> Finding:
 def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
     """Return possible mistakes in a log, most important first.
 
-    For a machine's log without mistakes, the function returns the doubts of `identify` about the model.
+    For a machine's log without mistakes, or with samples that a repair replaced, the function also returns the doubts
+    of `identify` about the model.
     """
     kind = kind_of(axis)
     log = kind.check_record(data, axis)
-    if not isinstance(kind, Drives) or set(codes(log)) - OF_LOG:
+    if not isinstance(kind, Drives) or set(codes(log)) - OF_LOG - REPAIRED:
         return log
     try:
         result = cast(DriveResult, identify(data, axis))
@@ -109,7 +112,7 @@ def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
         return sort_findings((*log, describe_refusal(error)))
     except UsageError:
         return log
-    doubts = [finding for finding in result.findings if finding.severity != "note"]
+    doubts = [one for one in result.findings if one.severity != "note" and one not in log]
     small = [finding for finding in result.findings if is_small_doubt(finding)]
     return sort_findings((*weigh_findings(log, result.matter), *doubts, *small))
 

@@ -13,7 +13,7 @@ from pmfid.findings import Finding, codes, sort_findings
 from pmfid.pipeline.checks.counter import find_frozen_counts, forgotten_bits, held_output, jump
 from pmfid.pipeline.checks.force import find_command, find_unsigned
 from pmfid.pipeline.checks.inputs import find_saturation, held_input
-from pmfid.pipeline.checks.readings import find_gravity, no_inertia, no_motion, read_as
+from pmfid.pipeline.checks.readings import is_turned_by_gravity, no_inertia, no_motion, read_as
 from pmfid.pipeline.checks.timing import drifts, odd_period, too_fast, too_slow
 from pmfid.pipeline.checks.view import CheckedLog
 from pmfid.records.joining import unbroken
@@ -26,7 +26,7 @@ Check = Callable[[CheckedLog], Iterator[Finding]]
 #: Families of checks in their order. A mistake would confuse later families, and therefore ends the search.
 SOON: tuple[tuple[Check, ...], ...] = (
     (no_motion, forgotten_bits, too_fast),
-    (find_unsigned, find_command, find_gravity),
+    (find_unsigned, find_command),
     (read_as,),
     (held_output, find_frozen_counts, held_input, find_saturation),
     (too_slow, odd_period, jump),
@@ -45,9 +45,12 @@ def check_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
 
 
 def _run_families(log: CheckedLog, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:
-    """Yield the findings of the families, up to the first family with more than a note."""
+    """Yield the findings of the families, up to the first family with more than a note.
+
+    The families after that of the input read the motion as that of a body which gravity does not turn.
+    """
     for family in families:
         found = [finding for check in family for finding in check(log)]
         yield from found
-        if codes(found):
+        if codes(found) or (find_command in family and is_turned_by_gravity(log)):
             return

@@ -46,22 +46,22 @@ def read_as(log: CheckedLog) -> Iterator[Finding]:
         yield replace(found, detail="If the sign is right, a force other than this input moves the axis.")
 
 
-def find_gravity(log: CheckedLog) -> Iterator[Finding]:
-    """Yield a finding if gravity acts on a rotary axis whose model has no gravity."""
+def is_turned_by_gravity(log: CheckedLog) -> bool:
+    """Return whether gravity explains the input of a rotary axis whose model has no gravity much better.
+
+    Under position control, the input is a function of the position, and any force of the position explains it. The fit
+    decides; other readings of the columns say nothing then.
+    """
     model = set_any_gain(log.axis).model.make()
     if not (log.is_machine and isinstance(model, Drive) and model.axis == "rotary" and model.gravity is False):
-        return
+        return False
     counts = log.known.counts[log.part]
     if np.ptp(counts) * log.encoder.resolution < TUNING.readings_turned:
-        return
+        return False
     hanging = best_view(log.force[log.part], counts, log.encoder, log.record.dt, model=replace(PLAIN, gravity=True))
     left = _measure_rest(hanging)
-    if (
-        hanging is not None
-        and left < min(TUNING.readings_follows, TUNING.readings_better * _measure_rest(log.closest_view))
-        and _is_one_body(hanging)
-    ):
-        yield _make_finding("gravity", "gravity turns the load", "set gravity = true in [model]", left)
+    better = left < min(TUNING.readings_follows, TUNING.readings_better * _measure_rest(log.closest_view))
+    return hanging is not None and better and _is_one_body(hanging)
 
 
 def _other_reading(log: CheckedLog) -> Finding | None:
