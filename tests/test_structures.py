@@ -70,7 +70,7 @@ def test_the_words_of_a_state_that_are_whole_numbers(precision: str) -> None:
 
     assert 4 * len(words) == state.itemsize
     assert [words[place(*names)] for names in (("status",), ("guard", "zero"))] == [1] * 2
-    assert [words[place(*names)] for names in (("encoder", "position"), ("instrument", "trace"))] == [0] * 2
+    assert [words[place(*names)] for names in (("encoder", "position"), ("instrument", "mass"))] == [0] * 2
     window = place("direct", "window")
     assert not any(words[window : place("direct", "window_block")])
 
