@@ -71,8 +71,8 @@ def test_the_words_of_a_state_that_are_whole_numbers(precision: str) -> None:
     assert 4 * len(words) == state.itemsize
     assert [words[place(*names)] for names in (("status",), ("guard", "zero"))] == [1] * 2
     assert [words[place(*names)] for names in (("encoder", "position"), ("instrument", "mass"))] == [0] * 2
-    window = place("direct", "window")
-    assert not any(words[window : place("direct", "window_block")])
+    estimate = place("direct", "estimate")
+    assert not any(words[estimate : place("direct", "mass")])
 
 
 def test_firmware_needs_none_of_the_inner_names() -> None:
