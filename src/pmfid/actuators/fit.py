@@ -13,7 +13,7 @@ from pmfid.actuators.lags import LagFit, profile_lags
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.search import ServoSearch, ServoTask, limited_part
 from pmfid.actuators.servo import SIGNED, UNITS, Servo
-from pmfid.actuators.starts import find_search
+from pmfid.actuators.starts import FOLLOW, find_search
 from pmfid.actuators.tuning import TUNING
 from pmfid.actuators.values import read_parameters
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -152,6 +152,7 @@ class ServoFit(Presentable):
 FOUND_UNITS: Mapping[str, tuple[str, str]] = {
     "goal_lag": ("s", "s"),
     "viscous_difference": ("N m s/rad", "s"),
+    "root_friction": ("N m (s/rad)^0.5", "rad (s/rad)^0.5"),
     "cogging": ("N m", "rad"),
     "friction_period": ("N m", "rad"),
     "encoder": ("rad", "rad"),
@@ -233,7 +234,10 @@ def fit_logs(servo: Servo, logs: Sequence[JointLog], per_log: Sequence[str] = ()
         found = find_search(task, search)
         lags = profile_lags(found) if found.kept else []
         found = max(lags, key=lambda at: at.value).search if lags else found
-        fit = _conclude(found, conclude(found, found.noise), lags)
+        try:
+            fit = _conclude(found, conclude(found, found.noise), lags)
+        except NotIdentifiableError as error:  # in words of a machine with an input
+            raise NotIdentifiableError(FOLLOW) from error
     if all(one is log for one, log in zip(used, logs, strict=True)):
         return fit
     sentence = f"the fit uses the first {TUNING.longest:.0f} s of each log"

@@ -16,7 +16,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.machine import MASS
 from pmfid.fit.problem import FitProblem
-from pmfid.fit.search import build, errors_of
+from pmfid.fit.search import SETTLED, build, errors_of
 from pmfid.fit.solve import Optimum, solve
 from pmfid.types import Floats
 
@@ -24,6 +24,7 @@ from pmfid.types import Floats
 EXTRAS = ((), ("torque_limit",), ("ki",), ("torque_limit", "ki"), ("load_friction",))
 #: Effects that repeat along the travel, which are sought in whole logs.
 WAVES = ("wave", "rub")
+FOLLOW = "no servo model explains the motion: check that goal and position have the same joint, unit and sign"
 
 
 def find_search(task: ServoTask, search: bool) -> ServoSearch:
@@ -35,10 +36,19 @@ def find_search(task: ServoTask, search: bool) -> ServoSearch:
     if search:
         build(best)
     best = choose_lag(_extend(_drop_limit(best)))
-    best.waves = WAVES if search else ()
     if search:
-        build(best)
+        best = _build_waves(best)
     return _drop_limit(best)
+
+
+def _build_waves(search: ServoSearch) -> ServoSearch:
+    """Return the search with effects that repeat along the travel, or as it was if they leave no inertia: a long wave
+    of torque then follows a disturbance in place of the motor."""
+    other = copy(search)
+    other.waves, other.table = WAVES, list(search.table)
+    build(other)
+    bounds = np.array(other.plain.mass)
+    return search if np.min(np.abs(other.q[other.plain.machine.lead] - bounds)) < SETTLED else other
 
 
 def _drop_limit(search: ServoSearch) -> ServoSearch:
@@ -102,9 +112,7 @@ def _check_explains(search: ServoSearch) -> None:
     left = sum(float(e @ e) for e in errors_of(search)) * search.plain.resolution**2
     total = sum(float(np.sum((one.y - np.mean(one.y)) ** 2)) for one in search.plain.stretches)
     if not left < 0.5 * total:
-        raise NotIdentifiableError(
-            "no servo model explains the motion: check that goal and position have the same joint, unit and sign"
-        )
+        raise NotIdentifiableError(FOLLOW)
 
 
 def _extend(search: ServoSearch) -> ServoSearch:

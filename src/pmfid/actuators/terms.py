@@ -57,4 +57,6 @@ def _frictions(s: Sizes) -> Iterator[ExtraForce]:
         yield _row("load_stribeck", words, 0.1, force=force, lowest=0.0)
     force = BodyForce("power", 2.0, 1.0)
     yield _row("quadratic", "quadratic friction", 0.3 * s.viscous / s.speed, force=force, lowest=0.0)
+    words, force = "friction that grows with the root of the speed", BodyForce("power", 0.5, 1.0)
+    yield _row("root_friction", words, 0.3 * s.viscous * math.sqrt(s.speed), force=force, lowest=0.0)
     yield _row("viscous_difference", "friction that differs by direction", 0.3 * s.viscous, base=DIRECTIONAL)
