@@ -157,7 +157,7 @@ def test_every_key_of_a_plant_says_what_it_is() -> None:
         ("[sources.hall] qos", "[sources.mqtt] qos: the quality of service: 1, or 0"),
         ("sources.hall.qos", "[sources.mqtt] qos: the quality of service: 1, or 0"),
         ("axes.x1.config", "[axes] config: the AXIS.toml"),
-        ("sinks.sqlite.path", "[sinks.sqlite] path"),
+        ("sinks.phone.url", "[sinks.webhook] url"),
     ],
 )
 def test_keys_of_a_plant_are_explained_under_the_names_that_stand_there(word: str, wanted: str) -> None:

@@ -11,14 +11,11 @@ from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from pmfid.stream.store import FILE
 from studies.service.finding import Finding, changes, others_unchanged, sentences, without_alarm
 from studies.service.hall import PATIENCE, Hall, Metrics, Report, hall, name_of
 
 AXES, BEFORE, DURING, AFTER = 6, 5.0, 20.0, 10.0
-SINKS = """
-[sinks.database]
-kind = "sqlite"
-"""
 
 
 def run(*command: str | Path) -> bool:
@@ -44,7 +41,7 @@ def _small(place: Path) -> AbstractContextManager[bool]:
 
 @dataclass
 class Disk:
-    """A fault of the disk that holds state and database of a hall.
+    """A fault of the disk that holds the state of a hall.
 
     `how` describes the fault, `begin` and `end` cause and remove it, and `hits` are the counters that it must affect.
     """
@@ -63,7 +60,7 @@ def full(state: Path) -> Disk:
             while file.write(bytes(4096)):
                 pass
 
-    return Disk("disk full (a tmpfs of 3 MB, filled)", begin, filler.unlink, ("checkpoint", "database"))
+    return Disk("disk full (a tmpfs of 3 MB, filled)", begin, filler.unlink, ("checkpoint", "history"))
 
 
 def read_only(state: Path) -> Disk:
@@ -81,7 +78,7 @@ def read_only(state: Path) -> Disk:
 
 def disk_fault(place: Path, make: Callable[[Path], Disk]) -> Finding:
     """Compare the service before, during and after the fault, without a restart."""
-    with _small(place / "state"), hall(place, AXES, 60.0, SINKS) as there:
+    with _small(place / "state"), hall(place, AXES, 60.0) as there:
         there.play(BEFORE)
         there.through()
         there.notices()
@@ -99,8 +96,8 @@ def disk_fault(place: Path, make: Callable[[Path], Disk]) -> Finding:
         after, later = _recovered(there, disk.hits), there.notices()
         claims = [others_unchanged(there), without_alarm([*reported, *later]), *claims]
         claims += [(f"{one} works again without a restart", _works(after, one)) for one in disk.hits]
-        kept = _notices_in(place / "state" / "database.sqlite")
-        claims.append((f"reference set meanwhile is in the database ({kept} notices)", kept > 0))
+        kept = _notices_in(place / "state" / FILE)
+        claims.append((f"reference set meanwhile is in the history ({kept} notices)", kept > 0))
         return Finding(
             disk.how, [*sentences(reported), "*after it:*", *sentences(later)], changes(start, during), claims
         )
@@ -150,7 +147,7 @@ def forced_read_only(place: Path) -> Finding | None:
     with mounted(place / "state", *how) as done:
         if not done or not (device := _error_of(place / "state")):
             return None
-        with hall(place, AXES, 60.0, SINKS) as there:
+        with hall(place, AXES, 60.0) as there:
             there.play(BEFORE)
             there.through()
             there.notices()
@@ -177,7 +174,7 @@ def _error_of(place: Path) -> Path | None:
 
 def _again(place: Path, at: int) -> Iterator[tuple[str, bool]]:
     """Start the service again on the same disk; its machines continue from sample `at`."""
-    with hall(place, AXES, 60.0, SINKS) as there:
+    with hall(place, AXES, 60.0) as there:
         (reported,) = [one for one in there.notices() if one["event"] == "checkpoint"]
         went_on = reported.get("restored") == AXES
         yield f"started again from the last checkpoint ({reported.get('restored', 0)} axes go on)", went_on

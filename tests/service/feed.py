@@ -81,7 +81,6 @@ class Host:
 
     folder: Path
     name: str = "hall-3"
-    state: Path | None = None
     counters: Counters = field(default_factory=Counters)
     reported: list[dict[str, Any]] = field(default_factory=list)
 

@@ -117,7 +117,7 @@ SENT = (
 
 
 def test_lines_of_telegraf_are_samples(axis: Axis, tmp_path: Path) -> None:
-    context = Context("hall", tmp_path, None, Counters(), lambda what: None, {"x1": axis}.get)
+    context = Context("hall", tmp_path, Counters(), lambda what: None, {"x1": axis}.get)
     with standard_input() as send:
         taken = Taken(StdinSource(kind="stdin").make("telegraf", context))
         for k in range(0, len(SENT), 37):

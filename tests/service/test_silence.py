@@ -23,6 +23,7 @@ from pmfid.service.arrangement import arrange_groups
 from pmfid.service.metrics import exposition
 from pmfid.service.plant import SINKS, load_plant
 from pmfid.service.run import Service
+from pmfid.service.sinks.history import HistorySink
 from pmfid.service.sinks.plain import NoticeLog
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.web.board import Board
@@ -32,6 +33,7 @@ from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.outcome import Counters, Notice
+from pmfid.stream.store import FILE
 from pmfid.stream.tuning import TUNING
 from studies.service.processes import service
 from tests.patience import PATIENCE
@@ -338,18 +340,18 @@ def test_by_default_the_webhook_posts_both(reported: list[Notice], tmp_path: Pat
 
 
 def test_the_database_has_both(reported: list[Notice], tmp_path: Path) -> None:
-    outlet = SINKS["sqlite"].model_validate({"kind": "sqlite", "path": "a.sqlite"}).outlet("a", Host(tmp_path))
+    outlet = Queued(HistorySink(tmp_path / FILE), Counters(), [].append, rows_wanted=False)
     outlet.start()
     for one in reported:
         outlet.notice(one)
     assert outlet.close(PATIENCE)
-    assert events_in(tmp_path / "a.sqlite") == ["alarm"] * 3 + ["cleared"] * 3
+    assert events_in(tmp_path / FILE) == ["alarm"] * 3 + ["cleared"] * 3
 
 
-def events_in(file: Path, more: str = "") -> list[str]:
+def events_in(file: Path) -> list[str]:
     """Return the events of a database's notices."""
     with closing(sqlite3.connect(file)) as database:
-        rows = database.execute(f"SELECT event FROM notices WHERE event IN ('alarm', 'cleared') {more} ORDER BY id")
+        rows = database.execute("SELECT event FROM notices WHERE event IN ('alarm', 'cleared') ORDER BY id")
         return [event for (event,) in rows]
 
 
@@ -426,9 +428,10 @@ config = "axis.toml"
 [sources.log]
 kind = "stdin"
 axis = "x1"
-[sinks.lines]
-kind = "sqlite"
-path = "folder/that/is/a/file/a.sqlite"
+[sinks.hook]
+kind = "webhook"
+url = "{url}"
+events = ["alarm", "cleared"]
 """
 
 
@@ -443,32 +446,35 @@ def reported_in_order(one: Acting) -> list[tuple[str, str]]:
 
 
 def test_a_service_tells_silence_once_over_a_restart_and_its_end(folder: Path) -> None:  # noqa: F811
-    (folder / "plant.toml").write_text(PLANT)
     rows = (folder / "run.csv").read_text().splitlines(keepends=True)
-    (folder / "folder").write_text("in the way")
-    first = acting(folder)
-    with standard_input() as send:
-        first.run(lambda: send("".join(rows[:200])), lambda: first.until("alarm", times=2))
-    assert sorted(reported_in_order(first)) == [("sink", "alarm"), ("source", "alarm")], (
-        "the alarm of the source stands for its axis"
-    )
+    silent = {"sink": "alarm", "source": "alarm"}
+    with web_server(500) as server:
+        (folder / "plant.toml").write_text(PLANT.replace("{url}", server.url))
+        first = acting(folder)
+        with standard_input() as send:
+            first.run(
+                lambda: send("".join(rows[:200])), lambda: until(lambda: dict(reported_in_order(first)) == silent)
+            )
+        assert dict(reported_in_order(first)) == silent, "the alarm of the source stands for its axis"
+        second = acting(folder)
 
-    second = acting(folder)
+        def back() -> None:
+            shown = ("pmfid_sink_silent", (("sink", "hook"),))
+            assert until(lambda: second.service.counters.values().get(shown) == 1)
+            time.sleep(2.0)
+            assert reported_in_order(second) == []
+            server.answers[:] = [200]
+            server.got.clear()
+            send("".join([rows[0], *rows[200:400]]))
 
-    def back() -> None:
-        shown = ("pmfid_sink_silent", (("sink", "lines"),))
-        assert until(lambda: second.service.counters.values().get(shown) == 1)
-        time.sleep(2.0)
-        assert reported_in_order(second) == []
-        (folder / "folder").unlink()
-        send("".join([rows[0], *rows[200:400]]))
-
-    with standard_input() as send:
-        second.run(back, lambda: second.until("cleared", times=2))
-    first_reported = dict(reversed(reported_in_order(second)))
-    assert first_reported == dict.fromkeys(("sink", "source"), "cleared")
-    written = events_in(folder / "folder/that/is/a/file/a.sqlite", 'and what LIKE \'%"silent":"sink"%\'')
-    assert written == ["alarm", "cleared"], "once it works, it has it, too"
+        with standard_input() as send:
+            second.run(back, lambda: second.until("cleared", times=2))
+    assert dict(reversed(reported_in_order(second))) == dict.fromkeys(("sink", "source"), "cleared")
+    posted = [json.loads(body) for _, _, body in server.got]
+    of_sink = [one["event"] for one in posted if one.get("silent") == "sink"]
+    assert list(dict.fromkeys(of_sink)) == ["alarm", "cleared"], "once it works, it has it, too"
+    kept = events_in(folder / "kept" / FILE)
+    assert sorted(kept) == sorted(event for one in (first, second) for _, event in reported_in_order(one))
 
 
 @pytest.mark.long

@@ -12,12 +12,9 @@ import pytest
 from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
 from pmfid.service.plant import SINKS
-from tests.patience import PATIENCE
-from tests.service.feed import Host, alarm, block, kindred, until
-from tests.tuned import set_tuning
+from tests.service.feed import Host
 
 NEEDED: dict[str, dict[str, object]] = {
-    "sqlite": {"path": "a.sqlite"},
     "webhook": {"url": "https://example.org"},
 }
 
@@ -50,27 +47,3 @@ def test_no_sink_brings_a_heavy_library_before_it_is_used() -> None:
     loaded = {name.partition(".")[0] for name in json.loads(run.stdout)}
     assert "pydantic" in loaded
     assert not {"polars", "paho", "matplotlib", "scipy.stats", "starlette", "uvicorn"} & loaded
-
-
-@pytest.mark.skipif(not Path("/proc/self").exists(), reason="this system has no /proc, where nobody can make files")
-def test_a_folder_that_nothing_can_be_written_to_is_reported_once_and_costs_only_what_is_dropped(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.001)
-    host = Host(tmp_path)
-    outlet = (
-        SINKS["sqlite"]
-        .model_validate({"path": "/proc/a", "kind": "sqlite", "queue_rows": 30, "queue_notices": 5})
-        .outlet("a", host)
-    )
-    outlet.start()
-    for number in range(1, 101):
-        outlet.rows(block(kindred(3), number))
-        outlet.notice(alarm(number))
-    assert until(lambda: host.count("pmfid_sink_errors_total", sink="a") > 2)
-    assert outlet.close(PATIENCE)
-    assert host.reported[0]["works"] is False
-    assert len(host.reported) <= 2, "and once more at the end"
-    assert host.count("pmfid_sink_working", sink="a") == 0
-    rows, notices = (host.count(f"pmfid_dropped_{what}_total", sink="a") for what in ("rows", "notices"))
-    assert (rows, notices) == (0, 100)

@@ -1,10 +1,11 @@
-"""Checkpoints: two generations, damaged files set aside, and disks that are full, read-only or not owned."""
+"""The states in the file of a service: damaged files are set aside, and a full disk costs only checkpoints."""
 
 from __future__ import annotations
 
 import errno
-import os
+import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 from threading import current_thread
@@ -13,19 +14,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmfid import durable as module
 from pmfid.errors import UsageError
 from pmfid.service import keeping
 from pmfid.service.arrangement import arrange_groups
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.sinks.queued import Queued
 from pmfid.simulation import CART_DT
-from pmfid.stream.checkpoint import StateBuffer, Vault, read_snapshot, snapshot
+from pmfid.stream.checkpoint import StateBuffer, read_snapshot, snapshot
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
+from pmfid.stream.store import FILE, Vault
 from tests.patience import PATIENCE
+from tests.service.test_history_sink import full_at
 from tests.tuned import set_tuning
 
 Report = list[dict[str, Any]]
@@ -48,10 +50,8 @@ def written(folder: Path, *bodies: bytes) -> None:
 
 def loaded(folder: Path) -> tuple[str | None, Report]:
     reported: Report = []
-    vault = Vault(folder)
-    found = vault.load(as_text, reported.append)
-    vault.close()
-    return found, reported
+    with closing(Vault(folder)) as vault:
+        return vault.load(as_text, reported.append), reported
 
 
 def flip(data: bytes, place: int) -> bytes:
@@ -60,48 +60,46 @@ def flip(data: bytes, place: int) -> bytes:
 
 #: Damages of a file by their kind.
 DAMAGE: dict[str, Callable[[bytes], bytes]] = {
-    "empty": lambda data: b"",
-    "cut short": lambda data: data[:-1],
+    "cut short": lambda data: data[:-4096],
     "cut in the head": lambda data: data[:20],
-    "one more byte": lambda data: data + b"x",
-    "a bit of the body": lambda data: flip(data, len(data) - 2),
-    "a bit of the sequence number": lambda data: flip(data, 16),
-    "a bit of the length": lambda data: flip(data, 25),
-    "a bit of the checksum": lambda data: flip(data, 13),
-    "another version": lambda data: flip(data, 8),
-    "zeros": lambda data: bytes(len(data)),
+    "a bit of the body": lambda data: flip(data, data.index(b"te 2") + 3),
+    "no file of SQLite": lambda data: b"x" * len(data),
 }
 
 
-def test_the_newest_is_taken_and_two_generations_are_kept(tmp_path: Path) -> None:
+def test_the_newest_is_taken(tmp_path: Path) -> None:
     assert loaded(tmp_path / "a" / "b") == (None, [])
     written(tmp_path, b"state 1", b"state 2", b"state 3")
     written(tmp_path, b"state 4")
     assert loaded(tmp_path) == ("state 4", [])
-    assert sorted(path.name for path in tmp_path.glob("checkpoint*")) == ["checkpoint-0", "checkpoint-1"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "lock", FILE]
 
 
 @pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
-def test_a_damaged_one_is_set_aside_and_the_older_one_is_taken(
-    tmp_path: Path, damage: Callable[[bytes], bytes]
-) -> None:
+def test_a_damaged_file_is_set_aside(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
     written(tmp_path, b"state 1", b"state 2")
-    newest = tmp_path / "checkpoint-0"
-    newest.write_bytes(damage(newest.read_bytes()))
+    path = tmp_path / FILE
+    path.write_bytes(damage(path.read_bytes()))
     found, reported = loaded(tmp_path)
-    assert found == "state 1"
-    assert [(what["event"], what["damaged"]) for what in reported] == [("checkpoint", "checkpoint-0.damaged-1")]
-    assert (tmp_path / "checkpoint-0.damaged-1").exists()
+    assert found is None
+    assert [(what["event"], what["damaged"]) for what in reported] == [("checkpoint", f"{FILE}.damaged-1")]
+    assert (tmp_path / f"{FILE}.damaged-1").exists()
     written(tmp_path, b"state 5")
     assert loaded(tmp_path) == ("state 5", [])
 
 
-def test_with_neither_the_service_starts_again(tmp_path: Path) -> None:
-    written(tmp_path, b"state 1", b"other 2")
-    (tmp_path / "checkpoint-1").write_bytes(b"PMFIDCKP and nothing else")
-    found, reported = loaded(tmp_path)
-    assert found is None
-    assert len(reported) == 2
+def test_states_of_another_version_are_refused_in_a_sentence(tmp_path: Path) -> None:
+    written(tmp_path, b"state 1")
+    with closing(sqlite3.connect(tmp_path / FILE)) as database:
+        database.execute("PRAGMA user_version = 99")
+    with pytest.raises(UsageError, match=r"another version of pmfid, .* use that version, or choose another folder"):
+        loaded(tmp_path)
+
+
+def test_large_states_have_several_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    set_tuning(monkeypatch, "pmfid.stream.store", store_piece=7)
+    written(tmp_path, b"state " + b"y" * 1000)
+    assert loaded(tmp_path) == ("state " + "y" * 1000, [])
 
 
 def test_a_folder_has_one_service(tmp_path: Path) -> None:
@@ -180,16 +178,11 @@ def test_alarms_that_a_sink_does_not_have_yet_survive(prepared: Prepared) -> Non
     assert read_snapshot(b"".join(snapshot(engine))).unwritten == {}
 
 
-def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(
-    prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(prepared: Prepared, tmp_path: Path) -> None:
     counters, reported, done = Counters(), Report(), list[int]()
     keeper = Checkpoints(Vault(tmp_path), 0.0, counters, reported.append)
     engine = engine_of(prepared)
     engine.keeper = keeper
-
-    def full(number: int) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def checkpoint(k: int) -> None:
         engine.process([Delivery("source", [block(10 * k)], lambda: done.append(k))])
@@ -199,15 +192,14 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(
             assert keeper._changed.wait_for(lambda: keeper._job is None, PATIENCE)
 
     checkpoint(0)
-    with monkeypatch.context() as patch:
-        patch.setattr(module.os, "fsync", full)
+    with full_at(8192):
         checkpoint(1)
         checkpoint(2)
     checkpoint(3)
     keeper.offer(engine, last=True)
     assert done == [0, 1, 2, 3]
     assert [("works" in what, what.get("problem", "").split(";")[0]) for what in reported] == [
-        (False, "no checkpoint can be written: No space left on device"),
+        (False, f"no checkpoint can be written: {FILE}: disk I/O error"),
         (True, ""),
     ]
     values = {name: value for (name, _), value in counters.values().items()}
@@ -218,7 +210,6 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(
     vault.close()
     assert found is not None
     assert found.groups[0].restore_group(prepared, Pace()).numbers.tolist() == [40, 0]
-    assert not list(tmp_path.glob("*.part"))
 
 
 def test_a_large_state_is_not_written_all_the_time(

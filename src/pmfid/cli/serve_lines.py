@@ -107,7 +107,7 @@ def _reference(what: Fields) -> str:
 
 def _checkpoint(what: Fields) -> str:
     if "damaged" in what:
-        return f"a damaged checkpoint is set aside as {what['damaged']}: {what['problem']}"
+        return f"the damaged file of the states is set aside as {what['damaged']}: {what['problem']}"
     if "problem" in what:
         return f"checkpoints: {what['problem']}"
     if "works" in what:

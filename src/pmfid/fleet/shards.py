@@ -26,11 +26,12 @@ from pmfid.fleet.store import whole
 from pmfid.monitor.events import STATES
 from pmfid.stream import blocks
 from pmfid.stream.blocks import HEADER, MAGIC
-from pmfid.stream.checkpoint import Saved, Snapshot, Vault, body_from, body_of, join_groups, read_snapshot, snapshot
+from pmfid.stream.checkpoint import Saved, Snapshot, body_from, body_of, join_groups, read_snapshot, snapshot
 from pmfid.stream.delivery import Block, Delivery, Item, Table, Unusable, split_tables
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
+from pmfid.stream.store import Vault
 from pmfid.stream.tuning import TUNING as STREAM_TUNING
 
 if TYPE_CHECKING:
@@ -322,7 +323,9 @@ class States:
                 vault.load(read_snapshot, lambda problem: None)  # the new snapshot follows the present ones
                 vault.write([self._body(prepared, pace, set(chosen))])
             except OSError as error:
-                raise UsageError(f"{folder}: {error.strerror}; free some space, or choose another folder") from None
+                raise UsageError(
+                    f"{folder}: {error.strerror or error}; free some space, or choose another folder"
+                ) from None
         return len(chosen)
 
     def _body(self, prepared: Prepared, pace: Pace, names: Collection[str]) -> bytes:

@@ -75,12 +75,11 @@ class Context:
     """The part of the service that sources and sinks may use.
 
     `name` is the name of the service. `folder` is the folder of PLANT.toml, to which names of files are relative.
-    `state` is the folder of the checkpoints, or None without checkpoints. `counters` and `tell` belong to the service.
+    `counters` and `tell` belong to the service.
     """
 
     name: str
     folder: Path
-    state: Path | None
     counters: Counters
     tell: Tell
     axis: FindAxis

@@ -10,9 +10,10 @@ from typing import Any
 
 from pmfid.durable import crash_point
 from pmfid.service.tuning import TUNING
-from pmfid.stream.checkpoint import Draft, StateBuffer, Vault, draft, state_size
+from pmfid.stream.checkpoint import Draft, StateBuffer, draft, state_size
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.outcome import Counters
+from pmfid.stream.store import Vault
 
 Done = Callable[[], object]
 

@@ -18,7 +18,6 @@ from pmfid.errors import UsageError, did_you_mean
 from pmfid.service.context import SourceSection
 from pmfid.service.sinks.mqtt import MqttSinkSection
 from pmfid.service.sinks.queued import SinkSection
-from pmfid.service.sinks.sqlite import SqliteSection
 from pmfid.service.sinks.webhook import WebhookSection
 from pmfid.service.sources.mqtt import MqttSourceSection
 from pmfid.service.sources.record import RecordSource
@@ -33,7 +32,6 @@ SOURCES: dict[str, type[SourceSection]] = {
 }
 SINKS: dict[str, type[SinkSection]] = {
     "mqtt": MqttSinkSection,
-    "sqlite": SqliteSection,
     "webhook": WebhookSection,
 }
 #: Pattern of names of the service, axes, sources and sinks, because these names occur in topics and file names.

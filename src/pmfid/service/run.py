@@ -26,14 +26,16 @@ from pmfid.service.context import Context
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.plant import Plant, page_config
 from pmfid.service.running import Running
+from pmfid.service.sinks.history import HistorySink
 from pmfid.service.sinks.plain import NoticeLog
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.board import Board
-from pmfid.stream.checkpoint import Snapshot, Vault, read_snapshot
+from pmfid.stream.checkpoint import Snapshot, read_snapshot
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.outcome import Counters, Notice, Outlet
+from pmfid.stream.store import FILE, Vault
 
 if TYPE_CHECKING:
     from pmfid.service.web.server import Page
@@ -179,10 +181,10 @@ class Service:
         saved, awaited = self._saved, len(engine.awaited)
         try:
             groups = [] if saved is None else self._restore_groups(saved)
-        except ValueError:  # the older checkpoint takes its place
-            saved, groups = vault.load(self._read, self._tell_now) or (None, [])
-            if saved is not None:
-                self._restore_rest(saved)
+        except ValueError as error:
+            problem = f"the states in {FILE} cannot be used: {error}; the service starts without them"
+            self._tell_now({"event": "checkpoint", "problem": problem})
+            saved, groups = None, []
         fresh = self._arrange(groups)
         started = len(fresh) + awaited
         if saved is None:
@@ -193,11 +195,6 @@ class Service:
         restored = {"event": "checkpoint", "restored": len(self._axes) - len(fresh), "fresh": started}
         more = {"changed": changed[: TUNING.most_names]} if changed else {}
         self._tell_now({**restored, "made": saved.wall, **more})
-
-    def _read(self, body: bytes) -> tuple[Snapshot, list[Group]]:
-        """Return a checkpoint with its groups. Raises ValueError for an invalid checkpoint."""
-        saved = read_snapshot(body)
-        return saved, self._restore_groups(saved)
 
     def _restore_groups(self, saved: Snapshot) -> list[Group]:
         """Return the groups with a configuration that still exists."""
@@ -219,8 +216,10 @@ class Service:
 
     def _start(self, plant: Plant) -> None:
         tell, find = self._engine.tell, self._find_axis
-        context = Context(plant.service.name, plant.folder, plant.state, self.counters, tell, find)
+        context = Context(plant.service.name, plant.folder, self.counters, tell, find)
         self._sinks = [section.outlet(name, context) for name, section in plant.sinks.items()]
+        if plant.state is not None:
+            self._sinks.append(Queued(HistorySink(plant.state / FILE), self.counters, tell, rows_wanted=False))
         self._engine.silence.sinks = self._sinks
         self._engine.unwritten = lambda: {sink.name: sink.unwritten() for sink in self._sinks}
         for queued in self._sinks:

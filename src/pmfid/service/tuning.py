@@ -84,10 +84,6 @@ class ServiceTuning:
     #: Largest number of different problems with refused outcomes that are reported.
     most_refusals: int = 10
 
-    # sinks.sqlite
-    #: Time for which another process may hold the file [s].
-    sqlite_busy: float = 5.0
-
     # sinks.webhook
     #: Number of bytes that are read of an answer.
     most_answer: int = 1 << 16

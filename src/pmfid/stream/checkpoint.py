@@ -7,12 +7,11 @@ import struct
 import time
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.durable import CheckpointFolder
 from pmfid.errors import UsageError
 from pmfid.monitor import Monitor
 from pmfid.monitor.saved import seal_parts
@@ -38,13 +37,6 @@ _COLUMNS = tuple(name for name in SEAT.names or () if name not in ("seat", "noti
 HELD = np.dtype(
     [("seat", "<i8"), ("epoch", "<i8"), ("first", "<i8"), ("time", "<f8"), ("dt", "<f8"), ("samples", "<i8")]
 )
-
-
-class Vault(CheckpointFolder):
-    """The folder `[service] state`, which only one service uses at a time."""
-
-    setting: ClassVar[str] = "[service] state"
-    other: ClassVar[str] = "another service"
 
 
 class StateBuffer:

@@ -83,5 +83,11 @@ class StreamTuning:
     #: Largest number of kept alarms. Above this number, the oldest acknowledged or finished alarm goes first.
     outcome_most: int = 2000
 
+    # store
+    #: Time for which another writer or reader may hold the file [s]. States of a million axes take seconds.
+    store_busy: float = 60.0
+    #: Largest number of bytes in one value of the database. SQLite takes at most 10^9.
+    store_piece: int = 2**26
+
 
 TUNING = StreamTuning()

@@ -1,4 +1,4 @@
-"""Alarms in SQLite: each alarm once, a batch completely or not at all, and present after a kill."""
+"""The history of a service: each alarm once, a batch completely or not at all, and present after a kill."""
 
 from __future__ import annotations
 
@@ -13,10 +13,9 @@ from typing import Any
 
 import pytest
 
-from pmfid.config.toml_file import FileSection, validate_sections
-from pmfid.errors import UsageError
-from pmfid.service.sinks import sqlite
-from pmfid.service.sinks.sqlite import SqliteSection, SqliteSink
+from pmfid.service.sinks.history import HistorySink
+from pmfid.service.sinks.queued import Queued
+from pmfid.stream import store
 from pmfid.stream.outcome import EstimateRows, Notice
 from tests.patience import PATIENCE
 from tests.service.feed import Host, alarm, block, kindred, notice, until
@@ -30,7 +29,7 @@ def of(path: Path, query: str) -> list[tuple[Any, ...]]:
 
 
 def written(path: Path, *outcomes: EstimateRows | Notice) -> None:
-    sink = SqliteSink("a", path)
+    sink = HistorySink(path)
     sink.open()
     sink.put(list(outcomes))
     sink.close()
@@ -50,7 +49,7 @@ def full_at(size: int) -> Iterator[None]:
 
 
 def test_alarms_acknowledgements_and_configurations_have_tables(tmp_path: Path) -> None:
-    path = tmp_path / "new" / "alarms.sqlite"
+    path = tmp_path / "alarms.sqlite"
     configured = notice(3, "configuration", config="cart.toml", digest="ab12")
     known = notice(4, "acknowledged", alarm=1, note="seen; DROP TABLE notices")
     written(path, alarm(1), block(kindred()), notice(2, "gap", missing=5), configured, known)
@@ -68,7 +67,7 @@ def test_alarms_acknowledgements_and_configurations_have_tables(tmp_path: Path) 
         (4, "acknowledged", None),
     ]
     assert of(path, "PRAGMA journal_mode") == [("wal",)]
-    assert of(path, "PRAGMA user_version") == [(1,)]
+    assert of(path, "PRAGMA user_version") == [(store.VERSION,)]
 
 
 def test_what_comes_again_is_written_once(tmp_path: Path) -> None:
@@ -117,7 +116,7 @@ def test_numbers_that_are_none_and_alarms_that_are_not_there(tmp_path: Path) -> 
 
 def test_all_or_none_on_a_full_disk_and_all_when_there_is_room(tmp_path: Path) -> None:
     path = tmp_path / "a.sqlite"
-    sink = SqliteSink("a", path)
+    sink = HistorySink(path)
     sink.open()
     sink.put([alarm(1)])
     wal = path.with_name("a.sqlite-wal")
@@ -132,38 +131,29 @@ def test_all_or_none_on_a_full_disk_and_all_when_there_is_room(tmp_path: Path) -
     assert of(path, "PRAGMA integrity_check") == [("ok",)]
 
 
-def test_a_sink_that_cannot_write_tells_and_goes_on_by_itself(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_history_that_cannot_be_written_tells_and_goes_on_by_itself(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.01)
     host = Host(tmp_path)
-    blocked = tmp_path / "folder"
-    blocked.write_text("a file where a folder is wanted")
-    outlet = SqliteSection(path="folder/a.sqlite").outlet("alarms", host)
+    (tmp_path / "a.sqlite").mkdir()
+    outlet = Queued(HistorySink(tmp_path / "a.sqlite"), host.counters, host.tell, rows_wanted=False)
     outlet.start()
     outlet.notice(alarm(1))
     outlet.rows(block(kindred()))
     assert until(lambda: host.reported)
-    blocked.unlink()
+    (tmp_path / "a.sqlite").rmdir()
     assert until(lambda: len(host.reported) == 2)
     assert outlet.close(PATIENCE)
-    assert "folder" in host.reported[0]["problem"]
+    assert "a.sqlite" in host.reported[0]["problem"]
     assert host.reported[1]["works"]
-    assert of(tmp_path / "folder" / "a.sqlite", "SELECT number FROM alarms") == [(1,)]
+    assert of(tmp_path / "a.sqlite", "SELECT number FROM alarms") == [(1,)]
 
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="this system has no /proc, where nobody can make files")
 def test_a_folder_that_is_read_only_is_an_error_that_may_pass() -> None:
     with pytest.raises(OSError, match="unable to open"):
-        SqliteSink("a", Path("/proc/a.sqlite")).open()
-
-
-def test_without_a_path_it_lies_where_the_state_is_kept(tmp_path: Path) -> None:
-    for host in (Host(tmp_path), Host(tmp_path, state=tmp_path / "state")):
-        sink = SqliteSection().make("alarms", host)
-        sink.open()
-        sink.put([alarm(1)])
-        sink.close()
-    assert of(tmp_path / "alarms.sqlite", "SELECT number FROM alarms") == [(1,)]
-    assert of(tmp_path / "state" / "alarms.sqlite", "SELECT number FROM alarms") == [(1,)]
+        HistorySink(Path("/proc/a.sqlite")).open()
 
 
 def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
@@ -172,29 +162,21 @@ def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
     with closing(sqlite3.connect(other)) as database:
         database.execute("CREATE TABLE alarms (a)")
     with closing(sqlite3.connect(newer)) as database:
-        database.execute(f"PRAGMA application_id = {sqlite.APPLICATION}")
-        database.execute(f"PRAGMA user_version = {sqlite.VERSION + 1}")
-    for path, problem in ((text, "not a database"), (other, "another program"), (newer, "newer version")):
+        database.execute(f"PRAGMA application_id = {store.APPLICATION}")
+        database.execute(f"PRAGMA user_version = {store.VERSION + 1}")
+    for path, problem in ((text, "not a database"), (other, "another program"), (newer, "another version")):
         before = path.read_bytes()
         with pytest.raises(OSError, match=problem):
-            SqliteSink("a", path).open()
+            HistorySink(path).open()
         assert path.read_bytes() == before
-
-
-def test_a_misspelt_key_is_named() -> None:
-    class Whole(FileSection):
-        alarms: SqliteSection
-
-    with pytest.raises(UsageError, match="file is an unknown key; known are"):
-        validate_sections(Whole, {"alarms": {"kind": "sqlite", "file": "a"}})
 
 
 WRITER = """
 import sys
 from pathlib import Path
-from pmfid.service.sinks.sqlite import SqliteSink
+from pmfid.service.sinks.history import HistorySink
 from tests.service.feed import alarm
-sink = SqliteSink("a", Path(sys.argv[1]))
+sink = HistorySink(Path(sys.argv[1]))
 sink.open()
 for number in range(1, 10**6, 3):
     sink.put([alarm(number), alarm(number + 1), alarm(number + 2)])

@@ -1,0 +1,232 @@
+"""The file of a service, an SQLite database with its states and with the history of its notices."""
+
+from __future__ import annotations
+
+import sqlite3
+import zlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Any, TypeVar
+
+from pmfid.durable import crash_point, hold
+from pmfid.errors import UsageError
+from pmfid.stream.tuning import TUNING
+
+#: Name of the file in the folder `[service] state`.
+FILE = "pmfid.sqlite"
+#: Version of the tables, and the number that marks such a file ("pmfd"). The file contains both.
+VERSION, APPLICATION = 2, 0x706D6664
+
+SCHEMA = """
+CREATE TABLE checkpoint (sequence INTEGER NOT NULL, checksum INTEGER NOT NULL);
+CREATE TABLE states (part INTEGER PRIMARY KEY, body BLOB NOT NULL);
+CREATE TABLE notices (
+    id INTEGER PRIMARY KEY,
+    number INTEGER NOT NULL,  -- raised by one from notice to notice
+    axis TEXT NOT NULL,       -- "" for the service itself
+    event TEXT NOT NULL,
+    wall REAL NOT NULL,       -- seconds since 1970 when it was found
+    what TEXT NOT NULL,       -- JSON, as `pmfid monitor --json` prints it
+    UNIQUE (number, axis, what)
+);
+CREATE INDEX notices_of_axis ON notices (axis, event, id);
+CREATE TABLE alarms (
+    id INTEGER PRIMARY KEY REFERENCES notices (id),
+    number INTEGER NOT NULL,
+    axis TEXT NOT NULL,
+    wall REAL NOT NULL,
+    time REAL,                -- [s] by the clock of the axis
+    changed_at REAL,
+    parameter TEXT,
+    direction TEXT,
+    change REAL,
+    std REAL,
+    unit TEXT,
+    relative REAL,
+    statistic REAL,
+    threshold REAL
+);
+CREATE INDEX alarms_by_number ON alarms (number);
+CREATE TABLE acknowledgements (
+    id INTEGER PRIMARY KEY REFERENCES notices (id),
+    alarm INTEGER REFERENCES alarms (id),  -- NULL where that alarm is not in this file
+    axis TEXT NOT NULL,
+    wall REAL NOT NULL,
+    note TEXT NOT NULL
+);
+CREATE TABLE configurations (
+    id INTEGER PRIMARY KEY REFERENCES notices (id),
+    axis TEXT NOT NULL,
+    wall REAL NOT NULL,
+    config TEXT,
+    digest TEXT,
+    what TEXT NOT NULL
+);
+"""
+
+Event = dict[str, Any]
+Content = TypeVar("Content")
+
+
+class VersionError(UsageError):
+    """Raised for a file of another version, or of another program."""
+
+
+@contextmanager
+def raise_os_errors(path: Path) -> Iterator[None]:
+    """Convert errors of SQLite to OSError, because a full disk or a file in use may be temporary."""
+    try:
+        yield
+    except sqlite3.Error as error:
+        raise OSError(f"{path.name}: {error}") from None
+
+
+def open_database(path: Path) -> sqlite3.Connection:
+    """Open the file, which is made if it is absent. Any thread may use the connection, but only one at a time.
+
+    Raises sqlite3.Error for a file that cannot be used, and VersionError for a file of another version.
+    """
+    database = sqlite3.connect(path, timeout=TUNING.store_busy, isolation_level=None, check_same_thread=False)
+    try:
+        _prepare(database, path)
+    except BaseException:
+        database.close()
+        raise
+    return database
+
+
+def _prepare(database: sqlite3.Connection, path: Path) -> None:
+    """Make the tables in a new file, or check an existing file."""
+    (application,), (version,) = (
+        database.execute(f"PRAGMA {key}").fetchone() for key in ("application_id", "user_version")
+    )
+    new = application == 0 and not database.execute("SELECT 1 FROM sqlite_master").fetchone()
+    if not new and (application, version) != (APPLICATION, VERSION):
+        raise VersionError(
+            f"{path}: another version of pmfid, or another program, wrote this file; use that version, or choose "
+            "another folder"
+        )
+    # Readers do not delay the writer, and a transaction is on the disk when it ends.
+    database.execute("PRAGMA journal_mode = WAL")
+    database.execute("PRAGMA synchronous = FULL")
+    if new:
+        with transaction(database):
+            for statement in SCHEMA.split(";\n"):
+                database.execute(statement)
+            database.execute(f"PRAGMA application_id = {APPLICATION}")
+            database.execute(f"PRAGMA user_version = {VERSION}")
+
+
+@contextmanager
+def transaction(database: sqlite3.Connection) -> Iterator[None]:
+    """Write all or nothing."""
+    database.execute("BEGIN IMMEDIATE")
+    try:
+        yield
+        database.execute("COMMIT")
+    except BaseException:
+        if database.in_transaction:  # SQLite ends the transaction by itself after some errors
+            database.execute("ROLLBACK")
+        raise
+
+
+class Vault:
+    """The states in the file of a folder, which only one service uses at a time. The folder is made if it is absent.
+
+    `sequence` is the number of the last checkpoint. Raises UsageError if another service has the folder, or if the
+    folder cannot be made.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path, self.sequence = folder / FILE, 0
+        self._lock: IO[bytes] = hold(folder, "[service] state", "another service")
+        self._database: sqlite3.Connection | None = None
+
+    def load(self, read: Callable[[bytes], Content], tell: Callable[[Event], None]) -> Content | None:
+        """Return the result of `read` for the states, or None without states.
+
+        A file that is damaged, or that `read` refuses with ValueError, is renamed and reported. Raises UsageError for a
+        file of another version.
+        """
+        try:
+            body = self._body()
+            return None if body is None else read(body)
+        except (sqlite3.Error, ValueError) as error:
+            self._set_aside(str(error), tell)
+            return None
+
+    def _body(self) -> bytes | None:
+        database = self._open()
+        row = database.execute("SELECT sequence, checksum FROM checkpoint").fetchone()
+        if row is None:
+            return None
+        body = b"".join(part for (part,) in database.execute("SELECT body FROM states ORDER BY part"))
+        if zlib.crc32(body) != row[1]:
+            raise ValueError("its checksum is wrong")
+        self.sequence = max(self.sequence, int(row[0]))
+        return body
+
+    def _open(self) -> sqlite3.Connection:
+        self._database = self._database or open_database(self.path)
+        return self._database
+
+    def _drop(self) -> None:
+        database, self._database = self._database, None
+        if database is not None:
+            with suppress(sqlite3.Error):
+                database.close()
+
+    def _set_aside(self, problem: str, tell: Callable[[Event], None]) -> None:
+        """Rename a damaged file, so that people can examine it and no new file overwrites it."""
+        self._drop()
+        numbered = (self.path.with_name(f"{FILE}.damaged-{k}") for k in range(1, 10**6))
+        place = next(path for path in numbered if not path.exists())
+        try:
+            for end in ("-wal", "-shm", ""):
+                if (path := self.path.with_name(FILE + end)).exists():
+                    path.rename(place.with_name(place.name + end))
+        except OSError as error:
+            place, problem = self.path, f"{problem}; it cannot be set aside: {error.strerror}"
+        tell({"event": "checkpoint", "damaged": place.name, "problem": problem})
+
+    def write(self, chunks: Sequence[bytes | memoryview]) -> None:
+        """Replace the states, which are on the disk when this method returns. Raises OSError if it fails, and the
+        previous states then remain."""
+        sequence, pieces, checksum = self.sequence + 1, list(_split(chunks)), 0
+        with self._dropped_after_errors(), raise_os_errors(self.path):
+            database = self._open()
+            with transaction(database):
+                database.execute("DELETE FROM checkpoint")
+                database.execute("DELETE FROM states")
+                for part, piece in enumerate(pieces):
+                    if part == len(pieces) // 2:
+                        crash_point("checkpoint.half")
+                    checksum = zlib.crc32(piece, checksum)
+                    database.execute("INSERT INTO states VALUES (?, ?)", (part, piece))
+                database.execute("INSERT INTO checkpoint VALUES (?, ?)", (sequence, checksum))
+                crash_point("checkpoint.written")
+        self.sequence = sequence
+        crash_point("checkpoint.durable")
+
+    @contextmanager
+    def _dropped_after_errors(self) -> Iterator[None]:
+        """Open the file again after an error, when the disk may be another one."""
+        try:
+            yield
+        except OSError:
+            self._drop()
+            raise
+
+    def close(self) -> None:
+        """Unlock the folder for other services."""
+        self._drop()
+        self._lock.close()
+
+
+def _split(chunks: Sequence[bytes | memoryview]) -> Iterator[memoryview]:
+    """Yield pieces that SQLite takes as one value."""
+    for chunk in chunks:
+        view = memoryview(chunk).cast("B")
+        for k in range(0, len(view), TUNING.store_piece):
+            yield view[k : k + TUNING.store_piece]
