@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ import pmfid
 from pmfid._body import BASE, ELASTIC_BASE, KINDS, run
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
+from pmfid.fit.second_mass import find_second_mass
 from pmfid.types import Counts, Floats
 from tests.oracles.two_mass import TwoMasses, simulate_two_masses
 
@@ -70,8 +72,8 @@ def test_a_stiff_spring_is_a_rigid_axis() -> None:
     assert np.max(np.abs(simulate(theta)[0] - y)) < 1e-2 * np.ptp(y)
 
 
-def record() -> tuple[Floats, Counts, float]:
-    u, resolution = np.random.default_rng(3).uniform(-1, 1, 150).repeat(12), 1e-5
+def record(seed: int = 3) -> tuple[Floats, Counts, float]:
+    u, resolution = np.random.default_rng(seed).uniform(-1, 1, 150).repeat(12), 1e-5
     y = simulate_two_masses(TwoMasses(*PAIRS[0]), u[:-1], STEP, np.zeros(4), 10)[:, 0]
     return u, np.floor(y / resolution + 0.4).astype(np.int64), resolution
 
@@ -93,6 +95,13 @@ def test_both_masses_and_the_spring_are_found(result: pmfid.Result) -> None:
     assert np.sum((result.interval_95[:, 0] <= truth) & (truth <= result.interval_95[:, 1])) >= 7
 
 
+def test_the_motion_of_another_record_follows(result: pmfid.Result) -> None:
+    u, counts, _ = record(4)
+    free = pmfid.validate(result, u, counts)
+    assert free.status == ()
+    assert free.runs[0].rmse < 3 * 1e-5 / np.sqrt(12)
+
+
 def test_people_read_the_resonance(result: pmfid.Result) -> None:
     coupling = result.to_json()["coupling"]
     assert isinstance(coupling, dict)
@@ -100,6 +109,27 @@ def test_people_read_the_resonance(result: pmfid.Result) -> None:
     assert coupling["antiresonance"]["value"] == pytest.approx(20.0 / np.sqrt(2), rel=0.005)
     assert coupling["damping_ratio"]["value"] == pytest.approx(0.02, rel=0.1)
     assert any("resonance 20." in note or "resonance 19.9" in note for note in result.notes)
+
+
+def test_a_rigid_axis_names_the_second_mass() -> None:
+    u, counts, resolution = record()
+    rigid = pmfid.identify(u, counts, model=pmfid.Drive(1.0), dt=STEP, encoder=pmfid.Encoder(resolution))
+    (named,) = [one for one in rigid.findings if one.code == "two_mass"]
+    assert "two_mass" in rigid.status
+    assert re.search(r"a resonance at (19\.9|20|20\.1) Hz", named.sentence)
+    assert named.remedy == 'set body = "two-mass" in [model]'
+
+
+@pytest.mark.parametrize("period", [0.02, 0.3])
+def test_cogging_is_no_second_mass(period: float) -> None:
+    """Two masses come near, and leave more than rounding."""
+    u, _, resolution = record()
+    u, steps = u[:800], np.full(799, STEP)
+    wave = (KINDS["wave"], 0, False, np.zeros(1), period, 0.3, False)
+    theta, row = np.array([1.0, 0.8, 0.25, 0, 0, 0, 0, 0, 0, 0.1]), np.arange(800, dtype=np.int32)
+    y = run([wave], steps, u[:-1], row, np.zeros((0, 799)), theta, 8, False)[0]
+    fit = pmfid.MotionFit(pmfid.Drive(1.0), pmfid.Encoder(resolution), STEP, 20.0)
+    assert find_second_mass(fit.problem(u, np.floor(y / resolution + 0.4).astype(np.int64))) is None
 
 
 @pytest.mark.parametrize("method", ["riv", "bcls", "rls", "iv"])

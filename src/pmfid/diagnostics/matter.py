@@ -18,6 +18,10 @@ FLAGS = {
         "This record cannot exclude Stribeck friction or a dead time that moves a parameter by more than its standard "
         "error and the tolerance. For a transfer function, the record does not show the hold of the input."
     ),
+    "two_mass": (
+        "a second mass on a spring explains the record better, and the inertia of the rigid axis is not that of both: "
+        'set body = "two-mass" in [model]'
+    ),
     "unseen": (
         "effects that this motion cannot show, such as a dead zone under an input of one size, widen the intervals: "
         "record an input of several sizes"
@@ -56,7 +60,7 @@ FLAGS = {
 }
 
 #: Flags of a model whose parameters may be wrong by more than their standard deviations.
-OF_MODEL = frozenset({"unmodelled", "dead_time", "model_spread", "feedback", "biased", "std_too_small"})
+OF_MODEL = frozenset({"unmodelled", "two_mass", "dead_time", "model_spread", "feedback", "biased", "std_too_small"})
 #: Flags of the log, which matter only if the model does not explain the record.
 OF_LOG = frozenset({"held_input", "saturated"})
 

@@ -9,6 +9,7 @@ import numpy as np
 from pmfid.findings import MOVE, Finding
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian
+from pmfid.fit.second_mass import SecondMass
 from pmfid.types import Flags, Floats
 
 #: Status words of candidates that have a word of their own; all others are "unmodelled".
@@ -16,14 +17,22 @@ OWN_WORDS = {"dead_time": "dead_time", "lag": "dead_time"}
 
 
 def findings_of(
-    fitted: Fitted, names: tuple[str, ...], positive: Flags, sizes: Floats, tolerance: float
+    fitted: Fitted,
+    names: tuple[str, ...],
+    positive: Flags,
+    sizes: Floats,
+    tolerance: float,
+    second: SecondMass | None = None,
 ) -> Iterator[Finding]:
     """Yield the findings on a fit.
 
     `positive` (p,) marks inertia and friction. `sizes` (p,) are those to which the errors of the parameters are
-    relative, and `tolerance` is the negligible part.
+    relative, and `tolerance` is the negligible part. A `second` mass stands for the forces that were found without it.
     """
-    yield from _forces(fitted, names, sizes, tolerance)
+    if second is None:
+        yield from _forces(fitted, names, sizes, tolerance)
+    else:
+        yield _describe(second, names[fitted.problem.machine.lead], fitted, tolerance)
     yield from _wandering(fitted)
     yield from _unknown(fitted, names, positive)
     half, std = fitted.half, np.sqrt(np.diag(fitted.covariance))
@@ -58,6 +67,18 @@ def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: fl
             "doubt" if matters else "note",
             detail,
         )
+
+
+def _describe(second: SecondMass, name: str, fitted: Fitted, tolerance: float) -> Finding:
+    """Return the finding on a second mass. It matters if the mass of the rigid axis is not that of both."""
+    off = abs(float(fitted.theta[fitted.problem.machine.lead]) / second.total - 1)
+    return Finding(
+        "two_mass",
+        f"a second mass on a spring, with a resonance at {second.resonance:.3g} Hz, explains the record better",
+        'set body = "two-mass" in [model]',
+        "doubt" if off > tolerance else "note",
+        f"Both masses are {second.total:.4g} together, so that {name} is {format_part(off)} off.",
+    )
 
 
 def _wandering(fitted: Fitted) -> Iterator[Finding]:

@@ -29,6 +29,7 @@ class Fitted:
     intervals over the chosen model and the models next to it. `solution` belongs to `problem`, whose candidates are the
     chosen ones. `likelihood` is that of the residuals. `plain` (p,) are the machine's parameters without candidates.
     `rival` names the force that widens the intervals most. `weighed` has an entry for each force of the table.
+    `uncut` is the record of a fit to shorter stretches.
     """
 
     problem: FitProblem
@@ -40,6 +41,7 @@ class Fitted:
     plain: Floats
     rival: str
     weighed: tuple[WeighedForce, ...] = ()
+    uncut: FitProblem | None = None
 
     @property
     def values(self) -> list[float]:
@@ -78,7 +80,7 @@ def fit(problem: FitProblem) -> Fitted:
         fitted = _fit_once(problem)
         if fitted.follows:
             return fitted
-    return _fit_once(problem.cut(parts=16))
+    return replace(_fit_once(problem.cut(parts=16)), uncut=problem)
 
 
 def _fit_once(problem: FitProblem) -> Fitted:

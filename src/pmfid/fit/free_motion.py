@@ -9,7 +9,19 @@ from typing import ClassVar
 import numpy as np
 
 from pmfid.fit.likelihood import Gaussian, Intervals
-from pmfid.fit.machine import DELAY, LAGGING, MASS, VISCOUS, BodyModel, Excitation, machine_of, simulate
+from pmfid.fit.machine import (
+    DELAY,
+    LAGGING,
+    LOAD_MASS,
+    LOAD_VISCOUS,
+    MASS,
+    STIFFNESS,
+    VISCOUS,
+    BodyModel,
+    Excitation,
+    machine_of,
+    simulate,
+)
 from pmfid.fit.problem import PARTS, FitProblem, ObservedStretch, ResidualBlock
 from pmfid.fit.search import GAIN, MOST_SQUARES, SPREADS
 from pmfid.fit.solve import Optimum, solve
@@ -47,13 +59,17 @@ class FreeMotion:
 
         N counts over a time T show a velocity to a count over T sqrt(N). An error of the velocity moves the axis for
         its time constant, mass over viscous friction, or to the end of the motion. The start is read until this error
-        is below a tenth of a count.
+        is below a tenth of a count, and over two periods of a second mass.
         """
         body = problem.machine.body(theta)
+        mass, viscous, period = float(body[MASS]), float(body[VISCOUS]), 0.0
+        if problem.machine.elastic:
+            period = 2 * math.pi * math.sqrt(1 / (1 / mass + 1 / body[LOAD_MASS]) / body[STIFFNESS])
+            mass, viscous = mass + float(body[LOAD_MASS]), viscous + float(body[LOAD_VISCOUS])
         times = [float(np.sum(one.drive.step)) for one in problem.stretches]
         step = sum(times) / problem.rows
-        lasting = min(max(times), float(body[MASS] / max(body[VISCOUS], 1e-300))) / step
-        read = max(cls.first, math.ceil((10 * lasting) ** (2 / 3)))
+        lasting = min(max(times), mass / max(viscous, 1e-300)) / step
+        read = max(cls.first, math.ceil((10 * lasting) ** (2 / 3)), math.ceil(2 * period / step))
         lead = float(body[DELAY] + 5 * body[LAGGING])  # exp(-5) is below 1 %
         return cls(problem.machine, theta, problem.resolution, read, lead, step)
 
@@ -65,29 +81,31 @@ class FreeMotion:
     def simulate(self, stretch: ObservedStretch, start: Floats | None = None) -> tuple[Floats, Floats]:
         """Return positions and velocities (k,) at the observations of a stretch [unit, unit/s].
 
-        `start` (1, 2) is that of `find_start`, which is the default.
+        `start` (1, s) is that of `find_start`, which is the default.
         """
         problem = self._make_problem(stretch)
         start = self.find_start(stretch) if start is None else start
-        (motion,) = problem.motion(problem.start(self.theta), start / [1.0, next(problem.scales())])
+        (motion,) = problem.motion(problem.start(self.theta), start / _units(problem))
         return motion
 
     def find_start(self, stretch: ObservedStretch) -> Floats:
-        """Return the most likely start (1, 2) of a stretch: position from the first one [counts], speed [counts/s]."""
+        """Return the most likely start (1, s) of a stretch: position from the first one [counts], speed [counts/s], and
+        those of a second mass relative to the first."""
         size = self.first
         problem = self._make_problem(self._begin(stretch, size))
         starts = self._try_speeds(problem)
         while _explains(problem, self.theta, starts) and size < min(self.read, stretch.y.size):
             size = min(2 * size, self.read)
             longer = self._make_problem(self._begin(stretch, size))
-            start = starts * [1.0, next(problem.scales()) / next(longer.scales())]
+            start = starts * _units(problem) / _units(longer)
             start = _solve(longer, self.theta, Gaussian(longer.stretches), start).starts
             if not _explains(longer, self.theta, start):
                 break
             problem, starts = longer, start
-        starts = _narrow(problem, self.theta, starts) * [1.0, next(problem.scales())]
+        starts = _narrow(problem, self.theta, starts) * _units(problem)
         away = (problem.stretches[0].y[0] - stretch.y[0]) / self.resolution
-        return np.asarray(starts + np.array([away, 0.0]))
+        starts[0, 0] += away
+        return np.asarray(starts)
 
     def _make_problem(self, stretch: ObservedStretch) -> KnownProblem:
         return KnownProblem(self.machine, (stretch,), self.resolution)
@@ -103,7 +121,7 @@ class FreeMotion:
         return early.keep(kept) if np.count_nonzero(kept) > 2 else early
 
     def _try_speeds(self, problem: KnownProblem) -> Floats:
-        """Return the start (1, 2) of least squares, from the speeds that the counts show and from standstill.
+        """Return the start (1, s) of least squares, from the speeds that the counts show and from standstill.
 
         A search from standstill does not leave stiction, and one from a wrong speed may end in it.
         """
@@ -111,8 +129,14 @@ class FreeMotion:
         whole = float((early.y[-1] - early.y[0]) / self.resolution / (early.y.size - 1))
         speeds = dict.fromkeys((float(problem.first_starts()[0, 1]), whole, 0.0))
         soft, q = Gaussian(problem.stretches), problem.start(self.theta)
-        first = min(speeds, key=lambda v: soft(problem.linearise(q, np.array([[0.0, v]])))[0])
-        return _solve(problem, self.theta, soft, np.array([[0.0, first]])).starts
+        still = [0.0] * (len(self.machine.starts) - 2)
+        first = min(speeds, key=lambda v: soft(problem.linearise(q, np.array([[0.0, v, *still]])))[0])
+        return _solve(problem, self.theta, soft, np.array([[0.0, first, *still]])).starts
+
+
+def _units(problem: KnownProblem) -> Floats:
+    """Return the units (s,) of a start state [counts, counts/s]."""
+    return np.resize([1.0, next(problem.scales())], len(problem.machine.starts))
 
 
 def _solve(problem: KnownProblem, theta: Floats, likelihood: Gaussian | Intervals, starts: Floats) -> Optimum:
@@ -126,7 +150,7 @@ def _explains(problem: KnownProblem, theta: Floats, starts: Floats) -> bool:
 
 
 def _narrow(problem: KnownProblem, theta: Floats, starts: Floats) -> Floats:
-    """Return the start (1, 2) in intervals that narrow as long as that makes the counts more likely."""
+    """Return the start (1, s) in intervals that narrow as long as that makes the counts more likely."""
     cost = math.inf
     for spread in SPREADS:
         end = _solve(problem, theta, Intervals(problem.stretches, spread), starts)
@@ -142,4 +166,4 @@ def simulate_from_rest(equation: Equation, theta: Floats, u: Floats, dt: float |
     machine, row = machine_of(equation), np.arange(u.size + 1, dtype=np.int32)
     steps = np.array(np.broadcast_to(dt, u.shape), np.float64)
     drive = Excitation(steps, np.ascontiguousarray(u * equation.input_gain), row, np.zeros((0, u.size)))
-    return simulate(drive, machine.forces, machine.body(theta), PARTS, slopes=False)[0]
+    return simulate(drive, machine.forces, machine.body(theta), PARTS, slopes=False, elastic=machine.elastic)[0]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class ElasticTuning:
-    """Sizes of `fit.driven` and `fit.elastic`."""
+    """Sizes of `fit.driven`, `fit.elastic` and `fit.second_mass`."""
 
     #: Widths of the kernel [steps], and the largest part of rounding in the acceleration.
     kernels: tuple[float, ...] = (0.8, 1.2, 1.8, 2.6, 3.8, 5.7, 8.4, 12.5, 18.5, 27.0, 40.0, 60.0)
@@ -52,6 +52,13 @@ class ElasticTuning:
     far: float = 5.0
     #: Widths of the smoothing of the first guesses, as a part of the record.
     widths: tuple[float, ...] = (0.002, 0.005, 0.01, 0.02, 0.05)
+
+    #: Trial of a second mass where one mass does not explain the record: most samples, which bound its time, the
+    #: parameters and start values in addition, and the largest standard error of the logarithms of masses and
+    #: stiffness. Beyond it, the record shows no resonance.
+    trial: int = 3000
+    further: int = 7
+    vague: float = 0.3
 
 
 TUNING = ElasticTuning()

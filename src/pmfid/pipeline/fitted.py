@@ -10,7 +10,7 @@ import numpy as np
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import Matter, sizes
 from pmfid.diagnostics.verdict import NORMAL_95
-from pmfid.errors import NotIdentifiableError
+from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
@@ -20,6 +20,7 @@ from pmfid.findings import MOVE, make_notes, sort_findings
 from pmfid.fit.findings import findings_of
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Intervals
+from pmfid.fit.second_mass import find_second_mass, try_second_mass
 from pmfid.pipeline.known import known_of, put_together
 from pmfid.pipeline.result import DriveResult
 from pmfid.records.gaps import is_held
@@ -56,9 +57,14 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
 
     Raises NotIdentifiableError if no motion of the model follows the record.
     """
-    method, fitted, remarks = _examine(record, axis)
+    try:
+        method, fitted, remarks = _examine(record, axis)
+    except NotIdentifiableError:
+        _refuse_second_mass(record, axis)
+        raise
     fit = method.summarise(fitted)
     if not fitted.follows:
+        _refuse_second_mass(record, axis)
         raise NotIdentifiableError(
             f"no motion of the model follows the measured motion; {fit.relative_error:.0%} of the motion stays "
             f"unexplained. Advice: check input_gain, sign and scale of input and output, and [encoder] bits"
@@ -73,7 +79,9 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
     p = len(equation.names)
     size = np.maximum(np.append(sizes(estimator, fit.theta[:p]), np.abs(fit.theta[p:])), 1e-150)
     positive = np.append(equation.positive, np.zeros(len(equation.further), bool))
-    findings = list(findings_of(fitted, estimator.names, positive, size, axis.estimator.tolerance))
+    with np.errstate(all="ignore"):
+        second = try_second_mass(fitted) if may_have_second_mass(axis) else None
+    findings = list(findings_of(fitted, estimator.names, positive, size, axis.estimator.tolerance, second))
     notes = make_notes("record", record.notes) + make_notes("method", remarks)
     matter = _matter(fitted, estimator.names, size, axis.estimator.tolerance)
     result = DriveResult(
@@ -115,6 +123,33 @@ def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, 
             fitted = method.examine(cut, repaired.counts, used)
             return method, fitted, (*remarks, RESTARTED) if np.any(unknown) else remarks
     return method, method.examine(repaired.u, repaired.counts, used), remarks
+
+
+def may_have_second_mass(axis: Axis) -> bool:
+    """Return whether the model is that of a rigid axis, and a second mass does not exclude one of its terms."""
+    if axis.model.kind != "drive" or axis.model.body != "rigid":
+        return False
+    try:
+        axis.model.model_copy(update={"body": "two-mass"}).make()
+    except UsageError:
+        return False
+    return True
+
+
+def _refuse_second_mass(record: Record, axis: Axis) -> None:
+    """Raise NotIdentifiableError if two masses explain a record that one mass does not follow."""
+    if not may_have_second_mass(axis):
+        return
+    method, known, second = make_fit(axis, record), repair_as_configured(record, axis), None
+    with suppress(NotIdentifiableError):
+        problem = method.problem(known.record.u, known.record.counts, known.used)
+        with np.errstate(all="ignore"):
+            second = find_second_mass(problem)
+    if second is not None:
+        raise NotIdentifiableError(
+            f"no motion of one mass follows the record, and that of two masses does, with a resonance at "
+            f'{second.resonance:.3g} Hz. Advice: set body = "two-mass" in [model]'
+        )
 
 
 def _unknown_inputs(record: Record, repaired: Record) -> Flags:

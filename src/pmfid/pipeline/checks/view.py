@@ -324,11 +324,16 @@ class CheckedLog:
         known = [one for one in (self.view, configured) if one is not None]
         return min(known, key=lambda one: one.unexplained)
 
+    @property
+    def elastic(self) -> bool:
+        """Whether the model has two masses."""
+        return set_any_gain(self.axis).model.make().equation.elastic
+
     @cached_property
     def sudden_stops(self) -> list[Stop]:
         """Stretches of equal counts during which the axis is not at rest."""
         counts = self.record.counts
-        if set_any_gain(self.axis).model.make().equation.elastic:
+        if self.elastic:
             return []  # a motor that friction holds stops suddenly, because its load moves on
         stops = long_stops(counts)
         found = sudden(counts, stops) if stops else set()

@@ -1,0 +1,118 @@
+"""The trial of a second mass on a spring where a rigid axis does not explain the record."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.fit.compare import ODDS
+from pmfid.fit.elastic import ROWS, elastic_start, settle_starts
+from pmfid.fit.fit import Fitted
+from pmfid.fit.likelihood import Gaussian, noise_of
+from pmfid.fit.machine import LOAD_MASS, MASS, STIFFNESS
+from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.search import inverse, with_columns
+from pmfid.fit.solve import Optimum, solve
+from pmfid.fit.starts import soften
+from pmfid.fit.tuning import TUNING
+from pmfid.types import Floats
+
+
+@dataclass(frozen=True)
+class SecondMass:
+    """Two masses that explain a record better than one: resonance [Hz], sum of the masses, and the log odds."""
+
+    resonance: float
+    total: float
+    odds: float
+
+
+def try_second_mass(fitted: Fitted) -> SecondMass | None:
+    """Return the second mass if two masses explain every count of a part of the record, which one mass does not.
+
+    Both models have the same part of the record, free start states, and noise of their own. Two masses that leave more
+    than rounding may only imitate another force.
+    """
+    noise = fitted.likelihood
+    if not isinstance(noise, Gaussian) or not (noise.wanders or noise.scale > 1):
+        return None
+    problem = _whole(fitted)
+    part = _worst_part(fitted, problem.stretches)
+    pair = _fit_two_masses(problem, part)
+    if pair is None:
+        return None
+    odds = _evidence(*pair) - _evidence(*_fit_one_mass(problem, fitted.solution.q, part)) + ODDS
+    odds -= 0.5 * TUNING.further * math.log(part.y.size)
+    return _read(*pair, odds) if odds > 0 else None
+
+
+def find_second_mass(problem: FitProblem) -> SecondMass | None:
+    """Return the second mass of a record that no motion of one mass follows, if that of two masses explains every
+    count."""
+    stretch = max(problem.stretches, key=lambda one: one.y.size)
+    pair = _fit_two_masses(problem, stretch.part(*_windows(stretch.drive.step.size)[0]))
+    return None if pair is None else _read(*pair, math.inf)
+
+
+def _fit_two_masses(problem: FitProblem, part: ObservedStretch) -> tuple[FitProblem, Optimum] | None:
+    """Return the fit of two masses to a part of the record, or None if it leaves more than rounding."""
+    if part.y.size < TUNING.fewest:
+        return None
+    try:
+        pair, end = elastic_start(replace(problem, stretches=(part,), candidates=()))
+    except NotIdentifiableError:
+        return None
+    return (pair, end) if end.cost < TUNING.rounded * part.y.size else None
+
+
+def _read(pair: FitProblem, end: Optimum, odds: float) -> SecondMass | None:
+    """Return the second mass of a fit, or None if the record shows no resonance."""
+    std = np.sqrt(np.diag(inverse(end.normal.A)))
+    theta, masses, stiffness = pair.theta(end.q), [ROWS.index(MASS), ROWS.index(LOAD_MASS)], ROWS.index(STIFFNESS)
+    if not np.all(std[[*masses, stiffness]] < TUNING.vague):
+        return None
+    rate = math.sqrt(theta[stiffness] * float(np.sum(1 / theta[masses])))
+    return SecondMass(rate / (2 * math.pi), float(np.sum(theta[masses])), odds)
+
+
+def _whole(fitted: Fitted) -> FitProblem:
+    """Return the problem of a fit on stretches that were not cut."""
+    if fitted.uncut is None:
+        return fitted.problem
+    problem, candidates = with_columns(fitted.uncut, fitted.problem.candidates)
+    return replace(problem, parts=fitted.problem.parts).with_candidates(candidates)
+
+
+def _worst_part(fitted: Fitted, stretches: Sequence[ObservedStretch]) -> ObservedStretch:
+    """Return the part of a stretch whose residuals change most."""
+    rows = np.concatenate([one.first + one.drive.row[1:] for one in fitted.problem.stretches])
+    total = np.append(0.0, np.cumsum(np.concatenate([np.diff(e) ** 2 for e in fitted.residuals])))
+    parts = [one.part(*ends) for one in stretches for ends in _windows(one.drive.step.size)]
+    ends = [np.searchsorted(rows, [one.first, one.first + one.drive.step.size]) for one in parts]
+    return parts[int(np.argmax([total[last] - total[first] for first, last in ends]))]
+
+
+def _windows(size: int) -> list[tuple[int, int]]:
+    """Return the first and last interval of windows that overlap by half."""
+    firsts = range(0, max(1, size - TUNING.trial // 2), TUNING.trial // 2)
+    return [(first, min(first + TUNING.trial, size)) for first in firsts]
+
+
+def _fit_one_mass(problem: FitProblem, q: Floats, part: ObservedStretch) -> tuple[FitProblem, Optimum]:
+    """Return the fit of one mass and its forces to a part of the record, from parameters q (p,)."""
+    problem = replace(problem, stretches=(part,))
+    prior, like = np.zeros(q.size), soften((part,))
+    prior[problem.places] = 1.0
+    starts = settle_starts(problem, like, q, problem.first_starts())
+    return problem, solve(problem, like, q, starts, prior, 15, 0.1)
+
+
+def _evidence(problem: FitProblem, end: Optimum) -> float:
+    """Return the log likelihood of the residuals in their most likely noise."""
+    (block,) = problem.linearise(end.q, end.starts)
+    errors: list[Floats] = [block.e]
+    return noise_of(problem.stretches, errors, 0.0).evidence(errors)[0]
