@@ -119,8 +119,8 @@ BUILT = {"commands.md", "gallery/index.rst"}
 STATUS = [page for page in PAGES if page.startswith("docs/howto/status/")]
 
 
-#: Pages on servos whose blocks run.
-SERVOS = ["docs/howto/lerobot.md", "docs/howto/frc.md"]
+#: Pages on one kind of axis whose blocks run.
+AXES = ["docs/howto/lerobot.md", "docs/howto/frc.md", "docs/howto/elastic.md"]
 
 
 @pytest.mark.parametrize(
@@ -129,7 +129,7 @@ SERVOS = ["docs/howto/lerobot.md", "docs/howto/frc.md"]
         "docs/coming_from.md",
         "docs/paper.md",
         STATUS[0],
-        *(pytest.param(page, marks=pytest.mark.long) for page in (*STATUS[1:], *SERVOS)),
+        *(pytest.param(page, marks=pytest.mark.long) for page in (*STATUS[1:], *AXES)),
     ],
 )
 def test_blocks_of_a_page_run_and_show_something(page: str, tmp_path: Path) -> None:
