@@ -36,8 +36,10 @@ from pmfid.types import Floats
 ROWS = (MASS, VISCOUS, COULOMB, OFFSET, LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
 
 
-def elastic_start(problem: FitProblem) -> tuple[FitProblem, Optimum]:
+def elastic_start(problem: FitProblem, scan: bool = True) -> tuple[FitProblem, Optimum]:
     """Return the fit of two masses with friction and a load to the liveliest stretch.
+
+    Where no guess by the measured motion explains it, a `scan` of resonances takes several times as long.
 
     Raises NotIdentifiableError if the axis does not move, or if the input is zero.
     """
@@ -53,7 +55,7 @@ def elastic_start(problem: FitProblem) -> tuple[FitProblem, Optimum]:
     prior = np.zeros(plain.size)
     prior[3] = 1 / (0.5 * force) ** 2
     best = _follow_guesses(plain, prior)
-    if best is None or best.cost > TUNING.rounded * stretch.y.size:
+    if best is None or (scan and best.cost > TUNING.rounded * stretch.y.size):
         ends = [_follow_scan(plain, prior, guess), *([best] if best is not None else [])]
         best = min(ends, key=lambda end: end.cost)
     return plain, best

@@ -63,7 +63,7 @@ def _fit_two_masses(problem: FitProblem, part: ObservedStretch) -> tuple[FitProb
     if part.y.size < TUNING.fewest:
         return None
     try:
-        pair, end = elastic_start(replace(problem, stretches=(part,), candidates=()))
+        pair, end = elastic_start(replace(problem, stretches=(part,), candidates=()), scan=False)
     except NotIdentifiableError:
         return None
     return (pair, end) if end.cost < TUNING.rounded * part.y.size else None
