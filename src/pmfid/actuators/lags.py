@@ -2,7 +2,8 @@
 
 A derivative gain kd on a velocity with the lag tau hides a part kd tau of the inertia. Where a log shows neither, both
 are at their lower bound or far from it. At each lag the fit is a normal distribution without the negative sizes, and
-the lags have the weights of their evidence (Rue, Martino and Chopin 2009).
+the lags have the weights of their evidence (Rue, Martino and Chopin 2009). Between half a period of the loop and the
+slowest filters, the prior of the lag is that of a scale (Jeffreys 1946).
 """
 
 from __future__ import annotations
@@ -72,7 +73,7 @@ def _fit_at(search: ServoSearch, lag: float, ticked: bool = True) -> LagFit:
     g = optimum.normal.g + prior * optimum.q  # the fit may be better beyond a bound
     value = -optimum.cost + 0.5 * float(g @ covariance @ g) + 0.5 * _log_determinant(covariance)
     part, mean, covariance = cut_below(optimum.q - covariance @ g, covariance, lowest)
-    value += part - 0.5 * (lag / TUNING.lag) ** 2
+    value += part - 0.5 * (lag / TUNING.lag) ** 2 - math.log(lag / search.task.servo.loop_period + 0.5)
     if not ticked:
         return LagFit(lag, value, mean, covariance, at)
     ticks = measure_ticks(at, mean)

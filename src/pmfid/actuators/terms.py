@@ -10,8 +10,9 @@ from pmfid.fit.compare import ODDS
 from pmfid.fit.machine import DIRECTIONAL, OFFSET, BodyForce
 from pmfid.fit.terms import ExtraForce, Sizes
 
-#: Log odds of terms that most servos have. The gear rubs under load in every published model of one.
-COMMON_ODDS = {"load_friction": 0.0}
+#: Log odds of terms that most servos have, or hardly any. The gear rubs under load in every published model of one, and
+#: friction that grows with the root of the speed is in none.
+COMMON_ODDS = {"load_friction": 0.0, "root_friction": 4 * ODDS}
 #: The part of the viscous friction that the loop makes. Every servo without a named kd has this term, because no motion
 #: below the limit of the torque shows it: it hides a part of the inertia, its size times the age of its velocity.
 LOOP_FRICTION = "loop_friction"
