@@ -4,7 +4,7 @@ FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppch
 SERVICE_TOOLS = mosquitto chromium nginx-light
 SPARK_TOOLS = openjdk-17-jre-headless
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
-SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]')
+SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.inl')
 
 .PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core test-lowest test-newest coverage spark kills broker-kills service-faults soak check format bench \
     bench-compare study paper hostile firmware browser test-browser docs docs-pictures firmware-tools service-tools spark-tools golden images clean
@@ -214,7 +214,7 @@ service-faults: .venv/tools service-tools
 	mkdir -p results/images
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m studies.service.faults --out results/service_faults.md
 
-KERNEL = $(wildcard csrc/*.[ch] csrc/edges/*.[ch] csrc/many/*.[ch] csrc/wire/*.[ch] csrc/fit/*.[ch])
+KERNEL = $(wildcard csrc/*.[ch] csrc/edges/*.[ch] csrc/many/*.[ch] csrc/wire/*.[ch] csrc/fit/*.[ch] csrc/*.inl csrc/edges/*.inl)
 
 check: .venv/tools
 	.venv/bin/ruff format --check .

@@ -71,7 +71,7 @@ enum {
     /* signal of direct methods without an auxiliary model if the step varies: */
     PMF_TURN = PMF_AUXILIARY, /* effect of a reversal inside the interval on the mean velocity, per 1/12 of m v' */
     /* signals of direct methods without an auxiliary model: largest plausible errors of three signals, because counts
-       show a start, a stop or a reversal late (pmf_misread.h) */
+       show a start, a stop or a reversal late (pmf_misread.inl) */
     PMF_MISREAD_INPUT = PMF_AUXILIARY + 2,
     PMF_MISREAD_DIRECTION = PMF_AUXILIARY + 3,
     PMF_MISREAD_MOVING = PMF_AUXILIARY + 4
@@ -452,24 +452,20 @@ typedef struct {
 #endif
 } pmf_auxiliary_state_t;
 
-#if PMF_WITH_LAG
+#if PMF_WITH_DEAD_TIME
 /* Values of exp(-t / lag) over a part of a sample: the end value, the integral, and the integral of t exp(-t / lag), t
  * in samples. */
 typedef struct {
     scalar_t rest, mean, moment;
 } pmf_decay_t;
-#endif
 
-#if PMF_WITH_DEAD_TIME
 /* An input that acts late, by any fraction of a sample, and perhaps with a lag. */
 typedef struct {
     uint32_t room; /* largest number of whole samples; 0: no dead time */
     scalar_t rate; /* samples per second */
     scalar_t dead_time; /* dead time [s], if no auxiliary model has its own */
-#if PMF_WITH_LAG
     uint32_t lags; /* 1: the input has a lag and a known dead time */
     pmf_decay_t decay[2]; /* decays over the parts of the older and the newer input */
-#endif
 } pmf_late_config_t;
 
 typedef struct {
@@ -477,9 +473,7 @@ typedef struct {
     real_t older, newer,
         part; /* inputs that act in the interval of the counts. The older input acts for the fraction `part`. */
     real_t gathered; /* dead time of the accumulated sums [s] */
-#if PMF_WITH_LAG
     real_t lagged; /* output of the lag at the end of the interval */
-#endif
     whole_t at;
 } pmf_late_state_t;
 
@@ -500,8 +494,6 @@ typedef struct {
 #endif
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_config_t auxiliary;
-#endif
-#if PMF_WITH_AUXILIARY
     pmf_recursion_config_t instrument; /* recursion with the simulated model, if there is one */
 #endif
 } pmf_config_t;
@@ -509,8 +501,8 @@ typedef struct {
 typedef struct {
     whole_t status;
     whole_t settle; /* samples until the filters have forgotten their start */
-#if PMF_WITH_GUARD
     whole_t hold; /* samples until the filters have forgotten a guess */
+#if PMF_WITH_GUARD
     pmf_guard_state_t guard;
 #endif
     pmf_encoder_state_t encoder;
@@ -525,8 +517,6 @@ typedef struct {
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_state_t auxiliary;
     pmf_estimate_t borrowed; /* direct estimate in the parameters of the instrumental estimate */
-#endif
-#if PMF_WITH_AUXILIARY
     pmf_recursion_state_t instrument;
 #endif
 } pmf_state_t;

@@ -6,7 +6,9 @@
  * of C libraries differ in their last bits. The relative error is below 1e-9 for damping * dt <= 0.15, and 1e-5 at 1. A
  * constant force allows at most one stop in an interval, so that two phases suffice and every sample takes the same
  * work. */
-#include "pmf_shapes.h"
+#include "pmf_internal.h"
+
+#include "pmf_shapes.inl"
 
 #if PMF_WITH_AUXILIARY
 

@@ -5,7 +5,9 @@
  * it. A tracker of piecewise constant acceleration estimates these velocities (Kalata 1984, fixed gains, smoothed by
  * one step). With less than two counts per sample the tracker would only follow the staircase. In slow motion the last
  * count therefore gives the direction. */
-#include "pmf_misread.h"
+#include "pmf_internal.h"
+
+#include "pmf_misread.inl"
 
 #define FAST_COUNTS 2U /* counts in one sample above which the tracker is trusted */
 #define FAST_SPEED PMF_R(2.0) /* counts in one sample period above which the tracker is trusted */

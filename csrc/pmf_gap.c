@@ -32,8 +32,8 @@ void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count)
     begin_encoder(&config->encoder, &state->encoder, count);
     pmf_clear(&state->network, (uint32_t)sizeof state->network);
     state->settle = config->settle_samples;
-#if PMF_WITH_GUARD
     state->hold = 0U;
+#if PMF_WITH_GUARD
     pmf_clear(&state->guard, (uint32_t)sizeof state->guard);
 #endif
 #if PMF_WITH_AUXILIARY
@@ -49,8 +49,6 @@ void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples)
     samples = samples < config->settle_samples ? samples : config->settle_samples;
 #if PMF_WITH_GUARD
     samples += config->encoder.guard != 0U ? PMF_AHEAD : 0U; /* the samples that the guard holds back come first */
-    state->hold = samples > state->hold ? samples : state->hold;
-#else
-    state->settle = samples > state->settle ? samples : state->settle;
 #endif
+    state->hold = samples > state->hold ? samples : state->hold;
 }

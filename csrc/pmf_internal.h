@@ -57,24 +57,11 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #ifndef PMF_SPLIT /* otherwise no column has the signals beyond input, velocity and direction */
 #define PMF_SPLIT PMF_WITH_SPLIT
 #endif
-#if !PMF_WHOLE
-#define PMF_SHAPED 0 /* each axis reads a table elsewhere, so that lanes save no time */
-#define PMF_LATE 0 /* each axis reads another input, so that lanes save no time */
-#else
-#define PMF_SHAPED (PMF_MAX_SHAPES > 0)
-#define PMF_LATE PMF_WITH_DEAD_TIME
-#endif
-#if !PMF_WHOLE
-#define PMF_STEPS 0 /* a varying step would give each axis its own coefficients */
-#else
-#define PMF_STEPS PMF_WITH_STEPS
-#endif
+#define PMF_SHAPED (PMF_WHOLE && PMF_MAX_SHAPES > 0) /* each axis reads a table elsewhere: lanes save no time */
+#define PMF_LATE (PMF_WHOLE && PMF_WITH_DEAD_TIME) /* each axis reads another input: lanes save no time */
+#define PMF_STEPS (PMF_WHOLE && PMF_WITH_STEPS) /* a varying step would give each axis its own coefficients */
 /* Return whether the step varies. In an export with steps the step always varies. */
-#if PMF_LAYOUT != 0U
-#define PMF_STEPPED(truth) ((void)(truth), 1)
-#else
-#define PMF_STEPPED(truth) (truth)
-#endif
+#define PMF_STEPPED(truth) (PMF_LAYOUT != 0U || (truth))
 /* Return whether a reversal inside an interval is a separate signal. */
 #ifdef PMF_TURNS
 #define PMF_TURNED(config) PMF_TURNS
@@ -89,9 +76,12 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_SAMPLE(config) 1U
 #define PMF_SPAN(config, state) ((config)->dt)
 #endif
+/* Numbers for float32 and for float64. */
 #ifdef PMF_FLOAT32
+#define PMF_EITHER(single, twice) PMF_R(single)
 #define PMF_ENDLESS PMF_WITH_ENDLESS
 #else
+#define PMF_EITHER(single, twice) PMF_R(twice)
 #define PMF_ENDLESS 0 /* a sum of float64 is never full */
 #endif
 #define PMF_NOT(truth) ((truth) == 0)
@@ -111,15 +101,6 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_FOR_SIZE
 #endif
 
-/* As PMF_SELDOM for functions with one caller or a short body: in an export, the compiler may join them with their
- * callers.
- */
-#if PMF_LAYOUT != 0U
-#define PMF_RARE static
-#else
-#define PMF_RARE PMF_SELDOM
-#endif
-
 #ifdef PMF_WITH_EDGES
 #define PMF_STATUS(state) ((state)->edge.status)
 #else
@@ -135,11 +116,7 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_LONGEST 4U /* largest ratio of a step to the sample period, above which the step is a gap */
 #define PMF_LOOK 4U /* updates between two looks at the size of the motion, because no column changes much faster */
 #define PMF_SWING_BITS 15U /* bits of the looks in this half memory and the last */
-#ifdef PMF_FLOAT32
-#define PMF_LARGEST_INPUT PMF_R(1e15)
-#else
-#define PMF_LARGEST_INPUT PMF_R(1e100)
-#endif
+#define PMF_LARGEST_INPUT PMF_EITHER(1e15, 1e100)
 
 /* Return a count modulo mask + 1 with its sign. */
 static inline integer_t pmf_signed(uint32_t mask, whole_t count)

@@ -7,11 +7,7 @@
  * write outside its memory, block the estimator, or hold NaN. */
 #include "pmf_internal.h"
 
-#ifdef PMF_FLOAT32
-#define LARGEST PMF_R(3.402823466e38)
-#else
-#define LARGEST PMF_R(1.7976931348623157e308)
-#endif
+#define LARGEST PMF_EITHER(3.402823466e38, 1.7976931348623157e308)
 #define MOST_COUNTS PMF_R(1e15) /* limit of the tracker, far beyond a counter of 32 bits */
 #define REALS(member) \
     ((uint32_t)(sizeof(member) / (sizeof(real_t)))) /* number of reals in an array, or in a structure of reals */
@@ -160,8 +156,9 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
     settle = config->first_samples > settle ? config->first_samples : settle;
 #endif
     fine = at_most(state->status, PMF_STATUS_BITS) & at_most(state->settle, settle) &
+           at_most(state->hold, settle + PMF_AHEAD) &
 #if PMF_WITH_GUARD
-           at_most(state->hold, settle + PMF_AHEAD) & check_guard(&state->guard) &
+           check_guard(&state->guard) &
 #endif
            check_encoder(&config->encoder, &state->encoder) &
            all_finite((const real_t *)(const void *)&state->network, REALS(state->network)) &
@@ -176,14 +173,10 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 #if PMF_WITH_DEAD_TIME
     fine &= all_finite(state->late.past, REALS(state->late.past)) & all_finite(&state->late.older, 1U) &
             all_finite(&state->late.newer, 1U) & within(&state->late.part, 1U, PMF_R(0.0), PMF_R(1.0)) &
-            all_finite(&state->late.gathered, 1U) & at_most(state->late.at, config->late.room + 1U);
-#endif
-#if PMF_WITH_LAG
-    fine &= all_finite(&state->late.lagged, 1U);
+            all_finite(&state->late.gathered, 1U) & at_most(state->late.at, config->late.room + 1U) &
+            all_finite(&state->late.lagged, 1U);
 #endif
     fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed);
-#endif
-#if PMF_WITH_AUXILIARY
     fine &= check_recursion(&config->instrument, &state->instrument);
 #endif
     return fine;

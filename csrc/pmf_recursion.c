@@ -11,8 +11,11 @@
  * = 1 no regularisation is used, and theta equals the batch solution.
  *
  * Every loop has a fixed number of turns, because n_parameters is a constant of the configuration. */
-#include "pmf_innovations.h"
-#include "pmf_scale.h"
+#include "pmf_internal.h"
+
+#include "pmf_algebra.inl"
+#include "pmf_forgetting.inl"
+#include "pmf_innovations.inl"
 
 #define POOR PMF_R(50.0) /* information below POOR times the regularisation is called poor */
 #define FREEZE PMF_R(1e-3) /* information below FREEZE times the regularisation is no longer forgotten */

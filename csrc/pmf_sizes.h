@@ -16,8 +16,7 @@
 /* 0 leaves out a part with its code and memory. */
 #define PMF_WITH_AUXILIARY 1 /* the auxiliary model and its recursion */
 #define PMF_WITH_PROCESS 1 /* the output of a process, with its start and noise */
-#define PMF_WITH_DEAD_TIME 1 /* an input that acts late */
-#define PMF_WITH_LAG 1 /* an input with a first-order lag */
+#define PMF_WITH_DEAD_TIME 1 /* an input that acts late, or with a first-order lag */
 #define PMF_WITH_GUARD 1 /* guard against samples that no motion explains */
 #define PMF_WITH_ENDLESS 1 /* float32 with so little forgetting that sums may be full */
 #define PMF_WITH_SPLIT 1 /* signals beyond input, velocity and direction */

@@ -1,6 +1,7 @@
 /* The step of one sample through encoder, network and recursion. SPDX-License-Identifier: Apache-2.0 */
-#include "pmf_dead_time.h"
 #include "pmf_bytes.h"
+
+#include "pmf_late.inl"
 
 #define TAKE_OVER PMF_R(3.0) /* ratio of samples, or of variances, at which an estimate takes over */
 #define SHORT_BAR PMF_R(0.01) /* fraction of the mass as a small standard error */
@@ -95,11 +96,9 @@ __attribute__((always_inline)) inline
 {
     whole_t status = pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
     truth_t settling;
-#if PMF_WITH_GUARD
     if (PMF_ANY(state->hold > 0U)) {
         state->hold -= PMF_BIT(state->hold > 0U, 1U);
     }
-#endif
 #if PMF_LATE
     if (config->late.room != 0U) {
         delay_input(config, state);
@@ -154,9 +153,7 @@ __attribute__((always_inline)) inline
         state->settle -= PMF_BIT(settling, 1U);
         status |= PMF_BIT(settling, PMF_SETTLING);
     }
-#if PMF_WITH_GUARD
     status |= PMF_BIT(state->hold > 0U, PMF_SETTLING);
-#endif
     return status;
 }
 
@@ -232,11 +229,7 @@ static void forget_start(pmf_state_t *state, truth_t where)
 static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, whole_t direct_status, truth_t settled)
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
-#if PMF_WITH_GUARD
     truth_t held = state->hold != 0U; /* the measured velocity does not show the axis */
-#else
-    truth_t held = settled & PMF_NOT(settled);
-#endif
     truth_t trusted = pmf_auxiliary_check(auxiliary, &state->auxiliary, state->network.column, held), in_charge,
             borrows;
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
@@ -323,11 +316,7 @@ static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, who
     truth_t settled = (filtered & PMF_SETTLING) == 0U, use = settled;
 #if PMF_WITH_AUXILIARY
     if (PMF_MODELLED(config)) { /* the second half of the settling belongs to the model */
-#if PMF_WITH_GUARD
         use = use | ((state->hold == 0U) & (state->settle < config->settle_samples / 2U));
-#else
-        use = use | (state->settle < config->settle_samples / 2U);
-#endif
     }
 #endif
     PMF_WHERE(use, &state->direct,

@@ -117,12 +117,11 @@ def test_from_arrays_to_json() -> None:
     assert result.status == ()
 
 
-@pytest.mark.long
 def test_an_export_without_one_has_no_trace_of_it(tmp_path: Path) -> None:
-    for dead_time, lag in ((0.02, 0.0), (0.0, 0.004)):
-        folder = tmp_path / f"{lag}"
+    for dead_time, lag in ((0.0, 0.0), (0.02, 0.0), (0.0, 0.004)):
+        folder = tmp_path / f"{dead_time} {lag}"
         export_firmware(made(RIV, "cart", lag=lag, dead_time=dead_time), folder)
-        assert f"#define PMF_WITH_LAG {int(lag > 0)}" in (folder / "pmf_sizes.h").read_text()
+        assert f"#define PMF_WITH_DEAD_TIME {int(dead_time + lag > 0)}" in (folder / "pmf_sizes.h").read_text()
 
 
 def test_refusals_have_a_remedy() -> None:

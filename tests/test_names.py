@@ -39,7 +39,7 @@ WORDS = re.compile(r"\b(told|anew|behind|beside|so many)\b", re.IGNORECASE)
 PARTS = re.compile(r"(?<![a-z])(told|anew|behind|beside|so[ _]many)(?![a-z])", re.IGNORECASE)
 LITERAL = re.compile(r"Begin anew|/anew|\banew: |([\"'])(told|anew|behind)\1|time, told:|found\.anew")
 ELSEWHERE = ["tests", "studies", "examples", "benchmarks", "docs", "csrc", "deploy"]
-TEXTS = {".py", ".md", ".toml", ".c", ".h", ".ipynb", ".cpp"}
+TEXTS = {".py", ".md", ".toml", ".c", ".h", ".inl", ".ipynb", ".cpp"}
 MOST_OF_A_WORD = 5
 #: Files that list these words.
 LISTS = {"test_names.py", "test_prose.py"}

@@ -1,5 +1,11 @@
 /* The recursion over the edges. SPDX-License-Identifier: Apache-2.0 */
-#include "pmf_redge_signs.h"
+#include "pmf_redge.h"
+
+#include "pmf_redge_motion.inl"
+#include "pmf_redge_start.inl"
+#include "pmf_redge_window.inl"
+#include "pmf_redge_innovation.inl"
+#include "pmf_redge_signs.inl"
 
 #define NOT_A_STEP PMF_R(0.5) /* distance from a line [counts] from which on the edge is of another line */
 #define SURE PMF_R(0.04) /* variance of a prediction [counts^2] below which that is known */

@@ -122,7 +122,6 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
         leave_out(unused, IN_STATE(encoder.misread), END_IN_STATE(encoder.misread));
     }
     if (config->encoder.guard == 0U) {
-        leave_out(unused, IN_STATE(hold), END_IN_STATE(hold));
         leave_out(unused, IN_STATE(guard), END_IN_STATE(guard));
     }
     if (config->auxiliary.enabled != 0U) {

@@ -56,7 +56,7 @@ def objects(folder: Path, target: Target, *options: str) -> list[str]:
     Raises RuntimeError with the compiler's output.
     """
     words = [target.compiler, *REQUIRED, *target.options, *options]
-    headers = b"".join(path.read_bytes() for path in sorted(folder.glob("pmf*.h")))
+    headers = b"".join(path.read_bytes() for path in sorted([*folder.glob("pmf*.h"), *folder.glob("pmf*.inl")]))
     out = folder / "objects"
     out.mkdir(exist_ok=True)
     keys = {path.stem: _key(words, headers, path) for path in sorted(folder.glob("pmf_*.c"))}

@@ -103,7 +103,7 @@ FILES = {
     "library.json.j2": "library.json",
     "library.properties.j2": "library.properties",
 }
-COPIED = ("*.c", "*.h", "LICENSE")
+COPIED = ("*.c", "*.h", "*.inl", "LICENSE")
 #: Sources that send samples to `pmfid serve`.
 BLOCKS = ("wire/pmf_block.c", "wire/pmf_block.h")
 

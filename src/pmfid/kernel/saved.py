@@ -56,7 +56,6 @@ def shape_of(config: Structured) -> KernelSizes:
         max_rates=max(1, 4 * -(-int(network["n_rates"]) // 4)),  # the kernel computes four rules at once
         max_late=int(config["late"]["room"]) + 2 if config["late"]["room"] else 1,
         with_dead_time=int(config["late"]["room"] > 0),
-        with_lag=int(config["late"]["lags"] > 0),
         with_auxiliary=int(config["auxiliary"]["enabled"] or shapes["n"] > 0),
         with_process=int(process),
         with_guard=int(config["encoder"]["guard"] > 0),
@@ -95,7 +94,7 @@ def recursions_of(config: Structured) -> list[Structured]:
 
 
 def long_memory(recursion: Structured) -> bool:
-    """Return whether a float32 recursion forgets so slowly that its sums may be full (csrc/pmf_forgetting.h)."""
+    """Return whether a float32 recursion forgets so slowly that its sums may be full (csrc/pmf_forgetting.inl)."""
     return recursion["forgetting"].dtype == np.float32 and bool(recursion["forgetting"] >= np.float32(LONG_MEMORY))
 
 

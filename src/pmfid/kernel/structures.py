@@ -58,7 +58,6 @@ class KernelSizes:
     max_rates: int
     max_late: int
     with_dead_time: int
-    with_lag: int
     with_auxiliary: int
     with_process: int
     with_guard: int

@@ -1,7 +1,7 @@
 """Forces with a given form and an unknown size, such as friction at a speed or a place, and forces at a place.
 
 The kernel computes a wave and a square. Every other form is a table of evenly spaced knots with straight lines between
-the knots (csrc/pmf_shapes.h). A new form is therefore one class in this module. A force with the form s and the
+the knots (csrc/pmf_shapes.inl). A new form is therefore one class in this module. A force with the form s and the
 coefficient c is c s(|v|) sign(v), as friction, or c s(x). The position x counts from the first sample.
 """
 

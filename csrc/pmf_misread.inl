@@ -4,10 +4,6 @@
  * An interval without a count moves, rests or reverses. The encoder reads a motion until the pause is too long. A pause
  * as long as the last one is usual in slow motion and counts only if it ends in a stop or a reversal. Every further
  * interval counts at once. */
-#ifndef PMF_MISREAD_H
-#define PMF_MISREAD_H
-
-#include "pmf_internal.h"
 
 #if PMF_WITH_MISREAD
 
@@ -50,5 +46,4 @@ static void emit_misread(pmf_encoder_state_t *state, integer_t change, truth_t m
     own->held_input = PMF_IF(counted | stops, zero, PMF_IF(usual, own->held_input + u, own->held_input));
 }
 
-#endif
 #endif

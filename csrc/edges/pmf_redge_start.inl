@@ -6,10 +6,6 @@
  * of the place, has the same weight. So mass x difference of place = difference of input - viscous x difference of the
  * integral of the place - half of the friction and of the offset. The input is the instrument of the mass, since a
  * line's error is in the difference of the place. */
-#ifndef PMF_REDGE_START_H
-#define PMF_REDGE_START_H
-
-#include "pmf_redge_motion.h"
 
 #define WAIT PMF_R(20.0) /* samples between two edges of one way, in which a rest does little harm */
 #define SPAN PMF_R(3.0) /* samples; shorter triples have less weight */
@@ -243,5 +239,3 @@ static uint32_t is_started(pmf_start_t *start, uint32_t n)
     }
     return known;
 }
-
-#endif

@@ -1,9 +1,5 @@
 /* Small symmetric matrices: factors, triangular systems, projections. Only pmf_recursion.c includes this file.
  * SPDX-License-Identifier: Apache-2.0 */
-#ifndef PMF_ALGEBRA_H
-#define PMF_ALGEBRA_H
-
-#include "pmf_internal.h"
 
 /* The loops unroll only if the number of parameters is a constant. */
 #if defined(PMF_PARAMETERS) && !defined(PMF_STRAIGHT)
@@ -21,13 +17,8 @@
 #endif
 
 #define N PMF_MAX_PARAMETERS
-#ifdef PMF_FLOAT32
-#define PIVOT_FLOOR PMF_R(1e-6)
-#define TINY PMF_R(1e-30)
-#else
-#define PIVOT_FLOOR PMF_R(1e-14)
-#define TINY PMF_R(1e-200)
-#endif
+#define PIVOT_FLOOR PMF_EITHER(1e-6, 1e-14)
+#define TINY PMF_EITHER(1e-30, 1e-200)
 
 /* Factorise a symmetric matrix, given by its lower half, as L D L^T. */
 PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], real_t inverse[N])
@@ -149,5 +140,3 @@ PMF_INLINE void project_more(uint32_t p, projection_t *projection, real_t move[N
         move[i] = projected[i];
     }
 }
-
-#endif

@@ -4,10 +4,6 @@
  * Each line has an error of its own at all of its edges. The prediction of an edge is therefore that of the motion plus
  * the mean of what the edges of this line had left, and its regressors are without the means of this line (random
  * effects). So a line that is off costs one edge. */
-#ifndef PMF_REDGE_INNOVATION_H
-#define PMF_REDGE_INNOVATION_H
-
-#include "pmf_redge_window.h"
 
 #define WIDEST PMF_R(0.1) /* largest variance of the lines [counts^2] */
 #define VARIANCES PMF_R(400.0) /* edges: memory of the variance of the lines */
@@ -173,5 +169,3 @@ static void forget(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     state->covariance[PLACE][PLACE] += state->drift * time;
     state->window_time += time;
 }
-
-#endif

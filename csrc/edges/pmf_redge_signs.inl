@@ -1,9 +1,5 @@
 /* Signs of a wrong model, or of another machine, in the innovations. Only pmf_redge.c includes this file.
  * SPDX-License-Identifier: Apache-2.0 */
-#ifndef PMF_REDGE_SIGNS_H
-#define PMF_REDGE_SIGNS_H
-
-#include "pmf_redge_innovation.h"
 
 #define OUTLIER PMF_R(25.0) /* squared innovation over its variance of an edge by noise, */
 #define USUAL PMF_R(9.0) /* and most of the edge before */
@@ -136,5 +132,3 @@ static uint32_t is_correlated(const pmf_redge_state_t *state)
     }
     return found;
 }
-
-#endif

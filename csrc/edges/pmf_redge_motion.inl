@@ -1,8 +1,4 @@
 /* The simulated body and its derivatives. Only pmf_redge.c includes this file. SPDX-License-Identifier: Apache-2.0 */
-#ifndef PMF_REDGE_MOTION_H
-#define PMF_REDGE_MOTION_H
-
-#include "pmf_redge.h"
 
 #define PLACE 0U
 #define SPEED 1U
@@ -178,5 +174,3 @@ static void move_body(pmf_redge_state_t *state, real_t force, real_t time)
         time -= left;
     }
 }
-
-#endif

@@ -5,10 +5,6 @@
  * of the configuration with straight lines between its knots. In an interval a shape acts with its mean along the
  * motion. The mean over the speeds is exact for a constant acceleration. A friction that falls within a fraction of a
  * sample's speed change therefore needs no smaller steps. */
-#ifndef PMF_SHAPES_H
-#define PMF_SHAPES_H
-
-#include "pmf_internal.h"
 
 #if PMF_WITH_AUXILIARY
 
@@ -223,5 +219,4 @@ static void clear_shapes(const pmf_shapes_config_t *config, truth_t where, real_
 
 #endif
 
-#endif
 #endif

@@ -1,16 +1,34 @@
-/* An input that acts late drives the axis in the interval of the counts. Only pmf_step.c includes this
- * file.
+/* An input that acts late drives the axis in the interval of the counts. Only pmf_step.c includes this file.
  * SPDX-License-Identifier: Apache-2.0
  *
  * A dead time is whole samples and a fraction of a sample. The filters take the mean of the two inputs that share an
  * interval, because the mean acceleration depends only on this mean. The auxiliary model switches at the right instant.
  */
-#ifndef PMF_DEAD_TIME_H
-#define PMF_DEAD_TIME_H
-
-#include "pmf_lag.h"
 
 #if PMF_LATE
+
+/* Between two switches the lagged input is an exponential. Two levels, one for each half of the interval, have the
+ * same mean and the same first moment. They keep velocity and position at the end of the interval, except for the
+ * damping within a sample. */
+
+/* Replace the two inputs of the interval, with the older one's fraction, by two levels for half an interval each. */
+static void lag_input(const pmf_decay_t *decay, pmf_late_state_t *late)
+{
+    real_t first = late->part, second = PMF_R(1.0) - first, half = PMF_R(0.5);
+    real_t apart = late->lagged - late->older, begun, mean, moment, tilt;
+    late->lagged = late->older + decay[0].rest * apart;
+    begun = first * late->older + decay[0].mean * apart;
+    moment = half * first * first * late->older + decay[0].moment * apart;
+    apart = late->lagged - late->newer;
+    late->lagged = late->newer + decay[1].rest * apart;
+    mean = second * late->newer + decay[1].mean * apart;
+    moment += first * mean + half * second * second * late->newer + decay[1].moment * apart;
+    mean += begun;
+    tilt = PMF_R(4.0) * (moment - half * mean);
+    late->older = mean - tilt;
+    late->newer = mean + tilt;
+    late->part = half;
+}
 
 static real_t dead_time_of(const pmf_config_t *config, const pmf_state_t *state)
 {
@@ -45,15 +63,12 @@ static void delay_input(const pmf_config_t *config, pmf_state_t *state)
     state->late.at = state->late.at == 0U ? late->room + 1U : state->late.at - 1U;
     state->late.past[state->late.at] = signal[PMF_LATE_INPUT];
     acts_behind(late, &state->late, samples, &state->late.older, &state->late.newer, &state->late.part);
-#if PMF_WITH_LAG
     if (late->lags != 0U) {
         lag_input(late->decay, &state->late);
     }
-#endif
     mean = state->late.newer + state->late.part * (state->late.older - state->late.newer);
     signal[PMF_LATE_INPUT] = mean;
     signal[PMF_INPUT] = signal[PMF_MOVING] * mean;
 }
 
-#endif
 #endif

@@ -1,9 +1,5 @@
 /* Statistics of innovations: their variance, the inflation of standard errors by their colour, and the check of the
  * model. Only pmf_recursion.c includes this file. SPDX-License-Identifier: Apache-2.0 */
-#ifndef PMF_INNOVATIONS_H
-#define PMF_INNOVATIONS_H
-
-#include "pmf_forgetting.h"
 
 #define MIN_BLOCKS 8.0
 #define SKIPPED_INNOVATIONS \
@@ -267,5 +263,3 @@ PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_s
     }
     state->block_updates += PMF_BIT(where, 1U);
 }
-
-#endif

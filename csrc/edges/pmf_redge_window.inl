@@ -1,9 +1,5 @@
 /* Windows of the recursion: a reference, what its end keeps, and its beginning. Only pmf_redge.c includes this file.
  * SPDX-License-Identifier: Apache-2.0 */
-#ifndef PMF_REDGE_WINDOW_H
-#define PMF_REDGE_WINDOW_H
-
-#include "pmf_redge_start.h"
 
 #define FIRST_WINDOW 24U /* edges in the first window */
 #define SHORTEST_WINDOW 12U
@@ -269,5 +265,3 @@ static void end_window(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     state->covariance[SPEED][SPEED] = own * doubt + PMF_R(1e-12);
     begin_window(state);
 }
-
-#endif
