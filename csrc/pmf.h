@@ -136,16 +136,10 @@ typedef struct {
     uint32_t standstill_samples; /* time without a count that means rest, in the unit of `idle` */
     scalar_t position_gain, velocity_gain; /* gains of the tracker, per count */
     scalar_t smooth_end, smooth_start; /* gains of the one-step smoother of the tracker's velocity */
-#if PMF_WITH_PROCESS
     uint32_t process; /* 1: output of a linear process, whose positions count from zero and may rest */
     uint32_t from_first; /* 1: positions count from the first count, for which the equation also holds */
-#endif
-#if PMF_WITH_GUARD
     uint32_t guard; /* 1: the guard judges the samples */
-#endif
-#if PMF_WITH_MISREAD
     uint32_t misread; /* 1: the errors of direction and moving fraction are signals */
-#endif
 #if PMF_WITH_STEPS
     scalar_t rate; /* samples per second if each sample comes with its step, otherwise 0 */
     scalar_t push; /* variance of the acceleration that the tracker expects, in counts per squared sample period */
@@ -162,14 +156,12 @@ typedef struct {
 } pmf_tracker_t;
 #endif
 
-#if PMF_WITH_MISREAD
 /* Intervals without a count, which may hide a stop or a reversal. */
 typedef struct {
     real_t pause, usual; /* intervals since the last count, and before that count */
     real_t held, held_input; /* intervals of this pause that did not count as misread, and the sum of their inputs */
     real_t begun; /* samples since the first count after a standstill; 0: the start is known */
 } pmf_misread_state_t;
-#endif
 
 #if PMF_WITH_GUARD
 /* Guard against samples that no motion explains. */
@@ -190,9 +182,7 @@ typedef struct {
     whole_t started; /* 2 after the second sample of a linear process */
     integer_t change; /* change of the count in the last interval */
     whole_t travel; /* sum of the changes of the count, modulo 2^32 */
-#if PMF_WITH_PROCESS
-    integer_t first; /* first count, with its sign */
-#endif
+    integer_t first; /* first count of a process, with its sign */
     real_t position, velocity, velocity_before, innovation; /* tracker, in counts and samples */
     real_t direction, moving; /* direction and moving fraction of the last interval */
     real_t input, input_before;
@@ -201,9 +191,7 @@ typedef struct {
     real_t ratio, ratio_before; /* steps of this interval and of the preceding one, over the sample period */
     pmf_tracker_t tracker;
 #endif
-#if PMF_WITH_MISREAD
     pmf_misread_state_t misread;
-#endif
 } pmf_encoder_state_t;
 
 /* node[k] = b0 * node[source] + (contribution of b1 and a from the preceding step) */
@@ -285,10 +273,8 @@ typedef struct {
     scalar_t shown; /* inverse square of the encoder's error in the leading column */
     scalar_t outgrown; /* ratio of information in the leading column to recent squares, above which the information
                           comes from larger motions */
-#if PMF_WITH_AUXILIARY
     uint32_t growing; /* power of the sample number as the weight of early samples, whose model is poor; above 1 only
                          with shapes */
-#endif
 #if PMF_WITH_MISREAD
     uint32_t n_misread; /* number of regressors with an error from misread counts */
     uint32_t misread_column; /* first column of these errors, followed by the error of the target; 0: none */
@@ -482,10 +468,8 @@ typedef struct {
 
 typedef struct {
     uint32_t settle_samples;
-#if PMF_WITH_PROCESS
     uint32_t first_samples; /* samples of settling at the start. The value is shorter if the initial state is part of
                                the equation. */
-#endif
     pmf_encoder_config_t encoder;
     pmf_network_config_t network;
     pmf_recursion_config_t direct; /* recursion from the counts alone */

@@ -13,20 +13,7 @@
 #if PMF_WITH_AUXILIARY
 
 #define NEWTON_TURNS 3
-#if PMF_STEPS
-#define OVER_STEP(force) ((force) * ratio)
-#define JUMP_GAIN gain
-#else
-#define OVER_STEP(force) (force)
-#define JUMP_GAIN config->jump_gain
-#endif
-#if PMF_WITH_DEAD_TIME
-#define NEVER_NEGATIVE(role) ((role) < PMF_OFFSET || (role) == PMF_DELAY)
-#define IS_KNOWN(role, index) ((role) == PMF_DELAY && (index) == PMF_NO_PARAMETER)
-#else
-#define NEVER_NEGATIVE(role) ((role) < PMF_OFFSET)
-#define IS_KNOWN(role, index) 0
-#endif
+#define IS_DELAY(role) (PMF_WITH_DEAD_TIME && (role) == PMF_DELAY)
 
 /* A spring acts with its force in the middle of the interval. */
 static body_t body_of(const pmf_auxiliary_config_t *config, const real_t *parameter, real_t input, real_t middle)
@@ -136,20 +123,21 @@ static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary
     real_t viscous = PMF_IF(forward, body->viscous[0], body->viscous[1]);
     real_t kept = body->mass / (body->mass + PMF_SPAN(config, state) * viscous), left = PMF_R(1.0), lost;
     uint32_t i;
-#if PMF_STEPS
-    real_t ratio = PMF_SPAN(config, state) / config->dt;
-    real_t gain = config->jump_gain * ratio / (PMF_R(1.0) + (ratio - PMF_R(1.0)) * config->jump_gain);
-#endif
+    real_t ratio = PMF_R(1.0), gain = PMF_ALIKE(config->jump_gain);
+    if (PMF_STEPS) {
+        ratio = PMF_ALIKE(PMF_SPAN(config, state) / config->dt);
+        gain = config->jump_gain * ratio / (PMF_R(1.0) + (ratio - PMF_R(1.0)) * config->jump_gain);
+    }
     if (PMF_ANY(stops)) {
         left = PMF_IF(stops, left_behind_stop(body, forward), left);
     }
     lost = (left - PMF_R(1.0)) * config->jump_gain;
     for (i = 0; i < config->sensitivities; ++i) {
         pmf_jump_t *jump = &state->jump[i];
-        real_t momentum = kept * (jump->momentum - OVER_STEP(signal[config->cause[i]]));
+        real_t momentum = kept * (jump->momentum - ratio * signal[config->cause[i]]);
         jump->momentum = left * momentum;
-        jump->filtered += JUMP_GAIN * (jump->blow - jump->filtered);
-        jump->blow += lost * momentum - JUMP_GAIN * jump->blow;
+        jump->filtered += gain * (jump->blow - jump->filtered);
+        jump->blow += lost * momentum - gain * jump->blow;
     }
 }
 
@@ -172,31 +160,22 @@ static void advance(const pmf_auxiliary_config_t *config, const pmf_auxiliary_st
                     phase_t *phase, real_t *signal)
 {
     uint32_t turn;
-#if PMF_SHAPED
     const body_t plain = *body;
-#else
-    (void)state;
-    (void)signal;
-#endif
     phase->distance[0] = phase->distance[1] = phase->moving[0] = phase->moving[1] = PMF_R(0.0);
     for (turn = 0; turn < 2U; ++turn) {
-#if PMF_SHAPED
-        if (config->shapes.n != 0U) {
+        if (has_shapes(config)) {
             PMF_WHERE(phase->velocity == PMF_R(0.0), body, *body = body_at_rest(config, state, &plain, phase));
         }
-#endif
         /* from rest the body may break away, or stick */
         truth_t rests = phase->velocity == PMF_R(0.0), left = phase->left > PMF_R(0.0);
         truth_t forward = (rests & (body->force > body->coulomb[0])) | (phase->velocity > PMF_R(0.0));
         truth_t backward = PMF_NOT(forward) & (PMF_NOT(rests) | (-body->force > body->coulomb[1]));
         if (PMF_ANY((forward | backward) & left)) {
-#if PMF_SHAPED
-            if (config->shapes.n != 0U) {
+            if (has_shapes(config)) {
                 move_shaped(config, state, &plain, forward & left, backward & left, phase, signal);
-                continue;
+            } else {
+                move(body, PMF_SPAN(config, state), forward & left, backward & left, phase);
             }
-#endif
-            move(body, PMF_SPAN(config, state), forward & left, backward & left, phase);
         }
     }
 }
@@ -217,9 +196,7 @@ static void conclude(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t
         signal[PMF_ACCELERATION] = PMF_IF(absurd, PMF_R(0.0), signal[PMF_ACCELERATION]);
         middle = PMF_IF(absurd, signal[PMF_LATE_POSITION], middle);
         state->position = PMF_IF(absurd, middle, state->position);
-#if PMF_SHAPED
-        clear_shapes(&config->shapes, absurd, signal);
-#endif
+        clear_shapes(config, absurd, signal);
     }
     emit_motion(phase, middle, signal);
     if (config->sensitivities != 0U) {
@@ -238,9 +215,7 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
     phase_t phase;
     phase.velocity = state->velocity;
     phase.left = PMF_R(1.0);
-#if PMF_SHAPED
-    clear_shapes(&config->shapes, PMF_R(0.0) == PMF_R(0.0), signal);
-#endif
+    clear_shapes(config, PMF_R(0.0) == PMF_R(0.0), signal);
     advance(config, state, &body, &phase, signal);
     conclude(config, state, &body, &phase, middle, signal);
 }
@@ -258,9 +233,7 @@ PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_a
     phase_t phase, rest;
     phase.velocity = state->velocity;
     phase.left = late->part;
-#if PMF_SHAPED
-    clear_shapes(&config->shapes, PMF_R(0.0) == PMF_R(0.0), signal);
-#endif
+    clear_shapes(config, PMF_R(0.0) == PMF_R(0.0), signal);
     advance(config, state, &body, &phase, signal);
     rest.velocity = phase.velocity;
     rest.left = PMF_R(1.0) - late->part;
@@ -362,20 +335,12 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
     if (!PMF_ANY(where)) {
         return;
     }
-    for (i = 0; i < PMF_ROLES; ++i) {
+    for (i = 0; i < roles_of(config); ++i) {
         real_t target = index[i] == PMF_NO_PARAMETER ? PMF_R(0.0) : theta[index[i]], moved;
-#if PMF_SHAPED
-        if (i >= PMF_BODY_ROLES + config->shapes.n) {
-            break;
-        }
-        if (i >= PMF_BODY_ROLES && config->shapes.shape[i - PMF_BODY_ROLES].positive != 0U) {
-            target = PMF_IF(target < PMF_R(0.0), PMF_R(0.0), target);
-        }
-#endif
-        if (IS_KNOWN(i, index[i])) {
+        if (IS_DELAY(i) && index[i] == PMF_NO_PARAMETER) { /* the dead time is known */
             continue;
         }
-        if (NEVER_NEGATIVE(i)) {
+        if (i < PMF_OFFSET || IS_DELAY(i) || is_positive(config, i)) {
             target = PMF_IF(target < PMF_R(0.0), PMF_R(0.0), target);
         }
         moved = state->parameter[i] + smoothing * (target - state->parameter[i]);

@@ -12,32 +12,11 @@
 #define FAST_COUNTS 2U /* counts in one sample above which the tracker is trusted */
 #define FAST_SPEED PMF_R(2.0) /* counts in one sample period above which the tracker is trusted */
 #define CLOSE 3U
-/* Pauses are counted in samples, or in ticks if the step varies. */
-#if PMF_STEPS
-#define PASSED passed
-#define NEXT_FAST(counts) next_fast(config, state, counts, ticks)
-#define GAINS (&own)
-#else
-#define PASSED 1U
-#define NEXT_FAST(counts) next_fast(state->fast, counts)
-#define GAINS config
-#endif
-
 /* Gains of the tracker and of its smoother. */
-#if PMF_STEPS
-#define TRAVELLED(speed) ((speed) * ratio) /* counts travelled within the step */
-#define AS_SPEED(change) ((change) / ratio)
-#define SMOOTH_BEFORE(gains) ((gains)->smooth_before)
 typedef struct {
     real_t position_gain, velocity_gain, smooth_end, smooth_start;
     real_t smooth_before; /* smooth_end of the preceding sample */
 } gains_t;
-#else
-#define TRAVELLED(speed) (speed)
-#define AS_SPEED(change) (change)
-#define SMOOTH_BEFORE(gains) ((gains)->smooth_end)
-typedef pmf_encoder_config_t gains_t;
-#endif
 
 static whole_t magnitude(integer_t x)
 {
@@ -66,65 +45,47 @@ static real_t late_direction(const gains_t *gains, const pmf_encoder_state_t *st
         return state->direction;
     }
     end = state->velocity + gains->smooth_end * innovation;
-    start = velocity_two_before + SMOOTH_BEFORE(gains) * state->innovation + gains->smooth_start * innovation;
+    start = velocity_two_before + gains->smooth_before * state->innovation + gains->smooth_start * innovation;
     return PMF_IF(slow, state->direction, signed_fraction(start, end));
 }
 
-#if PMF_STEPS
-/* Return the last step in the unit of pauses. */
-static uint32_t ticks_of(const pmf_encoder_config_t *config, real_t ratio)
-{
-    return PMF_SAMPLE(config) != 1U ? (uint32_t)((real_t)PMF_TICKS * ratio + PMF_R(0.5)) : 1U;
-}
-
-/* A short step has few counts even in fast motion. */
-static uint32_t next_fast(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, uint32_t counts,
-                          uint32_t ticks)
+/* A short step has few counts even in fast motion. `ticks` is the last step in the unit of pauses. */
+static whole_t next_fast(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, whole_t counts,
+                         uint32_t ticks)
 {
     real_t speed = PMF_SAMPLE(config) != 1U ? state->velocity : PMF_R(0.0);
-    if (counts >= FAST_COUNTS || speed > FAST_SPEED || speed < -FAST_SPEED) {
-        return PMF_FAST_SAMPLES * PMF_SAMPLE(config);
-    }
-    return state->fast > ticks ? state->fast - ticks : 0U;
+    truth_t fast = (counts >= FAST_COUNTS) | (speed > FAST_SPEED) | (speed < -FAST_SPEED);
+    (void)config; /* only a varying step needs it */
+    return PMF_IF(fast, PMF_W(PMF_FAST_SAMPLES * PMF_SAMPLE(config)),
+                  PMF_IF(state->fast > ticks, state->fast - ticks, PMF_W(0)));
 }
-#else
-static whole_t next_fast(whole_t fast, whole_t counts)
-{
-    return PMF_IF(counts >= FAST_COUNTS, PMF_W(PMF_FAST_SAMPLES), PMF_IF(fast > 0U, fast - 1U, PMF_W(0)));
-}
-#endif
 
 /* Count the pauses between counts. A pause much longer than the recent ones is a standstill. If counts came at least
  * every CLOSE samples, a pause of one further sample is a standstill. With a coarser encoder the pause may be a slow
  * reversal, which takes longer with larger counts. */
-#if PMF_STEPS
 static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, integer_t change,
                            uint32_t ticks)
-#else
-static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, integer_t change)
-#endif
 {
     uint32_t still = config->standstill_samples;
     truth_t counted = change != 0, rest = PMF_NOT(counted);
-#if PMF_STEPS
-    uint32_t left = still - state->idle, passed = PMF_SAMPLE(config) == 1U || ticks < left ? ticks : left;
-#endif
+    whole_t left = still - state->idle, passed = PMF_W(ticks);
+    if (PMF_SAMPLE(config) != 1U) {
+        passed = PMF_IF(left < ticks, left, passed);
+    }
     if (PMF_ANY(counted)) {
-        whole_t leaked = state->gap - ((state->gap >> 2) & ~(PMF_SAMPLE(config) - 1U)), pause = state->idle + PASSED;
+        whole_t leaked = state->gap - ((state->gap >> 2) & ~(PMF_SAMPLE(config) - 1U)), pause = state->idle + passed;
         state->gap = PMF_IF(counted, PMF_IF(pause > leaked, pause, leaked), state->gap);
         state->direction = PMF_IF(counted, PMF_IF(change > 0, PMF_R(1.0), PMF_R(-1.0)), state->direction);
         state->moving = PMF_IF(counted, PMF_R(1.0), state->moving);
         state->idle = PMF_IF(counted, PMF_W(0), state->idle);
     }
-#if PMF_PROCESS
-    if (config->process != 0U) { /* a process may be constant without a standstill */
+    if (PMF_PROCESS && config->process != 0U) { /* a process may be constant without a standstill */
         return PMF_W(0);
     }
-#endif
     if (PMF_ANY(rest)) {
         whole_t limit = PMF_IF(state->gap < (CLOSE + 1U) * PMF_SAMPLE(config), state->gap + PMF_SAMPLE(config),
                                4U * state->gap + 2U * PMF_SAMPLE(config));
-        state->idle += PMF_BIT(rest & (state->idle < still), PASSED);
+        state->idle += PMF_IF(rest & (state->idle < still), passed, PMF_W(0));
         rest = rest & ((state->idle >= still) | (state->idle > limit));
         state->direction = PMF_IF(rest, PMF_R(0.0), state->direction);
         state->moving = PMF_IF(rest, PMF_R(0.0), state->moving);
@@ -165,52 +126,52 @@ static whole_t check(const pmf_encoder_config_t *config, const pmf_encoder_state
 static void emit_interval(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t direction,
                           real_t *signal)
 {
-#if PMF_SPLIT
     real_t half = PMF_R(0.5) * direction, moving = PMF_R(0.5) * state->moving;
     real_t middle = PMF_TO_REAL(pmf_signed(0xffffffffU, state->travel)) - PMF_R(0.5) * PMF_TO_REAL(state->change);
-    real_t position;
-#if PMF_PROCESS
-    if (config->process != 0U) {
-        middle += PMF_R(0.5); /* a count stands for the middle of its interval */
-    }
-#endif
-    position = config->position_per_count * middle;
-#endif
-    (void)config;
     signal[PMF_INPUT] = state->moving * state->input_before;
     signal[PMF_DIRECTION] = direction;
-#if PMF_SPLIT
-    signal[PMF_MOVING] = state->moving;
-    signal[PMF_FORWARD] = moving + half;
-    signal[PMF_BACKWARD] = half - moving;
-    signal[PMF_FORWARD_VELOCITY] = PMF_IF(direction > PMF_R(0.0), state->mean_velocity, PMF_R(0.0));
-    signal[PMF_BACKWARD_VELOCITY] = PMF_IF(direction > PMF_R(0.0), PMF_R(0.0), state->mean_velocity);
-    signal[PMF_LATE_POSITION] = position;
-    signal[PMF_POSITION] = state->moving * position;
-    signal[PMF_LATE_INPUT] = state->input_before;
-    signal[PMF_LATE_VELOCITY] = state->mean_velocity;
-#endif
-#if PMF_PROCESS
-    if (config->process != 0U) {
+    if (PMF_PROCESS && config->process != 0U) {
+        middle += PMF_R(0.5); /* a count stands for the middle of its interval */
         signal[PMF_ONE] = PMF_R(1.0);
         signal[PMF_START] = PMF_IF(state->started == 1U, PMF_R(1.0), PMF_R(0.0));
     }
-#endif
+    if (PMF_SPLIT) {
+        signal[PMF_MOVING] = state->moving;
+        signal[PMF_FORWARD] = moving + half;
+        signal[PMF_BACKWARD] = half - moving;
+        signal[PMF_FORWARD_VELOCITY] = PMF_IF(direction > PMF_R(0.0), state->mean_velocity, PMF_R(0.0));
+        signal[PMF_BACKWARD_VELOCITY] = PMF_IF(direction > PMF_R(0.0), PMF_R(0.0), state->mean_velocity);
+        signal[PMF_LATE_POSITION] = config->position_per_count * middle;
+        signal[PMF_POSITION] = state->moving * signal[PMF_LATE_POSITION];
+        signal[PMF_LATE_INPUT] = state->input_before;
+        signal[PMF_LATE_VELOCITY] = state->mean_velocity;
+    }
+}
+
+/* Set the constant gains. */
+static void keep_gains(const pmf_encoder_config_t *config, gains_t *gains)
+{
+    gains->position_gain = PMF_ALIKE(config->position_gain);
+    gains->velocity_gain = PMF_ALIKE(config->velocity_gain);
+    gains->smooth_before = gains->smooth_end = PMF_ALIKE(config->smooth_end);
+    gains->smooth_start = PMF_ALIKE(config->smooth_start);
 }
 
 #if PMF_STEPS
 /* Return the step of this interval over the sample period. */
-static real_t ratio_of(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, whole_t *status)
+static real_t ratio_of(pmf_encoder_state_t *state, whole_t *status)
 {
-    real_t ratio = state->ratio;
-    if (!PMF_STEPPED(config->rate > PMF_R(0.0))) {
-        return PMF_R(1.0);
-    }
-    if (!(ratio > PMF_R(0.0))) {
-        state->ratio = ratio = PMF_R(1.0);
+    if (!(state->ratio > PMF_R(0.0))) {
+        state->ratio = PMF_R(1.0);
         *status |= PMF_INVALID_INPUT | PMF_SETTLING;
     }
-    return ratio;
+    return state->ratio;
+}
+
+/* Return the last step in the unit of pauses. */
+static uint32_t ticks_of(real_t ratio)
+{
+    return (uint32_t)((real_t)PMF_TICKS * ratio + PMF_R(0.5));
 }
 
 /* Set the gains of a Kalman filter for an acceleration that is constant within each step, and of its smoother by one
@@ -234,14 +195,6 @@ static void set_gains(const pmf_encoder_config_t *config, pmf_tracker_t *tracker
     tracker->cross = gains->velocity_gain;
 }
 
-static void keep_gains(const pmf_encoder_config_t *config, gains_t *gains)
-{
-    gains->position_gain = config->position_gain;
-    gains->velocity_gain = config->velocity_gain;
-    gains->smooth_before = gains->smooth_end = config->smooth_end;
-    gains->smooth_start = config->smooth_start;
-}
-
 /* A reversal at the fraction x of an interval h changes the acceleration. Like a jerk, a reversal makes the mean
  * velocity differ from the mean of both ends, by 6 x (1 - x) = 1.5 (1 - direction^2) times a jerk's effect. */
 static real_t late_turn(const pmf_encoder_state_t *state, real_t direction, real_t velocity)
@@ -262,63 +215,52 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     truth_t started = state->started != 0U;
     integer_t change = PMF_IF(started, pmf_signed(mask, (count - state->count) & mask), 0);
     whole_t counts = magnitude(change), status = check(config, state, &input, &change, &counts), fast;
-    real_t changed, predicted, innovation;
-#if PMF_WITH_MISREAD
+    real_t changed, predicted, innovation, ratio = PMF_R(1.0), direction = state->direction;
     truth_t moved = state->moving > PMF_R(0.0);
-    real_t direction = state->direction;
-#endif
+    uint32_t ticks = 1U; /* the last step in the unit of pauses */
+    gains_t gains;
+    keep_gains(config, &gains);
 #if PMF_STEPS
-    real_t ratio = ratio_of(config, state, &status);
-    uint32_t ticks = ticks_of(config, ratio);
-    gains_t own;
     if (PMF_STEPPED(config->rate > PMF_R(0.0))) {
-        set_gains(config, &state->tracker, ratio, &own);
-    } else {
-        keep_gains(config, &own);
+        ratio = ratio_of(state, &status);
+        ticks = ticks_of(ratio);
+        set_gains(config, &state->tracker, ratio, &gains);
     }
 #endif
     state->count = count;
-    fast = NEXT_FAST(counts);
+    fast = next_fast(config, state, counts, ticks);
     /* Position of the axis within the new count, in counts. A count stands for the middle of its interval. */
     changed = PMF_TO_REAL(change);
-    predicted = PMF_IF(started, state->position + TRAVELLED(state->velocity) - changed, PMF_R(0.5));
+    predicted = PMF_IF(started, state->position + state->velocity * ratio - changed, PMF_R(0.5));
     innovation = PMF_R(0.5) - predicted;
 
-    emit_interval(config, state, state->moving * late_direction(GAINS, state, innovation, fast, state->velocity_before),
-                  signal);
+    emit_interval(config, state,
+                  state->moving * late_direction(&gains, state, innovation, fast, state->velocity_before), signal);
 #if PMF_STEPS
     if (PMF_TURNED(config) != 0U) {
         signal[PMF_TURN] = late_turn(state, signal[PMF_DIRECTION], state->velocity);
     }
 #endif
-    signal[PMF_VELOCITY] = AS_SPEED(config->velocity_per_count * changed);
+    signal[PMF_VELOCITY] = config->velocity_per_count * changed / ratio;
 
-    track(GAINS, state, innovation, predicted);
-#if PMF_STEPS
+    track(&gains, state, innovation, predicted);
     status |= note_motion(config, state, change, ticks);
-#else
-    status |= note_motion(config, state, change);
-#endif
-#if PMF_WITH_MISREAD
-    if (config->misread != 0U) {
+    if (PMF_WITH_MISREAD && config->misread != 0U) {
         emit_misread(state, change, moved, direction, (fast > 0U) | (state->fast > 0U), signal);
     }
-#endif
     state->mean_velocity = signal[PMF_VELOCITY];
-#if PMF_WITH_SPLIT
-    state->change = change;
-    state->travel = (state->travel + (whole_t)change) & 0xffffffffU;
-#endif
+    if (PMF_WITH_SPLIT) {
+        state->change = change;
+        state->travel = (state->travel + (whole_t)change) & 0xffffffffU;
+    }
     state->started = PMF_W(1);
-#if PMF_PROCESS
-    if (config->process != 0U) {
+    if (PMF_PROCESS && config->process != 0U) {
         state->first = PMF_IF(started, state->first, pmf_signed(mask, count & mask));
         if (config->from_first == 0U) {
             state->travel = PMF_IF(started, state->travel, (whole_t)state->first & 0xffffffffU);
         }
         state->started = PMF_IF(started, PMF_W(2), PMF_W(1));
     }
-#endif
     state->fast = fast;
     state->input_before = state->input;
     state->input = input;

@@ -18,20 +18,10 @@
  * sample is proportional to its number, so that early errors fade with the square of time. */
 PMF_INLINE real_t memory_of(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t weight)
 {
-#if PMF_WITH_AUXILIARY
-    if (config->growing != 0U) {
-#if PMF_SHAPED
-        real_t power = (real_t)config->growing;
-#else
-        real_t power = PMF_R(1.0);
-#endif
-        real_t updates = PMF_TO_REAL(state->updates), part = updates / (updates + power);
+    if (PMF_WITH_AUXILIARY && config->growing != 0U) {
+        real_t updates = PMF_TO_REAL(state->updates), part = updates / (updates + (scalar_t)config->growing);
         weight = PMF_IF(part < weight, part, weight);
     }
-#else
-    (void)config;
-    (void)state;
-#endif
     return weight;
 }
 

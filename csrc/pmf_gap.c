@@ -6,13 +6,11 @@
 /* The counter shows the distance during the gap unless the counter wrapped. The next samples show the velocity. */
 static void begin_encoder(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, uint32_t count)
 {
-#if PMF_WITH_SPLIT
     uint32_t mask = config->count_mask, half = (mask >> 1) + 1U, moved = (count - state->count) & mask;
-    state->travel = (state->travel + (moved < half ? moved : moved - mask - 1U)) & 0xffffffffU;
-    state->change = 0;
-#else
-    (void)config;
-#endif
+    if (PMF_WITH_SPLIT) {
+        state->travel = (state->travel + (moved < half ? moved : moved - mask - 1U)) & 0xffffffffU;
+        state->change = 0;
+    }
     state->count = count;
 #if PMF_STEPS
     state->ratio = state->ratio_before = PMF_R(1.0);
@@ -21,9 +19,7 @@ static void begin_encoder(const pmf_encoder_config_t *config, pmf_encoder_state_
     state->idle = 0U;
     state->fast = 0U;
     state->position = PMF_R(0.5);
-#if PMF_WITH_MISREAD
     pmf_clear(&state->misread, (uint32_t)sizeof state->misread);
-#endif
     state->velocity = state->velocity_before = state->innovation = state->mean_velocity = PMF_R(0.0);
 }
 
@@ -47,8 +43,6 @@ void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count)
 void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples)
 {
     samples = samples < config->settle_samples ? samples : config->settle_samples;
-#if PMF_WITH_GUARD
     samples += config->encoder.guard != 0U ? PMF_AHEAD : 0U; /* the samples that the guard holds back come first */
-#endif
     state->hold = samples > state->hold ? samples : state->hold;
 }

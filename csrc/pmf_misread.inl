@@ -5,8 +5,6 @@
  * as long as the last one is usual in slow motion and counts only if it ends in a stop or a reversal. Every further
  * interval counts at once. */
 
-#if PMF_WITH_MISREAD
-
 #define LATE_TURN PMF_R(0.3) /* error of the direction if velocities give the instant of a reversal [samples] */
 #define LATE_STOP PMF_R(0.5) /* mean part of the last interval that was at rest */
 #define HIDDEN PMF_R(1.5) /* time from a start to the first count, over the time from there to the second count */
@@ -45,5 +43,3 @@ static void emit_misread(pmf_encoder_state_t *state, integer_t change, truth_t m
     own->held = PMF_IF(counted | stops, zero, PMF_IF(usual, own->held + one, own->held));
     own->held_input = PMF_IF(counted | stops, zero, PMF_IF(usual, own->held_input + u, own->held_input));
 }
-
-#endif

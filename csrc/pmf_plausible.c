@@ -66,13 +66,10 @@ PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_
            all_finite((const real_t *)(const void *)&state->tracker, REALS(state->tracker)) &
            not_negative(&state->tracker.place, 1U) & not_negative(&state->tracker.speed, 1U)
 #endif
-#if PMF_WITH_MISREAD
            & within(&state->misread.pause, 1U, PMF_R(0.0), MOST_COUNTS) &
            within(&state->misread.usual, 1U, PMF_R(0.0), MOST_COUNTS) &
            within(&state->misread.held, 1U, PMF_R(0.0), MOST_COUNTS) &
-           within(&state->misread.begun, 1U, PMF_R(0.0), MOST_COUNTS) & all_finite(&state->misread.held_input, 1U)
-#endif
-        ;
+           within(&state->misread.begun, 1U, PMF_R(0.0), MOST_COUNTS) & all_finite(&state->misread.held_input, 1U);
 }
 
 /* The diagonals are sums of squares. */
@@ -152,9 +149,7 @@ PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const 
 uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 {
     uint32_t settle = config->settle_samples, fine;
-#if PMF_WITH_PROCESS
     settle = config->first_samples > settle ? config->first_samples : settle;
-#endif
     fine = at_most(state->status, PMF_STATUS_BITS) & at_most(state->settle, settle) &
            at_most(state->hold, settle + PMF_AHEAD) &
 #if PMF_WITH_GUARD

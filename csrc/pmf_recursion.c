@@ -261,58 +261,32 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
     return PMF_IF(finite_state(state, p, instrumental), status, PMF_W(PMF_RESET | PMF_STARTING));
 }
 
-/* An export with shapes has recursions of two sizes. Both recursions use loops, because code for every size would be
- * twice the rest of the kernel. */
+/* The step with a constant number of parameters. Loops unroll, and the bits stay. The code is split into functions,
+ * because a compiler's time grows faster than the size of a function. An export with shapes has recursions of two
+ * sizes. Both use loops, because code for every size would be twice the rest of the kernel. */
 #if defined(PMF_PARAMETERS) || (PMF_MAX_SHAPES > 0 && PMF_LAYOUT != 0U)
-#define EVERY_SIZE 0
+#define SIZES(DO)
+#elif PMF_MAX_PARAMETERS >= 8 && !defined(PMF_LANES)
+#define SIZES(DO) DO(3, 0) DO(3, 1) DO(4, 0) DO(4, 1) DO(5, 0) DO(5, 1) DO(6, 0) DO(6, 1) DO(7, 0) DO(8, 0)
 #else
-#define EVERY_SIZE 1
+#define SIZES(DO) DO(3, 0) DO(3, 1) DO(4, 0) DO(4, 1) DO(5, 0)
 #endif
-
-#if EVERY_SIZE
-/* The step with a constant number of parameters. Loops unroll, and the bits stay. The code is split into
- * functions, because a compiler's time grows faster than the size of a function. */
 #define FIXED(p, instrumental)                                                                                         \
     PMF_APART whole_t checked_##p##_##instrumental(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, \
                                                    const real_t *column)                                               \
     {                                                                                                                  \
         return checked(config, state, column, p##U, instrumental##U);                                                  \
     }
-FIXED(3, 0)
-FIXED(3, 1)
-FIXED(4, 0)
-FIXED(4, 1)
-FIXED(5, 0)
-#if PMF_MAX_PARAMETERS >= 8 && !defined(PMF_LANES)
-FIXED(5, 1)
-FIXED(6, 0)
-FIXED(6, 1)
-FIXED(7, 0)
-FIXED(8, 0)
-#endif
-#endif
+#define CALL(p, instrumental) \
+    case p * 2 + instrumental: return checked_##p##_##instrumental(config, state, column);
+SIZES(FIXED)
 
 static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)
 {
-#if !EVERY_SIZE
-    return checked(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
-#else
-    switch (config->n_parameters * 2U + config->instrumental) {
-    case 6: return checked_3_0(config, state, column);
-    case 7: return checked_3_1(config, state, column);
-    case 8: return checked_4_0(config, state, column);
-    case 9: return checked_4_1(config, state, column);
-    case 10: return checked_5_0(config, state, column);
-#if PMF_MAX_PARAMETERS >= 8 && !defined(PMF_LANES)
-    case 11: return checked_5_1(config, state, column);
-    case 12: return checked_6_0(config, state, column);
-    case 13: return checked_6_1(config, state, column);
-    case 14: return checked_7_0(config, state, column);
-    case 16: return checked_8_0(config, state, column);
-#endif
+    switch (PARAMETERS(config) * 2U + INSTRUMENTAL(config)) {
+        SIZES(CALL)
     default: return checked(config, state, column, PARAMETERS(config), INSTRUMENTAL(config));
     }
-#endif
 }
 
 /* Forget everything except the last finite estimate. */

@@ -209,14 +209,38 @@ static void move_shaped(const pmf_auxiliary_config_t *config, const pmf_auxiliar
     }
 }
 
-static void clear_shapes(const pmf_shapes_config_t *config, truth_t where, real_t *signal)
+static void clear_shapes(const pmf_auxiliary_config_t *config, truth_t where, real_t *signal)
 {
+    const pmf_shape_t *shape = config->shapes.shape;
     uint32_t i;
-    for (i = 0; i < config->n; ++i) {
-        signal[config->shape[i].node] = PMF_IF(where, PMF_R(0.0), signal[config->shape[i].node]);
+    for (i = 0; i < config->shapes.n; ++i) {
+        signal[shape[i].node] = PMF_IF(where, PMF_R(0.0), signal[shape[i].node]);
     }
 }
 
+static truth_t has_shapes(const pmf_auxiliary_config_t *config)
+{
+    return config->shapes.n != 0U;
+}
+
+static uint32_t roles_of(const pmf_auxiliary_config_t *config)
+{
+    return PMF_BODY_ROLES + config->shapes.n;
+}
+
+/* Return whether the role is a shape whose coefficient is never negative. */
+static truth_t is_positive(const pmf_auxiliary_config_t *config, uint32_t role)
+{
+    return role >= PMF_BODY_ROLES && config->shapes.shape[role - PMF_BODY_ROLES].positive != 0U;
+}
+
+#else /* no shapes: the compiler leaves out what they would need */
+#define has_shapes(config) 0
+#define roles_of(config) PMF_ROLES
+#define is_positive(config, role) 0
+#define body_at_rest(config, state, plain, phase) (*(plain))
+#define move_shaped(config, state, plain, forward, backward, phase, signal) ((void)(state), (void)(signal))
+#define clear_shapes(config, where, signal) ((void)(signal))
 #endif
 
 #endif

@@ -13,11 +13,7 @@
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_clear(state, (uint32_t)sizeof *state);
-#if PMF_PROCESS
     state->settle = PMF_W(config->first_samples);
-#else
-    state->settle = PMF_W(config->settle_samples);
-#endif
     state->encoder.idle = PMF_W(config->encoder.standstill_samples); /* at rest until a count shows a motion */
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_start(&config->auxiliary, &state->auxiliary);
@@ -205,11 +201,9 @@ static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
     uint32_t mass = config->auxiliary.index[PMF_MASS], direct_mass = config->auxiliary.direct_index[PMF_MASS];
     real_t small = SHORT_BAR * own->theta[mass];
-#if PMF_SHAPED /* samples weighted by a power of their number count less */
-    real_t gathered = PMF_R(0.5) * (PMF_R(1.0) + (real_t)config->instrument.growing) * state->instrument.sums.weight;
-#else
-    real_t gathered = state->instrument.sums.weight;
-#endif
+    /* samples weighted by a power of their number count less */
+    real_t power = PMF_ALIKE((scalar_t)config->instrument.growing);
+    real_t gathered = PMF_R(0.5) * (PMF_R(1.0) + power) * state->instrument.sums.weight;
     truth_t enough = TAKE_OVER * gathered > state->direct.sums.weight;
     enough = enough & ((own->variance_factor[mass] < TAKE_OVER * direct->variance_factor[direct_mass]) |
                        (own->variance_factor[mass] * own->inflation[mass] * own->innovation_variance < small * small));

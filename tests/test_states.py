@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
@@ -21,7 +22,7 @@ from tests.conftest import long_unless
 from tests.firmware.build import GCC
 from tests.hostile.crafted import attack, estimators, folder_of, leaves, program
 from tests.test_export import needs
-from tests.test_many import AXES, fleet_record, make
+from tests.test_many import AXES, ENCODER, fleet_record, make
 
 PRECISIONS = ("float32", "float64")
 #: Whole numbers without a limit: registers, sums modulo 2^32, and counters that saturate.
@@ -162,3 +163,13 @@ def test_crafted_states_do_no_harm(name: str, place: str, tmp_path: Path) -> Non
     outcome = attack(program(estimator, place, tmp_path), folder_of(estimator, place, tmp_path / "files"), 300, 1)
     assert outcome.report == ""
     assert 100 < outcome.taken < 300
+
+
+def test_a_doubt_is_part_of_the_state_of_an_estimator_without_a_guard() -> None:
+    u, counts = fleet_record()
+    encoder = replace(ENCODER, guard=False)
+    one, other = (make(pmfid.BCRLS, encoder=encoder) for _ in range(2))
+    one.run(u[0, :300], counts[0, :300])
+    one.doubt(50)
+    other.set_state(one.get_state())
+    assert np.array_equal(other.run(u[0, 300:], counts[0, 300:]).theta, one.run(u[0, 300:], counts[0, 300:]).theta)

@@ -19,7 +19,16 @@ from pmfid.kernel.saved import config_number, edge_configuration, tight_edge_sta
 from pmfid.kernel.structures import EDGE_HEADERS, Structures, header, layout_number
 
 #: Patterns of the copied sources, and those of the other exports among them.
-COPIED = ("pmf.h", "pmf_internal.h", "pmf_bytes.h", "pmf_state.c", "pmf_alarm.c", "edges/*.[ch]", "edges/*.inl", "LICENSE")
+COPIED = (
+    "pmf.h",
+    "pmf_internal.h",
+    "pmf_bytes.h",
+    "pmf_state.c",
+    "pmf_alarm.c",
+    "edges/*.[ch]",
+    "edges/*.inl",
+    "LICENSE",
+)
 #: Templates in place of those of the other exports.
 INSTEAD = {"main.c.j2": "edges_main.c.j2", "sketch.ino.j2": "edges_sketch.ino.j2"}
 #: Files in addition to those of the other exports, by template.
