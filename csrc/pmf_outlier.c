@@ -100,7 +100,7 @@ PMF_SELDOM scalar_t price(const pmf_view_t *view, const path_t *path, scalar_t m
         return most;
     }
     start = before_last(path, 1U);
-    if (is_too_fast(view, start, last)) {
+    if (is_too_fast(view, start, last) != 0) {
         return ENDLESS;
     }
     if (points < 3U) {
@@ -248,8 +248,9 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
     find_best(view, &best);
     if (best.first != 0U || best.moved != 0U) {
         replace(view, &best, verdict);
-    } else if (view->past >= 2U && is_too_fast(view, PAST - 1U, PAST)) {
-        /* no path is slow enough, so that the motion continues */
+        return;
+    }
+    if (view->past >= 2U && is_too_fast(view, PAST - 1U, PAST)) { /* no path is slow enough: the motion continues */
         scalar_t time = view->time[PAST] - view->time[PAST - 1U];
         verdict->verdict = PMF_READING_WRONG;
         verdict->count = view->count[PAST - 1U] + rounded(time * speed(view, PAST - 2U, PAST - 1U));

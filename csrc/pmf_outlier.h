@@ -21,7 +21,7 @@ typedef struct {
     scalar_t speed, slack; /* largest change of the counts in a time t: speed t + slack; speed 0: no limit */
 } pmf_view_t;
 
-enum { PMF_READING_FITS = 0, PMF_READING_WRONG, PMF_ZERO_MOVED };
+enum pmf_reading { PMF_READING_FITS = 0, PMF_READING_WRONG, PMF_ZERO_MOVED };
 
 /* Judge the reading at PMF_PAST. `count` is the count of the motion, relative like the view. If the zero moved, all
  * counts from `first` on belong to the new zero, and the count at `first` would have been `end` with the earlier one.

@@ -242,7 +242,7 @@ def process_estimator(name: str, precision: str) -> RecursiveEstimator:
 @pytest.mark.parametrize(
     ("name", "precision"),
     long_unless(
-        lambda *case: case in (("bcrls", "float32"), ("window", "float32"), ("rls", "float64")),
+        lambda *case: case in (("bcrls", "float32"), ("order", "float32"), ("rls", "float64")),
         [(name, real) for name, (cls, _) in PROCESSES.items() for real in PRECISIONS[: 1 + (name == cls.method)]],
     ),
 )
@@ -402,7 +402,7 @@ MISRA = set(re.findall(r"^\| (\d+\.\d+) \|", FIRMWARE_PAGE.read_text(encoding="u
 @pytest.mark.long
 def test_misra_finds_only_what_is_justified(kind: str, tmp_path: Path) -> None:
     """The drive and the process with the most code are checked, each with only the macros of its export."""
-    pmfid.export_firmware(make(pmfid.RIV) if kind == "drive" else process_estimator("window", "float32"), tmp_path)
+    pmfid.export_firmware(make(pmfid.RIV) if kind == "drive" else process_estimator("bcrls", "float32"), tmp_path)
     files = sorted(path.name for path in tmp_path.glob("*.c"))
     options = [
         "--std=c99",
