@@ -33,7 +33,7 @@ def findings_of(
         yield from _forces(fitted, names, sizes, tolerance)
     else:
         yield _describe(second, names[fitted.problem.machine.lead], fitted, tolerance)
-    yield from _wandering(fitted)
+    yield from _wandering(fitted, names, sizes, tolerance)
     yield from _unknown(fitted, names, positive)
     half, std = fitted.half, np.sqrt(np.diag(fitted.covariance))
     hidden = half > np.maximum(tolerance * sizes, 2 * 1.96 * std)
@@ -81,21 +81,25 @@ def _describe(second: SecondMass, name: str, fitted: Fitted, tolerance: float) -
     )
 
 
-def _wandering(fitted: Fitted) -> Iterator[Finding]:
+def _wandering(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: float) -> Iterator[Finding]:
+    """Yield a finding on residuals beyond rounding. They matter if errors of their size may move a parameter."""
     noise = fitted.likelihood
-    if isinstance(noise, Gaussian) and noise.wanders:
+    if not (isinstance(noise, Gaussian) and (noise.wanders or noise.scale > 1.5)):
+        return
+    worst = int(np.argmax(fitted.reach / sizes))
+    matters = bool(fitted.reach[worst] > tolerance * sizes[worst])
+    reach = format_part(fitted.reach[worst] / sizes[worst])
+    detail = "" if matters else f"No error of this size moves {names[worst]} by more than {reach}."
+    if noise.wanders:
         what = "a force" if noise.force[0] > 0 else "an error of the position"
-        yield Finding(
-            "unmodelled",
-            f"{what} that no term explains wanders, and the intervals include it",
-            "compare the motion with the record (--out), and add the missing effect to [model]",
+        sentence = f"{what} that no term explains wanders, and the intervals include it"
+        remedy = "compare the motion with the record (--out), and add the missing effect to [model]"
+    else:
+        sentence = (
+            f"the motion deviates from the counts by {np.sqrt(noise.scale):.2g} times the rounding of the encoder"
         )
-    elif isinstance(noise, Gaussian) and noise.scale > 1.5:
-        yield Finding(
-            "unmodelled",
-            f"the motion deviates from the counts by {np.sqrt(noise.scale):.2g} times the rounding of the encoder",
-            "check [encoder] resolution, or add the missing effect to [model]",
-        )
+        remedy = "check [encoder] resolution, or add the missing effect to [model]"
+    yield Finding("unmodelled", sentence, remedy, "doubt" if matters else "note", detail)
 
 
 def _unknown(fitted: Fitted, names: tuple[str, ...], positive: Flags) -> Iterator[Finding]:

@@ -26,7 +26,8 @@ class Fitted:
     """A fit with the forces that the comparison added.
 
     `theta` (p,) and `covariance` (p, p) belong to the machine's parameters. `half` (p,) is the half length of the 95 %
-    intervals over the chosen model and the models next to it. `solution` belongs to `problem`, whose candidates are the
+    intervals over the chosen model and the models next to it. `reach` (p,) is the largest error that residuals of this
+    size may cause, whatever their shape. `solution` belongs to `problem`, whose candidates are the
     chosen ones. `likelihood` is that of the residuals. `plain` (p,) are the machine's parameters without candidates.
     `rival` names the force that widens the intervals most. `weighed` has an entry for each force of the table.
     `uncut` is the record of a fit to shorter stretches.
@@ -38,6 +39,7 @@ class Fitted:
     theta: Floats
     covariance: Floats
     half: Floats
+    reach: Floats
     plain: Floats
     rival: str
     weighed: tuple[WeighedForce, ...] = ()
@@ -109,10 +111,20 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
         theta,
         covariance * np.outer(lift, lift),
         half * lift,
+        largest_errors(search, optimum)[: search.count] * lift,
         theta + shift * lift,
         search.table[rival].words if rival is not None else "",
         _weigh(search, optimum, likelihood, lift),
     )
+
+
+def largest_errors(search: FitSearch, optimum: Optimum) -> Floats:
+    """Return the largest errors (p,) of the parameters by least squares, by any errors of the positions with the sum of
+    squares that the residuals have in excess of rounding (inequality of Cauchy and Schwarz)."""
+    blocks = search.problem.linearise(optimum.q, optimum.starts)
+    excess = sum(float(np.sum(block.e**2)) - block.e.size / 12 for block in blocks)
+    A = normal_of(blocks, optimum.starts).A + 1e-6 * np.diag(search.prior(search.problem))
+    return np.sqrt(np.diag(inverse(A)) * max(excess, 0.0))
 
 
 def soften(likelihood: Gaussian | Intervals) -> Gaussian | Intervals:
