@@ -83,14 +83,13 @@ def test_a_method_with_an_error_of_its_own_has_it_in_the_interval() -> None:
 
 
 @pytest.mark.long
-def test_squares_that_a_parked_axis_misleads_have_it_in_the_interval() -> None:
-    """For one of four seeds, output error gave viscous friction 1.6 % off with an error bar of 0.07 %. The interval
-    likelihood of the same motion is more accurate."""
+def test_a_parked_axis_misleads_no_fit() -> None:
+    """For one of four seeds, output error gave viscous friction 1.6 % off with an error bar of 0.07 %."""
     gantry = BENCHES["gantry"]
     result = identified(gantry, record_of(gantry, Machine(gantry.drive), "stop-and-go", 128, 103), method="fit")
     off = np.abs(result.theta - truth(gantry))
-    assert np.max(off / result.theta_std) > 10
     assert np.all(off <= DIAGNOSTIC_TUNING.normal_95 * np.hypot(*bars(result)))
+    assert np.all(off <= 1e-4 * truth(gantry))
 
 
 # --- output of the interval ------------------------------------------------------------------------------------------
