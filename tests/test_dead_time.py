@@ -106,7 +106,7 @@ def test_one_that_is_not_in_the_model_is_named_with_the_remedy_and_the_remedy_he
     gain, _, _, _, dt, _, step, cutoff = AXES["stage"]
     settings = {"encoder": Encoder(step), "dt": dt, "cutoff": cutoff}
     plain = pmfid.identify(run.u, run.counts, model=Drive(gain), **settings)
-    assert "unmodelled" in plain.status
+    assert plain.status == ("dead_time",)
     assert any('dead_time = "estimate"' in finding.remedy for finding in plain.findings)
     assert pmfid.identify(run.u, run.counts, model=Drive(gain, dead_time="estimate"), **settings).status == ()
 
