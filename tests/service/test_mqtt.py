@@ -86,6 +86,7 @@ def test_a_message_is_acknowledged_when_it_is_durable(broker: Broker) -> None:
     ]
     assert [block.time for block in engine.blocks[:3]] == pytest.approx([5.0, 5.01, 5.02])
     engine.checkpoint()
+    wait_for(lambda: False, 1.0)  # the acknowledgements leave in another thread
     stop(hall, thread)
 
     hall = source(engine, broker, "durable")
