@@ -57,6 +57,14 @@ def check_address(url: str, secret: str | None, label: str) -> SplitResult:
     return parts
 
 
+def _ends(answer: http.client.HTTPResponse) -> bool:
+    """Return whether the answer ends within the bytes that are read. The connection may be cut while they are read."""
+    try:
+        return len(answer.read(TUNING.most_answer)) < TUNING.most_answer
+    except (OSError, http.client.HTTPException):
+        return False
+
+
 class Poster:
     """A client that posts to one address.
 
@@ -90,7 +98,7 @@ class Poster:
         try:
             connection.request("POST", self._target, body, {**self._headers, **headers})
             answer = connection.getresponse()
-            if len(answer.read(TUNING.most_answer)) == TUNING.most_answer or late:  # only the status counts
+            if not _ends(answer) or late:  # only the status counts
                 self.close()
         except (OSError, http.client.HTTPException) as error:
             self.close()
