@@ -22,7 +22,7 @@ def found() -> dict[str, Outcome]:
 @pytest.mark.parametrize("name", CHOSEN)
 def test_a_log_becomes_what_the_clean_one_is(found: dict[str, Outcome], name: str) -> None:
     assert found[name].error is not None
-    # the motion starts anew after each input that was lost, which costs information
+    # the motion starts again after each input that was lost, which costs information
     assert found[name].error < (2 * SAME if name == "50 lines missing" else SAME)
     assert (found[name].followed == ('time_unit = "us"',)) == (name == "time in us, unsaid")
 

@@ -118,7 +118,7 @@ class ServoFit(Presentable):
     @property
     def status(self) -> tuple[str, ...]:
         """Words of the status; empty if nothing was found."""
-        return tuple(codes(finding for finding in self.findings if finding.severity != "note"))
+        return codes(self.findings)
 
     @cached_property
     def _parameters(self) -> Parameters:

@@ -71,7 +71,7 @@ class Feedforward(Presentable):
     @property
     def status(self) -> tuple[str, ...]:
         """Words of the status; empty if nothing was found."""
-        return tuple(codes(finding for finding in self.findings if finding.severity != "note"))
+        return codes(self.findings)
 
     @property
     def rows(self) -> list[list[str]]:

@@ -111,19 +111,15 @@ def split_loop(at: Floats, forces: Sequence[BodyForce]) -> Firmware:
     return Firmware(body, joint, float(at[-LOOP]), float(at[1 - LOOP]), kd, lag, gains["loop_integral"])
 
 
-def run_ticks(stretch: ObservedStretch, own: Firmware, period: float, resolution: float, parts: int) -> Floats:
+def run_ticks(stretch: ObservedStretch, firmware: Firmware, period: float, resolution: float, parts: int) -> Floats:
     """Return the positions (k,) [rad] at the observations, up to `TUNING.ticked`."""
     ends = np.append(0.0, np.cumsum(stretch.drive.step))
-    last, delay = min(float(ends[-1]), TUNING.ticked), float(own.body[DELAY])
+    last, delay = min(float(ends[-1]), TUNING.ticked), float(firmware.body[DELAY])
     ticks = np.append(0.0, np.arange(delay % period, last + period, period))
     goals = stretch.drive.u[np.clip(np.searchsorted(ends, ticks - delay + 1e-9, side="right") - 1, 0, ends.size - 2)]
-    share = -math.expm1(-period / max(own.lag - 0.5 * period, 1e-9))
-    body, packed, row, one = (
-        own.body.copy(),
-        [force.pack() for force in own.forces],
-        np.ones(1, np.int32),
-        np.ones((1, 1)),
-    )
+    share = -math.expm1(-period / max(firmware.lag - 0.5 * period, 1e-9))
+    body, packed = firmware.body.copy(), [force.pack() for force in firmware.forces]
+    row, column = np.ones(1, np.int32), np.ones((1, 1))
     body[DELAY] = 0.0
     x, v, slow, total = float(body[X0]), float(body[V0]), 0.0, 0.0
     before = resolution * round(x / resolution)
@@ -135,10 +131,11 @@ def run_ticks(stretch: ObservedStretch, own: Firmware, period: float, resolution
         seen = resolution * round(x / resolution)
         slow += share * ((seen - before) / period - slow)
         total += period * (goal - seen)
-        torque = min(max(own.kp * (goal - seen) + own.ki * total - own.kd * slow, -own.limit), own.limit)
+        torque = firmware.kp * (goal - seen) + firmware.ki * total - firmware.kd * slow
+        torque = min(max(torque, -firmware.limit), firmware.limit)
         before, body[X0], body[V0] = seen, x, v
         if step > 0:
-            ys, vs, _, done = run(packed, np.array([step]), np.array([torque]), row, one, body, parts, False)
+            ys, vs, _, done = run(packed, np.array([step]), np.array([torque]), row, column, body, parts, False)
             if not done:
                 break
             x, v = float(ys[0]), float(vs[0])
