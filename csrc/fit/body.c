@@ -307,7 +307,7 @@ static double net_force(state *t, double x, double v, double s, double drive, in
             dT[PMF_BODY_BASE + j] += r.h;
             if (f->unknown)
                 dT[own] += a * r.hp;
-            for (int k = 0; k < t->w; k++)
+            for (int k = 0; a != 0 && k < t->w; k++)
                 dT[k] += a * r.hx * dx[k];
         }
     }

@@ -53,13 +53,15 @@ def profile_lags(search: ServoSearch) -> list[LagFit]:
 
 
 def _fit_lags(search: ServoSearch, ticked: bool = True) -> list[LagFit]:
-    """Return the fits at the first lags, each one from the nearest fit."""
-    present = search.lag
-    fits = [_fit_at(search, present, ticked)]
-    for lag in sorted(TUNING.lags, key=lambda lag: abs(lag - present)):
-        nearest = min(fits, key=lambda fit: abs(fit.lag - lag))
-        if nearest.lag != lag:
+    """Return the fits at the first lags, each one from the nearest fit, until the evidence has fallen on either side."""
+    fits = [_fit_at(search, search.lag, ticked)]
+    longer = sorted(lag for lag in TUNING.lags if lag > search.lag)
+    for side in (longer, sorted(set(TUNING.lags) - {*longer, search.lag}, reverse=True)):
+        for lag in side:
+            nearest = min(fits, key=lambda fit: abs(fit.lag - lag))
             fits.append(_fit_at(nearest.search, lag, ticked))
+            if fits[-1].value < max(fit.value for fit in fits) - TUNING.lag_end:
+                break
     return sorted(fits, key=lambda fit: fit.lag)
 
 

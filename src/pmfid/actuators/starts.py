@@ -35,10 +35,10 @@ def find_search(task: ServoTask, search: bool) -> ServoSearch:
     best = choose_lag(best)
     if search:
         build(best)
-    best = choose_lag(_extend(_drop_limit(best)))
+    best = choose_lag(_extend(_drop_limit(best), 2 * TUNING.angle))
     if search:
         best = _build_waves(best)
-    return _drop_limit(best)
+    return _extend(_drop_limit(best), TUNING.angle)
 
 
 def _build_waves(search: ServoSearch) -> ServoSearch:
@@ -76,6 +76,8 @@ def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
         problem = head_of(own.problem())
         q, starts = find_start(own, problem)
         at = _drop_limit(ServoSearch(own, problem, q, starts, search))
+        if extra[:1] == ("torque_limit",) != at.task.extra[:1]:
+            continue  # the same model is among the others
         for name in extra:
             at = at if name == "torque_limit" else _move_to_terms(at, name)
         yield at
@@ -115,15 +117,15 @@ def _check_explains(search: ServoSearch) -> None:
         raise NotIdentifiableError(FOLLOW)
 
 
-def _extend(search: ServoSearch) -> ServoSearch:
-    """Go from the first parts of the logs to the whole logs, in parts of an interval that are short enough."""
+def _extend(search: ServoSearch, angle: float) -> ServoSearch:
+    """Go to the whole logs, in parts of an interval in which the natural frequency turns by an angle [rad]."""
     body, _, _ = search.problem._body(search.q, search.plain.stretches[0].acts)
     frequency = math.sqrt(max(float(body[-search.plain.machine.loops] / body[MASS]), 1.0))
-    tick = float(np.clip(TUNING.angle / frequency, 2e-4, TUNING.tick))
-    whole = search.task.problem(tick)
-    starts = whole.first_starts()
+    whole = search.task.problem(float(np.clip(angle / frequency, 2e-4, TUNING.tick)))
+    starts = search.starts if whole.rows == search.plain.rows else whole.first_starts()
+    noise = replace(search.noise, stretches=whole.stretches)
     search.take(whole, search.q, starts, search.chosen)
-    search.solve(search.noise, 15)
+    search.solve(noise, 15)
     for _ in range(2):
         search.noise = search.estimate_noise(search.wandering)
         search.solve(search.noise, 15)
@@ -138,31 +140,47 @@ def find_start(task: ServoTask, head: FitProblem) -> tuple[Floats, Floats]:
 
     The servos are the same in each call. The best servos of one log are starts of all logs as well.
     """
-    rng = np.random.default_rng(0)
-    drawn = [head.clip_to_bounds(head.start(_draw(task, head.machine.names, rng))) for _ in range(TUNING.draws)]
+    draw = ServoDraw(task, head.machine.names, np.random.default_rng(0))
+    drawn = [head.clip_to_bounds(head.start(draw())) for _ in range(TUNING.draws)]
+    first = replace(head, stretches=tuple(one.cut(0.0, TUNING.sprint) for one in head.stretches))
+    early = _costs(first, drawn)
     if len(head.stretches) > 1:
-        alone = [replace(head, stretches=(one,)) for one in head.stretches]
-        drawn += [end.q for one in alone for end in _refine(task, one, drawn)[:2]]
-    best = _refine(task, head, drawn)[0]
-    return best.q, best.starts
+        for k, one in enumerate(head.stretches):
+            alone = replace(head, stretches=(one,))
+            drawn += [end.q for end in _refine(task, alone, _select(drawn, early[:, k]))[:2]]
+    best = _refine(task, head, [*_select(drawn, early.mean(axis=1)), *drawn[TUNING.draws :]])[:2]
+    prior, soft = _prior_of(task, head), Gaussian(head.stretches, scale=9.0)
+    last = [solve(head, soft, end.q, end.starts, prior, 40, 0.01) for end in best]
+    end = min(last, key=lambda end: end.cost)
+    return end.q, end.starts
+
+
+def _select(drawn: Sequence[Floats], costs: Floats) -> list[Floats]:
+    """Return the servos with the least costs (n,) of the first n."""
+    return [drawn[i] for i in np.argsort(costs)[: TUNING.selected]]
+
+
+def _prior_of(task: ServoTask, head: FitProblem) -> Floats:
+    return np.array([float(name in task.priors) for name in head.machine.names])
 
 
 def _refine(task: ServoTask, head: FitProblem, drawn: Sequence[Floats]) -> list[Optimum]:
-    """Return the two best local minima from some servos q (p,), the best one first."""
-    starts = head.first_starts()
-    costs = [_cost(head, q, starts) for q in drawn]
-    prior = np.array([float(name in task.priors) for name in head.machine.names])
+    """Return what a few steps make of the best of some servos q (p,), the best one first."""
+    starts, prior = head.first_starts(), _prior_of(task, head)
     soft = Gaussian(head.stretches, scale=9.0)
-    chosen = np.argsort(costs)[: TUNING.refined]
-    ends = sorted((solve(head, soft, drawn[i], starts, prior, 12, 1.0) for i in chosen), key=lambda end: end.cost)
-    last = [solve(head, soft, end.q, end.starts, prior, 40, 0.01) for end in ends[:2]]
-    return sorted(last, key=lambda end: end.cost)
+    chosen = np.argsort(_costs(head, drawn).mean(axis=1))[: TUNING.refined]
+    return sorted((solve(head, soft, drawn[i], starts, prior, 12, 1.0) for i in chosen), key=lambda end: end.cost)
 
 
-def _cost(head: FitProblem, q: Floats, starts: Floats) -> float:
-    moved = head.motion(q, starts)
-    apart = np.concatenate([y - one.y for (y, _), one in zip(moved, head.stretches, strict=True)])
-    return float(np.mean(np.square(np.nan_to_num(np.clip(apart, -1e6, 1e6), nan=1e6))))
+def _costs(head: FitProblem, drawn: Sequence[Floats]) -> Floats:
+    """Return the squares (n, m) that n servos leave of each of m stretches, relative to the mean of all stretches."""
+    starts, rows = head.first_starts(), np.array([one.y.size for one in head.stretches])
+    squares = np.empty((len(drawn), rows.size))
+    for i, q in enumerate(drawn):
+        for k, ((y, _), one) in enumerate(zip(head.motion(q, starts), head.stretches, strict=True)):
+            apart = np.nan_to_num(np.clip(y - one.y, -1e6, 1e6), nan=1e6)
+            squares[i, k] = apart @ apart
+    return np.asarray(squares / np.mean(rows))
 
 
 def _draw_positive(rng: np.random.Generator, low: float, high: float) -> float:
@@ -170,44 +188,49 @@ def _draw_positive(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-def _gain(task: ServoTask, rng: np.random.Generator, frequency: float) -> float:
-    """Draw a gain [N m/rad] that agrees with what is given."""
-    given = task.servo.given
-    if task.servo.relative or "kp" in given:
-        return given.get("kp", 1.0)
-    if "inertia" in given:
-        return given["inertia"] * frequency**2
-    known = [float(np.abs(log.force).max()) for log in task.logs if log.force is not None]
-    torque = next((given[name] for name in ("gravity", "torque_limit", "coulomb", "kd") if given.get(name)), None)
-    return (torque or max(known, default=1.0)) / task.lag * _draw_positive(rng, 0.03, 30.0)
+class ServoDraw:
+    """A random servo (p,) for each call, in the ranges of `TUNING` and with what is given."""
 
+    def __init__(self, task: ServoTask, names: Sequence[str], rng: np.random.Generator) -> None:
+        self.task, self.names, self.rng, self.lag, self.period = task, names, rng, task.lag, task.period
+        self.speed = max(float(np.std(np.diff(log.position) / np.diff(log.t))) for log in task.logs) + 1e-9
+        self.largest = max(float(np.max(np.abs(log.goal - log.position))) for log in task.logs)
+        self.force = max((float(np.abs(log.force).max()) for log in task.logs if log.force is not None), default=1.0)
 
-def _draw(task: ServoTask, names: Sequence[str], rng: np.random.Generator) -> Floats:
-    """Draw one servo, (p,)."""
-    frequency, damping = _draw_positive(rng, *TUNING.frequencies), _draw_positive(rng, *TUNING.dampings)
-    gain = _gain(task, rng, frequency)
-    inertia = task.servo.given.get("inertia", gain / frequency**2)
-    torque = gain * task.lag
-    speed = max(float(np.std(np.diff(log.position) / np.diff(log.t))) for log in task.logs) + 1e-9
-    largest = max(float(np.max(np.abs(log.goal - log.position))) for log in task.logs)
-    pair = "gravity" in names and "gravity_angle" in names
-    drawn = {
-        "inertia": max(inertia - task.load, 0.03 * inertia),
-        "viscous": 2 * damping * frequency * inertia,
-        "coulomb": torque * _draw_positive(rng, *TUNING.frictions),
-        "kp": gain,
-        "back_emf": 2 * damping * frequency * inertia * rng.uniform(0.0, 1.0),
-        "kd": damping * frequency * inertia,
-        "ki": gain * _draw_positive(rng, 0.1, 10.0),
-        "torque_limit": gain * largest * _draw_positive(rng, 0.1, 1.5),
-        "delay": max(rng.uniform(0.0, TUNING.delays) * task.period, 1e-6),
-        "gravity": torque * _draw_positive(rng, 0.1, 10.0),
-        "gravity_angle": torque * rng.uniform(-1.0, 1.0) if pair else rng.uniform(-math.pi, math.pi),
-        "stribeck": torque * _draw_positive(rng, *TUNING.frictions),
-        "stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
-        "load_friction": _draw_positive(rng, 0.01, 0.3),
-        "load_stribeck": _draw_positive(rng, 0.01, 0.3),
-        "load_stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
-        "quadratic": inertia * _draw_positive(rng, 0.01, 1.0),
-    }
-    return np.array([drawn.get(name.partition(".")[0], 0.0) for name in names])
+    def _draw_gain(self, frequency: float) -> float:
+        """Draw a gain [N m/rad] that agrees with what is given."""
+        given = self.task.servo.given
+        if self.task.servo.relative or "kp" in given:
+            return given.get("kp", 1.0)
+        if "inertia" in given:
+            return given["inertia"] * frequency**2
+        torque = next((given[name] for name in ("gravity", "torque_limit", "coulomb", "kd") if given.get(name)), None)
+        return (torque or self.force) / self.lag * _draw_positive(self.rng, 0.03, 30.0)
+
+    def __call__(self) -> Floats:
+        rng, task, lag, speed = self.rng, self.task, self.lag, self.speed
+        frequency, damping = _draw_positive(rng, *TUNING.frequencies), _draw_positive(rng, *TUNING.dampings)
+        gain = self._draw_gain(frequency)
+        inertia = task.servo.given.get("inertia", gain / frequency**2)
+        torque = gain * lag
+        pair = "gravity" in self.names and "gravity_angle" in self.names
+        drawn = {
+            "inertia": max(inertia - task.load, 0.03 * inertia),
+            "viscous": 2 * damping * frequency * inertia,
+            "coulomb": torque * _draw_positive(rng, *TUNING.frictions),
+            "kp": gain,
+            "back_emf": 2 * damping * frequency * inertia * rng.uniform(0.0, 1.0),
+            "kd": damping * frequency * inertia,
+            "ki": gain * _draw_positive(rng, 0.1, 10.0),
+            "torque_limit": gain * self.largest * _draw_positive(rng, 0.1, 1.5),
+            "delay": max(rng.uniform(0.0, TUNING.delays) * self.period, 1e-6),
+            "gravity": torque * _draw_positive(rng, 0.1, 10.0),
+            "gravity_angle": torque * rng.uniform(-1.0, 1.0) if pair else rng.uniform(-math.pi, math.pi),
+            "stribeck": torque * _draw_positive(rng, *TUNING.frictions),
+            "stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
+            "load_friction": _draw_positive(rng, 0.01, 0.3),
+            "load_stribeck": _draw_positive(rng, 0.01, 0.3),
+            "load_stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
+            "quadratic": inertia * _draw_positive(rng, 0.01, 1.0),
+        }
+        return np.array([drawn.get(name.partition(".")[0], 0.0) for name in self.names])

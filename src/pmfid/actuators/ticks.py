@@ -13,10 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid._body import BASE, LOOP, run
+from pmfid._body import BASE, LOOP, run_firmware
 from pmfid.actuators.search import ServoSearch
 from pmfid.actuators.tuning import TUNING
-from pmfid.fit.machine import DELAY, V0, X0, BodyForce
+from pmfid.fit.machine import DELAY, BodyForce
 from pmfid.fit.problem import ObservedStretch, ResidualBlock
 from pmfid.fit.search import inverse
 from pmfid.fit.solve import normal_of
@@ -119,26 +119,16 @@ def run_ticks(stretch: ObservedStretch, firmware: Firmware, period: float, resol
     goals = stretch.drive.u[np.clip(np.searchsorted(ends, ticks - delay + 1e-9, side="right") - 1, 0, ends.size - 2)]
     share = -math.expm1(-period / max(firmware.lag - 0.5 * period, 1e-9))
     body, packed = firmware.body.copy(), [force.pack() for force in firmware.forces]
-    row, column = np.ones(1, np.int32), np.ones((1, 1))
     body[DELAY] = 0.0
-    x, v, slow, total = float(body[X0]), float(body[V0]), 0.0, 0.0
-    before = resolution * round(x / resolution)
-    path = np.empty((ticks.size, 2))
-    for n, (goal, step) in enumerate(
-        zip(goals.tolist(), np.diff(ticks, append=last + 2 * period).tolist(), strict=True)
-    ):
-        path[n] = x, v
-        seen = resolution * round(x / resolution)
-        slow += share * ((seen - before) / period - slow)
-        total += period * (goal - seen)
-        torque = firmware.kp * (goal - seen) + firmware.ki * total - firmware.kd * slow
-        torque = min(max(torque, -firmware.limit), firmware.limit)
-        before, body[X0], body[V0] = seen, x, v
-        if step > 0:
-            ys, vs, _, done = run(packed, np.array([step]), np.array([torque]), row, column, body, parts, False)
-            if not done:
-                break
-            x, v = float(ys[0]), float(vs[0])
+    gains = firmware.kp, firmware.limit, firmware.kd, share, firmware.ki
+    path = run_firmware(
+        packed,
+        np.ascontiguousarray(goals),
+        np.diff(ticks, append=last + 2 * period),
+        body,
+        (*gains, period, resolution),
+        parts,
+    )
     return _interpolate(stretch.times, ticks, path)
 
 

@@ -31,8 +31,11 @@ class ActuatorTuning:
     #: Starts and terms are compared on this much of the motion of a log [s], and on this number of logs.
     head: float = 12.0
     most_heads: int = 4
-    #: Random servos that are simulated, and the best of them that are refined.
+    #: Random servos that are simulated for the first seconds, those of them that are simulated for the head, and the best
+    #: of these that are refined.
     draws: int = 200
+    sprint: float = 3.0
+    selected: int = 40
     refined: int = 4
     #: Ranges of random servos: natural frequency [rad/s], damping ratio, Coulomb friction over the torque of the lag,
     #: delay [sample periods].
@@ -54,6 +57,8 @@ class ActuatorTuning:
     #: Lags of the velocity in a loop at which the fit is tried first [s], and the standard deviation of the lag.
     lags: tuple[float, ...] = (0.0, 0.5e-3, 1e-3, 2e-3, 4e-3, 7e-3, 11e-3)
     lag: float = 5e-3
+    #: A lag whose evidence is less than that of the best one by this much ends the lags on its side.
+    lag_end: float = 15.0
     #: Lags next to the best one differ by less than this log evidence, after halvings of their distance.
     lag_drop: float = 1.5
     halvings: int = 3
