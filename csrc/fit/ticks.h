@@ -16,9 +16,9 @@ typedef struct {
     double gain, limit, derivative, share, integral, period, resolution;
 } pmf_firmware;
 
-/* Simulate n ticks with goals (n), and times step (n) [s] to the next tick. The body has one interval and no controller.
- * `path` (n, 2) has position and velocity at each tick. theta (w) loses its start state. Returns the number of ticks
- * before the motion overflows. */
+/* Simulate n ticks with goals (n), and times step (n) [s] to the next tick. The body has one interval and no
+ * controller. `path` (n, 2) has position and velocity at each tick. theta (w) loses its start state. Returns the number
+ * of ticks before the motion overflows. */
 int pmf_ticks_run(const pmf_body *body, const pmf_firmware *loop, double *theta, int n, const double *goal,
                   const double *step, double *path, double *work);
 

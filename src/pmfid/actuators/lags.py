@@ -53,7 +53,7 @@ def profile_lags(search: ServoSearch) -> list[LagFit]:
 
 
 def _fit_lags(search: ServoSearch, ticked: bool = True) -> list[LagFit]:
-    """Return the fits at the first lags, each one from the nearest fit, until the evidence has fallen on either side."""
+    """Return the fits at the first lags, each one from the nearest fit, until the evidence falls on either side."""
     fits = [_fit_at(search, search.lag, ticked)]
     longer = sorted(lag for lag in TUNING.lags if lag > search.lag)
     for side in (longer, sorted(set(TUNING.lags) - {*longer, search.lag}, reverse=True)):

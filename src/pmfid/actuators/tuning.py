@@ -31,8 +31,8 @@ class ActuatorTuning:
     #: Starts and terms are compared on this much of the motion of a log [s], and on this number of logs.
     head: float = 12.0
     most_heads: int = 4
-    #: Random servos that are simulated for the first seconds, those of them that are simulated for the head, and the best
-    #: of these that are refined.
+    #: Random servos that are simulated for the first seconds, those that are simulated for the head, and the best ones
+    #: that are refined.
     draws: int = 200
     sprint: float = 3.0
     selected: int = 40
