@@ -241,11 +241,21 @@ def test_configuration_that_does_not_exist(tmp_path: Path, cart: Cart) -> None:
     assert "No such file or directory; give an AXIS.toml" in bad(cart.csv, config=tmp_path / "absent.toml")
 
 
+def test_the_configuration_is_by_default_the_one_that_init_writes(
+    tmp_path: Path, cart: Cart, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    missing = CliRunner().invoke(main, ["identify", str(cart.csv)])
+    assert "AXIS.toml: cannot read the configuration" in missing.stderr
+    assert "pmfid init LOG writes it" in missing.stderr
+    assert CliRunner().invoke(main, ["init", str(cart.csv)]).exit_code == 0
+    assert CliRunner().invoke(main, ["identify", str(cart.csv)]).exit_code == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "what"),
     [
         (["identify"], "Missing argument 'RECORD...'"),
-        (["identify", "run.csv"], "Missing option '--config'"),
         (
             ["identify", "run.csv", "--config", "axis.toml", "--method", "lms"],
             "'lms' is not one of 'auto', 'fit', 'ls', ",

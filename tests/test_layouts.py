@@ -128,6 +128,14 @@ def test_the_unit_of_time_is_read_in_the_row_of_units(tmp_path: Path, unit: str,
     same(read(tmp_path, text(header=f"t,u,y\n[{unit}],[V],[m]", time=stamps)))
 
 
+def test_a_row_of_units_may_repeat_a_unit_and_give_the_form_of_the_time(tmp_path: Path) -> None:
+    stamps = [f"12:00:{k * DT:06.3f}" for k in range(N)]
+    log = text(header="Time,Act,Pos,Set,\nhh:mm:ss,x,um,um,", time=stamps).replace("\n12", "\n@12")
+    log = "\n".join(f"{line[1:]},0," if line.startswith("@") else line for line in log.splitlines())
+    (tmp_path / "run.csv").write_text(log)
+    assert list(read_table(tmp_path / "run.csv")) == ["Time [hh:mm:ss]", "Act [x]", "Pos [um]", "Set [um]", "column_5"]
+
+
 def clocks() -> dict[str, list[str]]:
     start = datetime.datetime(2026, 3, 4, 23, 59, 57)
     moments = [start + datetime.timedelta(microseconds=4000 * k) for k in range(N)]
@@ -136,6 +144,9 @@ def clocks() -> dict[str, list[str]]:
         "iso": [f"{moment.isoformat(timespec='microseconds')}Z" for moment in moments],
         "zone": [f"{moment.isoformat(timespec='milliseconds')}+01:00" for moment in moments],
         "blank": [moment.isoformat(" ", "milliseconds") for moment in moments],
+        "day first": [f"{moment:%d.%m.%Y %H:%M:%S.%f}" for moment in moments],
+        "month first": [f"{moment:%m/%d/%Y %I:%M:%S.%f %p}" for moment in moments],
+        "day first with slashes": [f"{moment.day + 26}/{moment:%m/%Y %H:%M:%S.%f}" for moment in moments],
         "time of day": [f"{moment:%H:%M:%S.%f}" for moment in day],
         "epoch in s": [f"{start.timestamp() + 0.004 * k:.4f}" for k in range(N)],
         "epoch in ms": [f"{1000 * int(start.timestamp()) + 4 * k}" for k in range(N)],
@@ -223,7 +234,7 @@ def test_a_time_of_day_goes_on_past_midnight(tmp_path: Path) -> None:
 
 def test_dates_that_are_not_read_are_refused_with_those_that_are(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match=r"2026-03-04 12:00:00\.25"):
-        read(tmp_path, text(";", time=[f"04.03.2026 12:00:{k * DT:06.3f}" for k in range(N)]))
+        read(tmp_path, text(";", time=[f"4 March 2026 12:00:{k * DT:06.3f}" for k in range(N)]))
 
 
 def test_units_of_the_file_are_said(tmp_path: Path) -> None:

@@ -104,6 +104,15 @@ def test_position_on_the_decimal_lattice_keeps_every_count(tmp_path: Path) -> No
     np.testing.assert_array_equal(read_record(path, make_axis()).counts, counts)
 
 
+@pytest.mark.parametrize("phase", [0.0, 0.25, 0.5, 0.999])
+def test_counts_that_the_log_rounds_keep_their_steps(tmp_path: Path, phase: float) -> None:
+    """Counts in degrees with four decimals once gained and lost a count at every second value."""
+    counts = np.arange(-700, 700)
+    y = np.round((counts + phase) * 360 / 4096, 4)
+    path = write(tmp_path / "run.parquet", {"t": np.arange(1400) * DT, "u": y, "y": y})
+    assert set(np.diff(read_record(path, make_axis(encoder_resolution=360 / 4096)).counts)) == {1}
+
+
 def test_position_between_counts_is_floored(tmp_path: Path) -> None:
     y = np.linspace(-0.0105, 0.0095, 21)
     path = write(tmp_path / "run.parquet", {"t": np.arange(21) * DT, "u": y, "y": y})

@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from pmfid.cli.terminal import progress
-from pmfid.estimators import METHODS
 
 
 @click.command(short_help="Write the estimator of AXIS.toml as C99 for a drive.")
@@ -21,7 +20,9 @@ from pmfid.estimators import METHODS
 )
 @click.option("--prefix", metavar="NAME", help="Prefix of all names in the C code; default: the name of AXIS.toml.")
 @click.option(
-    "--method", type=click.Choice(METHODS), help="Recursive method; auto: riv, or redge with [encoder] edge_age."
+    "--method",
+    type=click.Choice(["auto", "rls", "bcrls", "riv"]),
+    help="auto: riv, or the times of edges with [encoder] edge_age.",
 )
 @click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters.")
 @click.option("--forgetting", type=float, help="Forgetting factor per sample, in (0, 1]; 1 never forgets.")

@@ -38,8 +38,9 @@ def step(text: str) -> float | str:
 
 
 def config_option(text: str = "The columns, the encoder, the model and the estimator.") -> Callable[[F], F]:
-    """Return the option --config AXIS.toml."""
-    return click.option("--config", required=True, type=click.Path(path_type=Path), metavar="AXIS.toml", help=text)
+    """Return the option --config, whose default is the file that `pmfid init` writes."""
+    kind = click.Path(path_type=Path)
+    return click.option("--config", default="AXIS.toml", type=kind, metavar="FILE", help=f"{text} Default: AXIS.toml.")
 
 
 def folder_option(text: str) -> Callable[[F], F]:

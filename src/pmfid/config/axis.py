@@ -188,7 +188,7 @@ def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis
     The dotted keys of `overrides`, such as {"estimator.cutoff": 50.0}, replace the file's values. An override of None
     has no effect. Raises UsageError with all problems if the file cannot be read or a value is not allowed.
     """
-    return load_sections(Axis, path, overrides, "an AXIS.toml", _add_unit_encoder)
+    return load_sections(Axis, path, overrides, "an AXIS.toml (pmfid init LOG writes it)", _add_unit_encoder)
 
 
 def read_axis(axis: Axis | AxisKeys | Path | str, settings: EstimatorKeys | None = None) -> Axis:

@@ -29,10 +29,11 @@ _NUMBER = {
     ".": re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?"),
     ",": re.compile(r"[+-]?(\d+(,\d+)?|,\d+)([eE][+-]?\d+)?"),
 }
-_TIME = re.compile(r"(\d{4}-\d\d-\d\d[T ])?\d{1,2}:\d\d(:\d\d([.,]\d+)?)?(Z|[+-]\d\d:?\d\d)?|\d{4}-\d\d-\d\d")
+_DATE = r"(?:\d{4}-\d\d-\d\d|\d{4}/\d\d?/\d\d?|\d\d?[./-]\d\d?[./-]\d{4})"
+_TIME = re.compile(rf"({_DATE}[T ])?\d{{1,2}}:\d\d(:\d\d([.,]\d+)?)?( ?[AaPp][Mm])?(Z|[+-]\d\d:?\d\d)?|{_DATE}")
 _WORDS = ("", "na", "n/a", "nan", "null", "none", "inf", "-inf", "+inf", "infinity", "true", "false")
 _UNIT = re.compile(
-    r"[\[(]?\s*(-|%|#|1|s|ms|[uµμ]s|ns|sec|m|mm|[uµμ]m|nm|cm|rad|mrad|deg|°|rev|turns?|inc|counts?|cts?|pulses?|m?[VAN]|"
+    r"[\[(]?\s*(-|%|#|1|[Hh]{1,2}:[Mm]{2}:[Ss]{2}([.,]\w+)?|s|ms|[uµμ]s|ns|sec|m|mm|[uµμ]m|nm|cm|rad|mrad|deg|°|rev|turns?|inc|counts?|cts?|pulses?|m?[VAN]|"
     r"N\s?m|Nm|kg|Hz|rpm|1/min|bool|°C|(m|mm|rad|deg|rev|turns?|°|cts|counts)(/s|/s2|/s\^2|\s?s-1))\s*[\])]?"
 )
 
@@ -184,10 +185,16 @@ def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple
     if not rows:
         return tuple(f"column_{k}" for k in range(1, len(fields) + 1)), False
     header, units = rows[0], [""] * len(fields)
-    if len(rows) > 1 and are_units(header):
+    if len(rows) > 1 and (are_units(header) or (_repeats(header) and not _repeats(rows[1]))):
         header, units = rows[1], [unit.strip("[]() ") for unit in header]
     names = [name or f"column_{k}" for k, name in enumerate(header, 1)]
     return tuple(f"{name} [{unit}]" if unit else name for name, unit in zip(names, units, strict=True)), True
+
+
+def _repeats(row: Sequence[str]) -> bool:
+    """Return whether two fields are equal, as two units may be, but not two names."""
+    texts = [field for field in row if field]
+    return len(set(texts)) < len(texts)
 
 
 def _says_names(row: Sequence[str]) -> bool:

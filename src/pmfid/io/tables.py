@@ -114,6 +114,14 @@ Table = Mapping[str, object]
 #: Remedies for a cell that is not a number.
 NUMBERS = "write numbers like 0.25, remove lines that are not data, or name another column"
 DATES = "write seconds like 0.25, 2026-03-04 12:00:00.25 or 12:00:00.25, and remove lines that are not data"
+#: The beginning of a text with a date, and the possible forms of the date, the most usual first.
+DATE_FORMS = {
+    r"\d{4}-": ("%Y-%m-%d",),
+    r"\d{4}/": ("%Y/%m/%d",),
+    r"\d{1,2}\.": ("%d.%m.%Y",),
+    r"\d{1,2}-": ("%d-%m-%Y",),
+    r"\d{1,2}/": ("%m/%d/%Y", "%d/%m/%Y"),
+}
 #: Length of a day [s].
 DAY = 86_400.0
 #: A unit in brackets at the end of a name.
@@ -234,16 +242,21 @@ def _has_number(series: pl.Series) -> bool:
 
 
 def _parse_times(series: pl.Series) -> pl.Series:
-    """Parse dates with times, or times of day, in ISO 8601. Any other text remains unchanged."""
+    """Parse dates with times, or times of day. Any other text remains unchanged.
+
+    Of 3/4/2026, the month is the first number, unless some row has a larger first number than 12.
+    """
     import polars as pl
 
     plain = series.str.strip_chars().str.replace("T", " ", literal=True).str.replace(",", ".", literal=True)
     plain = plain.str.replace(r"(Z|[+-]\d\d:?\d\d)$", "")
-    first = plain.drop_nulls().first()
-    form = "%H:%M:%S%.f" if re.fullmatch(r"\d{1,2}:\d\d:\d\d([.]\d+)?", str(first)) else "%Y-%m-%d %H:%M:%S%.f"
-    kind = pl.Time() if form.startswith("%H") else pl.Datetime("ns")
-    parsed = plain.str.strptime(kind, form, strict=False)
-    return parsed if not parsed.is_null().all() else series
+    first = str(plain.drop_nulls().first())
+    clock = "%I:%M:%S%.f %p" if first[-1:] in "mM" else "%H:%M:%S%.f"
+    dates = [form for shape, forms in DATE_FORMS.items() if re.match(shape, first) for form in forms]
+    kind = pl.Datetime("ns") if dates else pl.Time()
+    parsed = [plain.str.strptime(kind, f"{date} {clock}".strip(), strict=False) for date in dates or [""]]
+    best = min(parsed, key=lambda times: times.null_count())
+    return series if best.is_null().all() else best
 
 
 def from_array(label: str, array: NDArray[np.generic]) -> Floats:

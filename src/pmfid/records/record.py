@@ -51,8 +51,6 @@ def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
     if axis.record.output_kind != "counts":
         if axis.record.output_kind == "position":
             check_position(output, axis)
-        # In binary, a decimal multiple of the resolution is often slightly too small, and a bare floor would lose a
-        # whole count. Therefore the floor has a small tolerance.
         counts = floor_counts(output, axis.encoder.resolution, 1e-6)
         return counts, ("bits is ignored, because the output is a position",) if bits is not None else ()
     counts = round_counts(output)
@@ -62,11 +60,13 @@ def counts_of(output: Floats, axis: Axis) -> tuple[Counts, tuple[str, ...]]:
 def floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
     """Return the counts (n,) of a floor quantiser for positions y (n,), both in the unit of y.
 
-    `tolerance` is the part of a step by which a position below an edge still belongs to the upper step. Raises
-    UsageError beyond 2**53 counts.
+    `tolerance` is the part of a step by which a position below an edge still belongs to the upper step. Positions that
+    are counts already, rounded to a few decimals, get the edges that are farthest from them. Raises UsageError beyond
+    2**53 counts.
     """
-    with np.errstate(over="ignore"):
-        counts = np.floor(y / step + tolerance)
+    with np.errstate(over="ignore", invalid="ignore"):
+        parts = y / step
+        counts = np.floor(parts + (_edge_between(parts) or tolerance))
     bad = np.flatnonzero(np.abs(counts) >= TUNING.max_count)
     if len(bad):
         raise UsageError(
@@ -74,6 +74,23 @@ def floor_counts(y: Floats, step: float, tolerance: float) -> Counts:
             f"correct [encoder] resolution"
         )
     return counts.astype(np.int64)
+
+
+def _edge_between(parts: Floats) -> float | None:
+    """Return the shift of positions (n,) [counts] by which all of them are farthest from whole numbers.
+
+    The result is None unless the positions fill less than half of a count, as those of a count with rounding do.
+    """
+    finite = parts[np.abs(parts) < TUNING.max_count]
+    bins = 64
+    full = np.flatnonzero(np.bincount(((finite % 1.0) * bins).astype(np.intp) % bins, minlength=bins))
+    if not full.size:
+        return None
+    gaps = np.diff(full, append=full[0] + bins)
+    widest = int(np.argmax(gaps))
+    if gaps[widest] <= bins // 2:
+        return None
+    return float(-((full[widest] + (gaps[widest] + 1) / 2) / bins) % 1.0)
 
 
 def unwrap_counts(output: Floats, bits: int | None) -> Floats:

@@ -64,7 +64,14 @@ def find_to_do(path: Path) -> list[Finding]:
         keys = [key for key in keys if key.isidentifier()]
         if keys:
             says = f"{path.name} still has the mark TO DO at {', '.join(keys)}"
-            return [Finding("to_do", says, f"write the machine's {' and '.join(keys)} into {path.name}", "note")]
+            return [
+                Finding(
+                    "to_do",
+                    says,
+                    f"write the right {' and '.join(keys)} into {path.name}, and delete each TO DO",
+                    "note",
+                )
+            ]
     return []
 
 

@@ -42,7 +42,7 @@ def step_of(values: Floats) -> tuple[float, bool]:
     rounded = rounding_of(found) / step
     allowed = max(TUNING.columns_exact, 1.01 * rounded if rounded < TUNING.most_rounded else 0.0)
     if found.size > 3 and np.mean(off[exact] < allowed) > TUNING.columns_part and reach / step < TUNING.columns_fine:
-        return _round_step(step), True
+        return _round_step(step, rounding_of(found) / reach), True
     return max(reach / TUNING.columns_fine, _last_digit(found)), False
 
 
@@ -67,11 +67,13 @@ def rounding_of(values: Floats) -> float:
     return 0.0
 
 
-def _round_step(step: float) -> float:
-    """Return the step with the fewest digits that give its value."""
-    for digits in range(1, 8):
+def _round_step(step: float, error: float) -> float:
+    """Return the step with the fewest digits that give its value within its relative error, from the decimals of the
+    column.
+    """
+    for digits in range(1, 9):
         short = float(f"{step:.{digits}g}")
-        if abs(short - step) < 1e-5 * step:
+        if abs(short - step) < np.clip(error, 1e-7, 1e-5) * step:
             return short
     return step
 
