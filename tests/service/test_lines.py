@@ -94,7 +94,7 @@ def test_a_time_next_to_the_fields_serves_where_none_of_them_is_one(messages: Me
     stamps = (1700000000123456789, None, 1700000000000000000)
     texts = [metric(stamp, {}, u=1.5, x=0.001, **({"t": 5} if k == 2 else {})) for k, stamp in enumerate(stamps)]
     first, second, third = lines_of(list(messages.items(b"\n".join(texts))))
-    assert (first.time, first.u, first.counts) == (1700000000.123456789, 1.5, 43)
+    assert (first.time, first.u, first.counts) == (1700000000.123456789, 1.5, 44)
     assert math.isnan(second.time)
     assert "no field 't'" in second.problem
     assert third.time == 5.0

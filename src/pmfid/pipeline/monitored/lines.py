@@ -104,8 +104,8 @@ class Reading:
             return math.nan
 
     def _count(self, value: float) -> int:
-        """Return the count of an output. A position slightly below a step belongs to that step, as in a record."""
-        counts = math.floor(value / self._step + 1e-6) if self._step else round(value)
+        """Return the count of an output. A position that is a count, rounded to a few decimals, is far from the next count."""
+        counts = math.floor(value / self._step + 0.25) if self._step else round(value)
         if abs(counts) >= MAX_COUNT or (self._step is None and abs(counts - value) > 1e-6):
             raise ValueError(f"counts must be whole numbers below 2**53, got {value:.9g}")
         return counts
