@@ -104,7 +104,7 @@ class Reading:
             return math.nan
 
     def _count(self, value: float) -> int:
-        """Return the count of an output. A position that is a count, rounded to a few decimals, is far from the next count."""
+        """Return the count of an output. A position that is a count with few decimals is far from the next count."""
         counts = math.floor(value / self._step + 0.25) if self._step else round(value)
         if abs(counts) >= MAX_COUNT or (self._step is None and abs(counts - value) > 1e-6):
             raise ValueError(f"counts must be whole numbers below 2**53, got {value:.9g}")
