@@ -10,6 +10,7 @@ from pmfid.findings import MOVE, Finding
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.second_mass import SecondMass
+from pmfid.fit.terms import ExtraForce
 from pmfid.types import Flags, Floats
 
 #: Status words of candidates that have a word of their own; all others are "unmodelled".
@@ -62,11 +63,24 @@ def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: fl
         detail = f"Without it, {names[worst]} would be {format_part(moved[worst])} off." if matters else ""
         yield Finding(
             OWN_WORDS.get(one.name, "unmodelled"),
-            f"the record shows {shown.words}",
+            f"the record shows {shown.words}{_amplitude(fitted, one)}",
             shown.remedy,
             "doubt" if matters else "note",
             detail,
         )
+
+
+def _amplitude(fitted: Fitted, one: ExtraForce) -> str:
+    """Return amplitude and phase of an error of the encoder in words, from the first position of the record on."""
+    weighed = next((force for force in fitted.weighed if force.candidates[0].words == one.words), None)
+    if one.reading is None or weighed is None or weighed.sizes.size != 2:
+        return ""
+    size, spread = float(np.hypot(*weighed.sizes)), float(np.linalg.norm(weighed.sizes * weighed.stds))
+    error = spread / max(size, 1e-300)
+    across = float(np.linalg.norm(weighed.sizes[::-1] * weighed.stds)) / max(size**2, 1e-300)
+    phase = np.degrees(np.arctan2(weighed.sizes[1], weighed.sizes[0]))
+    unit = "rad" if fitted.problem.machine.turn else "m"
+    return f", of {size:.4g} ± {error:.2g} {unit} with a phase of {phase:.4g} ± {np.degrees(across):.2g} deg"
 
 
 def _describe(second: SecondMass, name: str, fitted: Fitted, tolerance: float) -> Finding:

@@ -12,7 +12,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import FitProblem, ResidualBlock
-from pmfid.fit.search import EXPLAINED, FOLLOW, FitSearch, begin, build, inverse, prune
+from pmfid.fit.search import EXPLAINED, FOLLOW, FitSearch, begin, build, complete_readings, inverse, prune
 from pmfid.fit.solve import START, Normal, Optimum, normal_of, solve
 from pmfid.fit.weighing import WeighedForce, weigh
 from pmfid.types import Floats
@@ -92,6 +92,7 @@ def _fit_once(problem: FitProblem) -> Fitted:
 
 
 def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
+    complete_readings(search)
     allowed, prior = range(len(search.table)), search.prior(search.problem)
     optimum = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
     if search.reaches_bound(optimum.q):

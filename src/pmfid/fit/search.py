@@ -265,6 +265,16 @@ class FitSearch:
         return Quadratic(A, g - A[:, self.count :] @ at, self.count, self._odds(), lowest)
 
 
+def complete_readings(search: FitSearch) -> None:
+    """Take sine and cosine of each error of the encoder that has one of them, because its phase needs both."""
+    words = {search.table[i].words for i in search.chosen if search.table[i].reading is not None}
+    wanted = {i for i, one in enumerate(search.table) if one.words in words}
+    if not wanted <= set(search.chosen):
+        before = set(search.chosen)
+        search.choose(sorted(before | wanted))
+        search.q[[k for i, k in zip(search.chosen, search.problem.places, strict=True) if i not in before]] = 0.0
+
+
 def begin(search: FitSearch) -> Intervals | None:
     """Solve from the blind starts with forces of the position or without, and keep the best set of them.
 

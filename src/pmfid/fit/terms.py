@@ -153,6 +153,19 @@ def gravity(s: Sizes) -> Iterator[ExtraForce]:
             yield ExtraForce("gravity", "gravity on a rotary axis", "set gravity = true", 0.5 * s.force, force=force)
 
 
+#: Errors of an encoder that repeat with its turn: number in a turn, words and remedy.
+READINGS = ((1, "once a turn", "centre the disc of the encoder"), (2, "twice a turn", "align the disc of the encoder"))
+
+
+def eccentric(s: Sizes) -> Iterator[ExtraForce]:
+    """Yield the errors of a disc that is off its axis or tilted. A travel of less than half a turn shows them as a
+    scale and a bend, and the scale of the encoder is the user's."""
+    for number, often, remedy in READINGS if 2 * s.travel > s.turn / 2 > 0 else ():
+        for phase in (0.0, math.pi / 2):
+            words = f"an error of the encoder {often}"
+            yield ExtraForce("encoder", words, remedy, 0.003 * s.turn, reading=(s.turn / number, phase))
+
+
 def drift(s: Sizes) -> Iterator[ExtraForce]:
     remedy = "record after the axis is warm, or identify shorter records"
     for kind, size in (("column_friction", s.coulomb), ("column_viscous", s.viscous)):
@@ -219,6 +232,7 @@ TABLE: tuple[Row, ...] = (
     quadratic,
     spring,
     gravity,
+    eccentric,
     drift,
     bending,
     dead_zone,
