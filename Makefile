@@ -261,12 +261,7 @@ study: .venv/tools .venv/spark
 	mkdir -p results/images
 	.venv/bin/pmfid explain --page > docs/reference/axis_toml.md
 	.venv/bin/pmfid explain --plant --page > docs/reference/plant_toml.md
-	.venv/bin/python -m studies.accuracy --out results/accuracy.md
-	.venv/bin/python -m studies.no_settings --out results/no_settings.md
 	.venv/bin/python -m studies.referee --out results/referee.md
-	.venv/bin/python -m studies.verdict --out results/verdict.md
-	.venv/bin/python -m studies.known_mass --out results/known_mass.md
-	.venv/bin/python -m studies.design --out results/design.md
 	.venv/bin/python -m studies.design_machines --out results/commissioning.md
 	.venv/bin/python -m studies.monitoring --out results/monitoring.md
 	.venv/bin/python -m studies.monitoring_wrong_models --out results/monitoring_wrong_models.md

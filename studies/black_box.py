@@ -7,28 +7,22 @@ from collections.abc import Sequence
 
 from studies import (
     discretizations,
-    efficiency,
     process_confidence,
     processes,
     published,
     real_processes,
-    structures,
-    uneven,
 )
 from studies.sections import Page, by_name
 
 STUDIES = by_name(
     processes.STUDY,
-    efficiency.STUDY,
     published.STUDY,
     discretizations.STUDY,
-    uneven.STUDY,
     real_processes.STUDY,
-    structures.STUDY,
     process_confidence.STUDY,
 )
 SEEDS = 100
-PARTS = {"efficiency": 10.0, "discretizations": 0.05, "process-confidence": 0.1}
+PARTS = {"discretizations": 0.05, "process-confidence": 0.1}
 INTRODUCTION = """\
 Transfer functions from input and output alone, no parameter known. The records are simulated exactly for a held input
 and start at rest; the methods do not know that. Each table states how many runs it has."""

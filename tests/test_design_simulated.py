@@ -9,18 +9,37 @@ import pytest
 
 from pmfid.design.appraisal import accumulate_value, appraise, worth_of
 from pmfid.design.calibration import DesignedRun, calibrate
-from pmfid.design.encoder_error import encoder_covariance, start_free
+from pmfid.design.encoder_error import centred_sensitivities, encoder_covariance, start_free
 from pmfid.design.fisher import affine, criterion_of, information
-from pmfid.design.problem import Design
+from pmfid.design.problem import Design, Problem
 from pmfid.design.simulated import both_ways, simulate, simulated_information
 from pmfid.design.solver import setting, solve
 from pmfid.design.standard import standard_inputs
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
+from pmfid.types import Floats
 from studies.design_case import case, known
-from studies.design_runs import squares_covariance
 
 CASE = case("m, d, F_c")
+#: Number of start phases of the encoder, evenly spread.
+PHASES = 128
+
+
+def squares_covariance(problem: Problem, u: Floats) -> Floats:
+    """Return the mean square error (p, p) of least squares on the counts, linearised at the nominal values.
+
+    The error of the counts along the simulated motion (paper eq. 3) passes through the estimate. All start phases have
+    the same weight.
+    """
+    maps = affine(problem)
+    s = centred_sensitivities(maps.weigh_sensitivities(u))
+    F = s @ s.T + maps.prior
+    x = simulate(problem, u).x / float(problem.resolution or 1.0)
+    phases = (np.arange(PHASES)[:, None] + 0.5) / PHASES
+    error = np.sqrt(12.0) * (np.floor(x + phases) - x - phases)  # over its deviation
+    score = error @ s.T
+    middle = score.T @ score / PHASES + maps.prior
+    return np.asarray(np.linalg.solve(F, np.linalg.solve(F, middle).T) * np.outer(problem.scale, problem.scale))
 
 
 @pytest.fixture(scope="module")

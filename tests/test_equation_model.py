@@ -12,8 +12,17 @@ from pmfid.errors import UsageError
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.pipeline.identify import identify
 from pmfid.records.record import Record
-from pmfid.simulation import CART, CART_DT, Machine
-from studies.wrong_plants import wrong_record
+from pmfid.simulation import (
+    CART,
+    CART_DT,
+    Machine,
+    control_machine,
+    drive_machine,
+    prbs,
+    resolution_of,
+    stop_and_go,
+)
+from studies.paper.truth import CartRecord
 from tests.conftest import TRUTH, assert_near, cart_run
 
 CUTOFF, STIFFNESS = 20.0, 40.0
@@ -26,6 +35,20 @@ OWN = Equation(
     known=(Term("input", coefficient=CART.input_gain),),
 )
 INPUT = Term("input", coefficient=CART.input_gain)
+
+
+def wrong_record(plant: Machine, scenario: str, seed: int, increments: int, samples: int = 3000) -> CartRecord:
+    """Return the scenario "prbs" or "stop-and-go" of a plant."""
+    rng = np.random.default_rng(seed)
+    resolution = resolution_of(increments)
+    phase = resolution * rng.random()
+    if scenario == "prbs":
+        u = prbs(samples, clock=10, amplitude=3.0, rng=rng)
+        run = drive_machine(plant, u, CART_DT, resolution, phase=phase)
+    else:
+        reference = stop_and_go(samples, CART_DT, stroke=0.2, move_time=0.8, dwell_time=0.5)
+        run = control_machine(plant, reference, CART_DT, resolution, kp=200.0, kd=5.0, u_max=6.0, phase=phase)
+    return CartRecord(run.u, run.counts, resolution)
 
 
 def estimates(cls, model, run):
