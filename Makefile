@@ -273,8 +273,6 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.logs --out results/logs.md
 	.venv/bin/python -m studies.checks --out results/checks.md
 	.venv/bin/python -m studies.fleet_history --out results/fleet_history.md
-	@$(MAKE) --no-print-directory spark-tools INSTALL_TOOLS=1
-	.venv/bin/python -m studies.fleet_stream --out results/fleet_stream.md --seconds 120
 	.venv/bin/python -m studies.actuators --out results/actuators.md
 	.venv/bin/python -m studies.growth --out docs/benchmarks.md --samples 100000000 --axes 1000000
 	.venv/bin/python -m tests.hostile.study --out results/hostile.md

@@ -11,15 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from pmfid.fleet.shards import States, StreamPlan, StreamShard
 from pmfid.monitor import Monitor
 from pmfid.monitor.scores import Scale
 from pmfid.pipeline.monitored.setup import Setup
-from pmfid.simulation import CART_DT
-from pmfid.stream.blocks import encode
-from pmfid.stream.groups import Pace, Prepared, prepare
+from pmfid.simulation import CART, CART_DT, Schedule
+from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.delivery import Block, Delivery
+from pmfid.stream.engine import StreamEngine
+from pmfid.stream.groups import Group, Pace, Prepared, prepare
+from pmfid.stream.outcome import Counters
+from studies.monitoring.axis import INCREMENTS, changing
 from tests.service.test_serve import PLANT, folder  # noqa: F401 a fixture
-from tests.spark.streams import block_of
 from tests.test_architecture import REPOSITORY
 
 PACE = Pace(window=0.0, every=0.0)
@@ -44,10 +46,14 @@ def _plain(value: object) -> object:
     return value.tolist() if isinstance(value, np.ndarray) else value.__dict__
 
 
-def shard_state(prepared: Prepared, name: str) -> bytes:
-    shard = StreamShard(StreamPlan(prepared, PACE, 1), 0)
-    shard.take([encode(block_of(name, 500 * CART_DT, seed=5))])
-    return shard.save_state()
+def state_of(prepared: Prepared, name: str) -> bytes:
+    """Return the checkpoint of an engine after 500 samples of one axis."""
+    engine, group = StreamEngine(Counters()), Group(prepared, PACE)
+    group.add([name])
+    engine.set_groups([group])
+    u, counts = changing(Schedule(((0.0, CART),)), 5, INCREMENTS, 500 * CART_DT)
+    engine.process([Delivery("test", [Block(name, 0, 0, 0.0, CART_DT, u, counts)])])
+    return b"".join(snapshot(engine))
 
 
 def test_the_digest_is_that_of_texts_and_bytes(plant_folder: Path, prepared: Prepared) -> None:
@@ -65,24 +71,12 @@ def test_the_digest_is_that_of_texts_and_bytes(plant_folder: Path, prepared: Pre
 
 def test_a_state_keeps_its_nominal_values_and_thresholds(prepared: Prepared) -> None:
     there = rounded_otherwise(prepared)
-    body = shard_state(there, "x1")
-    expected = States.from_bodies({0: body}, there.digest).monitor("x1", there, PACE)
-    monitor = States.from_bodies({0: body}, prepared.digest).monitor("x1", prepared, PACE)
-    assert isinstance(monitor, Monitor)
-    assert monitor.get_state() == expected.get_state()
-    assert monitor.calibration.theta.tolist() == there.setup.nominal.tolist()
-
-
-def test_states_with_other_last_bits_join_and_move(prepared: Prepared, tmp_path: Path) -> None:
-    """This is the recipe of the guide: states of a stream become those of a service, and those of a Python program."""
-    bodies = {0: shard_state(prepared, "x1"), 1: shard_state(rounded_otherwise(prepared), "x2")}
-    States.from_bodies(bodies, prepared.digest).write(tmp_path / "state", prepared, PACE)
-    states = States.from_folder(tmp_path / "state", prepared.digest)
-    assert states.axes == ["x1", "x2"]
-    monitors = {name: states.monitor(name, rounded_otherwise(prepared), PACE) for name in states.axes}
-    assert {monitor.samples for monitor in monitors.values()} == {500}
-    again = States.from_monitors(monitors, prepared, PACE)
-    assert again.monitor("x2", prepared, PACE).get_state() == monitors["x2"].get_state()
+    saved = read_snapshot(state_of(there, "x1")).groups[0]
+    expected, restored = (saved.restore_group(one, PACE).fleet.monitor(0) for one in (there, prepared))
+    assert isinstance(restored, Monitor)
+    assert restored.samples == 500
+    assert restored.get_state() == expected.get_state()
+    assert restored.calibration.theta.tolist() == there.setup.nominal.tolist()
 
 
 PROGRAM = """

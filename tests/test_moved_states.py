@@ -1,4 +1,4 @@
-"""A state moves through firmware, an estimator, a watched fleet, a service and a fleet back into firmware.
+"""A state moves through firmware, an estimator and a fleet back into firmware.
 
 The moves do not change the estimates.
 """
@@ -14,17 +14,12 @@ import pmfid
 from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.firmware import export_firmware
-from pmfid.fleet.shards import States, StreamPlan, StreamShard
-from pmfid.monitor import Monitor
-from pmfid.simulation import CART_DT
-from pmfid.stream.blocks import encode
-from pmfid.stream.delivery import Block
-from pmfid.stream.groups import Pace, Prepared
+from pmfid.simulation import CART, CART_DT, Schedule
+from pmfid.stream.groups import Prepared
 from pmfid.types import Counts, Floats
+from studies.monitoring.axis import INCREMENTS, changing
 from tests.firmware.build import GCC, HERE, M7, Target, compiled, run
-from tests.spark.streams import block_of
 
-PACE = Pace(window=0.0, every=0.0)
 PREFIX = "axis"
 #: Samples of each stop.
 LEG = 500
@@ -71,9 +66,9 @@ def needs(target: Target) -> pytest.MarkDecorator:
 def test_a_state_goes_from_firmware_through_everything_and_back(
     prepared: Prepared, tmp_path: Path, target: Target
 ) -> None:
-    motion = block_of("x1", 6 * LEG * CART_DT, seed=5)
-    legs = [(motion.u[k : k + LEG], motion.counts[k : k + LEG]) for k in range(0, 6 * LEG, LEG)]
-    straight = fresh(prepared).run(motion.u, motion.counts).theta
+    u, counts = changing(Schedule(((0.0, CART),)), 5, INCREMENTS, 4 * LEG * CART_DT)
+    legs = [(u[k : k + LEG], counts[k : k + LEG]) for k in range(0, 4 * LEG, LEG)]
+    straight = fresh(prepared).run(u, counts).theta
     firmware = Firmware(fresh(prepared), tmp_path / "firmware", target)
     found = list[np.ndarray]()
 
@@ -84,41 +79,10 @@ def test_a_state_goes_from_firmware_through_everything_and_back(
     estimator.set_state(state)
     found.append(estimator.run(*legs[1]).theta)
 
-    found.append(watched(prepared, estimator, legs[2:4], tmp_path))  # 3: a stream, then a service's checkpoint
-    single = States.from_folder(tmp_path / "state", prepared.digest).monitor("x1", prepared, PACE).estimator
-
-    fleet = pmfid.Fleet(single, 3)  # 4: a fleet
-    tracks = fleet.run(*(np.tile(one, (3, 1)) for one in legs[4]), every=1)
+    fleet = pmfid.Fleet(estimator, 3)  # 3: a fleet
+    tracks = fleet.run(*(np.tile(one, (3, 1)) for one in legs[2]), every=1)
     found.append(np.asarray(tracks.theta)[1])
 
-    theta, _ = firmware.run(fleet.axis(1).get_state(), *legs[5])  # 5: the drive again
+    theta, _ = firmware.run(fleet.axis(1).get_state(), *legs[3])  # 4: the drive again
     found.append(theta)
     assert np.concatenate(found).tobytes() == np.ascontiguousarray(straight).tobytes()
-
-
-def watched(
-    prepared: Prepared, estimator: RecursiveEstimator, legs: list[tuple[Floats, Counts]], folder: Path
-) -> np.ndarray:
-    """Return theta of both legs: the first in a shard, the second in another shard that resumes from the service's
-    folder.
-    """
-    monitor = monitor_of(prepared, estimator)
-    states, found, plan = (
-        States.from_monitors({"x1": monitor}, prepared, PACE),
-        list[np.ndarray](),
-        StreamPlan(prepared, PACE, 1),
-    )
-    for k, (u, counts) in enumerate(legs):
-        shard = StreamShard(plan, 0, states.bodies(plan)[0])
-        shard.take([encode(Block("x1", 0, k * LEG, k * LEG * CART_DT, CART_DT, u, counts))])
-        assert shard.count_samples() == {"samples": LEG}
-        found += [rows.theta for rows in shard.outcomes.estimates]
-        States.from_bodies({0: shard.save_state()}, prepared.digest).write(folder / "state", prepared, PACE)
-        states = States.from_folder(folder / "state", prepared.digest)
-    return np.concatenate(found)
-
-
-def monitor_of(prepared: Prepared, estimator: RecursiveEstimator) -> Monitor:
-    """Return a restarted watch with the running estimator."""
-    like = prepared.setup.monitor
-    return Monitor(estimator, like.calibration, like.watch, like.known)

@@ -152,21 +152,9 @@ def _fleet(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder)
     by = str(rng.choice(["t", "u", "counts", "machine", ""]))
     source = str(rng.choice([name, ".", "nowhere", "axis.toml"]))
-    if rng.random() < 0.3:
-        return Case(_fleet_stream(rng, name), files)
     chosen = options(rng, 0.2, period=["day", "run", "shift", "10min", "1e9"], segment=["60", "5"], workers=["1", "2"])
     chosen += [*options(rng, 0.1, engine=["local"], master=["local[1]", "x"], type=["u"]), *_flags(rng, 0.6, "--json")]
     return Case(("fleet", "history", source, "--config", "axis.toml", "--axis", by, "--out", "out", *chosen), files)
-
-
-def _fleet_stream(rng: Rng, name: str) -> tuple[str, ...]:
-    """Draw a call of `pmfid fleet-stream` that is refused, because a stream takes a minute to start."""
-    source = str(rng.choice([name, "nowhere", "axis.toml", ""]))
-    chosen = options(rng, 0.2, shards=["0", "4"], window=["-1", "0"], every=["nan", "1"], files=["0", "2"])
-    if rng.random() < 0.5:
-        return ("fleet", "state", source, "--config", "axis.toml", "--out", "out")
-    places = ["--out", "out", "--checkpoint", "checkpoint"]
-    return ("fleet", "stream", source, "--config", "axis.toml", *places, *chosen, "--once")
 
 
 #: Parameters of the models that are drawn, each with its unit.

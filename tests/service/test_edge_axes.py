@@ -13,7 +13,6 @@ import pytest
 
 from pmfid import Status
 from pmfid.errors import UsageError
-from pmfid.fleet.shards import States, StreamPlan, StreamShard
 from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.pipeline.monitored.timeline import Line, Sample
 from pmfid.service.arrangement import arrange_groups
@@ -197,20 +196,3 @@ def test_the_monitor_takes_ages_from_a_pipe(tmp_path: Path, motion: Motion) -> N
     events = [json.loads(line) for line in done.stdout.splitlines()]
     assert [one["parameter"] for one in events if one["event"] == "alarm"] == ["mass"]
     assert events[0]["method"] == "redge"
-
-
-def test_shards_of_a_stream_keep_the_states(edge_axis: Prepared, motion: Motion) -> None:
-    plan = StreamPlan(edge_axis, Pace(0.0, 0.0), 1)
-    body, rows = None, list[np.ndarray]()
-    for k in range(0, 1200, 400):
-        shard = StreamShard(plan, 0, body)
-        shard.take(messages_of(tuple(part[k : k + 400] for part in motion), k))
-        rows += [found.theta for found in shard.outcomes.estimates]
-        body = shard.save_state()
-    samples = [
-        Sample(CART_DT * k, u, n, age=age)
-        for k, (u, n, age) in enumerate(zip(*(part[:1200].tolist() for part in motion), strict=True))
-    ]
-    assert np.concatenate(rows).tobytes() == b"".join(bits[0] for bits in monitored(edge_axis, samples)[0])
-    monitor = States.from_bodies({0: body or b""}, edge_axis.digest).monitor("x1", edge_axis, Pace())
-    assert monitor.samples == 1200

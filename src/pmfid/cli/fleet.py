@@ -13,126 +13,14 @@ from pmfid.errors import NotIdentifiableError, UsageError, printable
 if TYPE_CHECKING:
     from pmfid.fleet.data import Engine
     from pmfid.fleet.history import History
-    from pmfid.stream.groups import Prepared
-
-FOLDER = click.Path(path_type=Path, file_okay=False)
-MASTER = click.option(
-    "--master", metavar="URL", help='Master of Spark, such as "local[2]"; default: the configured one, or this machine.'
-)
-_CHECKPOINT = "Folder of the state with which the next call continues."
-
-
-@click.command(short_help="Watch many axes on Spark, as their blocks arrive.")
-@click.argument("source", type=click.Path(path_type=Path))
-@config_option("The settings that all axes share.")
-@click.option("--out", type=FOLDER, required=True, metavar="FOLDER", help="Folder for estimates and notices.")
-@click.option("--checkpoint", type=FOLDER, required=True, metavar="FOLDER", help=_CHECKPOINT)
-@click.option("--shards", type=click.IntRange(1, 65536), default=8, show_default=True, help="Number of shards.")
-@click.option("--window", type=click.FloatRange(0, 600), default=0.5, show_default=True, help="Reordering window [s].")
-@click.option(
-    "--every",
-    type=click.FloatRange(0, 1e6),
-    default=1.0,
-    show_default=True,
-    help="Time between two written estimates of an axis [s]; 0: write all.",
-)
-@click.option(
-    "--interval", type=click.FloatRange(0, 86400), default=5.0, show_default=True, help="Time between batches [s]."
-)
-@click.option(
-    "--files",
-    type=click.IntRange(1),
-    metavar="N",
-    help="Maximum number of Parquet files in a batch; default: no limit.",
-)
-@click.option(
-    "--state",
-    type=FOLDER,
-    metavar="FOLDER",
-    help="Begin with the states that `pmfid serve` or `pmfid fleet state` has written.",
-)
-@click.option("--once", is_flag=True, help="End after all present files are read.")
-@MASTER
-def stream(
-    source: Path,
-    config: Path,
-    out: Path,
-    checkpoint: Path,
-    shards: int,
-    window: float,
-    every: float,
-    interval: float,
-    files: int | None,
-    state: Path | None,
-    once: bool,
-    master: str | None,
-) -> None:
-    """Watch the axes whose blocks arrive in the folder SOURCE until an interruption.
-
-    SOURCE holds Parquet files with two columns: axis, the name, and block, the bytes of docs/wire.md. SOURCE may also
-    hold growing files of blocks in sequence (.pmfb). A repeated block is ignored, an early block waits, and a late
-    block is counted. A second call with the same folders continues where the first call ended, for whatever reason.
-
-    Exit code 0: all done; 2: wrong usage, unreadable input, or a configuration that differs from the checkpoint's.
-    """
-    from pmfid.fleet.shards import States, StreamPlan
-    from pmfid.fleet.spark.stream import Pacing, kind_of, stream_files
-    from pmfid.stream.groups import Pace
-
-    kind_of(source)  # a wrong argument fails before the slow part
-    prepared = _prepare(config)
-    plan = StreamPlan(prepared, Pace(window, every), shards)
-    begin = None if state is None else States.from_folder(state, prepared.digest)
-    stream_files(source, plan, checkpoint, out, Pacing(interval, files, once), begin, master)
-
-
-@click.command(short_help="Copy the states of axes from a stream, for pmfid serve or Python.")
-@click.argument("checkpoint", type=FOLDER)
-@config_option("The AXIS.toml of the stream.")
-@click.option("--axis", "axes", multiple=True, metavar="NAME", help="Copy only this axis; may be repeated.")
-@click.option(
-    "--out",
-    type=FOLDER,
-    required=True,
-    metavar="FOLDER",
-    help="Folder: [service] state of PLANT.toml.",
-)
-@MASTER
-def state(checkpoint: Path, config: Path, axes: tuple[str, ...], out: Path, master: str | None) -> None:
-    """Write the states of axes in CHECKPOINT, written by `pmfid fleet stream`, as the checkpoint of a service.
-
-    `pmfid serve` with [service] state = FOLDER continues from the written states, as does `pmfid fleet stream --state
-    FOLDER`.
-
-    Exit code 0: written; 2: no states, states of another configuration, or no such axis.
-    """
-    from pmfid.fleet.spark.stream import check_states, states_of
-    from pmfid.stream.groups import Pace
-
-    check_states(checkpoint)  # a wrong argument fails before the slow part
-    prepared = _prepare(config)
-    written = states_of(checkpoint, prepared.digest, master).write(out, prepared, Pace(), axes)
-    click.echo(f"states of {written} axes: {out}")
-
-
-def _prepare(config: Path) -> Prepared:
-    with progress("calibration") as tell:
-        from pmfid.stream.groups import prepare
-
-        return prepare(config, progress=tell)
-
 
 #: Largest number of axes in a printed table.
 SHOWN = 30
 
 
-@click.group(short_help="Many axes: their histories, and streams of their blocks.")
+@click.group(short_help="Many axes: their histories.")
 def fleet() -> None:
-    """Estimate the histories of many axes, from data sets of any size, and watch their present state."""
-
-
-fleet.add_command(stream)
-fleet.add_command(state)
+    """Estimate the histories of many axes, from data sets of any size."""
 
 
 @fleet.command(short_help="Estimate every axis and period of a data set.")

@@ -161,10 +161,6 @@ class FleetTuning:
     source_shortest: float = 1.0
     source_longest: float = 1e9
 
-    # spark.block_files
-    #: Size of the pieces in which a file is searched [bytes].
-    block_files_piece: int = 2**24
-
     # spark.engine
     #: Number of rows that polars gets together, because Spark's own batches are small.
     at_once: int = 2**20
@@ -179,18 +175,6 @@ class FleetTuning:
     # spark.frame
     #: Largest number of jobs. The results of a job are stored at its end, but each job reads its times again.
     frame_jobs: int = 16
-
-    # spark.log
-    #: Largest part of the messages that is searched [bytes].
-    log_lately: int = 2**20
-
-    # spark.processor
-    #: Largest number of bytes that one byte of LZ4 can become.
-    processor_most: int = 255
-
-    # spark.stream
-    #: Number of keys that are tried for each shard. One shard in e^30 finds no key among them.
-    stream_tried: int = 30
 
     # verdicts
     #: Number of axes that each test may name by chance in a fleet without faults.

@@ -1,11 +1,11 @@
-"""Checkpoints, and states that move between programs."""
+"""Checkpoints of the engine."""
 
 from __future__ import annotations
 
 import json
 import struct
 import time
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,14 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.monitor import Monitor
 from pmfid.monitor.saved import seal_parts
-from pmfid.pipeline.monitored.run import Monitored
-from pmfid.pipeline.monitored.setup import save_baseline
 from pmfid.stream.delivery import Block, Mark
 from pmfid.stream.engine import StreamEngine
-from pmfid.stream.groups import Group, Pace, Prepared, Seat, make_fleet
-from pmfid.stream.outcome import AlarmRecord, Counters, Notice
+from pmfid.stream.groups import Group, Pace, Prepared, Seat
+from pmfid.stream.outcome import AlarmRecord, Notice
 
 _LENGTH = struct.Struct("<Q")
 #: State of the numbers and the clock of each axis.
@@ -293,73 +290,3 @@ def _restore_held(seats: Sequence[Seat], held: bytes) -> None:
         own = None if ages is None else ages[here]
         seat.order.hold(len(seat.order.held), Block(seat.name, epoch, first, begun, dt, u[here], counts[here], own))
         start += n
-
-
-def join_groups(groups: Sequence[Saved], prepared: Prepared) -> Saved:
-    """Join the axes of several groups, in order, into one group with the baseline of the first.
-
-    Raises ValueError for states of another configuration, and for an axis that occurs twice.
-    """
-    axes = tuple(name for group in groups for name in group.axes)
-    if len(set(axes)) < len(axes):
-        raise ValueError("it contains an axis twice")
-    fleet = make_fleet(prepared.take_baseline(groups[0].baseline).setup.monitor)
-    starts = [0, *np.cumsum([len(group.axes) for group in groups]).tolist()]
-    try:
-        for group in groups:
-            own = make_fleet(prepared.take_baseline(group.baseline).setup.monitor)
-            own.set_state(group.state)
-            fleet.append(own)  # type: ignore[arg-type]  # both are of the kind of `prepared`
-    except UsageError as error:
-        raise ValueError(str(error)) from None
-    pairs = list(zip(groups, starts, strict=False))
-    rare = {str(int(k) + start): own for group, start in pairs for k, own in group.rare.items()}
-    seats = np.concatenate([group.seats for group in groups])
-    return Saved(groups[0].digest, groups[0].baseline, axes, fleet.get_state(), seats, _join_held(groups, starts), rare)
-
-
-def _join_held(groups: Sequence[Saved], starts: Sequence[int]) -> bytes:
-    """Return the waiting blocks of all groups, with the new numbers of their axes."""
-    parts = [(*_read_held(group.held), start) for group, start in zip(groups, starts, strict=False) if group.held]
-    heads = [one.copy() for one, *_ in parts]
-    for own, (*_, start) in zip(heads, parts, strict=True):
-        own["seat"] += start
-    ages = [own for _, _, _, own, _ in parts if own is not None]
-    return _write_held(heads, [u for _, u, _, _, _ in parts], [counts for _, _, counts, _, _ in parts], ages)
-
-
-def body_of(
-    saved: Saved, prepared: Prepared, pace: Pace, names: Collection[str], alarms: Sequence[AlarmRecord], numbered: int
-) -> bytes:
-    """Return the body of a checkpoint with some axes of a group, and their alarms.
-
-    Raises ValueError for a state that no group has saved.
-    """
-    engine = StreamEngine(Counters())
-    here = [alarm for alarm in alarms if alarm.axis in names]
-    Snapshot(0.0, numbered, {}, [], here, {}, []).restore(engine)
-    group = saved.restore_group(prepared, pace)
-    group.remove([seat.index for seat in group.seats if seat.name not in names])
-    engine.set_groups([group])
-    return b"".join(snapshot(engine))
-
-
-def body_from(monitors: Mapping[str, Monitored], prepared: Prepared, pace: Pace) -> bytes:
-    """Return the body of a checkpoint from which axes continue with these monitors.
-
-    Any first number that arrives for an axis follows the axis' last sample. Raises ValueError for monitors of another
-    configuration.
-    """
-    first = next(iter(monitors.values()), None)
-    if isinstance(first, Monitor):
-        prepared = prepared.take_baseline(save_baseline(first))
-    fleet, group = make_fleet(prepared.setup.monitor), Group(prepared, pace)
-    try:
-        for monitor in monitors.values():
-            fleet.join(monitor.get_state())
-        group.restore(list(monitors), fleet.get_state())
-    except UsageError as error:
-        raise ValueError(str(error)) from None
-    engine = StreamEngine(Counters())
-    engine.set_groups([group])
-    return b"".join(snapshot(engine))
