@@ -44,13 +44,12 @@ HOW = """## How it is used
 many axes in one, rows in any order. AXIS.toml names the columns and what all axes have in common; `--type COLUMN`
 tells types apart. `history/` gets `fleet.html`, and as tables `periods.parquet` (estimates with their bars,
 quality and findings of every axis and period), `axes.parquet` (who needs attention, and why) and
-`problems.parquet` (what could not be used). A second call with the same folder does what is new or changed alone.
-In Python:
+`problems.parquet` (what could not be used). In Python:
 
     found = pmfid.fleet.estimate(frame_or_folder, axis="AXIS.toml", by="machine")  # found.periods, found.axes
 
 Every axis is estimated in segments of 60 s, each from nothing: so errors are independent, a change shows within a
-minute, and the same rows give the same bytes whatever files, threads or earlier calls they come from. An axis is
+minute, and the same rows give the same bytes whatever files or threads they come from. An axis is
 named where its change, drift or distance from its type goes beyond `[monitor] tolerance` by more than chance makes
 of the whole fleet.
 
@@ -61,13 +60,8 @@ Where a clear gap parts the axes of one type, it holds several sorts of machines
 each axis is then compared with its own sort. Sorts whose axes overlap, or of fewer than 8 axes or a tenth, are not
 distinguished: the spread of the type is then wider, and it takes more to be named.
 
-Files in which many axes are mixed row by row are read once, and their rows put aside on the disk by shard (28 bytes
-each, in the folder of `--out`, else in that for temporary files; gone when the last shard that needs them is done): in
-9, 18 and 36 million rows in shards of half a million 2.6, 5.3 and 9.7 s of processor time and 460 MiB, where reading
-them for each shard again took 3.7, 7.9 and 26 s. A Delta table is read by its log (`pip install 'pmfid[delta]'`);
-memory is that of three full shards at most, however many threads, and of the packed row group of a Parquet file. An
-Arrow file is unpacked batch by batch as a whole, and other formats file by file: write Arrow in batches of about a
-million rows, or as Parquet.
+Files in which many axes are mixed row by row are sorted by Polars into temporary files, in the folder of `--out`. A
+Delta table is read by its log (`pip install 'pmfid[delta]'`).
 Where the model lacks something of the machine, the bars do not hold that; changes are then still found against the
 axis's own past. The findings say so, and the quality of a period and of an axis is then `doubt`: `unmodelled`,
 `dead_time` and `feedback` if at least half of the segments of a period have it, and of all periods of an axis if a part

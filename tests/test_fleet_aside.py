@@ -1,7 +1,8 @@
-"""Files that mix their axes row by row are read once, with the same bytes and no files left on the disk."""
+"""Files larger than a chunk are read in pieces, and files that mix their axes once, with the same bytes."""
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import polars as pl
@@ -9,9 +10,9 @@ import pytest
 
 from pmfid import fleet
 from pmfid.errors import UsageError
+from pmfid.fleet import plan
 from pmfid.fleet.history import History
-from pmfid.fleet.rows import Aside
-from pmfid.fleet.source import Part
+from pmfid.fleet.source import Part, SourceColumns
 from studies.fleet_data import AXIS_TOML, machines, rows
 from tests.tuned import set_tuning
 
@@ -37,10 +38,22 @@ def plain(log: pl.DataFrame, config: Path) -> History:
 
 
 @pytest.fixture
-def mixed(log: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Write two files, of a minute each, with rows of all axes in turns; each shard has one axis."""
-    set_tuning(monkeypatch, "pmfid.fleet.plan", plan_budget=SAMPLES + 2000, plan_rows=SAMPLES + 2000)
-    set_tuning(monkeypatch, "pmfid.fleet.rows", aside_batch=5000)
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Let a chunk have the rows of one axis, and list the parts whose rows are read."""
+    set_tuning(monkeypatch, "pmfid.fleet.engine", plan_rows=SAMPLES, plan_least=SAMPLES)
+    found, plainly = list[str](), Part.rows
+
+    def look(part: Part, columns: SourceColumns) -> pl.LazyFrame:
+        found.append(part.name)
+        return plainly(part, columns)
+
+    monkeypatch.setattr(Part, "rows", look)
+    return found
+
+
+@pytest.fixture
+def mixed(log: pl.DataFrame, tmp_path: Path) -> Path:
+    """Write two files, of a minute each, with rows of all axes in turns."""
     (tmp_path / "data").mkdir()
     turns = log.sort("t", "machine")
     half = turns.height // 2
@@ -49,84 +62,62 @@ def mixed(log: pl.DataFrame, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     return tmp_path / "data"
 
 
-def test_mixed_files_are_read_twice_and_leave_the_bytes(
-    mixed: Path, config: Path, plain: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def estimated(data: Path, config: Path, out: Path | None = None) -> History:
+    return fleet.estimate(data, axis=config, by="machine", period="1min", out=out)
+
+
+def test_a_chunk_reads_its_own_rows_of_a_large_file(
+    log: pl.DataFrame, config: Path, plain: History, tmp_path: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A file is read once for the survey and once for the rows. An earlier version read each file for each of six
-    shards.
-    """
-    opened: list[str] = []
-    plainly = Part.rows
-    monkeypatch.setattr(Part, "rows", lambda part, columns: opened.append(part.name) or plainly(part, columns))
-    found = fleet.estimate(mixed, axis=config, by="machine", period="1min", out=tmp_path / "out")
-    assert found.shards == AXES
+    reads = list[plan.Read]()
+
+    def read(chunk: plan.Chunk, length: float) -> tuple[pl.DataFrame, list[plan.RowProblem]]:
+        reads.extend(chunk.reads)
+        return plan.read_chunk(chunk, length)
+
+    monkeypatch.setattr("pmfid.fleet.engine.read_chunk", read)
+    log.write_parquet(tmp_path / "all.parquet", row_group_size=log.height)
+    found = estimated(tmp_path / "all.parquet", config)
+    assert [one.many for one in reads[1:]] == [SAMPLES] * AXES
+    assert all(one.only for one in reads)
+    assert found.periods.equals(plain.periods)
+
+
+def test_mixed_files_are_read_three_times_and_leave_the_bytes(
+    mixed: Path, config: Path, plain: History, tmp_path: Path, opened: list[str]
+) -> None:
+    """A file is read for the survey, for the choice of filters, and for the rows, whatever the number of chunks."""
+    found = estimated(mixed, config, tmp_path / "out")
     assert found.periods.drop("findings").equals(plain.periods.drop("findings"))
     assert found.axes.equals(plain.axes)
     assert found.problems["code"].to_list() == ["duplicates"] * AXES
-    assert sorted(opened) == ["0.parquet"] * 2 + ["1.parquet"] * 2
-    assert not list(tmp_path.rglob("aside-*"))
+    assert {name: opened.count(name) for name in opened} == {"0.parquet": 3 + AXES, "1.parquet": 3 + AXES}
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "axes.parquet",
+        "periods.parquet",
+        "problems.parquet",
+    ]
 
 
-def test_what_lies_aside_is_gone_when_its_last_shard_is_done(
-    mixed: Path, config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    lying: list[int] = []
-    plainly = Aside.release
-
-    def done(aside: Aside, shard: object) -> None:
-        plainly(aside, shard)  # type: ignore[arg-type]
-        lying.append(len(list(tmp_path.rglob("*.rows"))))
-
-    monkeypatch.setattr(Aside, "release", done)
-    fleet.estimate(mixed, axis=config, by="machine", out=tmp_path / "out", engine=fleet.Local(1))
-    assert lying == [2] * (AXES - 1) + [0]
-
-
-def test_nothing_stays_aside_after_an_error_and_what_was_done_is_done(
-    mixed: Path, config: Path, plain: History, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    plainly, called = fleet.Work.shard, 0
-
-    def fails(work: fleet.Work, *rest: object) -> fleet.Segments:
-        nonlocal called
-        called += 1
-        if called == 4:
-            raise UsageError("the fourth")
-        return plainly(work, *rest)  # type: ignore[arg-type]
-
-    call = lambda: fleet.estimate(  # noqa: E731
-        mixed, axis=config, by="machine", period="1min", out=tmp_path / "out", engine=fleet.Local(1)
-    )
-    with monkeypatch.context() as patched:
-        patched.setattr(fleet.Work, "shard", fails)
-        with pytest.raises(UsageError, match="the fourth"):
-            call()
-    assert not list(tmp_path.rglob("aside-*"))
-    killed = tmp_path / "out" / "work" / "aside-killed"
-    killed.mkdir()
-    (killed / "0.rows").write_bytes(b"left")
-    again = call()
-    assert again.reused >= 3
-    assert again.axes.equals(plain.axes)
-    assert not killed.exists()
-
-
-def test_a_damaged_mixed_file_is_named_and_the_other_is_used(mixed: Path, config: Path) -> None:
+def test_a_damaged_mixed_file_is_named_and_the_other_is_used(mixed: Path, config: Path, opened: list[str]) -> None:
     damaged = mixed / "0.parquet"
     data = bytearray(damaged.read_bytes())
-    whole = fleet.estimate(mixed / "1.parquet", axis=config, by="machine", period="1min")
-    data[4 : len(data) // 3] = bytes(
-        len(data) // 3 - 4
-    )  # the damage is in heads of pages, because Parquet has no checksum of numbers
+    whole = estimated(mixed / "1.parquet", config)
+    # The damage is in heads of pages, because Parquet has no checksum of numbers.
+    data[4 : len(data) // 3] = bytes(len(data) // 3 - 4)
     damaged.write_bytes(data)
-    found = fleet.estimate(mixed, axis=config, by="machine", period="1min")
+    found = estimated(mixed, config)
     assert found.problems.filter(pl.col("file") == "0.parquet")["code"].to_list() == ["unreadable"]
     assert found.periods.equals(whole.periods)
 
 
-def test_a_disk_without_room_is_said(mixed: Path, config: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "pmfid.fleet.rows.Aside._pack_rows", lambda *rest: (_ for _ in ()).throw(OSError(28, "No space"))
-    )
+def test_a_disk_without_room_is_said(
+    mixed: Path, config: Path, opened: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*given: object, **named: object) -> None:
+        raise pl.exceptions.ComputeError("No space left on device")
+
+    monkeypatch.setattr(pl.LazyFrame, "sink_parquet", full)
+    monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(1, 1, 0))
     with pytest.raises(UsageError, match="free some space"):
-        fleet.estimate(mixed, axis=config, by="machine")
+        estimated(mixed, config)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,8 @@ import pytest
 
 from pmfid import fleet
 from pmfid.errors import UsageError
-from pmfid.fleet.history import History
+from pmfid.fleet.history import History, write_whole
 from pmfid.fleet.source import RESULTS, Part, other_unit, seconds_of
-from pmfid.fleet.store import Store, whole
 from pmfid.io.tables import LONGEST_CELL
 from studies.fleet_data import AXIS_TOML, machines, rows
 
@@ -110,7 +108,7 @@ def test_axes_whose_names_are_numbers_are_not_put_together(mixed: History) -> No
     assert "" not in known
 
 
-def test_a_file_that_grows_while_it_is_read_is_named_and_done_again(
+def test_a_file_that_grows_while_it_is_read_is_named(
     logs: list[pl.DataFrame], config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     data = tmp_path / "data"
@@ -212,7 +210,7 @@ def lake(logs: list[pl.DataFrame], config: Path, tmp_path_factory: pytest.TempPa
     logs[6].with_columns(pl.concat_list("machine")).write_parquet(folder / "list.parquet")
     for name in RESULTS:  # files of a history in the same folder
         (folder / "results" / name).mkdir(parents=True)
-    logs[7].write_parquet(folder / "results" / "work" / "e.parquet")
+    logs[7].write_parquet(folder / "results" / "e.parquet")
     return estimated(folder, config)
 
 
@@ -238,14 +236,6 @@ def test_what_is_no_data_is_named(lake: History, file: str, code: str, said: str
     assert said in " ".join(found["text"].to_list())
 
 
-def test_one_call_at_a_time_has_a_folder(logs: list[pl.DataFrame], config: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    with closing(Store(out)), pytest.raises(UsageError, match="another call already uses"):
-        estimated(logs[0], config, out)
-    assert estimated(logs[0], config, out).axes.height == 1
-    assert estimated(logs[0], config, out).reused == 1
-
-
 def test_a_disk_that_fills_up_is_said(tmp_path: Path) -> None:
     """Polars then raises an error that is no OSError."""
 
@@ -254,7 +244,7 @@ def test_a_disk_that_fills_up_is_said(tmp_path: Path) -> None:
         raise pl.exceptions.ComputeError("No space left on device")
 
     with pytest.raises(UsageError, match="free some space"):
-        whole(tmp_path / "a.parquet", write)
+        write_whole(tmp_path / "a.parquet", write)
     assert not list(tmp_path.iterdir())
 
 

@@ -37,7 +37,7 @@ def spark() -> Iterator[SparkSession]:
     """Return a session local[2] within this process."""
     if MISSING:
         pytest.skip(MISSING)
-    from pmfid.fleet.spark.engine import session_of
+    from pmfid.fleet.spark import session_of
 
     session = session_of("local[2]", {"spark.sql.shuffle.partitions": "4", "spark.driver.memory": "1g"})
     yield session

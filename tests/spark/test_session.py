@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from pmfid.errors import UsageError
-from pmfid.fleet.spark import engine as sessions
+from pmfid.fleet import spark as sessions
 
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession

@@ -11,7 +11,7 @@ from pmfid.cli.terminal import JSON, config_option, print_json, progress
 from pmfid.errors import NotIdentifiableError, UsageError, printable
 
 if TYPE_CHECKING:
-    from pmfid.fleet.data import Engine
+    from pmfid.fleet.engine import Engine
     from pmfid.fleet.history import History
 
 #: Largest number of axes in a printed table.
@@ -62,7 +62,7 @@ def fleet() -> None:
     type=click.Path(path_type=Path, file_okay=False),
     required=True,
     metavar="FOLDER",
-    help="Write fleet.html, fleet.json and Parquet tables into this folder; the next call reuses finished work.",
+    help="Write fleet.html, fleet.json and Parquet tables into this folder.",
 )
 @JSON
 def history(
@@ -81,8 +81,7 @@ def history(
     """Estimate every axis of SOURCE for each period, and find axes that change, drift or differ from the others.
 
     SOURCE is a folder of Parquet or Arrow files with any partition, or a single file. The data have one row for each
-    sample of each axis, in any order. A second call with the same folder computes only new and changed parts. The
-    result names unusable data, and uses all other data.
+    sample of each axis, in any order. The result names unusable data, and uses all other data.
 
     Exit code 0: a result; 2: wrong usage or unreadable input; 3: no axis can be identified.
     """
@@ -106,8 +105,8 @@ def history(
 
 
 def _engine(name: str, master: str | None, workers: int | None) -> Engine:
-    from pmfid.fleet.data import Local
-    from pmfid.fleet.spark.engine import Spark
+    from pmfid.fleet.engine import Local
+    from pmfid.fleet.spark import Spark
 
     if name == Local.name:
         return Local(workers)
@@ -129,5 +128,4 @@ def _print(found: History, out: Path) -> None:
         where = row["axis"] or row["file"]
         times = f" ({row['times']} times)" if row["times"] > 1 else ""
         click.echo(f"note: {printable(where)}: {printable(row['text'])}{times}")
-    done = f"{found.shards - found.reused} of {found.shards} shards computed, the others reused"
-    click.echo(f"{found.samples} samples; {done}\nreport: {out / 'fleet.html'}")
+    click.echo(f"{found.samples} samples\nreport: {out / 'fleet.html'}")

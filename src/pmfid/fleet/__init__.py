@@ -9,23 +9,21 @@ from typing import TYPE_CHECKING
 from pmfid.lazy_imports import make_getattr
 
 if TYPE_CHECKING:
-    from pmfid.fleet.data import Engine as Engine
-    from pmfid.fleet.data import Local as Local
-    from pmfid.fleet.data import Work as Work
+    from pmfid.fleet.engine import Engine as Engine
+    from pmfid.fleet.engine import Local as Local
+    from pmfid.fleet.evaluate import Work as Work
     from pmfid.fleet.history import History as History
     from pmfid.fleet.history import estimate as estimate
-    from pmfid.fleet.segments import Segments as Segments
     from pmfid.fleet.source import SourceColumns as SourceColumns
-    from pmfid.fleet.spark.engine import Spark as Spark
+    from pmfid.fleet.spark import Spark as Spark
 
 _PUBLIC = {
     "SourceColumns": "source",
-    "Engine": "data",
+    "Engine": "engine",
     "History": "history",
-    "Local": "data",
-    "Segments": "segments",
-    "Spark": "spark.engine",
-    "Work": "data",
+    "Local": "engine",
+    "Spark": "spark",
+    "Work": "evaluate",
     "estimate": "history",
 }
 

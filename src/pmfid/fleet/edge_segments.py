@@ -13,8 +13,7 @@ from pmfid._stage import bars
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.redge import REdge
 from pmfid.fleet.plan import RowProblem
-from pmfid.fleet.rows import RecordPiece
-from pmfid.fleet.segments import Segments, empty, evidence_gaps
+from pmfid.fleet.segments import RecordPiece, Segments, empty, evidence_gaps
 from pmfid.fleet.settings import Settings, record_at
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import column
@@ -111,7 +110,7 @@ def _estimate(stretches: Sequence[EdgeStretch], estimator: REdge) -> pl.DataFram
         "samples": np.full(len(stretches), size),
         "dt": np.full(len(stretches), estimator.dt),
         "lost": np.zeros(len(stretches)),
-        "status": (status[:, -1] | often.astype(np.uint32) | evidence_gaps(u, counts)).astype(np.uint32),
+        "status": (status[:, -1] | often.astype(np.uint32) | evidence_gaps(u, counts)).astype(np.int64),
     }
     for i, name in enumerate(estimator.names):
         columns |= {name: theta[:, i], f"{name}_std": std[:, i]}

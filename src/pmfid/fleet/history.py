@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
+import os
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing
-from dataclasses import asdict, dataclass
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,12 +17,12 @@ import polars as pl
 from pmfid.config.axis import Axis, read_axis
 from pmfid.config.keys import AxisKeys
 from pmfid.errors import UsageError, printable
-from pmfid.fleet.data import Engine, Local, Parts, Work
-from pmfid.fleet.plan import RowProblem, RowShard, shards_of, slice_length
+from pmfid.fleet.engine import Engine, Files, Local, Progress
+from pmfid.fleet.evaluate import Work, longest_tables
+from pmfid.fleet.plan import ROWS, SLICE, RowProblem, slice_length
 from pmfid.fleet.series import Periods, Series, period_rows, series_of, widen_errors
-from pmfid.fleet.settings import Chosen, choose, make_settings
-from pmfid.fleet.source import AXIS, TYPE, SourceColumns, SparkFrame, is_spark, parts_of
-from pmfid.fleet.store import Keep, Kept, Store, check_folder, digest, whole
+from pmfid.fleet.settings import choose, make_settings
+from pmfid.fleet.source import AXIS, RESULTS, TYPE, SourceColumns, SparkFrame, is_spark, parts_of
 from pmfid.fleet.tuning import TUNING
 from pmfid.fleet.verdicts import (
     CHANGED,
@@ -42,12 +42,12 @@ from pmfid.presentation import plain_dict
 LITTLE, SOUGHT = "little_information", 0.1
 
 if TYPE_CHECKING:
-    from pmfid.fleet.spark.frame import SparkRows
+    from pmfid.fleet.spark import SparkRows
 
 
 @dataclass(frozen=True)
-class Outcome:
-    """The result, with the fields of `History`."""
+class FleetTables:
+    """The tables of a history, with the fields of `History`."""
 
     periods: pl.DataFrame
     axes: pl.DataFrame
@@ -55,47 +55,41 @@ class Outcome:
     samples: int
 
 
-def outcome_of(
-    groups: Iterable[pl.DataFrame],
+def summarise(
+    rows: pl.DataFrame,
     types: Mapping[str, str],
     problems: Sequence[RowProblem],
     names: tuple[str, ...],
     periods: Periods,
     segment: float,
     tolerance: float,
-) -> Outcome:
+) -> FleetTables:
     """Judge the segments of all axes.
 
-    `groups` yields the segments of some axes at a time. `types` has the type of every existing axis. `segment` is in s.
-    The other arguments are as in `history.estimate`.
+    `rows` are sorted by axis and time. `types` has the type of every existing axis. `segment` is in s. The other
+    arguments are as in `history.estimate`.
     """
     codes: dict[str, set[tuple[float, str]]] = defaultdict(set)
     for problem in problems:
         if problem.axis:
             codes[problem.axis].add((problem.at, problem.code))
-    problems, follows = list(problems), dict[str, Follow]()
-    frames, seen = list[pl.DataFrame](), 0
-    for group in groups:
-        rows: list[dict[str, object]] = []
-        for part in group.partition_by(AXIS, maintain_order=True):
-            axis, series = str(part[AXIS][0]), widen_errors(series_of(part, names))
-            seen += int(series.samples.sum())
-            problems += _report_mixed_periods(axis, series)
-            follows[axis] = follow_axis(axis, types[axis], series, names, tolerance)
-            step = follows[axis].step
-            dated = codes[axis] | ({(step.since, CHANGED)} if step is not None and follows[axis].stepped else set())
-            rows += period_rows(axis, types[axis], series, names, periods, segment, dated)
-        frames.append(pl.DataFrame(rows, schema=_period_schema(names)))
+    problems, follows, listed = list(problems), dict[str, Follow](), list[dict[str, object]]()
+    for (axis,), own in rows.partition_by(AXIS, maintain_order=True, as_dict=True).items():
+        series = widen_errors(series_of(own, names))
+        problems += _report_mixed_periods(axis, series)
+        follows[axis] = follow = follow_axis(axis, types[axis], series, names, tolerance)
+        dated = codes[axis] | ({(follow.step.since, CHANGED)} if follow.step is not None and follow.stepped else set())
+        listed += period_rows(axis, types[axis], series, names, periods, segment, dated)
     problems += _others(follows.values())
     missing = [axis for axis in sorted(types) if axis not in follows]
-    frames.append(pl.DataFrame(_nothing(missing, types, codes), schema=_period_schema(names)))
     nan, infinite = np.full(len(names), np.nan), np.full(len(names), np.inf)
     follows |= {axis: Follow(axis, types[axis], 0, nan, infinite, None, None) for axis in missing}
     everyone = [follows[axis] for axis in sorted(types)]
     problems += _sorts(everyone, names, tolerance)
     axes = _axes(everyone, judge_axes(everyone, names, tolerance), names)
-    whole = pl.concat(frames).sort(AXIS, "period")
-    return Outcome(whole, axes, _problems(problems), seen)
+    listed += _nothing(missing, types, codes)
+    whole = pl.DataFrame(listed, schema=_period_schema(names)).sort(AXIS, "period")
+    return FleetTables(whole, axes, _problems(problems), int(rows["samples"].sum()))
 
 
 def _report_mixed_periods(axis: str, series: Series) -> list[RowProblem]:
@@ -206,18 +200,14 @@ def _problems(problems: Sequence[RowProblem]) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=kinds | {"text": pl.String})
 
 
-#: A function that is called with the completed part of the work, 0 to 1.
-Progress = Callable[[float], None]
-
-
 @dataclass(frozen=True)
 class History:
     """The history of a fleet.
 
     `periods` has a row for each axis and period. `axes` has a row for each axis, where axes with need of attention come
     first. `problems` has the unusable rows and files, with reasons. `names` and `units` belong to the parameters.
-    `samples` is the number of samples in the estimates. `segment` is the length of one estimate [s]. `shards` is the
-    number of shards, and `reused` the number of shards known from an earlier call. `engine` is the name of the engine.
+    `samples` is the number of samples in the estimates. `segment` is the length of one estimate [s]. `engine` is the
+    name of the engine.
     """
 
     periods: pl.DataFrame
@@ -228,8 +218,6 @@ class History:
     samples: int
     segment: float
     period: str
-    shards: int
-    reused: int
     engine: str
 
     def to_frame(self) -> pl.DataFrame:
@@ -266,26 +254,29 @@ class History:
             "segment": self.segment,
             "period": self.period,
             "engine": self.engine,
-            "shards": self.shards,
-            "reused": self.reused,
             "units": dict(zip(self.names, self.units, strict=True)),
             "attention": [plain_dict(row) for row in named.iter_rows(named=True)],
             "problems": [plain_dict(row) for row in self.problems.iter_rows(named=True)],
         }
 
 
-def data_of(data: object, columns: SourceColumns, engine: Engine | None, out: Path | None) -> Parts | SparkRows:
+def data_of(data: object, columns: SourceColumns, engine: Engine | None, out: Path | None) -> Files | SparkRows:
     """Return the object that reads the rows. Raises UsageError for an engine that cannot reach the rows."""
     if is_spark(data):
-        from pmfid.fleet.spark.frame import SparkRows
+        from pmfid.fleet.spark import Spark, SparkRows
 
-        return SparkRows(data, columns, engine)
+        if engine is not None and not isinstance(engine, Spark):
+            raise UsageError(
+                f"a Spark DataFrame is processed by Spark, not by the engine {engine.name}: leave out the "
+                "engine, or give frame.toArrow() if the data fit into this machine's memory"
+            )
+        return SparkRows(data, columns)
     if engine is not None and engine.name != Local.name and not isinstance(data, str | Path):
         raise UsageError(
             f"a frame in memory stays on this machine, but the engine {engine.name} would send it to "
             "other machines: leave out the engine, or give a folder of files or a Spark DataFrame"
         )
-    return Parts(parts_of(data, out), columns, engine or Local())
+    return Files(parts_of(data, out), columns, engine or Local(), out)
 
 
 def estimate(
@@ -309,10 +300,9 @@ def estimate(
     counts, and describe the common properties of all axes. `by` is the column, or the key of the folders, with the
     names of the axes. `period` is "day", "shift", "run" or a duration such as "10min". `type` is the column with the
     types of the axes. Axes are compared within a type. `engine` is by default this machine, `Local()`, or the session
-    of a Spark DataFrame. `out` is a folder that keeps finished work. A second call with the same folder processes only
-    new or changed data. `segment` is the length of one estimate [s], the unit in which changes are found. The default
-    is 60 s, or a length that fits [estimator] forgetting. `tolerance` is the relative deviation that does not count,
-    by default the tolerance of [monitor].
+    of a Spark DataFrame. `out` is a folder for the tables. `segment` is the length of one estimate [s], the unit in
+    which changes are found. The default is 60 s, or a length that fits [estimator] forgetting. `tolerance` is the
+    relative deviation that does not count, by default the tolerance of [monitor].
 
     Unusable axes, times and files appear in the `problems` and in the findings of the periods. All other data are
     processed. Raises UsageError for missing columns, methods that are not recursive, and data without a moving axis.
@@ -325,110 +315,76 @@ def estimate(
             f"tolerance = {tolerance} is not valid: give a relative deviation of 0 or more, for example 0.05"
         )
     tell = progress or (lambda done: None)
-    if out is None:
-        return _Run(own, columns, data_of(data, columns, engine, None), None, tell).outcome(periods, segment, tolerance)
-    out = Path(out)
-    check_folder(out)  # before any file is created
-    there = data_of(data, columns, engine, out)
-    with closing(Store(out)) as store:
-        found = _Run(own, columns, there, store, tell).outcome(periods, segment, tolerance)
+    if out is not None:
+        prepare_folder(out := Path(out))  # before any file is created
+    found = _estimate(own, data_of(data, columns, engine, out), periods, segment, tolerance, tell)
+    if out is not None:
         for name in ("periods", "axes", "problems"):
             frame: pl.DataFrame = getattr(found, name)
-            whole(out / f"{name}.parquet", frame.write_parquet)
+            write_whole(out / f"{name}.parquet", frame.write_parquet)
     return found
 
 
-class _Run:
-    """The survey, the plan and the store of one call of `estimate`."""
+def _estimate(
+    axis: Axis, data: Files | SparkRows, periods: Periods, segment: float | None, tolerance: float, tell: Progress
+) -> History:
+    length = slice_length(periods.length)
+    survey = data.survey(length)
+    chosen = choose(axis, longest_tables(data.read(_samples(survey.rows), length), data.given, length))
+    settings = make_settings(axis, chosen, min(length / 2, periods.length or length), segment)
+    work = Work(settings, data.given, length)
+    rows, problems = work.split(data.evaluate(work, tell))
+    # If an axis has several types, the first by name counts.
+    types = dict(survey.rows.group_by(AXIS).agg(pl.col(TYPE).min()).sort(AXIS).iter_rows())
+    names, units = settings.estimator.names, settings.estimator.units
+    problems = [*survey.problems, *_several(survey.rows), *problems]
+    found = summarise(rows, types, problems, names, periods, settings.segment, tolerance)
+    facts = found.samples, settings.segment, periods.name, data.engine
+    return History(found.periods, found.axes, found.problems, names, units, *facts)
 
-    def __init__(
-        self, axis: Axis, columns: SourceColumns, data: Parts | SparkRows, store: Store | None, tell: Progress
-    ) -> None:
-        self.axis, self.columns, self.data, self.store, self.tell = axis, columns, data, store, tell
-        self.keep = Keep(store)
-        self.survey = data.survey(self.keep)
 
-    def outcome(self, periods: Periods, segment: float | None, tolerance: float) -> History:
-        length = slice_length(self.survey.rows, periods.length)
-        shards = shards_of(self.survey.rows, length)
-        folder = None if self.store is None else self.store.folder
-        with self.data.prepare_shards(shards, self.survey, length, folder):
-            return self._outcome(shards, length, periods, segment, tolerance)
+def _samples(rows: pl.DataFrame) -> pl.DataFrame:
+    """Return the first slice of some axes, which decide on the filters."""
+    first = (
+        rows.group_by(AXIS, SLICE).agg(pl.sum(ROWS)).sort(AXIS, SLICE).unique(AXIS, keep="first", maintain_order=True)
+    )
+    fitting = first.filter(pl.col(ROWS).cum_sum() <= TUNING.plan_rows)
+    return (fitting if fitting.height else first.head(1)).head(TUNING.tried_axes).select(AXIS, SLICE)
 
-    def _outcome(
-        self, shards: Sequence[RowShard], length: float, periods: Periods, segment: float | None, tolerance: float
-    ) -> History:
-        chosen = self._choose_filters(shards, length)
-        most = min(length / 2, periods.length or length)
-        settings = make_settings(self.axis, chosen, most, segment)
-        work = Work(settings, self.columns, length)
-        before, names = self.keep.reused, settings.estimator.names
-        known = str((self.axis.model_dump(warnings=False), chosen, settings.segment, length))
-        solved = self._solve_shards(shards, work, known)
-        lost = (problem for one in solved for problem in one.problems)
-        problems = [*self.survey.problems, *self._several(), *lost]
-        groups = self._groups(shards, solved)
-        # If an axis has several types, the first by name counts.
-        types = dict(self.survey.rows.group_by(AXIS).agg(pl.col(TYPE).min()).sort(AXIS).iter_rows())
-        found: Outcome = outcome_of(groups, types, problems, names, periods, settings.segment, tolerance)
-        if self.store is not None:
-            self.store.keep(self.keep.keys)
-        units = settings.estimator.units
-        reused = self.keep.reused - before
-        facts = (found.samples, settings.segment, periods.name, len(shards), reused, self.data.engine)
-        return History(found.periods, found.axes, found.problems, names, units, *facts)
 
-    def _choose_filters(self, shards: Sequence[RowShard], length: float) -> Chosen:
-        """Choose the filters by the first moving axis.
+def _several(rows: pl.DataFrame) -> Iterator[RowProblem]:
+    """Yield a problem for each axis that has several types."""
+    kinds = rows.filter(pl.col(TYPE) != "").group_by(AXIS).agg(pl.col(TYPE).unique().sort())
+    for axis, types in kinds.filter(pl.col(TYPE).list.len() > 1).sort(AXIS).iter_rows():
+        yield RowProblem(axis, "", "types", f"its rows have the types {', '.join(types)}: only the first type is used")
 
-        A stored choice stays, so that new data change no old estimate.
-        """
-        tables = self.data.tables(shards, length)
-        if self.store is None:
-            return choose(self.axis, tables)
-        key = digest("chosen", self.axis.model_dump(warnings=False), self.columns)
-        self.keep.keys.append(key)
-        path = self.store.path(key).with_suffix(".json")
-        try:
-            raw = json.loads(path.read_text(encoding="utf-8"))
-            zeros = None if raw["zeros"] is None else (raw["zeros"][0], raw["zeros"][1])
-            return Chosen(raw["cutoff"], zeros, raw["dt"], raw["resolution"])
-        except (OSError, ValueError, KeyError, TypeError):
-            chosen = choose(self.axis, tables)
-        whole(path, lambda part: part.write_text(json.dumps(asdict(chosen)), encoding="utf-8"))
-        return chosen
 
-    def _solve_shards(self, shards: Sequence[RowShard], work: Work, signature: str) -> list[Kept]:
-        """Return the segments of every shard, in order. The rows stay on the disk if a folder is given."""
-        found, done, rows = list[Kept](), 0, sum(shard.rows for shard in shards)
-        keys = [
-            digest("segments", signature, one.axes, one.first, one.last, self.data.stamp(one, work.length))
-            for one in shards
-        ]
-        kept = self.keep.fetch(keys, lambda missing: self.data.segments(work, [shards[k] for k in missing]))
-        for shard, one in zip(shards, kept, strict=True):
-            found.append(one)
-            done += shard.rows
-            self.tell(done / max(rows, 1))
-        return found
+#: Files that a history writes into its folder.
+OWN = RESULTS | {"fleet.html", "fleet.json"}
 
-    def _groups(self, shards: Sequence[RowShard], solved: Sequence[Kept]) -> Iterator[pl.DataFrame]:
-        """Yield the segments of some axes at a time, in the order of axes and time."""
-        places: dict[str, list[int]] = defaultdict(list)
-        for k, shard in enumerate(shards):
-            for name in shard.axes:
-                places[name].append(k)
-        names = sorted(places)
-        for start in range(0, len(names), TUNING.history_together):
-            group = names[start : start + TUNING.history_together]
-            wanted = sorted({k for name in group for k in places[name]})
-            frames = [solved[k].rows().filter(pl.col(AXIS).is_in(group)) for k in wanted]
-            yield pl.concat(frames).sort(AXIS, "start")
 
-    def _several(self) -> Iterator[RowProblem]:
-        """Yield a problem for each axis that has several types in its files or days."""
-        kinds = self.survey.rows.filter(pl.col(TYPE) != "").group_by(AXIS).agg(pl.col(TYPE).unique().sort())
-        for axis, types in kinds.filter(pl.col(TYPE).list.len() > 1).sort(AXIS).iter_rows():
-            yield RowProblem(
-                axis, "", "types", f"its rows have the types {', '.join(types)}: only the first type is used"
-            )
+def prepare_folder(folder: Path) -> None:
+    """Make the folder. Raises UsageError if it is a file, contains other things, or cannot be written."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        strangers = sorted(path.name for path in folder.iterdir() if path.name not in OWN)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise UsageError(f"{folder}: {reason}; choose a writable folder for the history") from None
+    if strangers:
+        raise UsageError(f"{folder}: contains other files, for example {strangers[0]}; give an empty or new folder")
+
+
+def write_whole(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file in one step. Raises UsageError if the file cannot be written."""
+    from polars.exceptions import PolarsError  # the error that polars raises for a full disk
+
+    part = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        write(part)
+        part.replace(path)
+    except (OSError, PolarsError) as error:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        reason = getattr(error, "strerror", None) or error
+        raise UsageError(f"{path}: {reason}; free some space, or choose another folder") from None

@@ -21,15 +21,28 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Tracks
 from pmfid.estimators.stretches import parts_of
 from pmfid.fleet.plan import RowProblem
-from pmfid.fleet.rows import RecordPiece
 from pmfid.fleet.series import BACKWARD, FORWARD, LOOKED_AT, MOVED, ONE_SIZE, UNUSABLE
 from pmfid.fleet.settings import Settings, quarter_of, record_at, recursive
 from pmfid.fleet.tuning import TUNING
+from pmfid.io.tables import Table
 from pmfid.models.equation import VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
 from pmfid.models.shapes import Square
 from pmfid.records.record import Record
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
+
+
+@dataclass(frozen=True)
+class RecordPiece:
+    """Rows of one axis and one slice without a gap.
+
+    `start` is the time of the first sample [s]. `table` has the columns by their name in the data, with the time
+    counted from the start.
+    """
+
+    axis: str
+    start: float
+    table: Table
 
 
 @dataclass(frozen=True)
@@ -389,9 +402,8 @@ def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.Da
         "dt": np.array([one.dt for one in stretches]),
         "lost": np.array([one.lost for one in stretches]),
     }
-    columns["status"] = second_looks(
-        stretches, estimator, theta, std, lasting_status(tracks) | evidence_gaps(u, counts)
-    )
+    status = lasting_status(tracks) | evidence_gaps(u, counts)
+    columns["status"] = second_looks(stretches, estimator, theta, std, status).astype(np.int64)
     for i, name in enumerate(tracks.names):
         columns |= {name: theta[:, i], f"{name}_std": std[:, i]}
     return pl.DataFrame(columns)
@@ -400,7 +412,7 @@ def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.Da
 def empty(settings: Settings) -> pl.DataFrame:
     """Return an empty table of segments."""
     kinds: dict[str, type[pl.DataType]] = {"axis": pl.String, "start": pl.Float64, "end": pl.Float64}
-    kinds |= {"samples": pl.Int64, "dt": pl.Float64, "lost": pl.Float64, "status": pl.UInt32}
+    kinds |= {"samples": pl.Int64, "dt": pl.Float64, "lost": pl.Float64, "status": pl.Int64}
     for name in settings.estimator.names:
         kinds |= {name: pl.Float64, f"{name}_std": pl.Float64}
     return pl.DataFrame(schema=kinds)

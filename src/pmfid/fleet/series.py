@@ -72,7 +72,8 @@ def series_of(rows: pl.DataFrame, names: tuple[str, ...]) -> Series:
     """Return the series of one axis' segments, in the order of time."""
     theta, std = (np.stack([rows[name + end].to_numpy() for name in names], axis=1) for end in ("", "_std"))
     start, end, lost, dt = (rows[name].to_numpy() for name in ("start", "end", "lost", "dt"))
-    return Series(start, end, rows["samples"].to_numpy(), lost, dt, rows["status"].to_numpy(), theta, std)
+    status = rows["status"].to_numpy().astype(np.uint32)
+    return Series(start, end, rows["samples"].to_numpy(), lost, dt, status, theta, std)
 
 
 def widen_errors(series: Series) -> Series:

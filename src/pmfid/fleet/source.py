@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Protocol
 from urllib.parse import unquote
@@ -24,7 +24,7 @@ from pmfid.records.clock import UNITS, time_factor
 from pmfid.records.tuning import TUNING as RECORD_TUNING
 
 #: Files that every history writes into its folder.
-RESULTS = {"work", "periods.parquet", "axes.parquet", "problems.parquet"}
+RESULTS = {"periods.parquet", "axes.parquet", "problems.parquet"}
 
 
 def walk_folder(folder: Path) -> tuple[list[Path], list[Path], list[Path]]:
@@ -226,6 +226,12 @@ class SourceColumns:
         return [AXIS, TIME, INPUT, OUTPUT, *([MASK] if self.mask else []), *([AGE] if self.age else [])]
 
     @property
+    def own(self) -> SourceColumns:
+        """The columns of rows that already have their own names, with times in s."""
+        mask, kind, age = (MASK if self.mask else None), (TYPE if self.type else None), (AGE if self.age else None)
+        return SourceColumns(AXIS, TIME, INPUT, OUTPUT, mask, kind, 1.0, age)
+
+    @property
     def named(self) -> dict[str, str]:
         """Map from the own names of the columns to the names in the data."""
         pairs = {AXIS: self.axis, TIME: self.time, INPUT: self.input, OUTPUT: self.output}
@@ -239,8 +245,7 @@ class Part:
 
     `name` identifies the part in messages. `stamp` changes with the content, and is empty for a frame. `constants` has
     the values that the names of the folders give to all rows. `stamp_now` returns the present stamp, and is None for a
-    part that cannot change. `sliced` is true if rows can be read without reading the whole file. `first` and `many` are
-    the number of the first row and the number of rows. None means all rows.
+    part that cannot change.
     """
 
     name: str
@@ -248,29 +253,11 @@ class Part:
     open: Callable[[], pl.LazyFrame] = field(repr=False, compare=False)
     constants: Mapping[str, str] = field(default_factory=dict)
     stamp_now: Callable[[], str] | None = field(default=None, repr=False, compare=False)
-    sliced: bool = False
-    first: int = 0
-    many: int | None = None
 
     @property
     def rewritten(self) -> bool:
         """Return whether the part has changed since it was listed."""
         return self.stamp_now is not None and self.stamp_now() != self.stamp
-
-    def windows(self) -> Iterator[Part]:
-        """Yield the rows in order, `source_window` at a time if the format can be read in pieces.
-
-        Raises UsageError for a damaged file.
-        """
-        if not self.sliced:
-            yield self
-            return
-        many = self.many
-        if many is None:
-            with readable(Path(self.name).suffix):
-                many = int(self.open().select(pl.len()).collect().item())
-        for start in range(0, max(many, 1), TUNING.source_window):
-            yield replace(self, first=self.first + start, many=min(TUNING.source_window, many - start))
 
     def rows(self, columns: SourceColumns) -> pl.LazyFrame:
         """Return the rows of a part. Axis and type are text, and all other columns are float64.
@@ -280,8 +267,6 @@ class Part:
         with readable(Path(self.name).suffix or "frame"):
             frame = self.open()
             schema = frame.collect_schema()
-        if self.many is not None:
-            frame = frame.slice(self.first, self.many)
         made = []
         for own, name in columns.named.items():
             if name in schema:
@@ -395,8 +380,7 @@ def _part(path: Path, root: Path, said: Mapping[str, str] | None = None) -> Part
     there = path.absolute()  # an executor may have another working folder
     name = inside.as_posix().encode("utf-8", "backslashreplace").decode()  # a file name may contain any bytes
     said = constants | dict(said or {})
-    sliced = _kind(there) == ".parquet"
-    return Part(name, stamp, lambda: _open_file(there), said, lambda: _stamp(there), sliced)
+    return Part(name, stamp, lambda: _open_file(there), said, lambda: _stamp(there))
 
 
 def _kind(path: Path) -> str:

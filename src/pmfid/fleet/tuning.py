@@ -9,13 +9,6 @@ from dataclasses import dataclass
 class FleetTuning:
     """All thresholds of `pmfid.fleet`, ordered by module."""
 
-    # aside
-    #: Multiple of a file's rows above which the file counts as mixed. Shards that read a mixed file one by one would
-    #: read more rows than this multiple.
-    aside_times: int = 3
-    #: Largest number of rows in memory while a file's rows are stored by shard.
-    aside_batch: int = 2**20
-
     # changes
     #: Relative error that segments of one axis share after a step, because the model differs slightly from the machine.
     changes_floor: float = 2e-3
@@ -35,25 +28,20 @@ class FleetTuning:
     #: Least part of the axes that makes a kind. Fewer axes are outliers.
     least_part: float = 0.1
 
-    # history
-    #: Number of axes whose segments are in memory together for a verdict.
-    history_together: int = 64
-
     # plan
-    #: Length of a day [s].
+    #: Length of a day [s], and of a slice [s].
     plan_day: float = 86_400.0
-    #: Lengths of a slice [s], and the largest number of samples in a slice.
-    plan_lengths: tuple[float, ...] = (3600.0, 900.0, 180.0, 60.0, 15.0, 5.0, 1.0)
-    most_samples: int = 2**19
-    #: Number of consecutive slices whose rows are divided into shards together.
+    plan_slice: float = 3600.0
+    #: Number of slices of an axis that come before those of the next axis.
     plan_block: int = 24
-    #: Number of rows in a shard, if a slice of one axis has fewer. Arrays of larger ones are fresh pages each time, and
-    #: clearing these takes a fifth of a history.
-    plan_rows: int = 2**20
-    #: Most rows in a shard. A row takes 40 bytes, and as much again while rows are sorted and estimates computed.
-    plan_budget: int = 2**22
-    #: Largest number of rows of a file that each of its shards reads as a whole.
-    plan_small: int = 2**17
+    #: Number of rows that all threads have in memory together, and least number of one thread. A row takes 40 bytes,
+    #: and as much again while rows are sorted and estimates computed.
+    plan_rows: int = 2**22
+    plan_least: int = 2**18
+    #: Multiple of the rows of a part above which its rows are sorted first, because chunks would read more.
+    plan_times: int = 3
+    #: Free space below which a failed write means a full disk [bytes].
+    plan_free: int = 2**24
 
     # rows
     #: Longest step within a piece, in medians of a slice. After a longer step, the next sample starts a new piece.
@@ -147,7 +135,8 @@ class FleetTuning:
     settings_tried: tuple[int, int, int] = (10, 3, 30)
     #: Factor by which standard errors may grow as the price of quicker filters.
     settings_cheap: float = 3.0
-    #: Number of examined records, and of segments in each.
+    #: Largest number of axes whose first slice may decide, number of examined records, and of segments in each.
+    tried_axes: int = 25
     settings_records: int = 8
     settings_most: int = 5
 
@@ -155,26 +144,9 @@ class FleetTuning:
     source_nanosecond: float = 1e-9
     #: Number of columns that a message lists if a column is missing.
     source_listed: int = 30
-    #: Largest number of rows of a file in memory. A row group may contain the whole file.
-    source_window: int = 2**21
     #: Limits of the length of a period [s].
     source_shortest: float = 1.0
     source_longest: float = 1e9
-
-    # spark.engine
-    #: Number of rows that polars gets together, because Spark's own batches are small.
-    at_once: int = 2**20
-    #: Number of items in a job per processor, and the least number of items. Results are kept at the end of a job, and
-    #: a job costs a tenth of a second. While the last items of a job run, the next job has the other processors.
-    engine_each: int = 4
-    engine_least: int = 8
-    engine_jobs: int = 2
-    #: Assumed number of processors if Spark does not report the number.
-    engine_untold: int = 64
-
-    # spark.frame
-    #: Largest number of jobs. The results of a job are stored at its end, but each job reads its times again.
-    frame_jobs: int = 16
 
     # verdicts
     #: Number of axes that each test may name by chance in a fleet without faults.

@@ -1,0 +1,133 @@
+"""Where the work of a history is done: on threads of this machine, or elsewhere."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import ClassVar, Protocol, TypeVar
+
+import polars as pl
+
+from pmfid.errors import UsageError, whole_number
+from pmfid.fleet.evaluate import PROBLEM, Work
+from pmfid.fleet.plan import (
+    SLICE,
+    Chunk,
+    Survey,
+    chunks_of,
+    join_surveys,
+    number_chunks,
+    read_chunk,
+    sort_mixed,
+    survey_part,
+)
+from pmfid.fleet.source import AXIS, Part, SourceColumns
+from pmfid.fleet.tuning import TUNING
+
+A = TypeVar("A")
+B = TypeVar("B")
+#: A function that is called with the completed part of the work, 0 to 1.
+Progress = Callable[[float], None]
+
+
+class Engine(Protocol):
+    """The place where the work of a history is done."""
+
+    name: ClassVar[str]
+
+    def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterable[B]:
+        """Return the result of `work` for each item, in the order of the items."""
+        ...
+
+
+@dataclass(frozen=True)
+class Local:
+    """An engine of threads on this machine. `workers` is their number, by default one for each processor."""
+
+    name: ClassVar[str] = "local"
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.workers is not None:
+            whole_number(
+                "workers", self.workers, 1, "it is the number of threads; None uses one thread for each processor"
+            )
+
+    @property
+    def threads(self) -> int:
+        there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+        return self.workers or there or 1
+
+    def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterable[B]:
+        """Yield the result of `work` for each item, in the order of the items."""
+        pool = ThreadPoolExecutor(self.threads)
+        try:
+            yield from pool.map(work, items)
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+class Files:
+    """Files, or frames in memory. `SparkRows` has the same methods for rows that stay in Spark.
+
+    `folder` takes the rows of files that mix their axes; None takes the folder for temporary files.
+    """
+
+    def __init__(self, parts: Sequence[Part], columns: SourceColumns, engine: Engine, folder: Path | None) -> None:
+        self._parts, self.given, self._engine = {part.name: part for part in parts}, columns, engine
+        self._folder = folder
+
+    @property
+    def engine(self) -> str:
+        """Name of the engine."""
+        return self._engine.name
+
+    def survey(self, length: float) -> Survey:
+        """Find all axes and their times. This call comes first.
+
+        Raises UsageError if a column is missing everywhere, or if no part can be read.
+        """
+        work = partial(survey_part, columns=self.given, length=length)
+        self._survey = Survey(pl.DataFrame(), ())
+        try:
+            self._survey = join_surveys(list(self._engine.map(work, list(self._parts.values()))))
+        except UsageError:
+            first = next(iter(self._parts.values()))
+            try:
+                first.rows(self.given)
+            except UsageError as error:
+                raise UsageError(f"{first.name}: {error}") from None
+            raise
+        return self._survey
+
+    def read(self, wanted: pl.DataFrame, length: float) -> pl.DataFrame:
+        """Return the rows of some axes and slices."""
+        rows = self._survey.rows.join(wanted, on=[AXIS, SLICE], how="semi")
+        (chunk,) = chunks_of(number_chunks(rows, 2**62), self._parts, self.given)
+        return read_chunk(chunk, length)[0]
+
+    def evaluate(self, work: Work, tell: Progress) -> pl.DataFrame:
+        """Return the results of all chunks."""
+        here = isinstance(self._engine, Local)
+        share = TUNING.plan_rows // (self._engine.threads if isinstance(self._engine, Local) else 1)
+        numbered = number_chunks(self._survey.rows, max(share, TUNING.plan_least))
+        chunks = chunks_of(numbered, self._parts, self.given)
+        found, done, total = [pl.DataFrame(schema=work.schema)], 0, sum(one.rows for one in chunks)
+        with sort_mixed(chunks, numbered, work.length, self._folder) if here else nullcontext(chunks) as ready:
+            for one, rows in zip(ready, self._engine.map(partial(_work, work), ready), strict=True):
+                found.append(rows)
+                done += one.rows
+                tell(done / total)
+        return pl.concat(found)
+
+
+def _work(work: Work, chunk: Chunk) -> pl.DataFrame:
+    rows, problems = read_chunk(chunk, work.length)
+    reports = pl.DataFrame([asdict(one) for one in problems], PROBLEM)
+    found = pl.DataFrame(schema=work.schema) if not rows.height else work.evaluate(rows)
+    return pl.concat([found, reports], how="diagonal")

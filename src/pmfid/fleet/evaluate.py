@@ -1,0 +1,139 @@
+"""The work on rows of a history: `evaluate` turns the rows of some axes into rows of estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from pmfid import __version__
+from pmfid.errors import UsageError
+from pmfid.fleet.edge_segments import solve_edges
+from pmfid.fleet.plan import RowProblem
+from pmfid.fleet.segments import RecordPiece, empty, solve
+from pmfid.fleet.settings import Settings
+from pmfid.fleet.source import AXIS, TIME, SourceColumns
+from pmfid.fleet.tuning import TUNING
+from pmfid.io.tables import Table
+from pmfid.types import Floats
+
+
+@dataclass(frozen=True)
+class Work:
+    """The work on rows, with its settings and columns. `length` is the duration of a slice [s]."""
+
+    settings: Settings
+    columns: SourceColumns
+    length: float
+    version: str = __version__
+
+    def evaluate(self, frame: pl.DataFrame) -> pl.DataFrame:
+        """Return the segments of some axes, and the problems with their rows, in the columns of `schema`.
+
+        `frame` has the columns of `source`, in any order, and whole slices of each axis. Raises UsageError if another
+        version of the package has prepared the work.
+        """
+        if self.version != __version__:
+            raise UsageError(
+                f"the executors have pmfid {__version__}, but the driver has {self.version}: install the same version "
+                "on both"
+            )
+        pieces, problems = pieces_of(frame, self.columns, self.length)
+        found = (solve if self.columns.age is None else solve_edges)(pieces, self.settings)
+        reports = pl.DataFrame(
+            [asdict(one) for one in (*problems, *found.problems)], {name: self.schema[name] for name in PROBLEM}
+        )
+        return pl.concat([pl.DataFrame(schema=self.schema), found.rows, reports], how="diagonal")
+
+    @property
+    def schema(self) -> dict[str, type[pl.DataType]]:
+        """Columns of the result. A row with a `code` is a problem, any other row a segment."""
+        return {**empty(self.settings).schema, **PROBLEM}  # type: ignore[dict-item]
+
+    def split(self, rows: pl.DataFrame) -> tuple[pl.DataFrame, list[RowProblem]]:
+        """Return the segments in results of `evaluate`, in the order of axes and time, and the problems."""
+        reports = rows.filter(pl.col("code").is_not_null()).select(*PROBLEM)
+        problems = [RowProblem(**row) for row in reports.iter_rows(named=True)]
+        return rows.filter(pl.col("code").is_null()).drop("part", "code", "text", "at").sort(AXIS, "start"), problems
+
+
+#: Columns of a problem.
+PROBLEM = {AXIS: pl.String, "part": pl.String, "code": pl.String, "text": pl.String, "at": pl.Float64}
+
+
+def pieces_of(
+    frame: pl.DataFrame, columns: SourceColumns, length: float
+) -> tuple[Iterator[RecordPiece], list[RowProblem]]:
+    """Return the pieces of rows in any order, and the problems of repeated rows. `length` is that of a slice [s].
+
+    Of equal rows one is kept, of contradictory rows none.
+    """
+    frame = frame.select(columns.carried)
+    runs = frame[AXIS].rle().struct
+    if runs.field("value").n_unique() < runs.field("value").len():
+        frame = frame.sort(AXIS, maintain_order=True)
+        runs = frame[AXIS].rle().struct
+    ends = np.cumsum(runs.field("len").to_numpy())
+    problems, axes = list[RowProblem](), list[tuple[str, Floats, dict[str, Floats]]]()
+    for axis, end, many in zip(runs.field("value").to_list(), ends.tolist(), runs.field("len").to_list(), strict=True):
+        own = frame[end - many : end]
+        time = own[TIME].to_numpy()
+        if not np.all(time[1:] > time[:-1]):
+            own, found = _order_rows(own, axis)
+            problems += found
+            time = own[TIME].to_numpy()
+        if time.size:
+            axes.append((axis, time, {columns.named[name]: own[name].to_numpy() for name in columns.carried[2:]}))
+    return (piece for one in axes for piece in _cut_rows(*one, columns.time, length)), problems
+
+
+def _order_rows(own: pl.DataFrame, axis: str) -> tuple[pl.DataFrame, list[RowProblem]]:
+    """Sort the rows of an axis, without repeated and contradictory rows. The order of files has no effect."""
+    own = own.sort(TIME, *own.columns[2:])
+    different = own.unique(maintain_order=True)
+    kept = different.filter(pl.col(TIME).is_unique())
+    clashing = own.join(different.filter(pl.col(TIME).is_duplicated()), on=TIME, how="semi")
+    again = own.join(kept, on=TIME, how="semi").filter(~pl.col(TIME).is_first_distinct())
+    texts = {
+        "duplicates": (again, "rows are repeated without a difference: one of each counts"),
+        "contradictions": (clashing, "rows repeat the time of another row with other values: they are left out"),
+    }
+    return kept, [
+        RowProblem(axis, "", code, f"{rows.height} {text}", float(rows[TIME][0]))
+        for code, (rows, text) in texts.items()
+        if rows.height
+    ]
+
+
+def _cut_rows(axis: str, time: Floats, others: Mapping[str, Floats], name: str, length: float) -> Iterator[RecordPiece]:
+    """Yield the pieces of the rows of an axis, in order: records without a gap within a slice.
+
+    `name` is the name of the time in the table of a piece.
+    """
+    ends = np.flatnonzero(np.diff(np.floor(time / length))) + 1
+    for first, last in zip([0, *ends], [*ends, time.size], strict=True):
+        cuts = _find_gaps(time[first:last]) + first
+        for low, high in zip([first, *cuts], [*cuts, last], strict=True):
+            table = {key: values[low:high] for key, values in others.items()}
+            yield RecordPiece(axis, float(time[low]), {name: time[low:high] - time[low], **table})
+
+
+def _find_gaps(time: Floats) -> NDArray[np.intp]:
+    """Return the rows (k,) after a gap, from rising times (n,) [s]."""
+    steps = np.diff(time)
+    if steps.size == 0 or steps.max() <= TUNING.rows_apart * steps.min():  # no median can be smaller
+        return np.empty(0, np.intp)
+    return np.flatnonzero(steps > TUNING.rows_apart * np.median(steps)) + 1
+
+
+def longest_tables(frame: pl.DataFrame, columns: SourceColumns, length: float) -> Iterator[Table]:
+    """Yield the longest piece of each axis in the rows of some axes, in the order of their names."""
+    longest = dict[str, RecordPiece]()
+    for piece in pieces_of(frame, columns, length)[0]:
+        before = longest.setdefault(piece.axis, piece)
+        if len(piece.table[columns.time]) > len(before.table[columns.time]):  # type: ignore[arg-type]
+            longest[piece.axis] = piece
+    yield from (longest[axis].table for axis in sorted(longest))
