@@ -120,7 +120,7 @@ STATUS = [page for page in PAGES if page.startswith("docs/howto/status/")]
 
 
 #: Pages on one kind of axis whose blocks run.
-AXES = ["docs/howto/lerobot.md", "docs/howto/frc.md", "docs/howto/elastic.md"]
+AXES = ["docs/howto/lerobot.md", "docs/howto/frc.md", "docs/howto/elastic.md", "docs/howto/real_axes.md"]
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What a real axis has: an eccentric encoder."""
+"""What a real axis has: an eccentric encoder, and friction that follows a temperature."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 
 import pmfid
+from pmfid.config.keys import RecordKeys
+from pmfid.types import Floats
 from studies.referee.cases import Case, make_cases
 from studies.referee.machines import draw_machine
+from tests.oracles.axis import Axes, Excitation, simulate_axes
 
 
 def identify(case: Case) -> pmfid.Result:
@@ -37,3 +40,37 @@ def test_a_round_encoder_has_no_error() -> None:
     (case,) = make_cases(3, "right", [7])
     result = identify(case)
     assert not any("encoder" in one.sentence for one in result.findings)
+
+
+def warm_axis(seed: int, n: int = 1500) -> tuple[dict[str, Floats], float]:
+    """Return columns of an axis whose Coulomb friction falls by 0.02 N/K, from 0.8 N at 30 degrees, and the mean
+    temperature."""
+    rng, dt, resolution = np.random.default_rng(seed), 0.01, 1e-4
+    hot = 30 + 10 * np.sin(np.arange(n) * 2 * np.pi / 900) + 3 * np.sin(np.arange(n) / 40)
+    u = np.repeat(rng.uniform(-6, 6, n // 10), 10)
+    axes = Axes(mass=1.07 * resolution / dt**2, viscous=12.8 * resolution / dt, coulomb=0.8)
+    none, zero = np.zeros((n, 1)), np.zeros(1)
+    drive = Excitation(
+        u[:, None], none + 1, none, zero, zero, np.ones(1, np.intp), zero + 10, none, (1 - 0.025 * (hot - 30))[:, None]
+    )
+    counts = simulate_axes(axes, drive, zero + 0.3).counts[:, 0]
+    sensor = np.where(np.arange(n) % 7 == 0, np.nan, hot)
+    return {"t": dt * np.arange(n), "u": u, "counts": counts, "temp": sensor}, float(np.mean(hot))
+
+
+def test_friction_follows_a_temperature() -> None:
+    columns, mean = warm_axis(1)
+    record: RecordKeys = {"input": "u", "output": "counts", "output_kind": "counts", "time": "t"}
+    axis: pmfid.AxisKeys = {"record": record, "encoder": {"resolution": 1e-4}, "model": {"input_gain": 1.0}}
+    cold = pmfid.identify(columns, axis=axis)
+    warm = pmfid.identify(columns, axis=axis | {"record": record | {"friction_temperature": "temp"}})
+    assert warm.interval_95 is not None
+    assert warm.status == ()
+    for name, true in (("mass", 1.07), ("viscous_friction", 12.8), ("coulomb_friction", 0.8 - 0.02 * (mean - 30))):
+        low, high = warm.interval_95[warm.names.index(name)]
+        assert low <= true <= high
+        assert high - low < 0.02 * true
+    (sentence,) = [one.sentence for one in warm.findings if "friction_temperature" in one.sentence]
+    slope, error = map(float, re.findall(r"by (\S+) ± (\S+) N", sentence)[0])
+    assert abs(slope + 0.02) < 3 * error < 0.002
+    assert warm.theta_std[2] < 0.5 * cold.theta_std[2]

@@ -112,6 +112,7 @@ _KEYS_OF_ONE_KIND = (
     ("record", "input_unit", False),
     ("record", "output_unit", False),
     ("record", "known_force", False),
+    ("record", "friction_temperature", False),
     ("encoder", "range", False),
     ("encoder", "standstill_time", False),
     ("encoder", "max_speed", False),

@@ -43,6 +43,7 @@ class RecordKeys(TypedDict, total=False):
     dt: float
     input_scale: float | str
     known_force: Sequence[str]
+    friction_temperature: str
 
 
 class EncoderKeys(TypedDict, total=False):

@@ -88,6 +88,11 @@ class RecordConfig(FileSection):
         description="the columns of known forces in N or torques in N m outside the model, for example "
         '["gravity_torque"]',
     )
+    friction_temperature: Name | None = Field(
+        None,
+        description='the column of a temperature or a load that friction follows, for example "motor_temp", or drop '
+        "the key if there is none",
+    )
 
     @model_validator(mode="after")
     def _complete(self) -> Self:

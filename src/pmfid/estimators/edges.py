@@ -114,20 +114,26 @@ class EdgeFit(MotionFit):
         return replace(self.summarise(fitted), notes=notes)
 
     def examine_edges(
-        self, u: Floats, counts: Counts, ages: Floats, there: Flags | None = None
+        self,
+        u: Floats,
+        counts: Counts,
+        ages: Floats,
+        there: Flags | None = None,
+        temperature: Floats | None = None,
     ) -> tuple[Fitted, tuple[str, ...]]:
-        """Return the fit of a record with its comparison of forces, and notes. `there` (n,) marks the counts in use.
+        """Return the fit of a record with its comparison of forces, and notes. `there` (n,) marks the counts in use,
+        and friction may follow a `temperature` (n,).
 
         Raises NotIdentifiableError if the axis does not move, or if no motion of the model passes the edges.
         """
         check_size(u)
         self.steps_before(u.size)
         used = np.ones(u.size, bool) if there is None else there
-        stretches, margins = self.with_edges(u, counts, ages, used)
+        stretches, margins = self.with_edges(u, counts, ages, used, temperature)
         with np.errstate(all="ignore"):  # motions far from the record may overflow
             problem = FitProblem(machine_of(self.equation), stretches, self.encoder.resolution)
             fitted, search = fit_edges(problem, self.lines, margins)
-            surer = self._try_counts(u, counts, used, fitted)
+            surer = self._try_counts((u, counts, used, temperature), fitted)
         notes = [f"{search.dropped} edges were left out, because no motion explains them"] if search.dropped else []
         if surer is not None:
             scatter = 100 * _typical(fitted)
@@ -139,19 +145,19 @@ class EdgeFit(MotionFit):
         half = np.hypot(fitted.half, 1.96 * TUNING.edges_exact * np.abs(fitted.theta))
         return replace(fitted, covariance=fitted.covariance + sure, half=half), tuple(notes)
 
-    def _try_counts(self, u: Floats, counts: Counts, there: Flags, fitted: Fitted) -> Fitted | None:
+    def _try_counts(self, record: tuple[Floats, Counts, Flags, Floats | None], fitted: Fitted) -> Fitted | None:
         """Return the fit of the counts alone if their intervals make the leading parameter surer than the edges."""
         if _typical(fitted) < EXPLAINED:
             return None
         try:
-            plain = MotionFit.examine(self, u, counts, there)
+            plain = MotionFit.examine(self, *record)
         except NotIdentifiableError:
             return None
         leading = self.equation.leading
         return plain if isinstance(plain.likelihood, Intervals) and plain.half[leading] < fitted.half[leading] else None
 
     def with_edges(
-        self, u: Floats, counts: Counts, ages: Floats, there: Flags
+        self, u: Floats, counts: Counts, ages: Floats, there: Flags, temperature: Floats | None = None
     ) -> tuple[tuple[ObservedStretch, ...], list[Floats]]:
         """Return the stretches with their edges, and the time between each edge and the nearest sample [s]."""
         whole = np.floor(self.position(counts) / self.encoder.resolution).astype(np.int64)
@@ -164,7 +170,7 @@ class EdgeFit(MotionFit):
                 f"the record has {np.count_nonzero(used)} edges for {p} parameters: record a longer motion"
             )
         edges = Edges(edges.instants[used], edges.lines[used], edges.samples[used])
-        parts = list(self.observe(u, counts, there))
+        parts = list(self.observe(u, counts, there, temperature))
         found = [_merge(one, t, edges, self.tick, int(whole[0]), self.encoder.resolution) for one in parts]
         return tuple(one for one, _ in found), [margin for _, margin in found]
 

@@ -51,20 +51,25 @@ class MotionFit(Simulating, BatchEstimator):
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         return self.summarise(self.examine(*check_arrays(u, counts)))
 
-    def examine(self, u: Floats, counts: Counts, there: Flags | None = None) -> Fitted:
+    def examine(
+        self, u: Floats, counts: Counts, there: Flags | None = None, temperature: Floats | None = None
+    ) -> Fitted:
         """Return the fit of a record, u (n,) and counts (n,), with its comparison of forces.
 
         An input of NaN is a gap, after which the motion starts again. `there` (n,) marks the counts in use, None all.
+        Friction may follow a `temperature` (n,), and the parameters belong to its mean.
         Raises NotIdentifiableError if the axis does not move, or if no motion of the model follows it.
         """
         with np.errstate(all="ignore"):  # motions far from the record may overflow
-            return fit(self.problem(u, counts, there))
+            return fit(self.problem(u, counts, there, temperature))
 
-    def problem(self, u: Floats, counts: Counts, there: Flags | None = None) -> FitProblem:
+    def problem(
+        self, u: Floats, counts: Counts, there: Flags | None = None, temperature: Floats | None = None
+    ) -> FitProblem:
         """Return the observations of a record, as for `examine`, and the machine."""
         check_size(u)
         self.steps_before(u.size)
-        stretches = tuple(self.observe(u, counts, np.ones(u.size, bool) if there is None else there))
+        stretches = tuple(self.observe(u, counts, np.ones(u.size, bool) if there is None else there, temperature))
         if not stretches:
             raise NotIdentifiableError(f"the record has no stretch of samples with input and counts; {MOVE}")
         return FitProblem(machine_of(self.equation), stretches, self.encoder.resolution)
@@ -85,12 +90,15 @@ class MotionFit(Simulating, BatchEstimator):
         relative = float(np.linalg.norm(residual) / np.linalg.norm(travel))
         return Fit(self.names, self.units, fitted.theta, fitted.covariance, residual.size, residual, relative, 0)
 
-    def observe(self, u: Floats, counts: Counts, there: Flags) -> Iterator[ObservedStretch]:
+    def observe(
+        self, u: Floats, counts: Counts, there: Flags, temperature: Floats | None = None
+    ) -> Iterator[ObservedStretch]:
         """Yield the stretches of a record between gaps of the input, with at least three counts, from the first
-        count of the record."""
+        count of the record. The only column is the temperature, if there is one, without its mean."""
         force, position = u * self.equation.input_gain, self.position(counts)
         position = position - position[0]
         intervals = np.broadcast_to(self.intervals, u.shape)
+        columns = np.zeros((0, u.size)) if temperature is None else (temperature - np.mean(temperature))[None]
         known = np.isfinite(u)
         edges = np.flatnonzero(np.diff(np.r_[False, known, False].astype(np.int8)))
         for first, last in edges.reshape(-1, 2).tolist():
@@ -102,7 +110,7 @@ class MotionFit(Simulating, BatchEstimator):
                 np.ascontiguousarray(intervals[part], np.float64),
                 np.ascontiguousarray(force[part]),
                 row,
-                np.zeros((0, last - 1 - first)),
+                np.ascontiguousarray(columns[:, part]),
             )
             flags = np.ones(row.size, bool)
             yield ObservedStretch(drive, position[first:last][row], np.full(row.size, 1 / 12), flags, ~flags, first)

@@ -11,6 +11,7 @@ from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.second_mass import SecondMass
 from pmfid.fit.terms import ExtraForce
+from pmfid.models.axes import rotary
 from pmfid.types import Flags, Floats
 
 #: Status words of candidates that have a word of their own; all others are "unmodelled".
@@ -59,28 +60,37 @@ def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: fl
         if one.late or one.words in seen:
             continue
         seen.add(one.words)
+        if one.name == "warmth":
+            yield Finding("temperature", f"{one.words}{_size(fitted, one)}", severity="note")
+            continue
         shown = one.describe(value * one.sd)
         detail = f"Without it, {names[worst]} would be {format_part(moved[worst])} off." if matters else ""
         yield Finding(
             OWN_WORDS.get(one.name, "unmodelled"),
-            f"the record shows {shown.words}{_amplitude(fitted, one)}",
+            f"the record shows {shown.words}{_size(fitted, one)}",
             shown.remedy,
             "doubt" if matters else "note",
             detail,
         )
 
 
-def _amplitude(fitted: Fitted, one: ExtraForce) -> str:
-    """Return amplitude and phase of an error of the encoder in words, from the first position of the record on."""
+def _size(fitted: Fitted, one: ExtraForce) -> str:
+    """Return the size of an error of the encoder, with its phase at the first position of the record, or the slope of
+    friction over its column."""
     weighed = next((force for force in fitted.weighed if force.candidates[0].words == one.words), None)
-    if one.reading is None or weighed is None or weighed.sizes.size != 2:
+    if weighed is None:
         return ""
-    size, spread = float(np.hypot(*weighed.sizes)), float(np.linalg.norm(weighed.sizes * weighed.stds))
-    error = spread / max(size, 1e-300)
-    across = float(np.linalg.norm(weighed.sizes[::-1] * weighed.stds)) / max(size**2, 1e-300)
-    phase = np.degrees(np.arctan2(weighed.sizes[1], weighed.sizes[0]))
-    unit = "rad" if fitted.problem.machine.turn else "m"
-    return f", of {size:.4g} ± {error:.2g} {unit} with a phase of {phase:.4g} ± {np.degrees(across):.2g} deg"
+    turns, (sizes, stds) = fitted.problem.machine.turn > 0, (weighed.sizes, weighed.stds)
+    if one.name == "warmth":
+        units = [rotary(row.unit) if turns else row.unit for row in weighed.candidates]
+        slopes = [f"{a:.4g} ± {b:.2g} {unit}" for a, b, unit in zip(sizes, stds, units, strict=True)]
+        return f", by {' and '.join(slopes)} per unit of the column"
+    if one.reading is None or sizes.size != 2:
+        return ""
+    size, angle = float(np.hypot(*sizes)), float(np.degrees(np.arctan2(sizes[1], sizes[0])))
+    error, across = (float(np.linalg.norm(row * stds)) / max(size, 1e-300) for row in (sizes, sizes[::-1]))
+    phase = f"{angle:.4g} ± {np.degrees(across / max(size, 1e-300)):.2g} deg"
+    return f", of {size:.4g} ± {error:.2g} {'rad' if turns else 'm'} with a phase of {phase}"
 
 
 def _describe(second: SecondMass, name: str, fitted: Fitted, tolerance: float) -> Finding:

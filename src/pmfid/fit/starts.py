@@ -121,6 +121,7 @@ def sizes_of(problem: FitProblem, start: FitProblem, solution: Optimum) -> Sizes
     """Return the sizes that scale the priors, from the record and its blind start."""
     u = np.concatenate([one.drive.u for one in problem.stretches])
     y = np.concatenate([one.y for one in problem.stretches])
+    warmth = np.concatenate([one.drive.columns[:1].ravel() for one in problem.stretches])
     (_, v), *_ = start.motion(solution.q, solution.starts)
     theta = start.theta(solution.q)
     force, top = float(np.sqrt(np.mean(u**2))), float(np.max(np.abs(u)))
@@ -141,4 +142,5 @@ def sizes_of(problem: FitProblem, start: FitProblem, solution: Optimum) -> Sizes
         bool(np.ptp(acting) > 1e-3 * top),
         problem.machine.turn,
         float(np.mean(y)),
+        float(np.std(warmth)) if warmth.size else 0.0,
     )

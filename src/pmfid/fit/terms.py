@@ -90,7 +90,8 @@ class ExtraForce:
 class Sizes:
     """Sizes of a record that scale the priors, in SI units: root mean square and largest force of the input, highest
     speed, Coulomb friction, viscous friction, half the travel, mean step, the time from start to end, whether the
-    input has more than one size, the length of a turn or 0, and the mean position."""
+    input has more than one size, the length of a turn or 0, the mean position, and the
+    standard deviation of the column that friction follows, or 0."""
 
     force: float
     top_force: float
@@ -103,6 +104,7 @@ class Sizes:
     levels: bool
     turn: float
     middle: float
+    warmth: float = 0.0
 
 
 #: A row of the table: it yields its candidates for a record.
@@ -176,6 +178,14 @@ def _time(u: Floats, t: Floats) -> Floats:
     return np.asarray(t / max(float(t[-1]), 1e-300) - 0.5)
 
 
+def warmth(s: Sizes) -> Iterator[ExtraForce]:
+    """Yield the changes of friction with the first column of the record."""
+    remedy = "compare parameters at the same temperature"
+    for kind, size in (("column_friction", s.coulomb), ("column_viscous", s.viscous)) if s.warmth else ():
+        words = "friction follows friction_temperature"
+        yield ExtraForce("warmth", words, remedy, 0.4 * size / s.warmth, force=BodyForce(kind))
+
+
 AMPLIFIER = "log the force or the current that the drive gives"
 
 
@@ -234,6 +244,7 @@ TABLE: tuple[Row, ...] = (
     gravity,
     eccentric,
     drift,
+    warmth,
     bending,
     dead_zone,
     saturation,

@@ -212,6 +212,8 @@ class SourceColumns:
             raise UsageError(
                 "[record] known_force works for a single record; for a fleet, subtract the forces from the input column"
             )
+        if record.friction_temperature is not None:
+            raise UsageError("[record] friction_temperature works for a single record; for a fleet, drop the key")
         if record.exclude:
             raise UsageError(
                 "[record] exclude works for a single record; for a fleet, leave out rows with a column, "

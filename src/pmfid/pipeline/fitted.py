@@ -109,10 +109,11 @@ def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, 
     """Return the method, its fit and notes. The fit uses the ages of edges if the record has ages."""
     method, known = make_fit(axis, record), repair_as_configured(record, axis)
     repaired, used, remarks = known.record, known.used, tuple[str, ...]()
+    warmth = record.temperature
     if record.ages is not None and record.ages.size == record.u.size:
         edges = like(EdgeFit, method, lines=axis.encoder.lines, tick=axis.encoder.tick)
         try:
-            return edges, *edges.examine_edges(repaired.u, repaired.counts, record.ages, used)
+            return edges, *edges.examine_edges(repaired.u, repaired.counts, record.ages, used, warmth)
         except NotIdentifiableError as error:
             remarks = (f"the ages of edges are not used: {error}",)
     unknown = _unknown_inputs(record, repaired)
@@ -120,9 +121,9 @@ def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, 
     if np.any(unknown | ends):
         with suppress(NotIdentifiableError):
             cut = np.where(unknown | ends, np.nan, repaired.u)
-            fitted = method.examine(cut, repaired.counts, used)
+            fitted = method.examine(cut, repaired.counts, used, warmth)
             return method, fitted, (*remarks, RESTARTED) if np.any(unknown) else remarks
-    return method, method.examine(repaired.u, repaired.counts, used), remarks
+    return method, method.examine(repaired.u, repaired.counts, used, warmth), remarks
 
 
 def may_have_second_mass(axis: Axis) -> bool:

@@ -29,6 +29,7 @@ from pmfid.records.column_checks import (
     round_counts,
 )
 from pmfid.records.edge_ages import Coarser, make_edge_ages, read_edge_ages
+from pmfid.records.friction_column import read_slow_column
 from pmfid.records.gaps import describe_missing, fill_gaps, is_held
 from pmfid.records.repeats import drop_stale_rows
 from pmfid.records.resampling import OwnSamples, Resampled, integrate_stamps, resample_uneven
@@ -131,7 +132,8 @@ class Record:
     count is unknown.
     `ages` (n,) is the time from the last edge of the encoder to the sample [s], NaN without an edge, or None.
     `dt_error` is the relative standard error of the sample period, if the stamps scatter around an even grid.
-    `input_unit` is the unit of u, or empty if neither column nor gain has one.
+    `input_unit` is the unit of u, or empty if neither column nor gain has one. `temperature` (n,) is the column that
+    friction follows, in its unit, or None.
     """
 
     u: Floats
@@ -150,6 +152,7 @@ class Record:
     ages: Floats | None = None
     dt_error: float = 0.0
     input_unit: str = ""
+    temperature: Floats | None = None
 
     @property
     def measured(self) -> Record:
@@ -240,6 +243,7 @@ def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, d
     found = {key: whole_name(table, name) for key, name in names.items() if name is not None}
     if isinstance(table, ClockedSignals):
         others = (*(found[key] for key in ("input", "reference") if key in found), *config.known_force)
+        others += () if config.friction_temperature is None else (config.friction_temperature,)
         table = table.align(found["output"], others)
     columns = {key: drop_extremes(column(table, key, name)) for key, name in found.items() if key != "time"}
     changed: dict[str, str] = dict(found)
@@ -277,6 +281,8 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     scale, scale_notes = _input_scale(table, config.input_scale)
     units = conversion(Sections(axis.record, axis.encoder, axis.model), config.input, config.output)
     columns["input"] = _subtract_known(table, axis, columns["input"], scale * units.u)
+    warmth = axis.record.friction_temperature
+    slow = None if warmth is None else read_slow_column(table, "friction_temperature", warmth, columns)
     columns, topic_notes = join_topics(columns)
     if config.output_kind == "counts":  # resampling rounds the counts of an uneven clock
         check_counts(columns, config)
@@ -289,7 +295,8 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     jitter, dt_error = (0.0, rows.dt_error) if found is None else (found.jitter, found.dt_error)
     if rows.rows.size < len(columns["input"]):  # without missing rows, a copy is needless
         columns = {key: values[rows.rows] for key, values in columns.items()}
-    columns.pop("time", None)
+    stamps = columns.pop("time", rows.rows.astype(np.float64))
+    stamps = np.interp(np.arange(rows.places[-1] + 1), rows.places, stamps)
     y = _scale_column(columns["output"], units.y, "the unit of the output")
     travel, motion_notes = (y, ()) if found is not None else _measure_travel(y, rows, axis)
     counts, count_notes = counts_of(travel, axis)
@@ -313,6 +320,8 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         before = found.own.before * (rows.dt / found.own.before[0])
         own = _own_record(found.own, SampleSteps(before), scale * units.u, units.y, coarse, axis)
         own = replace(own, notes=notes, name=name, rotary=rotary, in_counts=in_counts, input_unit=units.input_unit)
+        own_stamps = stamps[0] + own.times * (found.own.before[0] / rows.dt)
+        own = replace(own, temperature=None if slow is None else slow.interpolate(own_stamps))
     obstacle = (
         "the steps of the clock vary"
         if found is not None
@@ -350,6 +359,7 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         ages=ages,
         dt_error=dt_error,
         input_unit=units.input_unit,
+        temperature=None if slow is None else slow.interpolate(stamps),
     )
 
 

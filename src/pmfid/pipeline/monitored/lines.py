@@ -36,6 +36,8 @@ def check_streamed(axis: Axis) -> None:
         raise UsageError(f"[record] input_scale = {axis.record.input_scale!r} names a variable; a pipe needs a number")
     if axis.record.known_force:
         raise UsageError("[record] known_force is for records; subtract the force from the input before the pipe")
+    if axis.record.friction_temperature is not None:
+        raise UsageError("[record] friction_temperature is for the fit of a record; drop the key before the pipe")
     if axis.record.output_kind == "velocity" or axis.encoder.range is not None:
         raise UsageError(
             "a pipe needs counts, or positions that do not wrap: integrate the velocity or unwrap the position before "
