@@ -22,7 +22,10 @@ from studies.servo_truth import TrueServo, simulate_servos
 RATES, BITS, TIME = (50, 100, 200, 500), (10, 12, 14), 10.0
 LAWS = ("P", "PD true", "PD differenced", "PD filtered", "PID")
 FRICTIONS = ("plain", "load", "Stribeck", "cogging")
-WRONG = ("asymmetry", "ripple", "root", "bristle", "backlash", "gearbox")
+WRONG = (
+    *("bristle", "backlash", "deadzone", "warming", "slew", "stiffening", "no load", "swing", "windup"),
+    "loop period",
+)
 NAMES = ("inertia", "viscous", "coulomb", "delay", "kp", "ki")
 
 
@@ -84,14 +87,19 @@ def draw_case(number: int, salt: int, wrong: bool) -> Case:
 
 def _spoil(truth: TrueServo, effect: str, rng: np.random.Generator) -> TrueServo:
     """Return a servo with an effect that the package's model does not have."""
-    strength = rng.uniform(0.2, 0.6)
+    strength, step = rng.uniform(0.2, 0.6), truth.resolution * rng.uniform(1.0, 6.0)
+    limit = min(truth.torque_limit, 0.5 * truth.kp)
     effects: dict[str, dict[str, float]] = {
-        "asymmetry": {"asymmetry": strength},
-        "ripple": {"ripple": strength, "waves": float(rng.integers(3, 30))},
-        "root": {"root": strength * truth.viscous, "viscous": truth.viscous * (1 - strength)},
-        "bristle": {"bristle": truth.resolution * rng.uniform(1.0, 6.0)},
-        "backlash": {"backlash": truth.resolution * rng.uniform(1.0, 6.0)},
-        "gearbox": {"load_friction": 0.3 * strength, "stribeck": truth.coulomb * strength, "root": 0.2 * truth.viscous},
+        "bristle": {"bristle": step},
+        "backlash": {"backlash": step},
+        "deadzone": {"deadzone": strength * truth.coulomb},
+        "warming": {"warming": strength},
+        "slew": {"slew": 10.0 * strength},
+        "stiffening": {"stiffening": strength},
+        "no load": {"no_load": 25.0 * strength, "torque_limit": limit},
+        "swing": {"swing": 0.5 * strength},
+        "windup": {"windup": 0.15 * strength / truth.kp},
+        "loop period": {"loop_period": round(20 * strength) * 1e-3},
     }
     return replace(truth, **effects[effect])
 
@@ -140,6 +148,7 @@ def measure_case(case: Case, logs: Sequence[JointLog]) -> Row:
         return Row(case.kind, {}, {}, {}, (f"refused: {error}",), (), time.process_time() - start)
     cpu = time.process_time() - start
     true = {name: getattr(truth, name) for name in NAMES} | {"delay": truth.find_delay(logs[0].t, logs[0].goal)}
+    true["inertia"] *= 1 + truth.swing * float(np.mean(np.cos(logs[0].position)))
     if "kd" not in fit.added:  # friction in the loop and in the joint are one
         true["viscous"] += truth.kd + truth.kd_true + truth.kd_filtered
     relative, bars, widths = {}, {}, {}

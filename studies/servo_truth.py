@@ -1,7 +1,8 @@
-"""Servos simulated apart from the package: steps of 50 us for all servos at once, and a loop at 1 kHz on counts."""
+"""Servos simulated apart from the package: steps of 50 us for all servos at once, and a loop on counts."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -9,9 +10,8 @@ import numpy as np
 
 from pmfid.types import Floats
 
-#: Step of the integration and period of the loop [s].
+#: Step of the integration [s].
 STEP = 5e-5
-LOOP = 1e-3
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,15 @@ class TrueServo:
     differences after a lag of `velocity_filter`. The friction `load_stribeck` times the transmitted torque falls off
     with the square of the velocity over `stribeck_speed`.
 
-    The last seven are effects that the package's model does not have. `asymmetry` is a part of the viscous friction,
-    `ripple` a part of the Coulomb friction that turns with the position `waves` times a turn, and `cogging` a torque
-    that does so. `root` is a friction at 1 rad/s that grows with the root of the speed. A friction with `bristle` needs
-    this way [rad] to turn round. The encoder has `backlash` [rad].
+    Some effects are in the table of terms: `asymmetry` is a part of the viscous friction, `ripple` a part of the Coulomb
+    friction that turns with the position `waves` times a turn, and `cogging` a torque that does so. `root` is a friction
+    at 1 rad/s that grows with the root of the speed.
+
+    The last ones are not. A friction with `bristle` needs this way [rad] to turn round, and the encoder has `backlash`
+    [rad]. The motor loses `deadzone` [N m] of the torque. The Coulomb friction is larger by the part `warming` at first,
+    for some 3 s. The goal moves at most at `slew` [rad/s]. The gain grows by the part `stiffening` at an error of 0.3 rad.
+    The limit of the torque falls to 0 at the speed `no_load` [rad/s]. The inertia turns with the position by the part
+    `swing`. The encoder lies behind `windup` [rad/(N m)]. The loop has another `loop_period` [s] than its user believes.
     """
 
     inertia: float
@@ -53,12 +58,20 @@ class TrueServo:
     root: float = 0.0
     bristle: float = 0.0
     backlash: float = 0.0
+    deadzone: float = 0.0
+    warming: float = 0.0
+    slew: float = 1e9
+    stiffening: float = 0.0
+    no_load: float = 1e9
+    swing: float = 0.0
+    windup: float = 0.0
+    loop_period: float = 1e-3
 
     def find_delay(self, t: Floats, goal: Floats) -> float:
         """Return the mean time [s] from a command to the tick at which the command acts."""
-        every = round(LOOP / STEP)
-        acts = t[1:][np.diff(goal) != 0] + self.delay + round(self.phase * every) / every * LOOP
-        return self.delay + float(np.mean(-(acts - 1e-9) / LOOP % 1.0) * LOOP)
+        period, every = self.loop_period, round(self.loop_period / STEP)
+        acts = t[1:][np.diff(goal) != 0] + self.delay + round(self.phase * every) / every * period
+        return self.delay + float(np.mean(-(acts - 1e-9) / period % 1.0) * period)
 
 
 def simulate_servos(servos: Sequence[TrueServo], t: Floats | Sequence[Floats], goals: Sequence[Floats]) -> list[Floats]:
@@ -68,39 +81,50 @@ def simulate_servos(servos: Sequence[TrueServo], t: Floats | Sequence[Floats], g
     """
     own = {name: np.array([getattr(servo, name) for servo in servos]) for name in TrueServo.__dataclass_fields__}
     clocks = [t] * len(servos) if isinstance(t, np.ndarray) else t
-    count, every = round(max(float(clock[-1]) for clock in clocks) / STEP) + 1, round(LOOP / STEP)
-    now = np.arange(count) * STEP
-    held = np.empty((count // every + 2, len(servos)))
+    count = round(max(float(clock[-1]) for clock in clocks) / STEP) + 1
+    now, period, columns = np.arange(count) * STEP, own["loop_period"], np.arange(len(servos))
+    every = np.round(period / STEP).astype(int)
+    first = np.round(own["phase"] * every).astype(int)
+    held = np.empty((count // int(every.min()) + 2, len(servos)))
     for j, (servo, clock, goal) in enumerate(zip(servos, clocks, goals, strict=True)):
-        ticks = (np.arange(len(held)) - round(servo.phase * every) / every) * LOOP
+        ticks = (np.arange(len(held)) - round(servo.phase * every[j]) / every[j]) * servo.loop_period
         rows = np.searchsorted(clock + servo.delay, ticks + 1e-9, side="right") - 1
         held[:, j] = goal[np.maximum(rows, 0)]
-    rate = np.maximum(own["viscous"] / own["inertia"] * STEP, 1e-12)
-    left, gain = np.exp(-rate), -np.expm1(-rate) / rate * STEP / own["inertia"]
-    first = np.round(own["phase"] * every).astype(int)
+    for row in range(1, len(held)):
+        held[row] = np.clip(held[row], held[row - 1] - own["slew"] * period, held[row - 1] + own["slew"] * period)
     x, v, torque, before, shown, slip, slow, total = (np.zeros(len(servos)) for _ in range(8))
-    share = -np.expm1(-LOOP / own["velocity_filter"])
+    share = -np.expm1(-period / own["velocity_filter"])
     soft, bristle, play = own["bristle"] > 0, np.maximum(own["bristle"], 1e-12), 0.5 * own["backlash"]
-    out, columns = np.empty((count, len(servos)), np.float32), np.arange(len(servos))
+    out = np.empty((count, len(servos)), np.float32)
     for k in range(count):
-        shown, tick = np.clip(shown, x - play, x + play), (k + first) % every == 0
+        wound, tick = x - own["windup"] * torque, (k + first) % every == 0
+        shown = np.clip(shown, wound - play, wound + play)
         out[k] = shown
         seen = own["resolution"] * np.rint(shown / own["resolution"])
-        apart, change = held[(k + first) // every, columns] - seen, (seen - before) / LOOP
-        slow, total = np.where(tick, slow + share * (change - slow), slow), np.where(tick, total + LOOP * apart, total)
-        wanted = own["kp"] * apart + own["ki"] * total - own["kd"] * change
-        wanted = wanted - own["kd_true"] * v - own["kd_filtered"] * slow
-        torque = np.where(tick, np.clip(wanted, -own["torque_limit"], own["torque_limit"]), torque)
-        before, wave, speed = np.where(tick, seen, before), np.sin(own["waves"] * x), np.abs(v)
+        apart, change = held[(k + first) // every, columns] - seen, (seen - before) / period
+        slow, total = (
+            np.where(tick, slow + share * (change - slow), slow),
+            np.where(tick, total + period * apart, total),
+        )
+        wanted = own["kp"] * apart * (1 + own["stiffening"] * np.square(apart / 0.3)) + own["ki"] * total
+        wanted = wanted - own["kd"] * change - own["kd_true"] * v - own["kd_filtered"] * slow
+        speed, inertia = np.abs(v), own["inertia"] * (1 + own["swing"] * np.cos(x))
+        most = own["torque_limit"] * np.maximum(1 - speed / own["no_load"], 0.0)
+        wanted = np.copysign(np.maximum(np.abs(wanted) - own["deadzone"], 0.0), wanted)
+        torque = np.where(tick, np.clip(wanted, -most, most), torque)
+        before, wave = np.where(tick, seen, before), np.sin(own["waves"] * x)
         load = own["gravity"] * np.sin(x)
         transmitted = np.abs(torque + load)  # the gearbox has the motor on one side
-        dry = own["coulomb"] * (1 + own["ripple"] * wave)
+        dry = own["coulomb"] * (1 + own["ripple"] * wave) * (1 + own["warming"] * math.exp(-k * STEP / 3.0))
         force = torque - load - own["cogging"] * wave - own["asymmetry"] * own["viscous"] * speed
+        force = force + 0.5 * own["inertia"] * own["swing"] * np.sin(x) * v * v
         force = force - np.where(soft, dry * slip / bristle, 0.0)
         friction = np.where(soft, 0.0, dry) + own["load_friction"] * transmitted + own["root"] * np.sqrt(speed)
         falling = np.exp(-np.square(speed / own["stribeck_speed"]))
         friction = friction + (own["stribeck"] + own["load_stribeck"] * transmitted) * falling
-        moved, stop = left * v + gain * force, gain * friction
+        rate = np.maximum(own["viscous"] / inertia * STEP, 1e-12)
+        gain = -np.expm1(-rate) / rate * STEP / inertia
+        moved, stop = np.exp(-rate) * v + gain * force, gain * friction
         moved = np.where(np.abs(moved) > stop, moved - np.copysign(stop, moved), 0.0)
         way = 0.5 * STEP * (v + moved)
         x, v, slip = x + way, moved, np.clip(slip + way, -bristle, bristle)

@@ -210,6 +210,13 @@ def test_counts_in_a_derivative_gain_do_not_loosen_the_friction_of_the_table() -
         assert fit.theta_std[place] < 0.2 * fit.theta[place], name
 
 
+@pytest.mark.parametrize("law", [{"deadzone": 0.02}, {"backlash": 2 * STEP}])
+def test_a_law_that_no_term_has_is_doubted(law: dict[str, float]) -> None:
+    """The motion deviates by half a count. With an empty status, the frictions were 6 and 12 bars off."""
+    fit = fit_servo(Servo(STEP, {"kp": 8.0}), *simulate_law(2, **law))
+    assert "unmodelled" in fit.status
+
+
 def test_ticks_of_a_fine_encoder_leave_the_motion_of_the_body() -> None:
     t = np.arange(200) * 0.01
     goal = 0.5 * np.sign(np.sin(4 * t))

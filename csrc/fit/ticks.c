@@ -15,7 +15,7 @@ int pmf_ticks_run(const pmf_body *body, const pmf_firmware *loop, double *theta,
         path[2 * k] = *x, path[2 * k + 1] = *v;
         slow += loop->share * ((seen - before) / loop->period - slow);
         sum += loop->period * apart;
-        force = loop->gain * apart + loop->integral * sum - loop->derivative * slow;
+        force = loop->gain * apart + loop->integral * sum - loop->derivative * slow - loop->tacho * *v;
         force = force > loop->limit ? loop->limit : force < -loop->limit ? -loop->limit : force;
         before = seen;
         part.step = step + k;

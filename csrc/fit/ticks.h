@@ -4,16 +4,16 @@
  *
  * At each tick the motor takes the force
  *
- *   clip(gain (goal - y) + integral sum(period (goal - y)) - derivative w, -limit, limit)
+ *   clip(gain (goal - y) + integral sum(period (goal - y)) - derivative w - tacho v, -limit, limit)
  *
  * until the next tick. y is the position at the nearest count, and w the difference of counts over the period after a
- * low-pass filter, which moves by `share` of its distance at each tick. */
+ * low-pass filter, which moves by `share` of its distance at each tick. v is the true velocity. */
 #ifndef PMF_TICKS_H
 #define PMF_TICKS_H
 #include "body.h"
 
 typedef struct {
-    double gain, limit, derivative, share, integral, period, resolution;
+    double gain, limit, derivative, tacho, share, integral, period, resolution;
 } pmf_firmware;
 
 /* Simulate n ticks with goals (n), and times step (n) [s] to the next tick. The body has one interval and no

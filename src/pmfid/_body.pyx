@@ -40,7 +40,7 @@ cdef extern from "fit/elastic.h":
 
 cdef extern from "fit/ticks.h":
     ctypedef struct pmf_firmware:
-        double gain, limit, derivative, share, integral, period, resolution
+        double gain, limit, derivative, tacho, share, integral, period, resolution
     int pmf_ticks_run(const pmf_body *body, const pmf_firmware *loop, double *theta, int n, const double *goal,
                       const double *step, double *path, double *work) nogil
 
@@ -134,7 +134,7 @@ def run_firmware(list forces not None, cnp.ndarray[double, mode="c"] goal not No
     """Return positions and velocities (n, 2) of a body at the ticks of a loop, infinite after an overflow.
 
     forces, theta: those of `run` without a controller; all columns are 1. goal, step: (n,) at and after each tick.
-    loop: gain, limit, derivative, share, integral, period, resolution of csrc/fit/ticks.h.
+    loop: gain, limit, derivative, tacho, share, integral, period, resolution of csrc/fit/ticks.h.
     """
     cdef Py_ssize_t n = goal.shape[0], count = len(forces)
     cdef int shapes = sum(bool(force[2]) for force in forces)
@@ -154,8 +154,8 @@ def run_firmware(list forces not None, cnp.ndarray[double, mode="c"] goal not No
         pack(forces, 1, list_)
         body.n, body.parts, body.forces, body.shapes, body.rows = 1, parts, count, shapes, 1
         body.force, body.column, body.tick, body.on = list_, <double *>ones.data, 0.0, NULL
-        firmware.gain, firmware.limit, firmware.derivative, firmware.share = loop[:4]
-        firmware.integral, firmware.period, firmware.resolution = loop[4:]
+        firmware.gain, firmware.limit, firmware.derivative, firmware.tacho = loop[:4]
+        firmware.share, firmware.integral, firmware.period, firmware.resolution = loop[4:]
         work = np.empty(pmf_body_work(&body))
         with nogil:
             pmf_ticks_run(&body, &firmware, <double *>state.data, n, <double *>goal.data, <double *>step.data,

@@ -25,16 +25,18 @@ class BoundedQuadratic(Quadratic):
     kept: tuple[int, ...] = ()
 
     def neighbours(self, chosen: Sequence[int], allowed: Sequence[int]) -> list[list[int]]:
-        sets = []
-        for one in super().neighbours(chosen, allowed):
+        """Return the sets with one candidate more or less, or with another one in place of one."""
+        sets = super().neighbours(chosen, allowed)
+        sets += [[*(k for k in chosen if k != i), j] for i in chosen for j in allowed if j not in chosen]
+        whole: dict[tuple[int, ...], None] = {}
+        for one in sets:
             changed = set(one) ^ set(chosen)
             if changed & set(self.kept):
                 continue
             if changed & set(self.pair):
-                added = set(one) > set(chosen)
-                one = sorted({*chosen, *self.pair} if added else set(chosen) - set(self.pair))
-            sets.append(one)
-        return [one for k, one in enumerate(sets) if one not in sets[:k]]
+                one = [*{*one, *self.pair}] if set(one) & set(self.pair) - set(chosen) else [*set(one) - set(self.pair)]
+            whole[tuple(sorted(one))] = None
+        return [list(one) for one in whole if set(one) != set(chosen)]
 
     def evidence(self, chosen: Sequence[int]) -> tuple[float, Floats, Floats]:
         free = Quadratic(self.A, self.g, self.plain, self.odds, np.full(self.lowest.size, -np.inf))

@@ -316,12 +316,17 @@ def advise_log(t: Floats, goal: Floats) -> str:
 def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
     findings, servo = [], fit.servo
     deviation = fit.residual / search.plain.resolution
+    wander = search.noise.position[0]
     if deviation > TUNING.noisy / math.sqrt(12):
+        words = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
+    elif wander > TUNING.wander / math.sqrt(12):
+        words = f"the simulated motion leaves an error of {wander:.2f} encoder steps (rms) that wanders, as no rounding does"
+    else:
+        words = ""
+    if words:
         log = search.task.logs[0]
-        sentence = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
-        findings.append(
-            Finding("unmodelled", f"{sentence}; the standard errors include it", advise_log(log.t, log.goal))
-        )
+        sentence = f"{words}; the standard errors include it"
+        findings.append(Finding("unmodelled", sentence, advise_log(log.t, log.goal)))
     unclear = [name for name in fit.open if name not in fit.added]
     hard = [name for name in unclear if name in ("inertia", "kp")]
     if hard:

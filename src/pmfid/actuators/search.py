@@ -19,7 +19,7 @@ from pmfid.actuators.tuning import TUNING
 from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.machine import COULOMB, DELAY, VISCOUS
-from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.problem import CONSTANT, FitProblem, ObservedStretch
 from pmfid.fit.search import FitSearch, errors_of
 from pmfid.fit.solve import Likelihood
 from pmfid.fit.terms import Sizes
@@ -158,7 +158,7 @@ class ServoSearch(FitSearch):
         lowest = np.full(self.problem.size, -np.inf)
         lowest[: self.count] = self.plain.machine.lowest
         for k, one in self.problem.place_candidates():
-            lowest[k] = one.lowest
+            lowest[k : k + 1 + one.free] = [one.lowest, CONSTANT[0]][: 1 + one.free]
         return lowest
 
     def _gain(self, problem: FitProblem, q: Floats) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from pmfid.actuators.lags import choose_lag
 from pmfid.actuators.search import ServoSearch, ServoTask, head_of, limited_part
+from pmfid.actuators.servo import UNITS
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.likelihood import Gaussian
@@ -22,6 +23,8 @@ from pmfid.types import Floats
 
 #: Terms that each have starts of their own, because the motion with them is far from that without.
 EXTRAS = ((), ("torque_limit",), ("ki",), ("torque_limit", "ki"), ("load_friction",))
+#: Factors of all torques from which the best servo starts again where a known torque, such as gravity, gives the scale.
+SCALES = (0.25, 0.5, 2.0, 4.0)
 #: Effects that repeat along the travel, which are sought in whole logs.
 WAVES = ("wave", "rub")
 FOLLOW = "no servo model explains the motion: check that goal and position have the same joint, unit and sign"
@@ -47,8 +50,24 @@ def _build_waves(search: ServoSearch) -> ServoSearch:
     other = copy(search)
     other.waves, other.table = WAVES, list(search.table)
     build(other)
+    if other.noise.position[0] > TUNING.wander / math.sqrt(12):
+        other = max((other, _build_waves_first(search)), key=lambda one: one.value())
     bounds = np.array(other.plain.mass)
     return search if np.min(np.abs(other.q[other.plain.machine.lead] - bounds)) < SETTLED else other
+
+
+def _build_waves_first(search: ServoSearch) -> ServoSearch:
+    """Return the search with effects that repeat along the travel before any other term, which may mimic them."""
+    other, kept = copy(search), search.kept
+    other.waves = WAVES
+    other.choose(kept)
+    others = [one for i, one in enumerate(search.table) if i not in kept]
+    other.table, other.kept = [search.table[i] for i in kept], tuple(range(len(kept)))
+    other.chosen = list(other.kept)
+    build(other)
+    other.table = [*other.table, *others]
+    build(other)
+    return other
 
 
 def _drop_limit(search: ServoSearch) -> ServoSearch:
@@ -152,7 +171,18 @@ def find_start(task: ServoTask, head: FitProblem) -> tuple[Floats, Floats]:
     prior, soft = _prior_of(task, head), Gaussian(head.stretches, scale=9.0)
     last = [solve(head, soft, end.q, end.starts, prior, 40, 0.01) for end in best]
     end = min(last, key=lambda end: end.cost)
+    for scale in SCALES if "kp" in head.machine.names else ():
+        q = head.clip_to_bounds(head.start(_scale(head.machine.names, head.theta(end.q), scale)))
+        last.append(solve(head, soft, q, end.starts, prior, 40, 0.01))
+    end = min(last, key=lambda end: end.cost)
     return end.q, end.starts
+
+
+def _scale(names: Sequence[str], theta: Floats, scale: float) -> Floats:
+    """Return parameters (p,) with all torques that are not known larger by a factor. A known load alone tells it."""
+    torque = [UNITS[name.partition(".")[0]][0].startswith(("N m", "kg")) for name in names]
+    loads = [name.partition(".")[0] in ("gravity", "gravity_angle", "offset") for name in names]
+    return np.where(np.array(torque) & ~np.array(loads), theta * scale, theta)
 
 
 def _select(drawn: Sequence[Floats], costs: Floats) -> list[Floats]:

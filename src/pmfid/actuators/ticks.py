@@ -81,14 +81,14 @@ def measure_ticks(search: ServoSearch, q: Floats) -> Ticks:
 
 @dataclass(frozen=True, eq=False)
 class Firmware:
-    """The joint without its loop, and the gains of the loop."""
+    """The joint without its loop, and the gains of the loop. A velocity without a lag is the difference of counts."""
 
     body: Floats
     forces: list[BodyForce]
     kp: float
     limit: float
     kd: float
-    lag: float
+    lag: float | None
     ki: float
 
 
@@ -96,7 +96,7 @@ def split_loop(at: Floats, forces: Sequence[BodyForce]) -> Firmware:
     """Return the joint and the gains of a body (w,) with a loop."""
     sizes, shapes = at[BASE : BASE + len(forces)], list(at[BASE + len(forces) : -LOOP])
     gains = {"loop_velocity": 0.0, "loop_filtered": 0.0, "loop_integral": 0.0}
-    joint, of_joint, constants, lag = [], [], [], 0.0
+    joint, of_joint, constants, lag = [], [], [], None
     for force, size in zip(forces, sizes.tolist(), strict=True):
         constant = float(shapes.pop(0)) if force.free else force.p
         if force.kind in gains:
@@ -117,10 +117,12 @@ def run_ticks(stretch: ObservedStretch, firmware: Firmware, period: float, resol
     last, delay = min(float(ends[-1]), TUNING.ticked), float(firmware.body[DELAY])
     ticks = np.append(0.0, np.arange(delay % period, last + period, period))
     goals = stretch.drive.u[np.clip(np.searchsorted(ends, ticks - delay + 1e-9, side="right") - 1, 0, ends.size - 2)]
-    share = -math.expm1(-period / max(firmware.lag - 0.5 * period, 1e-9))
+    lag = 0.5 * period if firmware.lag is None else firmware.lag
+    share = -math.expm1(-period / max(lag - 0.5 * period, 1e-9))
     body, packed = firmware.body.copy(), [force.pack() for force in firmware.forces]
     body[DELAY] = 0.0
-    gains = firmware.kp, firmware.limit, firmware.kd, share, firmware.ki
+    counted = min(2 * lag / period, 1.0)  # a difference of counts is half a period old
+    gains = firmware.kp, firmware.limit, counted * firmware.kd, (1 - counted) * firmware.kd, share, firmware.ki
     path = run_firmware(
         packed,
         np.ascontiguousarray(goals),

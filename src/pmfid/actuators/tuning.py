@@ -76,8 +76,10 @@ class ActuatorTuning:
     open: float = 0.5
     #: Samples that a fit needs for each parameter.
     samples_each: int = 10
-    #: The model is doubted from this deviation on, in standard deviations of the rounding.
+    #: The model is doubted from this deviation on, or from this wandering part of it on, in standard deviations of the
+    #: rounding. The ticks and counts of a servo in the table make a wandering part of at most 0.4.
     noisy: float = 3.0
+    wander: float = 0.5
     #: Part of the time at which the torque is limited, from which on a limit hides the other parameters.
     limited: float = 0.2
     # sysid

@@ -90,7 +90,7 @@ class Quadratic:
             return half, None
         squares = (np.array(shifts[1:]) ** 2 + np.array(sds[1:]) ** 2) / np.maximum(variance, 1e-300)
         widest = sets[int(np.argmax(np.array(weights[1:]) * np.max(squares, axis=1)))]
-        return half, next(iter(set(widest) ^ set(chosen)))
+        return half, next(iter(set(widest) - set(chosen) or set(chosen) - set(widest)))
 
 
 def mixture_half_length(weights: Floats, shifts: Floats, sds: Floats) -> Floats:
