@@ -22,15 +22,16 @@ class TrueServo:
     differences after a lag of `velocity_filter`. The friction `load_stribeck` times the transmitted torque falls off
     with the square of the velocity over `stribeck_speed`.
 
-    Some effects are in the table of terms: `asymmetry` is a part of the viscous friction, `ripple` a part of the Coulomb
-    friction that turns with the position `waves` times a turn, and `cogging` a torque that does so. `root` is a friction
-    at 1 rad/s that grows with the root of the speed.
+    Some effects are in the table of terms: `asymmetry` is a part of the viscous friction, `ripple` a part of the
+    Coulomb friction that turns with the position `waves` times a turn, and `cogging` a torque that does so. `root` is
+    a friction at 1 rad/s that grows with the root of the speed.
 
-    The last ones are not. A friction with `bristle` needs this way [rad] to turn round, and the encoder has `backlash`
-    [rad]. The motor loses `deadzone` [N m] of the torque. The Coulomb friction is larger by the part `warming` at first,
-    for some 3 s. The goal moves at most at `slew` [rad/s]. The gain grows by the part `stiffening` at an error of 0.3 rad.
-    The limit of the torque falls to 0 at the speed `no_load` [rad/s]. The inertia turns with the position by the part
-    `swing`. The encoder lies behind `windup` [rad/(N m)]. The loop has another `loop_period` [s] than its user believes.
+    The last ones are not. A friction with `bristle` needs this way [rad] to turn round, and the encoder has
+    `backlash` [rad]. The motor loses `deadzone` [N m] of the torque. The Coulomb friction is larger by the part
+    `warming` at first, for some 3 s. The goal moves at most at `slew` [rad/s]. The gain grows by the part
+    `stiffening` at an error of 0.3 rad. The limit of the torque falls to 0 at the speed `no_load` [rad/s]. The
+    inertia turns with the position by the part `swing`. The encoder lies behind `windup` [rad/(N m)]. The loop has
+    another `loop_period` [s] than its user believes.
     """
 
     inertia: float

@@ -315,17 +315,10 @@ def advise_log(t: Floats, goal: Floats) -> str:
 
 def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
     findings, servo = [], fit.servo
-    deviation = fit.residual / search.plain.resolution
-    wander = search.noise.position[0]
-    if deviation > TUNING.noisy / math.sqrt(12):
-        words = f"the simulated motion deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
-    elif wander > TUNING.wander / math.sqrt(12):
-        words = f"the simulated motion leaves an error of {wander:.2f} encoder steps (rms) that wanders, as no rounding does"
-    else:
-        words = ""
+    words = _doubt_motion(fit.residual / search.plain.resolution, search.noise.position[0])
     if words:
         log = search.task.logs[0]
-        sentence = f"{words}; the standard errors include it"
+        sentence = f"the simulated motion {words}; the standard errors include it"
         findings.append(Finding("unmodelled", sentence, advise_log(log.t, log.goal)))
     unclear = [name for name in fit.open if name not in fit.added]
     hard = [name for name in unclear if name in ("inertia", "kp")]
@@ -352,6 +345,15 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
         sentence = f"the torque is limited during {100 * fit.limited:.0f} % of the log"
         findings.append(Finding("saturated", sentence, "command smaller or slower steps"))
     return findings
+
+
+def _doubt_motion(deviation: float, wander: float) -> str:
+    """Return what no rounding explains of a deviation and its wandering part [counts], or nothing."""
+    if deviation > TUNING.noisy / math.sqrt(12):
+        return f"deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
+    if wander > TUNING.wander / math.sqrt(12):
+        return f"leaves an error of {wander:.2f} encoder steps (rms) that wanders, as no rounding does"
+    return ""
 
 
 def _advise(names: Sequence[str]) -> str:
