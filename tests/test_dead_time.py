@@ -16,6 +16,7 @@ from pmfid.kernel.structures import constants_of
 from pmfid.models import equation
 from pmfid.models.equation import Equation, Term
 from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, control_machine, drive_machine
+from tests.refusals import refused
 
 #: Gain, mass, viscous and Coulomb friction, sample period, input, travel per count, cutoff.
 CART = (2.0, 1.07, 12.8, 0.8, 0.01, 3.0, 9.2e-5, 20.0)
@@ -201,12 +202,11 @@ def test_what_is_no_time_is_refused(value: object) -> None:
 
 
 def test_refusals_have_a_remedy() -> None:
-    with pytest.raises(UsageError, match="use iv or fit"):
-        made(pmfid.LS, "cart", "estimate")
-    with pytest.raises(UsageError, match="estimate them with iv or fit"):
-        made(RIV, "cart", "estimate")
-    with pytest.raises(UsageError, match="shift the input column by whole samples"):
-        made(IV, "cart", 0.21)
+    refused(
+        ("use iv or fit", lambda: made(pmfid.LS, "cart", "estimate")),
+        ("estimate them with iv or fit", lambda: made(RIV, "cart", "estimate")),
+        ("shift the input column by whole samples", lambda: made(IV, "cart", 0.21)),
+    )
     with pytest.raises(UsageError, match='write dead_time = "estimate"'):
         Equation((Term("output", 2, "m"), Term("input", 1, "late")), (Term("input"),))
 

@@ -11,6 +11,7 @@ from scipy.signal import cont2discrete, lfilter
 
 import pmfid
 from pmfid.design import InfeasibleError, Limits, PlantProblem, Problem, evaluate_plant_input, solve, solve_plant
+from tests.refusals import refused
 
 NOMINAL = {"gain": 2.0, "pole": 1.5, "damping": 0.4, "frequency": 6.0, "start": 0.3}
 
@@ -116,10 +117,10 @@ def test_an_estimate_reaches_the_predicted_scatter() -> None:
     ],
 )
 def test_wrong_arguments_are_named(changes, message) -> None:
-    with pytest.raises(pmfid.UsageError, match=message):
-        problem_of(**changes)
-    with pytest.raises(pmfid.UsageError, match="'poles' is no parameter of nominal; did you mean 'pole'"):
-        replace(problem_of(), unknown=("poles",))
+    refused(
+        (message, lambda: problem_of(**changes)),
+        ("'poles' is no parameter of nominal; did you mean 'pole'", lambda: replace(problem_of(), unknown=("poles",))),
+    )
 
 
 def test_no_input_and_no_information_are_errors() -> None:

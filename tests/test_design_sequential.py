@@ -16,6 +16,7 @@ from pmfid.design.simulated import simulate
 from pmfid.design.standard import standard_inputs
 from pmfid.errors import NotIdentifiableError, UsageError
 from studies.design_case import NOMINAL, case
+from tests.refusals import refused
 
 CASE = case("m, d, F_c")
 #: An axis with normal noise of the position in place of counts.
@@ -83,12 +84,11 @@ def test_correlated_and_large_residuals_inflate() -> None:
 
 
 def test_runs_that_cannot_be_used_are_one_error() -> None:
-    with pytest.raises(UsageError, match="at least one"):
-        calibrate(CASE, [])
-    with pytest.raises(UsageError, match="same length"):
-        DesignedRun(np.zeros(3), np.zeros(4), 0.05)
-    with pytest.raises(UsageError, match="finite"):
-        DesignedRun(np.zeros(2), np.array([0.0, np.nan]), 0.05)
+    refused(
+        ("at least one", lambda: calibrate(CASE, [])),
+        ("same length", lambda: DesignedRun(np.zeros(3), np.zeros(4), 0.05)),
+        ("finite", lambda: DesignedRun(np.zeros(2), np.array([0.0, np.nan]), 0.05)),
+    )
     still = DesignedRun(np.full(41, 0.1), np.zeros(41), 0.05)
     with pytest.raises(NotIdentifiableError, match="mass"):
         calibrate(CASE, [still])

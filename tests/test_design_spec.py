@@ -13,6 +13,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.models.drive import Drive
 from pmfid.pipeline.designs import Spec, load_spec, make_problem, read_run, run_appraisal, run_design
 from studies.design_case import case
+from tests.refusals import refused
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"
 
@@ -120,10 +121,10 @@ def test_missing_parts_are_named(tmp_path: Path) -> None:
     for part in ("[drive] mass is missing", "[encoder] is missing", "[motion] is missing"):
         assert part in str(error.value)
     path.write_text(EXAMPLE.read_text().replace("resolution = 22.75e-6", ""))
-    with pytest.raises(UsageError, match="resolution and noise_std are both missing"):
-        load_spec(path)
-    with pytest.raises(UsageError, match=r"give a SPEC\.toml"):
-        load_spec(tmp_path / "nowhere.toml")
+    refused(
+        ("resolution and noise_std are both missing", lambda: load_spec(path)),
+        (r"give a SPEC\.toml", lambda: load_spec(tmp_path / "nowhere.toml")),
+    )
 
 
 def test_criterion_c_wants_its_combination() -> None:

@@ -15,6 +15,7 @@ from pmfid.pipeline.identify import identify, kind_of
 from pmfid.records.edge_ages import Coarser
 from pmfid.records.record import read_record
 from pmfid.simulation import CART, capture_edges, prbs, quantize, simulate_drive
+from tests.refusals import refused
 
 DT, EVERY, RESOLUTION = 1e-3, 10, 1e-4
 FORCE = 3.0 * CART.input_gain - CART.coulomb_friction
@@ -173,12 +174,11 @@ def test_a_timer_may_go_on_without_an_edge() -> None:
 def test_ages_that_cannot_be_are_refused() -> None:
     u, counts, ages, encoder = swing(16)
     method = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16)
-    with pytest.raises(UsageError, match="needs the age of the last edge"):
-        method.fit(u, counts)
-    with pytest.raises(UsageError, match="ages must have the shape of counts"):
-        method.fit(u, counts, ages[1:])
-    with pytest.raises(UsageError, match=r"the age in row \d+ is 5 s"):
-        method.fit(u, counts, np.where(np.isfinite(ages), 5.0, np.nan))
+    refused(
+        ("needs the age of the last edge", lambda: method.fit(u, counts)),
+        ("ages must have the shape of counts", lambda: method.fit(u, counts, ages[1:])),
+        (r"the age in row \d+ is 5 s", lambda: method.fit(u, counts, np.where(np.isfinite(ages), 5.0, np.nan))),
+    )
     with pytest.raises(NotIdentifiableError, match="the record has 0 edges"):
         method.fit(u, counts, np.full(counts.size, np.nan))
 

@@ -15,6 +15,7 @@ from pmfid import IV, RIV, Drive, Encoder, MotionFit, UsageError
 from pmfid.export.firmware import export_firmware
 from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
 from tests.conftest import long_unless
+from tests.refusals import refused
 from tests.test_dead_time import AXES, CART, truth
 
 THETA = np.array(CART[1:4])
@@ -133,10 +134,10 @@ def test_refusals_have_a_remedy() -> None:
     for options in ({"lag": "estimate"}, {"lag": 0.004, "dead_time": "estimate"}):
         with pytest.raises(UsageError, match="estimate them with iv or fit"):
             made(RIV, "cart", **options)
-    with pytest.raises(UsageError, match="check the unit"):
-        made(IV, "cart", lag=0.3)
-    with pytest.raises(UsageError, match="increase n by 1"):
-        pmfid.TransferFunction(2, 0).replace_lag(0.1)
+    refused(
+        ("check the unit", lambda: made(IV, "cart", lag=0.3)),
+        ("increase n by 1", lambda: pmfid.TransferFunction(2, 0).replace_lag(0.1)),
+    )
 
 
 def test_the_equation_says_it_and_takes_it_out_again() -> None:

@@ -19,6 +19,7 @@ from pmfid.estimators.runner import kept_samples
 from pmfid.kernel.structures import whole_words
 from tests.conftest import cart_run
 from tests.patience import PATIENCE
+from tests.refusals import refused
 from tests.test_architecture import C_FLAGS, COMPILER, CSRC
 
 DT, CUTOFF, AXES, SAMPLES = 0.01, 50.0, 21, 700
@@ -293,20 +294,15 @@ def test_no_samples_give_no_estimates():
 def test_what_does_not_fit_is_refused():
     u, counts = fleet_record()
     fleet = pmfid.Fleet(make(pmfid.BCRLS), AXES)
-    with pytest.raises(pmfid.UsageError, match=r"counts must be \(21, n\)"):
-        fleet.run(u[:20], counts[:20])
-    with pytest.raises(pmfid.UsageError, match="u the same, or"):
-        fleet.run(u[:, 1:], counts)
-    with pytest.raises(pmfid.UsageError, match="one row for each axis"):
-        make(pmfid.BCRLS).run_many(u[0], counts[0])
-    with pytest.raises(pmfid.UsageError, match="integers"):
-        fleet.run(u, counts + 0.5)
-    with pytest.raises(pmfid.UsageError, match="every must be"):
-        fleet.run(u, counts, every=0)
-    with pytest.raises(pmfid.UsageError, match="axes must be a whole number of at least 1"):
-        pmfid.Fleet(make(pmfid.BCRLS), 0)
-    with pytest.raises(pmfid.UsageError, match="the axis must be from 0 to 20"):
-        fleet.axis(21)
+    refused(
+        (r"counts must be \(21, n\)", lambda: fleet.run(u[:20], counts[:20])),
+        ("u the same, or", lambda: fleet.run(u[:, 1:], counts)),
+        ("one row for each axis", lambda: make(pmfid.BCRLS).run_many(u[0], counts[0])),
+        ("integers", lambda: fleet.run(u, counts + 0.5)),
+        ("every must be", lambda: fleet.run(u, counts, every=0)),
+        ("axes must be a whole number of at least 1", lambda: pmfid.Fleet(make(pmfid.BCRLS), 0)),
+        ("the axis must be from 0 to 20", lambda: fleet.axis(21)),
+    )
 
 
 @pytest.mark.parametrize("every", [2.7, 3.0000000000000004, "a", np.nan, np.inf, 0, -1, True, [2], 1j])

@@ -33,6 +33,7 @@ from pmfid.report.result import write_result
 from pmfid.report.tuning import TUNING
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.status import Status
+from tests.refusals import refused
 
 N = 600
 T = np.arange(N) * 0.01
@@ -161,10 +162,10 @@ def test_wrong_lengths_are_named() -> None:
         signals_figure(T, [1, 2, 3], np.cos(T))
     with pytest.raises(UsageError, match=r"BCRLS, 512 must have the shape of t"):
         comparison_figure(T, {"RLS": {"512": TRACK}, "BCRLS": {"512": make_track(500)}}, "mass", TRUTH)
-    with pytest.raises(UsageError, match="nominal mass must have the shape"):
-        estimate_figure(T, TRACK, {"mass": TRUTH[1:]})
-    with pytest.raises(UsageError, match=r"t must have shape \(n,\)"):
-        status_figure([], [])
+    refused(
+        ("nominal mass must have the shape", lambda: estimate_figure(T, TRACK, {"mass": TRUTH[1:]})),
+        (r"t must have shape \(n,\)", lambda: status_figure([], [])),
+    )
 
 
 def test_png_has_the_width_asked_for(tmp_path: Path) -> None:

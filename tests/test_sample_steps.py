@@ -11,6 +11,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Floats
+from tests.refusals import refused
 
 #: Parts of a period in the simulation, and samples.
 PARTS, SAMPLES = 50, 1500
@@ -104,18 +105,14 @@ def test_what_takes_no_steps_says_so() -> None:
     u, counts, steps = jittered(0.2)
     with pytest.raises(UsageError, match="resample"):
         RIV(Drive(CART.input_gain, dead_time=0.01), Encoder(CART_RESOLUTION), CART_DT, 20.0, steps="given")
-    with pytest.raises(UsageError, match="Experiment"):
-        RLS(TransferFunction(2, 0), Encoder(1e-3), 0.01, 5.0, steps="given")
-    with pytest.raises(UsageError, match="evenly spaced samples"):
-        RLS(*arguments(), discretization="paper", steps="given")
-    with pytest.raises(UsageError, match="run each axis on its own"):
-        Fleet(RLS(*arguments(), steps="given"), 3)
-    with pytest.raises(UsageError, match="positive"):
-        IV(*arguments(), steps=np.zeros(5))
-    with pytest.raises(UsageError, match="give one step for each sample"):
-        IV(*arguments(), steps=steps[1:]).fit(u, counts)
-    with pytest.raises(UsageError, match="steps"):
-        RLS(*arguments(), steps="given").run(u, counts)
+    refused(
+        ("Experiment", lambda: RLS(TransferFunction(2, 0), Encoder(1e-3), 0.01, 5.0, steps="given")),
+        ("evenly spaced samples", lambda: RLS(*arguments(), discretization="paper", steps="given")),
+        ("run each axis on its own", lambda: Fleet(RLS(*arguments(), steps="given"), 3)),
+        ("positive", lambda: IV(*arguments(), steps=np.zeros(5))),
+        ("give one step for each sample", lambda: IV(*arguments(), steps=steps[1:]).fit(u, counts)),
+        ("steps", lambda: RLS(*arguments(), steps="given").run(u, counts)),
+    )
     given: ArrayLike = steps
     with pytest.raises(UsageError, match="steps"):
         RLS(*arguments()).run(u, counts, given)

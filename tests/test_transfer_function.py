@@ -15,6 +15,7 @@ from pmfid.filters.chain import derivative, euler_frobenius
 from pmfid.models.equation import Equation, Term
 from tests.oracles import paper
 from tests.oracles.paper import coefficient_matrix
+from tests.refusals import refused
 
 FINE = 2.0**30
 
@@ -345,10 +346,10 @@ def test_estimators_say_what_they_need():
         BCLS(TransferFunction(3, 0), encoder, 0.01, 10.0, prefilter_zeros=(-1, -2))
     with pytest.raises(UsageError, match="not use prefilter_zeros for a linear process"):
         RLS(TransferFunction(2, 0), encoder, 0.01, 10.0, prefilter_zeros=(-1, -2))
-    with pytest.raises(UsageError, match="order must be at least 4"):
-        LS(TransferFunction(4, 0), encoder, 0.01, 10.0, order=3)
-    with pytest.raises(UsageError, match="riv"):
-        pmfid.RIV(TransferFunction(2, 0), encoder, 0.01, 10.0)
+    refused(
+        ("order must be at least 4", lambda: LS(TransferFunction(4, 0), encoder, 0.01, 10.0, order=3)),
+        ("riv", lambda: pmfid.RIV(TransferFunction(2, 0), encoder, 0.01, 10.0)),
+    )
 
 
 @pytest.mark.parametrize("arguments", [("2", 1), (2.0, 1), (2, 1.0), (2, "1"), (2, 1, 3.0), (None, 1), (True, 0)])
