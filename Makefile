@@ -151,7 +151,7 @@ SETTING ?=
 BOUND = 28800
 PYTEST = $(KEPT) timeout --kill-after=20 $(BOUND) .venv/bin/python -m pytest -n $(WORKERS) --dist loadfile \
     --max-worker-restart 2 -p no:benchmark
-STRUCTURE = tests/test_architecture.py tests/test_names.py tests/test_prose.py tests/test_typing.py
+STRUCTURE = tests/test_architecture.py tests/test_size.py tests/test_names.py tests/test_prose.py tests/test_typing.py
 test: .venv/tools firmware-tools service-tools
 	$(PYTEST) -m "not long" $(STRUCTURE:%=--ignore %)
 

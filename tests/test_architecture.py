@@ -264,6 +264,16 @@ def test_a_circle_is_found(tmp_path: Path) -> None:
         list(TopologicalSorter(imports_between_modules(root)).static_order())
 
 
+def test_the_picture_of_the_layers_is_that_of_the_imports() -> None:
+    from tests.layers import PAGE, packages, page_with, picture, reduced
+
+    graph = packages()
+    text = PAGE.read_text(encoding="utf-8")
+    assert page_with(text, picture(reduced(graph))) == text, "run python -m tests.layers"
+    assert len(graph) <= 24
+    assert sum(map(len, reduced(graph).values())) <= 60
+
+
 def test_what_kind_of_plant_it_is_is_asked_in_three_files() -> None:
     """In other files, code for one kind of plant belongs to an object of that kind (`Plant`, `Kind`)."""
     asked = re.compile(r"equation\.process\b|\.process else|if self\.process:")

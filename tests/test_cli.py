@@ -197,16 +197,36 @@ def test_record_missing_or_a_directory_or_of_unknown_type(tmp_path: Path, cart: 
 @pytest.mark.parametrize(
     ("options", "what", "remedy"),
     [
-        (("--resolution", "0"), "[encoder] resolution = 0.0 (given as an option)", "give the unit of y per count"),
-        (("--resolution", "-1e-3"), "resolution = -0.001 (given as an option)", "give the unit of y per count"),
-        (("--resolution", "nan"), "resolution = nan", "give the unit of y per count"),
-        (("--resolution", "0.01 parsec"), "'parsec' is not a known unit", "use one of m, cm, mm"),
-        (("--cutoff", "0"), "[estimator] cutoff = 0.0", "give the pole of the filter chain in rad/s"),
-        (("--cutoff", "201"), "[estimator] cutoff = 201 rad/s is too high for dt = 0.01 s", "at most 2/dt = 200 rad/s"),
-        (("--order", "1"), "[estimator] order = 1", "give the number of filter stages, 2 to 6"),
-        (("--order", "7"), "[estimator] order = 7", "give the number of filter stages, 2 to 6"),
-        (("--forgetting", "0"), "[estimator] forgetting = 0.0", "for a memory of T seconds use 1 - dt/T"),
-        (("--forgetting", "1.5"), "[estimator] forgetting = 1.5", "for a memory of T seconds use 1 - dt/T"),
+        (
+            ("--set", "encoder.resolution=0"),
+            "[encoder] resolution = 0 (given as an option)",
+            "give the unit of y per count",
+        ),
+        (
+            ("--set", "encoder.resolution=-1e-3"),
+            "resolution = -0.001 (given as an option)",
+            "give the unit of y per count",
+        ),
+        (("--set", "encoder.resolution=nan"), "resolution = nan", "give the unit of y per count"),
+        (("--set", "encoder.resolution=0.01 parsec"), "'parsec' is not a known unit", "use one of m, cm, mm"),
+        (("--set", "estimator.cutoff=0"), "[estimator] cutoff = 0", "give the pole of the filter chain in rad/s"),
+        (
+            ("--set", "estimator.cutoff=201"),
+            "[estimator] cutoff = 201 rad/s is too high for dt = 0.01 s",
+            "at most 2/dt = 200 rad/s",
+        ),
+        (("--set", "estimator.cutoff=fast"), "[estimator] cutoff = 'fast' (given as an option)", "rad/s"),
+        (("--set", "encoder.resolution=coarse"), "'coarse'", "unit of y per count"),
+        (("--set", "estimator.cutof=1"), "cutof is an unknown key", "did you mean 'cutoff'"),
+        (("--set", "cutoff=1"), "is not SECTION.KEY=VALUE", "for example estimator.cutoff=20"),
+        (("--set", "estimator.order=1"), "[estimator] order = 1", "give the number of filter stages, 2 to 6"),
+        (("--set", "estimator.order=7"), "[estimator] order = 7", "give the number of filter stages, 2 to 6"),
+        (("--set", "estimator.forgetting=0"), "[estimator] forgetting = 0", "for a memory of T seconds use 1 - dt/T"),
+        (
+            ("--set", "estimator.forgetting=1.5"),
+            "[estimator] forgetting = 1.5",
+            "for a memory of T seconds use 1 - dt/T",
+        ),
         (("--quantize", "1e-6"), "quantize = 1e-06", "give a larger step"),
         (("--quantize", "-1"), "quantize = -1", "give a larger step"),
         (("--quantize", "0"), "quantize = 0", "give a larger step"),
@@ -260,7 +280,6 @@ def test_the_configuration_is_by_default_the_one_that_init_writes(
             ["identify", "run.csv", "--config", "axis.toml", "--method", "lms"],
             "'lms' is not one of 'auto', 'fit', 'ls', ",
         ),
-        (["identify", "run.csv", "--config", "axis.toml", "--cutoff", "fast"], "'fast' is not a valid float"),
         (["identify", "run.csv", "--config", "axis.toml", "--jsn"], "'--json'"),
         (["idenify"], "'identify'"),
     ],
@@ -404,7 +423,7 @@ def test_input_of_an_absurd_size_ends_in_one_line(tmp_path: Path, cart: Cart, me
 
 @pytest.mark.parametrize("cutoff", ["1e-3", "1e-9"])
 def test_cutoff_too_low_for_the_record_ends_in_one_line(cart: Cart, cutoff: str) -> None:
-    result = run(cart.csv, "--json", "--cutoff", cutoff)
+    result = run(cart.csv, "--json", "--set", f"estimator.cutoff={cutoff}")
     assert "higher cutoff" in complaint(result, code=result.exit_code)
     assert result.exit_code in (2, 3)
 
@@ -452,21 +471,15 @@ def test_the_json_object_has_its_keys_and_types(cart: Cart) -> None:
     assert set(printed["status"]) <= {"std_too_small", "biased"}
 
 
-def test_a_resolution_in_words_is_no_resolution(cart: Cart) -> None:
-    result = CliRunner().invoke(main, ["identify", str(cart.csv), "--config", "axis.toml", "--resolution", "coarse"])
-    assert result.exit_code == 2
-    assert "'coarse' is not a number; write 0.001 or \"0.01 mm\"" in result.stderr
-
-
 def test_options_go_before_the_configuration(cart: Cart) -> None:
-    options = ("--method", "ls", "--cutoff", "30", "--order", "3", "--quantize", "91e-6")
+    options = ("--method", "ls", "--set", "estimator.cutoff=30", "--set", "estimator.order=3", "--quantize", "91e-6")
     printed = good(cart.csv, *options)
     assert printed["method"] == "ls"
     assert "the position is quantised again with a step of 9.1e-05" in printed["notes"]
     assert values(printed)["mass"] != values(good(cart.csv, "--method", "ls"))["mass"]
-    doubled = good(cart.csv, "--resolution", str(2 * CART_RESOLUTION))
+    doubled = good(cart.csv, "--set", f"encoder.resolution={2 * CART_RESOLUTION!s}")
     assert values(doubled)["mass"] == pytest.approx(CART.mass / 2, rel=0.02)
-    assert values(good(cart.csv, "--resolution", f"{2000 * CART_RESOLUTION!r} mm")) == values(doubled)
+    assert values(good(cart.csv, "--set", f"encoder.resolution={2000 * CART_RESOLUTION!r} mm")) == values(doubled)
 
 
 @pytest.mark.parametrize("method", long_unless("riv".__eq__, METHODS))

@@ -16,7 +16,7 @@ from pmfid.design.simulated import simulate
 from pmfid.pipeline.designs import load_spec, make_problem
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"
-FEW = ("--starts", "3", "--certify", "0")
+FEW = ("--set", "search.starts=3", "--certify", "0")
 
 
 def run(*arguments: str | Path) -> Result:
@@ -48,12 +48,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def first(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
     """Return the input of the first design of a commissioning."""
     out = tmp_path_factory.mktemp("first")
-    assert run("design", EXAMPLE, "--want", "mass=1e-6", "--starts", "3", "--out", out).exit_code == 0
+    assert run("design", EXAMPLE, "--want", "mass=1e-6", "--set", "search.starts=3", "--out", out).exit_code == 0
     return pl.read_csv(out / "design.csv")["u"].to_numpy()[:-1]
 
 
 def test_json_is_the_object_that_was_promised() -> None:
-    result = run("design", EXAMPLE, "--unknown", "mass", "--criterion", "trace", "--json", *FEW)
+    result = run(
+        "design", EXAMPLE, "--set", "experiment.unknown=['mass']", "--set", "experiment.criterion=trace", "--json", *FEW
+    )
     assert result.exit_code == 0
     found = json.loads(result.stdout)
     assert {
@@ -82,7 +84,17 @@ def test_json_is_the_object_that_was_promised() -> None:
 
 
 def test_the_proof_comes_with_the_value() -> None:
-    result = run("design", EXAMPLE, "--unknown", "mass", "--criterion", "trace", "--json", "--certify", "2")
+    result = run(
+        "design",
+        EXAMPLE,
+        "--set",
+        "experiment.unknown=['mass']",
+        "--set",
+        "experiment.criterion=trace",
+        "--json",
+        "--certify",
+        "2",
+    )
     found = json.loads(result.stdout)
     assert found["bound"] >= found["value"]
     assert found["gap"] == pytest.approx(found["bound"] / found["value"] - 1)
@@ -115,7 +127,7 @@ def test_the_motion_file_drives_a_simulated_axis_to_its_end(folder: tuple[Path, 
 
 
 def test_one_parameter_has_no_ellipse(tmp_path: Path) -> None:
-    assert run("design", EXAMPLE, "--unknown", "mass", *FEW, "--out", tmp_path).exit_code == 0
+    assert run("design", EXAMPLE, "--set", "experiment.unknown=['mass']", *FEW, "--out", tmp_path).exit_code == 0
     assert (tmp_path / "report.html").read_text().count("<figure") == 2
 
 
@@ -123,7 +135,7 @@ def test_one_parameter_has_no_ellipse(tmp_path: Path) -> None:
 def test_the_report_has_the_encoders_own_deviations_where_there_is_one(tmp_path: Path) -> None:
     noisy = changed(tmp_path, ("resolution = 22.75e-6", "noise_std = 1e-5"))
     for path, there in ((EXAMPLE, True), (noisy, False)):
-        run("design", path, "--unknown", "mass", *FEW, "--out", tmp_path / "out")
+        run("design", path, "--set", "experiment.unknown=['mass']", *FEW, "--out", tmp_path / "out")
         page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
         assert ("with this encoder" in page) == there
 
@@ -137,7 +149,7 @@ def test_the_trap_of_no_least_speed_is_reported(tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_the_same_seed_gives_the_same_motion(folder: tuple[Path, str], tmp_path: Path) -> None:
-    run("design", EXAMPLE, *FEW, "--seed", "0", "--out", tmp_path)  # the example has seed 0
+    run("design", EXAMPLE, *FEW, "--set", "search.seed=0", "--out", tmp_path)  # the example has seed 0
     for file in ("design.csv", "prbs.csv"):
         assert (tmp_path / file).read_bytes() == (folder[0] / file).read_bytes()
 
@@ -153,13 +165,13 @@ def test_the_same_seed_gives_the_same_motion(folder: tuple[Path, str], tmp_path:
 )
 def test_limits_that_cannot_be_met_say_what_to_relax(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = changed(tmp_path, (old, new))
-    result = run("design", path, "--unknown", "mass", *FEW)
+    result = run("design", path, "--set", "experiment.unknown=['mass']", *FEW)
     assert result.exit_code == 3
     assert result.stdout == ""
     assert "relax one of" in result.stderr
     assert message in result.stderr
     assert result.stderr.count("\n") == 1
-    machine = run("design", path, "--unknown", "mass", *FEW, "--json")
+    machine = run("design", path, "--set", "experiment.unknown=['mass']", *FEW, "--json")
     assert machine.exit_code == 3
     found = json.loads(machine.stdout)
     assert found["feasible"] is False
@@ -182,9 +194,9 @@ def test_relaxing_as_reported_is_enough(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--criterion", "Q"], "criterion = 'Q' (given as an option)"),
-        (["--unknown", "weight"], "no parameter"),
-        (["--starts", "0"], "starts = 0"),
+        (["--set", "experiment.criterion=Q"], "criterion = 'Q' (given as an option)"),
+        (["--set", "experiment.unknown=['weight']"], "no parameter"),
+        (["--set", "search.starts=0"], "starts = 0"),
         (["--certify", "-1"], "certify"),
     ],
 )
@@ -206,7 +218,7 @@ def record(tmp_path: Path, u: np.ndarray, mass: float) -> Path:
 
 def test_a_recorded_run_is_estimated_and_the_next_one_designed(tmp_path: Path, first: np.ndarray) -> None:
     path = record(tmp_path, first, 1.6)
-    result = run("design", EXAMPLE, path, "--starts", "3", "--json", "--out", tmp_path / "next")
+    result = run("design", EXAMPLE, path, "--set", "search.starts=3", "--json", "--out", tmp_path / "next")
     assert result.exit_code == 0, result.stderr
     found = json.loads(result.stdout)
     mass = found["rounds"][-1]["parameters"]["mass"]
@@ -225,7 +237,7 @@ def test_a_recorded_run_is_estimated_and_the_next_one_designed(tmp_path: Path, f
 
 @pytest.mark.long
 def test_all_rounds_on_a_simulated_axis() -> None:
-    options = ("--truth", "mass=1.8", "--want", "mass=1e-9", "--rounds", "2", "--starts", "3")
+    options = ("--truth", "mass=1.8", "--want", "mass=1e-9", "--rounds", "2", "--set", "search.starts=3")
     result = run("design", EXAMPLE, *options, "--json")
     found = json.loads(result.stdout)
     assert found["reached"] is False

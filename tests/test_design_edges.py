@@ -63,7 +63,7 @@ def test_a_way_back_to_a_limit_of_position_is_feasible(axis: tuple, limits: tupl
 def test_a_run_of_two_samples_cannot_tell_three_parameters(tmp_path: Path, certify: str) -> None:
     spec = tmp_path / "two.toml"
     spec.write_text(EXAMPLE.read_text().replace("intervals = 40", "intervals = 2"))
-    result = CliRunner().invoke(main, ["design", str(spec), "--starts", "2", "--certify", certify])
+    result = CliRunner().invoke(main, ["design", str(spec), "--set", "search.starts=2", "--certify", certify])
     assert result.exit_code == 3
     assert "2 samples" in result.stderr
     assert "samples_per_interval" in result.stderr
@@ -80,7 +80,7 @@ def test_the_remedies_for_too_few_samples_help(tmp_path: Path) -> None:
     ):
         spec = tmp_path / "mended.toml"
         spec.write_text(text)
-        result = CliRunner().invoke(main, ["design", str(spec), "--starts", "2", "--certify", "1"])
+        result = CliRunner().invoke(main, ["design", str(spec), "--set", "search.starts=2", "--certify", "1"])
         assert result.exit_code == 0, result.stderr
 
 

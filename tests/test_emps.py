@@ -16,8 +16,8 @@ pytestmark = needs_emps
 
 AXIS = Path(__file__).parents[1] / "examples" / "emps.toml"
 MASS, VISCOUS_FRICTION, COULOMB_FRICTION, OFFSET = 95.11, 203.5, 20.39, -3.16
-HALF_MILLIMETRE = ("--quantize", "5e-4", "--cutoff", "100", "--order", "2")
-MILLIMETRE = ("--quantize", "1e-3", "--cutoff", "100", "--order", "2")
+HALF_MILLIMETRE = ("--quantize", "5e-4", "--set", "estimator.cutoff=100", "--set", "estimator.order=2")
+MILLIMETRE = ("--quantize", "1e-3", "--set", "estimator.cutoff=100", "--set", "estimator.order=2")
 
 
 def identified(*options: str, judged: bool = True) -> dict[str, float]:
@@ -36,7 +36,7 @@ def identified(*options: str, judged: bool = True) -> dict[str, float]:
 
 @pytest.mark.parametrize("method", ["ls", "rls"])
 def test_fine_encoder_gives_the_published_parameters_by_least_squares(method: str) -> None:
-    found = identified("--method", method, "--cutoff", "50", judged=method == "ls")
+    found = identified("--method", method, "--set", "estimator.cutoff=50", judged=method == "ls")
     assert found["mass"] == pytest.approx(MASS, rel=0.01)
     assert found["viscous_friction"] == pytest.approx(VISCOUS_FRICTION, rel=0.03)
     assert found["coulomb_friction"] == pytest.approx(COULOMB_FRICTION, rel=0.03)
@@ -45,7 +45,7 @@ def test_fine_encoder_gives_the_published_parameters_by_least_squares(method: st
 
 @pytest.mark.parametrize("method", ["bcls", "bcrls"])
 def test_fine_encoder_loses_nothing_by_the_compensation(method: str) -> None:
-    found = identified("--method", method, "--cutoff", "50", judged=False)
+    found = identified("--method", method, "--set", "estimator.cutoff=50", judged=False)
     assert found["mass"] == pytest.approx(MASS, rel=0.01)
     assert found["viscous_friction"] == pytest.approx(VISCOUS_FRICTION, rel=0.03)
 

@@ -191,7 +191,7 @@ def test_the_command_exports_edges_where_the_record_has_them(tmp_path: Path) -> 
     done = CliRunner().invoke(main, [*arguments, str(tmp_path / "c"), "--dt", "0.01", "--steps"])
     assert (done.exit_code, 'set method = "riv"' in done.stderr) == (2, True)
     done = CliRunner().invoke(
-        main, [*arguments, str(tmp_path / "d"), "--dt", "0.01", "--method", "riv", "--cutoff", "30"]
+        main, [*arguments, str(tmp_path / "d"), "--dt", "0.01", "--method", "riv", "--set", "estimator.cutoff=30"]
     )
     assert done.stderr == ""
     assert done.stdout.startswith("riv, "), "counts alone, as asked"

@@ -48,7 +48,7 @@ def identified(run: Run, model: object, **settings: object) -> pmfid.Result:
 
 @pytest.mark.parametrize(
     ("options", "settings"),
-    [((), {}), (("--method", "riv", "--forgetting", "0.998"), {"method": "riv", "forgetting": 0.998})],
+    [((), {}), (("--method", "riv", "--set", "estimator.forgetting=0.998"), {"method": "riv", "forgetting": 0.998})],
     ids=["auto", "riv"],
 )
 def test_arrays_give_what_the_command_gives(

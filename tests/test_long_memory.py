@@ -94,6 +94,6 @@ def test_only_long_memories_of_float32_carry_the_code() -> None:
 def test_export_says_how_long_float32_remembers(forgetting: str, reported: bool, tmp_path: Path) -> None:
     axis = Path(__file__).parents[1] / "examples" / "cart.toml"
     options = ["--out", str(tmp_path / "c"), "--precision", "float32", "--method", "bcrls", "--dt", "0.01"]
-    result = CliRunner().invoke(main, ["export", str(axis), *options, "--forgetting", forgetting])
+    result = CliRunner().invoke(main, ["export", str(axis), *options, "--set", f"estimator.forgetting={forgetting}"])
     assert result.exit_code == 0, result.output
     assert ("remembers at most the last 524288 samples" in result.output) == reported

@@ -326,7 +326,9 @@ def test_identify_several_records_and_report(records, tmp_path):
 
 
 def test_options_of_the_structure(records):
-    found = json.loads(run("identify", records[0], "--config", str(CONFIG), "--json", "--n", "1", "--delay", "2"))
+    found = json.loads(
+        run("identify", records[0], "--config", str(CONFIG), "--json", "--set", "model.n=1", "--set", "model.delay=2")
+    )
     assert found["delay"] == 2
     assert "a1" not in found
     assert found["notes"]
@@ -340,15 +342,15 @@ def test_order_command(records, tmp_path, monkeypatch):
     page = (tmp_path / "order.html").read_text()
     assert "Criterion" in page
     assert "mathdefault" not in page
-    assert "best: --n 2 --m 0 --delay 0" in run("terms", records[0], "--config", str(CONFIG))
+    assert "best for [model]: n = 2, m = 0, delay = 0" in run("terms", records[0], "--config", str(CONFIG))
 
 
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
         (("--method", "fit"), "does not suit a transfer function"),
-        (("--m", "3"), "m must be a whole number"),
-        (("--n", "9"), "n must be a whole number"),
+        (("--set", "model.m=3"), "m must be a whole number"),
+        (("--set", "model.n=9"), "n must be a whole number"),
         (("--quantize", "0.1"), "quantize and edges need a drive"),
     ],
 )

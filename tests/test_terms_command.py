@@ -119,7 +119,7 @@ def test_the_command_says_what_python_says(directional: TermSearch, tmp_path: Pa
     shown = CliRunner().invoke(main, command).stdout
     assert directional.sentence in shown
     assert "status: none" in shown
-    for further, said in ((["--cutoff", "-1"], "cutoff"), (["--out", str(table)], "run.csv")):
+    for further, said in ((["--set", "estimator.cutoff=-1"], "cutoff"), (["--out", str(table)], "run.csv")):
         refused = CliRunner().invoke(main, [*command, *further])
         assert refused.exit_code == 2
         assert said in refused.stderr

@@ -5,21 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, cast
 
 import click
 
-from pmfid.cli.terminal import JSON, print_json, progress
+from pmfid.cli.terminal import JSON, SET, print_json, progress, read_changes
 from pmfid.errors import PmfidError, UsageError
 
-if TYPE_CHECKING:
-    from pmfid.pipeline.designs import Spec
-
 SPEC = click.argument("spec", type=click.Path(path_type=Path), metavar="SPEC.toml")
-UNKNOWN = click.option("--unknown", multiple=True, metavar="NAME", help="A parameter to estimate; may be repeated.")
-CRITERION = click.option("--criterion", metavar="NAME", help="What to optimise: trace, D, A, E, ME or c.")
-STARTS = click.option("--starts", type=int, metavar="N", help="Random starts of the search.")
-SEED = click.option("--seed", type=int, metavar="N", help="Seed of the random starts and of the simulation.")
 OUT = click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -42,8 +34,6 @@ TRUTH = click.option(
 ROUNDS = click.option(
     "--rounds", type=click.IntRange(min=1), default=10, show_default=True, help="Maximum number of rounds."
 )
-#: Key of SPEC.toml for each option.
-KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": "search.seed"}
 
 
 @click.command(short_help="Find the most informative input within the limits of an axis, or the next one after runs.")
@@ -52,10 +42,7 @@ KEYS = {"criterion": "experiment.criterion", "starts": "search.starts", "seed": 
 @WANT
 @TRUTH
 @ROUNDS
-@UNKNOWN
-@CRITERION
-@STARTS
-@SEED
+@SET
 @click.option(
     "--certify",
     type=click.FloatRange(min=0),
@@ -72,10 +59,10 @@ def design(
     want: tuple[str, ...],
     truth: tuple[str, ...],
     rounds: int,
+    changes: tuple[str, ...],
     certify: float,
     out: Path | None,
     as_json: bool,
-    **options: object,
 ) -> None:
     """Find the input that tells most about an axis within its limits.
 
@@ -86,13 +73,13 @@ def design(
     Exit code 0: a design; 2: wrong usage; 3: the limits cannot be met, or no input identifies a parameter.
     """
     if records or want or truth:
-        _commission(spec, records, want, truth, rounds, out, as_json, options)
+        _commission(spec, records, want, truth, rounds, out, as_json, read_changes(changes))
         return
     with _infeasible_as_json(as_json), progress("design") as tell:
-        from pmfid.pipeline.designs import run_appraisal, run_design
+        from pmfid.pipeline.designs import load_spec, run_appraisal, run_design
         from pmfid.report.design import write_design
 
-        loaded = _load(spec, options)
+        loaded = load_spec(spec, read_changes(changes))
         found = run_design(loaded, certify=certify or None, progress=lambda done, total, _: tell(done / total))
         appraisal = run_appraisal(loaded, found)
         if out is not None:
@@ -113,12 +100,12 @@ def _commission(
     rounds: int,
     out: Path | None,
     as_json: bool,
-    options: dict[str, object],
+    changes: dict[str, object],
 ) -> None:
     with _infeasible_as_json(as_json), progress("commission"):
-        from pmfid.pipeline.designs import read_run, run_appraisal, run_commissioning
+        from pmfid.pipeline.designs import load_spec, read_run, run_appraisal, run_commissioning
 
-        loaded = _load(spec, options)
+        loaded = load_spec(spec, changes)
         runs = [read_run(loaded, path) for path in records]
         state = run_commissioning(loaded, runs, _pairs("want", want), _pairs("truth", truth) if truth else None, rounds)
         if out is not None and state.next is not None:
@@ -131,14 +118,6 @@ def _commission(
         from pmfid.cli.design_tables import print_commissioning
 
         print_commissioning(state, out)
-
-
-def _load(spec: Path, options: dict[str, object]) -> Spec:
-    from pmfid.pipeline.designs import load_spec
-
-    unknown = list(cast("tuple[str, ...]", options.pop("unknown"))) or None
-    given = {KEYS[name]: value for name, value in options.items()}
-    return load_spec(spec, {"experiment.unknown": unknown, **given})
 
 
 def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, float]:

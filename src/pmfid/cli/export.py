@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.terminal import progress
+from pmfid.cli.terminal import SET, progress, read_changes
 
 
 @click.command(short_help="Write the estimator of AXIS.toml as C99 for a drive.")
@@ -24,8 +24,7 @@ from pmfid.cli.terminal import progress
     type=click.Choice(["auto", "rls", "bcrls", "riv"]),
     help="auto: riv, or the times of edges with [encoder] edge_age.",
 )
-@click.option("--cutoff", type=float, metavar="RAD/S", help="Pole of the filters.")
-@click.option("--forgetting", type=float, help="Forgetting factor per sample, in (0, 1]; 1 never forgets.")
+@SET
 @click.option("--dt", type=float, metavar="S", help="Sample period of the drive, if AXIS.toml does not give it.")
 @click.option(
     "--record",
@@ -57,13 +56,14 @@ def export(
     blocks: bool,
     steps: bool,
     no_guard: bool,
+    changes: tuple[str, ...],
     **options: object,
 ) -> None:
     """Write the estimator of AXIS.toml as C99 that computes the same bits on a drive.
 
     The folder contains the kernel, its configuration, a header, an example, a Makefile, a CMake file and a self-test.
     """
-    changes = {f"estimator.{key}": value for key, value in options.items()}
+    given = {f"estimator.{key}": value for key, value in options.items()} | read_changes(changes)
     name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())
     with progress("export"):
         from pmfid.config.axis import load_axis
@@ -73,7 +73,7 @@ def export(
         from pmfid.pipeline.export import check_exportable, drive_estimator, drive_samples
         from pmfid.records.record import read_record
 
-        axis = load_axis(axis_file, changes | ({"encoder.guard": False} if no_guard else {}))
+        axis = load_axis(axis_file, given | ({"encoder.guard": False} if no_guard else {}))
         check_exportable(axis)
         data = None if record is None else read_record(record, axis)
         estimator = drive_estimator(axis, data, dt, steps)

@@ -23,15 +23,15 @@ from pmfid.cli.selftest import selftest
 from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
 from pmfid.cli.terminal import (
-    CUTOFF,
     JSON,
     RECORDS,
+    SET,
     config_option,
     folder_option,
     print_json,
     print_text,
     progress,
-    step,
+    read_changes,
 )
 from pmfid.cli.terms import terms
 from pmfid.cli.validate import validate
@@ -104,10 +104,7 @@ def _open_closed_streams() -> None:
     help="auto: from the record; all: every method, side by side. Off-line: fit, ls, bcls, iv, srivc; "
     "recursive: rls, bcrls, riv. For a transfer function: srivc, rls, bcrls.",
 )
-@CUTOFF
-@click.option("--order", type=int, help="Number of filter stages.")
-@click.option("--forgetting", type=float, help="Forgetting factor per sample, in (0, 1]; 1 never forgets.")
-@click.option("--resolution", type=step, metavar="STEP", help='Travel per count: a number, or text such as "0.01 mm".')
+@SET
 @click.option(
     "--quantize",
     type=float,
@@ -124,30 +121,27 @@ def _open_closed_streams() -> None:
     "Write report.html and result.json into this folder, for a recursive method on a drive also track.parquet; with "
     "--method all, compare.html."
 )
-@click.option("--n", type=int, help="Number of poles of a transfer function.")
-@click.option("--m", type=int, help="Number of zeros of a transfer function.")
-@click.option("--delay", type=int, help="Dead time of a transfer function in samples.")
 @JSON
 def identify(
     records: tuple[Path, ...],
     config: Path,
+    method: str | None,
+    changes: tuple[str, ...],
     quantize: float | None,
     edges: float | None,
     out: Path | None,
     as_json: bool,
-    **options: object,
 ) -> None:
     """Identify the parameters of a record."""
     if quantize is not None and edges is not None:
         raise UsageError("--quantize and --edges both give the step of a coarser encoder: give only one of them")
-    if edges is not None and options["method"] not in (None, "auto"):
-        raise UsageError(f"--edges has its own method: drop --method {options['method']}")
-    options["method"] = "auto" if edges is not None else options["method"]
-    sections = {"resolution": "encoder", "n": "model", "m": "model", "delay": "model"}
-    changes = {f"{sections.get(key, 'estimator')}.{key}": value for key, value in options.items()}
-    if options["method"] == EVERY:
-        _compare(records, config, changes | {"estimator.method": None}, quantize, out, as_json)
+    if edges is not None and method not in (None, "auto"):
+        raise UsageError(f"--edges has its own method: drop --method {method}")
+    given = read_changes(changes)
+    if method == EVERY:
+        _compare(records, config, given, quantize, out, as_json)
         return
+    given |= {"estimator.method": "auto" if edges is not None else method}
     with progress("identify") as tell:
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.guess.axis_file import find_to_do
@@ -155,7 +149,7 @@ def identify(
         from pmfid.pipeline.identify import kind_of
         from pmfid.records.edge_ages import Coarser
 
-        axis = load_axis(config, changes)
+        axis = load_axis(config, given)
         if edges is not None and (axis.encoder.edge_age or axis.encoder.lines):
             raise UsageError("--edges calculates the edges of a coarser encoder: drop [encoder] edge_age and lines")
         coarse = Coarser(edges, True) if edges is not None else None if quantize is None else Coarser(quantize)

@@ -166,7 +166,7 @@ def print_search(search: Search, name: str, out: Path | None) -> None:
     console = Console()
     console.print(table)
     best = search.best
-    console.print(f"best: --n {best.n} --m {best.m} --delay {best.delay}", highlight=False, markup=False)
+    console.print(f"best for [model]: n = {best.n}, m = {best.m}, delay = {best.delay}", highlight=False, markup=False)
     for note in search_notes(search):
         print_text(f"note: {note}")
     if out is not None:

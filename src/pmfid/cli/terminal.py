@@ -9,32 +9,41 @@ import sys
 import textwrap
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TypeVar
 
 import click
 
-from pmfid.errors import printable
+from pmfid.errors import UsageError, printable
 
 F = TypeVar("F", bound=Callable[..., object])
 
 RECORDS = click.argument("records", type=click.Path(path_type=Path), nargs=-1, required=True, metavar="RECORD...")
-CUTOFF = click.option(
-    "--cutoff", type=float, metavar="RAD/S", help="Pole of the filters; default for a machine: chosen from the record."
+SET = click.option(
+    "--set",
+    "changes",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Another value of a key in the file for this run, such as estimator.cutoff=20; may be repeated.",
 )
 JSON = click.option("--json", "as_json", is_flag=True, help="Print one JSON object and nothing else.")
 
 
-def step(text: str) -> float | str:
-    """Return a number in SI, or a text with a unit, which the configuration reads as in AXIS.toml."""
-    try:
-        return float(text)
-    except ValueError:
-        if re.search(r"\d", text):
-            return text
-        raise click.BadParameter(f'{text!r} is not a number; write 0.001 or "0.01 mm"') from None
+def read_changes(texts: Sequence[str]) -> dict[str, object]:
+    """Return the values of --set by their dotted keys. A value is read as in TOML, or else as text without quotes."""
+    found: dict[str, object] = {}
+    for text in texts:
+        key, equals, value = (part.strip() for part in text.partition("="))
+        if not equals or not re.fullmatch(r"\w+\.\w+", key):
+            raise UsageError(f"--set {text!r} is not SECTION.KEY=VALUE, for example estimator.cutoff=20")
+        try:
+            found[key] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            found[key] = value
+    return found
 
 
 def config_option(text: str = "The columns, the encoder, the model and the estimator.") -> Callable[[F], F]:

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import CUTOFF, JSON, RECORDS, config_option, folder_option, print_json, print_text, progress
+from pmfid.cli.terminal import (
+    JSON,
+    RECORDS,
+    SET,
+    config_option,
+    folder_option,
+    print_json,
+    print_text,
+    progress,
+    read_changes,
+)
 
 if TYPE_CHECKING:
     from pmfid.pipeline.terms import TermSearch
@@ -16,13 +26,13 @@ if TYPE_CHECKING:
 @click.command(short_help="Search the terms of a drive, or the structure of a transfer function.")
 @RECORDS
 @config_option("The columns, the encoder and the first model.")
-@CUTOFF
+@SET
 @folder_option("Write terms.html and terms.json into this folder; for a transfer function, order.html.")
 @JSON
 def terms(
     records: tuple[Path, ...],
     config: Path,
-    cutoff: float | None,
+    changes: tuple[str, ...],
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -38,14 +48,14 @@ def terms(
     Exit code 0: a search with any result; 2: wrong usage or unreadable input; 3: the record shows too little.
     """
     if _is_process(config):
-        _search_order(records, config, cutoff, out, as_json)
+        _search_order(records, config, read_changes(changes), out, as_json)
         return
     with progress("terms"):
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.drives import Drives
         from pmfid.pipeline.terms import search_drive
 
-        axis = load_axis(config, {"estimator.cutoff": cutoff})
+        axis = load_axis(config, read_changes(changes))
         found = search_drive(Drives().read(records, axis), axis)
         if out is not None:
             from pmfid.report.terms import write_terms
@@ -69,7 +79,7 @@ def _is_process(config: Path) -> bool:
 
 
 def _search_order(
-    records: tuple[Path, ...], config: Path, cutoff: float | None, out: Path | None, as_json: bool
+    records: tuple[Path, ...], config: Path, changes: dict[str, object], out: Path | None, as_json: bool
 ) -> None:
     """Search the structure of a transfer function, without n, m and delay of the configuration."""
     structure = {"model.kind": "transfer_function", "model.n": 1, "model.m": 0, "model.delay": 0}
@@ -78,7 +88,7 @@ def _search_order(
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.processes import Processes, search_json, search_order
 
-        axis = load_axis(config, {"estimator.cutoff": cutoff, **structure})
+        axis = load_axis(config, changes | structure)
         search = search_order(Processes().read(records, axis), axis, tell)
         if out is not None:
             from pmfid.report.result import write_search
