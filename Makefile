@@ -263,7 +263,6 @@ study: .venv/tools .venv/spark
 	.venv/bin/pmfid explain --plant --page > docs/reference/plant_toml.md
 	.venv/bin/python -m studies.referee --out results/referee.md
 	.venv/bin/python -m studies.design_machines --out results/commissioning.md
-	.venv/bin/python -m studies.monitoring --out results/monitoring.md
 	.venv/bin/python -m studies.monitoring_wrong_models --out results/monitoring_wrong_models.md
 	.venv/bin/python -m studies.alarms --out results/alarms.md
 	.venv/bin/python -m studies.black_box --out results/black_box.md

@@ -39,7 +39,7 @@ from pmfid.types import Counts, Floats
 from studies.edge_faults import FINE, HELD_BACK, INCREMENTS, MACHINES, TICK, move_axis
 from studies.machines import Axis, truth
 from studies.monitoring.axis import calibration, changing, make_riv, normal_work
-from studies.monitoring.detection import AFTER, BEFORE, CHANGES, changed
+from studies.monitoring.changes import AFTER, BEFORE, CHANGES, changed
 
 MOTIONS = ("prbs", "stop-and-go")
 COARSE = 64  # most increments of the cells that the table of all cells compares to counts

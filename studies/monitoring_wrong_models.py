@@ -16,7 +16,6 @@ from pmfid.estimators.iv import RIV
 from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.names import DETECTORS, DetectorName
 from pmfid.monitor.scores import Blocks, scores, start_blocks
 from pmfid.monitor.tuning import TUNING
 from pmfid.simulation import Machine
@@ -31,8 +30,6 @@ SEEDS = 40
 #: Hours of normal work for each run of growing friction, and the seed of the learning hour.
 HOURS_PER_SEED, REFERENCE = 4, 500
 FIRST_HOUR = 1000
-#: Runs of growing friction under `glr` for each run under another detector.
-OTHERS = 5
 #: Growing friction: relative growth, its beginning and duration [s], and length of the run [s].
 GROWTH, BEGIN, RAMP, WHOLE = 0.2, 60.0, 180.0, 300.0
 FRICTION = ("viscous_friction", "coulomb_friction", "friction")
@@ -49,18 +46,18 @@ def work_hours(bench: str, friction: str, seeds: int) -> dict[str, Any]:
     return _hours(axis, machine, *learned(axis, machine, REFERENCE, TUNING.calibration_hours), HOURS_PER_SEED * seeds)
 
 
-def work_growth(bench: str, friction: str, seeds: int) -> dict[str, list[dict[str, Any]]]:
-    """Return the results of `_growth` for one machine, by detector."""
+def work_growth(bench: str, friction: str, seeds: int) -> list[dict[str, Any]]:
+    """Return the results of `_growth` for one machine."""
     axis, machine = BENCHES[bench], FRICTIONS[friction](BENCHES[bench])
     estimator, found = learned(axis, machine, REFERENCE, TUNING.calibration_hours)
-    return {name: _growth(axis, machine, estimator, found, name, seeds) for name in DETECTORS}
+    return _growth(axis, machine, estimator, found, seeds)
 
 
 def _hours(axis: Axis, machine: Machine, estimator: RIV, found: Calibration, hours: int) -> dict[str, Any]:
-    """Count the alarms of every detector for every requested time in `hours` hours, at tolerance 0.
+    """Count the alarms for every requested time in `hours` hours, at tolerance 0.
 
     The result includes the hours, and the size and time [s] of a unit of work. The result also has the expected
-    standard error by detector and requested time.
+    standard error by requested time.
     """
     wait, parts = start_blocks(estimator, found.theta), []
     for seed in range(FIRST_HOUR, FIRST_HOUR + hours):
@@ -69,27 +66,22 @@ def _hours(axis: Axis, machine: Machine, estimator: RIV, found: Calibration, hou
     least = min(len(x) for x, _ in parts)
     x, w = (np.stack([part[k][:least] for part in parts]) for k in (0, 1))
     unit_time = 3600 / least
-    alarms = {
-        (name, asked): count_alarms(detector, x, w, found.tails[name].threshold(asked), round(HOLD / unit_time))
-        for name, detector in found.detectors(estimator).items()
-        for asked in ASKED
-    }
-    doubt = {(name, asked): found.tails[name].doubt(asked) for name, asked in alarms}
+    hold = round(HOLD / unit_time)
+    alarms = {asked: count_alarms(x, w, found.tail.threshold(asked), hold) for asked in ASKED}
+    doubt = {asked: found.tail.doubt(asked) for asked in ASKED}
     size = 0.0 if found.work is None else found.work.size
     return {"alarms": alarms, "doubt": doubt, "size": size, "time": unit_time, "hours": hours}
 
 
-def _growth(
-    axis: Axis, machine: Machine, estimator: RIV, found: Calibration, detector: DetectorName, seeds: int
-) -> list[dict[str, Any]]:
+def _growth(axis: Axis, machine: Machine, estimator: RIV, found: Calibration, seeds: int) -> list[dict[str, Any]]:
     """Return for each run the names of all alarms, the number of early ones, the first delay [s], and further
     content.
     """
     runs = []
-    for seed in range(seeds if detector == "glr" else max(1, seeds // OTHERS)):
+    for seed in range(seeds):
         u, counts = growing(axis, machine, seed, WHOLE, GROWTH, BEGIN, RAMP)
         estimator.reset()
-        monitor = Monitor(estimator, found, Watch(detector, MTBF_HOURS, TOLERANCE))
+        monitor = Monitor(estimator, found, Watch(MTBF_HOURS, TOLERANCE))
         samples = zip(u.tolist(), counts.tolist(), strict=True)
         alarms = [event for pair in samples for event in monitor.step(*pair)[1] if isinstance(event, Alarm)]
         after = [alarm for alarm in alarms if alarm.time >= BEGIN]
@@ -108,21 +100,21 @@ def write_hours(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     rows, within = [], []
     for (bench, friction, _), found in results.items():
         hours = found["hours"]
-        for (name, asked), alarms in found["alarms"].items():
+        for asked, alarms in found["alarms"].items():
             low, high = poisson_interval(alarms, hours)
             mean = hours / alarms if alarms else float("inf")
             met = asked / 2 <= mean <= 2 * asked
             possible = low <= 2 * asked and high >= asked / 2
             within.append((asked, met, possible, mean > 2 * asked))
-            row = [_held(bench), friction, name, f"{asked:g}", str(alarms), f"{mean:.3g}", f"{low:.3g} to {high:.3g}"]
-            said = f"{np.exp(found['doubt'][name, asked]):.1f}"
+            row = [_held(bench), friction, f"{asked:g}", str(alarms), f"{mean:.3g}", f"{low:.3g} to {high:.3g}"]
+            said = f"{np.exp(found['doubt'][asked]):.1f}"
             rows.append([*row, said, "yes" if met else ("possible" if possible else "**no**")])
-    head = ["machine", "what the model lacks", "detector", "asked [h]", "alarms", "found [h]", "95 % (Poisson) [h]"]
+    head = ["machine", "what the model lacks", "asked [h]", "alarms", "found [h]", "95 % (Poisson) [h]"]
     return [
         "## False alarms",
         "",
-        f"{HOURS_PER_SEED * seeds} hours of normal work of each machine, tolerance 0, all detectors on the same hours, "
-        f"learned from one other hour; a detector restarts {HOLD:g} s after an alarm. Said: the factor within "
+        f"{HOURS_PER_SEED * seeds} hours of normal work of each machine, tolerance 0, "
+        f"learned from one other hour; the detector restarts {HOLD:g} s after an alarm. Said: the factor within "
         "which the calibration itself takes the time to be known (one standard error). Possible: the interval reaches "
         "into the factor of two.",
         "",
@@ -144,16 +136,15 @@ def _sum_up(asked: float, found: Sequence[tuple[float, bool, bool, bool]]) -> st
 
 def write_growth(seeds: int, results: Mapping[Task, Any]) -> list[str]:
     rows = []
-    for (bench, friction, _), detector in product(results, DETECTORS):
-        runs = results[bench, friction, seeds][detector]
+    for (bench, friction, _), runs in results.items():
         named = [run["up"] and run["names"][0] in FRICTION for run in runs]
         delay, names = np.array([run["delay"] for run in runs]), [name for run in runs for name in run["names"]]
         right = np.mean([name in FRICTION for name in names]) if names else 0.0
         grown = 100 * GROWTH * min(1.0, float(np.median(delay)) / RAMP)
         before = sum(run["before"] for run in runs)
         cells = [f"{100 * np.mean(named):.0f}", f"{100 * right:.0f}", f"{np.median(delay):.0f}", f"{grown:.0f}"]
-        rows.append([_held(bench), friction, detector, str(len(runs)), *cells, str(before)])
-    head = ["machine", "what the model lacks", "detector", "runs", "named friction [%]", "of all alarms [%]"]
+        rows.append([_held(bench), friction, str(len(runs)), *cells, str(before)])
+    head = ["machine", "what the model lacks", "runs", "named friction [%]", "of all alarms [%]"]
     return [
         f"## Friction that grows by {100 * GROWTH:.0f} %",
         "",

@@ -4,93 +4,27 @@ from __future__ import annotations
 
 import json
 import re
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
-from typing import ClassVar, get_args
+from typing import get_args
 
 import numpy as np
 import pytest
 
 import pmfid
 from pmfid.cli.main import identify
-from pmfid.cli.monitor import monitor
-from pmfid.config.axis import Axis, MonitorConfig, load_axis
+from pmfid.config.axis import Axis, load_axis
 from pmfid.io import FORMATS, SPOKEN
 from pmfid.io.reading import READERS
 from pmfid.models.signals import SIGNALS, Signal
-from pmfid.monitor.calibration import Calibration, Tail
-from pmfid.monitor.detectors import Cusum, Detector, make_detectors
-from pmfid.monitor.names import DETECTORS
-from pmfid.monitor.scores import Scale
 from pmfid.pipeline import arrays
-from pmfid.pipeline.monitored import setup as cache
-from pmfid.report.monitored import calibration_figure
 from tests.hostile import records
 
 REPOSITORY = Path(__file__).parents[1]
-TAIL = Tail(1.0, 1.0, 1.0, 10.0, (3.0, 2.0))
 
 
 def bcrls() -> pmfid.BCRLS:
     return pmfid.BCRLS(pmfid.Drive(2.0), pmfid.Encoder(1e-4), 0.01, 30.0, forgetting=0.99)
-
-
-# --- a detector -------------------------------------------------------------------------------------------------------
-
-
-def test_every_detector_is_made_and_reported_and_every_file_and_option_may_name_it() -> None:
-    assert set(make_detectors(0.9)) == set(DETECTORS)
-    (option,) = (parameter for parameter in monitor.params if parameter.name == "detector")
-    assert tuple(option.to_info_dict()["type"]["choices"]) == DETECTORS
-    steps, _, choosing = (
-        (REPOSITORY / "docs/howto/monitoring.md").read_text(encoding="utf-8").partition("## How to choose")
-    )
-    for name in DETECTORS:
-        assert MonitorConfig(detector=name).detector == name
-        assert name in steps.partition("# detector =")[2].partition("\n")[0]
-        assert f"`{name}`" in choosing.partition("\n## ")[0]
-
-
-@dataclass(frozen=True)
-class Slower(Cusum):
-    """A further detector."""
-
-    name: ClassVar[str] = "slower"  # type: ignore[misc]
-
-
-@pytest.mark.parametrize("further", [{"slower": Slower()}, {"cusum": Cusum(drift=0.7)}])
-def test_thresholds_of_other_detectors_are_not_those_of_these(
-    further: dict[str, Detector], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A file from before the addition of a detector is no calibration of this detector, because the threshold is
-    missing.
-    """
-
-    def made(*_: object, **__: object) -> Calibration:
-        scale = Scale(*(np.ones(3) for _ in Scale.__dataclass_fields__))
-        return Calibration(np.ones(3), scale, (), dict.fromkeys(cache.make_detectors(0.9), TAIL), np.ones(3), 1.0)
-
-    def get() -> tuple[Calibration, bool]:
-        found, _, cached = cache.cached_calibration(bcrls(), np.ones(3), np.ones(9), None, 1.0)
-        return found, cached
-
-    monkeypatch.setenv("PMFID_CACHE", str(tmp_path))
-    monkeypatch.setattr(cache, "calibrate", made)
-    old = get()[0]
-    assert get()[1]
-    monkeypatch.setattr(cache, "make_detectors", lambda keep: make_detectors(keep) | further)
-    found, cached = get()
-    assert not cached
-    assert set(further) - set(old.tails) <= set(found.tails)
-    assert get()[1]
-
-
-def test_the_figure_of_thresholds_leaves_no_detector_out() -> None:
-    names = [f"detector {i}" for i in range(9)]
-    figure = calibration_figure(dict.fromkeys(names, TAIL), names[0], 24.0)
-    (legend,) = figure.legends
-    labels = [text.get_text() for text in legend.get_texts()]
-    assert labels[:9] == [f"{names[0]} (in use)", *names[1:]]
 
 
 # --- a key of [model] -------------------------------------------------------------------------------------------------

@@ -73,9 +73,9 @@ def test_wrong_ages_are_a_status_and_wrong_estimates_are_none(runs: tuple[np.nda
 
 def test_a_fleet_goes_on_from_its_saved_states(runs: tuple[np.ndarray, ...]) -> None:
     first, second = (tuple(part[:, cut] for part in runs) for cut in (slice(0, 1205), slice(1205, None)))
-    fleet, resumed = EdgeFleet(make_monitor(), AXES), EdgeFleet(make_monitor(), 0)
+    fleet, resumed = EdgeFleet(make_monitor(), AXES), EdgeFleet(make_monitor(), AXES)
     fleet.run(np.arange(AXES), *first)
-    assert list(resumed.join(fleet.get_state())) == list(range(AXES))
+    resumed.set_state(fleet.get_state())
     fleet.remove([0])
     expected = fleet.run([0, 1, 2], *(part[1:] for part in second))
     assert list(resumed.remove([0])) == [-1, 0, 1, 2]

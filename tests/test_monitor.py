@@ -10,10 +10,9 @@ import pytest
 
 from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, Status, UsageError
 from pmfid.monitor.calibration import Calibration, calibrate, fit_tail, noise_ratio
-from pmfid.monitor.detectors import Cusum, Glr, PageHinkley, make_detectors, statistics
+from pmfid.monitor.detector import WINDOW, start_detection, statistics
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, WATCHING, Alarm, Settled, StateChange, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.scores import Blocks, ScoreFilter, make_scale, scores
 from pmfid.simulation import CART, CART_DT, Schedule, position_control, prbs, quantize, resolution_of, simulate_drive
 from pmfid.simulation.scenarios import CART_CONTROL
@@ -86,72 +85,28 @@ def test_the_scale_makes_normal_work_standard() -> None:
     assert np.abs(lag_two).max() < 0.15  # the detectors' blocks do not have the memory of an estimate
 
 
-# --- detectors --------------------------------------------------------------------------------------------------------
+# --- the detector -----------------------------------------------------------------------------------------------------
 
 
-def test_cusum_is_pages_sum() -> None:
-    x, w = random_blocks(0, 1, 60)
-    up = down = np.zeros(3)
-    for k, found in enumerate(statistics(Cusum(0.5), x, w, np.full(3, 0.1))[0]):
-        up = np.maximum(0, up + x[0, k] - 0.6 * w[0, k])
-        down = np.maximum(0, down - x[0, k] - 0.6 * w[0, k])
-        assert found == pytest.approx(max(up.max(), down.max()))
-
-
-def test_page_hinkley_is_the_excess_over_the_smallest_sum() -> None:
-    """The expected statistic is U_n - min U, where U is the sum of x minus mean minus drift (Hinkley 1971)."""
-    x, _ = random_blocks(1, 1, 80)
-    w, memory = np.ones_like(x), 1e12
-    found = statistics(PageHinkley(0.3, memory), x, w, np.zeros(3))[0]
-    for sign in (1.0, -1.0):
-        total = np.cumsum(sign * x[0] - 0.3, axis=0)  # with a long memory the mean stays zero
-        excess = total - np.minimum.accumulate(np.vstack([np.zeros(3), total]), axis=0)[1:]
-        assert np.all(found >= excess.max(axis=1) - 1e-6)
-    assert PageHinkley().start((3,))[3] == pytest.approx(100.0)
-
-
-def test_page_hinkley_takes_a_constant_deviation_for_normal() -> None:
-    x, w = np.full((1, 20_000, 3), 0.3), np.ones((1, 20_000, 3))
-    assert statistics(Cusum(0.1), x, w, np.zeros(3))[0, -1] > 1000
-    assert statistics(PageHinkley(0.1), x, w, np.zeros(3))[0, -1] == 0
-
-
-def test_glr_is_the_best_start_of_all() -> None:
+def test_the_statistic_is_the_best_start_of_all() -> None:
     x, w = random_blocks(2, 1, 50)
-    detector = Glr(window=16)
-    found = statistics(detector, x, w, np.zeros(3))[0]
+    found = statistics(x, w, np.zeros(3))[0]
     for k in (0, 5, 30, 49):
-        sums = [(x[0, j : k + 1].sum(axis=0), w[0, j : k + 1].sum(axis=0)) for j in range(max(0, k - 15), k + 1)]
+        starts = range(max(0, k - WINDOW + 1), k + 1)
+        sums = [(x[0, j : k + 1].sum(axis=0), w[0, j : k + 1].sum(axis=0)) for j in starts]
         assert found[k] == pytest.approx(max(float(np.max(a**2 / (b + 1) / 2)) for a, b in sums))
 
 
-def test_chi_square_has_the_mean_of_its_degrees() -> None:
-    rng = np.random.default_rng(3)
-    x, w = rng.normal(size=(50, 2000, 3)), np.ones((50, 2000, 3))
-    keep = 0.9
-    power = (1 / (1 - keep**2)) / (1 / (1 - keep) + 1)  # variance of sum x over sum w + 1
-    precision = tuple(tuple(row) for row in (np.eye(3) / power).tolist())
-    found = statistics(make_detectors(keep, precision)["chi-square"], x, w, np.zeros(3))[:, 100:]
-    assert found.mean() == pytest.approx(3.0, rel=0.03)
-
-
-@pytest.mark.parametrize("name", DETECTORS)
-def test_every_detector(name: str) -> None:
-    """Each detector sees both directions alike, ignores a block without information, and sees less with tolerance. Many
-    runs at once give the same as single ones."""
-    detector = make_detectors(0.9)[name]
+def test_the_statistic_sees_both_directions_and_less_with_a_tolerance() -> None:
+    """A block without information changes nothing, and many runs at once give the same as single ones."""
     x, w = random_blocks(4)
     tolerance = np.zeros(3)
-    found = statistics(detector, x, w, tolerance)
-    assert np.allclose(found, statistics(detector, -x, w, tolerance))
-    assert np.allclose(found[1], statistics(detector, x[1:2], w[1:2], tolerance)[0])
-    assert np.all(statistics(detector, x, w, np.full(3, 0.5)).max(axis=1) < found.max(axis=1))
-    shifted = statistics(detector, x + 3 * w, w, tolerance)
-    assert shifted.max() > 5 * found.max()
-    state = detector.start((3,))
-    for _ in range(100):
-        state, statistic = detector.update(state, np.zeros(3), np.zeros(3), tolerance)
-    assert statistic == 0
+    found = statistics(x, w, tolerance)
+    assert np.allclose(found, statistics(-x, w, tolerance))
+    assert np.allclose(found[1], statistics(x[1:2], w[1:2], tolerance)[0])
+    assert np.all(statistics(x, w, np.full(3, 0.5)).max(axis=1) < found.max(axis=1))
+    assert statistics(x + 3 * w, w, tolerance).max() > 5 * found.max()
+    assert not statistics(np.zeros((1, 100, 3)), np.zeros((1, 100, 3)), tolerance, start_detection((1, 3))).any()
 
 
 # --- thresholds -------------------------------------------------------------------------------------------------------
@@ -176,9 +131,7 @@ def test_alarms_are_as_rare_as_asked() -> None:
     found = calibrate(riv, THETA, u, counts, hours=10.0)
     pairs = [found.scale.standardise(scores(riv, THETA, *normal_work(seed, INCREMENTS, 0.5))) for seed in range(30, 48)]
     x, w = np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
-    for name, detector in make_detectors(0.99**17, found.chi_square).items():
-        alarms = count_alarms(detector, x, w, found.tails[name].threshold(0.25), 88)
-        assert 18 <= alarms <= 72, name
+    assert 18 <= count_alarms(x, w, found.tail.threshold(0.25), 88) <= 72
     low, high = poisson_interval(36, 9.0)
     assert low < 0.25 < high
 
@@ -193,8 +146,8 @@ def test_a_noisy_record_raises_the_scale(calibration: Calibration) -> None:
 def test_calibration_is_reproducible() -> None:
     u, counts = normal_work(7, INCREMENTS, 0.2)
     one, again, other = (calibrate(make_riv(INCREMENTS), THETA, u, counts, hours=0.5, seed=k) for k in (0, 0, 1))
-    assert again.tails == one.tails
-    assert other.tails != one.tails
+    assert again.tail == one.tail
+    assert other.tail != one.tail
 
 
 # --- opening the memory -----------------------------------------------------------------------------------------------
@@ -264,10 +217,9 @@ def run(calibration: Calibration, schedule: Any, watch: Watch, seconds: float = 
     return [event for a, b in zip(u.tolist(), counts.tolist(), strict=True) for event in monitor.step(a, b)[1]]
 
 
-@pytest.mark.parametrize("detector", DETECTORS)
-def test_a_mass_step_is_reported_once(calibration: Calibration, detector: str) -> None:
+def test_a_mass_step_is_reported_once(calibration: Calibration) -> None:
     step = Schedule(((0.0, CART), (12.0, replace(CART, mass=1.1 * CART.mass))))
-    events = run(calibration, step, Watch(detector), 34.0)
+    events = run(calibration, step, Watch(), 34.0)
     (alarm,) = [event for event in events if isinstance(event, Alarm)]
     (settled,) = [event for event in events if isinstance(event, Settled)]
     assert 12.0 < alarm.time < 16.5  # until a second change is excluded
@@ -291,12 +243,11 @@ def test_within_the_tolerance_there_is_no_alarm(calibration: Calibration) -> Non
     assert [e for e in run(calibration, small, Watch(tolerance=0.01)) if isinstance(e, Alarm)]
 
 
-@pytest.mark.parametrize("detector", DETECTORS)
-def test_at_standstill_it_cannot_tell(calibration: Calibration, detector: str) -> None:
+def test_at_standstill_it_cannot_tell(calibration: Calibration) -> None:
     rng = np.random.default_rng(6)
     moving = random_stop_and_go(2000, rng)
     u, counts = drive(CART, np.concatenate([moving, np.full(6000, moving[-1])]), INCREMENTS, rng)
-    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration, Watch(detector, tolerance=0.0))
+    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration, Watch(tolerance=0.0))
     events = []
     for a, b in zip(u.tolist(), counts.tolist(), strict=True):
         estimate, now = monitor.step(a, b)
@@ -326,7 +277,6 @@ def test_lost_samples_are_no_change(calibration: Calibration) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"detector": "cumsum"}, "detector must be one of"),
         ({"mtbf_hours": 0.0}, "mtbf_hours must be in"),
         ({"mtbf_hours": float("nan")}, "mtbf_hours must be in"),
         ({"tolerance": -0.1}, "tolerance must be in"),

@@ -16,7 +16,6 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor import Alarm, Monitor, MonitorFleet, Watch
 from pmfid.monitor.calibration import Calibration, NormalWork, Tail
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, STATES, SUSPICIOUS, WATCHING, Event, Settled, StateChange
-from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.saved import AxisStates, seal_parts, write_states
 from pmfid.monitor.scores import make_scale, scores
 from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
@@ -26,7 +25,7 @@ from tests.conftest import long_unless
 
 AXES = 4
 SECONDS = 25.0
-THRESHOLDS = {"glr": 12.0, "cusum": 8.0, "page-hinkley": 8.0, "chi-square": 25.0}
+TAIL = Tail(12.0, 0.0, 1.0, 1.0, ())
 Report = list[tuple[Any, ...]]
 
 
@@ -52,8 +51,7 @@ def calibrated(of: RecursiveEstimator, normal: tuple[Floats, Counts]) -> Calibra
     theta = reference(of)
     front = like(IV, of, prefilter_zeros=None)
     blocks = scores(front, theta, *normal)[20:]
-    tails = {name: Tail(THRESHOLDS[name], 0.0, 1.0, 1.0, ()) for name in DETECTORS}
-    return Calibration(theta, make_scale(blocks), (), tails, np.ones(theta.size), 1.0)
+    return Calibration(theta, make_scale(blocks), TAIL, np.ones(theta.size), 1.0)
 
 
 def with_work(calibration: Calibration) -> Calibration:
@@ -61,28 +59,24 @@ def with_work(calibration: Calibration) -> Calibration:
     return replace(calibration, work=work)
 
 
-CASES: dict[str, tuple[Callable[[], RecursiveEstimator], str, bool]] = {
-    "riv, glr": (lambda: estimator(RIV, True), "glr", False),
-    "rls in float32, cusum": (lambda: estimator(RLS, precision="float32"), "cusum", False),
-    "riv in float32 with an offset, page-hinkley": (
-        lambda: estimator(RIV, precision="float32", offset=True),
-        "page-hinkley",
-        False,
-    ),
-    "bcrls, chi-square": (lambda: estimator(BCRLS), "chi-square", False),
-    "riv with units of work, glr": (lambda: estimator(RIV), "glr", True),
+CASES: dict[str, tuple[Callable[[], RecursiveEstimator], bool]] = {
+    "riv": (lambda: estimator(RIV, True), False),
+    "rls in float32": (lambda: estimator(RLS, precision="float32"), False),
+    "riv in float32 with an offset": (lambda: estimator(RIV, precision="float32", offset=True), False),
+    "bcrls": (lambda: estimator(BCRLS), False),
+    "riv with units of work": (lambda: estimator(RIV), True),
 }
 
 
 def monitor_of(case: str, normal: tuple[Floats, Counts]) -> Monitor:
-    make, detector, work = CASES[case]
+    make, work = CASES[case]
     calibration = calibrated(make(), normal)
-    return Monitor(make(), with_work(calibration) if work else calibration, Watch(detector))
+    return Monitor(make(), with_work(calibration) if work else calibration, Watch())
 
 
 @pytest.fixture(scope="module")
 def monitor(normal: tuple[Floats, Counts]) -> Monitor:
-    return monitor_of("riv, glr", normal)
+    return monitor_of("riv", normal)
 
 
 @pytest.fixture(scope="module")
@@ -286,7 +280,7 @@ def test_states_of_another_configuration_are_refused(monitor: Monitor) -> None:
         Monitor(riv, replace(calibration, theta=1.01 * calibration.theta), Watch()),
         Monitor(estimator(RIV), calibration, Watch()),
         Monitor(riv, with_work(calibration), Watch()),
-        Monitor(riv, calibration, Watch("cusum")),
+        Monitor(riv, calibration, Watch(mtbf_hours=5.0)),
     )
     for other in others:
         refused(fleet, other.get_state(), "not a state of this monitor")

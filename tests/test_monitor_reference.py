@@ -13,10 +13,9 @@ import pytest
 from pmfid.errors import UsageError
 from pmfid.estimators.iv import IV
 from pmfid.monitor.calibration import Calibration, calibrate, fit_tail, learn, noisier, piece_length, resample_units
-from pmfid.monitor.detectors import EDGE, Cusum, statistics
+from pmfid.monitor.detector import EDGE, statistics
 from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.names import DETECTORS
 from pmfid.monitor.scores import Blocks, scores
 from pmfid.pipeline.monitored.setup import cached_calibration, calibration_notes
 from pmfid.simulation import (
@@ -101,24 +100,22 @@ MACHINES = {
 @pytest.mark.parametrize("name", MACHINES)
 @pytest.mark.long
 def test_false_alarms_of_another_machine(name: str) -> None:
-    """One alarm an hour is requested; with the simulation's thresholds nearly every detector gave more than ten."""
+    """One alarm an hour is requested; with the simulation's threshold more than ten came."""
     machine, riv = MACHINES[name], make_riv(INCREMENTS)
     u, counts = normal(machine, 1, 0.4)
     theta = IV(riv.model, riv.encoder, CART_DT, 50.0).fit(u, counts).theta
     found, simulated = calibrate(riv, theta, u, counts, hours=4.0), calibrate(riv, theta, u, None, hours=2.0)
     assert found.record_hours == pytest.approx(0.4, abs=0.01)
     work = normal(machine, 2, 2.0)
-    for kind in DETECTORS:
-        assert alarms_of(found, kind, found.deviations(scores(riv, theta, *work, found.left_out)[4:]), riv) <= 5
-        if kind != "glr" or name != "white force":
-            assert alarms_of(simulated, kind, simulated.deviations(scores(riv, theta, *work)[4:]), riv) > 20
+    assert alarms_of(found, found.deviations(scores(riv, theta, *work, found.left_out)[4:])) <= 5
+    if name != "white force":
+        assert alarms_of(simulated, simulated.deviations(scores(riv, theta, *work)[4:])) > 20
 
 
-def alarms_of(calibration: Calibration, kind: str, pair: Any, riv: Any) -> int:
+def alarms_of(calibration: Calibration, pair: Any) -> int:
     hold = round(HOLD * len(pair[0]) / 7200)
     x, w = (part[: len(part) // 24 * 24].reshape(24, -1, 3) for part in pair)
-    detector = calibration.detectors(riv)[kind]
-    return count_alarms(detector, x, w, calibration.tails[kind].threshold(1.0), hold)
+    return count_alarms(x, w, calibration.tail.threshold(1.0), hold)
 
 
 @pytest.mark.parametrize("name", MACHINES)
@@ -131,7 +128,7 @@ def test_friction_that_grows_is_named(name: str, tmp_path: Path, monkeypatch: py
     made, *_ = cached_calibration(riv, theta, u, counts, 1.0)
     found, _, was_there = cached_calibration(riv, theta, u, counts, 1.0)
     assert was_there
-    assert found.tails == made.tails
+    assert found.tail == made.tail
     monitor = Monitor(make_riv(INCREMENTS, theta), found, Watch())
     worn = replace(
         machine,
@@ -154,22 +151,19 @@ def test_the_right_machine_keeps_its_thresholds() -> None:
     riv, theta = make_riv(INCREMENTS), np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
     found, plain = calibrate(riv, theta, u, counts, hours=2.0), calibrate(riv, theta, u, None, hours=2.0)
     assert found.record_hours == 0
-    assert {name: found.tails[name] for name in DETECTORS} == plain.tails
+    assert found.tail == plain.tail
 
 
 def test_the_note_says_that_a_record_is_short() -> None:
-    tails = dict.fromkeys(DETECTORS, fit_tail(np.random.default_rng(2).exponential(size=(4, 900)), BLOCK))
+    tail = fit_tail(np.random.default_rng(2).exponential(size=(4, 900)), BLOCK)
     scale: Any = None
-    found = Calibration(np.ones(3), scale, (), tails, np.ones(3), 20.0)
-    assert calibration_notes(found, "glr", 24.0) == []
+    found = Calibration(np.ones(3), scale, tail, np.ones(3), 20.0)
+    assert calibration_notes(found, 24.0) == []
     noisy = replace(found, noise=np.array([1.0, 2.0, 1.0]), record_hours=0.5)
-    assert calibration_notes(noisy, "glr", 24.0)[0].startswith(
-        "normal work is 2 times as noisy as the encoder explains"
-    )
-    assert len(calibration_notes(noisy, "glr", 24.0)) == 1
-    tail = tails["glr"]
+    assert calibration_notes(noisy, 24.0)[0].startswith("normal work is 2 times as noisy as the encoder explains")
+    assert len(calibration_notes(noisy, 24.0)) == 1
     unsure = replace(tail, parts=tuple((tail.level + k * tail.slope, tail.slope, tail.rate) for k in (-3, -1, 1, 3)))
-    short = calibration_notes(replace(noisy, tails={**tails, "glr": unsure}), "glr", 24.0)[1]
+    short = calibration_notes(replace(noisy, tail=unsure), 24.0)[1]
     assert "to a factor of 3.6" in short
     assert "about 1.7 h" in short
     assert unsure.threshold(24.0) == pytest.approx(tail.threshold(48.0))
@@ -199,8 +193,8 @@ def test_the_run_length_is_the_one_asked(name: str) -> None:
         x, w = work.scale.standardise(work.units(more, np.ones(400_000)))
         drawn = resample_units(*reference, (256, 250), piece_length(reference[0]), rng)
         unit = 3600 / len(reference[0])
-        tail = fit_tail(statistics(Cusum(), *drawn, np.zeros(3)), unit)
-        alarms = count_alarms(Cusum(), x.reshape(20, -1, 3), w.reshape(20, -1, 3), tail.threshold(1.0), 4)
+        tail = fit_tail(statistics(*drawn, np.zeros(3)), unit)
+        alarms = count_alarms(x.reshape(20, -1, 3), w.reshape(20, -1, 3), tail.threshold(1.0), 4)
         ratios.append(20 / alarms)
     assert 0.5 <= np.exp(np.mean(np.log(ratios))) <= 2.0
 

@@ -126,9 +126,9 @@ def test_the_lines_for_people(folder: Path) -> None:
 
 
 def test_options_go_before_the_file(folder: Path) -> None:
-    text = invoke(folder, "--json", "--detector", "cusum", "--mtbf-hours", "5", "--tolerance", "0.5")
+    text = invoke(folder, "--json", "--mtbf-hours", "5", "--tolerance", "0.5")
     (start,) = events(text, "start")
-    assert (start["detector"], start["mtbf_hours"], start["tolerance"]) == ("cusum", 5.0, 0.5)
+    assert (start["mtbf_hours"], start["tolerance"]) == (5.0, 0.5)
     assert events(text, "alarm") == []
 
 
@@ -158,7 +158,7 @@ def test_the_cache_has_a_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) 
         (('reference = "normal.csv"', 'reference = "absent.csv"'), r"absent.csv: cannot read the record"),
         (('reference = "normal.csv"', "nominal = { mass = 1.0 }"), r"\[monitor\] nominal must name \['mass', "),
         (("mtbf_hours = 1.0", "mtbf_hours = 0"), r"\[monitor\] mtbf_hours = 0: .* give the mean time between"),
-        (("mtbf_hours = 1.0", 'detector = "grl"'), r"\[monitor\] detector = 'grl'"),
+        (("mtbf_hours = 1.0", 'detector = "glr"'), r"\[monitor\] detector"),
         (("forgetting = 0.99", 'method = "iv"'), r"method = 'iv' does not run sample by sample"),
     ],
 )

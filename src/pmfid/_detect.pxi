@@ -1,19 +1,13 @@
 # Block scores and detectors. Each axis is computed alone and in a fixed order, so that the bits do not depend on other
 # axes. Part of _stage.pyx.
 
-from libc.math cimport copysign, sqrt
+from libc.math cimport sqrt
 from libc.stdint cimport uint8_t, uint32_t
 from libc.string cimport memcpy, memmove, memset
 
 #: Largest number of parameters of an estimator.
 cdef enum:
     MOST = 16
-
-cpdef enum:
-    CUSUM
-    PAGE_HINKLEY
-    GLR
-    CHI_SQUARE
 
 #: Additional variance of a sum of blocks, in units of its information. Differentiation of the encoder's error causes
 #: it, so that it matters only for few blocks.
@@ -187,69 +181,18 @@ def weights(x, limit):
     return np.asarray(found)
 
 
-# --- detectors: see `monitor.detectors` -------------------------------------------------------------------------------
+# --- the detector: see `monitor.detector` -----------------------------------------------------------------------------
 
 
 cdef struct Rule:
-    int kind
     Py_ssize_t p, window
-    double drift, memory
-    const double *precision
-
-
-cdef inline double _two_sided(const double *apart, const double *allowed, double *up, double *down, Py_ssize_t p) noexcept nogil:
-    cdef double most = 0.0, above, below
-    cdef Py_ssize_t i
-    for i in range(p):
-        above, below = up[i] + apart[i] - allowed[i], down[i] - apart[i] - allowed[i]
-        up[i], down[i] = 0.0 if above <= 0 else above, 0.0 if below <= 0 else below
-        most = _larger(_larger(most, up[i]), down[i])
-    return most
-
-
-cdef inline double _sum_of(const Rule *rule, const double *x, const double *w, const double *tolerance, double *state) noexcept nogil:
-    cdef double allowed[MOST]
-    cdef Py_ssize_t p = rule.p, i
-    for i in range(p):
-        allowed[i] = (rule.drift + tolerance[i]) * w[i]
-    return _two_sided(x, allowed, state, state + p, p)
-
-
-cdef inline double _decay(double x) noexcept nogil:
-    """Return exp(-x), x >= 0. The C library rounds by the kind of processor, and saved states keep the sums."""
-    cdef double less = 0.0  # exp(-x) - 1
-    cdef Py_ssize_t halvings = 0, k
-    if not x < 800.0:
-        return 0.0
-    while x > 0.125:
-        x *= 0.5
-        halvings += 1
-    for k in range(12, 0, -1):  # the first term that this series leaves out is 0.125**13 / 13! = 3e-22
-        less = -x / k * (1.0 + less)
-    for k in range(halvings):
-        less *= 2.0 + less
-    return 1.0 + less
-
-
-cdef inline double _sum_about_mean(const Rule *rule, const double *x, const double *w, const double *tolerance, double *state) noexcept nogil:
-    cdef double allowed[MOST]
-    cdef double apart[MOST]
-    cdef double *total = state + 2 * rule.p
-    cdef double *weight = state + 3 * rule.p
-    cdef double keep
-    cdef Py_ssize_t p = rule.p, i
-    for i in range(p):
-        apart[i], allowed[i] = x[i] - w[i] * total[i] / weight[i], (rule.drift + tolerance[i]) * w[i]
-        keep = _decay(w[i] / rule.memory)
-        total[i], weight[i] = keep * total[i] + x[i], keep * weight[i] + w[i]
-    return _two_sided(apart, allowed, state, state + p, p)
 
 
 #: A smaller ratio differs by more than rounding.
 cdef double SMALLER = 1 - 1e-12
 
 
-cdef inline double _best_start(const Rule *rule, const double *x, const double *w, const double *tolerance, double *state) noexcept nogil:
+cdef inline double _detect(const Rule *rule, const double *x, const double *w, const double *tolerance, double *state) noexcept nogil:
     cdef Py_ssize_t p = rule.p, rows = rule.window * p, r, k, i
     cdef double *weights = state + rows
     cdef double most = 0.0, beyond, known
@@ -270,98 +213,32 @@ cdef inline double _best_start(const Rule *rule, const double *x, const double *
     return most / 2
 
 
-cdef inline void _estimated(const Rule *rule, const double *x, const double *w, const double *tolerance, double *state, double *d) noexcept nogil:
-    cdef double *weight = state + rule.p
-    cdef double beyond
-    cdef Py_ssize_t i
-    for i in range(rule.p):
-        state[i], weight[i] = rule.drift * state[i] + x[i], rule.drift * weight[i] + w[i]
-        beyond = fabs(state[i]) - tolerance[i] * weight[i]
-        d[i] = copysign(0.0 if beyond < 0 else beyond, state[i]) / sqrt(weight[i] + _EDGE)
-
-
-cdef inline double _square_of(const Rule *rule, const double *d) noexcept nogil:
-    cdef Py_ssize_t p = rule.p, i, j
-    cdef double total = d[0] * rule.precision[0] * d[0]
-    for j in range(1, p):
-        total += d[0] * rule.precision[j] * d[j]
-    for i in range(1, p):
-        for j in range(p):
-            total += d[i] * rule.precision[i * p + j] * d[j]
-    return total
-
-
-cdef inline double _detect(const Rule *rule, const double *x, const double *w, const double *tolerance, double *state) noexcept nogil:
-    cdef double d[MOST]
-    if rule.kind == CUSUM:
-        return _sum_of(rule, x, w, tolerance, state)
-    if rule.kind == PAGE_HINKLEY:
-        return _sum_about_mean(rule, x, w, tolerance, state)
-    if rule.kind == GLR:
-        return _best_start(rule, x, w, tolerance, state)
-    _estimated(rule, x, w, tolerance, state, d)
-    return _square_of(rule, d)
-
-
-cdef inline Py_ssize_t _rows_of(int kind, Py_ssize_t window) noexcept nogil:
-    """Return the number of rows of a detector's state (rows, p)."""
-    return 4 if kind == PAGE_HINKLEY else 2 * window
-
-
 cdef class Detection:
-    """A detector of changes in p parameters with a state (rows, p).
+    """The detector of changes in p parameters, which compares `window` starts. Its state is (rows, p).
 
-    `window` is the number of start times that `GLR` compares. `drift` is the allowance of `CUSUM` and `PAGE_HINKLEY`,
-    and the discount of a block in `CHI_SQUARE`. `memory` belongs to `PAGE_HINKLEY`, and `precision` (p, p) to
-    `CHI_SQUARE`. Raises ValueError for numbers that do not fit.
+    Raises ValueError for numbers that do not fit.
     """
 
     cdef Rule rule
-    cdef object _precision
     cdef readonly Py_ssize_t rows
 
-    def __init__(self, int kind, Py_ssize_t p, Py_ssize_t window=1, double drift=0.0, double memory=1.0, precision=()):
-        self._precision = _numbers(precision if len(precision) else np.eye(p))
-        if not (1 <= p <= MOST and window >= 1 and CUSUM <= kind <= CHI_SQUARE) or self._precision.shape != (p, p):
-            raise ValueError(f"no detector {kind} with {p} parameters, window {window}, precision {self._precision.shape}")
-        self.rule.kind, self.rule.p, self.rule.window, self.rule.drift = kind, p, window, drift
-        self.rule.memory, self.rule.precision = memory, _data(self._precision)
-        self.rows = _rows_of(kind, window)
-
-    def _tables(self, state, x, w, tolerance):
-        tables = state, _numbers(x), _numbers(w), _numbers(tolerance)
-        n, m = np.shape(x)[:2]
-        shapes = [(n, self.rows, self.rule.p), (n, m, self.rule.p), (n, m, self.rule.p), (n, self.rule.p)]
-        _check([np.shape(table) for table in tables] == shapes)
-        return tables
+    def __init__(self, Py_ssize_t p, Py_ssize_t window):
+        if not (1 <= p <= MOST and window >= 1):
+            raise ValueError(f"no detector with {p} parameters and window {window}")
+        self.rule.p, self.rule.window, self.rows = p, window, 2 * window
 
     def run(self, state, x, w, tolerance):
         """Return the statistic (n, m) after each of m blocks of n axes. Deviations x and informations w are (n, m, p),
         and tolerances are (n, p). The states (n, rows, p) are updated."""
         cdef double[:, :, ::1] own
-        cdef const double[:, :, ::1] xs, ws
-        cdef const double[:, ::1] tolerances
+        cdef const double[:, :, ::1] xs = _numbers(x), ws = _numbers(w)
+        cdef const double[:, ::1] tolerances = _numbers(tolerance)
         cdef double[:, ::1] found
-        cdef Py_ssize_t k, b
-        own, xs, ws, tolerances = self._tables(state, x, w, tolerance)
-        found = np.empty((xs.shape[0], xs.shape[1]))
+        cdef Py_ssize_t k, b, n = xs.shape[0], m = xs.shape[1], p = self.rule.p
+        _check(np.shape(state) == (n, self.rows, p) and np.shape(w) == (n, m, p) == np.shape(x) and np.shape(tolerance) == (n, p))
+        own, found = state, np.empty((n, m))
         with nogil:
-            for k in range(xs.shape[0]):
-                for b in range(xs.shape[1]):
+            for k in range(n):
+                for b in range(m):
                     found[k, b] = _detect(&self.rule, &xs[k, b, 0], &ws[k, b, 0], &tolerances[k, 0], &own[k, 0, 0])
-        return np.asarray(found)
-
-    def deviations(self, state, x, w, tolerance):
-        """Return the deviations d (n, m, p) of `CHI_SQUARE`, whose squares form the statistic. The arguments are those
-        of `run`."""
-        cdef double[:, :, ::1] own, found
-        cdef const double[:, :, ::1] xs, ws
-        cdef const double[:, ::1] tolerances
-        cdef Py_ssize_t k, b
-        _check(self.rule.kind == CHI_SQUARE)
-        own, xs, ws, tolerances = self._tables(state, x, w, tolerance)
-        found = np.empty((xs.shape[0], xs.shape[1], self.rule.p))
-        for k in range(xs.shape[0]):
-            for b in range(xs.shape[1]):
-                _estimated(&self.rule, &xs[k, b, 0], &ws[k, b, 0], &tolerances[k, 0], &own[k, 0, 0], &found[k, b, 0])
         return np.asarray(found)

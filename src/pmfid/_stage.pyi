@@ -3,10 +3,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-CUSUM: int
-PAGE_HINKLEY: int
-GLR: int
-CHI_SQUARE: int
 EDGE: float
 
 SAMPLES: int
@@ -80,23 +76,8 @@ def weights(x: NDArray[np.float64], limit: NDArray[np.float64]) -> NDArray[np.fl
 
 class Detection:
     rows: int
-    def __init__(
-        self,
-        kind: int,
-        p: int,
-        window: int = 1,
-        drift: float = 0.0,
-        memory: float = 1.0,
-        precision: tuple[tuple[float, ...], ...] = (),
-    ) -> None: ...
+    def __init__(self, p: int, window: int) -> None: ...
     def run(
-        self,
-        state: NDArray[np.float64],
-        x: NDArray[np.float64],
-        w: NDArray[np.float64],
-        tolerance: NDArray[np.float64],
-    ) -> NDArray[np.float64]: ...
-    def deviations(
         self,
         state: NDArray[np.float64],
         x: NDArray[np.float64],

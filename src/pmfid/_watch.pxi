@@ -146,7 +146,7 @@ cdef inline Own _of(const Plan *plan, const Own *all, int64_t axis) noexcept nog
 
 
 cdef inline Py_ssize_t _detection_size(const Plan *plan) noexcept nogil:
-    return plan.p * _rows_of(plan.detector.kind, plan.detector.window)
+    return plan.p * 2 * plan.detector.window
 
 
 #: Units of the axes, with the last `places` units of each axis in a ring.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -72,19 +73,9 @@ def make_riv(increments: int, theta: Floats | None = None) -> RIV:
     return RIV(plain.model, plain.encoder, CART_DT, CUTOFF, forgetting=FORGETTING, initial=initial)
 
 
-#: Calibrations by increments; filled once, for all processes.
-CALIBRATIONS: dict[int, Calibration] = {}
-
-
+@cache
 def calibration(increments: int) -> Calibration:
-    """Return the calibration of `calibrated`, computed once."""
-    if increments not in CALIBRATIONS:
-        CALIBRATIONS[increments] = calibrated(increments)
-    return CALIBRATIONS[increments]
-
-
-def calibrated(increments: int) -> Calibration:
-    """Calibrate from a reference record; its parameters come from `iv`, as in `pmfid monitor`."""
+    """Return the calibration from a reference record, whose parameters come from `iv`."""
     u, counts = normal_work(REFERENCE_SEED, increments, REFERENCE_HOURS)
     riv = make_riv(increments)
     theta = IV(riv.model, riv.encoder, CART_DT, CUTOFF).fit(u, counts).theta

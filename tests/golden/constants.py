@@ -84,10 +84,10 @@ def watch_change() -> bytes:
     theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
     inverse = np.array([[0.077, 0.003, -0.001], [0.003, 3.44, -0.69], [-0.001, -0.69, 0.25]])
     scale = Scale(inverse, np.array([0.077, 3.44, 0.25]), np.array([0.001, 0.009, 0.003]))
-    tails = {"page-hinkley": Tail(3.9, 0.5, 30.0, 20.0, (), ((3.9, 0.5, 30.0), (3.7, 0.6, 31.0)))}
-    calibration = Calibration(theta, scale, (), tails, np.ones(3), 20.0)
+    tail = Tail(3.9, 0.5, 30.0, 20.0, (), ((3.9, 0.5, 30.0), (3.7, 0.6, 31.0)))
+    calibration = Calibration(theta, scale, tail, np.ones(3), 20.0)
     riv = RIV(Drive(GAIN), Encoder(run.resolution), CART_DT, 50.0, forgetting=0.99)
-    monitor = Monitor(riv, calibration, Watch("page-hinkley"))
+    monitor = Monitor(riv, calibration, Watch())
     rows = monitor.run(run.motion.u, run.counts)
     kinds = {type(event).__name__ for _, _, event in rows.events}
     assert {"Alarm", "Settled"} <= kinds, kinds

@@ -211,7 +211,7 @@ def _monitor(rng: Rng, folder: Path) -> Case:
     text = axis(rng, kind, facts, (*2 * ("riv", "bcrls", "auto"), "rls")) + monitor(rng, facts)
     files = {"normal.csv": as_csv(rng, with_defects(rng, columns) if rng.random() < 0.2 else columns)}
     files["axis.toml"] = text.encode()
-    chosen = options(rng, 0.1, mtbf_hours=["0.1", "24"], detector=["cusum", "glr"], tolerance=["0.05", "0"])
+    chosen = options(rng, 0.1, mtbf_hours=["0.1", "24"], tolerance=["0.05", "0"])
     places = ["rows.csv", "rows.parquet", "-", "normal.csv", "axis.toml", "nowhere/x.csv", "x.txt", "."]
     chosen += options(rng, 0.3, out=places) + options(rng, 0.01, report=["page.html", "normal.csv", "nowhere/x.html"])
     chosen += _flags(rng, 0.6, "--json")

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import click
 
 from pmfid.cli.terminal import config_option, progress
-from pmfid.monitor.names import DETECTORS
 
 if TYPE_CHECKING:
     from pmfid.config.axis import Axis
@@ -22,10 +21,9 @@ if TYPE_CHECKING:
 
 
 @click.command(short_help="Watch a record or a pipe and report changes.")
-@click.argument("record", type=click.Path(path_type=Path, allow_dash=True))
+@click.argument("record", type=click.Path(path_type=Path, allow_dash=True), required=False)
 @config_option("AXIS.toml whose section [monitor] names a record of normal work.")
 @click.option("--mtbf-hours", type=float, metavar="H", help="Mean time between false alarms [h].")
-@click.option("--detector", type=click.Choice(DETECTORS), help="Test that decides on a change.")
 @click.option(
     "--tolerance", type=float, metavar="PART", help="Largest relative deviation that does not count as a change."
 )
@@ -41,15 +39,36 @@ if TYPE_CHECKING:
     metavar="FILE.html",
     help="Write a report of the run to this file.",
 )
+@click.option(
+    "--estimates",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Judge a table of estimates in place of a record: times in the first column, one number per visit.",
+)
+@click.option("--column", metavar="NAME", help="Column of --estimates with the numbers; default: the second.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per event.")
 def monitor(
-    record: Path, config: Path, out: Path | None, report: Path | None, as_json: bool, **options: float | str | None
+    record: Path | None,
+    config: Path,
+    out: Path | None,
+    report: Path | None,
+    estimates: Path | None,
+    column: str | None,
+    as_json: bool,
+    **options: float | None,
 ) -> None:
     """Watch RECORD and report changes of mass or friction. If RECORD is -, watch CSV lines on standard input.
+
+    With --estimates, find the steps and drifts of a parameter that was estimated at single visits, in both directions.
 
     Events go to standard output, or to standard error if the estimates go to standard output. The command ends at the
     end of the input, or at Ctrl-C or SIGTERM after all results are written.
     """
+    if estimates is not None:
+        _judge_estimates(estimates, column, options["tolerance"], as_json)
+        return
+    if record is None:
+        raise click.UsageError("RECORD is missing; give a record, - for lines, or --estimates FILE")
     piped = str(record) == "-"
     tell = _Teller(as_json, to_stderr=str(out) == "-")
     with progress("calibration") as tell_part:
@@ -72,6 +91,23 @@ def monitor(
         _write_report(report, "standard input" if piped else record.name, setup, run, history, tell)
     tell.end(run, sink)
     _complain(run, sink)
+
+
+def _judge_estimates(path: Path, column: str | None, tolerance: float | None, as_json: bool) -> None:
+    from pmfid.config.axis import MonitorConfig
+    from pmfid.errors import UsageError, printable
+    from pmfid.fleet.visits import describe_changes, read_visits
+
+    least = MonitorConfig().tolerance if tolerance is None else tolerance
+    if not 0 <= least < 1:
+        raise UsageError(f"tolerance must be in [0, 1), got {least}; 0.02 is 2 %")
+    for event in describe_changes(read_visits(path, column), least):
+        if as_json:
+            import json
+
+            click.echo(json.dumps(event, allow_nan=False))
+        else:
+            click.echo(printable(str(event["text"])))
 
 
 def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> None:

@@ -14,7 +14,7 @@ def _start(event: Notice) -> str:
     normal = ", ".join(f"{name} {value:.4g} {event['units'][name]}" for name, value in event["nominal"].items())
     lines = [
         f"normal: {normal}",
-        f"{event.get('detector', 'edges')}, tolerance {100 * event['tolerance']:g} %, threshold "
+        f"tolerance {100 * event['tolerance']:g} %, threshold "
         f"{event['threshold']:.4g}: a false alarm in {event['mtbf_hours']:g} h on average{_describe_source(event)}",
         *(f"note: {note}" for note in event["notes"]),
         *([f"estimates: {event['out']}"] if event["out"] else []),

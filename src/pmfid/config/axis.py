@@ -22,7 +22,6 @@ from pmfid.estimators import Discretization, Method, Precision
 from pmfid.estimators.facts import INPUT_GAIN, check_known
 from pmfid.models.drive import POSITION_KEYS
 from pmfid.models.equation import ESTIMATE
-from pmfid.monitor.names import DetectorName
 from pmfid.units import Quantity
 
 __all__ = ["Axis", "check_sampling", "load_axis", "read_axis"]
@@ -91,7 +90,6 @@ class MonitorConfig(FileSection):
         None,
         description="the normal value of every parameter, { mass = 1.07, ... }, or drop the key to use the reference",
     )
-    detector: DetectorName = Field("glr", description="the detector")
     mtbf_hours: float = Field(
         24.0, ge=0.1, le=1e6, description="the mean time between false alarms in hours, for example 24.0"
     )

@@ -13,7 +13,6 @@ from pmfid.linear.experiment import Hold
 from pmfid.models.axes import AxisKind
 from pmfid.models.drive import Body, Friction
 from pmfid.models.signals import Signal
-from pmfid.monitor.names import DetectorName
 
 Searched = Literal["estimate"]
 OutputKind = Literal["position", "counts", "velocity"]
@@ -137,7 +136,6 @@ class MonitorKeys(TypedDict, total=False):
 
     reference: str
     nominal: dict[str, float]
-    detector: DetectorName
     mtbf_hours: float
     tolerance: float
 

@@ -201,6 +201,33 @@ def trend_of(series: Series, names: Sequence[str], tolerance: float) -> Trend | 
     return Trend(*cause, span, float(np.max(scores)), float(np.sum(rest**2)), slopes, stds)
 
 
+def partition_series(series: Series, penalty: float) -> list[int]:
+    """Return the places of all steps in a series (n, p) of usable segments, by penalised least squares.
+
+    Each step must reduce the sum of squares, in standard deviations, by more than `penalty`. The search is exact
+    (optimal partitioning, Jackson et al. 2005). The standard deviations are those of neighbours.
+    """
+    n = series.start.size
+    if n < 2 * SIDE:
+        return []
+    weight = (series.std * noise_of(series)) ** -2.0
+    origin = np.average(series.theta, axis=0, weights=weight)
+    apart = series.theta - origin
+    sums = [np.vstack([np.zeros(apart.shape[1]), np.cumsum(weight * apart**k, axis=0)]) for k in range(3)]
+    best, last = np.full(n + 1, np.inf), np.zeros(n + 1, int)
+    best[0] = -penalty
+    for end in range(SIDE, n + 1):
+        known, first, square = (part[end] - part[: end - SIDE + 1] for part in sums)
+        cost = best[: end - SIDE + 1] + (square - first**2 / known).sum(axis=1) + penalty
+        last[end] = int(np.argmin(cost))
+        best[end] = cost[last[end]]
+    places, end = list[int](), int(last[n])
+    while end:
+        places.append(end)
+        end = int(last[end])
+    return places[::-1]
+
+
 #: Candidates for the noise of the segments, in standard errors. The candidates for the steps of a walk between
 #: segments are in root mean square differences of neighbours.
 NOISE = np.geomspace(1, 100, 9)
@@ -226,16 +253,20 @@ def compare_with_wander(series: Series, since: float) -> Beyond:
     """
     place = int(np.searchsorted(series.start, since))
     theta, std, time = _together(series, place)
-    n = len(theta)
     mean = np.average(theta, axis=0, weights=std**-2.0)
     size = np.sqrt(np.mean((theta - mean) ** 2, axis=0)) / np.maximum(np.abs(mean), np.finfo(float).tiny)
-    unit = np.maximum(np.sqrt(np.mean(np.diff(theta, axis=0) ** 2, axis=0)), np.finfo(float).tiny)
     shapes = np.stack([time >= since, (time - time[0]) / (time[-1] - time[0])], axis=1).astype(np.float64)
-    alone, *with_shape = _likelihoods((theta - mean) / unit, std / unit, shapes)
-    gains = [np.max(one - alone) for one in with_shape]
-    free = max(n - 2, 1)
-    step, line = (float(np.sqrt(free * np.expm1(min(2 * gain / n, 100.0)))) for gain in gains)
+    step, line = weigh_against_wander(theta, std, shapes)
     return Beyond(step, line, size)
+
+
+def weigh_against_wander(theta: Floats, std: Floats, shapes: Floats) -> list[float]:
+    """Return the evidence of each shape (n, k) beyond a random walk, as Student's t, from theta and std (n, p)."""
+    n, mean = len(theta), np.average(theta, axis=0, weights=std**-2.0)
+    unit = np.maximum(np.sqrt(np.mean(np.diff(theta, axis=0) ** 2, axis=0)), np.finfo(float).tiny)
+    alone, *with_shape = _likelihoods((theta - mean) / unit, std / unit, shapes)
+    gains = (np.max(one - alone) for one in with_shape)
+    return [float(np.sqrt(max(n - 2, 1) * np.expm1(min(2 * gain / n, 100.0)))) for gain in gains]
 
 
 def _together(series: Series, place: int) -> tuple[Floats, Floats, Floats]:

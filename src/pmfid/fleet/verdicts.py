@@ -123,14 +123,14 @@ def follow_axis(axis: str, kind: str, series: Series, names: Sequence[str], tole
 def judge_axes(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[AxisVerdict]:
     """Return the verdict on each axis, in order."""
     deviations = _deviations(follows, tolerance)
-    limit = _limit(len(follows) * max(1, len(names)), math.inf)
+    limit = chance_limit(len(follows) * max(1, len(names)), math.inf)
     found = (
         _verdict(one, names, deviation, excess, len(follows), limit)
         for one, (deviation, excess) in zip(follows, deviations, strict=True)
     )
     trials, silent = len(follows) * len(names), _silent_since(follows)
     return [
-        _stop(replace(verdict, visible=_visible(one, trials, tolerance)), since)
+        _stop(replace(verdict, visible=visible_step(one, trials, tolerance)), since)
         for one, verdict, since in zip(follows, found, silent, strict=True)
     ]
 
@@ -155,10 +155,14 @@ def _stop(verdict: AxisVerdict, since: float) -> AxisVerdict:
     )
 
 
-def _visible(one: Follow, trials: int, tolerance: float) -> float:
+def visible_step(one: Follow, trials: int, tolerance: float) -> float:
+    """Return the relative step in the middle of the history that would be named, infinite for too few segments.
+
+    `trials` is the number of axes times parameters.
+    """
     if one.step is None or one.segments < TUNING.verdicts_sure:
         return math.inf
-    return tolerance + _limit(trials * one.segments, one.segments - 2) * float(np.max(one.step.middle))
+    return tolerance + chance_limit(trials * one.segments, one.segments - 2) * float(np.max(one.step.middle))
 
 
 def _verdict(
@@ -166,12 +170,12 @@ def _verdict(
 ) -> AxisVerdict:
     if not one.segments:
         return AxisVerdict(UNKNOWN, 0.0, deviation=deviation)
-    found = [_judge_deviation(names, deviation, excess, limit), *_judge_past(one, names, axes)]
+    found = [_judge_deviation(names, deviation, excess, limit), *judge_past(one, names, axes)]
     best = max(found, key=lambda verdict: (verdict.named and verdict.score >= 1, verdict.score))
     return replace(best, kind=best.kind if best.score >= 1 else "", deviation=deviation)
 
 
-def _judge_past(one: Follow, names: Sequence[str], axes: int) -> list[AxisVerdict]:
+def judge_past(one: Follow, names: Sequence[str], axes: int) -> list[AxisVerdict]:
     """Return the verdict on the step or the trend of an axis, whichever explains more.
 
     The step or trend counts only if it explains more than wandering does.
@@ -180,8 +184,8 @@ def _judge_past(one: Follow, names: Sequence[str], axes: int) -> list[AxisVerdic
     if step is None or trend is None:
         return []
     trials, free, days = axes * len(names), one.segments - 2, trend.span / 86_400.0
-    least = _limit(trials * one.segments, free)
-    stepped, drifted = step.score / least, trend.score / _limit(trials, free)
+    least = chance_limit(trials * one.segments, free)
+    stepped, drifted = step.score / least, trend.score / chance_limit(trials, free)
     changed = AxisVerdict(CHANGED, max(stepped, 0.0), step.cause, step.size, step.std, step.since, step.until)
     drifts = AxisVerdict(DRIFTS, drifted, trend.cause, trend.size / days, trend.std / days, days=days)
     first = drifted < 1 or step.misfit <= trend.misfit
@@ -208,7 +212,7 @@ def _judge_deviation(names: Sequence[str], deviation: Floats, excess: Floats, li
     return AxisVerdict(DIFFERS, max(0.0, float(excess[i]) / limit), names[i], float(deviation[i]), math.nan)
 
 
-def _limit(trials: float, free: float) -> float:
+def chance_limit(trials: float, free: float) -> float:
     """Return the standard deviations that chance exceeds `by_chance` times in `trials` trials, on either side.
 
     `free` is the degrees of freedom of the standard deviation.

@@ -19,7 +19,7 @@ from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.cause import Cause, ChangeEvidence, explain, new_gain, start_of
-from pmfid.monitor.detectors import Detector
+from pmfid.monitor.detector import make_detection, start_detection
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Alarm, Event, Settled, StateChange, Watch
 from pmfid.monitor.scores import Blocks, Disturbed, Scale, ScoreFilter, Scoring, Watched, start_blocks
 from pmfid.monitor.tuning import TUNING
@@ -40,14 +40,13 @@ REASONS = (
 class Watching:
     """The configuration that all axes share.
 
-    The statistic of `detector` raises a suspicion above `threshold`. A relative deviation up to `relative` is no
+    The statistic raises a suspicion above `threshold`. A relative deviation up to `relative` is no
     change. `noise` (p, p) belongs to the estimator. `wait` returns the number of blocks to wait for a reference (p,).
     After `silent_blocks` blocks without information the state is CANNOT_TELL. `block_time` is the length of a block
     [s].
     """
 
     calibration: Calibration
-    detector: Detector
     threshold: float
     relative: float
     noise: Floats
@@ -98,11 +97,7 @@ class Watching:
 
     def restart(self, own: Watched) -> None:
         """Reset the detector."""
-        own.detection[:] = self.detector.start(own.theta.shape)
-
-    def detection_rows(self, p: int) -> int:
-        """Return the number of rows in the detector's state, whose rows have p numbers."""
-        return self.detector.detection(p).rows
+        own.detection[:] = start_detection(own.theta.shape)
 
     @cached_property
     def watcher(self) -> Watcher:
@@ -111,7 +106,7 @@ class Watching:
         return Watcher(
             self.calibration.scale.norms,
             self._seen.norms,
-            self.detector.detection(self.calibration.theta.size),
+            make_detection(self.calibration.theta.size),
             None if work is None else (work.size, work.offset, work.limit),
             self.threshold,
             self.block_time,
@@ -134,20 +129,19 @@ class WatchedAxis:
     known: Known | None = None
 
     def __post_init__(self) -> None:
-        self.threshold = self.calibration.tails[self.watch.detector].threshold(self.watch.mtbf_hours)
+        self.threshold = self.calibration.tail.threshold(self.watch.mtbf_hours)
         self._front = like(IV, self.estimator, prefilter_zeros=None)
         self._block_time = self._front.settle_samples * self._front.dt
         self.watching = self._watching()
         self._filter = ScoreFilter(self._front, self.calibration.theta, left_out=self.calibration.left_out)
         p = self.calibration.theta.size
-        self._own, self._rest = Watched.empty(1, p, self.watching.detection_rows(p)), Disturbed.empty(1, p)
+        self._own, self._rest = Watched.empty(1, p, make_detection(p).rows), Disturbed.empty(1, p)
         self.watching.refer(self._own, self.calibration.theta[None])
         self._inputs, self._flagged = Inputs(), 0
 
     def _watching(self) -> Watching:
         return Watching(
             self.calibration,
-            self.calibration.detectors(self.estimator)[self.watch.detector],
             self.threshold,
             self.watch.tolerance,
             self._front.noise(),

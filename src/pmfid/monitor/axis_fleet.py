@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
-from typing import Generic, Protocol, Self, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -113,19 +113,6 @@ class AxisFleet(ABC, Generic[M, S]):
         before = self.axes
         more = whole_number("count", count, 0, "it is the number of axes to add")
         self._all = self._all.join_rows(self._first.repeat_rows(more))
-        return range(before, self.axes)
-
-    def join(self, state: bytes) -> range:
-        """Append the axes of saved states, and return their numbers. Raises UsageError as `set_state` does."""
-        before = self.axes
-        self._all = self._all.join_rows(self._read(state))
-        return range(before, self.axes)
-
-    def append(self, other: Self) -> range:
-        """Append the axes of a fleet whose configuration differs at most in the last bits, and return their numbers."""
-        before = self.axes
-        added = self._scratch.check_states(other._all.take_rows(slice(0, other.axes)))
-        self._all = self._all.join_rows(added)
         return range(before, self.axes)
 
     def remove(self, index: ArrayLike) -> NDArray[np.int64]:

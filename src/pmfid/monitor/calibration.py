@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid._stage import centred, weights
-from pmfid.elementary import exp, log, power
+from pmfid.elementary import exp, log
 from pmfid.encoder import quantize
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.fit.free_motion import simulate_from_rest
-from pmfid.monitor.detectors import EDGE, ChiSquare, Detector, make_detectors, statistics
+from pmfid.monitor.detector import EDGE, statistics
 from pmfid.monitor.scores import (
     UNUSABLE,
     UNUSABLE_AT_REST,
@@ -232,10 +232,8 @@ class Calibration:
         (p,) reference parameters, in their units.
     scale
         Scale of normal work.
-    chi_square
-        Inverse covariance of normal work for the detector "chi-square".
-    tails
-        Distribution of large statistics, by detector.
+    tail
+        Distribution of large statistics.
     noise
         (p,) standard deviation of normal work over the standard deviation in the simulation.
     hours
@@ -255,14 +253,13 @@ class Calibration:
     >>> riv = RIV(Drive(CART.input_gain), Encoder(work.resolution), work.dt, 50.0, forgetting=0.99)
     >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
     >>> calibration = calibrate(riv, theta, work.motion.u, work.counts, hours=0.5)
-    >>> sorted(calibration.tails), calibration.hours
-    (['chi-square', 'cusum', 'glr', 'page-hinkley'], 0.5)
+    >>> round(calibration.tail.threshold(24.0)), calibration.hours
+    (9, 0.5)
     """
 
     theta: Floats
     scale: Scale
-    chi_square: tuple[tuple[float, ...], ...]
-    tails: dict[str, Tail]
+    tail: Tail
     noise: Floats
     hours: float
     record_hours: float = 0.0
@@ -273,25 +270,11 @@ class Calibration:
         """Status bits of samples that do not count, as in `scores.Scoring`."""
         return UNUSABLE if self.work is None else UNUSABLE_AT_REST
 
-    def detectors(self, estimator: Estimator) -> dict[str, Detector]:
-        """Return the detectors by name, with their calibrated settings."""
-        keep = block_keep(estimator) if self.work is None else TUNING.unit_keep
-        return make_detectors(keep, self.chi_square)
-
     def deviations(self, blocks: Blocks) -> tuple[Floats, Floats]:
         """Return the deviations x and information w (n, p) that the detectors take, from blocks at theta."""
         if self.work is None:
             return self.scale.standardise(blocks)
         return self.work.scale.standardise(self.work.units(blocks, self.scale.information(blocks)))
-
-
-def block_keep(estimator: Estimator) -> float:
-    """Return the discount of a block in the memory of the estimator.
-
-    Without forgetting, the discount belongs to a memory of 10 blocks.
-    """
-    forgetting = float(getattr(estimator, "forgetting", 1.0))
-    return power(forgetting, block_samples(estimator)) if forgetting < 1 else 0.9
 
 
 def calibrate(
@@ -304,7 +287,7 @@ def calibrate(
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
-    """Simulate hours of normal work, and return the thresholds of all detectors.
+    """Simulate hours of normal work, and return the threshold and scales.
 
     Parameters
     ----------
@@ -355,50 +338,40 @@ def calibrate(
     x, w = map(np.stack, zip(*(scale.standardise(blocks) for blocks in (first, *runs)), strict=True))
     sigma = np.sqrt((x**2).mean(axis=(0, 1)))
     x, scale = x / sigma, replace(scale, sigma=scale.sigma * sigma)
-    plain = Calibration(theta, scale, (), {}, np.ones(theta.size), hours)
-    if counts is not None:
-        record = _record_blocks(estimator, theta, u, counts)
-        noise = noise_ratio(scale, record)
-        plain = replace(plain, noise=noise, scale=replace(scale, sigma=scale.sigma * noise))
-        own = plain.scale.standardise(record)
-        if noisier(own, (x, w), EDGE):
-            return _calibrate_by_work(plain, estimator, u, counts, seed)
-    precision = _precision(ChiSquare(block_keep(estimator)), x, w)
-    plain = replace(plain, chi_square=precision)
-    tails = _tails(plain.detectors(estimator), x, w, block_samples(estimator) * estimator.dt)
-    return replace(plain, tails=tails)
+    block_time, zero = block_samples(estimator) * estimator.dt, np.zeros(theta.size)
+    tail = fit_tail(statistics(x, w, zero), block_time)
+    plain = Calibration(theta, scale, tail, np.ones(theta.size), hours)
+    if counts is None:
+        return plain
+    record = _record_blocks(estimator, theta, u, counts)
+    noise = noise_ratio(scale, record)
+    plain = replace(plain, noise=noise, scale=replace(scale, sigma=scale.sigma * noise))
+    if noisier(plain.scale.standardise(record), (x, w), EDGE):
+        return _calibrate_by_work(plain, estimator, u, counts, seed)
+    return plain
 
 
 def _calibrate_by_work(plain: Calibration, estimator: Estimator, u: Floats, counts: Counts, seed: int) -> Calibration:
-    """Return the calibration with units of work in place of blocks, and with tails from resampled units."""
+    """Return the calibration with units of work in place of blocks, and with a tail from resampled units."""
     blocks = _record_blocks(estimator, plain.theta, u, counts, UNUSABLE_AT_REST)
     work = learn(blocks, plain.scale.information(blocks))
     record_hours = len(blocks.score) * block_samples(estimator) * estimator.dt / 3600
     found = replace(plain, work=work, record_hours=record_hours)
     x, w = found.deviations(blocks)
     _check_units(len(x), u.size * estimator.dt)
-    found = replace(found, chi_square=_precision(ChiSquare(TUNING.unit_keep), x[None], w[None]))
     rng, unit_time, length = np.random.default_rng(seed), 3600 * record_hours / len(x), piece_length(x)
     size = math.ceil(plain.hours * TUNING.calibration_resampled * 3600 / unit_time / TUNING.calibration_runs)
-    detectors = found.detectors(estimator)
-    top = TUNING.calibration_parts * TUNING.calibration_tail
-    whole = _tails(detectors, *resample_units(x, w, (TUNING.calibration_runs, size), length, rng), unit_time, top)
+    parts, top, zero = TUNING.calibration_parts, TUNING.calibration_tail, np.zeros(x.shape[1])
+
+    def draw_tail(x: Floats, w: Floats, runs: int, top: int) -> Tail:
+        return fit_tail(statistics(*resample_units(x, w, (runs, size), length, rng), zero), unit_time, top)
+
+    whole = draw_tail(x, w, TUNING.calibration_runs, parts * top)
     quarters = [
-        _tails(
-            detectors,
-            *resample_units(*part, (TUNING.calibration_runs // TUNING.calibration_parts, size), length, rng),
-            unit_time,
-            top // TUNING.calibration_parts,
-        )
-        for part in zip(
-            np.array_split(x, TUNING.calibration_parts), np.array_split(w, TUNING.calibration_parts), strict=True
-        )
+        draw_tail(*part, TUNING.calibration_runs // parts, top)
+        for part in zip(np.array_split(x, parts), np.array_split(w, parts), strict=True)
     ]
-    tails = {
-        name: replace(tail, parts=tuple((part[name].level, part[name].slope, part[name].rate) for part in quarters))
-        for name, tail in whole.items()
-    }
-    return replace(found, tails=tails)
+    return replace(found, tail=replace(whole, parts=tuple((one.level, one.slope, one.rate) for one in quarters)))
 
 
 def _check_units(units: int, time: float) -> None:
@@ -409,13 +382,6 @@ def _check_units(units: int, time: float) -> None:
             f"need {LEAST_RECORD_UNITS} independent stretches of motion, and it has {units} in {time:.3g} "
             f"s: record {enough:.3g} s or more, without a change of the machine"
         )
-
-
-def _tails(
-    detectors: dict[str, Detector], x: Floats, w: Floats, block_time: float, top: int = TUNING.calibration_tail
-) -> dict[str, Tail]:
-    nothing = np.zeros(x.shape[-1])
-    return {name: fit_tail(statistics(found, x, w, nothing), block_time, top) for name, found in detectors.items()}
 
 
 def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Counts, left_out: int = UNUSABLE) -> Blocks:
@@ -492,15 +458,6 @@ def noise_ratio(scale: Scale, blocks: Blocks) -> Floats:
     power = (x**2).mean(axis=0)
     error = (x**2).std(axis=0) / math.sqrt(len(x))
     return np.where(np.abs(power - 1) > TUNING.calibration_noisier * error, np.sqrt(power), 1.0)
-
-
-def _precision(detector: ChiSquare, x: Floats, w: Floats) -> tuple[tuple[float, ...], ...]:
-    """Return the inverse covariance of the estimate's deviation in normal work x, w (runs, n, p)."""
-    found, total = detector.deviations(x, w), np.zeros((x.shape[-1], x.shape[-1]))
-    for k in range(x.shape[1]):
-        total += found[:, k].T @ found[:, k]
-    inverse = np.linalg.inv(total / (x.shape[0] * x.shape[1]))
-    return tuple(tuple(float(value) for value in row) for row in inverse)
 
 
 def _check(blocks: Blocks) -> None:

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.errors import UsageError, check_choice
+from pmfid.errors import UsageError
 from pmfid.estimators.facts import INPUT_GAIN
-from pmfid.monitor.names import DETECTORS, DetectorName
 from pmfid.types import Flags, Floats
 
 #: The measured motion over the true motion, as a cause of a change.
@@ -29,12 +28,10 @@ STATES = (STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS, SETTLING)
 
 @dataclass(frozen=True)
 class Watch:
-    """The settings of a monitor, with detector, rate of false alarms and tolerance.
+    """The settings of a monitor, with rate of false alarms and tolerance.
 
     Parameters
     ----------
-    detector
-        Name of the detector: "glr", "cusum", "page-hinkley" or "chi-square".
     mtbf_hours
         Mean time between false alarms [h], in [0.1, 1e6].
     tolerance
@@ -49,15 +46,13 @@ class Watch:
     --------
     >>> from pmfid.monitor import Watch
     >>> Watch(mtbf_hours=100.0)
-    Watch(detector='glr', mtbf_hours=100.0, tolerance=0.02)
+    Watch(mtbf_hours=100.0, tolerance=0.02)
     """
 
-    detector: DetectorName = "glr"
     mtbf_hours: float = 24.0
     tolerance: float = 0.02
 
     def __post_init__(self) -> None:
-        check_choice("detector", self.detector, DETECTORS)
         if not 0.1 <= self.mtbf_hours <= 1e6:
             raise UsageError(f"mtbf_hours must be in [0.1, 1e6], got {self.mtbf_hours}; the unit is hours")
         if not 0 <= self.tolerance < 1:

@@ -102,7 +102,7 @@ class Monitor(WatchedAxis, Presentable):
     calibration
         Calibration for its configuration and the reference parameters.
     watch
-        Detector, mean time between false alarms, and tolerance.
+        Mean time between false alarms, and tolerance.
     known
         Prior information on the parameters. Given values are constant, so they cannot cause a change. If the input gain
         is unknown, the estimator has the gain of the reference. Reported values belong to the machine with its present
@@ -120,7 +120,7 @@ class Monitor(WatchedAxis, Presentable):
     >>> riv = RIV(Drive(CART.input_gain), Encoder(work.resolution), work.dt, 50.0, forgetting=0.99)
     >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
     >>> calibration = calibrate(riv, theta, work.motion.u, work.counts, hours=0.5)
-    >>> monitor = Monitor(riv, calibration, Watch("glr"))
+    >>> monitor = Monitor(riv, calibration, Watch())
     >>> loaded = make_scenario("moves-mass-step", seed=2, duration=60.0)
     >>> rows = monitor.run(loaded.motion.u, loaded.counts)
     >>> [(event.parameter, round(event.changed_at)) for _, _, event in rows.events if isinstance(event, Alarm)]
@@ -144,7 +144,7 @@ class Monitor(WatchedAxis, Presentable):
     def summary(self) -> Summary:
         watch = self.watch
         title = (
-            f"monitor with detector {watch.detector}: {self.state} after {self.samples} samples, "
+            f"monitor: {self.state} after {self.samples} samples, "
             f"statistic {self.statistic:.3g}, threshold {self.threshold:.3g}; reference ± std of one block:"
         )
         return self._parameters.summary(
@@ -168,7 +168,6 @@ class Monitor(WatchedAxis, Presentable):
             "samples": self.samples,
             "statistic": plain(self.statistic),
             "threshold": plain(self.threshold),
-            "detector": self.watch.detector,
             "mtbf_hours": self.watch.mtbf_hours,
             "tolerance": self.watch.tolerance,
             "reference": self._parameters.content,
@@ -301,7 +300,7 @@ class Monitor(WatchedAxis, Presentable):
         reference, _ = reference_kernel(self._front, calibration.theta.tolist())
         number = zlib.crc32(reference.raw_config(), zlib.crc32(estimator.runner.kernel.raw_config()))
         known = self.known and (dict(self.known.given), dict(self.known.prior), self.known.find_gain)
-        texts = estimator.names, self.watch, self.threshold, known, calibration.chi_square, calibration.left_out
+        texts = estimator.names, self.watch, self.threshold, known, calibration.left_out
         number = zlib.crc32(repr(texts).encode(), number)
         work = calibration.work
         scales = [calibration.scale, *([] if work is None else [work.scale])]

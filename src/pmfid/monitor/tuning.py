@@ -77,8 +77,6 @@ class MonitorTuning:
     #: asked, by a factor of at most `calibration_careful`. Fewer false alarms are better than more.
     calibration_parts: int = 4
     calibration_careful: float = 2.0
-    #: Discount by which `ChiSquare` forgets a unit of work.
-    unit_keep: float = 0.85
     #: Largest distance [counts] of a simulated machine. A machine that goes further runs away.
     most_counts: float = 2.0**53
     #: Least number of blocks in a simulated run.

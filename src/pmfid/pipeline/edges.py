@@ -119,7 +119,7 @@ def set_up_edges(axis: Axis, folder: Path, record: Record | None) -> EdgeSetup:
             f"the record has dt = {source.dt:g} s, the reference {normal.dt:g} s; take a reference with the same "
             "sample period"
         )
-    estimator, watch = make_edge_estimator(axis, source), Watch(config.detector, config.mtbf_hours, config.tolerance)
+    estimator, watch = make_edge_estimator(axis, source), Watch(config.mtbf_hours, config.tolerance)
     if config.nominal is not None:
         nominal = initial_vector(config.nominal, estimator.names)
     elif normal is not None:

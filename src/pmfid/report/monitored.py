@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -166,19 +165,14 @@ def _mark_alarms(axes: Axes, alarms: Sequence[Notice]) -> None:
         axes.axvline(alarm["changed_at"], color=COLOURS[1], lw=1.2, ls=":", label="change", zorder=3)
 
 
-def calibration_figure(tails: Mapping[str, Tail], used: str, mtbf_hours: float) -> Figure:
-    """Draw the rate of false alarms over the threshold of each detector.
-
-    The thresholds are relative to the threshold for `mtbf_hours`.
-    """
+def calibration_figure(tail: Tail, mtbf_hours: float) -> Figure:
+    """Draw the rate of false alarms over the threshold, relative to the threshold for `mtbf_hours`."""
     with open_figure(3.4) as (figure, (axes,)):
-        for colour, (name, tail) in zip(cycle(COLOURS), tails.items(), strict=False):
-            unit, maxima = tail.threshold(mtbf_hours), np.array(tail.maxima)
-            rate = np.arange(1, maxima.size + 1) / tail.hours
-            axes.semilogy(maxima / unit, rate, "o", ms=3, color=colour, alpha=0.7)
-            line = np.linspace(tail.level, unit * 1.05, 20)
-            fitted = tail.rate * np.exp(-(line - tail.level) / tail.slope)
-            axes.semilogy(line / unit, fitted, color=colour, label=name + (" (in use)" if name == used else ""))
+        unit, maxima = tail.threshold(mtbf_hours), np.array(tail.maxima)
+        rate = np.arange(1, maxima.size + 1) / tail.hours
+        axes.semilogy(maxima / unit, rate, "o", ms=3, color=COLOURS[0], alpha=0.7, label="largest values")
+        line = np.linspace(tail.level, unit * 1.05, 20)
+        axes.semilogy(line / unit, tail.rate * np.exp(-(line - tail.level) / tail.slope), color=COLOURS[0], label="fit")
         plain_ticks(axes.yaxis)
         axes.axhline(1 / mtbf_hours, color=MAGENTA, ls="--", lw=1.2, label=f"one in {mtbf_hours:g} h")
         axes.axvline(1.0, color=GREY, lw=0.8)
@@ -308,19 +302,16 @@ def _describe_threshold(setup: EdgeSetup) -> Section:
 
 def _calibration(setup: Setup) -> Section:
     watch, calibration = setup.monitor.watch, setup.calibration
-    asked = sorted({1.0, watch.mtbf_hours})
-    rows = [
-        [name, *(f"{tail.threshold(hours):.3g}" for hours in asked), f"{tail.slope:.3g}"]
-        for name, tail in calibration.tails.items()
-    ]
-    head = ("detector", *(f"threshold for {hours:g} h" for hours in asked), "slope of the tail")
+    tail, asked = calibration.tail, sorted({1.0, watch.mtbf_hours})
+    row = [*(f"{tail.threshold(hours):.3g}" for hours in asked), f"{tail.slope:.3g}"]
+    head = (*(f"threshold for {hours:g} h" for hours in asked), "slope of the tail")
     noise = ", ".join(f"{value:.2f}" for value in calibration.noise)
     text = (
-        f"In use: {watch.detector}, mean time between false alarms {watch.mtbf_hours:g} h for a machine exactly at its "
+        f"Mean time between false alarms {watch.mtbf_hours:g} h for a machine exactly at its "
         f"reference; deviations within {100 * watch.tolerance:g} % are no alarm, so false ones are rarer still. "
         f"{calibration.hours:.3g} h of normal work were {_describe_hours(calibration)}; points: the largest values of "
-        "the statistic there, lines: fits that give the thresholds. Noise of the reference record over the noise of "
+        "the statistic there, line: the fit that gives the threshold. Noise of the reference record over the noise of "
         f"the simulation, by parameter: {noise}."
     )
-    figure = calibration_figure(calibration.tails, watch.detector, watch.mtbf_hours)
-    return Section("Thresholds", text, (head, rows), svg(figure))
+    figure = calibration_figure(tail, watch.mtbf_hours)
+    return Section("Threshold", text, (head, [row]), svg(figure))

@@ -248,5 +248,5 @@ def _appraisal(appraisal: Appraisal) -> Figure:
 
 @_draw.register
 def _monitor(monitor: Monitor) -> Figure:
-    """Draw the rate of false alarms over the threshold of each detector."""
-    return calibration_figure(monitor.calibration.tails, monitor.watch.detector, monitor.watch.mtbf_hours)
+    """Draw the rate of false alarms over the threshold."""
+    return calibration_figure(monitor.calibration.tail, monitor.watch.mtbf_hours)

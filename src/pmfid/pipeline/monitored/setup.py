@@ -24,8 +24,7 @@ from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.known import Known
 from pmfid.estimators.recursive import RLS, RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
-from pmfid.monitor.calibration import Calibration, NormalWork, Tail, block_keep, calibrate
-from pmfid.monitor.detectors import make_detectors
+from pmfid.monitor.calibration import Calibration, NormalWork, Tail, calibrate
 from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Scale
@@ -39,7 +38,7 @@ from pmfid.records.record import Record, read_record
 from pmfid.types import Floats
 
 #: Version of the calibration and its file. Every change of either needs a new version.
-VERSION = 7
+VERSION = 8
 #: Simulated time of a calibration [h].
 HOURS = MONITOR_TUNING.calibration_hours
 
@@ -61,8 +60,7 @@ def cached_calibration(
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Calibration, Path, bool]:
     """Return the calibration, its file, and whether the file existed. An unwritable cache is ignored."""
-    detectors = make_detectors(block_keep(estimator))  # the file keeps their thresholds
-    digest = sha256(f"{VERSION} {estimator!r} {hours!r} {counts is None} {detectors!r}".encode())
+    digest = sha256(f"{VERSION} {estimator!r} {hours!r} {counts is None}".encode())
     for part in (theta, u, np.zeros(0) if counts is None else counts):
         digest.update(np.ascontiguousarray(part).tobytes())
     path = cache_dir() / f"calibration-{digest.hexdigest()[:32]}.json"
@@ -109,8 +107,7 @@ def _calibration_in(text: str) -> Calibration:
     return Calibration(
         np.array(raw["theta"]),
         _scale(raw["scale"]),
-        tuple(tuple(row) for row in raw["chi_square"]),
-        {name: _tail(tail) for name, tail in raw["tails"].items()},
+        _tail(raw["tail"]),
         np.array(raw["noise"]),
         raw["hours"],
         raw["record_hours"],
@@ -187,7 +184,6 @@ class Setup:
     def describe_start(self) -> dict[str, object]:
         """Return the settings of a monitored axis for `--json`."""
         return describe_monitor(self.monitor, self.reported) | {
-            "detector": self.monitor.watch.detector,
             "hours": self.calibration.hours,
             "record_hours": self.calibration.record_hours,
             "calibration": str(self.path),
@@ -227,8 +223,8 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
         notes.append("no reference record: thresholds hold for the encoder's noise alone; name one in [monitor]")
     counts = None if normal is None else source.counts
     calibration, path, cached = cached_calibration(estimator, nominal, source.u, counts, HOURS, progress)
-    notes += calibration_notes(calibration, config.detector, config.mtbf_hours)
-    watch = Watch(config.detector, config.mtbf_hours, config.tolerance)
+    notes += calibration_notes(calibration, config.mtbf_hours)
+    watch = Watch(config.mtbf_hours, config.tolerance)
     return Setup(Monitor(estimator, calibration, watch, known), nominal, calibration, path, cached, tuple(notes))
 
 
@@ -243,7 +239,7 @@ def set_up_record(
     return set_up(axis, folder, record, progress)
 
 
-def calibration_notes(calibration: Calibration, detector: str, mtbf_hours: float) -> list[str]:
+def calibration_notes(calibration: Calibration, mtbf_hours: float) -> list[str]:
     """Return notes on the thresholds if normal work is noisier than its simulation."""
     hours, notes = calibration.record_hours, []
     if np.max(calibration.noise) > TUNING.setup_noisy or hours:
@@ -252,7 +248,7 @@ def calibration_notes(calibration: Calibration, detector: str, mtbf_hours: float
             + ("the thresholds come from" if hours else "the scale is that of")
             + " the reference record itself"
         )
-    doubt = calibration.tails[detector].doubt(mtbf_hours)
+    doubt = calibration.tail.doubt(mtbf_hours)
     if doubt > math.log(TUNING.setup_sure):
         notes.append(
             f"from the {hours:.2g} h of the reference record the time between false alarms is known to a factor of "
