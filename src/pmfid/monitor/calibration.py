@@ -254,7 +254,7 @@ class Calibration:
     >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
     >>> calibration = calibrate(riv, theta, work.motion.u, work.counts, hours=0.5)
     >>> round(calibration.tail.threshold(24.0)), calibration.hours
-    (9, 0.5)
+    (13, 0.5)
     """
 
     theta: Floats
