@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from pmfid.actuators.logs import JointLog, LogLayout, find_step, read_joints
 from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
+from pmfid.io.tables import ClockedSignals, Signal
+from pmfid.types import Floats
 from tests.test_actuators import STEP, TRUTH, make_log
 
 
@@ -315,3 +318,48 @@ def test_goals_may_have_a_unit_of_their_own(tmp_path: Path) -> None:
     )
     (log,) = read_joints(tmp_path / "a.csv", LogLayout(resolution=STEP, unit="rad", goal_unit="deg"))
     assert (log.goal[0], log.position[0]) == (pytest.approx(math.pi), 1.0)
+
+
+@pytest.mark.parametrize(
+    "encode",
+    [
+        lambda n: np.where(n < 0, 2**15 - n, n),  # Feetech
+        lambda n: np.where(n < 0, n + 2**32, n),  # Dynamixel
+        lambda n: n,
+    ],
+)
+def test_registers_of_servos_are_steps_with_a_sign_bit(encode: Callable[[Floats], Floats], tmp_path: Path) -> None:
+    """As radians, the range was 650 times too large, and a negative step a jump of five turns."""
+    t, goal, position = make_log(gravity=0.0, kd=0.0)
+    steps = {"Goal_Position": np.round(goal / STEP), "Present_Position": np.round(position / STEP)}
+    path = tmp_path / "registers.csv"
+    pl.DataFrame({"time": t, **{name: encode(values).astype(int) for name, values in steps.items()}}).write_csv(path)
+    (log,) = read_joints(path, LogLayout())
+    assert log.resolution == pytest.approx(math.tau / 4096)
+    assert log.position == pytest.approx(steps["Present_Position"] * math.tau / 4096)
+    assert log.goal == pytest.approx(steps["Goal_Position"] * math.tau / 4096)
+
+
+@pytest.mark.parametrize(
+    ("state", "command"),
+    [
+        ("/joint_states.position", "/forward_position_controller/commands.data"),
+        ("/joint_states.position", "/joint_command.position"),
+        ("/arm/controller_state.feedback.positions", "/arm/controller_state.reference.positions"),
+    ],
+)
+def test_a_bag_of_ros_has_states_and_commands_in_topics(
+    state: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    t, goal, position = make_log(gravity=0.0, kd=0.0)
+    same = "controller_state" in command
+    sent, sent_goal = (t, goal) if same else (t[:-1:2] + 1e-3, goal[:-1:2])
+    signals = {f"{state}.1": Signal(t, position), f"{state}.0": Signal(t, 0 * t)}
+    signals |= {f"{command}.1": Signal(sent, sent_goal), f"{command}.0": Signal(sent, 0 * sent)}
+    monkeypatch.setattr("pmfid.io.reading.read_table", lambda _: ClockedSignals(signals))
+    logs = {log.name: log for log in read_joints(tmp_path / "bag.mcap", LogLayout(resolution=STEP))}
+    assert list(logs) == ["1", "0"]
+    last = np.searchsorted(sent, t, side="right") - 1
+    assert logs["1"].t[0] == 0.0
+    assert np.array_equal(logs["1"].position, position[last >= 0])
+    assert np.array_equal(logs["1"].goal, sent_goal[last[last >= 0]])

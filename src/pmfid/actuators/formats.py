@@ -1,9 +1,10 @@
-"""Formats of robots: data sets of LeRobot, folders of SAGE and logs of BAM, as tables of columns."""
+"""Formats of robots: data sets of LeRobot, folders of SAGE, logs of BAM and bags of ROS, as tables of columns."""
 
 from __future__ import annotations
 
 import csv
 import json
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ import numpy as np
 
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import UsageError
-from pmfid.io.tables import Table, column
+from pmfid.io.tables import ClockedSignals, Table, column
 from pmfid.types import Floats
 
 
@@ -45,7 +46,52 @@ def read_robot_table(path: Path, episode: int | None) -> RobotTable:
         return _read_bam(path)
     from pmfid.io.reading import read_table
 
-    return RobotTable(read_table(path))
+    table = read_table(path)
+    return _pair_topics(table) if isinstance(table, ClockedSignals) else RobotTable(table)
+
+
+#: Fields with the position and the command of each joint, the surest first: the state of a controller of ros2_control
+#: has both, and a bag with the states of the joints has the command in another topic.
+FIELDS = (
+    (r"\.(?:feedback|actual)\.positions\.(\d+)", r"\.(?:reference|desired)\.positions\.(\d+)"),
+    (r"\.position\.(\d+)", r"\.points\.0\.positions\.(\d+)"),
+    (r"\.position\.(\d+)", r"\.data\.(\d+)"),
+    (r"\.position\.(\d+)", r"\.position\.(\d+)"),
+)
+
+
+def _pair_topics(table: ClockedSignals) -> RobotTable:
+    """Return the goals and positions of a bag of ROS on the clock of the positions, by the number of the joint.
+
+    The goal is held until the next one. The state and the command must have their joints in one order.
+    """
+    for fields in FIELDS:
+        seen, sent = (_group_elements(table, field) for field in fields)
+        state = next((topic for topic in seen if fields[0] != fields[1] or "state" in topic), None)
+        command = next((topic for topic in sent if topic != state or fields[0] != fields[1]), None)
+        if state is None or command is None:
+            continue
+        names = {
+            number: (sent[command][number], name) for number, name in seen[state].items() if number in sent[command]
+        }
+        if names:
+            aligned = table.align(next(iter(seen[state].values())), tuple(goal for goal, _ in names.values()))
+            columns = {"time": column(aligned, "time", "time")}
+            for number, (goal, position) in names.items():
+                columns |= {f"goal.{number}": column(aligned, "goal", goal)}
+                columns |= {f"position.{number}": column(aligned, "position", position)}
+            return RobotTable(columns, notes=(f"positions are those of {state}, and goals those of {command}",))
+    return RobotTable(table)
+
+
+def _group_elements(table: ClockedSignals, field: str) -> dict[str, dict[str, str]]:
+    """Return the columns of a field by topic and number of the element."""
+    found: dict[str, dict[str, str]] = {}
+    for name in table:
+        match = re.search(field + "$", name)
+        if match:
+            found.setdefault(name[: match.start()], {})[match[1]] = name
+    return found
 
 
 @contextmanager

@@ -27,6 +27,8 @@ POSITIONS = (
 OTHERS = ("velocity", "vel", "speed", "effort", "torque", "current", "load", "acceleration")
 #: Columns that are 0 where the torque is off.
 SWITCHES = ("torque_enable", "torque_enabled")
+#: Registers of servos of Dynamixel and Feetech, in steps of the encoder.
+REGISTERS = re.compile(r"(goal|present)[ _]?position", re.IGNORECASE)
 #: Unit of goal and position -> its size [rad]. A count is a step of the encoder.
 ANGLES = {"rad": 1.0, "deg": np.pi / 180, "counts": 0.0}
 
@@ -160,6 +162,21 @@ def _own_unit(name: str) -> str | None:
     return None if found is None else {"d": "deg", "r": "rad"}.get(found[1][0], "counts")
 
 
+def _is_register(name: str, values: Floats) -> bool:
+    """Return whether a column is a register of a servo in steps, which are whole numbers beyond those of angles."""
+    return bool(REGISTERS.search(name) and values.size and np.ptp(values) > 4 * math.pi and np.all(values % 1 == 0))
+
+
+def decode_register(values: Floats) -> Floats:
+    """Return the steps (n,) of a register whose sign may be read as its highest bit, of the reading with least travel.
+
+    Feetech has a sign and a magnitude of 15 bits, and Dynamixel the complement of two in 16 or 32 bits.
+    """
+    readings = [values, np.where(values >= 2**15, 2**15 - values, values)]
+    readings += [np.where(values >= 2 ** (bits - 1), values - 2.0**bits, values) for bits in (16, 32)]
+    return min(readings, key=lambda reading: float(np.sum(np.abs(np.diff(reading)))))
+
+
 # --- values -----------------------------------------------------------------------------------------------------------
 
 
@@ -184,7 +201,12 @@ def _make_joint(
     rows = rows[fresh]
     scaled, resolution = [], layout.resolution
     for name, own, said in zip(names, values, (layout.goal_unit or layout.unit, layout.unit), strict=True):
-        unit = said or _own_unit(name) or "rad"
+        unit = said or _own_unit(name) or ("counts" if _is_register(name, own[rows]) else "rad")
+        if said is None and unit == "counts" and REGISTERS.search(name):
+            own, resolution = decode_register(own), resolution or math.tau / TUNING.register
+            notes.append(
+                f"{name} is a register in steps of {resolution:.4g} rad: give --bits if the encoder has others"
+            )
         if unit == "counts" and resolution is None:
             raise UsageError(f"column {name!r} is in counts: give the encoder's step with --bits or --resolution")
         scaled.append(own[rows] * (ANGLES[unit] or resolution or 1.0))

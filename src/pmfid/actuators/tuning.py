@@ -16,6 +16,8 @@ class ActuatorTuning:
     free_fall: float = 9.80665
     #: Stamps of SAGE beyond this are in microseconds [s].
     longest_log: float = 1e4
+    #: Steps in a turn of a register, in the usual servos of Dynamixel and Feetech.
+    register: int = 4096
     #: The encoder's step is read from distances of neighbouring positions up to these multiples of it in turn, because
     #: text is rounded. That many distances are needed.
     step_multiples: tuple[int, ...] = (1, 4, 16)

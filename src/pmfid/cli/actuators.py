@@ -74,8 +74,8 @@ def actuators(
 ) -> None:
     """Find inertia, friction, gain and delay of every joint in LOG, which has its position commands and positions.
 
-    Several logs of the same joints are fitted at once. LOG is a table of any format, a data set of LeRobot, a folder
-    of SAGE, a log of BAM in JSON, or a log of WPILib SysId in JSON, which gives kS, kV and kA.
+    Several logs of the same joints are fitted at once. LOG is a table of any format, a bag of ROS 2, a data set of
+    LeRobot, a folder of SAGE, a log of BAM in JSON, or a log of WPILib SysId in JSON, which gives kS, kV and kA.
 
     Without a known torque, such as kp or gravity, torques are multiples of kp.
 
