@@ -13,7 +13,7 @@ import pytest
 
 import pmfid
 from pmfid.cli.tables import _parameters as terminal_table
-from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
+from pmfid.fit.compare import NORMAL_95
 from pmfid.pipeline.result import UNKNOWN, DriveResult, format_interval, parameter_header, parameter_rows
 from pmfid.simulation import DriveParameters, Machine
 from pmfid.types import Floats
@@ -79,7 +79,7 @@ def test_a_method_with_an_error_of_its_own_has_it_in_the_interval() -> None:
     result = identified(TABLE, record, method="ls")
     off = np.abs(result.theta - truth(TABLE))
     assert off[0] > 5 * result.theta_std[0]
-    assert np.all(off <= DIAGNOSTIC_TUNING.normal_95 * np.hypot(*bars(result)))
+    assert np.all(off <= NORMAL_95 * np.hypot(*bars(result)))
 
 
 @pytest.mark.long
@@ -88,7 +88,7 @@ def test_a_parked_axis_misleads_no_fit() -> None:
     gantry = BENCHES["gantry"]
     result = identified(gantry, record_of(gantry, Machine(gantry.drive), "stop-and-go", 128, 103), method="fit")
     off = np.abs(result.theta - truth(gantry))
-    assert np.all(off <= DIAGNOSTIC_TUNING.normal_95 * np.hypot(*bars(result)))
+    assert np.all(off <= NORMAL_95 * np.hypot(*bars(result)))
     assert np.all(off <= 1e-4 * truth(gantry))
 
 
@@ -104,7 +104,7 @@ def test_json_has_it_next_to_what_it_had(result: DriveResult) -> None:
     printed = json.loads(json.dumps(result.to_json(), allow_nan=False))["parameters"]["mass"]
     assert list(printed) == ["value", "std", "unit", "model_spread", "interval_95"]
     std, spread = (float(bar[0]) for bar in bars(result))
-    half = DIAGNOSTIC_TUNING.normal_95 * np.hypot(std, spread)
+    half = NORMAL_95 * np.hypot(std, spread)
     assert printed["interval_95"] == pytest.approx([printed["value"] - half, printed["value"] + half])
     assert (printed["std"], printed["model_spread"]) == (std, spread)
 

@@ -164,9 +164,10 @@ class ServoSearch(FitSearch):
     def _gain(self, problem: FitProblem, q: Floats) -> float:
         return float(problem._body(q, problem.stretches[0].acts)[0][-problem.machine.loops])
 
-    def explain(self) -> None:
+    @property
+    def explains(self) -> bool:
         """The loop of a servo counts, so that no smooth motion explains every count."""
-        return
+        return False
 
     def check_followed(self, noise: Gaussian) -> None:
         """A position under control may follow the goal with any disturbance."""

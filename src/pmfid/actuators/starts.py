@@ -14,10 +14,11 @@ from pmfid.actuators.search import ServoSearch, ServoTask, head_of, limited_part
 from pmfid.actuators.servo import UNITS
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
+from pmfid.fit.build import build
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.machine import MASS
 from pmfid.fit.problem import FitProblem
-from pmfid.fit.search import SETTLED, build, errors_of
+from pmfid.fit.search import SETTLED, errors_of
 from pmfid.fit.solve import Optimum, solve
 from pmfid.types import Floats
 

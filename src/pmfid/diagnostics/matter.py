@@ -10,6 +10,7 @@ import numpy as np
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.estimators.base import Estimator
 from pmfid.findings import Finding, sort_findings
+from pmfid.fit.compare import NORMAL_95
 from pmfid.types import Floats
 
 #: The meaning and the remedy of each flag.
@@ -97,7 +98,7 @@ def matter_of(estimator: Estimator, theta: Floats, std: Floats, spread: Floats, 
     shift, which always matters.
     """
     p = len(estimator.equation.names)
-    half, size = TUNING.normal_95 * np.hypot(std[:p], spread[:p]), sizes(estimator, theta[:p])
+    half, size = NORMAL_95 * np.hypot(std[:p], spread[:p]), sizes(estimator, theta[:p])
     beyond = ~(half <= np.maximum(tolerance * size, TUNING.noise_limit * std[:p]))
     with np.errstate(divide="ignore", invalid="ignore"):
         part = half / size

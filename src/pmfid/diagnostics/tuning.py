@@ -79,9 +79,7 @@ class DiagnosticTuning:
     # matter
     #: Relative error of a parameter that does not matter.
     matter_tolerance: float = 0.01
-    #: Half-width of the 95 % interval of a normal variable in standard deviations. `noise_limit` is the number of
-    #: standard errors within which an error is noise.
-    normal_95: float = 1.96
+    #: Number of standard errors within which an error is noise.
     noise_limit: float = 3.0
 
     # processes

@@ -9,7 +9,6 @@ import numpy as np
 
 from pmfid.diagnostics.drives import NOISE_REMEDY, NOISE_SEEN, find_count_jump, recent
 from pmfid.diagnostics.matter import Matter, matter_of, sizes, weigh_findings
-from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
@@ -18,12 +17,11 @@ from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.recursive import RLS
 from pmfid.estimators.sample_steps import SampleSteps
 from pmfid.findings import MOVE, Finding, sort_findings
+from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.findings import findings_of
 from pmfid.fit.fit import Fitted
 from pmfid.types import Counts, Floats
 
-#: Half length of the 95 % interval of a normal distribution, in standard deviations.
-NORMAL_95 = TUNING.normal_95
 #: Distance between two estimates, in standard deviations, beyond which a method contradicts the fit.
 CONTRADICTED = 3.0
 

@@ -17,6 +17,8 @@ from pmfid.types import Floats
 
 #: Prior odds of a row of the table to its absence: one force of ten is there. The candidates of a row share the odds.
 ODDS = math.log(0.1)
+#: Half length of a normal 95 % interval in standard deviations.
+NORMAL_95 = 1.96
 #: Most candidates in a set, beyond which no record tells the forces of one axis apart.
 MOST = 6
 

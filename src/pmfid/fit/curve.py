@@ -16,11 +16,13 @@ import numpy as np
 
 from pmfid._body import BASE
 from pmfid.errors import NotIdentifiableError
+from pmfid.fit.build import build, prune, settle
 from pmfid.fit.fit import Fitted, conclude, estimate_variance, soften
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.machine import COULOMB, DIRECTIONAL, OFFSET, VISCOUS, BodyForce, BodyModel
+from pmfid.fit.openings import begin
 from pmfid.fit.problem import FitProblem
-from pmfid.fit.search import ROUNDS, TRIES, WANDERING, FitSearch, begin, build, explain, inverse, prune, settle
+from pmfid.fit.search import ROUNDS, TRIES, WANDERING, FitSearch, explain, inverse
 from pmfid.fit.solve import normal_of
 from pmfid.types import Floats
 
@@ -103,7 +105,7 @@ class CurveSearch(FitSearch):
         self.straight, self.force = problem.machine, 0.0
         self.strengths: Strengths = (0.3, 0.1, 1e3, 0.1)  # loose, before the record has been weighed
 
-    def explain(self) -> Intervals | None:
+    def explain(self, tries: int = 0) -> Intervals | None:
         """Return the likelihood of the intervals if a motion explains every count. Bends need no further tries."""
         return explain(self, TRIES if self.force == 0 else 0)
 

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
+from pmfid.fit.build import build
 from pmfid.fit.fit import Fitted, conclude
-from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
+from pmfid.fit.likelihood import Gaussian, noise_of
 from pmfid.fit.machine import DELAY, LAGGING
+from pmfid.fit.openings import begin
 from pmfid.fit.problem import FitProblem, ObservedStretch
-from pmfid.fit.search import ROUNDS, FitSearch, begin, build, errors_of
+from pmfid.fit.search import ROUNDS, FitSearch, errors_of
 from pmfid.fit.terms import ExtraForce
 from pmfid.types import Flags, Floats
 
@@ -43,9 +45,10 @@ class EdgeSearch(FitSearch):
             self.table.append(ExtraForce("late_edges", "edges that come late", "", self.sizes.step, late=True))
             self.late.append(len(self.table) - 1)
 
-    def explain(self) -> Intervals | None:
+    @property
+    def explains(self) -> bool:
         """Counts that are explained end no search, because the edges show more."""
-        return None
+        return False
 
     def estimate_noise(self, kinds: Sequence[str]) -> Gaussian:
         self.sharpen()

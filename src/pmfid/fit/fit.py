@@ -9,10 +9,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.fit.build import build, complete_readings, prune
+from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.likelihood import Gaussian, Intervals
+from pmfid.fit.openings import begin
 from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import FitProblem, ResidualBlock
-from pmfid.fit.search import EXPLAINED, FOLLOW, FitSearch, begin, build, complete_readings, inverse, prune
+from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch, inverse
 from pmfid.fit.solve import START, Normal, Optimum, normal_of, solve
 from pmfid.fit.weighing import WeighedForce, weigh
 from pmfid.types import Floats
@@ -62,6 +65,11 @@ class Fitted:
         return self.left < 1.0
 
     @property
+    def pushes(self) -> bool:
+        """Whether a force of the position acts, which may push the axis away from a motion that is nearly right."""
+        return any(force.kind in ("spring", "wave") for force in self.problem.machine.forces)
+
+    @property
     def residuals(self) -> list[Floats]:
         """Residuals (k,) of each stretch [counts]."""
         return [block.e for block in self.problem.linearise(self.solution.q, self.solution.starts)]
@@ -78,16 +86,27 @@ def fit(problem: FitProblem) -> Fitted:
 
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
+    fitted = None
     with suppress(NotIdentifiableError):
         fitted = _fit_once(problem)
-        if fitted.follows:
+        if fitted.follows and not (isinstance(fitted.likelihood, Gaussian) and fitted.pushes):
             return fitted
-    return replace(_fit_once(problem.cut(parts=16)), uncut=problem)
+    search, likelihood = _begin(problem.cut(parts=16))
+    if likelihood is None and fitted is not None and fitted.follows:
+        return fitted
+    return replace(_finish(search, likelihood), uncut=problem)
 
 
 def _fit_once(problem: FitProblem) -> Fitted:
+    return _finish(*_begin(problem))
+
+
+def _begin(problem: FitProblem) -> tuple[FitSearch, Intervals | None]:
     search = FitSearch(problem.refine() if problem.machine.forces else problem)
-    likelihood = begin(search)
+    return search, begin(search)
+
+
+def _finish(search: FitSearch, likelihood: Intervals | None) -> Fitted:
     return conclude(search, build(search) if likelihood is None else prune(search, likelihood))
 
 
@@ -102,6 +121,7 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     theta, covariance = _estimate(search, optimum, likelihood)
     local = search.local(soften(likelihood))
     half, rival = local.half_length(search.chosen, allowed, np.diag(covariance), np.eye(search.count))
+    half = np.hypot(half, NORMAL_95 * _shift_by_noise(search, optimum, likelihood)[: search.count])
     lift = np.ones(search.count)
     lift[search.plain.machine.logs] = theta[search.plain.machine.logs]
     shift = local.evidence([])[1][: search.count] - local.evidence(search.chosen)[1][: search.count]
@@ -117,6 +137,22 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
         search.table[rival].words if rival is not None else "",
         _weigh(search, optimum, likelihood, lift),
     )
+
+
+def _shift_by_noise(search: FitSearch, optimum: Optimum, likelihood: Gaussian | Intervals) -> Floats:
+    """Return the changes (p,) of the parameters between a force that wanders and an error of the position.
+
+    Either is as good an estimate of the right model, so that their distance shows what a wrong one does (Hausman 1978).
+    """
+    shift = np.zeros(optimum.q.size)
+    if not isinstance(likelihood, Gaussian) or not likelihood.wanders:
+        return shift
+    search.q, search.starts = optimum.q, optimum.starts
+    for kind in search.wandering:
+        noise = search.estimate_noise((kind,))
+        other = solve(search.problem, noise, optimum.q, optimum.starts, search.prior(search.problem), 10, GAIN)
+        shift = np.maximum(shift, np.abs(other.q - optimum.q))
+    return shift
 
 
 def largest_errors(search: FitSearch, optimum: Optimum) -> Floats:

@@ -5,20 +5,19 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import product
 from typing import ClassVar
 
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.fit.compare import MOST, ODDS, Quadratic
+from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.elastic import elastic_start
 from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
 from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.solve import Likelihood, Optimum, normal_of, solve
 from pmfid.fit.starts import blind_start, sizes_of
-from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, waves
+from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes
 from pmfid.types import Floats
 
 #: Spreads of a white error in addition to rounding [counts], in falling order.
@@ -32,10 +31,10 @@ MOST_SQUARES, TRIES, NEARBY = 0.15, 8, 2.0
 WITHIN = 0.5**2
 #: Kinds of a disturbance that wanders.
 WANDERING = ("force", "position")
-#: Rounds of fit and noise, which settle in two to four, and most steps of the comparison.
-ROUNDS, MOST_STEPS = 5, 12
-#: Number of wavenumbers that a record is searched for.
-WAVENUMBERS = 100
+#: First size of a force that is never negative, in standard deviations of its prior.
+FIRST = 0.3
+#: Rounds of fit and noise, which settle in two to four.
+ROUNDS = 5
 #: Largest distance of the mass from the blind start, as a logarithm. A fit that goes further follows noise.
 FAR = 3.0
 #: Gain of log likelihood below which a step of the search ends: an eighth of a standard error. The conclusion goes on.
@@ -71,13 +70,12 @@ def with_columns(problem: FitProblem, candidates: Sequence[ExtraForce]) -> tuple
     """Return the problem with the candidates' columns, and the candidates with the numbers of their columns."""
     first = problem.stretches[0].drive.columns.shape[0]
     makers = [one.column for one in candidates if one.column is not None]
-    clocks = np.append(0.0, np.cumsum([float(np.sum(one.drive.step)) for one in problem.stretches]))
+    u, t = (np.concatenate([getattr(one.drive, name) for one in problem.stretches]) for name in ("u", "step"))
+    rows = np.array([make(u, np.cumsum(t)) for make in makers]).reshape(len(makers), u.size)
+    ends = np.cumsum([one.drive.u.size for one in problem.stretches])[:-1]
     stretches = []
-    for stretch, begin in zip(problem.stretches, clocks, strict=False):
-        t = begin + np.cumsum(stretch.drive.step)
-        t = np.append(t, clocks[-1])  # the columns know how long the whole record is
-        rows = [make(np.append(stretch.drive.u, 0.0), t)[:-1] for make in makers]
-        columns = np.ascontiguousarray(np.vstack([stretch.drive.columns, *rows]))
+    for stretch, added in zip(problem.stretches, np.split(rows, ends, axis=1), strict=True):
+        columns = np.ascontiguousarray(np.vstack([stretch.drive.columns, added]))
         stretches.append(replace(stretch, drive=replace(stretch.drive, columns=columns)))
     numbers = iter(range(first, first + len(makers)))
     placed = [one if one.column is None else one.place_column(next(numbers)) for one in candidates]
@@ -155,11 +153,17 @@ class FitSearch:
         self.q = self.problem.start(theta)
         self.starts = self.begin
         for k, candidate in self.problem.place_candidates():
-            if not candidate.reads:
-                force = candidate.force
-                size = self._first_load() if force is None else _first_size(force, self.first, self.sizes.turn)
-                self.q[k] = size / candidate.sd
+            self.q[k] = self._first_size(candidate)
         self.noise = Gaussian(self.plain.stretches)
+
+    def _first_size(self, candidate: ExtraForce) -> float:
+        """Return the size of a candidate at the blind start, in standard deviations of its prior."""
+        if candidate.base == OFFSET:
+            return self._first_load() / candidate.sd
+        if candidate.lowest == 0 or candidate.base == DELAY:  # at zero, it may look smaller than zero
+            return FIRST
+        force = candidate.force
+        return 0.0 if force is None else _first_size(force, self.first, self.sizes.turn) / candidate.sd
 
     def _first_load(self) -> float:
         """Return the load at the blind start, whose spring acts from the first count on."""
@@ -202,12 +206,17 @@ class FitSearch:
         well."""
         _check_followed(self, noise)
 
-    def explain(self) -> Intervals | None:
-        """Return the likelihood of the intervals if a motion explains every count.
+    @property
+    def explains(self) -> bool:
+        """Whether a motion that explains every count ends the search.
 
         Two masses stop and start so often that the likelihood of their intervals is too rough.
         """
-        return None if self.plain.machine.elastic else explain(self)
+        return not self.plain.machine.elastic
+
+    def explain(self, tries: int = TRIES) -> Intervals | None:
+        """Return the likelihood of the intervals if a motion explains every count."""
+        return explain(self, tries) if self.explains else None
 
     def choose(self, chosen: Sequence[int]) -> None:
         """Take a set of candidates, with the sizes of those that were in before."""
@@ -265,158 +274,6 @@ class FitSearch:
         return Quadratic(A, g - A[:, self.count :] @ at, self.count, self._odds(), lowest)
 
 
-def complete_readings(search: FitSearch) -> None:
-    """Take sine and cosine of each error of the encoder that has one of them, because its phase needs both."""
-    words = {search.table[i].words for i in search.chosen if search.table[i].reading is not None}
-    wanted = {i for i, one in enumerate(search.table) if one.words in words}
-    if not wanted <= set(search.chosen):
-        before = set(search.chosen)
-        search.choose(sorted(before | wanted))
-        search.q[[k for i, k in zip(search.chosen, search.problem.places, strict=True) if i not in before]] = 0.0
-
-
-def begin(search: FitSearch) -> Intervals | None:
-    """Solve from the blind starts with forces of the position or without, and keep the best set of them.
-
-    Returns the likelihood of the intervals if a motion explains every count.
-    """
-    loads = [i for i, one in enumerate(search.table) if one.base == OFFSET]
-    springs, turned = ([i for i, one in enumerate(search.table) if one.name == name] for name in ("spring", "gravity"))
-    speeds = SPEEDS if any(force.free for force in search.plain.machine.forces) else SPEEDS[:1]
-    sets = ([], loads) if search.plain.machine.elastic else ([], loads, [*loads, *springs], turned)
-    costs = []
-    for chosen, share in product(dict.fromkeys(map(tuple, sets)), speeds):
-        search.restart(chosen, share)
-        cost = search.solve(search.noise).cost
-        likelihood = search.explain()
-        if likelihood is not None:
-            return likelihood
-        costs.append((search.plain.rows * math.log(cost) + len(chosen) * math.log(search.plain.rows), chosen, share))
-    search.restart(*min(costs)[1:])
-    search.solve(search.noise)
-    return None
-
-
-def build(search: FitSearch) -> Gaussian | Intervals:
-    """Add and drop forces until the counts are explained or no force gains evidence, and return the likelihood."""
-    _settle_either(search)
-    for _ in range(0 if search.reaches_bound(search.q) else MOST_STEPS):
-        step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
-        if step is not None:
-            search.choose_best(_alternatives(search, step))
-        elif not (search.waves and search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
-            break
-        search.solve(search.noise)
-        explained = search.explain()
-        if explained is not None:
-            return prune(search, explained)
-        settle(search, search.wandering)
-    return search.noise
-
-
-def _settle_either(search: FitSearch) -> None:
-    """Settle with a force that wanders, and with an error of the position, and keep the likelier end.
-
-    The residuals of a poor fit look like an error of the position, even where a force wanders.
-    """
-    at, ends = (search.q, search.starts, search.noise), []
-    for kind in search.wandering:
-        search.q, search.starts, search.noise = at
-        settle(search, (kind,))
-        ends.append((search.noise.evidence(errors_of(search))[0], search.q, search.starts, search.noise))
-    _, search.q, search.starts, search.noise = max(ends, key=lambda end: end[0])
-
-
-def settle(search: FitSearch, kinds: Sequence[str]) -> None:
-    """Fit and estimate the noise in turn until the mass settles."""
-    lead = search.plain.machine.lead
-    for _ in range(ROUNDS):
-        before = search.q[lead]
-        search.noise = search.estimate_noise(kinds)
-        search.solve(search.noise)
-        if abs(search.q[lead] - before) < SETTLED:
-            break
-
-
-def _alternatives(search: FitSearch, step: Sequence[int]) -> list[Sequence[int]]:
-    """Return a set, and the set with a lag in place of a new dead time or the reverse: near zero they are the same."""
-    late = {i: one.name for i, one in enumerate(search.table) if one.base in (DELAY, LAGGING)}
-    new = [i for i in step if i in late and i not in search.chosen]
-    other = [i for i in late if i not in step]
-    return [step, sorted([*(i for i in step if i not in new), *other])] if new and other else [step]
-
-
-def prune(search: FitSearch, likelihood: Intervals, fewest: int = 1) -> Intervals:
-    """Drop candidates without which the motion still explains every count, down to `fewest` candidates."""
-    for i in list(search.chosen):
-        if len(search.chosen) <= fewest:
-            break
-        kept = search.chosen, search.q, search.starts
-        search.choose([j for j in search.chosen if j != i])
-        shorter = _narrow(search) if _follows(search) else None
-        if shorter is None:
-            search.choose(kept[0])
-            search.q, search.starts = kept[1], kept[2]
-        else:
-            likelihood = shorter
-    return likelihood
-
-
-def _follows(search: FitSearch) -> bool:
-    """Return whether least squares ends near rounding."""
-    search.solve(Gaussian(search.plain.stretches), 10)
-    return _as_rounding(search)
-
-
-def _add_wave(search: FitSearch) -> bool:
-    """Add the effect with a period along the travel that the residuals show best, if they show one."""
-    reach = 2 * search.sizes.travel
-    kind, wavenumber, gain = _strongest(search, np.arange(1, WAVENUMBERS + 1) / (2 * reach), search.waves)
-    step = 1 / (2 * reach)
-    for _ in range(3):
-        step /= 4
-        nearby = wavenumber + step * np.arange(-3, 4)
-        _, wavenumber, gain = _strongest(search, np.asarray(nearby[nearby > 0]), (kind,))
-    if gain < math.log(WAVENUMBERS * len(search.waves)) - 2 * ODDS:
-        return False
-    size = search.problem.resolution * 3 if not kind else 0.3 * search.sizes.coulomb
-    first = len(search.table)
-    search.table += waves(kind, 1 / wavenumber, size)
-    search.choose([*search.chosen, first, first + 1])
-    return True
-
-
-def _strongest(search: FitSearch, wavenumbers: Floats, kinds: Sequence[str]) -> tuple[str, float, float]:
-    """Return kind, wavenumber [1/unit] and gain of log evidence of the strongest wave."""
-    best = ("", 0.0, -math.inf)
-    for kind in kinds:
-        size = search.problem.resolution * 3 if not kind else 0.3 * search.sizes.coulomb
-        pairs = [one for w in wavenumbers.tolist() for one in waves(kind, 1 / w, size)]
-        problem = replace(search.problem, candidates=(*search.problem.candidates, *pairs))
-        q = np.append(search.q, np.zeros(len(pairs)))
-        normal = normal_of(search.noise(problem.linearise(q, search.starts))[1], search.starts)
-        prior = search.prior(problem)
-        gains = pair_gains(normal.A + np.diag(prior), normal.g + prior * q, search.q.size)
-        top = int(np.argmax(gains))
-        if gains[top] > best[2]:
-            best = (kind, float(wavenumbers[top]), float(gains[top]))
-    return best
-
-
-def pair_gains(A: Floats, g: Floats, base: int) -> Floats:
-    """Return the gain (m,) of log evidence by each of m pairs of parameters after the first `base`."""
-    size = np.sqrt(np.maximum(np.diag(A), 1e-200))
-    A, g = A / np.outer(size, size), g / size
-    solved = np.linalg.solve(A[:base, :base] + 1e-12 * np.eye(base), np.column_stack([A[:base, base:], g[:base]]))
-    inner = A[base:, base:] - A[base:, :base] @ solved[:, :-1]
-    pull = g[base:] - A[base:, :base] @ solved[:, -1]
-    m = pull.size // 2
-    blocks = inner.reshape(m, 2, m, 2)[range(m), :, range(m), :]
-    step = np.linalg.solve(blocks + 1e-9 * np.eye(2), pull.reshape(m, 2, 1))[..., 0]
-    logs = np.log(np.maximum(np.linalg.det(blocks), 1e-300)) + 2 * np.log(size[base:]).reshape(m, 2).sum(axis=1)
-    return np.asarray(0.5 * np.sum(step * pull.reshape(m, 2), axis=1) - 0.5 * logs)
-
-
 def errors_of(search: FitSearch) -> list[Floats]:
     return [block.e for block in search.problem.linearise(search.q, search.starts)]
 
@@ -431,11 +288,11 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
     if not _may_explain(search):
         search.q, search.starts = at
         return None
-    rng, likelihood = np.random.default_rng(1), _narrow(search)
-    for _ in range(tries if likelihood is None and _as_rounding(search) else 0):
+    rng, likelihood = np.random.default_rng(1), narrow(search)
+    for _ in range(tries if likelihood is None and as_rounding(search) else 0):
         search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
         search.solve(Gaussian(search.plain.stretches), 10)
-        likelihood = _narrow(search)
+        likelihood = narrow(search)
         if likelihood is not None:
             return likelihood
     if likelihood is None:
@@ -443,7 +300,7 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
     return likelihood
 
 
-def _narrow(search: FitSearch) -> Intervals | None:
+def narrow(search: FitSearch) -> Intervals | None:
     """Narrow the intervals down to the counts; None if that stops to pay."""
     before, best = -math.inf, None
     for spread in SPREADS:
@@ -459,17 +316,17 @@ def _narrow(search: FitSearch) -> Intervals | None:
 
 def _may_explain(search: FitSearch) -> bool:
     """Return whether a motion near the present one may explain every count."""
-    if _mean_square(search) > WITHIN:
+    if mean_square(search) > WITHIN:
         search.solve(Gaussian(search.plain.stretches))
-    return _mean_square(search) < WITHIN
+    return mean_square(search) < WITHIN
 
 
-def _mean_square(search: FitSearch) -> float:
+def mean_square(search: FitSearch) -> float:
     return float(np.mean(np.concatenate(errors_of(search)) ** 2))
 
 
-def _as_rounding(search: FitSearch) -> bool:
-    return _mean_square(search) < MOST_SQUARES
+def as_rounding(search: FitSearch) -> bool:
+    return mean_square(search) < MOST_SQUARES
 
 
 def _nearby(search: FitSearch, q: Floats, starts: Floats, rng: np.random.Generator) -> Floats:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.fit.compare import ODDS
+from pmfid.fit.compare import NORMAL_95, ODDS
 from pmfid.fit.elastic import ROWS, elastic_start, settle_starts
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian, noise_of
-from pmfid.fit.machine import LOAD_MASS, MASS, STIFFNESS
+from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.search import inverse, with_columns
 from pmfid.fit.solve import Optimum, solve
@@ -21,14 +21,22 @@ from pmfid.fit.starts import soften
 from pmfid.fit.tuning import TUNING
 from pmfid.types import Floats
 
+#: Parameters of one mass, and those of the load that add to them.
+SUMS = ((MASS, LOAD_MASS), (VISCOUS, LOAD_VISCOUS), (COULOMB, LOAD_COULOMB))
+
 
 @dataclass(frozen=True)
 class SecondMass:
-    """Two masses that explain a record better than one: resonance [Hz], sum of the masses, and the log odds."""
+    """Two masses that explain a record better than one: resonance [Hz], sums of the masses and of viscous and Coulomb
+    friction, by the place among the body's parameters, and the log odds."""
 
     resonance: float
-    total: float
+    sums: Mapping[int, float]
     odds: float
+
+    @property
+    def total(self) -> float:
+        return self.sums[MASS]
 
 
 def try_second_mass(fitted: Fitted) -> SecondMass | None:
@@ -76,7 +84,18 @@ def _read(pair: FitProblem, end: Optimum, odds: float) -> SecondMass | None:
     if not np.all(std[[*masses, stiffness]] < TUNING.vague):
         return None
     rate = math.sqrt(theta[stiffness] * float(np.sum(1 / theta[masses])))
-    return SecondMass(rate / (2 * math.pi), float(np.sum(theta[masses])), odds)
+    sums = {row: float(theta[ROWS.index(row)] + theta[ROWS.index(load)]) for row, load in SUMS}
+    return SecondMass(rate / (2 * math.pi), sums, odds)
+
+
+def widen(fitted: Fitted, second: SecondMass) -> Fitted:
+    """Return the fit of one mass with intervals that contain the sums of two masses."""
+    half, machine = fitted.half.copy(), fitted.problem.machine
+    for row, total in second.sums.items():
+        columns = np.flatnonzero(machine.lift[row])
+        if columns.size == 1 and columns[0] < half.size:
+            half[columns[0]] = math.hypot(half[columns[0]], NORMAL_95 * (total - fitted.theta[columns[0]]))
+    return replace(fitted, half=half)
 
 
 def _whole(fitted: Fitted) -> FitProblem:

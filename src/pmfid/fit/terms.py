@@ -169,13 +169,22 @@ def eccentric(s: Sizes) -> Iterator[ExtraForce]:
 
 
 def drift(s: Sizes) -> Iterator[ExtraForce]:
+    """Yield friction along a line and a parabola of time: friction falls as an exponential while an axis warms up."""
     remedy = "record after the axis is warm, or identify shorter records"
-    for kind, size in (("column_friction", s.coulomb), ("column_viscous", s.viscous)):
-        yield ExtraForce("drift", "friction that drifts", remedy, 0.4 * size, force=BodyForce(kind), column=_time)
+    for kind, size, column in (
+        ("column_friction", s.coulomb, _line),
+        ("column_friction", s.coulomb, _parabola),
+        ("column_viscous", s.viscous, _line),
+    ):
+        yield ExtraForce("drift", "friction that drifts", remedy, 0.4 * size, force=BodyForce(kind), column=column)
 
 
-def _time(u: Floats, t: Floats) -> Floats:
+def _line(u: Floats, t: Floats) -> Floats:
     return np.asarray(t / max(float(t[-1]), 1e-300) - 0.5)
+
+
+def _parabola(u: Floats, t: Floats) -> Floats:
+    return np.asarray(2 * _line(u, t) ** 2 - 1 / 6)
 
 
 def warmth(s: Sizes) -> Iterator[ExtraForce]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmfid.diagnostics.matter import OF_LOG, sizes
-from pmfid.diagnostics.tuning import TUNING
 from pmfid.findings import Finding
+from pmfid.fit.compare import NORMAL_95
 from pmfid.pipeline.result import ProcessResult, Result, format_value
 from pmfid.types import Floats
 
@@ -79,7 +79,7 @@ def _describe_machine(result: Result) -> str:
 def _half_intervals(result: Result) -> Floats:
     """Return half of each 95 % interval (p,), from the standard errors alone if the model spread is unknown."""
     spread = 0.0 if result.model_spread is None else np.nan_to_num(result.model_spread)
-    return np.asarray(TUNING.normal_95 * np.hypot(result.theta_std, spread))
+    return np.asarray(NORMAL_95 * np.hypot(result.theta_std, spread))
 
 
 def _sizes(result: Result) -> Floats:

@@ -9,7 +9,6 @@ import numpy as np
 
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import Matter, sizes
-from pmfid.diagnostics.verdict import NORMAL_95
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
@@ -17,10 +16,11 @@ from pmfid.estimators.configuration import like
 from pmfid.estimators.edges import EdgeFit
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.findings import MOVE, make_notes, sort_findings
+from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.findings import findings_of
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Intervals
-from pmfid.fit.second_mass import find_second_mass, try_second_mass
+from pmfid.fit.second_mass import find_second_mass, try_second_mass, widen
 from pmfid.pipeline.known import known_of, put_together
 from pmfid.pipeline.result import DriveResult
 from pmfid.records.gaps import is_held
@@ -69,6 +69,10 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
             f"no motion of the model follows the measured motion; {fit.relative_error:.0%} of the motion stays "
             f"unexplained. Advice: check input_gain, sign and scale of input and output, and [encoder] bits"
         )
+    with np.errstate(all="ignore"):
+        second = try_second_mass(fitted) if may_have_second_mass(axis) else None
+    if second is not None:
+        fitted = widen(fitted, second)
     known = known_of(asked, method)
     estimator: Estimator = method
     if known is not None and known.find_gain:
@@ -79,8 +83,6 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
     p = len(equation.names)
     size = np.maximum(np.append(sizes(estimator, fit.theta[:p]), np.abs(fit.theta[p:])), 1e-150)
     positive = np.append(equation.positive, np.zeros(len(equation.further), bool))
-    with np.errstate(all="ignore"):
-        second = try_second_mass(fitted) if may_have_second_mass(axis) else None
     findings = list(findings_of(fitted, estimator.names, positive, size, axis.estimator.tolerance, second))
     notes = make_notes("record", record.notes) + make_notes("method", remarks)
     matter = _matter(fitted, estimator.names, size, axis.estimator.tolerance)
@@ -107,6 +109,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
 
 def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, ...]]:
     """Return the method, its fit and notes. The fit uses the ages of edges if the record has ages."""
+    record = _restore_inputs(record)
     method, known = make_fit(axis, record), repair_as_configured(record, axis)
     repaired, used, remarks = known.record, known.used, tuple[str, ...]()
     warmth = record.temperature
@@ -153,12 +156,19 @@ def _refuse_second_mass(record: Record, axis: Axis) -> None:
         )
 
 
+def _restore_inputs(record: Record) -> Record:
+    """Return the record with its measured inputs in gaps of the counts, which a simulated motion bridges."""
+    if record.inputs is None:
+        return record
+    return replace(record, u=np.where(np.isfinite(record.u), record.u, record.inputs))
+
+
 def _unknown_inputs(record: Record, repaired: Record) -> Flags:
     """Return the samples (n,) with a replaced or interpolated input. An input that keeps its values is known between
     two equal values."""
     unknown = np.isfinite(repaired.u) & (record.u != repaired.u)
     if record.there is not None:
-        measured = record.there if record.given is None else record.there | record.given
+        measured = record.there if record.inputs is None else record.there | np.isfinite(record.inputs)
         held = is_held(record.u, record.there) and np.isfinite(record.u)
         between = np.r_[False, (record.u[:-2] == record.u[1:-1]) & (record.u[1:-1] == record.u[2:]), False]
         unknown |= ~measured & np.isfinite(repaired.u) & ~(held & between)

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.config.axis import Axis
-from pmfid.diagnostics.verdict import NORMAL_95
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.configuration import like
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.findings import MOVE, Finding, codes, make_notes, sort_findings, texts
+from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.curve import CurveFit, fit_curve
 from pmfid.fit.findings import findings_of
 from pmfid.models.axes import LINEAR, Units

@@ -13,12 +13,12 @@ import numpy as np
 
 from pmfid.diagnostics.matter import Matter, weigh_findings
 from pmfid.diagnostics.processes import Assessment
-from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
 from pmfid.errors import place_of
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.known import Known, choose_naming
 from pmfid.estimators.results import Fit, Track
 from pmfid.findings import Finding, codes, sort_findings, texts
+from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.weighing import WeighedForce
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
@@ -189,7 +189,7 @@ class Result(Presentable):
         function cover random errors. The interval of a positive mass or friction does not extend below zero.
         """
         spread = 0.0 if self.model_spread is None else self.model_spread
-        half = DIAGNOSTIC_TUNING.normal_95 * np.hypot(self.theta_std, spread)
+        half = NORMAL_95 * np.hypot(self.theta_std, spread)
         positive = np.zeros(self.theta.size, dtype=bool)
         positive[: len(self.estimator.equation.names)] = self.estimator.equation.positive
         low = self.theta - half

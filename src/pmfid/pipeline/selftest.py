@@ -15,9 +15,9 @@ import numpy as np
 
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.free_run import FreeRun
-from pmfid.diagnostics.tuning import TUNING as DIAGNOSTIC_TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.findings import MOVE, Finding, codes, sort_findings
+from pmfid.fit.compare import NORMAL_95
 from pmfid.pipeline.drives import Drives, take_own_instants
 from pmfid.pipeline.identify import describe_refusal, identify, kind_of
 from pmfid.pipeline.kinds import Records, parameters_of
@@ -159,7 +159,7 @@ def _measure_recovery(name: str, unit: str, value: float, found: Sequence[Result
 def _read_parameter(result: Result, name: str) -> tuple[float, float, float]:
     """Return an estimate and the ends of its 95 % interval."""
     index = result.names.index(name)
-    value, half = float(result.theta[index]), DIAGNOSTIC_TUNING.normal_95 * float(result.theta_std[index])
+    value, half = float(result.theta[index]), NORMAL_95 * float(result.theta_std[index])
     low, high = result.interval_95[index].tolist()
     return (value, low, high) if np.isfinite(low) else (value, value - half, value + half)
 

@@ -124,8 +124,8 @@ class Record:
     `u` (n,) is the scaled input, with NaN in gaps where the input is unknown. `counts` (n,) are the unwrapped encoder
     counts. `dt` is the sample period [s], and `resolution` is the unit of y per count. `notes` describe changes to the
     data. `name` is the name of the file. `rotary` says whether the output is an angle. `there` (n,) marks the measured
-    samples, or is None if all were measured. `given` (n,) marks the samples whose input was measured, with a count or
-    without, or is None as `there` is. The module `gaps` gives inputs for samples that were not measured. `jitter` is
+    samples, or is None if all were measured. `inputs` (n,) are the measured inputs, with a count or without, and NaN
+    elsewhere, or None as `there` is. The module `gaps` gives inputs for samples that were not measured. `jitter` is
     the root mean square deviation of the steps of an uneven clock, relative to the period, before resampling. `own` is
     the record at the uneven instants of its clock, or None for even instants. A record at uneven instants has
     `steps`, the times between its samples. `in_counts` says whether lengths are in counts, because the travel of a
@@ -144,7 +144,7 @@ class Record:
     name: str
     rotary: bool = False
     there: Flags | None = None
-    given: Flags | None = None
+    inputs: Floats | None = None
     jitter: float = 0.0
     steps: SampleSteps | None = None
     own: Record | None = None
@@ -159,7 +159,7 @@ class Record:
         """The record in which each sample without a count or without an input is a gap."""
         if self.there is None:
             return self
-        return replace(self, u=np.where(self.there, self.u, np.nan), there=None, given=None)
+        return replace(self, u=np.where(self.there, self.u, np.nan), there=None, inputs=None)
 
     @property
     def times(self) -> Floats:
@@ -337,11 +337,11 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         ages, age_notes = read_edge_ages(table, axis.encoder, rows.rows, obstacle)
     notes += age_notes
     if rows.whole:
-        there, given = None, None
+        there, measured = None, None
     else:
-        inputs = _scale_column(inputs, scale * units.u)
-        u, counts, there = fill_gaps(u, counts, rows.places, bridged=config.output_kind != "velocity", inputs=inputs)
-        given = np.isfinite(inputs)
+        measured, bridged = _scale_column(inputs, scale * units.u), config.output_kind != "velocity"
+        u, counts, there = fill_gaps(u, counts, rows.places, bridged=bridged, inputs=measured)
+        measured = measured if bridged else u
         notes, ages = (*notes, describe_missing(u, there)), None
     return Record(
         u,
@@ -352,7 +352,7 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         name,
         rotary,
         there,
-        given,
+        measured,
         jitter=jitter,
         own=own,
         in_counts=in_counts,
@@ -374,8 +374,9 @@ def _own_record(
         y = counts.astype(np.float64) * resolution if kind == "counts" else y
         counts, resolution = floor_counts(y, coarse.step, 1e-9), coarse.step
     u, kept, steps = _span_gaps(_scale_column(own.u, u_scale), counts, steps)
-    there = None if np.all(np.isfinite(u)) else np.isfinite(u)
-    return Record(u, counts[kept], float(steps.before[0]), resolution, (), "", False, there, steps=steps)
+    there = own.there[kept]
+    flags, inputs = (None, None) if np.all(there) else (there, u)
+    return Record(u, counts[kept], float(steps.before[0]), resolution, (), "", False, flags, inputs, steps=steps)
 
 
 def _span_gaps(u: Floats, counts: Counts, steps: SampleSteps) -> tuple[Floats, NDArray[np.intp], SampleSteps]:

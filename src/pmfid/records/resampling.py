@@ -47,12 +47,13 @@ class OwnSamples:
     """Samples (n,) at their own instants.
 
     `before` is the time since the previous sample in the unit of the stamps, and one period for the first sample. In
-    the rows that fill a gap, the input is NaN and the output follows a line.
+    the rows that fill a gap, the input is NaN and the output follows a line. `there` (n,) marks the measured outputs.
     """
 
     before: Floats
     u: Floats
     y: Floats
+    there: Flags
 
 
 def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False) -> Resampled | None:
@@ -66,6 +67,8 @@ def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False
     known = np.isfinite(time) & np.isfinite(u) & np.isfinite(y)
     if not thinned and np.all(known) and has_same_steps(time):
         return None
+    timed = np.isfinite(time) & np.isfinite(u)
+    measured = _drop_repeats(time[timed], u[timed], y[timed])
     stamps, u, y = _drop_repeats(time[known], u[known], y[known])
     if stamps.size < TUNING.resampling_fewest or not np.ptp(stamps) > stamps.size / TUNING.largest_number:
         return None
@@ -89,7 +92,7 @@ def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False
     position = PchipInterpolator(stamps, y)(grid)
     within = steps[steps <= longest]
     apart = float(np.sqrt(np.mean((within / period - 1) ** 2)))
-    own = None if _drifts(within) else _fill_own(stamps, u, y, period, longest)
+    own = None if _drifts(within) else _fill_own(*measured, period, longest)
     return Resampled(grid, np.where(gap, np.nan, np.diff(total) / period), np.where(gap, np.nan, position), apart, own)
 
 
@@ -122,17 +125,19 @@ def _drifts(steps: Floats) -> bool:
 def _fill_own(stamps: Floats, u: Floats, y: Floats, period: float, longest: float) -> OwnSamples:
     """Return the samples without those that another sample follows at once, and with even rows in the gaps.
 
-    `longest` is the longest step that is not a gap.
+    An output y (n,) may be NaN. `longest` is the longest step that is not a gap.
     """
     kept = np.append(np.diff(stamps) > TUNING.resampling_at_once * period, True)
     stamps, u, y = stamps[kept], u[kept], y[kept]
-    steps = np.diff(stamps)
+    steps = np.minimum(np.diff(stamps), TUNING.clock_longest * period)
+    stamps, there = stamps[0] + np.append(0.0, np.cumsum(steps)), np.isfinite(y)
     rows = np.where(steps > longest, np.rint(steps / period).astype(np.intp), 1)
     source = np.repeat(np.arange(stamps.size), np.append(rows, 1))
     first = np.diff(source, prepend=-1) > 0
     before = np.append(period, np.repeat(steps / rows, rows))
     places = stamps[0] + np.append(0.0, np.cumsum(before[1:]))
-    return OwnSamples(before, np.where(first, u[source], np.nan), np.interp(places, stamps, y))
+    travel = np.interp(places, stamps[there], y[there])
+    return OwnSamples(before, np.where(first, u[source], np.nan), travel, first & there[source])
 
 
 def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:

@@ -1,0 +1,107 @@
+"""The first fits of a record: least squares from the blind start, with each force of the table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pmfid.fit.compare import MOST
+from pmfid.fit.likelihood import Intervals
+from pmfid.fit.machine import OFFSET
+from pmfid.fit.problem import FitProblem
+from pmfid.fit.search import SPEEDS, WITHIN, FitSearch, mean_square
+from pmfid.types import Floats
+
+#: Steps of least squares with a set of forces. The set that is kept has more of them.
+STEPS = 12
+#: Number of the likeliest sets that may explain every count.
+LIKELY = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Opening:
+    """The end of least squares with a set of forces: cost by Schwarz (1978), and the state of the search."""
+
+    cost: float
+    chosen: list[int]
+    problem: FitProblem
+    q: Floats
+    starts: Floats
+
+    def enter(self, search: FitSearch) -> None:
+        """Return the search to this state."""
+        search.chosen, search.problem, search.q, search.starts = self.chosen, self.problem, self.q, self.starts
+
+
+def begin(search: FitSearch) -> Intervals | None:
+    """Solve from the blind start without a further force, and with each force of the table, and keep the best end.
+
+    Steps from the plain motion do not show a force that bends the motion far. Where the best end is near rounding, one
+    more force may explain every count, and each of the others is tried in addition. The search is left at the smallest
+    set whose motion explains every count, or else at that of the lowest cost.
+
+    Returns the likelihood of the intervals if a motion explains every count.
+    """
+    free = any(force.free for force in search.plain.machine.forces)
+    plain = []
+    for share in SPEEDS if free else SPEEDS[:1]:
+        search.restart((), share)
+        plain.append((_end(search), share))
+        likelihood = search.explain()
+        if likelihood is not None:
+            return likelihood
+    best, share = min(plain, key=lambda pair: pair[0].cost)
+    ends = [best]
+    for chosen in list_openings(search):
+        search.restart(chosen, share)
+        ends.append(_end(search))
+    while True:
+        likelihood = _explain_any(search, ends)
+        if likelihood is not None:
+            return likelihood
+        last, best = best, min(ends, key=lambda end: end.cost)
+        best.enter(search)
+        if not search.explains or mean_square(search) > WITHIN or best is last or len(best.chosen) == MOST:
+            return search.explain()
+        ends = [best, *(_add(search, best, i) for i in range(len(search.table)) if i not in best.chosen)]
+
+
+def list_openings(search: FitSearch) -> list[tuple[int, ...]]:
+    """Return the sets of forces that a fit may begin with: each force alone, gravity, and a spring with a load."""
+    table = search.table
+    loads = [i for i, row in enumerate(table) if row.base == OFFSET]
+    if search.plain.machine.elastic:
+        return [tuple(loads)] if loads else []
+    springs = [i for i, row in enumerate(table) if row.name == "spring"]
+    pairs: dict[str, list[int]] = {}  # sine and cosine of gravity and of errors of the encoder
+    for i, row in enumerate(table):
+        if row.name == "gravity" or row.reading is not None:
+            pairs.setdefault(row.words, []).append(i)
+    paired = [tuple(pair) for pair in pairs.values()]
+    alone = [(i,) for i in range(len(table)) if i not in (*springs, *sum(paired, ()))]
+    return [one for one in ((*loads, *springs), *paired, *alone) if one]
+
+
+def _end(search: FitSearch) -> Opening:
+    cost, rows = search.solve(search.noise, STEPS).cost, search.plain.rows
+    cost = rows * math.log(cost) + len(search.chosen) * math.log(rows)
+    return Opening(cost, search.chosen, search.problem, search.q, search.starts)
+
+
+def _add(search: FitSearch, end: Opening, row: int) -> Opening:
+    """Return the end with one more force of the table."""
+    end.enter(search)
+    search.choose([*end.chosen, row])
+    return _end(search)
+
+
+def _explain_any(search: FitSearch, ends: Sequence[Opening]) -> Intervals | None:
+    """Return the likelihood of the intervals of the likeliest new set that explains every count. The first end is
+    that of a round before."""
+    for end in sorted(ends[1:], key=lambda end: end.cost)[:LIKELY]:
+        end.enter(search)
+        likelihood = search.explain(tries=0) if mean_square(search) < WITHIN else None
+        if likelihood is not None:
+            return likelihood
+    return None
