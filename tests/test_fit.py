@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -211,6 +213,47 @@ def test_missing_counts_and_a_gap_of_the_input_cost_little() -> None:
     fitted = method.examine(u, counts, there)
     assert len(fitted.problem.stretches) == 2
     np.testing.assert_allclose(fitted.theta, list(case.truth.values()), rtol=0.005)
+
+
+@pytest.mark.parametrize("uneven", [False, True])
+def test_an_input_without_counts_moves_the_axis(uneven: bool) -> None:
+    """Fifty counts are lost while a random input goes on: the motion passes the gap."""
+    case = next(
+        one for one in make_cases(54, "right", range(40)) if (one.t is not None) == uneven and one.motion == "prbs"
+    )
+    counts, rng = case.counts.copy(), np.random.default_rng(1)
+    for first in rng.integers(50, counts.size - 100, 6):
+        counts[first : first + 50] = np.nan
+    answer = identify(replace(case, counts=counts))
+    assert list(answer.status) == []
+    np.testing.assert_allclose(list(answer.theta.values()), list(case.truth.values()), rtol=2e-3)
+
+
+def test_an_input_that_bends_is_one_in_all_stretches() -> None:
+    (case,) = make_cases(52, "bending", [1])
+    u = case.u.copy()
+    u[500:520], u[1200:1230] = np.nan, np.nan
+    method = MotionFit(pmfid.Drive(case.input_gain), pmfid.Encoder(case.resolution), case.dt, 0.2 / case.dt)
+    counts = np.nan_to_num(case.counts, nan=0.0).astype(np.int64)
+    fitted = method.examine(u, counts, np.isfinite(case.counts) & np.isfinite(u))
+    assert any(one.name == "input_curve" for one in fitted.problem.candidates)
+    assert np.mean(np.concatenate(fitted.residuals) ** 2) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("kind", "seed", "index", "bound"), [("lag", 5501, 3, 2e-3), ("friction drift", 3117, 1, 2e-3)]
+)
+def test_a_force_is_found_from_the_blind_start(kind: str, seed: int, index: int, bound: float) -> None:
+    """Steps from the plain motion end 12 to 15 % off, and the force alone explains the record."""
+    (case,) = make_cases(seed, kind, [index])
+    np.testing.assert_allclose(examine(case).theta, list(case.truth.values()), rtol=bound)
+
+
+def test_a_second_mass_widens_the_interval() -> None:
+    (case,) = make_cases(3117, "second mass", [2])
+    answer = identify(case)
+    assert "two_mass" in answer.status
+    assert answer.interval["mass"][0] < case.truth["mass"] < answer.interval["mass"][1]
 
 
 def test_an_axis_at_rest_is_refused() -> None:
