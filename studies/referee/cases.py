@@ -105,7 +105,7 @@ def make_case(machine: Machine, motion: Motion, column: int) -> Case:
             "viscous": pace.viscous * top_force * scale.dt / resolution,
             "coulomb": pace.coulomb * top_force * float(friction),
         },
-        float(u @ force / (u @ u)) if machine.kind in OF_INPUT else 1.0,
+        float(u[:-1] @ force[:-1] / (u[:-1] @ u[:-1])) if machine.kind in OF_INPUT else 1.0,
         {
             "samples": u.size,
             "increments": machine.increments,

@@ -15,6 +15,8 @@ from pmfid.types import Floats
 
 #: Steps of least squares with a set of forces. The set that is kept has more of them.
 STEPS = 12
+#: Precision and most steps of the search for a width [octaves].
+ROUGH = {"xatol": 0.003, "maxiter": 12}
 #: Number of the likeliest sets that may explain every count.
 LIKELY = 3
 
@@ -57,12 +59,13 @@ def begin(search: FitSearch) -> Intervals | None:
         search.restart(chosen, share)
         ends.append(_end(search))
     while True:
-        likelihood = _explain_any(search, ends)
+        end = min(ends, key=lambda end: end.cost)
+        same, best = end is best, _find_width(search, end)
+        likelihood = _explain_any(search, [best, *(one for one in ends if one not in (end, ends[0]))])
         if likelihood is not None:
             return likelihood
-        last, best = best, min(ends, key=lambda end: end.cost)
         best.enter(search)
-        if not search.explains or mean_square(search) > WITHIN or best is last or len(best.chosen) == MOST:
+        if same or not search.explains or mean_square(search) > WITHIN or len(best.chosen) == MOST:
             return search.explain()
         ends = [best, *(_add(search, best, i) for i in range(len(search.table)) if i not in best.chosen)]
 
@@ -96,10 +99,34 @@ def _add(search: FitSearch, end: Opening, row: int) -> Opening:
     return _end(search)
 
 
+def _find_width(search: FitSearch, end: Opening) -> Opening:
+    """Return the end with the best width, within an octave on either side, of a part of the input."""
+    from scipy.optimize import minimize_scalar
+
+    index = next((i for i in end.chosen if search.table[i].with_width is not None), None)
+    if index is None:
+        return end
+    row = search.table[index]
+
+    def fit_width(log: float) -> Opening:
+        assert row.with_width is not None
+        end.enter(search)
+        search.replace_row(index, row.with_width(row.width * 2**log))
+        search.choose(end.chosen)
+        return _end(search)
+
+    highest = min(1.0, -math.log2(row.width))
+    best = minimize_scalar(lambda log: fit_width(log).cost, bounds=(-1.0, highest), method="bounded", options=ROUGH)
+    nearest = fit_width(float(best.x))
+    if nearest.cost < end.cost:
+        return nearest
+    search.replace_row(index, row)
+    return end
+
+
 def _explain_any(search: FitSearch, ends: Sequence[Opening]) -> Intervals | None:
-    """Return the likelihood of the intervals of the likeliest new set that explains every count. The first end is
-    that of a round before."""
-    for end in sorted(ends[1:], key=lambda end: end.cost)[:LIKELY]:
+    """Return the likelihood of the intervals of the likeliest set that explains every count."""
+    for end in sorted(ends, key=lambda end: end.cost)[:LIKELY]:
         end.enter(search)
         likelihood = search.explain(tries=0) if mean_square(search) < WITHIN else None
         if likelihood is not None:

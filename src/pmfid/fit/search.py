@@ -127,6 +127,7 @@ class FitSearch:
             else blind_start(problem.stretches, problem.resolution, machine.turn)
         )
         self.sizes = sizes_of(problem, start, solution)
+        self.bare = problem
         self.plain, self.table = with_columns(problem, candidates_of(problem.machine, self.sizes))
         self.first, self.begin = start.theta(solution.q), problem.first_starts()
         logs = solution.q[start.machine.logs[:2]]  # of each mass
@@ -155,6 +156,12 @@ class FitSearch:
         for k, candidate in self.problem.place_candidates():
             self.q[k] = self._first_size(candidate)
         self.noise = Gaussian(self.plain.stretches)
+
+    def replace_row(self, index: int, row: ExtraForce) -> None:
+        """Put another candidate into a row of the table."""
+        self.table[index] = row
+        problem, self.table = with_columns(self.bare, self.table)
+        self.plain = replace(self.plain, stretches=problem.stretches)
 
     def _first_size(self, candidate: ExtraForce) -> float:
         """Return the size of a candidate at the blind start, in standard deviations of its prior."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -29,7 +29,7 @@ class ExtraForce:
     body's parameters. A `free` force has its constant, in units of `constant`, among the parameters. `lowest` is the
     lower bound of the size in units of `sd`. `column` makes the column of the record from its input. A `reading`
     has the period and the phase of an error of the encoder, in place of a force, and `late` means the time by which all
-    edges are late.
+    edges are late. `with_width` makes the candidate with another `width` of its part of the input.
     """
 
     name: str
@@ -44,6 +44,8 @@ class ExtraForce:
     column: Callable[[Floats, Floats], Floats] | None = None
     reading: tuple[float, float] | None = None
     late: bool = False
+    width: float = 0.0
+    with_width: Callable[[float], ExtraForce] | None = None
 
     @property
     def reads(self) -> bool:
@@ -207,21 +209,25 @@ def bending(s: Sizes) -> Iterator[ExtraForce]:
 
 
 def dead_zone(s: Sizes) -> Iterator[ExtraForce]:
-    if s.levels:
-        for part in (0.01, 0.03, 0.08):
-            column = _column(partial(_inside, part * s.top_force))
-            yield ExtraForce(
-                "dead_zone", "a dead zone of the input", AMPLIFIER, 0.5, force=BodyForce("column"), column=column
-            )
+    yield from _widths("dead_zone", "a dead zone of the input", _inside, s, (0.01, 0.03, 0.08))
 
 
 def saturation(s: Sizes) -> Iterator[ExtraForce]:
+    yield from _widths("saturated", "an input that saturates", _outside, s, (0.9, 0.8, 0.65))
+
+
+def _widths(
+    name: str, words: str, part: Callable[[float, Floats], Floats], s: Sizes, widths: Sequence[float]
+) -> Iterator[ExtraForce]:
+    """Yield a part of the input with several widths, in units of the largest input."""
+
+    def make(width: float) -> ExtraForce:
+        column = _column(partial(part, width * s.top_force))
+        force = BodyForce("column")
+        return ExtraForce(name, words, AMPLIFIER, 0.5, force=force, column=column, width=width, with_width=make)
+
     if s.levels:
-        for part in (0.9, 0.8, 0.65):
-            column = _column(partial(_outside, part * s.top_force))
-            yield ExtraForce(
-                "saturated", "an input that saturates", AMPLIFIER, 0.5, force=BodyForce("column"), column=column
-            )
+        yield from map(make, widths)
 
 
 def _inside(top: float, u: Floats) -> Floats:
