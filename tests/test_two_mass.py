@@ -15,6 +15,8 @@ from pmfid.cli.main import main
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.fit.second_mass import find_second_mass
 from pmfid.types import Counts, Floats
+from studies.referee.cases import make_cases
+from studies.referee.judge import identify
 from tests.oracles.two_mass import TwoMasses, simulate_two_masses
 
 STEP = 0.002
@@ -123,6 +125,13 @@ def test_the_refusal_of_a_rigid_axis_names_the_second_mass() -> None:
     u, counts, resolution = record()
     with pytest.raises(NotIdentifiableError, match=r'a resonance at 20 Hz. Advice: set body = "two-mass" in \[model\]'):
         pmfid.identify(u, counts, model=pmfid.Drive(1.0), dt=STEP, encoder=pmfid.Encoder(resolution))
+
+
+def test_a_second_mass_is_no_velocity() -> None:
+    """The record looks like a velocity, but two masses explain every count."""
+    (case,) = make_cases(7722, "second mass", [0])
+    with pytest.raises(NotIdentifiableError, match=r'a resonance at 18.5 Hz. Advice: set body = "two-mass"'):
+        identify(case)
 
 
 @pytest.mark.parametrize("period", [0.02, 0.3])

@@ -9,7 +9,7 @@ import numpy as np
 
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import Matter, sizes
-from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.errors import NotIdentifiableError, SecondMassError, UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
@@ -141,7 +141,7 @@ def may_have_second_mass(axis: Axis) -> bool:
 
 
 def _refuse_second_mass(record: Record, axis: Axis) -> None:
-    """Raise NotIdentifiableError if two masses explain a record that one mass does not follow."""
+    """Raise SecondMassError if two masses explain a record that one mass does not follow."""
     if not may_have_second_mass(axis):
         return
     method, known, second = make_fit(axis, record), repair_as_configured(record, axis), None
@@ -150,7 +150,7 @@ def _refuse_second_mass(record: Record, axis: Axis) -> None:
         with np.errstate(all="ignore"):
             second = find_second_mass(problem)
     if second is not None:
-        raise NotIdentifiableError(
+        raise SecondMassError(
             f"no motion of one mass follows the record, and that of two masses does, with a resonance at "
             f'{second.resonance:.3g} Hz. Advice: set body = "two-mass" in [model]'
         )

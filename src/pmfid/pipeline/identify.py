@@ -10,7 +10,7 @@ import numpy as np
 
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import OF_LOG, is_small_doubt, weigh_findings
-from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
+from pmfid.errors import NotIdentifiableError, PmfidError, SecondMassError, UsageError
 from pmfid.estimators.registry import methods_for
 from pmfid.findings import Finding, codes, make_notes, sort_findings
 from pmfid.pipeline.drives import Drives
@@ -84,7 +84,12 @@ def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
 
 
 def explain_error(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> NotIdentifiableError:
-    """Return an error with the most important mistake in the log, or the error itself if the log has no mistake."""
+    """Return an error with the most important mistake in the log, or the error itself if the log has no mistake.
+
+    Two masses whose motion explains every count need no other explanation.
+    """
+    if isinstance(error, SecondMassError):
+        return error
     causes = [finding for finding in findings if finding.severity != "note" and finding.code not in OF_LOG]
     return NotIdentifiableError(causes[0].text) if causes else error
 
