@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import JSON, config_option, folder_option, print_json, print_text, progress
+from pmfid.cli.terminal import JSON, config_option, folder_option, print_json, progress
 
 if TYPE_CHECKING:
     from pmfid.pipeline.encoders import EncoderChoice
@@ -69,20 +69,8 @@ def encoder(
 
 
 def _print(found: EncoderChoice, out: Path | None) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
-    from pmfid.errors import printable
+    from pmfid.cli.tables import print_lines, print_table
 
     shown = found.summary()
-    table = Table(title=escape(printable(shown.title)))
-    for heading in shown.header:
-        table.add_column(escape(heading), justify="right", no_wrap=True)
-    for row in shown.rows:
-        table.add_row(*row)
-    Console().print(table)
-    for line in (found.answer, *(f"note: {note}" for note in found.notes)):
-        print_text(line)
-    if out is not None:
-        print_text(f"report: {out / 'encoder.html'}")
+    print_table(shown.title, shown.header, shown.rows)
+    print_lines((found.answer, *(f"note: {note}" for note in found.notes)), out, "encoder.html")

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import JSON, config_option, folder_option, print_json, print_text, progress
-from pmfid.errors import printable
+from pmfid.cli.terminal import JSON, config_option, folder_option, print_json, progress
 
 if TYPE_CHECKING:
     from pmfid.pipeline.friction import FrictionCurve
@@ -45,22 +44,9 @@ def friction(record: Path, config: Path, out: Path | None, as_json: bool) -> Non
 
 
 def _print(found: FrictionCurve, name: str, out: Path | None) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
+    from pmfid.cli.tables import print_lines, print_table
 
-    own = found.motion
+    own, shown = found.motion, found.summary()
     title = f"{name}: {own.inertia} {found.mass:.5g} ± {found.mass_std:.2g} {own.of_inertia}"
-    table = Table(title=escape(printable(title)))
-    shown = found.summary()
-    for heading in shown.header:
-        table.add_column(escape(heading), justify="right", no_wrap=True)
-    for row in shown.rows:
-        table.add_row(*row)
-    console = Console()
-    console.print(table)
-    for line in (
-        *(line for finding in found.findings for line in finding.lines),
-        *([f"report: {out / 'friction.html'}"] if out else []),
-    ):
-        print_text(line)
+    print_table(title, shown.header, shown.rows)
+    print_lines((line for finding in found.findings for line in finding.lines), out, "friction.html")

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import JSON, config_option, print_json, print_text, progress, result_option
-from pmfid.errors import printable
+from pmfid.cli.terminal import JSON, config_option, print_json, progress, result_option
 
 if TYPE_CHECKING:
     from pmfid.pipeline.selftest import SelfTest
@@ -45,19 +44,14 @@ def selftest(record: Path, config: Path, stored: Path, runs: int, seed: int, as_
 
 
 def _print(found: SelfTest) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
+    from pmfid.cli.tables import print_lines, print_table
 
     done = found.runs - found.refused
-    table = Table(title=f"{escape(printable(found.record))}: {found.runs} simulated records")
-    for number, heading in enumerate(("parameter", "simulated", "mean", "error (rms)", "covered", "unit")):
-        table.add_column(heading, justify="right" if 0 < number < 5 else "left", no_wrap=True)
-    for one in found.recoveries:
-        numbers = f"{one.value:.5g}", f"{one.mean:.5g}", f"{one.rmse:.2g}", f"{one.covered} of {done}"
-        table.add_row(one.name, *numbers, one.unit)
-    Console().print(table)
-    print_text(f"status: {', '.join(found.status) or 'none'}")
-    for finding in found.findings:
-        for line in finding.lines:
-            print_text(line)
+    rows = [
+        [one.name, f"{one.value:.5g}", f"{one.mean:.5g}", f"{one.rmse:.2g}", f"{one.covered} of {done}", one.unit]
+        for one in found.recoveries
+    ]
+    header = ("parameter", "simulated", "mean", "error (rms)", "covered", "unit")
+    print_table(f"{found.record}: {found.runs} simulated records", header, rows)
+    lines = [line for finding in found.findings for line in finding.lines]
+    print_lines([f"status: {', '.join(found.status) or 'none'}", *lines], None, "")

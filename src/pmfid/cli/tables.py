@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -44,9 +44,7 @@ def print_result(result: Result, out: Path | None) -> None:
         below = f"note: effects outside the model are below the tolerance: {', '.join(small)}"
         lines.append(f"{below}; the report and --json describe them")
     lines += [f"more: pmfid explain {said.word}"] if said.word else []
-    lines += [f"report: {out / 'report.html'}"] if out is not None else []
-    for line in lines:
-        print_text(line)
+    print_lines(lines, out, "report.html")
 
 
 def _parameters(result: Result, width: int) -> Table:
@@ -98,13 +96,9 @@ def print_comparison(comparison: Comparison, out: Path | None) -> None:
 
     header, rows = comparison_rows(comparison)
     print_table(f"{comparison.name}: all methods", header[:-1], rows)
-    for row in rows:  # remarks do not fit into the table on a narrow terminal
-        if row[-1]:
-            print_text(f"{row[0]}: {row[-1]}")
-    for name, reason in comparison.refused.items():
-        print_text(f"{name} has no answer: {reason}")
-    if out is not None:
-        print_text(f"report: {out / 'compare.html'}")
+    lines = [f"{row[0]}: {row[-1]}" for row in rows if row[-1]]  # remarks do not fit into a narrow table
+    lines += [f"{name} has no answer: {reason}" for name, reason in comparison.refused.items()]
+    print_lines(lines, out, "compare.html")
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -137,7 +131,7 @@ def _column_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str
     table = Table(title=_safe(title) or None)
     for heading in (header[column] for column in columns):
         text = _safe(heading.replace("_", "\n").replace(" [", "\n["))
-        table.add_column(text, justify="left" if heading == header[0] else "right", no_wrap=True)
+        table.add_column(text, justify="left" if heading in (header[0], "unit") else "right", no_wrap=True)
     for row in rows:
         table.add_row(*(_safe(row[column]) for column in columns))
     return table
@@ -152,25 +146,19 @@ def _width(table: Table) -> int:
 
 def print_search(search: Search, name: str, out: Path | None) -> None:
     """Print the best structures."""
-    from rich.console import Console
-    from rich.table import Table
-
     from pmfid.diagnostics.processes import search_notes
     from pmfid.report.result import SEARCH_HEADER, search_rows
 
-    table = Table(title=_safe(f"{name}: poles n, zeros m, dead time in samples"))
-    for heading in SEARCH_HEADER:
-        table.add_column(_safe(heading), justify="right")
-    for row in search_rows(search):
-        table.add_row(*map(_safe, row))
-    console = Console()
-    console.print(table)
+    print_table(f"{name}: poles n, zeros m, dead time in samples", SEARCH_HEADER, search_rows(search))
     best = search.best
-    console.print(f"best for [model]: n = {best.n}, m = {best.m}, delay = {best.delay}", highlight=False, markup=False)
-    for note in search_notes(search):
-        print_text(f"note: {note}")
-    if out is not None:
-        print_text(f"report: {out / 'order.html'}")
+    print_text(f"best for [model]: n = {best.n}, m = {best.m}, delay = {best.delay}")
+    print_lines((f"note: {note}" for note in search_notes(search)), out, "order.html")
+
+
+def print_lines(lines: Iterable[str], out: Path | None, page: str) -> None:
+    """Print lines, and the path of the page if a folder was given."""
+    for line in (*lines, *([f"report: {out / page}"] if out is not None else [])):
+        print_text(line)
 
 
 def _safe(text: str) -> str:

@@ -103,7 +103,7 @@ def _search_order(
 
 
 def _print(found: TermSearch, out: Path | None) -> None:
-    from pmfid.cli.tables import print_result, print_table
+    from pmfid.cli.tables import print_lines, print_result, print_table
     from pmfid.pipeline.terms import term_rows
 
     print_text(found.sentence)
@@ -113,5 +113,4 @@ def _print(found: TermSearch, out: Path | None) -> None:
         if cells:
             print_table(f"{found.name}: {title}", header, cells)
     print_result(found.result, None)
-    if out is not None:
-        print_text(f"report: {out / 'terms.html'}")
+    print_lines((), out, "terms.html")

@@ -13,11 +13,9 @@ from pmfid.cli.terminal import (
     config_option,
     folder_option,
     print_json,
-    print_text,
     progress,
     result_option,
 )
-from pmfid.errors import printable
 
 if TYPE_CHECKING:
     from pmfid.pipeline.validation import Validation
@@ -55,31 +53,16 @@ def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | 
 
 
 def _print(found: Validation, out: Path | None) -> None:
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
+    from pmfid.cli.tables import print_lines, print_table
     from pmfid.report.validation import horizon_rows, run_rows
 
-    table = Table(title=f"free run, parameters by {escape(printable(found.method))}")
     (header, runs), (names, horizons) = run_rows(found), horizon_rows(found)
-    for number, name in enumerate(("", *(row[0] for row in runs))):
-        table.add_column(escape(printable(name)), justify="right" if number else "left", no_wrap=True)
-    for column in range(1, len(header)):
-        table.add_row(escape(header[column]), *(row[column] for row in runs))
+    rows = [[name, *(row[column] for row in runs)] for column, name in enumerate(header) if column]
     for every in dict.fromkeys(row[1] for row in horizons):
-        table.add_section()
         for column in (3, 4):
             cells = {row[0]: row[column] for row in horizons if row[1] == every}
             text = f"{names[column]}, restarted every {every} s"
-            table.add_row(escape(text), *(cells.get(row[0], "–") for row in runs))
-    console = Console()
-    # A number is never cut. A wide table exceeds the edge of the terminal.
-    Console(width=max(console.width, Console(width=10_000).measure(table).maximum)).print(table)
+            rows.append([text, *(cells.get(row[0], "–") for row in runs)])
+    print_table(f"free run, parameters by {found.method}", ["", *(row[0] for row in runs)], rows)
     status = [f"status: {', '.join(found.status)}"] if found.status else []
-    for line in (
-        *status,
-        *(f"note: {note}" for note in found.notes),
-        *([f"report: {out / 'validation.html'}"] if out else []),
-    ):
-        print_text(line)
+    print_lines([*status, *(f"note: {note}" for note in found.notes)], out, "validation.html")

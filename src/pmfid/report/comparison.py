@@ -9,21 +9,19 @@ from matplotlib.figure import Figure
 from pmfid.pipeline.identify import Comparison
 from pmfid.pipeline.result import ProcessResult
 from pmfid.report.figures import COLOURS, GREY, open_figure
-from pmfid.report.html import Section, svg, write_json, write_report
+from pmfid.report.html import Section, svg, write_pages
 from pmfid.report.tuning import TUNING
 
 
 def write_comparison(out: Path, comparison: Comparison) -> None:
     """Write compare.html and compare.json into the folder `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "compare.json", comparison.to_json())
     header, rows = comparison_rows(comparison)
     refused = " ".join(f"{name} has no answer: {reason}." for name, reason in comparison.refused.items())
     sections = [
         Section("Methods", refused, (header, rows)),
         Section("Estimates with two standard deviations", _thin(comparison), svg=svg(comparison_dots(comparison))),
     ]
-    write_report(out / "compare.html", f"{comparison.name}: all methods", sections)
+    write_pages(out, "compare", comparison.to_json(), f"{comparison.name}: all methods", sections)
 
 
 def _thin(comparison: Comparison) -> str:

@@ -9,19 +9,19 @@ from matplotlib.figure import Figure
 
 from pmfid.pipeline.encoders import EncoderChoice
 from pmfid.report.figures import COLOURS, GREY, open_figure, plain_ticks
-from pmfid.report.html import Section, svg, write_json, write_report
+from pmfid.report.html import Section, svg, write_pages
 
 
 def write_choice(out: Path, found: EncoderChoice) -> None:
     """Write encoder.html and encoder.json into the folder `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "encoder.json", found.to_dict())
     table = found.summary()
     text = "\n\n".join(f"{note[0].upper()}{note[1:]}." for note in found.notes)
     section = Section(
         table.title.partition(": ")[2].capitalize(), text, (table.header, table.rows), svg(encoder_figure(found))
     )
-    write_report(out / "encoder.html", f"{found.record}: which encoder", [section], [f"{found.answer.capitalize()}."])
+    write_pages(
+        out, "encoder", found.to_dict(), f"{found.record}: which encoder", [section], [f"{found.answer.capitalize()}."]
+    )
 
 
 def encoder_figure(found: EncoderChoice) -> Figure:

@@ -9,13 +9,11 @@ from matplotlib.figure import Figure
 
 from pmfid.pipeline.friction import FrictionCurve, curve_json
 from pmfid.report.figures import COLOURS, GREY, open_figure
-from pmfid.report.html import Section, svg, write_json, write_report
+from pmfid.report.html import Section, svg, write_pages
 
 
 def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
     """Write friction.html and friction.json into the folder `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "friction.json", curve_json(found, name))
     (back, _), (slow, ahead) = found.visited
     own = found.motion
     text = (
@@ -26,7 +24,7 @@ def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
     text = "\n\n".join([text, *(f"{finding.paragraph}." for finding in found.findings)])
     table = found.summary()
     section = Section("Friction over velocity", text, (table.header, table.rows), svg(curve_figure(found)))
-    write_report(out / "friction.html", f"{name}: friction over velocity", [section])
+    write_pages(out, "friction", curve_json(found, name), f"{name}: friction over velocity", [section])
 
 
 def curve_figure(found: FrictionCurve) -> Figure:

@@ -111,6 +111,21 @@ def write_report(path: Path, title: str, sections: Sequence[Section], lead: Sequ
     replace_file(path, (page + "\n").encode("utf-8", "replace"))
 
 
+def write_pages(
+    out: Path,
+    name: str,
+    content: Mapping[str, object],
+    title: str,
+    sections: Sequence[Section],
+    lead: Sequence[str] = (),
+    page: str = "",
+) -> None:
+    """Write `content` as NAME.json and the sections as NAME.html, or PAGE.html, into the folder `out`."""
+    out.mkdir(parents=True, exist_ok=True)
+    write_json(out / f"{name}.json", content)
+    write_report(out / f"{page or name}.html", title, sections, lead)
+
+
 def _part(section: Section, prefix: str) -> dict[str, object]:
     header, rows = section.table or ((), ())
     texts = [[_text(cell) for cell in row] for row in rows]

@@ -32,7 +32,7 @@ from pmfid.report.figures import (
     signals_figure,
     status_figure,
 )
-from pmfid.report.html import Section, replace_file, svg, write_json, write_report
+from pmfid.report.html import Section, replace_file, svg, write_pages
 from pmfid.report.tuning import TUNING
 
 HOW_TO_READ = (
@@ -52,13 +52,12 @@ def write_drive(out: Path, result: DriveResult) -> None:
     track = out / "track.parquet"
     if os.path.lexists(track) and not track.is_dir():
         track.rename(fresh(track))
-    write_json(out / "result.json", result.to_json())
     if result.track is not None:
         _write_track(track, result)
     said, checks = conclude(result), model_checks(result)
     sections = [_drive_parameters(result), *checks[:1], _drive_notes(result), *_figures(result), *checks[1:]]
     title = f"{result.record.name}: {result.estimator.method}"
-    write_report(out / "report.html", title, sections, (said.sentence, said.action))
+    write_pages(out, "result", result.to_json(), title, sections, (said.sentence, said.action), "report")
 
 
 def _write_track(path: Path, result: DriveResult) -> None:
@@ -123,8 +122,6 @@ def _figures(result: DriveResult) -> list[Section]:
 
 def write_process(out: Path, result: ProcessResult) -> None:
     """Write report.html and result.json into the folder `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "result.json", result.to_json())
     said, notes = conclude(result), "\n\n".join(findings_lines(result, notes=True))
     sections = [
         Section("Parameters", _describe_process(result), (parameter_header(result), parameter_rows(result))),
@@ -136,7 +133,7 @@ def write_process(out: Path, result: ProcessResult) -> None:
         Section("Residual", _residual_text(result), svg=svg(correlation_figure(result))),
     ]
     title = f"transfer function: {result.estimator.method}"
-    write_report(out / "report.html", title, sections, (said.sentence, said.action))
+    write_pages(out, "result", result.to_json(), title, sections, (said.sentence, said.action), "report")
 
 
 BAND = "Band: two standard deviations."
@@ -291,8 +288,6 @@ def search_figure(search: Search) -> Figure:
 
 def write_search(out: Path, search: Search, name: str) -> None:
     """Write order.html and order.json into the folder `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "order.json", search_json(search))
     text = (
         f"{search.samples} samples, {len(search.candidates)} structures fitted, {search.skipped} skipped because they "
         "cannot be better. Criterion: Schwarz (1978), after the whitening filter of the noise, as the distance from "
@@ -303,7 +298,7 @@ def write_search(out: Path, search: Search, name: str) -> None:
     text = "\n\n".join([text, *(f"Note: {note}." for note in search_notes(search))])
     table = (SEARCH_HEADER, search_rows(search))
     sections = [Section("Structures", text, table), Section("Criterion", svg=svg(search_figure(search)))]
-    write_report(out / "order.html", f"{name}: poles, zeros and dead time", sections)
+    write_pages(out, "order", search_json(search), f"{name}: poles, zeros and dead time", sections)
 
 
 def write_result(out: Path, result: Result) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pmfid.pipeline.result import findings_lines, parameter_header, parameter_rows
 from pmfid.pipeline.terms import TermSearch, term_rows
-from pmfid.report.html import Section, svg, write_json, write_report
+from pmfid.report.html import Section, svg, write_pages
 from pmfid.report.result import motion_figure
 
 FORCES = (
@@ -17,8 +17,6 @@ FORCES = (
 
 def write_terms(out: Path, found: TermSearch) -> None:
     """Write terms.html and terms.json into the folder `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "terms.json", found.to_json())
     result = found.result
     taken, others = ([row for row in found.rows if row.chosen == chosen] for chosen in (True, False))
     sections = [
@@ -31,4 +29,6 @@ def write_terms(out: Path, found: TermSearch) -> None:
     lines = [line for notes in (False, True) for line in findings_lines(result, notes=notes)]
     sections += [Section("Notes", "\n\n".join(lines), folded=True)] if lines else []
     lead = found.sentence, "Write the lines for AXIS.toml into its section [model]." if found.added else ""
-    write_report(out / "terms.html", f"{found.name}: terms of the drive", sections, [one for one in lead if one])
+    write_pages(
+        out, "terms", found.to_json(), f"{found.name}: terms of the drive", sections, [one for one in lead if one]
+    )

@@ -10,7 +10,7 @@ from pmfid.diagnostics.free_run import FreeRun
 from pmfid.pipeline.validation import Validation
 from pmfid.report.checks import followed_figure
 from pmfid.report.figures import COLOURS, open_figure, plain_ticks
-from pmfid.report.html import Section, svg, write_json, write_report
+from pmfid.report.html import Section, svg, write_pages
 from pmfid.report.tuning import TUNING
 
 Rows = tuple[list[str], list[list[str]]]
@@ -18,8 +18,6 @@ Rows = tuple[list[str], list[list[str]]]
 
 def write_validation(out: Path, found: Validation) -> None:
     """Write validation.html and validation.json into the folder `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "validation.json", found.to_json())
     sections = [
         Section("Parameters", f"Method: {found.method}.", _parameter_rows(found)),
         Section("Free run", _text(found), run_rows(found)),
@@ -34,7 +32,7 @@ def write_validation(out: Path, found: Validation) -> None:
         Section(f"Measured and simulated: {run.name}", svg=svg(run_figure(run, found.unit)))
         for run in found.runs[: TUNING.most_figures]
     ]
-    write_report(out / "validation.html", f"{found.runs[0].name}: predicted", sections)
+    write_pages(out, "validation", found.to_json(), f"{found.runs[0].name}: predicted", sections)
 
 
 def _text(found: Validation) -> str:
