@@ -265,6 +265,15 @@ def test_numbers_that_are_none_are_refused(logs: list[pl.DataFrame], config: Pat
         fleet.estimate(logs[0], axis=config, by="machine", period="1min", **settings)
 
 
+def test_a_missing_column_is_said_in_spite_of_a_damaged_file(
+    logs: list[pl.DataFrame], config: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "a.parquet").write_bytes(b"PAR1")
+    logs[0].write_parquet(tmp_path / "b.parquet")
+    with pytest.raises(UsageError, match=r"b\.parquet: the data have no column 'axis'"):
+        fleet.estimate(tmp_path, axis=config, by="axis")
+
+
 # --- tables of a lake -------------------------------------------------------------------------------------------------
 
 

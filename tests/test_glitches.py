@@ -188,7 +188,7 @@ def test_side_by_side_each_axis_has_its_own_bits(cls: Any, precision: str, way: 
     u, counts = spoiled_fleet(13)
     one = estimator(cls, resolution_of(1024), precision=precision)
     fleet = pmfid.Fleet(one, 13, workers=1)
-    monkeypatch.setattr(fleet._many, "_way", way)
+    monkeypatch.setattr(fleet, "_way", way)
     tracks = fleet.run(u, counts, every=1)
     for axis in range(13):
         one.reset()

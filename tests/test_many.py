@@ -13,9 +13,9 @@ import pytest
 
 import pmfid
 from pmfid import Status, _kernel64
+from pmfid.estimators.fleet import kept_samples
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import RECURSIVE
-from pmfid.estimators.runner import kept_samples
 from pmfid.kernel.structures import whole_words
 from tests.conftest import cart_run
 from tests.patience import PATIENCE
@@ -96,8 +96,8 @@ def make(cls: type[RecursiveEstimator], precision: str = "float64", **options: A
 
 def fleet_of(estimator: RecursiveEstimator, axes: int, way: int, workers: int = 1) -> pmfid.Fleet:
     fleet = pmfid.Fleet(estimator, axes, workers=workers)
-    assert fleet._many._way == _kernel64.ManyKernel.fastest_way
-    fleet._many._way = way
+    assert fleet._way == _kernel64.ManyKernel.fastest_way
+    fleet._way = way
     return fleet
 
 

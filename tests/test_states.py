@@ -127,7 +127,7 @@ def test_numbers_that_no_fleet_has_are_refused_with_a_right_checksum() -> None:
     fleet = pmfid.Fleet(make(pmfid.BCRLS), AXES)
     fleet.run(u, counts)
     state, start = fleet.get_state(), FLEET_HEAD.itemsize
-    packed = fleet._many.kernel.states.shape[1]
+    packed = fleet._kernel.states.shape[1]
     for axis, word, value in ((0, 0, np.nan), (AXES - 1, 3, np.inf), (7, 0, -np.inf)):
         data = bytearray(state)
         at = start + axis * packed + 8 * word

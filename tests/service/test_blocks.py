@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
-from pmfid.stream.blocks import MAGIC, MOST_BYTES, MOST_SAMPLES, BlockStream, decode, encode
+from pmfid.stream.blocks import MAGIC, MOST_BYTES, MOST_SAMPLES, decode, encode
 from pmfid.stream.delivery import Block, Unusable
 from tests.firmware.build import GCC
 
@@ -204,32 +204,6 @@ def test_random_bytes_with_the_magic_among_them_never_raise(seed: int) -> None:
 def test_a_message_of_beginnings_alone_is_not_searched_for_long() -> None:
     header = encode(block(n=1000))[:40]
     assert len(decode(header * 20_000)) < 30
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_stream_in_any_pieces_gives_the_same_blocks(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    blocks = [block(k, int(rng.integers(1, 60))) for k in range(30)]
-    noise = [rng.bytes(int(rng.integers(1, 30))) if rng.random() < 0.3 else b"" for _ in blocks]
-    data = b"".join(noise[k] + encode(blocks[k]) for k in range(30))
-    stream, found = BlockStream(), []
-    while data:
-        size = int(rng.integers(1, 200))
-        found += stream.feed(data[:size])
-        data = data[size:]
-    good = [item for item in found if isinstance(item, Block)]
-    assert len(good) == 30
-    assert all(map(same, good, blocks))
-    assert any(isinstance(item, Unusable) for item in found)
-
-
-def test_a_stream_finds_the_next_block_where_bytes_were_lost() -> None:
-    stream, cut = BlockStream(), encode(block(1))
-    assert stream.feed(cut[:50] + cut[57:]) == []
-    first, second = stream.feed(encode(block(2)))
-    assert isinstance(first, Unusable)
-    assert first.reason == "crc"
-    assert same(second, block(2))
 
 
 def hex_dump(data: bytes) -> str:

@@ -2,24 +2,62 @@
 
 from __future__ import annotations
 
-from typing import cast
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, whole_number
-from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.configuration import integer_counts, numbers
 from pmfid.estimators.results import Tracks
-from pmfid.estimators.runner import Runner
+from pmfid.estimators.runner import Runner, processors
+from pmfid.estimators.tuning import TUNING
 from pmfid.kernel.structures import whole_words
+from pmfid.types import Floats, Numbers
+
+if TYPE_CHECKING:
+    from pmfid.estimators.recursive import RecursiveEstimator
+
+N = TypeVar("N", bound=np.number)
+#: Arrays of theta, the diagonal of P, its inflation, the innovation, its variance, and the status.
+Results = tuple[Floats, Floats, Floats, Floats, Floats, NDArray[np.uint32]]
 
 
-def runner_of(estimator: RecursiveEstimator | Runner[RecursiveEstimator]) -> Runner[RecursiveEstimator]:
-    """Return the runner from which all axes start. Raises UsageError for an estimator that is not recursive."""
-    if not isinstance(estimator, RecursiveEstimator | Runner):
-        what = getattr(estimator, "method", type(estimator).__name__)
-        raise UsageError(f"a fleet runs sample by sample, and {what} does not; use rls, bcrls or riv")
-    return cast("Runner[RecursiveEstimator]", estimator if isinstance(estimator, Runner) else estimator.runner)
+def _tables(u: ArrayLike, counts: ArrayLike, axes: int) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
+    u_table: NDArray[np.floating] = _make_readable(numbers("u", u), (np.float32, np.float64), np.float64)
+    counts_table: NDArray[np.integer] = _make_readable(integer_counts(counts), (np.int32, np.int64), np.int64)
+    fits = counts_table.ndim == 2 and counts_table.shape[0] == axes
+    if not fits or u_table.shape not in (counts_table.shape, counts_table.shape[1:]):
+        raise UsageError(
+            f"counts must be ({axes}, n), with one row for each axis, and u the same, or (n,) for all "
+            f"axes; got {counts_table.shape} and {u_table.shape}"
+        )
+    return np.broadcast_to(u_table, counts_table.shape), counts_table
+
+
+def _room(axes: int, kept: int, p: int) -> Results:
+    shape = (axes, kept)
+    try:
+        theta, factor, inflation = (np.empty((*shape, p)) for _ in range(3))
+        return theta, factor, inflation, np.empty(shape), np.empty(shape), np.empty(shape, np.uint32)
+    except MemoryError:
+        raise UsageError(
+            f"{kept} estimates of {axes} axes do not fit into memory; keep fewer with a larger `every`"
+        ) from None
+
+
+def kept_samples(samples: int, every: int | None) -> NDArray[np.int64]:
+    """Return the numbers of the samples with kept estimates: every `every`-th sample, and the last."""
+    last = np.arange(samples)[-1:]
+    return last if every is None else np.union1d(np.arange(every - 1, samples, every), last)
+
+
+def _make_readable(array: Numbers, readable: tuple[type[N], ...], other: type[N]) -> NDArray[N]:
+    """Return the array itself if the kernel can read it, or else a copy of type `other`."""
+    native = array.dtype.type if array.dtype.type in readable else other
+    return np.require(array, np.dtype(native), ["ALIGNED"])
 
 
 class Fleet:
@@ -57,11 +95,24 @@ class Fleet:
     def __init__(
         self, estimator: RecursiveEstimator | Runner[RecursiveEstimator], axes: int, *, workers: int | None = None
     ) -> None:
-        first = runner_of(estimator)
-        self._source = first  # the configuration remains available if this runner continues
-        self._many = first.side_by_side(axes, workers)
-        self.axes, self.workers = self._many.axes, self._many.workers
-        self._first = self._many.kernel.states[:1].copy()
+        first = getattr(estimator, "runner", estimator)
+        if not isinstance(first, Runner):
+            what = getattr(estimator, "method", type(estimator).__name__)
+            raise UsageError(f"a fleet runs sample by sample, and {what} does not; use rls, bcrls or riv")
+        self._source: Runner[RecursiveEstimator] = first  # the configuration remains available if this runner continues
+        if self.estimator.steps is not None:
+            raise UsageError(
+                "many axes at once need evenly spaced samples: run each axis on its own, or make the "
+                "estimator without the argument steps"
+            )
+        self.axes = whole_number("axes", axes, 1, "it is the number of machines")
+        remedy = "it is the number of threads; None uses one thread for each processor"
+        self.workers = processors() if workers is None else whole_number("workers", workers, 1, remedy)
+        try:
+            self._kernel = first.kernel.many(self.axes, whole_words(first.precision))
+        except (MemoryError, OverflowError, ValueError):
+            raise UsageError(f"the states of {axes} axes do not fit into memory; process fewer at a time") from None
+        self._way, self._first = self._kernel.fastest_way, self._kernel.states[:1].copy()
 
     def __reduce__(self) -> tuple[object, ...]:
         return _resume_fleet, (self.estimator, self._first, self.axes, self.workers, self.get_state())
@@ -82,12 +133,35 @@ class Fleet:
         last estimate is always kept, and None keeps only the last one. Raises UsageError if the arrays do not match,
         the counts are no integers, or the memory does not hold the kept estimates.
         """
-        return self._many.run(u, counts, every)
+        u_table, counts_table = _tables(u, counts, self.axes)
+        n, names = counts_table.shape[1], self._source.names
+        if every is not None:
+            every = min(whole_number("every", every, 1, "None keeps only the last estimate"), max(1, n))
+        samples = kept_samples(n, every)
+        results = _room(self.axes, samples.size, len(names))
+        if samples.size:
+            self._run_all(u_table, counts_table, every or 0, results)
+        return Tracks(names, self._source.units, *results, samples)
+
+    def _run_all(self, u: NDArray[np.floating], counts: NDArray[np.integer], every: int, results: Results) -> None:
+        def run(piece: range) -> None:
+            self._kernel.run(u, counts, piece.start, piece.stop, every, results, self._way)
+
+        if self.workers == 1 or counts.size < TUNING.runner_small:
+            run(range(self.axes))
+            return
+        with ThreadPoolExecutor(self.workers) as pool:
+            list(pool.map(run, self._pieces()))
+
+    def _pieces(self) -> Iterator[range]:
+        size = -(-self.axes // (self.workers * TUNING.runner_pieces))
+        size = -(-size // TUNING.runner_group) * TUNING.runner_group
+        return (range(start, min(start + size, self.axes)) for start in range(0, self.axes, size))
 
     def axis(self, index: int) -> RecursiveEstimator:
         """Return a new estimator of the same configuration in the state of one axis."""
         single, place = self.estimator, self._place(index)
-        self._many.kernel.load(single.runner.kernel, place)
+        self._kernel.load(single.runner.kernel, place)
         return single
 
     def gap(self, index: int, counts: int) -> None:
@@ -97,7 +171,7 @@ class Fleet:
         processes.
         """
         self.estimator.check_gaps()
-        self._many.kernel.gap(self._place(index), counts)
+        self._kernel.gap(self._place(index), counts)
 
     def _place(self, index: int) -> int:
         index = whole_number("index", index, None, "it is the number of an axis")
@@ -107,7 +181,7 @@ class Fleet:
 
     def reset(self) -> None:
         """Reset every axis to the state in which the fleet was made."""
-        self._many.kernel.reset()
+        self._kernel.reset()
 
     def get_state(self) -> bytes:
         """Return the states of all axes, with a version and checksums.
@@ -116,7 +190,7 @@ class Fleet:
         """
         from pmfid.kernel.saved import save_fleet
 
-        return save_fleet(self._many.kernel, self._source.precision)
+        return save_fleet(self._kernel, self._source.precision)
 
     def set_state(self, state: bytes) -> None:
         """Continue from saved states.
@@ -126,7 +200,7 @@ class Fleet:
         """
         from pmfid.kernel.saved import load_fleet
 
-        load_fleet(self._many.kernel, self._source.precision, state)
+        load_fleet(self._kernel, self._source.precision, state)
 
 
 def _resume_fleet(

@@ -16,7 +16,8 @@ from pmfid._stage import first_order, products
 from pmfid.elementary import cos_sin, exp, geometric, power
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator, memory_of
-from pmfid.estimators.configuration import configuration_of, construct_estimator
+from pmfid.estimators.configuration import configuration_of, construct_estimator, integer_counts
+from pmfid.estimators.fleet import Fleet
 from pmfid.estimators.least_squares import level_of
 from pmfid.estimators.results import Track, Tracks
 from pmfid.estimators.runner import Runner
@@ -229,8 +230,14 @@ class RecursiveEstimator(Estimator):
         return self.runner.run(u, counts, steps)
 
     def run_many(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
-        """Run many axes with `Runner.run_many`, each from the present state, which does not change."""
-        return self.runner.run_many(u, counts, every=every)
+        """Run many axes at once, each from the present state, which does not change.
+
+        u is (axes, n), or (n,) for the same input on all axes; counts are (axes, n). The result has the last estimate
+        of each axis, or one estimate for every `every` samples and the last. Each axis has the bits of `run`. A `Fleet`
+        can continue with further samples. Raises UsageError like `Fleet.run`.
+        """
+        table = integer_counts(counts)
+        return Fleet(self, max(1, table.shape[0]) if table.ndim else 1).run(u, table, every=every)
 
     @property
     def estimate(self) -> Estimate:

@@ -3,155 +3,25 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import Field, dataclass
+from collections.abc import Mapping
+from dataclasses import Field
 from numbers import Integral, Real
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, Protocol, Self, TypeVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from pmfid.errors import UsageError, whole_number
-from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator, integer_counts, numbers
-from pmfid.estimators.results import Track, Tracks
+from pmfid.errors import UsageError
+from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator
+from pmfid.estimators.results import Track
 from pmfid.estimators.sample_steps import check_steps
-from pmfid.estimators.tuning import TUNING
-from pmfid.kernel.structures import whole_words
-from pmfid.types import Floats, Numbers
+from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
     from pmfid._kernel64 import Kernel
 
 N = TypeVar("N", bound=np.number)
-#: Arrays of theta, the diagonal of P, its inflation, the innovation, its variance, and the status.
-Results = tuple[Floats, Floats, Floats, Floats, Floats, NDArray[np.uint32]]
-
-
-@dataclass(frozen=True)
-class SampleBlock:
-    """The next samples of several axes, and arrays for the kept estimates.
-
-    `u` and `counts` (axes, n) have types that the kernel reads. `every` is the number of samples between two kept
-    estimates; 0 keeps the last estimate alone. `samples` (m,) are the numbers of the samples with kept estimates.
-    """
-
-    u: NDArray[np.floating]
-    counts: NDArray[np.integer]
-    every: int
-    samples: NDArray[np.int64]
-    results: Results
-
-    @classmethod
-    def from_arguments(
-        cls, u: ArrayLike, counts: ArrayLike, every: int | None, axes: int, parameters: int
-    ) -> SampleBlock:
-        """Return the block for the arguments of `Fleet.run`. Raises as `Fleet.run`."""
-        u_table, counts_table = _tables(u, counts, axes)
-        if every is not None:
-            every = whole_number("every", every, 1, "None keeps only the last estimate")
-            every = min(every, max(1, counts_table.shape[1]))
-        samples = kept_samples(counts_table.shape[1], every)
-        return cls(u_table, counts_table, every or 0, samples, _room(axes, samples.size, parameters))
-
-    def tracks(self, names: tuple[str, ...], units: tuple[str, ...], order: NDArray[np.int64] | None = None) -> Tracks:
-        """Return the kept estimates. `order` (axes,) sorts the rows, and None keeps their order."""
-        rows = slice(None) if order is None else order
-        theta, factor, inflation, innovation, variance, status = self.results
-        return Tracks(
-            names, units, theta[rows], factor[rows], inflation[rows], innovation[rows], variance[rows], status[rows],
-            self.samples,
-        )  # fmt: skip
-
-
-def _tables(u: ArrayLike, counts: ArrayLike, axes: int) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
-    u_table: NDArray[np.floating] = _make_readable(numbers("u", u), (np.float32, np.float64), np.float64)
-    counts_table: NDArray[np.integer] = _make_readable(integer_counts(counts), (np.int32, np.int64), np.int64)
-    fits = counts_table.ndim == 2 and counts_table.shape[0] == axes
-    if not fits or u_table.shape not in (counts_table.shape, counts_table.shape[1:]):
-        raise UsageError(
-            f"counts must be ({axes}, n), with one row for each axis, and u the same, or (n,) for all "
-            f"axes; got {counts_table.shape} and {u_table.shape}"
-        )
-    return np.broadcast_to(u_table, counts_table.shape), counts_table
-
-
-def _room(axes: int, kept: int, p: int) -> Results:
-    shape = (axes, kept)
-    try:
-        theta, factor, inflation = (np.empty((*shape, p)) for _ in range(3))
-        return theta, factor, inflation, np.empty(shape), np.empty(shape), np.empty(shape, np.uint32)
-    except MemoryError:
-        raise UsageError(
-            f"{kept} estimates of {axes} axes do not fit into memory; keep fewer with a larger `every`"
-        ) from None
-
-
-def kept_samples(samples: int, every: int | None) -> NDArray[np.int64]:
-    """Return the numbers of the samples with kept estimates: every `every`-th sample, and the last."""
-    last = np.arange(samples)[-1:]
-    return last if every is None else np.union1d(np.arange(every - 1, samples, every), last)
-
-
-def _make_readable(array: Numbers, readable: tuple[type[N], ...], other: type[N]) -> NDArray[N]:
-    """Return the array itself if the kernel can read it, or else a copy of type `other`."""
-    native = array.dtype.type if array.dtype.type in readable else other
-    return np.require(array, np.dtype(native), ["ALIGNED"])
-
-
-def threads(workers: int | None) -> int:
-    """Return the number of threads. None means all processors. Raises UsageError for an invalid number."""
-    remedy = "it is the number of threads; None uses one thread for each processor"
-    return processors() if workers is None else whole_number("workers", workers, 1, remedy)
-
-
-class SideBySide:
-    """Many axes that start from the present state of a kernel. The kernel itself does not change.
-
-    `names` and `units` belong to the kernel's parameters. `Fleet` describes `axes` and `workers`. Raises UsageError for
-    invalid numbers and for more axes than the memory holds.
-    """
-
-    def __init__(
-        self,
-        kernel: Kernel,
-        precision: str,
-        names: tuple[str, ...],
-        units: tuple[str, ...],
-        axes: int,
-        workers: int | None = None,
-    ) -> None:
-        self.names, self.units = names, units
-        self.axes = whole_number("axes", axes, 1, "it is the number of machines")
-        self.workers = threads(workers)
-        try:
-            self.kernel = kernel.many(self.axes, whole_words(precision))
-        except (MemoryError, OverflowError, ValueError):
-            raise UsageError(f"the states of {axes} axes do not fit into memory; process fewer at a time") from None
-        self._way = self.kernel.fastest_way
-
-    def run(self, u: ArrayLike, counts: ArrayLike, every: int | None = None) -> Tracks:
-        """Process the next n samples of every axis. `Fleet.run` describes the arguments and errors."""
-        work = SampleBlock.from_arguments(u, counts, every, self.axes, len(self.names))
-        if work.samples.size:
-            self._run_all(work.u, work.counts, work.every, work.results)
-        return work.tracks(self.names, self.units)
-
-    def _run_all(self, u: NDArray[np.floating], counts: NDArray[np.integer], every: int, results: Results) -> None:
-        def run(piece: range) -> None:
-            self.kernel.run(u, counts, piece.start, piece.stop, every, results, self._way)
-
-        if self.workers == 1 or counts.size < TUNING.runner_small:
-            run(range(self.axes))
-            return
-        with ThreadPoolExecutor(self.workers) as pool:
-            list(pool.map(run, self._pieces()))
-
-    def _pieces(self) -> Iterator[range]:
-        size = -(-self.axes // (self.workers * TUNING.runner_pieces))
-        size = -(-size // TUNING.runner_group) * TUNING.runner_group
-        return (range(start, min(start + size, self.axes)) for start in range(0, self.axes, size))
 
 
 def processors() -> int:
@@ -234,25 +104,6 @@ class Runner(Generic[E]):
                 "sample, or leave steps out for any other estimator"
             )
         return found
-
-    def run_many(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
-        """Run many axes at once, each from the present state, which does not change.
-
-        u is (axes, n), or (n,) for the same input on all axes; counts are (axes, n). The result has the last estimate
-        of each axis, or one estimate for every `every` samples and the last. Each axis has the bits of `run`. A `Fleet`
-        can continue with further samples. Raises UsageError like `Fleet.run`.
-        """
-        table = integer_counts(counts)
-        return self.side_by_side(max(1, table.shape[0]) if table.ndim else 1).run(u, table, every)
-
-    def side_by_side(self, axes: int, workers: int | None = None) -> SideBySide:
-        """Return axes that start from the present state. `Fleet` describes the arguments and errors."""
-        if self._configuration["steps"] is not None:
-            raise UsageError(
-                "many axes at once need evenly spaced samples: run each axis on its own, or make the "
-                "estimator without the argument steps"
-            )
-        return SideBySide(self.kernel, self.precision, self.names, self.units, axes, workers)
 
     @property
     def estimate(self) -> Estimate:

@@ -201,18 +201,17 @@ def trend_of(series: Series, names: Sequence[str], tolerance: float) -> Trend | 
     return Trend(*cause, span, float(np.max(scores)), float(np.sum(rest**2)), slopes, stds)
 
 
-def partition_series(series: Series, penalty: float) -> list[int]:
-    """Return the places of all steps in a series (n, p) of usable segments, by penalised least squares.
+def partition_series(theta: Floats, std: Floats, penalty: float) -> list[int]:
+    """Return the places of all steps in theta (n, p) with errors std (n, p), by penalised least squares.
 
     Each step must reduce the sum of squares, in standard deviations, by more than `penalty`. The search is exact
-    (optimal partitioning, Jackson et al. 2005). The standard deviations are those of neighbours.
+    (optimal partitioning, Jackson et al. 2005).
     """
-    n = series.start.size
+    n = len(theta)
     if n < 2 * SIDE:
         return []
-    weight = (series.std * noise_of(series)) ** -2.0
-    origin = np.average(series.theta, axis=0, weights=weight)
-    apart = series.theta - origin
+    weight = std**-2.0
+    apart = theta - np.average(theta, axis=0, weights=weight)
     sums = [np.vstack([np.zeros(apart.shape[1]), np.cumsum(weight * apart**k, axis=0)]) for k in range(3)]
     best, last = np.full(n + 1, np.inf), np.zeros(n + 1, int)
     best[0] = -penalty
@@ -226,6 +225,13 @@ def partition_series(series: Series, penalty: float) -> list[int]:
         places.append(end)
         end = int(last[end])
     return places[::-1]
+
+
+def levels_of(theta: Floats, std: Floats, places: Sequence[int]) -> Floats:
+    """Return the weighted means (n, p) of the parts between the places of steps, for each row of theta (n, p)."""
+    weight, starts = std**-2.0, [0, *places]
+    means = np.add.reduceat(weight * theta, starts, axis=0) / np.add.reduceat(weight, starts, axis=0)
+    return np.asarray(np.repeat(means, np.diff([*starts, len(theta)]), axis=0))
 
 
 #: Candidates for the noise of the segments, in standard errors. The candidates for the steps of a walk between

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import asdict, dataclass
@@ -97,13 +97,20 @@ class Files:
         try:
             self._survey = join_surveys(list(self._engine.map(work, list(self._parts.values()))))
         except UsageError:
-            first = next(iter(self._parts.values()))
-            try:
-                first.rows(self.given)
-            except UsageError as error:
-                raise UsageError(f"{first.name}: {error}") from None
-            raise
+            refusals = list(self._refusals())
+            if not refusals:
+                raise
+            # A column that is missing everywhere is the likelier mistake than a damaged file.
+            raise UsageError(next((one for one in refusals if "no column" in one), refusals[0])) from None
         return self._survey
+
+    def _refusals(self) -> Iterator[str]:
+        """Yield the reasons why parts have no such columns."""
+        for part in self._parts.values():
+            try:
+                part.rows(self.given)
+            except UsageError as error:
+                yield f"{part.name}: {error}"
 
     def read(self, wanted: pl.DataFrame, length: float) -> pl.DataFrame:
         """Return the rows of some axes and slices."""

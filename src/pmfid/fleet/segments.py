@@ -15,6 +15,7 @@ from scipy.special import expit
 from pmfid._stage import first_order
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.configuration import like
+from pmfid.estimators.fleet import Fleet
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.least_squares import inverse_of, long_run_covariance
 from pmfid.estimators.recursive import RecursiveEstimator
@@ -387,11 +388,8 @@ def _estimate_batches(stretches: Sequence[Stretch], estimator: RecursiveEstimato
 
 def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.DataFrame:
     u, counts = np.stack([one.u for one in stretches]), np.stack([one.counts for one in stretches])
-    tracks = (
-        estimator.start()
-        .side_by_side(len(stretches), workers=1)
-        .run(u, counts, every=max(1, u.shape[1] // TUNING.segments_marks))
-    )
+    fleet = Fleet(estimator.start(), len(stretches), workers=1)
+    tracks = fleet.run(u, counts, every=max(1, u.shape[1] // TUNING.segments_marks))
     theta = tracks.theta[:, -1]
     std = settled_std(tracks) * np.sqrt([[one.repeats] for one in stretches])
     columns: dict[str, object] = {

@@ -11,6 +11,7 @@ import numpy as np
 from pmfid.config.axis import Axis, check_sampling
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.fleet import Fleet
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.redge import REdge
 from pmfid.estimators.registry import ESTIMATORS
@@ -248,7 +249,7 @@ def _worth(estimator: RecursiveEstimator, records: Sequence[Record]) -> tuple[in
     cuts = [(record, k) for record in records for k in range(0, record.u.size - size + 1, size)]
     u = np.stack([record.u[k : k + size] for record, k in cuts])
     counts = np.stack([record.counts[k : k + size] for record, k in cuts])
-    tracks = estimator.start().side_by_side(len(cuts), workers=1).run(u, counts)
+    tracks = Fleet(estimator.start(), len(cuts), workers=1).run(u, counts)
     status, std = tracks.status[:, -1], tracks.theta_std[:, -1]
     known = ((status & (UNUSABLE | int(Status.FALLBACK))) == 0) & np.all(np.isfinite(std) & (std > 0), axis=1)
     stds = np.log(std[known]).mean() if np.any(known) else math.inf

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.fleet.changes import partition_series, trend_of, weigh_against_wander
+from pmfid.fleet.changes import levels_of, partition_series, trend_of, weigh_against_wander
 from pmfid.fleet.series import Series, mean_of, noise_of, widen_errors
 from pmfid.fleet.source import seconds_of
 from pmfid.fleet.tuning import TUNING
@@ -74,9 +74,9 @@ def find_changes(visits: Visits, tolerance: float) -> list[AxisVerdict]:
     trend = trend_of(series, names, tolerance)
     assert trend is not None  # there are enough visits
     limit = chance_limit(AS_MANY * n, n - 2)
-    places = partition_series(series, limit**2)
+    places = partition_series(series.theta, series.std * noise_of(series), limit**2)
     steps = [_measure(visits, series, *ends) for ends in zip([0, *places], places, [*places[1:], n], strict=False)]
-    level = np.repeat([part.mean() for part in np.split(visits.values, places)], np.diff([0, *places, n]))
+    level = levels_of(series.theta, series.std, places)[:, 0]
     shapes = np.stack([level, visits.time - visits.time[0]], axis=1)
     stepped, drifted = weigh_against_wander(series.theta, series.std, shapes - shapes.mean(axis=0))
     misfit = float(np.sum((visits.values - level) ** 2 / series.std[:, 0] ** 2))

@@ -122,7 +122,7 @@ def make_parts(saved: StateRows, config: int) -> list[memoryview]:
     return [memoryview(_head(saved, config, saved.axes).tobytes()), *parts]
 
 
-def seal_parts(parts: Sequence[memoryview]) -> list[memoryview]:
+def seal_parts(parts: Sequence[bytes | memoryview]) -> list[bytes | memoryview]:
     """Return the result of `make_parts` or a copy of this result, with the checksum. Any thread may compute it."""
     head = np.frombuffer(parts[0], HEAD)[0].copy()
     checksum = zlib.crc32(head.tobytes()[:-4])

@@ -10,7 +10,7 @@ from typing import Any
 
 from pmfid.durable import crash_point
 from pmfid.service.tuning import TUNING
-from pmfid.stream.checkpoint import Draft, StateBuffer, draft, state_size
+from pmfid.stream.checkpoint import Draft, draft
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.outcome import Counters
 from pmfid.stream.store import Vault
@@ -20,15 +20,10 @@ Done = Callable[[], object]
 
 @dataclass
 class _Job:
-    """A job for the thread that writes checkpoints.
+    """A checkpoint to write. The functions `done` are called afterwards."""
 
-    `draft` is the checkpoint to write. The functions `done` are called afterwards. Without a draft, `room` is the size
-    of a larger buffer to make [bytes].
-    """
-
-    draft: Draft | None = None
-    done: list[Done] = field(default_factory=list)
-    room: int = 0
+    draft: Draft
+    done: list[Done]
 
 
 @dataclass
@@ -51,7 +46,7 @@ class Checkpoints:
     _closing: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
-        self._changed, self._room = Condition(), StateBuffer()
+        self._changed = Condition()
         self._next, self._rested, self._made_at = monotonic() + self.period, 0.0, -1
         self._thread = Thread(target=self._run, name="checkpoints", daemon=True)
         self._thread.start()
@@ -76,24 +71,17 @@ class Checkpoints:
         if last:
             self._close(engine)
         elif self._job is None and (monotonic() >= max(self._next, self._rested) or engine.urgent):
-            if engine.changes == self._made_at:
-                self._next = monotonic() + self.period
-            elif (size := state_size(engine)) > max(self._room.size, TUNING.keeping_large):
-                self._hand_over(_Job(room=size))
-            else:
-                self._next = monotonic() + self.period
+            self._next = monotonic() + self.period
+            if engine.changes != self._made_at:
                 self._make(engine)
 
     def _make(self, engine: StreamEngine) -> None:
         begun = monotonic()
         # The next checkpoint writes the outcomes that wait for a sink, even if nothing else changes.
         self._made_at, engine.urgent = -1 if any(engine.unwritten().values()) else engine.changes, False
-        job, self._undone = _Job(draft(engine, self._room), self._undone), []
+        job, self._undone = _Job(draft(engine), self._undone), []
         crash_point("checkpoint.made")
         self.counters.put("pmfid_checkpoint_made_seconds", monotonic() - begun)
-        self._hand_over(job)
-
-    def _hand_over(self, job: _Job) -> None:
         with self._changed:
             self._job = job
             self._changed.notify_all()
@@ -118,10 +106,7 @@ class Checkpoints:
                 job = self._job
             if job is None:
                 return
-            if job.draft is None:
-                self._room.grow(job.room)
-            else:
-                self._write(job.draft, job.done)
+            self._write(job.draft, job.done)
             with self._changed:
                 self._job = None
                 self._changed.notify_all()

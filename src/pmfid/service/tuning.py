@@ -38,9 +38,6 @@ class ServiceTuning:
     #: Shortest pause after a checkpoint, in multiples of the time to write it. With many axes a checkpoint has hundreds
     #: of MB, and its checksum and its copies take processor time.
     keeping_rest: float = 4.0
-    #: Number of bytes above which the writer's thread makes new memory before the first checkpoint with this size. New
-    #: memory is much slower than memory that was used before, and the engine would stand still for seconds.
-    keeping_large: int = 2**24
 
     # plant
     #: Limit of the number of axes, above the number that one process can serve.

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import struct
 import zlib
-from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -169,48 +168,19 @@ def items(data: bytes) -> list[Table] | list[Block | Unusable]:
     If all blocks have the same form, the result is one table.
     """
     found = read_alike_blocks(data)
-    return [found] if found is not None else _blocks(data, whole=True)[0]
+    return [found] if found is not None else _blocks(data)
 
 
 def decode(data: bytes) -> list[Block | Unusable]:
     """Return the blocks of a message in order, with the reason in place of each unusable block, never as a table."""
     found = read_alike_blocks(data)
-    return [*found.blocks()] if found is not None else _blocks(data, whole=True)[0]
+    return [*found.blocks()] if found is not None else _blocks(data)
 
 
-@dataclass
-class BlockStream:
-    """The blocks of a stream without messages, for example of a growing file."""
-
-    _rest: bytes = field(default=b"", init=False)
-
-    @property
-    def waiting(self) -> int:
-        """Number of received bytes of an incomplete block."""
-        return len(self._rest)
-
-    def begin(self) -> None:
-        """Begin again, possibly in the middle of a block."""
-        self._rest = b""
-
-    def feed(self, data: bytes) -> list[Block | Unusable]:
-        """Return the blocks that are complete after these bytes. An incomplete block waits for the next bytes."""
-        taken = self._rest + data
-        found, used = _blocks(taken, whole=False)
-        self._rest = taken[used:]
-        return found
-
-
-def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
-    """Return the blocks of a message or a stream's received part, and the number of consumed bytes.
-
-    `whole` is true for a message.
-    """
+def _blocks(data: bytes) -> list[Block | Unusable]:
     view, found, place, searches = memoryview(data), list[Block | Unusable](), 0, 0
     while place < len(data):
         end, item = _block(data, view, place)
-        if item is None and not whole:
-            break
         # The length of a damaged block is trusted if another block may begin at its end.
         if isinstance(item, Block) or (item and end and (end == len(data) or data.startswith(MAGIC, end))):
             found.append(item)
@@ -220,17 +190,9 @@ def _blocks(data: bytes, whole: bool) -> tuple[list[Block | Unusable], int]:
             item or Unusable("length", f"the last {len(data) - place} bytes of a message are not a complete block")
         )
         searches += 1
-        place = _next(data, place + 1, whole) if searches <= _MOST_SEARCHES or not whole else len(data)
-    return found, place
-
-
-def _next(data: bytes, start: int, whole: bool) -> int:
-    """Return the start of the next possible block, at a MAGIC, or at an incomplete MAGIC at the end of a stream."""
-    place = data.find(MAGIC, start)
-    if place >= 0 or whole:
-        return place if place >= 0 else len(data)
-    beginnings = (len(data) - n for n in (3, 2, 1) if len(data) - n >= start and data.endswith(MAGIC[:n]))
-    return next(beginnings, len(data))
+        place = data.find(MAGIC, place + 1) if searches <= _MOST_SEARCHES else -1
+        place = len(data) if place < 0 else place
+    return found
 
 
 def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unusable | None]:

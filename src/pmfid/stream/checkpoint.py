@@ -36,41 +36,6 @@ HELD = np.dtype(
 )
 
 
-class StateBuffer:
-    """Memory for the copies of states, which all checkpoints reuse.
-
-    New memory would cost more time than the copy.
-    """
-
-    def __init__(self) -> None:
-        self._bytes = np.empty(0, np.uint8)
-
-    @property
-    def size(self) -> int:
-        return self._bytes.size
-
-    def grow(self, size: int) -> None:
-        """Replace the buffer by `size` bytes, all of them touched. Any thread may call this function while no copy
-        is made.
-        """
-        self._bytes = np.full(size, 1, np.uint8)
-
-    def copy_states(self, states: Sequence[Sequence[memoryview]]) -> list[list[memoryview]]:
-        """Copy the states into the buffer. The copies are valid until the next call."""
-        size = sum(len(part) for state in states for part in state)
-        if self._bytes.size < size:
-            self._bytes = np.empty(size, np.uint8)
-        place, found = 0, list[list[memoryview]]()
-        for state in states:
-            found.append([])
-            for part in state:
-                copy = self._bytes[place : place + len(part)]
-                copy[:] = np.frombuffer(part, np.uint8)  # other threads run during the copy
-                found[-1].append(copy.data)
-                place += len(part)
-        return found
-
-
 @dataclass(frozen=True)
 class Draft:
     """A checkpoint without the checksums of its states, which take longer than a copy of the states.
@@ -80,11 +45,11 @@ class Draft:
     """
 
     text: bytes
-    states: list[list[memoryview]]
+    states: list[list[bytes]]
     others: list[list[bytes]]
 
     def chunks(self) -> list[bytes | memoryview]:
-        """Return the whole checkpoint. Any thread may call this function, as long as the buffer keeps the states."""
+        """Return the whole checkpoint. Any thread may call this function."""
         found: list[bytes | memoryview] = [_LENGTH.pack(len(self.text)), self.text]
         for state, own in zip(self.states, self.others, strict=True):
             found += [*seal_parts(state), *own]
@@ -93,19 +58,14 @@ class Draft:
 
 def snapshot(engine: StreamEngine) -> list[bytes | memoryview]:
     """Return the checkpoint of the engine between two ticks."""
-    return draft(engine, StateBuffer()).chunks()
+    return draft(engine).chunks()
 
 
-def state_size(engine: StreamEngine) -> int:
-    """Return the number of bytes that a draft needs in the buffer."""
-    return sum(len(part) for group in engine.groups for part in group.fleet.unsealed_state())
-
-
-def draft(engine: StreamEngine, room: StateBuffer) -> Draft:
+def draft(engine: StreamEngine) -> Draft:
     """Return the checkpoint of the engine between two ticks. Another thread completes the checkpoint while the engine
     runs.
     """
-    states = room.copy_states([group.fleet.unsealed_state() for group in engine.groups])
+    states = [[bytes(part) for part in group.fleet.unsealed_state()] for group in engine.groups]
     others = [[_pack_seats(group).tobytes(), _pack_held(group)] for group in engine.groups]
     groups = list[dict[str, Any]]()
     for group, state, own in zip(engine.groups, states, others, strict=True):
