@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,15 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.configuration import integer_counts, numbers
 from pmfid.estimators.results import Tracks
-from pmfid.estimators.runner import Runner, processors
+from pmfid.estimators.runner import Runner, RunnerEstimator, processors
 from pmfid.estimators.tuning import TUNING
 from pmfid.kernel.structures import whole_words
 from pmfid.types import Floats, Numbers
 
-if TYPE_CHECKING:
-    from pmfid.estimators.recursive import RecursiveEstimator
-
 N = TypeVar("N", bound=np.number)
+E = TypeVar("E", bound=RunnerEstimator)
 #: Arrays of theta, the diagonal of P, its inflation, the innovation, its variance, and the status.
 Results = tuple[Floats, Floats, Floats, Floats, Floats, NDArray[np.uint32]]
 
@@ -60,7 +58,7 @@ def _make_readable(array: Numbers, readable: tuple[type[N], ...], other: type[N]
     return np.require(array, np.dtype(native), ["ALIGNED"])
 
 
-class Fleet:
+class Fleet(Generic[E]):
     """Many axes with the configuration of one recursive estimator. Each axis has its own state.
 
     The estimates of every axis equal those of the estimator alone, bit by bit. Vector instructions and threads compute
@@ -92,15 +90,13 @@ class Fleet:
     array([1.07, 1.07])
     """
 
-    def __init__(
-        self, estimator: RecursiveEstimator | Runner[RecursiveEstimator], axes: int, *, workers: int | None = None
-    ) -> None:
+    def __init__(self, estimator: E | Runner[E], axes: int, *, workers: int | None = None) -> None:
         first = getattr(estimator, "runner", estimator)
         if not isinstance(first, Runner):
             what = getattr(estimator, "method", type(estimator).__name__)
             raise UsageError(f"a fleet runs sample by sample, and {what} does not; use rls, bcrls or riv")
-        self._source: Runner[RecursiveEstimator] = first  # the configuration remains available if this runner continues
-        if self.estimator.steps is not None:
+        self._source: Runner[E] = first  # the configuration remains available if this runner continues
+        if first.spaced:
             raise UsageError(
                 "many axes at once need evenly spaced samples: run each axis on its own, or make the "
                 "estimator without the argument steps"
@@ -118,7 +114,7 @@ class Fleet:
         return _resume_fleet, (self.estimator, self._first, self.axes, self.workers, self.get_state())
 
     @property
-    def estimator(self) -> RecursiveEstimator:
+    def estimator(self) -> E:
         """New estimator with the configuration of the fleet."""
         return self._source.estimator
 
@@ -158,11 +154,12 @@ class Fleet:
         size = -(-size // TUNING.runner_group) * TUNING.runner_group
         return (range(start, min(start + size, self.axes)) for start in range(0, self.axes, size))
 
-    def axis(self, index: int) -> RecursiveEstimator:
+    def axis(self, index: int) -> E:
         """Return a new estimator of the same configuration in the state of one axis."""
-        single, place = self.estimator, self._place(index)
-        self._kernel.load(single.runner.kernel, place)
-        return single
+        single: Any = self.estimator
+        self._kernel.load(single.runner.kernel, self._place(index))
+        found: E = single
+        return found
 
     def gap(self, index: int, counts: int) -> None:
         """Report a gap in the samples of one axis; `counts` are those of its next sample.
@@ -203,9 +200,7 @@ class Fleet:
         load_fleet(self._kernel, self._source.precision, state)
 
 
-def _resume_fleet(
-    estimator: RecursiveEstimator, first: NDArray[np.uint8], axes: int, workers: int, state: bytes
-) -> Fleet:
+def _resume_fleet(estimator: E, first: NDArray[np.uint8], axes: int, workers: int, state: bytes) -> Fleet[E]:
     runner = estimator.start()
     single = runner.kernel.many(1, whole_words(runner.precision))
     single.set_states(first)

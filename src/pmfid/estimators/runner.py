@@ -30,7 +30,7 @@ def processors() -> int:
 
 
 class RunnerEstimator(Protocol):
-    """Part of a `RecursiveEstimator` that a runner uses: the configuration and the start of an estimation."""
+    """Part of a `RecursiveEstimator` that runners and fleets use: its configuration, and the start of an estimation."""
 
     __dataclass_fields__: ClassVar[dict[str, Field[Any]]]  # marks a dataclass
 
@@ -40,6 +40,7 @@ class RunnerEstimator(Protocol):
     def units(self) -> tuple[str, ...]: ...
     @property
     def precision(self) -> str: ...
+    def check_gaps(self) -> None: ...
     def start(self, state: bytes | None = None) -> Runner[Self]:
         """Return an independent runner."""
         ...
@@ -95,8 +96,13 @@ class Runner(Generic[E]):
         u, counts = check_arrays(u, counts)
         return Track(self.names, self.units, *self.kernel.run(u, counts, self._steps_of(steps, u.size)))
 
+    @property
+    def spaced(self) -> bool:
+        """Whether the samples come with their own times."""
+        return self._configuration["steps"] is not None
+
     def _steps_of(self, steps: ArrayLike | None, samples: int) -> Floats | None:
-        asked = self._configuration["steps"] is not None
+        asked = self.spaced
         found = None if steps is None else check_steps(steps)
         if asked != (found is not None) or (found is not None and found.size != samples):
             raise UsageError(
