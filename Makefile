@@ -272,7 +272,7 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.logs --out results/logs.md
 	.venv/bin/python -m studies.checks --out results/checks.md
 	.venv/bin/python -m studies.fleet_history --out results/fleet_history.md
-	.venv/bin/python -m studies.actuators --out results/actuators.md
+	.venv/bin/python -m studies.servo_grid --out results/actuators.md
 	.venv/bin/python -m studies.growth --out docs/benchmarks.md --samples 100000000 --axes 1000000
 	.venv/bin/python -m tests.hostile.study --out results/hostile.md
 

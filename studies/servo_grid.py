@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -189,6 +190,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--logs", type=int, default=1)
     parser.add_argument("--salt", type=int, default=1)
     parser.add_argument("--wrong", action="store_true")
+    parser.add_argument("--out", type=Path, help="file for the table")
     parser.add_argument("--verbose", action="store_true", help="one line for each servo")
     options = parser.parse_args(arguments)
     rows = []
@@ -200,7 +202,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 f"{name} {100 * row.relative[name]:.2f} ± {100 * row.widths[name]:.2f}" for name in row.relative
             )
             print(", ".join(row.kind), "|", found, "|", *row.status, "|", *row.added, f"| {row.cpu:.1f} s", flush=True)
-    print("\n".join(write_rows(rows)))
+    title = ["# Servos", "", f"{options.servos} random servos with {options.logs} logs of {TIME:.0f} s each.", ""]
+    table = "\n".join([*title, *write_rows(rows)])
+    if options.out is not None:
+        options.out.write_text(table + "\n", encoding="utf-8")
+    print(table)
     return 0
 
 
