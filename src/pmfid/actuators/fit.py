@@ -348,7 +348,11 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
 
 
 def _doubt_motion(deviation: float, wander: float) -> str:
-    """Return what no rounding explains of a deviation and its wandering part [counts], or nothing."""
+    """Return what no rounding explains of a deviation and its wandering part [counts], or nothing.
+
+    A wander of the maximum likelihood may be larger than what exceeds the rounding.
+    """
+    wander = min(wander, math.sqrt(max(deviation**2 - 1 / 12, 0.0)))
     if deviation > TUNING.noisy / math.sqrt(12):
         return f"deviates by {deviation:.1f} encoder steps (rms), more than rounding explains"
     if wander > TUNING.wander / math.sqrt(12):

@@ -79,7 +79,7 @@ class ActuatorTuning:
     #: Samples that a fit needs for each parameter.
     samples_each: int = 10
     #: The model is doubted from this deviation on, or from this wandering part of it on, in standard deviations of the
-    #: rounding. The ticks and counts of a servo in the table make a wandering part of at most 0.4.
+    #: rounding. The ticks and counts of a servo in the table make a smaller one.
     noisy: float = 3.0
     wander: float = 0.5
     #: Part of the time at which the torque is limited, from which on a limit hides the other parameters.
