@@ -20,6 +20,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.fit.machine import simulate
 from pmfid.fit.problem import ObservedStretch
 from pmfid.types import Floats
+from studies.servo_grid import draw_case, draw_goal
 from studies.servo_truth import TrueServo, simulate_servos
 
 STEP = 2 * math.pi / 4096
@@ -208,6 +209,19 @@ def test_counts_in_a_derivative_gain_do_not_loosen_the_friction_of_the_table() -
         place = fit.raw_names.index(name)
         assert abs(fit.theta[place] - getattr(truth, name)) < 3 * fit.theta_std[place], name
         assert fit.theta_std[place] < 0.2 * fit.theta[place], name
+
+
+def test_a_known_load_and_a_cogging_joint_have_starts_of_their_own() -> None:
+    """The first one ended in a gain of 239 % with a bar of 8 %, the second one in gravity and Stribeck friction."""
+    t, numbers = np.arange(0.0, 10.0, 0.005), (25, 38)
+    cases = [draw_case(number, 31, wrong=False) for number in numbers]
+    goals = [draw_goal(t, np.random.default_rng([number, 31, 53, 0])) for number in numbers]
+    positions = simulate_servos([case.truth for case in cases], t, goals)
+    load, cogging = (fit_servo(case.servo, t, goal, y) for case, goal, y in zip(cases, goals, positions, strict=True))
+    assert load.theta[load.raw_names.index("kp")] == pytest.approx(cases[0].truth.kp, rel=0.02)
+    assert cogging.theta[0] == pytest.approx(cases[1].truth.inertia, rel=0.01)
+    assert "cogging" in cogging.added
+    assert load.status == cogging.status == ()
 
 
 @pytest.mark.parametrize("law", [{"deadzone": 0.02}, {"backlash": 2 * STEP}])
