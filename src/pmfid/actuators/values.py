@@ -14,6 +14,7 @@ from pmfid.actuators.search import ServoSearch, limited_part
 from pmfid.actuators.terms import LOOP_FRICTION
 from pmfid.actuators.ticks import measure_ticks
 from pmfid.actuators.tuning import TUNING
+from pmfid.fit.compare import mixture_half_length
 from pmfid.fit.fit import Fitted, sandwich
 from pmfid.fit.problem import ResidualBlock
 from pmfid.fit.search import inverse
@@ -89,7 +90,7 @@ def read_parameters(
     search: ServoSearch, fitted: Fitted, lags: Sequence[LagFit]
 ) -> tuple[tuple[str, ...], Floats, Floats]:
     """Return names, values and standard errors (m,) of the parameters that were known or found."""
-    q, covariance, gain = fitted.solution.q, _covariance(search, fitted), False
+    q, covariance, gain = fitted.solution.q, _scatter(search, fitted), False
     if lags:
         q, covariance = _mix_lags(search, fitted, lags, covariance)
     else:
@@ -103,7 +104,8 @@ def read_parameters(
     found = read(q)
     names, theta = tuple(found), np.array(list(found.values()))
     width = np.nan_to_num(np.sqrt(np.abs(np.diag(covariance))), nan=1.0, posinf=1.0)
-    std = _spread(_gradient(read, q, width), covariance)
+    gradient = _gradient(read, q, width)
+    std = _widen(search, gradient, _spread(gradient, covariance))
     more = {"delay": search.task.servo.loop_period / math.sqrt(12)}  # a goal waits for the next tick of the loop
     more["coulomb"] = _measure_rests(search, fitted) if "coulomb" in found else 0.0
     std = np.hypot(std, [more.get(name, 0.0) for name in names])
@@ -134,14 +136,33 @@ def _measure_rests(search: ServoSearch, fitted: Fitted) -> float:
     return float(body[-problem.machine.loops]) * problem.resolution / math.sqrt(12 * turns)
 
 
-def _covariance(search: ServoSearch, fitted: Fitted) -> Floats:
-    """Return the covariance (p, p) of the coordinates, with the spread over models that the logs do not exclude."""
-    covariance = _scatter(search, fitted)
-    std, wide = np.sqrt(np.diag(covariance)), np.ones(len(covariance))
-    half = fitted.half.copy()
-    half[search.plain.machine.lead] /= fitted.theta[search.plain.machine.lead]
-    wide[: search.count] = np.maximum(half / TUNING.normal / np.maximum(std[: search.count], 1e-300), 1.0)
-    return np.asarray(covariance * np.outer(wide, wide))
+def _widen(search: ServoSearch, gradient: Floats, std: Floats) -> Floats:
+    """Return the standard errors (m,) with the spread over models that the logs do not exclude, for derivatives (m, p).
+
+    A parameter may be a sum of coordinates, which another model moves against one another.
+    """
+    local, count, chosen = search.local(search.noise), search.count, search.chosen
+    rows = gradient[:, [*range(count), *search.problem.places]]
+    value, step, inner = local.evidence(chosen)
+    weights, shifts, sds = [1.0], [np.zeros(std.size)], [std]
+    for one in local.neighbours(chosen, range(len(search.table))):
+        other, moved, wider = local.evidence(one)
+        if not math.isfinite(other):
+            continue
+        shared = [k for k, i in enumerate(chosen) if i in one]
+        here = [*range(count), *(count + k for k in shared)]
+        there = [*range(count), *(count + one.index(chosen[k]) for k in shared)]
+        change = np.where(np.arange(step.size) < count, 0.0, -step)  # without its size, if a term is gone
+        change[here] = moved[there] - step[here]
+        more = np.sum(rows[:, here] @ (wider[np.ix_(there, there)] - inner[np.ix_(here, here)]) * rows[:, here], axis=1)
+        weights.append(math.exp(min(other - value, 50.0)))
+        shifts.append(rows @ change)
+        sds.append(np.sqrt(np.maximum(std**2 + more, 1e-300)))
+    known = np.isfinite(std)
+    half = mixture_half_length(np.array(weights), np.array(shifts)[:, known], np.array(sds)[:, known])
+    std = std.copy()
+    std[known] = half / TUNING.normal
+    return std
 
 
 def _scatter(search: ServoSearch, fitted: Fitted) -> Floats:
