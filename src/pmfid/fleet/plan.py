@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import cast
+from typing import Any, cast
 
 import polars as pl
 
@@ -235,13 +235,20 @@ def sort_mixed(
         ]
 
 
+def _folders_by_chunk(folder: Path) -> Any:
+    """Return the target of Polars for a folder for each chunk, whose name differs between its versions."""
+    if hasattr(pl, "PartitionBy"):
+        return pl.PartitionBy(folder, key=CHUNK, include_key=False)
+    return getattr(pl, "PartitionByKey")(folder, by=[CHUNK], include_key=False)  # noqa: B009  unknown to later versions
+
+
 def _write_by_chunk(read: Read, numbered: pl.DataFrame, length: float, folder: Path) -> Callable[[Read, int], Read]:
     """Write the rows of a part into a folder for each chunk, and return what reads them in place of the part."""
     rows = read.part.rows(read.columns).select(read.columns.carried).with_columns(slice_of(length))
     chosen = rows.join(numbered.lazy().select(AXIS, SLICE, CHUNK), on=[AXIS, SLICE]).drop(SLICE)
     try:
         with readable("data"):
-            chosen.sink_parquet(pl.PartitionBy(folder, key=CHUNK, include_key=False), compression="lz4", mkdir=True)
+            chosen.sink_parquet(_folders_by_chunk(folder), compression="lz4", mkdir=True)
     except UsageError:
         if shutil.disk_usage(folder.parent).free < TUNING.plan_free:
             raise UsageError(

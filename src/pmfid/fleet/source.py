@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from inspect import signature
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 from urllib.parse import unquote
 
 import numpy as np
@@ -414,7 +415,10 @@ def _open_file(path: Path) -> pl.LazyFrame:
         with path.open("rb") as file:
             indexed = file.read(len(ARROW)) == ARROW
         if indexed:
-            return pl.scan_ipc(path, hive_partitioning=False, glob=False)
+            plain: dict[str, Any] = (
+                {"glob": False} if "glob" in signature(pl.scan_ipc).parameters else {}
+            )  # early versions lack it
+            return pl.scan_ipc(path, hive_partitioning=False, **plain)
     return pl.DataFrame(dict(read_table(path))).lazy()
 
 
