@@ -390,9 +390,10 @@ def test_what_is_left_to_do_is_said(tmp_path: Path) -> None:
     assert "AXIS.toml still has the mark TO DO at resolution, input_gain" in printed
 
 
-def test_the_rounded_step_of_degrees_is_a_part_of_a_turn(tmp_path: Path) -> None:
-    """The step 0.08789 deg instead of 360/4096 deg once made each inertia wrong by seven millionths."""
+@pytest.mark.parametrize("decimals", [2, 4])
+def test_the_rounded_step_of_degrees_is_a_part_of_a_turn(tmp_path: Path, decimals: int) -> None:
+    """The steps 0.08789 and 0.0879 deg instead of 360/4096 deg once made each inertia wrong by many intervals."""
     run = LOGS["counts"][0]()
-    degrees = np.round(np.asarray(run["counts"]) * 360 / 4096, 4)
+    degrees = np.round(np.asarray(run["counts"]) * 360 / 4096, decimals)
     pl.DataFrame({"t": run["t"], "torque": run["u"], "angle [deg]": degrees}).write_csv(tmp_path / "log.csv")
     assert 'resolution = "4096 counts/rev"' in guess(tmp_path / "log.csv").text

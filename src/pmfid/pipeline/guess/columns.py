@@ -42,7 +42,7 @@ def step_of(values: Floats) -> tuple[float, bool]:
     rounded = rounding_of(found) / step
     allowed = max(TUNING.columns_exact, 1.01 * rounded if rounded < TUNING.most_rounded else 0.0)
     if found.size > 3 and np.mean(off[exact] < allowed) > TUNING.columns_part and reach / step < TUNING.columns_fine:
-        return _round_step(step, rounding_of(found) / reach), True
+        return _round_step(*_fit_step(found, step)), True
     return max(reach / TUNING.columns_fine, _last_digit(found)), False
 
 
@@ -65,6 +65,15 @@ def rounding_of(values: Floats) -> float:
         if np.all(np.abs(scaled - np.rint(scaled)) < 1e-6) and np.ptp(scaled) < 1e9:
             return 10.0**-digits
     return 0.0
+
+
+def _fit_step(found: Floats, step: float) -> tuple[float, float]:
+    """Return the slope of the values (n,) over their multiples of a step, and its relative error from rounding."""
+    times = np.rint((found - found[0]) / step)
+    times -= np.mean(times)
+    length = float(np.linalg.norm(times))
+    slope = float(times @ found) / length**2
+    return slope, rounding_of(found) / (length * slope)
 
 
 def _round_step(step: float, error: float) -> float:
