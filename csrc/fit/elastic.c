@@ -36,13 +36,24 @@ typedef struct {
     int w, late, slopes; /* number of parameters; index of the present input; whether derivatives are asked for */
     int order; /* number of terms of the series */
     int side[2]; /* direction of each mass, 0 at rest */
+    int touch; /* side of the gap that touches, 0 within the gap; without a gap 1 */
+    double k, c, bias; /* stiffness, damping and force at twist 0 of the present contact */
     double z[4]; /* x, v, x2, v2 */
     double *dz[4], *mid[4],
         *term[4]; /* (w) derivatives of the state, in the middle of a step, and of a power of time */
     double *dn[2]; /* (w) derivatives of the forces on each mass */
     double net[2], light[2]; /* forces of the present series; one over each mass */
-    flight (*flights)[LENGTHS]; /* by the directions of both masses */
+    flight (*flights)[LENGTHS]; /* by the directions of both masses, and whether they touch */
 } pair;
+
+/* Let the masses touch at one side of the gap, or at none. */
+static void touch_at(pair *t, int side)
+{
+    t->touch = side;
+    t->k = side ? t->theta[PMF_ELASTIC_STIFFNESS] : 0;
+    t->c = side ? t->theta[PMF_ELASTIC_DAMPING] : 0;
+    t->bias = -0.5 * side * t->k * t->theta[PMF_ELASTIC_PLAY];
+}
 
 static double column_at(const pair *t, const pmf_force *f, int i)
 {
@@ -69,8 +80,7 @@ static double hold(const pair *t, int side, double s, int i)
 /* Force on a mass by the input and the spring. */
 static double pull(const pair *t, int side, double drive)
 {
-    const double tie =
-        t->theta[PMF_ELASTIC_STIFFNESS] * (t->z[0] - t->z[2]) + t->theta[PMF_ELASTIC_DAMPING] * (t->z[1] - t->z[3]);
+    const double tie = t->k * (t->z[0] - t->z[2]) + t->c * (t->z[1] - t->z[3]) + t->bias;
     return side ? tie : drive - tie;
 }
 
@@ -88,7 +98,8 @@ static double net_force(pair *t, int side, const double z[4], double drive, int 
 {
     const pmf_body *b = t->b;
     const int s = t->side[side];
-    double net = (side ? 0 : drive) - s * t->theta[COULOMB[side]], gx = 0, gv = 0, *dn = t->dn[side];
+    const double sign = side ? 1 : -1; /* of the tie */
+    double net = (side ? 0 : drive) - s * t->theta[COULOMB[side]] + sign * t->bias, gx = 0, gv = 0, *dn = t->dn[side];
     int shape = PMF_ELASTIC_BASE + b->forces;
     memset(dn, 0, t->w * sizeof *dn);
     for (int j = 0; j < b->forces; j++) {
@@ -108,6 +119,10 @@ static double net_force(pair *t, int side, const double z[4], double drive, int 
         for (int k = 0; k < t->w; k++)
             dn[k] -= gx * dz[2 * side][k] + gv * dz[2 * side + 1][k];
     dn[COULOMB[side]] -= s;
+    if (t->bias != 0) {
+        dn[PMF_ELASTIC_STIFFNESS] -= sign * 0.5 * t->touch * t->theta[PMF_ELASTIC_PLAY];
+        dn[PMF_ELASTIC_PLAY] -= sign * 0.5 * t->touch * t->k;
+    }
     if (!side)
         dn[PMF_BODY_OFFSET] -= 1;
     return net;
@@ -116,8 +131,7 @@ static double net_force(pair *t, int side, const double z[4], double drive, int 
 /* Series of the motion under constant forces `net`. */
 static void expand(pair *t, const double net[2], series c)
 {
-    const double k = t->theta[PMF_ELASTIC_STIFFNESS], damping = t->theta[PMF_ELASTIC_DAMPING];
-    const double d1 = drag(t, 0), d2 = drag(t, 1);
+    const double k = t->k, damping = t->c, d1 = drag(t, 0), d2 = drag(t, 1);
     const double m1 = t->side[0] ? t->light[0] : 0, m2 = t->side[1] ? t->light[1] : 0;
     double f1 = net[0], f2 = net[1];
     t->net[0] = f1, t->net[1] = f2;
@@ -202,8 +216,7 @@ static double next_turn(const pair *t, int side, series c, double drive, double 
     }
     for (int way = -1; way <= 1; way += 2) {
         for (int j = 0; j <= t->order; j++) {
-            const double tie = t->theta[PMF_ELASTIC_STIFFNESS] * (c[0][j] - c[2][j]) +
-                               t->theta[PMF_ELASTIC_DAMPING] * (c[1][j] - c[3][j]);
+            const double tie = t->k * (c[0][j] - c[2][j]) + t->c * (c[1][j] - c[3][j]) + (j ? 0 : t->bias);
             g[j] = way * (side ? -tie : tie);
         }
         g[0] += way * (hold(t, side, way, i) - (side ? 0 : drive));
@@ -214,11 +227,30 @@ static double next_turn(const pair *t, int side, series c, double drive, double 
     return first;
 }
 
+/* Time until the masses touch or part within h, with the next side of the gap in *side. */
+static double next_touch(const pair *t, series c, double h, int *side)
+{
+    const double half = 0.5 * t->theta[PMF_ELASTIC_PLAY];
+    double g[ORDER + 1], first = HUGE_VAL;
+    if (half == 0)
+        return first;
+    for (int way = -1; way <= 1; way += 2) {
+        if (t->touch && way != t->touch)
+            continue;
+        for (int j = 0; j <= t->order; j++)
+            g[j] = (t->touch ? way : -way) * (c[0][j] - c[2][j]);
+        g[0] += t->touch ? -half : half;
+        const double time = first_zero(g, t->order, h);
+        if (time < first)
+            first = time, *side = t->touch ? 0 : way;
+    }
+    return first;
+}
+
 /* Derivatives of the state after h seconds of a series, from those before. */
 static void follow(const pair *t, series c, double h, double *const to[4])
 {
-    const double k = t->theta[PMF_ELASTIC_STIFFNESS], damping = t->theta[PMF_ELASTIC_DAMPING];
-    const double d1 = drag(t, 0), d2 = drag(t, 1);
+    const double k = t->k, damping = t->c, d1 = drag(t, 0), d2 = drag(t, 1);
     const double m1 = t->side[0] ? t->light[0] : 0, m2 = t->side[1] ? t->light[1] : 0;
     double *restrict x1 = t->term[0], *restrict v1 = t->term[1], *restrict x2 = t->term[2], *restrict v2 = t->term[3];
     const double *restrict n1 = t->dn[0], *restrict n2 = t->dn[1];
@@ -245,10 +277,12 @@ static void follow(const pair *t, series c, double h, double *const to[4])
         v1[PMF_BODY_VISCOUS] -= g1 * c[1][j];
         v1[PMF_BODY_DIRECTIONAL] -= g1 * t->side[0] * c[1][j];
         v2[PMF_ELASTIC_VISCOUS] -= g2 * c[3][j];
-        v1[PMF_ELASTIC_STIFFNESS] -= g1 * twist;
-        v2[PMF_ELASTIC_STIFFNESS] += g2 * twist;
-        v1[PMF_ELASTIC_DAMPING] -= g1 * slip;
-        v2[PMF_ELASTIC_DAMPING] += g2 * slip;
+        if (t->touch) {
+            v1[PMF_ELASTIC_STIFFNESS] -= g1 * twist;
+            v2[PMF_ELASTIC_STIFFNESS] += g2 * twist;
+            v1[PMF_ELASTIC_DAMPING] -= g1 * slip;
+            v2[PMF_ELASTIC_DAMPING] += g2 * slip;
+        }
         power *= h;
         for (int r = 0; r < 4; r++) {
             double *restrict sum = to[r];
@@ -290,7 +324,7 @@ static void find_flight(const pair *t, flight *f)
 /* Matrices of a step of h seconds if steps of this length are frequent, otherwise null. */
 static const flight *flight_of(const pair *t, double h)
 {
-    flight *f = t->flights[3 * t->side[0] + t->side[1] + 4], *rare = f, *end = f + LENGTHS;
+    flight *f = t->flights[3 * t->side[0] + t->side[1] + 4 + (t->touch ? 0 : 9)], *rare = f, *end = f + LENGTHS;
     for (; f < end && fabs(f->h - h) > 1e-9 * h; f++)
         if (f->hits < rare->hits)
             rare = f;
@@ -321,6 +355,8 @@ static void add_sources(const pair *t, const flight *f, double *const to[4])
             out[PMF_BODY_COULOMB] += f1 * n1[PMF_BODY_COULOMB];
             out[PMF_BODY_OFFSET] += f1 * n1[PMF_BODY_OFFSET];
             out[PMF_ELASTIC_COULOMB] += f2 * n2[PMF_ELASTIC_COULOMB];
+            out[PMF_ELASTIC_STIFFNESS] += f1 * n1[PMF_ELASTIC_STIFFNESS] + f2 * n2[PMF_ELASTIC_STIFFNESS];
+            out[PMF_ELASTIC_PLAY] += f1 * n1[PMF_ELASTIC_PLAY] + f2 * n2[PMF_ELASTIC_PLAY];
         }
     }
 }
@@ -361,6 +397,7 @@ static void plan(pair *t, int i, double drive, double h, series c)
         return;
     for (int side = 0, way; side < 2; side++)
         h = fmin(h, next_turn(t, side, c, drive, h, i, &way));
+    h = fmin(h, next_touch(t, c, h, &(int){0}));
     if (t->slopes)
         carry(t, c, h / 2, t->mid);
     for (int r = 0; r < 4; r++)
@@ -383,6 +420,25 @@ static void stop(pair *t, int side, double drive, double slowing, int i)
         dv[k] = t->side[side] ? dv[k] * ratio : 0;
 }
 
+/* The masses touch or part: the force of the damping jumps at an instant that moves. A mass at rest may start. */
+static void switch_touch(pair *t, int side, double drive, int i)
+{
+    const double way = side ? side : t->touch, slip = t->z[1] - t->z[3];
+    const double jump = side ? t->theta[PMF_ELASTIC_DAMPING] : -t->theta[PMF_ELASTIC_DAMPING];
+    double kick[2]; /* jumps of the accelerations over the slip */
+    touch_at(t, side);
+    for (int mass = 0; mass < 2; mass++)
+        if (t->side[mass])
+            kick[mass] = (mass ? jump : -jump) * t->light[mass];
+        else
+            kick[mass] = slip != 0 ? start_force(t, mass, drive, i, &t->side[mass]) * t->light[mass] / slip : 0;
+    for (int k = 0; k < t->w; k++) {
+        const double twist = t->dz[0][k] - t->dz[2][k] - (k == PMF_ELASTIC_PLAY ? 0.5 * way : 0);
+        t->dz[1][k] += kick[0] * twist;
+        t->dz[3][k] += kick[1] * twist;
+    }
+}
+
 /* Move for `left` seconds in sample i. */
 static void move(pair *t, int i, double left)
 {
@@ -398,6 +454,7 @@ static void move(pair *t, int i, double left)
         series c;
         double step = left, slope[4];
         int turned = -1, way = 0;
+        int next = 0;
         plan(t, i, drive, left, c);
         for (int side = 0; side < 2 && turn < MOST_TURNS; side++) {
             int s = 0;
@@ -405,12 +462,17 @@ static void move(pair *t, int i, double left)
             if (time < step || (time == step && turned < 0))
                 step = time, turned = side, way = s;
         }
+        const double gap = turn < MOST_TURNS ? next_touch(t, c, step, &next) : HUGE_VAL;
+        if (gap < step)
+            step = gap, turned = -1;
         if (t->slopes)
             carry(t, c, step, t->dz);
         for (int r = 0; r < 4; r++)
             t->z[r] = value_at(c[r], t->order, step, slope + r);
         left -= step;
-        if (turned >= 0 && t->side[turned])
+        if (step == gap)
+            switch_touch(t, next, drive, i);
+        else if (turned >= 0 && t->side[turned])
             stop(t, turned, drive, slope[2 * turned + 1], i);
         else if (turned >= 0)
             t->side[turned] = way;
@@ -470,9 +532,9 @@ int pmf_elastic_run(const pmf_body *b, const double *theta, double *y, double *v
     const int w = PMF_ELASTIC_BASE + b->forces + b->shapes, parts = b->forces ? b->parts : 1;
     const double rate = rate_of(theta);
     double wait = b->step[0] + theta[PMF_BODY_DELAY];
-    flight flights[9][LENGTHS];
+    flight flights[18][LENGTHS];
     pair t = {0};
-    for (int j = 0; j < 9 * LENGTHS; j++)
+    for (int j = 0; j < 18 * LENGTHS; j++)
         flights[j / LENGTHS][j % LENGTHS].h = 0, flights[j / LENGTHS][j % LENGTHS].hits = -1;
     t.flights = flights;
     t.light[0] = 1 / theta[PMF_BODY_MASS], t.light[1] = 1 / theta[PMF_ELASTIC_MASS];
@@ -483,6 +545,8 @@ int pmf_elastic_run(const pmf_body *b, const double *theta, double *y, double *v
     memset(work, 0, 15 * w * sizeof *work);
     t.z[0] = theta[PMF_BODY_X0], t.z[1] = theta[PMF_BODY_V0];
     t.z[2] = t.z[0] + theta[PMF_ELASTIC_TWIST], t.z[3] = t.z[1] + theta[PMF_ELASTIC_SLIP];
+    const double twist = t.z[0] - t.z[2], half = 0.5 * theta[PMF_ELASTIC_PLAY];
+    touch_at(&t, half == 0 || twist > half ? 1 : twist < -half ? -1 : 0);
     for (int j = 0, shape = PMF_ELASTIC_BASE + b->forces; j < b->forces; j++)
         t.p[j] = b->force[j].unknown ? theta[shape++] : b->force[j].p;
     t.dz[0][PMF_BODY_X0] = t.dz[2][PMF_BODY_X0] = t.dz[2][PMF_ELASTIC_TWIST] = 1;

@@ -5,6 +5,8 @@
  *   m v' = g - d v - e |v| - F sign(v) - c - p - forces,   p = stiffness (x - x2) + damping (v - v2)
  *   m2 v2' = p - d2 v2 - F2 sign(v2) - forces on the load
  *
+ * With play, p acts only where the twist x - x2 is beyond half of the gap, and counts from there.
+ *
  * Between stops, starts and switches of the input the motion is linear. Its Taylor series of tenth order is exact to
  * rounding within a tenth of a period. The same series shows when a mass stops or starts. */
 #ifndef PMF_ELASTIC_H
@@ -21,6 +23,7 @@ enum {
     PMF_ELASTIC_DAMPING,
     PMF_ELASTIC_TWIST, /* x2 - x at the start */
     PMF_ELASTIC_SLIP, /* v2 - v at the start */
+    PMF_ELASTIC_PLAY, /* gap between the masses, >= 0; 0 means none */
     PMF_ELASTIC_BASE
 };
 

@@ -1,6 +1,8 @@
 """Motion of two masses on a spring by the classical Runge-Kutta method, with stops and starts located inside a step.
 
 m v' = f - p - d v - F sign(v),   m2 v2' = p - d2 v2 - F2 sign(v2),   p = k (x - x2) + c (v - v2)
+
+With a gap, p acts beyond half of it, and the twist counts from there.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TwoMasses:
-    """Motor, its viscous and Coulomb friction, load, its frictions, stiffness and damping of the spring."""
+    """Motor, its viscous and Coulomb friction, load, its frictions, stiffness and damping of the spring, and a gap."""
 
     mass: float
     viscous: float
@@ -25,10 +27,14 @@ class TwoMasses:
     load_coulomb: float
     stiffness: float
     damping: float
+    gap: float = 0.0
 
     def pull(self, state: Floats, force: float) -> tuple[float, float]:
         """Return the forces on both masses by input and spring."""
-        spring = self.stiffness * (state[0] - state[2]) + self.damping * (state[1] - state[3])
+        twist = state[0] - state[2]
+        beyond = twist - min(max(twist, -self.gap / 2), self.gap / 2)
+        touches = beyond != 0 or self.gap == 0
+        spring = self.stiffness * beyond + self.damping * (state[1] - state[3]) * touches
         return force - spring, spring
 
     def directions(self, state: Floats, force: float) -> list[int]:

@@ -104,6 +104,7 @@ class ModelKeys(TypedDict, total=False):
     axis: AxisKind
     input_gain: float | str
     body: Body
+    play: bool
     friction: Friction
     offset: bool
     spring: bool

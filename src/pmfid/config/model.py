@@ -136,6 +136,7 @@ class ModelConfig(FileSection):
         'or "estimate"',
     )
     body: Body = Field("rigid", description='"rigid", or "two-mass" for a load on a spring')
+    play: bool = Field(False, description="true for a gap between motor and load of a two-mass body, false for none")
     friction: Friction = Field("symmetric", description="whether friction differs between forward and backward")
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
     spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")

@@ -22,6 +22,7 @@ from pmfid.fit.machine import (
     LOAD_VISCOUS,
     MASS,
     OFFSET,
+    PLAY,
     STIFFNESS,
     VISCOUS,
     BodyModel,
@@ -61,14 +62,15 @@ def elastic_start(problem: FitProblem, scan: bool = True) -> tuple[FitProblem, O
     return plain, best
 
 
-def make_first_pair(late: bool, dead_time: float) -> BodyModel:
-    """Return two masses with viscous and Coulomb friction, a load and a dead time [s], which is free if `late`."""
-    rows = [*ROWS, *([DELAY] if late else [])]
+def make_first_pair(late: bool, dead_time: float, plays: bool = False) -> BodyModel:
+    """Return two masses with viscous and Coulomb friction, a load, a dead time [s], which is free if `late`, and a gap
+    if it `plays`."""
+    rows = [*ROWS, *([PLAY] if plays else []), *([DELAY] if late else [])]
     lift = np.zeros((ELASTIC_BASE, len(rows)))
     lift[rows, range(len(rows))] = 1.0
     lowest = np.where(np.isin(rows, (MASS, OFFSET, LOAD_MASS, STIFFNESS)), -np.inf, 0.0)
     rest = dead_time * np.eye(ELASTIC_BASE)[DELAY]
-    places = (ROWS.index(LOAD_MASS), ROWS.index(STIFFNESS), ROWS.index(DAMPING))
+    places = tuple(rows.index(row) for row in (LOAD_MASS, STIFFNESS, DAMPING, PLAY) if row in rows)
     return BodyModel(tuple(map(str, rows)), (), rest, lift, 0, lowest, elastic=True, further=places)
 
 
@@ -96,13 +98,13 @@ def _follow_guesses(plain: FitProblem, prior: Floats) -> Optimum | None:
     if not points:
         return None
     length = max(TUNING.periods * _period(plain, points[0]), TUNING.shortest * float(np.mean(stretch.steps)))
-    problem = plain.cut(_count_parts(plain, length))
+    problem = plain.cut(count_parts(plain, length))
     problem = replace(problem, stretches=problem.stretches[:: math.ceil(len(problem.stretches) / TUNING.parts)])
-    ends = sorted((_settle(problem, q, problem.first_starts(), prior, 4) for q in points), key=lambda end: end.cost)
+    ends = sorted((settle(problem, q, problem.first_starts(), prior, 4) for q in points), key=lambda end: end.cost)
     best: Optimum | None = None
     for end in ends[:2]:
         end = solve(problem, soften(problem.stretches), end.q, end.starts, prior, 20, 0.1)
-        tried = _join(plain, problem, end, length, prior)
+        tried = join(plain, problem, end, length, prior)
         best = tried if best is None or tried.cost < best.cost else best
         if best.cost < TUNING.rounded * stretch.y.size:
             return best
@@ -114,8 +116,8 @@ def _restart(plain: FitProblem, end: Optimum, prior: Floats) -> Optimum:
     """Return the better of a fit of the whole stretch and another one from parts of it, for stops make the likelihood
     rough."""
     length = float(plain.stretches[0].times[-1]) / TUNING.joined
-    problem = plain.cut(_count_parts(plain, length))
-    tried = _join(plain, problem, _settle(problem, end.q, problem.first_starts(), prior, 20), length, prior)
+    problem = plain.cut(count_parts(plain, length))
+    tried = join(plain, problem, settle(problem, end.q, problem.first_starts(), prior, 20), length, prior)
     return min(tried, end, key=lambda one: one.cost)
 
 
@@ -125,25 +127,25 @@ def _period(plain: FitProblem, q: Floats) -> float:
     return float(2 * math.pi / np.sqrt(stiffness * np.sum(1 / masses)))
 
 
-def _count_parts(problem: FitProblem, length: float) -> int:
+def count_parts(problem: FitProblem, length: float) -> int:
     """Return the number of parts of about a length [s] in the only stretch."""
     return max(1, int(float(problem.stretches[0].times[-1]) / length))
 
 
-def _settle(problem: FitProblem, q: Floats, starts: Floats, prior: Floats, steps: int) -> Optimum:
+def settle(problem: FitProblem, q: Floats, starts: Floats, prior: Floats, steps: int) -> Optimum:
     like = soften(problem.stretches)
     return solve(problem, like, q, settle_starts(problem, like, q, starts), prior, steps, 0.1)
 
 
-def _join(plain: FitProblem, problem: FitProblem, end: Optimum, length: float, prior: Floats) -> Optimum:
+def join(plain: FitProblem, problem: FitProblem, end: Optimum, length: float, prior: Floats) -> Optimum:
     """Return the fit of the whole stretch from that of its parts of a length [s], which become longer."""
     while len(problem.stretches) > 1:
         known = dict(zip((one.first for one in problem.stretches), end.starts, strict=True))
         length *= TUNING.joined
-        problem = plain.cut(_count_parts(plain, length))
+        problem = plain.cut(count_parts(plain, length))
         pairs = zip(problem.stretches, problem.first_starts(), strict=True)
         starts = np.array([known.get(one.first, start) for one, start in pairs])
-        end = _settle(problem, end.q, starts, prior, 20)
+        end = settle(problem, end.q, starts, prior, 20)
     return end
 
 

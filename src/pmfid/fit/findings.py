@@ -98,8 +98,8 @@ def _describe(second: SecondMass, name: str, fitted: Fitted, tolerance: float) -
     off = abs(float(fitted.theta[fitted.problem.machine.lead]) / second.total - 1)
     return Finding(
         "two_mass",
-        f"a second mass on a spring, with a resonance at {second.resonance:.3g} Hz, explains the record better",
-        'set body = "two-mass" in [model]',
+        f"{second.describe('rad' if fitted.problem.machine.turn else 'm')} explains the record better",
+        second.remedy,
         "doubt" if off > tolerance else "note",
         f"Both masses are {second.total:.4g} together, so that {name} is {format_part(off)} off.",
     )

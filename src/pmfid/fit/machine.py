@@ -17,7 +17,7 @@ from pmfid.types import Floats
 
 MASS, VISCOUS, COULOMB, OFFSET, DIRECTIONAL, DELAY, LAGGING, X0, V0 = range(BASE)
 #: Further parameters of an elastic body, whose first mass has the others (csrc/fit/elastic.h).
-LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING, TWIST, SLIP = range(BASE, ELASTIC_BASE)
+LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING, TWIST, SLIP, PLAY = range(BASE, ELASTIC_BASE)
 
 #: Share of each term of the body's first parameters. Friction in one direction is the mean of both directions and half
 #: of their difference.
@@ -58,7 +58,7 @@ class BodyModel:
     `lowest` (p,) are the lower bounds of the parameters.
     `turn` is the length of a turn of a rotary axis, or 0. `precision` (p,) are the precisions of the parameters'
     Gaussian priors about zero; None means no prior. An `elastic` body has two masses. `further` are the indices of its
-    second mass, stiffness and damping.
+    second mass, stiffness, damping and, with play, gap.
     """
 
     names: tuple[str, ...]
@@ -81,6 +81,11 @@ class BodyModel:
     def starts(self) -> tuple[int, ...]:
         """Indices of the start state among the parameters of the body."""
         return (X0, V0, TWIST, SLIP) if self.elastic else (X0, V0)
+
+    @property
+    def plays(self) -> bool:
+        """Whether there is a gap between two masses."""
+        return self.elastic and bool(np.any(self.lift[PLAY]))
 
     @property
     def logs(self) -> list[int]:
@@ -145,8 +150,8 @@ def machine_of(equation: Equation) -> BodyModel:
     positive = np.append(equation.positive, np.ones(len(equation.further), bool))
     lowest = np.where(positive & (np.arange(len(names)) != equation.leading), 0.0, -np.inf)
     turn = 2 * np.pi if equation.motion is ROTARY else 0.0
-    rows = (LOAD_MASS, STIFFNESS, DAMPING) if equation.elastic else ()
-    further = tuple(int(np.flatnonzero(lift[row])[0]) for row in rows)
+    rows = (LOAD_MASS, STIFFNESS, DAMPING, PLAY) if equation.elastic else ()
+    further = tuple(int(np.flatnonzero(lift[row])[0]) for row in rows if np.any(lift[row]))
     lowest[list(further[:2])] = -np.inf
     return BodyModel(
         names, forces, rest, lift, equation.leading, lowest, turn, elastic=equation.elastic, further=further
@@ -159,8 +164,8 @@ def _further_rows(equation: Equation, free: Sequence[int], shaped: Sequence[int]
     if equation.lag == ESTIMATE:
         rows[LAG] = LAGGING
     if equation.elastic:
-        places = (LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
-        rows |= dict(zip((name for name, _ in equation.second), places, strict=True))
+        places = (LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING, PLAY)
+        rows |= dict(zip((name for name, _ in equation.second), places, strict=False))
     speeds = [f"{equation.unknown[shaped[j]].name}_speed".replace("_friction", "") for j in free]
     return rows | {name: first + j for j, name in enumerate(speeds)}
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from pmfid.fit.machine import MASS, BodyForce, BodyModel, Excitation, simulate
 from pmfid.fit.terms import ExtraForce
+from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.types import Flags, Floats
 
 #: Parts of an interval in which forces are held at the value of their middle. The error of a motion falls with the
@@ -181,13 +182,14 @@ class FitProblem:
         return self._clip_pair(q) if self.machine.elastic else q
 
     def _clip_pair(self, q: Floats) -> Floats:
-        """Return q (p,) within the bounds of the second mass, the resonance and its damping."""
-        load, stiffness, damping = self.machine.further
+        """Return q (p,) within the bounds of the second mass, the resonance, its damping and the gap."""
+        load, stiffness, damping, *play = self.machine.further
         q[load] = np.clip(q[load], *self.mass)
         reduced = -np.logaddexp(-q[self.machine.lead], -q[load])
         with np.errstate(divide="ignore"):
             q[stiffness] = np.clip(q[stiffness], *(2 * np.log(self.rate) + reduced))
         q[damping] = np.clip(q[damping], 0.0, 2 * np.exp((q[stiffness] + reduced) / 2))
+        q[play] = np.maximum(q[play], PLAY_TUNING.narrowest * self.resolution)
         return q
 
     def theta(self, q: Floats) -> Floats:

@@ -14,6 +14,7 @@ from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.elastic import elastic_start
 from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
 from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
+from pmfid.fit.play import play_start
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.solve import Likelihood, Optimum, normal_of, solve
 from pmfid.fit.starts import blind_start, sizes_of
@@ -122,7 +123,7 @@ class FitSearch:
     def __init__(self, problem: FitProblem) -> None:
         machine = problem.machine
         start, solution = (
-            elastic_start(problem)
+            (play_start if machine.plays else elastic_start)(problem)
             if machine.elastic
             else blind_start(problem.stretches, problem.resolution, machine.turn)
         )

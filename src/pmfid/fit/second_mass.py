@@ -1,10 +1,12 @@
-"""The trial of a second mass on a spring where a rigid axis does not explain the record."""
+"""The trial of a second mass, on a spring or across a gap, where a rigid axis does not explain the record."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -14,6 +16,7 @@ from pmfid.fit.elastic import ROWS, elastic_start, settle_starts
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian, noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
+from pmfid.fit.play import play_start
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.search import inverse, with_columns
 from pmfid.fit.solve import Optimum, solve
@@ -28,11 +31,30 @@ SUMS = ((MASS, LOAD_MASS), (VISCOUS, LOAD_VISCOUS), (COULOMB, LOAD_COULOMB))
 @dataclass(frozen=True)
 class SecondMass:
     """Two masses that explain a record better than one: resonance [Hz], sums of the masses and of viscous and Coulomb
-    friction, by the place among the body's parameters, and the log odds."""
+    friction, by the place among the body's parameters, and the log odds.
+
+    Masses with play have the gap `play` and its standard error in place of a resonance."""
 
     resonance: float
     sums: Mapping[int, float]
     odds: float
+    play: tuple[float, float] | None = None
+
+    @property
+    def change(self) -> dict[str, object]:
+        """The keys of [model] that add the second mass."""
+        return {"body": "two-mass"} | ({} if self.play is None else {"play": True})
+
+    @property
+    def remedy(self) -> str:
+        also = "" if self.play is None else " and play = true"
+        return f'set body = "two-mass"{also} in [model]'
+
+    def describe(self, unit: str) -> str:
+        """Return the second mass in words. `unit` is that of the travel."""
+        if self.play is None:
+            return f"a second mass on a spring, with a resonance at {self.resonance:.3g} Hz,"
+        return f"a second mass across a gap of {self.play[0]:.3g} ± {self.play[1]:.2g} {unit}"
 
     @property
     def total(self) -> float:
@@ -54,7 +76,7 @@ def try_second_mass(fitted: Fitted) -> SecondMass | None:
     if pair is None:
         return None
     odds = _evidence(*pair) - _evidence(*_fit_one_mass(problem, fitted.solution.q, part)) + ODDS
-    odds -= 0.5 * TUNING.further * math.log(part.y.size)
+    odds -= 0.5 * (TUNING.further + pair[0].machine.plays) * math.log(part.y.size)
     return _read(*pair, odds) if odds > 0 else None
 
 
@@ -67,25 +89,32 @@ def find_second_mass(problem: FitProblem) -> SecondMass | None:
 
 
 def _fit_two_masses(problem: FitProblem, part: ObservedStretch) -> tuple[FitProblem, Optimum] | None:
-    """Return the fit of two masses to a part of the record, or None if it leaves more than rounding."""
+    """Return the fit of two masses to a part of the record, on a spring or else with play, or None if both leave more
+    than rounding."""
     if part.y.size < TUNING.fewest:
         return None
-    try:
-        pair, end = elastic_start(replace(problem, stretches=(part,), candidates=()), scan=False)
-    except NotIdentifiableError:
-        return None
-    return (pair, end) if end.cost < TUNING.rounded * part.y.size else None
+    problem = replace(problem, stretches=(part,), candidates=())
+    for start in (partial(elastic_start, scan=False), play_start):
+        with suppress(NotIdentifiableError):
+            pair, end = start(problem)
+            if end.cost < TUNING.rounded * part.y.size:
+                return pair, end
+    return None
 
 
 def _read(pair: FitProblem, end: Optimum, odds: float) -> SecondMass | None:
-    """Return the second mass of a fit, or None if the record shows no resonance."""
+    """Return the second mass of a fit, or None if the record shows no resonance and no gap."""
     std = np.sqrt(np.diag(inverse(end.normal.A)))
     theta, masses, stiffness = pair.theta(end.q), [ROWS.index(MASS), ROWS.index(LOAD_MASS)], ROWS.index(STIFFNESS)
-    if not np.all(std[[*masses, stiffness]] < TUNING.vague):
-        return None
-    rate = math.sqrt(theta[stiffness] * float(np.sum(1 / theta[masses])))
     sums = {row: float(theta[ROWS.index(row)] + theta[ROWS.index(load)]) for row, load in SUMS}
-    return SecondMass(rate / (2 * math.pi), sums, odds)
+    if not np.all(std[masses] < TUNING.vague):
+        return None
+    if pair.machine.plays:
+        gap = len(ROWS)
+        play = (float(theta[gap]), float(std[gap]))
+        return SecondMass(math.inf, sums, odds, play) if play[1] < TUNING.vague * play[0] else None
+    rate = math.sqrt(theta[stiffness] * float(np.sum(1 / theta[masses])))
+    return SecondMass(rate / (2 * math.pi), sums, odds) if std[stiffness] < TUNING.vague else None
 
 
 def widen(fitted: Fitted, second: SecondMass) -> Fitted:

@@ -137,6 +137,8 @@ class Drive:
         With "two-mass", a load follows on a spring with damping, as on a belt, a coupling or a harmonic drive. The
         input acts on the motor, the encoder shows the motor, and gravity acts on the load. The off-line fit estimates
         such an axis, and no recursion does.
+    play : bool
+        True for a gap between motor and load, as in a gear. Stiffness and damping then belong to the contact.
     axis : {"linear", "rotary"}
         With "rotary", y is an angle, forces are torques, and the mass is an inertia [kg m2]. For a rotary axis, the
         units m and N on this page stand for rad and N m.
@@ -159,8 +161,8 @@ class Drive:
     [, stribeck_speed [m/s]].
 
     With body="two-mass", the first parameter is motor_mass [kg] or motor_inertia [kg m2], and load_mass or
-    load_inertia, load_viscous_friction, load_coulomb_friction, stiffness [N/m] and damping [N s/m] follow. The other
-    forces and frictions act on the motor.
+    load_inertia, load_viscous_friction, load_coulomb_friction, stiffness [N/m], damping [N s/m] and, with play, play
+    [m] follow. The other forces and frictions act on the motor.
 
     For forces and friction that depend on the position, the position counts from the first sample.
 
@@ -187,6 +189,7 @@ class Drive:
     friction_period: float | None = None
     lag: Late = 0.0
     body: Body = "rigid"
+    play: bool = False
     axis: AxisKind = "linear"
 
     def __post_init__(self) -> None:
@@ -204,6 +207,8 @@ class Drive:
         if self.body == TWO_MASS and (self.spring or self.lag):
             name = "spring" if self.spring else "lag"
             raise UsageError(f'body = "{TWO_MASS}" excludes {name}; leave {name} out, or use body = "rigid"')
+        if self.play and self.body != TWO_MASS:
+            raise UsageError(f'play needs body = "{TWO_MASS}"; set that, or leave play out')
         if self.friction == "directional" and self.offset:
             raise UsageError(
                 "offset and directional friction cannot be distinguished; leave the offset out, because it equals half "
@@ -217,7 +222,11 @@ class Drive:
     def equation(self) -> Equation:
         turns, elastic = self.axis == "rotary", self.body == TWO_MASS
         inertia = ROTARY.inertia if turns else LINEAR.inertia
-        second = tuple((name, rotary(unit) if turns else unit) for name, unit in _second(inertia)) if elastic else ()
+        second = (
+            tuple((name, rotary(unit) if turns else unit) for name, unit in _second(inertia, self.play))
+            if elastic
+            else ()
+        )
         unknown = [
             Term("output", 2, f"motor_{inertia}" if elastic else inertia, "kg"),
             *_FRICTION_TERMS[self.friction],
@@ -253,7 +262,7 @@ class Drive:
         """Drive that can be identified without a simulated motion: one mass with equal friction in both directions."""
         both = self.friction == "symmetric"
         plain = replace(self, friction="symmetric", offset=self.offset or not both, stribeck=None, quadratic=False)
-        plain = replace(plain, body="rigid")
+        plain = replace(plain, body="rigid", play=False)
         return self if self == plain else plain
 
     @property
@@ -276,7 +285,7 @@ def remove_unknown_lateness(model: Machine) -> Machine:
     return plain.replace_lag(0.0) if model.equation.lag == ESTIMATE else plain
 
 
-def _second(inertia: str) -> tuple[tuple[str, str], ...]:
+def _second(inertia: str, play: bool) -> tuple[tuple[str, str], ...]:
     """Return names and units of a load on a spring on a linear axis (see `Equation`)."""
     return (
         (f"load_{inertia}", "kg"),
@@ -284,6 +293,7 @@ def _second(inertia: str) -> tuple[tuple[str, str], ...]:
         ("load_coulomb_friction", "N"),
         ("stiffness", "N/m"),
         ("damping", "N s/m"),
+        *((("play", "m"),) if play else ()),
     )
 
 

@@ -161,7 +161,8 @@ class Equation:
         linear in the lag.
     second : tuple of (name, unit)
         Inertia, viscous and Coulomb friction of a second mass, stiffness and damping of the spring between the masses,
-        or nothing. The terms belong to the first mass, on which the input acts and which the encoder shows.
+        and perhaps the gap between them, or nothing. The terms belong to the first mass, on which the input acts and
+        which the encoder shows.
 
     Raises
     ------

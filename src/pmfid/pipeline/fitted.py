@@ -20,7 +20,7 @@ from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.findings import findings_of
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Intervals
-from pmfid.fit.second_mass import find_second_mass, try_second_mass, widen
+from pmfid.fit.second_mass import SecondMass, find_second_mass, try_second_mass, widen
 from pmfid.pipeline.known import known_of, put_together
 from pmfid.pipeline.result import DriveResult
 from pmfid.records.gaps import is_held
@@ -30,6 +30,17 @@ from pmfid.types import Flags, Floats
 
 #: Note on inputs that the fit treats as unknown.
 RESTARTED = "the motion restarts after each lost input that its neighbours do not determine"
+
+
+class ElasticAxisError(SecondMassError):
+    """No motion of one mass follows a record, and that of two masses does."""
+
+    def __init__(self, second: SecondMass, rotary: bool) -> None:
+        what = second.describe("rad" if rotary else "m").removesuffix(",")
+        super().__init__(
+            f"no motion of one mass follows the record, and one of two masses does: {what}. Advice: {second.remedy}"
+        )
+        self.second = second
 
 
 def uses_fit(axis: Axis) -> bool:
@@ -96,6 +107,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
         matter,
         fit=fit,
         forces=fitted.weighed,
+        second=second,
         explained=isinstance(fitted.likelihood, Intervals) and not fitted.problem.candidates,
         model_spread=spread,
     )
@@ -150,10 +162,7 @@ def _refuse_second_mass(record: Record, axis: Axis) -> None:
         with np.errstate(all="ignore"):
             second = find_second_mass(problem)
     if second is not None:
-        raise SecondMassError(
-            f"no motion of one mass follows the record, and that of two masses does, with a resonance at "
-            f'{second.resonance:.3g} Hz. Advice: set body = "two-mass" in [model]'
-        )
+        raise ElasticAxisError(second, record.rotary)
 
 
 def _restore_inputs(record: Record) -> Record:

@@ -19,6 +19,7 @@ from pmfid.estimators.known import Known, choose_naming
 from pmfid.estimators.results import Fit, Track
 from pmfid.findings import Finding, codes, sort_findings, texts
 from pmfid.fit.compare import NORMAL_95
+from pmfid.fit.second_mass import SecondMass
 from pmfid.fit.weighing import WeighedForce
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
@@ -303,7 +304,8 @@ class DriveResult(Result):
     `relative_error` belongs to the filtered equation at theta. `fit` or `track` holds details of an off-line or a
     recursive method, without prior information. `known` is the prior information. `matter` says how far unmodelled
     effects may move the parameters, which decides the status. `forces` are those that the fit compared.
-    `explained` says whether a motion of the model, without further forces, explains every count.
+    `explained` says whether a motion of the model, without further forces, explains every count. `second` is a second
+    mass that explains the record better.
     """
 
     record: Record
@@ -314,6 +316,7 @@ class DriveResult(Result):
     known: Known | None = None
     forces: tuple[WeighedForce, ...] = ()
     explained: bool = False
+    second: SecondMass | None = None
 
     def with_findings(self, *further: Finding) -> Self:
         return super().with_findings(*weigh_findings(further, self.matter))
@@ -343,9 +346,9 @@ class DriveResult(Result):
 
     @property
     def coupling(self) -> Coupling | None:
-        """Resonance, damping and inertia ratio of two masses; None for one mass."""
+        """Resonance, damping and inertia ratio of two masses; None for one mass, and for masses with play."""
         equation = self.estimator.equation
-        if not equation.elastic or self.fit is None:
+        if len(equation.second) != 5 or self.fit is None:
             return None
         names = (equation.names[equation.leading], *(equation.second[i][0] for i in (0, 3, 4)))
         index = [self.names.index(name) for name in names]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
@@ -14,11 +15,13 @@ from pmfid.diagnostics.matter import sizes
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.findings import make_notes
+from pmfid.fit.second_mass import SecondMass
 from pmfid.fit.weighing import WeighedForce
 from pmfid.models.axes import rotary
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.pipeline.drives import match_kind
+from pmfid.pipeline.fitted import ElasticAxisError
 from pmfid.pipeline.identify import identify
 from pmfid.pipeline.known import check_numbers_known
 from pmfid.pipeline.result import DriveResult
@@ -90,10 +93,19 @@ def make_row(force: WeighedForce, result: DriveResult) -> TermRow:
     )
 
 
+def make_second_row(second: SecondMass, axis: Axis) -> TermRow:
+    """Return the row of a second mass, with its resonance or its gap."""
+    unit = axis.model.make().equation.motion.travel
+    size = (second.resonance, math.nan, "Hz") if second.play is None else (*second.play, unit)
+    words = second.describe(unit).removesuffix(",")
+    return TermRow(words, second.remedy, second.change, True, second.odds, (size,), {})
+
+
 def sizes_of(result: DriveResult) -> np.ndarray:
     """Return the sizes (p,) to which changes of the parameters are relative."""
     p = len(result.estimator.equation.names)
-    return np.append(sizes(result.estimator, result.theta[:p]), np.abs(result.theta[p:]))
+    every = np.append(sizes(result.estimator, result.theta[:p]), np.abs(result.theta[p:]))
+    return np.asarray(np.maximum(every, 1e-150))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -244,9 +256,14 @@ def search_drive(data: Record, axis: Axis) -> TermSearch:
     check_numbers_known(axis, "pmfid terms")
     fitted = axis.estimator.model_copy(update={"method": MotionFit.method, "forgetting": 1.0, "cutoff": None})
     axis = axis.model_copy(update={"estimator": fitted})
-    first = result = cast(DriveResult, identify(data, axis))
     added, rows = dict[str, object](), list[TermRow]()
-    while further := recommend(cast(Drive, result.estimator.model), result.forces, added):
+    try:
+        first = result = cast(DriveResult, identify(data, axis))
+    except ElasticAxisError as error:  # one mass follows nothing that further terms could mend
+        added, rows = error.second.change, [make_second_row(error.second, axis)]
+        axis = axis.model_copy(update={"model": axis.model.model_copy(update=added)})
+        first = result = cast(DriveResult, identify(data, axis))
+    while further := recommend(cast(Drive, result.estimator.model), result.forces, added, result.second):
         longer = axis.model_copy(update={"model": axis.model.model_copy(update={**added, **further})})
         try:
             better = cast(DriveResult, identify(data, longer))
@@ -255,6 +272,7 @@ def search_drive(data: Record, axis: Axis) -> TermSearch:
             result = result.with_findings(*make_notes("terms", [note]))
             break
         rows += [row for row in _rows_of(result) if row.chosen and row.added]
+        rows += [] if result.second is None else [make_second_row(result.second, axis)]
         result, added = better, {**added, **further}
     rows += _rows_of(result)
     in_units = axis.record.output_unit or column_unit(axis.record.output, OUTPUTS)
@@ -266,11 +284,16 @@ def _rows_of(result: DriveResult) -> list[TermRow]:
     return [make_row(force, result) for force in result.forces]
 
 
-def recommend(model: Drive, forces: Sequence[WeighedForce], added: Mapping[str, object]) -> dict[str, object]:
+def recommend(
+    model: Drive, forces: Sequence[WeighedForce], added: Mapping[str, object], second: SecondMass | None = None
+) -> dict[str, object]:
     """Return the keys of [model] that express the chosen forces with odds above 1, without those in `added`.
 
-    A model has one period of each kind, and directional friction contains the load.
+    A model has one period of each kind, and directional friction contains the load. A second mass stands for the forces
+    that were chosen without it.
     """
+    if second is not None:
+        return second.change
     further: dict[str, object] = {}
     for force in sorted(forces, key=lambda force: force.odds):
         if force.chosen and force.odds > 0:

@@ -1,0 +1,75 @@
+"""Blind starts of two masses with play, from the fit of one mass and a scan of gaps and shares of the load."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.findings import MOVE
+from pmfid.fit.elastic import ROWS, count_parts, join, make_first_pair, settle
+from pmfid.fit.machine import DELAY
+from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.solve import Optimum
+from pmfid.fit.starts import blind_start
+from pmfid.fit.tuning import PLAY_TUNING as TUNING
+from pmfid.types import Floats
+
+
+def play_start(problem: FitProblem) -> tuple[FitProblem, Optimum]:
+    """Return the fit of two masses with play to the liveliest stretch.
+
+    Parts with starts of their own (Bock 1983) keep wrong gaps near the record. The contact is stiff at first: it swings
+    once in a few steps.
+
+    Raises NotIdentifiableError if the axis does not move, or if the input is zero.
+    """
+    stretch = max(problem.stretches, key=lambda one: float(np.sum(np.abs(np.diff(one.y)))))
+    force, step = float(np.sqrt(np.mean(stretch.drive.u**2))), float(np.mean(stretch.drive.step))
+    if not (np.ptp(stretch.y) > 0 and force > 0):
+        raise NotIdentifiableError(f"the axis or the input does not move in this record; {MOVE}")
+    start, rigid = blind_start((stretch,), problem.resolution, 0.0)
+    theta = start.theta(rigid.q)[:4]
+    pair = make_first_pair(bool(np.any(problem.machine.lift[DELAY])), float(problem.machine.rest[DELAY]), plays=True)
+    bounds = (math.log(theta[0]) - TUNING.far, math.log(theta[0]) + TUNING.far)
+    rates = (TUNING.slowest / step, TUNING.fastest / step)
+    plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=rates)
+    prior = np.zeros(plain.size)
+    prior[3] = 1 / (0.5 * force) ** 2
+    return plain, _follow(plain, stretch, prior, list(_scan(plain, theta, step)))
+
+
+def _scan(plain: FitProblem, theta: Floats, step: float) -> Iterator[Floats]:
+    """Yield starts q (p,) over gaps and shares of the load."""
+    mass, viscous, coulomb, load = theta.tolist()
+    (stretch,), rate = plain.stretches, TUNING.contact / step
+    gaps = np.geomspace(1, max(2, TUNING.widest * float(np.ptp(stretch.y)) / plain.resolution), TUNING.gaps)
+    late = [0.5 * step] * (plain.size - len(ROWS) - 1)
+    for gap, share in product((gaps * plain.resolution).tolist(), TUNING.shares):
+        reduced = mass * share * (1 - share)
+        contact = (reduced * rate**2, 2 * TUNING.ratio * rate * reduced, gap)
+        motor, second = mass * (1 - share), mass * share
+        pair = [motor, viscous / 2, coulomb / 2, load, second, viscous / 2, coulomb / 2, *contact, *late]
+        yield plain.clip_to_bounds(plain.start(np.array(pair)))
+
+
+def _follow(plain: FitProblem, stretch: ObservedStretch, prior: Floats, points: list[Floats]) -> Optimum:
+    """Return the best fit of the whole stretch from starts that first follow some parts of it."""
+    length = TUNING.part * float(np.mean(stretch.drive.step))
+    problem = plain.cut(count_parts(plain, length))
+    problem = replace(problem, stretches=problem.stretches[:: math.ceil(len(problem.stretches) / TUNING.parts)])
+    first = problem.first_starts()
+    ends = sorted((settle(problem, q, first, prior, 4) for q in points), key=lambda end: end.cost)
+    ends = [settle(problem, end.q, end.starts, prior, 12) for end in ends[: TUNING.kept]]
+    best: Optimum | None = None
+    for end in sorted(ends, key=lambda end: end.cost)[: TUNING.joined]:
+        tried = join(plain, problem, end, length, prior)
+        best = tried if best is None or tried.cost < best.cost else best
+        if best.cost < TUNING.rounded * stretch.y.size:
+            break
+    assert best is not None
+    return best
