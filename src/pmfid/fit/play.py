@@ -16,7 +16,7 @@ from pmfid.fit.machine import DELAY
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.solve import Optimum
 from pmfid.fit.starts import blind_start
-from pmfid.fit.tuning import PLAY_TUNING as TUNING
+from pmfid.fit.tuning import PLAY_TUNING, TUNING
 from pmfid.types import Floats
 
 
@@ -36,7 +36,7 @@ def play_start(problem: FitProblem) -> tuple[FitProblem, Optimum]:
     theta = start.theta(rigid.q)[:4]
     pair = make_first_pair(bool(np.any(problem.machine.lift[DELAY])), float(problem.machine.rest[DELAY]), plays=True)
     bounds = (math.log(theta[0]) - TUNING.far, math.log(theta[0]) + TUNING.far)
-    rates = (TUNING.slowest / step, TUNING.fastest / step)
+    rates = (PLAY_TUNING.rates[0] / step, PLAY_TUNING.rates[1] / step)
     plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=rates)
     prior = np.zeros(plain.size)
     prior[3] = 1 / (0.5 * force) ** 2
@@ -46,12 +46,12 @@ def play_start(problem: FitProblem) -> tuple[FitProblem, Optimum]:
 def _scan(plain: FitProblem, theta: Floats, step: float) -> Iterator[Floats]:
     """Yield starts q (p,) over gaps and shares of the load."""
     mass, viscous, coulomb, load = theta.tolist()
-    (stretch,), rate = plain.stretches, TUNING.contact / step
-    gaps = np.geomspace(1, max(2, TUNING.widest * float(np.ptp(stretch.y)) / plain.resolution), TUNING.gaps)
+    (stretch,), rate = plain.stretches, PLAY_TUNING.contact[0] / step
+    gaps = np.geomspace(1, max(2, PLAY_TUNING.widest * float(np.ptp(stretch.y)) / plain.resolution), PLAY_TUNING.gaps)
     late = [0.5 * step] * (plain.size - len(ROWS) - 1)
-    for gap, share in product((gaps * plain.resolution).tolist(), TUNING.shares):
+    for gap, share in product((gaps * plain.resolution).tolist(), PLAY_TUNING.shares):
         reduced = mass * share * (1 - share)
-        contact = (reduced * rate**2, 2 * TUNING.ratio * rate * reduced, gap)
+        contact = (reduced * rate**2, 2 * PLAY_TUNING.contact[1] * rate * reduced, gap)
         motor, second = mass * (1 - share), mass * share
         pair = [motor, viscous / 2, coulomb / 2, load, second, viscous / 2, coulomb / 2, *contact, *late]
         yield plain.clip_to_bounds(plain.start(np.array(pair)))
@@ -59,14 +59,14 @@ def _scan(plain: FitProblem, theta: Floats, step: float) -> Iterator[Floats]:
 
 def _follow(plain: FitProblem, stretch: ObservedStretch, prior: Floats, points: list[Floats]) -> Optimum:
     """Return the best fit of the whole stretch from starts that first follow some parts of it."""
-    length = TUNING.part * float(np.mean(stretch.drive.step))
+    length = PLAY_TUNING.part * float(np.mean(stretch.drive.step))
     problem = plain.cut(count_parts(plain, length))
-    problem = replace(problem, stretches=problem.stretches[:: math.ceil(len(problem.stretches) / TUNING.parts)])
+    problem = replace(problem, stretches=problem.stretches[:: math.ceil(len(problem.stretches) / PLAY_TUNING.parts)])
     first = problem.first_starts()
     ends = sorted((settle(problem, q, first, prior, 4) for q in points), key=lambda end: end.cost)
     ends = [settle(problem, end.q, end.starts, prior, 12) for end in ends[: TUNING.kept]]
     best: Optimum | None = None
-    for end in sorted(ends, key=lambda end: end.cost)[: TUNING.joined]:
+    for end in sorted(ends, key=lambda end: end.cost)[:2]:
         tried = join(plain, problem, end, length, prior)
         best = tried if best is None or tried.cost < best.cost else best
         if best.cost < TUNING.rounded * stretch.y.size:

@@ -70,22 +70,14 @@ class PlayTuning:
     gaps: int = 6
     widest: float = 0.1
     shares: tuple[float, ...] = (0.25, 0.6)
-    contact: float = 1.0
-    ratio: float = 0.3
+    contact: tuple[float, float] = (1.0, 0.3)
     #: Narrowest gap [counts], far below what a record may show: a gap of nothing has no derivative.
     narrowest: float = 0.01
     #: Bounds of the contact's rate [1/step].
-    slowest: float = 0.1
-    fastest: float = 3.0
-    #: Length [steps] and number of the parts that a start follows, starts that are kept, and ends that are joined.
+    rates: tuple[float, float] = (0.1, 3.0)
+    #: Length [steps] and number of the parts that a start follows.
     part: int = 150
     parts: int = 12
-    kept: int = 4
-    joined: int = 2
-    #: Largest distance of a mass from the fit of one mass, as a logarithm.
-    far: float = 4.0
-    #: Cost of an observation in the softened likelihood that rounding explains: 1/18, and a little more.
-    rounded: float = 0.065
 
 
 TUNING, PLAY_TUNING = ElasticTuning(), PlayTuning()
