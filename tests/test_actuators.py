@@ -211,6 +211,16 @@ def test_counts_in_a_derivative_gain_do_not_loosen_the_friction_of_the_table() -
         assert fit.theta_std[place] < 0.2 * fit.theta[place], name
 
 
+def test_the_period_of_a_cogging_longer_than_the_travel_is_uncertain() -> None:
+    """With the period of the scan, the gain was 3 % high, 16 bars."""
+    t, case = np.arange(0.0, 10.0, 0.002), draw_case(16, 41, wrong=False)
+    goal = draw_goal(t, np.random.default_rng([16, 41, 53, 0]))
+    fit = fit_servo(case.servo, t, goal, simulate_servos([case.truth], t, [goal])[0])
+    place = fit.raw_names.index("kp")
+    assert abs(fit.theta[place] - case.truth.kp) < 3 * fit.theta_std[place]
+    assert fit.theta_std[place] < 0.03 * case.truth.kp
+
+
 def test_a_known_load_and_a_cogging_joint_have_starts_of_their_own() -> None:
     """The first one ended in a gain of 239 % with a bar of 8 %, the second one in gravity and Stribeck friction."""
     t, numbers = np.arange(0.0, 10.0, 0.005), (25, 38)

@@ -75,7 +75,7 @@ class ParameterReader:
         for k, one in self.fitted.problem.place_candidates():
             force = one.force
             if force is not None and force.kind in ("wave", "rub"):
-                waves.setdefault(one.name, [0.0, 0.0])[force.q > 0] = float(q[k]) * one.sd
+                waves.setdefault(one.name, [0.0, 0.0])[not one.free and force.q > 0] = float(q[k]) * one.sd
         for name, (sine, cosine) in waves.items():
             polar = _polar(sine, cosine)
             found |= polar if name == "gravity" else {name: polar["gravity"]}
