@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.configuration import integer_counts, numbers
-from pmfid.monitor.events import Event
+from pmfid.monitor.events import Event, FleetRows
 from pmfid.monitor.saved import StateRows, make_parts, read, write_states
+from pmfid.monitor.tuning import TUNING
 from pmfid.types import Counts, Floats, Places
 
 S = TypeVar("S", bound=StateRows)
@@ -67,6 +68,32 @@ class AxisFleet(ABC, Generic[M, S]):
         found = action(self._scratch)
         self._all.put(slice(axis, axis + 1), self._scratch.pack_state())
         return found
+
+    def run(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike, ages: ArrayLike | None = None) -> FleetRows:
+        """Take the next n samples u, counts (k, n) of the axes `index` (k,), each at most once.
+
+        `ages` (k, n) belong to monitors of edges: an age [s] is NaN without an edge since the last sample, and None
+        means no edges. If u is not finite, the sample is lost, as in `step` of a monitor. Raises UsageError if an axis
+        does not exist or comes twice, or if the arrays do not fit.
+        """
+        places, inputs, read_counts = self._check_arrays(index, u, counts)
+        nothing = np.broadcast_to(np.float64(np.nan), inputs.shape)
+        instants = nothing if ages is None else np.asarray(numbers("ages", ages), np.float64)
+        if instants.shape != inputs.shape:
+            raise UsageError(f"ages must have the shape {inputs.shape} of u, got {instants.shape}")
+        rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
+        for group in slices(len(inputs), TUNING.fleet_group):
+            for time in slices(inputs.shape[1], TUNING.fleet_piece):
+                part = group, time
+                self._run(places[group], inputs[part], read_counts[part], instants[part], rows, part)
+        rows.events.sort(key=lambda one: one[:2])
+        return rows
+
+    @abstractmethod
+    def _run(
+        self, index: Places, u: Floats, counts: Counts, ages: Floats, rows: FleetRows, part: tuple[slice, slice]
+    ) -> None:
+        """Run a piece of a group of axes. The quiet axes run together, all other axes one by one."""
 
     def _check_arrays(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> tuple[Places, Floats, Counts]:
         places = self._places(index)

@@ -8,15 +8,11 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from pmfid._stage import bars
-from pmfid.errors import UsageError
-from pmfid.estimators.configuration import numbers
-from pmfid.monitor.axis_fleet import AxisFleet, slices
+from pmfid.monitor.axis_fleet import AxisFleet
 from pmfid.monitor.edges import BASE, COUNTS, REFERENCE, SAMPLES, SILENT, SINCE, EdgeMonitor, EdgeStates
 from pmfid.monitor.events import CANNOT_TELL, STARTING, STATES, WATCHING, FleetRows
-from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats, Places
 
@@ -69,28 +65,9 @@ class EdgeFleet(AxisFleet[EdgeMonitor, EdgeStates]):
         """`EdgeMonitor.samples` of each axis, (axes,)."""
         return self._all.whole[:, SAMPLES].copy()
 
-    def run(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike, ages: ArrayLike) -> FleetRows:
-        """Take the next n samples u, counts, ages (k, n) of the axes `index` (k,), each at most once.
-
-        An age [s] is NaN without an edge since the last sample. If u is not finite, the sample is lost, as in
-        `EdgeMonitor.step`. Raises UsageError if an axis does not exist or comes twice, or if the arrays do not fit.
-        """
-        places, inputs, read_counts = self._check_arrays(index, u, counts)
-        instants = np.ascontiguousarray(numbers("ages", ages), np.float64)
-        if instants.shape != inputs.shape:
-            raise UsageError(f"ages must have the shape {inputs.shape} of u, got {instants.shape}")
-        rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
-        for group in slices(len(inputs), TUNING.fleet_group):
-            for time in slices(inputs.shape[1], TUNING.fleet_piece):
-                part = group, time
-                self._run(places[group], inputs[part], read_counts[part], instants[part], rows, part)
-        rows.events.sort(key=lambda one: one[:2])
-        return rows
-
     def _run(
         self, index: Places, u: Floats, counts: Counts, ages: Floats, rows: FleetRows, part: tuple[slice, slice]
     ) -> None:
-        """Run a piece of a group of axes. The quiet axes run together, all other axes one by one."""
         states = self._all.take_rows(index)
         found = FleetRows.empty(u.shape[0], u.shape[1], len(self.names))
         kept = np.isfinite(u).all(axis=1) & np.isin(states.state, (_STARTING, _WATCHING, _CANNOT_TELL))

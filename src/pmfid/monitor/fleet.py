@@ -7,17 +7,16 @@ from copy import copy
 from functools import partial
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pmfid._stage import bars, follow_many
 from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.monitor.axis import REASONS
-from pmfid.monitor.axis_fleet import AxisFleet, slices
+from pmfid.monitor.axis_fleet import AxisFleet
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, Event, FleetRows, Outlier, StateChange
 from pmfid.monitor.monitor import ANY_OUTLIER, Monitor, outliers
 from pmfid.monitor.saved import AxisStates
 from pmfid.monitor.scores import Sampled, Watched
-from pmfid.monitor.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats, Places
 
 #: Numbers of the states in which an axis is not quiet.
@@ -145,22 +144,9 @@ class MonitorFleet(AxisFleet[Monitor, AxisStates]):
         estimator = construct_estimator(type(source.estimator), configuration_of(source.estimator))
         return Monitor(estimator, source.calibration, copy(source.watch), source.known)
 
-    def run(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> FleetRows:
-        """Take the next n samples u, counts (k, n) of the axes `index` (k,), each at most once.
-
-        If u is not finite, the sample is lost, as in `Monitor.step`. Raises UsageError if an axis does not exist or
-        comes twice, or if the arrays do not fit.
-        """
-        places, inputs, read_counts = self._check_arrays(index, u, counts)
-        rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
-        for group in slices(len(inputs), TUNING.fleet_group):
-            for time in slices(inputs.shape[1], TUNING.fleet_piece):
-                self._run(places[group], inputs[group, time], read_counts[group, time], rows, (group, time))
-        rows.events.sort(key=lambda one: one[:2])
-        return rows
-
-    def _run(self, index: Places, u: Floats, counts: Counts, rows: FleetRows, part: tuple[slice, slice]) -> None:
-        """Run a piece of a group of axes. The quiet axes run together, all other axes one by one."""
+    def _run(
+        self, index: Places, u: Floats, counts: Counts, ages: Floats, rows: FleetRows, part: tuple[slice, slice]
+    ) -> None:
         quiet = self._quiet.may_run(self._all.watched, index)
         if quiet.all():
             quiet = self._run_quiet(index, u, counts, rows, part, np.arange(index.size))

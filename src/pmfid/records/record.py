@@ -296,7 +296,7 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     if rows.rows.size < len(columns["input"]):  # without missing rows, a copy is needless
         columns = {key: values[rows.rows] for key, values in columns.items()}
     stamps = columns.pop("time", rows.rows.astype(np.float64))
-    stamps = np.interp(np.arange(rows.places[-1] + 1), rows.places, stamps)
+    stamps = rows.place_stamps(stamps)
     y = _scale_column(columns["output"], units.y, "the unit of the output")
     travel, motion_notes = (y, ()) if found is not None else _measure_travel(y, rows, axis)
     counts, count_notes = counts_of(travel, axis)

@@ -337,9 +337,7 @@ class Group:
 
     def run(self, index: NDArray[np.int64], u: Floats, counts: Counts, ages: Floats | None) -> FleetRows:
         """Step the next n samples u, counts, ages (k, n) of the axes `index` (k,)."""
-        if isinstance(self.fleet, MonitorFleet):
-            return self.fleet.run(index, u, counts)
-        return self.fleet.run(index, u, counts, np.full(u.shape, np.nan) if ages is None else ages)
+        return self.fleet.run(index, u, counts, ages)
 
     def add(self, names: Iterable[str]) -> None:
         """Add axes without a history."""
