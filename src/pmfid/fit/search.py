@@ -325,7 +325,7 @@ def narrow(search: FitSearch) -> Intervals | None:
 def _may_explain(search: FitSearch) -> bool:
     """Return whether a motion near the present one may explain every count."""
     if mean_square(search) > WITHIN:
-        search.solve(Gaussian(search.plain.stretches))
+        search.solve(Gaussian(search.plain.stretches), 10)
     return mean_square(search) < WITHIN
 
 
