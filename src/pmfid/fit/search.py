@@ -309,9 +309,10 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
 
 
 def narrow(search: FitSearch) -> Intervals | None:
-    """Narrow the intervals down to the counts; None if that stops to pay."""
+    """Narrow the intervals down to the counts, from a spread that all counts bear; None if that stops to pay."""
     before, best = -math.inf, None
-    for spread in SPREADS:
+    beyond = max(float(np.max(np.abs(e))) for e in errors_of(search)) - 0.5
+    for spread in [one for one in SPREADS if one <= max(beyond, EXPLAINED)]:
         likelihood = Intervals(search.plain.stretches, spread)
         value = -search.solve(likelihood, 15).cost
         if value <= before:
