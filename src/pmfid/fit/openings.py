@@ -10,7 +10,7 @@ from pmfid.fit.compare import MOST
 from pmfid.fit.likelihood import Intervals
 from pmfid.fit.machine import OFFSET
 from pmfid.fit.problem import FitProblem
-from pmfid.fit.search import SPEEDS, WITHIN, FitSearch, mean_square
+from pmfid.fit.search import SPEEDS, TRIES, WITHIN, FitSearch, mean_square
 from pmfid.types import Floats
 
 #: Steps of least squares with a set of forces. The set that is kept has more of them.
@@ -50,10 +50,12 @@ def begin(search: FitSearch) -> Intervals | None:
     for share in SPEEDS if free else SPEEDS[:1]:
         search.restart((), share)
         plain.append((_end(search), share))
-        likelihood = search.explain()
+    best, share = min(plain, key=lambda pair: pair[0].cost)
+    for end in (best, *(end for end, _ in plain if end is not best)):
+        end.enter(search)
+        likelihood = search.explain(TRIES if end is best else 0)
         if likelihood is not None:
             return likelihood
-    best, share = min(plain, key=lambda pair: pair[0].cost)
     ends = [best]
     for chosen in list_openings(search):
         search.restart(chosen, share)

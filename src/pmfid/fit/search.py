@@ -27,7 +27,7 @@ SPREADS = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0003)
 EXPLAINED = SPREADS[4]
 #: Mean square of residuals [counts^2] up to which a model may explain every count, tries to find that motion, and their
 #: distance in standard errors of least squares.
-MOST_SQUARES, TRIES, NEARBY = 0.15, 8, 2.0
+MOST_SQUARES, TRIES, NEARBY = 0.15, 3, 2.0
 #: Largest mean square of residuals within half a count [counts^2]. Least squares has no larger one.
 WITHIN = 0.5**2
 #: Kinds of a disturbance that wanders.
@@ -359,7 +359,9 @@ def _nearby_starts(search: FitSearch, rng: np.random.Generator) -> Floats:
 def inverse(A: Floats) -> Floats:
     """Return the inverse of an information matrix, with a large variance where it has no information."""
     scaled, size = _scale_matrix(A)
-    return np.asarray(np.linalg.inv(scaled + 1e-12 * np.eye(len(A))) / np.outer(size, size))
+    values, vectors = np.linalg.eigh(scaled)
+    scaled = (vectors / np.maximum(values, 1e-12)) @ vectors.T
+    return np.asarray(scaled / np.outer(size, size))
 
 
 def _scale_matrix(A: Floats) -> tuple[Floats, Floats]:
