@@ -264,6 +264,18 @@ def test_a_circle_is_found(tmp_path: Path) -> None:
         list(TopologicalSorter(imports_between_modules(root)).static_order())
 
 
+def test_imports_by_name_stay_in_their_package() -> None:
+    """`make_getattr` imports by a text. One text points up: results below `report` draw themselves through it."""
+    calls = [
+        (str(path.relative_to(PACKAGE)), ast.unparse(node.args[0]))
+        for path in sorted(PACKAGE.rglob("*.py"))
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Call) and ast.unparse(node.func) == "make_getattr"
+    ]
+    assert len(calls) > 2
+    assert [call for call in calls if call[1] != "__name__"] == [("presentation.py", "'pmfid.report'")]
+
+
 def test_the_picture_of_the_layers_is_that_of_the_imports() -> None:
     from tests.layers import PAGE, packages, page_with, picture, reduced
 
