@@ -17,14 +17,14 @@ NO_CODE = {
 }
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 69706,
-    "lines of code in src": 41013,
-    "lines of code in report and cli": 3824,
-    "thresholds in src": 1119,
-    "lines of csrc": 9179,
-    "lines of tests": 43661,
-    "match= in tests": 354,
-    "lines of studies": 11418,
+    "lines of src": 69750,
+    "lines of code in src": 41200,
+    "lines of code in report and cli": 3750,
+    "thresholds in src": 1126,
+    "lines of csrc": 9250,
+    "lines of tests": 43700,
+    "match= in tests": 356,
+    "lines of studies": 10550,
 }
 
 
