@@ -92,6 +92,8 @@ def _build_waves_first(search: ServoSearch) -> ServoSearch:
     other.table, other.kept = [search.table[i] for i in kept], tuple(range(len(kept)))
     other.chosen = list(other.kept)
     build(other)
+    if len(other.chosen) == len(kept):
+        return search
     other.table = [*other.table, *others]
     build(other)
     return other
@@ -200,8 +202,10 @@ def find_start(task: ServoTask, head: FitProblem) -> tuple[Floats, Floats]:
     end = min(last, key=lambda end: end.cost)
     for scale in SCALES if "kp" in head.machine.names else ():
         q = head.clip_to_bounds(head.start(_scale(head.machine.names, head.theta(end.q), scale)))
-        last.append(solve(head, soft, q, end.starts, prior, 40, 0.01))
-    end = min(last, key=lambda end: end.cost)
+        last.append(solve(head, soft, q, end.starts, prior, 12, 1.0))
+    better = min(last, key=lambda end: end.cost)
+    if better is not end:
+        end = solve(head, soft, better.q, better.starts, prior, 40, 0.01)
     return end.q, end.starts
 
 

@@ -66,6 +66,9 @@ def settle_either(search: FitSearch) -> Sequence[str]:
     predicts the next sample of a wrong model well. The likelier end is kept, unless the other one follows the parts of
     the record better by more than chance (Fisher 1924).
     """
+    if len(search.wandering) == 1:
+        settle(search, search.wandering)
+        return search.wandering
     at, ends = (search.q, search.starts, search.noise), []
     for kind in search.wandering:
         search.q, search.starts, search.noise = at
