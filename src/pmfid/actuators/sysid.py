@@ -205,7 +205,9 @@ def _body_of(log: SysIdLog) -> BodyModel:
     lift = np.zeros((BASE + len(forces), len(names)))
     lift[rows, range(len(names))] = 1.0
     lowest = np.array([-np.inf, 0.0, 0.0, *[-np.inf] * (len(names) - 3)])
-    return BodyModel(tuple(names), forces, np.zeros(len(lift)), lift, 0, lowest, log.turn if forces else 0.0)
+    turn = log.turn if forces else 0.0
+    # kS is the voltage that moves the mechanism, with a dead zone of the motor controller
+    return BodyModel(tuple(names), forces, np.zeros(len(lift)), lift, 0, lowest, turn, within=("dead_zone",))
 
 
 def _conclude(log: SysIdLog, fitted: Fitted) -> Feedforward:

@@ -58,7 +58,7 @@ class BodyModel:
     `lowest` (p,) are the lower bounds of the parameters.
     `turn` is the length of a turn of a rotary axis, or 0. `precision` (p,) are the precisions of the parameters'
     Gaussian priors about zero; None means no prior. An `elastic` body has two masses. `further` are the indices of its
-    second mass, stiffness, damping and, with play, gap.
+    second mass, stiffness, damping and, with play, gap. Its friction contains the effects named in `within`.
     """
 
     names: tuple[str, ...]
@@ -71,6 +71,7 @@ class BodyModel:
     precision: Floats | None = field(default=None, kw_only=True)
     elastic: bool = field(default=False, kw_only=True)
     further: tuple[int, ...] = field(default=(), kw_only=True)
+    within: tuple[str, ...] = field(default=(), kw_only=True)
 
     @property
     def base(self) -> int:

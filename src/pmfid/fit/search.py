@@ -63,6 +63,7 @@ def candidates_of(machine: BodyModel, sizes: Sizes) -> list[ExtraForce]:
         one
         for one in rows
         if one.base not in has
+        and one.name not in machine.within
         and (one.force is None or (one.force.kind, one.force.p if one.force.kind == "power" else 0.0) not in kinds)
     ]
 
