@@ -249,7 +249,7 @@ TEXT = """
 # What an alarm says
 
 One change in each run: {changes}.
-`riv` with a memory of {memory} moves, detector `glr`, tolerance 2 %, calibrated
+`riv` with a memory of {memory} moves, tolerance 2 %, calibrated
 from {reference} moves of normal work. *Right cause*: named alone; *one of*: several are named, as the samples do not
 tell them apart, and the right one is among them; *wrong*: it is not. *Sizes*: of the alarms whose first cause is the
 right one. *Delay*: median, in moves; *before*: alarms before the change.
@@ -264,7 +264,7 @@ CAUSES = """
 
 Moves to and fro that vary at random, position control through {increments} increments per turn. A run without an alarm
 has none within {after} moves after the change: 40 % of the spindle's Coulomb friction are 0.4 % of its force. If the
-delay is more than ten moves, the monitor learns from the record (units of work, see [monitoring](monitoring.md)).
+delay is more than ten moves, the monitor learns from the record (units of work, see docs/howto/monitoring.md).
 """
 PAIRS = """
 ## Two parameters at once, on the benches
