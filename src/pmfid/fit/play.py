@@ -1,4 +1,4 @@
-"""Blind starts of two masses with play, from the fit of one mass and a scan of gaps and shares of the load."""
+"""Blind starts of two masses with play, from one mass and a scan of gaps and shares of the load."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
-from pmfid.fit.elastic import ROWS, count_parts, join, make_first_pair, settle
+from pmfid.fit.elastic import ROWS, count_parts, guess_sum, join, make_first_pair, settle
 from pmfid.fit.machine import DELAY
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.solve import Optimum
@@ -33,14 +33,15 @@ def play_start(problem: FitProblem) -> tuple[FitProblem, Optimum]:
     if not (np.ptp(stretch.y) > 0 and force > 0):
         raise NotIdentifiableError(f"the axis or the input does not move in this record; {MOVE}")
     start, rigid = blind_start((stretch,), problem.resolution, 0.0)
-    theta = start.theta(rigid.q)[:4]
+    theta, smooth = start.theta(rigid.q)[:4], np.array([*guess_sum(stretch, force), 0.0])
     pair = make_first_pair(bool(np.any(problem.machine.lift[DELAY])), float(problem.machine.rest[DELAY]), plays=True)
-    bounds = (math.log(theta[0]) - TUNING.far, math.log(theta[0]) + TUNING.far)
+    logs = np.log([theta[0], smooth[0]])
+    bounds = (float(np.min(logs)) - TUNING.far, float(np.max(logs)) + TUNING.far)
     rates = (PLAY_TUNING.rates[0] / step, PLAY_TUNING.rates[1] / step)
     plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=rates)
     prior = np.zeros(plain.size)
     prior[3] = 1 / (0.5 * force) ** 2
-    return plain, _follow(plain, stretch, prior, list(_scan(plain, theta, step)))
+    return plain, _follow(plain, stretch, prior, [q for one in (theta, smooth) for q in _scan(plain, one, step)])
 
 
 def _scan(plain: FitProblem, theta: Floats, step: float) -> Iterator[Floats]:

@@ -76,8 +76,8 @@ class PlayTuning:
     #: Bounds of the contact's rate [1/step].
     rates: tuple[float, float] = (0.1, 3.0)
     #: Length [steps] and number of the parts that a start follows.
-    part: int = 150
-    parts: int = 12
+    part: int = 80
+    parts: int = 20
 
 
 TUNING, PLAY_TUNING = ElasticTuning(), PlayTuning()
