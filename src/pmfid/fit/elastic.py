@@ -109,13 +109,13 @@ def _follow_guesses(plain: FitProblem, prior: Floats) -> Optimum | None:
         if best.cost < TUNING.rounded * stretch.y.size:
             return best
     assert best is not None
-    return _restart(plain, best, prior)
+    return restart(plain, best, prior)
 
 
-def _restart(plain: FitProblem, end: Optimum, prior: Floats) -> Optimum:
+def restart(plain: FitProblem, end: Optimum, prior: Floats, parts: float = TUNING.joined) -> Optimum:
     """Return the better of a fit of the whole stretch and another one from parts of it, for stops make the likelihood
     rough."""
-    length = float(plain.stretches[0].times[-1]) / TUNING.joined
+    length = float(plain.stretches[0].times[-1]) / parts
     problem = plain.cut(count_parts(plain, length))
     tried = join(plain, problem, settle(problem, end.q, problem.first_starts(), prior, 20), length, prior)
     return min(tried, end, key=lambda one: one.cost)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
-from pmfid.fit.elastic import ROWS, count_parts, guess_sum, join, make_first_pair, settle
+from pmfid.fit.elastic import ROWS, count_parts, guess_sum, join, make_first_pair, restart, settle
 from pmfid.fit.machine import DELAY
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.solve import Optimum
@@ -71,6 +71,10 @@ def _follow(plain: FitProblem, stretch: ObservedStretch, prior: Floats, points: 
         tried = join(plain, problem, end, length, prior)
         best = tried if best is None or tried.cost < best.cost else best
         if best.cost < TUNING.rounded * stretch.y.size:
-            break
+            return best
     assert best is not None
+    for number in (TUNING.joined, TUNING.joined**2):
+        best = restart(plain, best, prior, number)
+        if best.cost < TUNING.rounded * stretch.y.size:
+            break
     return best

@@ -76,7 +76,7 @@ class PlayTuning:
     #: Bounds of the contact's rate [1/step].
     rates: tuple[float, float] = (0.1, 3.0)
     #: Length [steps] and number of the parts that a start follows.
-    part: int = 80
+    part: int = 100
     parts: int = 20
 
 
