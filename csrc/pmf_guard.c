@@ -11,28 +11,34 @@
 
 #if PMF_WITH_GUARD
 
-#define SMOOTH PMF_R(3.2) /* FIRST of pmf_outlier.c: below this ratio of accelerations, no count can be wrong */
+#define SMOOTH PMF_R(3.2) /* FIRST of pmf_outlier.c */
 #define ROUNDING PMF_R(2.0) /* second difference of counts in a steady motion */
 #define SPIKE PMF_R(8.0) /* ratio of an input to all its neighbours, above which the counts must answer */
 #define HERE PMF_PAST
 #define MOST_APART 536870912 /* counts that are further apart are wrong in any case */
 
-static real_t change_before(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t place)
+/* Return the second difference with its middle at a place. */
+static real_t signed_bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t place)
 {
     uint32_t mask = config->count_mask;
-    return PMF_TO_REAL(pmf_signed(mask, (guard->count[place] - guard->count[place - 1U]) & mask));
+    whole_t here = guard->count[place], size = guard->count[place + 1U] - here - here + guard->count[place - 1U];
+    return PMF_TO_REAL(pmf_signed(mask, size & mask));
+}
+
+static real_t bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t place)
+{
+    return PMF_SIZE(signed_bend(config, guard, place));
 }
 
 /* Return the largest second difference whose middle is one of the counts from `first` to `last`, at least ROUNDING. */
 static real_t roughness(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t first,
                         uint32_t last)
 {
-    real_t most = ROUNDING, before = change_before(config, guard, first);
+    real_t most = ROUNDING;
     uint32_t place;
     for (place = first; place <= last; ++place) {
-        real_t after = change_before(config, guard, place + 1U), size = PMF_SIZE(after - before);
+        real_t size = bend(config, guard, place);
         most = PMF_IF(size > most, size, most);
-        before = after;
     }
     return most;
 }
@@ -43,36 +49,52 @@ static real_t beyond_rounding(real_t size)
     return PMF_IF(size > ROUNDING, size - PMF_R(1.0), PMF_R(0.0));
 }
 
-/* Return whether the highest speed allows the changes to all counts from `first` to `last`. */
-static truth_t is_slow(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t first,
-                       uint32_t last)
+/* Return whether the highest speed allows the change to the judged count. */
+static truth_t is_slow(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
 {
-    real_t most = PMF_R(0.0), limit = PMF_ALIKE((scalar_t)config->max_change);
-    uint32_t place;
-    if (config->max_change == 0U) {
-        return most <= limit;
-    }
-    for (place = first; place <= last; ++place) {
-        real_t size = PMF_SIZE(change_before(config, guard, place));
-        most = PMF_IF(size > most, size, most);
-    }
-    return most <= limit;
+    uint32_t mask = config->count_mask;
+    real_t size = PMF_SIZE(PMF_TO_REAL(pmf_signed(mask, (guard->count[HERE] - guard->count[HERE - 1U]) & mask)));
+    return size <= PMF_ALIKE((scalar_t)config->max_change);
 }
 
-/* Return whether the judged count continues the counts before it, or the whole view is smooth. */
+/* Return the least second difference just after the judged count and its neighbour, or 0 if it changes its sign. */
+static real_t lasting_bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
+{
+    real_t least = signed_bend(config, guard, HERE + 2U), most = least;
+    uint32_t place;
+    for (place = HERE + 3U; place <= HERE + 4U; ++place) {
+        real_t here = signed_bend(config, guard, place);
+        least = PMF_IF(here < least, here, least);
+        most = PMF_IF(here > most, here, most);
+    }
+    least = PMF_IF(least > -most, least, -most);
+    return PMF_IF(least > PMF_R(0.0), least, PMF_R(0.0));
+}
+
+/* Return whether the judged count continues the counts before it, or the motion around it is as smooth as the motion
+ * before and after, or the acceleration around it lasts. Most counts continue a steady motion. */
 static truth_t is_smooth(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
 {
-    real_t past = roughness(config, guard, 1U, HERE - 2U), size, limit;
     truth_t known = guard->past == PMF_PAST, plain;
-    size = PMF_SIZE(change_before(config, guard, HERE) - change_before(config, guard, HERE - 1U));
-    plain = known & (size <= past) & is_slow(config, guard, HERE, HERE);
+    real_t size = bend(config, guard, HERE - 1U), past, limit, lasting;
+    if (config->max_change != 0U) {
+        known = known & is_slow(config, guard);
+    }
+    plain = known & (size <= ROUNDING);
     if (PMF_ALL(plain)) {
         return plain;
     }
-    limit = beyond_rounding(past);
+    past = roughness(config, guard, 1U, HERE - 2U);
+    plain = known & (size <= past);
+    if (PMF_ALL(plain)) {
+        return plain;
+    }
+    limit = roughness(config, guard, HERE + PMF_AHEAD - 3U, HERE + PMF_AHEAD - 1U);
+    limit = beyond_rounding(PMF_IF(past < limit, past, limit));
+    lasting = beyond_rounding(lasting_bend(config, guard));
+    limit = PMF_IF(lasting > limit, lasting, limit);
     limit = SMOOTH * PMF_IF(limit > PMF_R(1.0), limit, PMF_R(1.0));
-    size = beyond_rounding(roughness(config, guard, HERE - 1U, HERE + PMF_AHEAD - 1U));
-    return plain | (known & (size <= limit) & is_slow(config, guard, HERE, HERE + PMF_AHEAD));
+    return plain | (known & (beyond_rounding(roughness(config, guard, HERE - 1U, HERE + 1U)) <= limit));
 }
 
 /* Gather the view of a lane. Counts modulo mask + 1 are those next to a steady motion. */
@@ -111,7 +133,7 @@ PMF_SELDOM uint32_t judge_lane(const pmf_encoder_config_t *config, pmf_guard_sta
     gather(config, guard, lane, &view);
     pmf_judge(&view, &verdict);
     if (verdict.verdict == PMF_READING_FITS) {
-        return 0U;
+        return verdict.unsure * (uint32_t)PMF_SETTLING;
     }
     base = (uint32_t)PMF_LANE(guard->count[view.past > 0U ? HERE - 1U : HERE], lane);
     if (verdict.verdict == PMF_ZERO_MOVED) {
@@ -122,7 +144,7 @@ PMF_SELDOM uint32_t judge_lane(const pmf_encoder_config_t *config, pmf_guard_sta
         PMF_LANE(guard->zero, lane) = (uint32_t)PMF_LANE(guard->zero, lane) + moved;
     }
     PMF_LANE(guard->count[HERE], lane) = base + (uint32_t)verdict.count;
-    return PMF_COUNT_JUMP;
+    return (uint32_t)PMF_COUNT_JUMP | verdict.unsure * (uint32_t)PMF_SETTLING;
 }
 
 /* Judge the counts that are not obviously right. */
@@ -145,21 +167,22 @@ static whole_t judge_counts(const pmf_encoder_config_t *config, pmf_guard_state_
 static whole_t judge_input(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, truth_t ready, real_t held)
 {
     real_t most = PMF_SIZE(held), size = PMF_SIZE(guard->input[0]), answer, other;
-    truth_t spike;
+    truth_t spike = ready & (size > SPIKE * most) & (size <= PMF_LARGEST_INPUT); /* the encoder flags larger inputs */
     uint32_t i;
+    if (!PMF_ANY(spike)) {
+        return PMF_W(0);
+    }
     for (i = 1U; i < PMF_VIEW; ++i) {
         real_t next = PMF_SIZE(guard->input[i]);
         most = PMF_IF((next > most) & (next <= PMF_LARGEST_INPUT), next, most);
     }
-    spike = ready & (size > SPIKE * most) & (size <= PMF_LARGEST_INPUT); /* the encoder flags any larger input */
-    if (PMF_ANY(spike)) {
-        answer = roughness(config, guard, HERE, HERE + 1U);
-        other = roughness(config, guard, HERE + 2U, HERE + PMF_AHEAD - 1U);
-        answer = PMF_IF(answer > other, answer, PMF_R(0.0));
-        other = roughness(config, guard, 1U, HERE - 1U);
-        spike = spike & PMF_NOT((guard->past == PMF_PAST) & (answer > other));
-        guard->input[0] = PMF_IF(spike, held, guard->input[0]);
-    }
+    spike = spike & (size > SPIKE * most);
+    answer = roughness(config, guard, HERE, HERE + 1U);
+    other = roughness(config, guard, HERE + 2U, HERE + PMF_AHEAD - 1U);
+    answer = PMF_IF(answer > other, answer, PMF_R(0.0));
+    other = roughness(config, guard, 1U, HERE - 1U);
+    spike = spike & PMF_NOT((guard->past == PMF_PAST) & (answer > other));
+    guard->input[0] = PMF_IF(spike, held, guard->input[0]);
     return PMF_BIT(spike, PMF_INVALID_INPUT);
 }
 

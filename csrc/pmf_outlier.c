@@ -3,10 +3,15 @@
  * A sample is judged with PMF_PAST accepted counts before it and PMF_AHEAD readings after it. Each choice of readings
  * gives a path, and the largest acceleration along the path is its price. A reading is wrong if the path that leaves it
  * out is cheaper by far. How far follows from a blow, the hardest motion there is: at a reversal from v to -v within a
- * sample, leaving out m readings lowers the acceleration by a factor of m + 2. Leaving out one reading must therefore
- * lower the price by FIRST, which no blow reaches. Each further reading must halve it again, because a fast oscillation
- * looks smooth if most of its samples are left out. A path may also begin again from any count, which is a counter that
- * was set to another value; it counts as one more reading left out.
+ * sample, leaving out m readings lowers the acceleration by a factor of m + 2. A path may therefore leave out a reading
+ * if it is cheaper by FIRST, which no blow reaches, and further readings if each lowers the price by a third. Beyond
+ * MANY readings, each must halve it, because a fast oscillation looks smooth if most of its samples are left out.
+ *
+ * A path may also begin again from any count, which is a counter that was set to another value. Wrong counts next to
+ * each other look alike, and are more frequent. The counter therefore counts as SHIFT readings left out.
+ *
+ * Between the bound of a blow and that demand, the reading may be right or wrong. It is then accepted, but unsure. If
+ * no path is smooth and the readings turn around from sample to sample, most of them are wrong, and none is believed.
  *
  * No limit is learned from earlier samples. A wrong reading therefore changes nothing beyond its own neighbourhood. */
 #include "pmf_outlier.h"
@@ -15,7 +20,17 @@
 #define LEFT_OUT 6U /* most readings of a view that may be wrong */
 #define LEAST 4U /* fewest counts of a path: fewer than two accelerations prove nothing */
 #define ENDLESS PMF_SCALAR(1e30)
-#define FIRST PMF_SCALAR(3.2) /* above 3, the bound of a blow */
+#define BLOW PMF_SCALAR(3.0) /* factor by which leaving out one reading lowers the acceleration of a blow */
+#define FIRST PMF_SCALAR(3.2) /* above BLOW */
+#define FURTHER PMF_SCALAR(1.5) /* above (m + 3) / (m + 2), which is the same bound for each further reading */
+#define MANY 3U /* most readings left out before a fast oscillation may look smooth */
+#define SHIFT 3U
+#define LATEST 2U /* most wrong readings before a shift */
+#define DEMANDS (LEFT_OUT + SHIFT + 1U)
+#define CLEAR PMF_SCALAR(2.0) /* least ratio of a deviation to the one that the accelerations along a path explain */
+#define WILD PMF_SCALAR(6.0) /* twice BLOW: no reading or its neighbour is the reversal */
+#define NEAR PMF_SCALAR(10.0) /* accelerations within this ratio of the largest one may come from the same wrong counts */
+#define LONGEST 4U /* more wrong readings in a row have no certain replacement */
 #define PAST PMF_PAST
 #ifdef PMF_FLOAT32
 #define MOST PMF_SCALAR(1e9)
@@ -23,18 +38,14 @@
 #define MOST PMF_SCALAR(9007199254740992.0) /* 2^53 */
 #endif
 
-/* A path through the readings, without those after the last chosen one. */
+/* Chosen accepted counts and readings, ascending. */
 typedef struct {
-    uint32_t place[PMF_VIEW]; /* chosen readings, ascending */
+    uint32_t place[PMF_PAST + PMF_VIEW];
     uint32_t chosen;
+    uint32_t past; /* chosen accepted counts, which come first */
     uint32_t moved; /* 1: the zero moved before the first chosen reading */
+    scalar_t most, cost; /* price, and price times factor */
 } path_t;
-
-/* The best path so far: its first two readings, and its price. */
-typedef struct {
-    uint32_t first, second, moved;
-    scalar_t most;
-} best_t;
 
 static scalar_t size_of(scalar_t x)
 {
@@ -65,129 +76,146 @@ PMF_SELDOM int is_too_fast(const pmf_view_t *view, uint32_t from, uint32_t to)
 
 /* Return the acceleration between the intervals a-b and c-d [counts per squared sample period], without the part that
  * the encoder's step explains. Readings at even times have second differences of up to two steps in a steady motion. */
-PMF_SELDOM scalar_t acceleration(const pmf_view_t *view, uint32_t a, uint32_t b, uint32_t c, uint32_t d)
+PMF_SELDOM scalar_t signed_acceleration(const pmf_view_t *view, uint32_t a, uint32_t b, uint32_t c, uint32_t d)
 {
     scalar_t before = view->time[b] - view->time[a], after = view->time[d] - view->time[c];
-    scalar_t middle = view->time[c] + view->time[d] - view->time[a] - view->time[b];
-    scalar_t size = PMF_SCALAR(2.0) * size_of(speed(view, c, d) - speed(view, a, b)) / middle;
-    scalar_t rounding = view->step / (before * after);
-    return size > PMF_SCALAR(2.0) * rounding ? size - rounding : PMF_SCALAR(0.0);
+    scalar_t middle = view->time[c] + view->time[d] - view->time[a] - view->time[b], rounding = view->step * middle;
+    scalar_t twice = PMF_SCALAR(2.0) * (travel(view, c, d) * before - travel(view, a, b) * after);
+    if (size_of(twice) <= PMF_SCALAR(2.0) * rounding) {
+        return PMF_SCALAR(0.0);
+    }
+    return (twice < PMF_SCALAR(0.0) ? twice + rounding : twice - rounding) / (before * after * middle);
 }
 
-/* Return the largest acceleration of the accepted counts, at least a step. */
-PMF_SELDOM scalar_t of_past(const pmf_view_t *view)
+static scalar_t acceleration(const pmf_view_t *view, uint32_t a, uint32_t b, uint32_t c, uint32_t d)
+{
+    return size_of(signed_acceleration(view, a, b, c, d));
+}
+
+/* Return the largest acceleration whose middle is one of the places from `first` to `last`, at least a step. */
+PMF_SELDOM scalar_t roughness(const pmf_view_t *view, uint32_t first, uint32_t last)
 {
     scalar_t most = view->step;
     uint32_t i;
-    for (i = PAST - view->past; i + 2U < PAST; ++i) {
-        most = larger(most, acceleration(view, i, i + 1U, i + 1U, i + 2U));
+    for (i = first; i <= last; ++i) {
+        most = larger(most, acceleration(view, i - 1U, i, i, i + 1U));
     }
     return most;
 }
 
-/* Return the place of the chosen reading or accepted count that is `back` places before the last chosen one. */
-PMF_SELDOM uint32_t before_last(const path_t *path, uint32_t back)
-{
-    return back < path->chosen ? PAST + path->place[path->chosen - 1U - back] : PAST - 1U + path->chosen - back;
-}
-
-/* Return the price of a path, given its price `most` without the last chosen reading. The price is ENDLESS beyond the
- * highest speed. After a shift of the zero, the interval before the first chosen reading shows no speed. */
+/* Return the price of a path, given its price `most` without the last chosen place. The price is ENDLESS beyond the
+ * highest speed. After a shift of the zero, the interval before the first chosen reading shows no speed. The axis may
+ * rest before the first readings, and then start with a jerk. A path without one of them therefore starts from rest. */
 PMF_SELDOM scalar_t price(const pmf_view_t *view, const path_t *path, scalar_t most)
 {
-    uint32_t points = view->past + path->chosen, last = before_last(path, 0U), start, from, to;
-    if (points < 2U || (path->moved != 0U && path->chosen == 1U)) {
+    uint32_t n = path->chosen, apart = path->moved != 0U && n == path->past + 2U ? 1U : 0U, start, end;
+    if (n < 2U || (path->moved != 0U && n == path->past + 1U)) {
         return most;
     }
-    start = before_last(path, 1U);
-    if (is_too_fast(view, start, last) != 0) {
+    start = path->place[n - 2U];
+    end = path->place[n - 1U];
+    if (is_too_fast(view, start, end) != 0) {
         return ENDLESS;
     }
-    if (points < 3U) {
-        return most;
+    if (n < 3U) {
+        int from_rest = view->past < 2U && end > PAST - view->past + 1U;
+        return from_rest ? larger(most, size_of(speed(view, start, end))) : most;
     }
-    to = path->moved != 0U && path->chosen == 2U ? PAST - 1U : start;
-    from = path->moved != 0U && path->chosen == 2U ? PAST - 2U : before_last(path, 2U);
-    return larger(most, acceleration(view, from, to, start, last));
+    return larger(most, acceleration(view, path->place[n - 3U - apart], path->place[n - 2U - apart], start, end));
 }
 
-/* Return the factor by which a path must be cheaper. */
-PMF_SELDOM scalar_t demanded(uint32_t left_out)
+/* Write the factors by which paths must be cheaper, by the number of readings that they leave out: for a verdict, or for
+ * a doubt, which is the bound of a blow. */
+PMF_SELDOM void demand(uint32_t doubt, scalar_t *factor)
 {
-    return left_out == 0U ? PMF_SCALAR(1.0) : FIRST * (scalar_t)(1U << (left_out - 1U));
-}
-
-/* Return the price of the path through all readings. */
-PMF_SELDOM scalar_t price_of_all(const pmf_view_t *view, scalar_t past)
-{
-    path_t path;
-    scalar_t most = past;
-    path.moved = 0U;
-    for (path.chosen = 0U; path.chosen < view->readings;) {
-        path.place[path.chosen] = path.chosen;
-        path.chosen += 1U;
-        most = price(view, &path, most);
+    uint32_t i;
+    factor[0] = PMF_SCALAR(1.0);
+    factor[1] = FIRST;
+    for (i = 2U; i < DEMANDS; ++i) {
+        factor[i] = doubt != 0U ? FIRST / BLOW * (scalar_t)(i + 2U)
+                                : factor[i - 1U] * (i <= MANY ? FURTHER : PMF_SCALAR(2.0));
     }
-    return most;
 }
 
-/* Return whether a path may end at its last chosen reading. A shift of the zero needs counts on its other side. */
-static int may_end(const pmf_view_t *view, const path_t *path)
+/* Choose the place after the last one. Two accepted counts, if there are so many, show the motion before the reading. */
+PMF_SELDOM void choose(const pmf_view_t *view, uint32_t place, path_t *path, scalar_t *most)
 {
-    return view->readings - path->chosen <= LEFT_OUT && path->chosen >= 2U + path->moved &&
-           path->chosen + view->past >= LEAST;
+    path->place[path->chosen] = place;
+    path->chosen += 1U;
+    path->past += place < PAST ? 1U : 0U;
+    most[path->chosen] = place >= PAST && path->past < 2U && path->past < view->past ?
+        ENDLESS :
+        price(view, path, most[path->chosen - 1U]);
 }
 
-/* Improve the best path by all paths with a shift of the zero, or all without. `least` is the price of the best path
- * times its factor. A path that is too expensive has no cheap continuation. */
-PMF_SELDOM void search(const pmf_view_t *view, scalar_t past, uint32_t moved, best_t *best, scalar_t *least)
+/* Take back the last choice, and return the place after it. */
+static uint32_t take_back(path_t *path)
 {
-    scalar_t most[PMF_VIEW + 1U];
+    path->chosen -= 1U;
+    path->past -= path->place[path->chosen] < PAST ? 1U : 0U;
+    return path->place[path->chosen] + 1U;
+}
+
+/* Make `best` the path through all counts. */
+PMF_SELDOM void choose_all(const pmf_view_t *view, path_t *best)
+{
+    scalar_t most[PMF_PAST + PMF_VIEW + 1U];
+    uint32_t place;
+    best->chosen = best->past = best->moved = 0U;
+    most[0] = view->step;
+    for (place = PAST - view->past; place < PAST + view->readings; ++place) {
+        choose(view, place, best, most);
+    }
+    best->most = best->cost = most[best->chosen];
+}
+
+/* Return the places, as bits, that a cheaper path may leave out. Such a path avoids all accelerations near the largest
+ * one, so that only the places that show them matter. */
+PMF_SELDOM uint32_t suspects(const pmf_view_t *view, const path_t *path)
+{
+    uint32_t places = 0U, i;
+    for (i = 1U; i + 1U < path->chosen; ++i) {
+        uint32_t before = path->place[i - 1U], here = path->place[i], after = path->place[i + 1U];
+        if (NEAR * acceleration(view, before, here, here, after) > path->most ||
+            is_too_fast(view, before, here) != 0 || is_too_fast(view, here, after) != 0) {
+            places |= (1U << before) | (1U << here) | (1U << after);
+        }
+    }
+    return places;
+}
+
+/* Improve the best path by all paths with a shift of the zero, or all without. A path that is too expensive has no
+ * cheap continuation. */
+PMF_SELDOM void search(const pmf_view_t *view, uint32_t places, uint32_t moved, uint32_t doubt, path_t *best)
+{
+    scalar_t most[PMF_PAST + PMF_VIEW + 1U], factor[DEMANDS];
     path_t path;
-    uint32_t next = 0U;
-    path.chosen = 0U;
+    uint32_t begin = PAST - view->past, end = PAST + view->readings, next = begin, shift = moved != 0U ? SHIFT : 0U;
+    demand(doubt, factor);
+    path.chosen = path.past = 0U;
     path.moved = moved;
-    most[0] = past;
+    most[0] = view->step;
     for (;;) {
-        uint32_t skipped = next - path.chosen + moved, left_out;
-        if (next >= view->readings || skipped > LEFT_OUT + moved) { /* one step back */
+        uint32_t skipped = next - begin - path.chosen + shift, left_out = end - begin - path.chosen - 1U + shift;
+        if (next < end && skipped <= LEFT_OUT + shift && (moved == 0U || path.past < path.chosen || next <= PAST + LATEST)) {
+            choose(view, next, &path, most);
+            next += 1U;
+            if (left_out != 0U && left_out <= LEFT_OUT + shift && path.chosen >= path.past + 2U + moved &&
+                path.chosen >= LEAST && factor[left_out] * most[path.chosen] < best->cost) {
+                path.most = most[path.chosen];
+                path.cost = factor[left_out] * path.most;
+                *best = path;
+            }
+            if (factor[skipped == 0U ? 1U : skipped] * most[path.chosen] < best->cost) {
+                continue;
+            }
+        }
+        do {
             if (path.chosen == 0U) {
                 return;
             }
-            path.chosen -= 1U;
-            next = path.place[path.chosen] + 1U;
-            continue;
-        }
-        path.place[path.chosen] = next;
-        path.chosen += 1U;
-        next += 1U;
-        most[path.chosen] = price(view, &path, most[path.chosen - 1U]);
-        left_out = view->readings - path.chosen + moved;
-        if (left_out != 0U && may_end(view, &path) && demanded(left_out) * most[path.chosen] < *least) {
-            *least = demanded(left_out) * most[path.chosen];
-            best->first = path.place[0];
-            best->second = path.place[1];
-            best->moved = moved;
-            best->most = most[path.chosen];
-        }
-        if (demanded(skipped == 0U ? 1U : skipped) * most[path.chosen] >= *least) {
-            path.chosen -= 1U;
-        }
-    }
-}
-
-PMF_SELDOM void find_best(const pmf_view_t *view, best_t *best)
-{
-    scalar_t past = of_past(view), least = price_of_all(view, past);
-    best->first = 0U;
-    best->second = 1U;
-    best->moved = 0U;
-    best->most = least;
-    if (least > FIRST * past) { /* otherwise, no path is cheap enough */
-        search(view, past, 0U, best, &least);
-        if (view->past >= 2U) {
-            search(view, past, 1U, best, &least);
-        }
+            next = take_back(&path);
+        } while (((places >> (next - 1U)) & 1U) == 0U);
     }
 }
 
@@ -200,19 +228,26 @@ PMF_SELDOM pmf_relative_t rounded(scalar_t x)
     return x < PMF_SCALAR(0.0) ? -(pmf_relative_t)(PMF_SCALAR(0.5) - x) : (pmf_relative_t)(x + PMF_SCALAR(0.5));
 }
 
-/* Replace the judged reading as its path demands, unless the accelerations along the path explain the difference. */
-PMF_SELDOM void replace(const pmf_view_t *view, const best_t *path, pmf_verdict_t *verdict)
+/* Replace the judged reading as its path demands, unless the accelerations along the path explain the difference.
+ * Return whether it is replaced. */
+PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t *verdict)
 {
-    uint32_t first = PAST + path->first, second = PAST + path->second, last = PAST - 1U;
-    scalar_t after = view->time[first] - view->time[PAST], before = view->time[PAST] - view->time[last];
-    scalar_t explained = PMF_SCALAR(0.5) * path->most * before * after, slope;
+    uint32_t first = path->place[path->past], second = path->place[path->past + 1U], last, before_last;
+    scalar_t after = view->time[first] - view->time[PAST], before, explained, slope;
     pmf_relative_t end = view->count[first], count, apart;
-    if (view->past == 0U) {
+    if (first == PAST && path->moved == 0U) {
+        return 0;
+    }
+    if (path->past == 0U) {
         explained = PMF_SCALAR(0.5) * path->most * after * (after + PMF_SCALAR(1.0));
         count = end - rounded(after * speed(view, first, second));
     } else {
+        last = path->place[path->past - 1U];
+        before = view->time[PAST] - view->time[last];
+        explained = PMF_SCALAR(0.5) * path->most * before * after;
         if (path->moved != 0U) {
-            slope = PMF_SCALAR(0.5) * (speed(view, last - 1U, last) + speed(view, first, second));
+            before_last = path->place[path->past - 2U];
+            slope = PMF_SCALAR(0.5) * (speed(view, before_last, last) + speed(view, first, second));
             end = view->count[last] + rounded(slope * (before + after));
             explained = PMF_SCALAR(0.5) * path->most * (before + after) * (before + after);
         }
@@ -220,39 +255,141 @@ PMF_SELDOM void replace(const pmf_view_t *view, const best_t *path, pmf_verdict_
         count = view->count[last] + rounded(slope * before);
     }
     apart = path->moved != 0U ? view->count[first] - end : view->count[PAST] - count;
-    if (size_of((scalar_t)apart) > view->step + explained) {
-        verdict->verdict = path->moved != 0U ? PMF_ZERO_MOVED : PMF_READING_WRONG;
-        verdict->count = count;
-        verdict->first = first;
-        verdict->end = end;
+    if (size_of((scalar_t)apart) <= view->step + CLEAR * explained) {
+        return 0;
     }
+    verdict->verdict = path->moved != 0U ? PMF_ZERO_MOVED : PMF_READING_WRONG;
+    verdict->count = count;
+    verdict->first = first;
+    verdict->end = end;
+    verdict->unsure = first > PAST + LONGEST;
+    return 1;
 }
 
-/* Return whether the judged reading continues the accepted counts. */
-PMF_SELDOM int is_plain(const pmf_view_t *view)
+/* Return whether an accepted count between chosen ones was wrong: the accelerations along the path do not explain it. */
+PMF_SELDOM int was_wrong(const pmf_view_t *view, const path_t *path)
 {
-    return view->past >= 3U && !is_too_fast(view, PAST - 1U, PAST) &&
-           acceleration(view, PAST - 2U, PAST - 1U, PAST - 1U, PAST) <= of_past(view);
+    uint32_t i, place;
+    for (i = 0; i < path->past; ++i) {
+        uint32_t from = path->place[i], to = path->place[i + 1U];
+        for (place = from + 1U; place < to && place < PAST; ++place) {
+            scalar_t before = view->time[place] - view->time[from], after = view->time[to] - view->time[place];
+            scalar_t apart = travel(view, from, place) - before * speed(view, from, to);
+            if (size_of(apart) > view->step + CLEAR * PMF_SCALAR(0.5) * path->most * before * after) {
+                return 1;
+            }
+        }
+    }
+    return 0;
+}
+
+/* Find the best path, and judge the reading by it. Return the price of the path. */
+PMF_SELDOM scalar_t follow_best(const pmf_view_t *view, uint32_t doubt, pmf_verdict_t *verdict)
+{
+    path_t best, moved;
+    uint32_t places = 0U;
+    scalar_t cost;
+    choose_all(view, &best);
+    moved = best;
+    do { /* a large wrong count hides smaller ones */
+        cost = moved.cost;
+        if (best.most <= FIRST * view->step) { /* no path is cheap enough */
+            break;
+        }
+        places |= suspects(view, &best);
+        search(view, places, 0U, doubt, &best);
+        moved = best.cost < moved.cost ? best : moved;
+        if (view->past >= 2U) {
+            search(view, places, 1U, doubt, &moved);
+        }
+    } while (moved.cost < cost);
+    if (moved.moved != 0U && replace(view, &moved, verdict) != 0) {
+        return moved.most;
+    }
+    (void)replace(view, &best, verdict); /* a shift that is no shift hides no wrong count */
+    if (was_wrong(view, &best) != 0) {
+        verdict->unsure = 1U;
+    }
+    return best.most;
+}
+
+/* Return whether the readings turn around from sample to sample: their speed changes by more than itself. */
+PMF_SELDOM int turns_around(const pmf_view_t *view)
+{
+    scalar_t fastest = PMF_SCALAR(0.0), change = PMF_SCALAR(0.0), before = speed(view, PAST, PAST + 1U);
+    uint32_t i;
+    for (i = PAST + 1U; i < PAST + view->readings; ++i) {
+        scalar_t after = speed(view, i - 1U, i);
+        fastest = larger(fastest, size_of(after));
+        change = larger(change, size_of(after - before));
+        before = after;
+    }
+    return change > fastest;
+}
+
+/* The motion continues with its last speed. */
+PMF_SELDOM void continue_motion(const pmf_view_t *view, pmf_verdict_t *verdict)
+{
+    scalar_t time = view->time[PAST] - view->time[PAST - 1U];
+    verdict->verdict = PMF_READING_WRONG;
+    verdict->count = view->count[PAST - 1U] + rounded(time * speed(view, PAST - 2U, PAST - 1U));
+}
+
+/* Return the least acceleration just after the judged reading and its neighbour, or 0 if it changes its sign. */
+PMF_SELDOM scalar_t lasting_acceleration(const pmf_view_t *view)
+{
+    scalar_t least = ENDLESS, most = -ENDLESS;
+    uint32_t i;
+    for (i = PAST + 2U; i <= PAST + 4U; ++i) {
+        scalar_t here = signed_acceleration(view, i - 1U, i, i, i + 1U);
+        least = here < least ? here : least;
+        most = larger(most, here);
+    }
+    return larger(larger(least, -most), PMF_SCALAR(0.0));
+}
+
+/* Return whether the judged reading continues the accepted counts, or the motion around it is as smooth as the motion
+ * before and after, or the acceleration around it lasts. */
+PMF_SELDOM int is_smooth(const pmf_view_t *view)
+{
+    scalar_t past, ahead, here;
+    if (view->past < PAST || view->readings < PMF_VIEW || is_too_fast(view, PAST - 1U, PAST) != 0) {
+        return 0;
+    }
+    past = roughness(view, 1U, PAST - 2U);
+    if (acceleration(view, PAST - 2U, PAST - 1U, PAST - 1U, PAST) <= past) {
+        return 1;
+    }
+    ahead = roughness(view, PAST + PMF_AHEAD - 3U, PAST + PMF_AHEAD - 1U);
+    here = roughness(view, PAST - 1U, PAST + 1U);
+    return here <= FIRST * larger(past < ahead ? past : ahead, lasting_acceleration(view));
 }
 
 void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
 {
-    best_t best;
+    pmf_verdict_t other;
+    scalar_t most;
     verdict->verdict = PMF_READING_FITS;
     verdict->count = view->count[PAST];
     verdict->first = PAST;
     verdict->end = 0;
-    if (view->past + view->readings <= LEAST || is_plain(view)) {
+    verdict->unsure = 0U;
+    if (view->past + view->readings <= LEAST || is_smooth(view) != 0) {
         return;
     }
-    find_best(view, &best);
-    if (best.first != 0U || best.moved != 0U) {
-        replace(view, &best, verdict);
-        return;
+    other = *verdict;
+    most = follow_best(view, 1U, &other);
+    verdict->unsure = other.verdict != PMF_READING_FITS ? 1U : other.unsure;
+    if (verdict->unsure != 0U) { /* a doubt is the least demand */
+        verdict->unsure = 0U;
+        most = follow_best(view, 0U, verdict);
+        verdict->unsure |= verdict->verdict == PMF_READING_FITS ? 1U : 0U;
     }
-    if (view->past >= 2U && is_too_fast(view, PAST - 1U, PAST)) { /* no path is slow enough: the motion continues */
-        scalar_t time = view->time[PAST] - view->time[PAST - 1U];
-        verdict->verdict = PMF_READING_WRONG;
-        verdict->count = view->count[PAST - 1U] + rounded(time * speed(view, PAST - 2U, PAST - 1U));
+    if (view->past >= 3U && view->readings >= 3U && most > WILD * roughness(view, PAST - view->past + 1U, PAST - 2U) &&
+        turns_around(view) != 0) {
+        verdict->unsure = 1U;
+        continue_motion(view, verdict);
+    } else if (verdict->verdict == PMF_READING_FITS && view->past >= 2U && is_too_fast(view, PAST - 1U, PAST)) {
+        continue_motion(view, verdict); /* no path is slow enough */
     }
 }

@@ -25,9 +25,9 @@ enum pmf_reading { PMF_READING_FITS = 0, PMF_READING_WRONG, PMF_ZERO_MOVED };
 
 /* Judge the reading at PMF_PAST. `count` is the count of the motion, relative like the view. If the zero moved, all
  * counts from `first` on belong to the new zero, and the count at `first` would have been `end` with the earlier one.
- */
+ * With `unsure` (0 or 1), `count` may be wrong. */
 typedef struct {
-    uint32_t verdict, first;
+    uint32_t verdict, first, unsure;
     pmf_relative_t count, end;
 } pmf_verdict_t;
 

@@ -352,6 +352,19 @@ static whole_t waiting(const pmf_state_t *state)
 {
     return (state->status & (uint32_t)PMF_FALLBACK) | PMF_SETTLING | PMF_BIT(state->direct.started == 0U, PMF_STARTING);
 }
+
+/* Replace a sample by the one that the guard has judged, and return whether there is one. The recursion waits until the
+ * filters have forgotten a count that may be wrong. */
+static truth_t guard_sample(const pmf_config_t *config, pmf_state_t *state, real_t *input, whole_t *count,
+                            whole_t *guarded)
+{
+    truth_t ready = pmf_guard(&config->encoder, &state->guard, state->encoder.input, input, count, guarded), unsure;
+    unsure = (*guarded & PMF_SETTLING) != 0U;
+    if (PMF_ANY(unsure)) {
+        state->hold = PMF_IF(unsure, PMF_W(config->settle_samples), state->hold);
+    }
+    return ready;
+}
 #endif
 
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
@@ -359,7 +372,7 @@ PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_
     whole_t guarded = PMF_W(0), status = PMF_W(0);
 #if PMF_WITH_GUARD
     if (config->encoder.guard != 0U) {
-        truth_t ready = pmf_guard(&config->encoder, &state->guard, state->encoder.input, &input, &count, &guarded);
+        truth_t ready = guard_sample(config, state, &input, &count, &guarded);
         PMF_WHERE(ready, state, status = filter_sample(config, state, input, count));
         return PMF_IF(ready, status | guarded, waiting(state));
     }
@@ -373,7 +386,7 @@ PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t 
     whole_t guarded = PMF_W(0);
 #if PMF_WITH_GUARD
     if (config->encoder.guard != 0U) {
-        truth_t ready = pmf_guard(&config->encoder, &state->guard, state->encoder.input, &input, &count, &guarded);
+        truth_t ready = guard_sample(config, state, &input, &count, &guarded);
         state->status = PMF_IF(ready, state->status, waiting(state));
         PMF_WHERE(ready, state, (void)step_sample(config, state, input, count, guarded));
         return state->status;
