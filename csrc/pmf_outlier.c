@@ -283,45 +283,45 @@ PMF_SELDOM int was_wrong(const pmf_view_t *view, const path_t *path)
     return 0;
 }
 
-/* Find the best path, and judge the reading by it. Return the price of the path. */
-PMF_SELDOM scalar_t follow_best(const pmf_view_t *view, uint32_t doubt, pmf_verdict_t *verdict)
+/* Find the best path, and judge the reading by it. */
+PMF_SELDOM void follow_best(const pmf_view_t *view, uint32_t doubt, path_t *best, pmf_verdict_t *verdict)
 {
-    path_t best, moved;
+    path_t moved;
     uint32_t places = 0U;
     scalar_t cost;
-    choose_all(view, &best);
-    moved = best;
+    choose_all(view, best);
+    moved = *best;
     do { /* a large wrong count hides smaller ones */
         cost = moved.cost;
-        if (best.most <= FIRST * view->step) { /* no path is cheap enough */
+        if (best->most <= FIRST * view->step) { /* no path is cheap enough */
             break;
         }
-        places |= suspects(view, &best);
-        search(view, places, 0U, doubt, &best);
-        moved = best.cost < moved.cost ? best : moved;
+        places |= suspects(view, best);
+        search(view, places, 0U, doubt, best);
+        moved = best->cost < moved.cost ? *best : moved;
         if (view->past >= 2U) {
             search(view, places, 1U, doubt, &moved);
         }
     } while (moved.cost < cost);
     if (moved.moved != 0U && replace(view, &moved, verdict) != 0) {
-        return moved.most;
+        *best = moved;
+        return;
     }
-    (void)replace(view, &best, verdict); /* a shift that is no shift hides no wrong count */
-    if (was_wrong(view, &best) != 0) {
+    (void)replace(view, best, verdict); /* a shift that is no shift hides no wrong count */
+    if (was_wrong(view, best) != 0) {
         verdict->unsure = 1U;
     }
-    return best.most;
 }
 
-/* Return whether the readings turn around from sample to sample: their speed changes by more than itself. */
-PMF_SELDOM int turns_around(const pmf_view_t *view)
+/* Return whether the readings along a path turn around all the time: their speed changes by more than itself. */
+PMF_SELDOM int turns_around(const pmf_view_t *view, const path_t *path)
 {
-    scalar_t fastest = PMF_SCALAR(0.0), change = PMF_SCALAR(0.0), before = speed(view, PAST, PAST + 1U);
+    scalar_t fastest = PMF_SCALAR(0.0), change = PMF_SCALAR(0.0), before = PMF_SCALAR(0.0), after;
     uint32_t i;
-    for (i = PAST + 1U; i < PAST + view->readings; ++i) {
-        scalar_t after = speed(view, i - 1U, i);
+    for (i = path->past + 1U; i < path->chosen; ++i) {
+        after = speed(view, path->place[i - 1U], path->place[i]);
         fastest = larger(fastest, size_of(after));
-        change = larger(change, size_of(after - before));
+        change = i > path->past + 1U ? larger(change, size_of(after - before)) : change;
         before = after;
     }
     return change > fastest;
@@ -368,7 +368,7 @@ PMF_SELDOM int is_smooth(const pmf_view_t *view)
 void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
 {
     pmf_verdict_t other;
-    scalar_t most;
+    path_t best;
     verdict->verdict = PMF_READING_FITS;
     verdict->count = view->count[PAST];
     verdict->first = PAST;
@@ -378,15 +378,13 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
         return;
     }
     other = *verdict;
-    most = follow_best(view, 1U, &other);
-    verdict->unsure = other.verdict != PMF_READING_FITS ? 1U : other.unsure;
-    if (verdict->unsure != 0U) { /* a doubt is the least demand */
-        verdict->unsure = 0U;
-        most = follow_best(view, 0U, verdict);
+    follow_best(view, 1U, &best, &other);
+    if (other.verdict != PMF_READING_FITS || other.unsure != 0U) { /* a doubt is the least demand */
+        follow_best(view, 0U, &best, verdict);
         verdict->unsure |= verdict->verdict == PMF_READING_FITS ? 1U : 0U;
     }
-    if (view->past >= 3U && view->readings >= 3U && most > WILD * roughness(view, PAST - view->past + 1U, PAST - 2U) &&
-        turns_around(view) != 0) {
+    if (view->past >= 3U && best.most > WILD * roughness(view, PAST - view->past + 1U, PAST - 2U) &&
+        turns_around(view, &best) != 0) {
         verdict->unsure = 1U;
         continue_motion(view, verdict);
     } else if (verdict->verdict == PMF_READING_FITS && view->past >= 2U && is_too_fast(view, PAST - 1U, PAST)) {
