@@ -29,7 +29,8 @@
 #define DEMANDS (LEFT_OUT + SHIFT + 1U)
 #define CLEAR PMF_SCALAR(2.0) /* least ratio of a deviation to the one that the accelerations along a path explain */
 #define WILD PMF_SCALAR(6.0) /* twice BLOW: no reading or its neighbour is the reversal */
-#define NEAR PMF_SCALAR(10.0) /* accelerations within this ratio of the largest one may come from the same wrong counts */
+#define NEAR \
+    PMF_SCALAR(10.0) /* accelerations within this ratio of the largest one may come from the same wrong counts */
 #define LONGEST 4U /* more wrong readings in a row have no certain replacement */
 #define PAST PMF_PAST
 #ifdef PMF_FLOAT32
@@ -124,28 +125,29 @@ PMF_SELDOM scalar_t price(const pmf_view_t *view, const path_t *path, scalar_t m
     return larger(most, acceleration(view, path->place[n - 3U - apart], path->place[n - 2U - apart], start, end));
 }
 
-/* Write the factors by which paths must be cheaper, by the number of readings that they leave out: for a verdict, or for
- * a doubt, which is the bound of a blow. */
+/* Write the factors by which paths must be cheaper, by the number of readings that they leave out: for a verdict, or
+ * for a doubt, which is the bound of a blow. */
 PMF_SELDOM void demand(uint32_t doubt, scalar_t *factor)
 {
     uint32_t i;
     factor[0] = PMF_SCALAR(1.0);
     factor[1] = FIRST;
     for (i = 2U; i < DEMANDS; ++i) {
-        factor[i] = doubt != 0U ? FIRST / BLOW * (scalar_t)(i + 2U)
-                                : factor[i - 1U] * (i <= MANY ? FURTHER : PMF_SCALAR(2.0));
+        factor[i] =
+            doubt != 0U ? FIRST / BLOW * (scalar_t)(i + 2U) : factor[i - 1U] * (i <= MANY ? FURTHER : PMF_SCALAR(2.0));
     }
 }
 
-/* Choose the place after the last one. Two accepted counts, if there are so many, show the motion before the reading. */
+/* Choose the place after the last one. Two accepted counts, if there are so many, show the motion before the reading.
+ */
 PMF_SELDOM void choose(const pmf_view_t *view, uint32_t place, path_t *path, scalar_t *most)
 {
     path->place[path->chosen] = place;
     path->chosen += 1U;
     path->past += place < PAST ? 1U : 0U;
-    most[path->chosen] = place >= PAST && path->past < 2U && path->past < view->past ?
-        ENDLESS :
-        price(view, path, most[path->chosen - 1U]);
+    most[path->chosen] = place >= PAST && path->past < 2U && path->past < view->past
+                             ? ENDLESS
+                             : price(view, path, most[path->chosen - 1U]);
 }
 
 /* Take back the last choice, and return the place after it. */
@@ -176,8 +178,8 @@ PMF_SELDOM uint32_t suspects(const pmf_view_t *view, const path_t *path)
     uint32_t places = 0U, i;
     for (i = 1U; i + 1U < path->chosen; ++i) {
         uint32_t before = path->place[i - 1U], here = path->place[i], after = path->place[i + 1U];
-        if (NEAR * acceleration(view, before, here, here, after) > path->most ||
-            is_too_fast(view, before, here) != 0 || is_too_fast(view, here, after) != 0) {
+        if (NEAR * acceleration(view, before, here, here, after) > path->most || is_too_fast(view, before, here) != 0 ||
+            is_too_fast(view, here, after) != 0) {
             places |= (1U << before) | (1U << here) | (1U << after);
         }
     }
@@ -197,7 +199,8 @@ PMF_SELDOM void search(const pmf_view_t *view, uint32_t places, uint32_t moved, 
     most[0] = view->step;
     for (;;) {
         uint32_t skipped = next - begin - path.chosen + shift, left_out = end - begin - path.chosen - 1U + shift;
-        if (next < end && skipped <= LEFT_OUT + shift && (moved == 0U || path.past < path.chosen || next <= PAST + LATEST)) {
+        if (next < end && skipped <= LEFT_OUT + shift &&
+            (moved == 0U || path.past < path.chosen || next <= PAST + LATEST)) {
             choose(view, next, &path, most);
             next += 1U;
             if (left_out != 0U && left_out <= LEFT_OUT + shift && path.chosen >= path.past + 2U + moved &&
@@ -266,7 +269,8 @@ PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t
     return 1;
 }
 
-/* Return whether an accepted count between chosen ones was wrong: the accelerations along the path do not explain it. */
+/* Return whether an accepted count between chosen ones was wrong: the accelerations along the path do not explain it.
+ */
 PMF_SELDOM int was_wrong(const pmf_view_t *view, const path_t *path)
 {
     uint32_t i, place;
@@ -348,9 +352,7 @@ PMF_SELDOM scalar_t lasting_acceleration(const pmf_view_t *view)
     return larger(larger(least, -most), PMF_SCALAR(0.0));
 }
 
-/* Return whether the judged reading continues the accepted counts, or the motion around it is as smooth as the motion
- * before and after, or the acceleration around it lasts. */
-PMF_SELDOM int is_smooth(const pmf_view_t *view)
+int pmf_is_smooth(const pmf_view_t *view)
 {
     scalar_t past, ahead, here;
     if (view->past < PAST || view->readings < PMF_VIEW || is_too_fast(view, PAST - 1U, PAST) != 0) {
@@ -374,7 +376,7 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
     verdict->first = PAST;
     verdict->end = 0;
     verdict->unsure = 0U;
-    if (view->past + view->readings <= LEAST || is_smooth(view) != 0) {
+    if (view->past + view->readings <= LEAST) {
         return;
     }
     other = *verdict;

@@ -23,14 +23,18 @@ typedef struct {
 
 enum pmf_reading { PMF_READING_FITS = 0, PMF_READING_WRONG, PMF_ZERO_MOVED };
 
-/* Judge the reading at PMF_PAST. `count` is the count of the motion, relative like the view. If the zero moved, all
- * counts from `first` on belong to the new zero, and the count at `first` would have been `end` with the earlier one.
- * With `unsure` (0 or 1), `count` may be wrong. */
+/* `count` is the count of the motion, relative like the view. With `unsure` (0 or 1) it may be wrong. If the zero
+ * moved, all counts from `first` on belong to the new zero, and the count at `first` would have been `end` with the
+ * earlier one. */
 typedef struct {
     uint32_t verdict, first, unsure;
     pmf_relative_t count, end;
 } pmf_verdict_t;
 
+/* Return 1 if the reading at PMF_PAST needs no verdict: it continues the accepted counts, or the motion around it is as
+ * smooth as the motion before and after, or the acceleration around it lasts. Otherwise, return 0. */
+int pmf_is_smooth(const pmf_view_t *view);
+/* Judge the reading at PMF_PAST. */
 void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict);
 
 #endif

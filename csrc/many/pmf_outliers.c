@@ -34,7 +34,11 @@ static void judge_all(const pmf_outliers_t *record, uint64_t samples, int back)
             view.count[PMF_PAST + i] = record->count[other] - zero;
             view.time[PMF_PAST + i] = back ? -record->time[other] : record->time[other];
         }
-        pmf_judge(&view, &verdict);
+        verdict.verdict = PMF_READING_FITS;
+        verdict.count = view.count[PMF_PAST];
+        if (pmf_is_smooth(&view) == 0) {
+            pmf_judge(&view, &verdict);
+        }
         moved = verdict.verdict == PMF_ZERO_MOVED && !back ? view.count[verdict.first] - verdict.end : 0;
         if (verdict.verdict != PMF_READING_FITS) {
             record->wrong[place] = 1U;
