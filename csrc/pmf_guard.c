@@ -15,7 +15,7 @@
 #define ROUNDING PMF_R(2.0) /* second difference of counts in a steady motion */
 #define SPIKE PMF_R(8.0) /* ratio of an input to all its neighbours, above which the counts must answer */
 #define HERE PMF_PAST
-#define MOST_APART 536870912 /* counts that are further apart are wrong in any case */
+#define FAR 0x20000000U /* counts that are further apart are wrong in any case */
 
 /* Return the second difference with its middle at a place. */
 static real_t signed_bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t place)
@@ -109,12 +109,11 @@ PMF_SELDOM void gather(const pmf_encoder_config_t *config, const pmf_guard_state
     }
     for (i = 0; i < PMF_PAST + PMF_VIEW; ++i) {
         uint32_t expected = steady * (i - (HERE - 1U)); /* modulo 2^32 */
-        uint32_t apart = ((uint32_t)PMF_LANE(guard->count[i], lane) - base - expected) & mask;
+        uint32_t apart = ((uint32_t)PMF_LANE(guard->count[i], lane) - base - expected) & mask, size;
         apart = (apart <= mask >> 1 ? apart : apart - mask - 1U) + expected;
-        view->count[i] = apart <= 0x7fffffffU ? (int32_t)apart : -(int32_t)(0xffffffffU - apart) - 1;
-        if (view->count[i] > MOST_APART || view->count[i] < -MOST_APART) {
-            view->count[i] = view->count[i] > 0 ? MOST_APART : -MOST_APART;
-        }
+        size = apart <= 0x7fffffffU ? apart : ~apart;
+        size = size < FAR ? size : FAR + (size & (FAR - 1U)); /* counts beyond a shift keep the motion between them */
+        view->count[i] = apart <= 0x7fffffffU ? (int32_t)size : -(int32_t)size - 1;
         view->time[i] = (scalar_t)i;
     }
     view->past = past;
