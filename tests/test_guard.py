@@ -128,7 +128,7 @@ def test_wrong_counts_close_to_each_other_are_flagged_alone(apart: int) -> None:
 
 
 def test_the_recursion_has_the_bits_of_the_repaired_record() -> None:
-    """One rule, off-line and on-line, finds the same counts. Only the recursion waits after a count that may be wrong."""
+    """One rule, off-line and on-line, finds the same counts. The recursion only waits after an unsure count."""
     rng = np.random.default_rng(4)
     case = case_of("cart", "prbs", 1024)
     places = wrong_places("clustered", 0.02, rng)
