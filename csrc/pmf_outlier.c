@@ -389,7 +389,8 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
         turns_around(view, &best) != 0) {
         verdict->unsure = 1U;
         continue_motion(view, verdict);
-    } else if (verdict->verdict == PMF_READING_FITS && view->past >= 2U && is_too_fast(view, PAST - 1U, PAST)) {
+    }
+    if (verdict->verdict == PMF_READING_FITS && view->past >= 2U && is_too_fast(view, PAST - 1U, PAST)) {
         continue_motion(view, verdict); /* no path is slow enough */
     }
 }
