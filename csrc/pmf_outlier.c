@@ -291,12 +291,13 @@ PMF_SELDOM int was_wrong(const pmf_view_t *view, const path_t *path)
 PMF_SELDOM void follow_best(const pmf_view_t *view, uint32_t doubt, path_t *best, pmf_verdict_t *verdict)
 {
     path_t moved;
-    uint32_t places = 0U;
+    uint32_t places = 0U, cheaper;
     scalar_t cost;
     choose_all(view, best);
     moved = *best;
     do { /* a large wrong count hides smaller ones */
         cost = moved.cost;
+        cheaper = 0U;
         if (best->most <= FIRST * view->step) { /* no path is cheap enough */
             break;
         }
@@ -306,7 +307,8 @@ PMF_SELDOM void follow_best(const pmf_view_t *view, uint32_t doubt, path_t *best
         if (view->past >= 2U) {
             search(view, places, 1U, doubt, &moved);
         }
-    } while (moved.cost < cost);
+        cheaper = moved.cost < cost ? 1U : 0U;
+    } while (cheaper != 0U);
     if (moved.moved != 0U && replace(view, &moved, verdict) != 0) {
         *best = moved;
         return;
