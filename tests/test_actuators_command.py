@@ -131,6 +131,16 @@ def test_joints_are_found_by_the_names_of_their_columns(goal: str, position: str
     assert log.position == pytest.approx(t)
 
 
+@pytest.mark.parametrize(("factor", "degrees"), [(math.degrees(1.0), True), (1.0, False)])
+def test_steps_that_divide_a_turn_of_360_are_degrees(factor: float, degrees: bool, tmp_path: Path) -> None:
+    t, goal, position = make_log(gravity=0.0, kd=0.0)
+    columns = {"t": t, "goal": np.round(goal * factor, 6), "position": np.round(position * factor, 3 if degrees else 6)}
+    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
+    (log,) = read_joints(tmp_path / "log.csv", LogLayout())
+    assert log.position == pytest.approx(position, abs=1e-5)
+    assert any("degrees" in note for note in log.notes) == degrees
+
+
 def test_rows_without_numbers_and_repeated_stamps_are_left_out(tmp_path: Path) -> None:
     t = np.array([0.0, 0.1, 0.1, 0.2, 0.3])
     columns = {"t": t, "goal": [0, 1, 1, None, 2], "position": [5, 6, 6, 7, 8]}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -200,6 +200,9 @@ def _make_joint(
     notes += [f"{np.sum(~fresh)} rows with the stamp of the row before are left out"] if not fresh.all() else []
     rows = rows[fresh]
     scaled, resolution = [], layout.resolution
+    if layout.unit is None and not any(map(_own_unit, names)) and _is_in_degrees(values[1][rows]):
+        layout = replace(layout, unit="deg")
+        notes.append(f"{names[1]} is taken in degrees: its steps divide a turn of 360 into a power of two")
     for name, own, said in zip(names, values, (layout.goal_unit or layout.unit, layout.unit), strict=True):
         unit = said or _own_unit(name) or ("counts" if _is_register(name, own[rows]) else "rad")
         if said is None and unit == "counts" and REGISTERS.search(name):
@@ -222,6 +225,13 @@ def _make_joint(
     notes += [f"the torque is off in {np.sum(on == 0)} rows, in which the joint moves freely"] if on is not None else []
     names_and_values = (joint or "joint", since, scaled[0], scaled[1], step, robot.given, notes, force, on)
     return JointLog(*names_and_values, robot.stated)
+
+
+def _is_in_degrees(position: Floats) -> bool:
+    """Return whether the steps of positions (n,) divide 360, and not 2 pi, into a power of two."""
+    step = find_step(position)
+    bits = 0.0 if step is None else math.log2(360.0 / step)
+    return abs(bits - round(bits)) < TUNING.step_tolerance / 100 and 6 <= round(bits) <= 24
 
 
 def measure_scatter(position: Floats) -> float:
