@@ -52,7 +52,7 @@ def build(search: FitSearch) -> Gaussian | Intervals:
         elif not (search.waves and search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
             break
         search.solve(search.noise)
-        explained = search.explain()
+        explained = search.explain(tries=0)
         if explained is not None:
             return prune(search, explained)
         settle(search, kinds)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pmfid.fit.compare import MOST
 from pmfid.fit.likelihood import Intervals
 from pmfid.fit.machine import OFFSET
-from pmfid.fit.problem import FitProblem
+from pmfid.fit.problem import PARTS, FitProblem
 from pmfid.fit.search import SPEEDS, TRIES, WITHIN, FitSearch, mean_square
 from pmfid.types import Floats
 
@@ -67,6 +67,7 @@ def begin(search: FitSearch) -> Intervals | None:
         if likelihood is not None:
             return likelihood
         best.enter(search)
+        search.solve(search.noise, STEPS)
         if same or not search.explains or mean_square(search) > WITHIN or len(best.chosen) == MOST:
             return search.explain()
         ends = [best, *(_add(search, best, i) for i in range(len(search.table)) if i not in best.chosen)]
@@ -89,7 +90,11 @@ def list_openings(search: FitSearch) -> list[tuple[int, ...]]:
 
 
 def _end(search: FitSearch) -> Opening:
+    """Return the end of least squares with whole intervals of the forces, which are fast."""
+    fine = search.problem
+    search.problem = replace(fine, parts=min(PARTS, fine.parts))
     cost, rows = search.solve(search.noise, STEPS).cost, search.plain.rows
+    search.problem = fine
     cost = rows * math.log(cost) + len(search.chosen) * math.log(rows)
     return Opening(cost, search.chosen, search.problem, search.q, search.starts)
 
@@ -130,6 +135,7 @@ def _explain_any(search: FitSearch, ends: Sequence[Opening]) -> Intervals | None
     """Return the likelihood of the intervals of the likeliest set that explains every count."""
     for end in sorted(ends, key=lambda end: end.cost)[:LIKELY]:
         end.enter(search)
+        search.solve(search.noise, STEPS)
         likelihood = search.explain(tries=0) if mean_square(search) < WITHIN else None
         if likelihood is not None:
             return likelihood
