@@ -41,7 +41,7 @@
 
 /* Chosen accepted counts and readings, ascending. */
 typedef struct {
-    uint32_t place[PMF_PAST + PMF_VIEW];
+    uint8_t place[PMF_PAST + PMF_VIEW];
     uint32_t chosen;
     uint32_t past; /* chosen accepted counts, which come first */
     uint32_t moved; /* 1: the zero moved before the first chosen reading */
@@ -142,7 +142,7 @@ PMF_SELDOM void demand(uint32_t doubt, scalar_t *factor)
  */
 PMF_SELDOM void choose(const pmf_view_t *view, uint32_t place, path_t *path, scalar_t *most)
 {
-    path->place[path->chosen] = place;
+    path->place[path->chosen] = (uint8_t)place;
     path->chosen += 1U;
     path->past += place < PAST ? 1U : 0U;
     most[path->chosen] = place >= PAST && path->past < 2U && path->past < view->past
@@ -237,7 +237,8 @@ PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t
 {
     uint32_t first = path->place[path->past], second = path->place[path->past + 1U], last, before_last;
     scalar_t after = view->time[first] - view->time[PAST], before, explained, slope;
-    pmf_relative_t end = view->count[first], count, apart;
+    pmf_relative_t end = view->count[first], count;
+    scalar_t apart;
     if (first == PAST && path->moved == 0U) {
         return 0;
     }
@@ -257,8 +258,9 @@ PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t
         slope = (scalar_t)(end - view->count[last]) / (before + after);
         count = view->count[last] + rounded(slope * before);
     }
-    apart = path->moved != 0U ? view->count[first] - end : view->count[PAST] - count;
-    if (size_of((scalar_t)apart) <= view->step + CLEAR * explained) {
+    apart = path->moved != 0U ? (scalar_t)view->count[first] - (scalar_t)end
+                              : (scalar_t)view->count[PAST] - (scalar_t)count;
+    if (size_of(apart) <= view->step + CLEAR * explained) {
         return 0;
     }
     verdict->verdict = path->moved != 0U ? PMF_ZERO_MOVED : PMF_READING_WRONG;

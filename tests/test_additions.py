@@ -37,7 +37,7 @@ class StoppedError(Exception):
 #: A value of each field of a model that differs from its default; a new field needs a line here.
 DRIVE = {"input_gain": 3.0, "offset": True, "friction": "directional", "spring": True, "dead_time": 0.003}
 DRIVE |= {"stribeck": 0.02, "quadratic": True, "gravity": True, "cogging": 0.01, "friction_period": 0.2, "lag": 0.004}
-DRIVE |= {"axis": "rotary", "body": "two-mass"}
+DRIVE |= {"axis": "rotary", "body": "two-mass", "play": True}
 PROCESS = {"n": 3, "m": 2, "delay": 4, "offset": True, "integrators": 1, "unstable": True, "dead_time": 0.25}
 TERM = {"signal": "forward_output", "derivative": 1, "name": "d", "unit": "N s/m", "coefficient": 2.5}
 SHAPE = {"form": "stribeck", "speed": 0.02}
@@ -48,8 +48,13 @@ FIELDS = [(pmfid.Drive, {name: value}) for name, value in DRIVE.items()]
 FIELDS += [(pmfid.TransferFunction, {name: value}) for name, value in PROCESS.items()]
 
 
+def needed_by(field: dict[str, object]) -> dict[str, object]:
+    """Return the further fields without which a field is refused."""
+    return {"n": 3, "m": 2} if "m" in field else {"body": "two-mass"} if "play" in field else {}
+
+
 def model_of(cls: type, field: dict[str, object]) -> pmfid.Drive | pmfid.TransferFunction:
-    model = cls(**(PLAIN[cls] | ({"n": 3, "m": 2} if "m" in field else {}) | field))
+    model = cls(**(PLAIN[cls] | needed_by(field) | field))
     assert model != cls(**PLAIN[cls])
     return model
 
@@ -108,7 +113,7 @@ def test_a_field_of_a_model_arrives_from_python_and_from_a_file(
     """A lost field would not be reported, and another plant would be identified."""
     model = model_of(cls, field)
     assert from_python(model, monkeypatch) == model
-    keys = {name: getattr(model, name) for name in {**PLAIN[cls], **field}}
+    keys = {name: getattr(model, name) for name in {**PLAIN[cls], **needed_by(field), **field}}
     assert from_toml({"kind": model.kind, **keys}, tmp_path) == model
 
 

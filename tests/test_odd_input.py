@@ -72,9 +72,9 @@ def test_a_cutoff_below_the_number_format_is_refused(cutoff: float) -> None:
 def test_a_damaged_calibration_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The file may also be valid JSON with other numbers or another kind."""
     made: list[int] = []
-    plain = Calibration(
-        np.ones(3), calibrations.Scale(*(np.ones(3) for _ in SCALE)), ((1.0, 2.0),), {}, np.ones(2), 1.0, 1.0
-    )
+    tail = calibrations.Tail(1.0, 2.0, 3.0, 4.0, (1.0, 2.0), ((1.0, 2.0, 3.0),))
+    scale = calibrations.Scale(*(np.ones(3) for _ in SCALE))
+    plain = Calibration(np.ones(3), scale, tail, np.ones(2), 1.0, 1.0, None)
     monkeypatch.setattr(calibrations, "calibrate", lambda *_, **__: made.append(1) or plain)
     monkeypatch.setenv("PMFID_CACHE", str(tmp_path))
 

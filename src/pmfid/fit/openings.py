@@ -49,7 +49,7 @@ def begin(search: FitSearch) -> Intervals | None:
     plain = []
     for share in SPEEDS if free else SPEEDS[:1]:
         search.restart((), share)
-        plain.append((_end(search), share))
+        plain.append((_end(search, 3 * STEPS), share))
     best, share = min(plain, key=lambda pair: pair[0].cost)
     for end in (best, *(end for end, _ in plain if end is not best)):
         end.enter(search)
@@ -89,11 +89,11 @@ def list_openings(search: FitSearch) -> list[tuple[int, ...]]:
     return [one for one in ((*loads, *springs), *paired, *alone) if one]
 
 
-def _end(search: FitSearch) -> Opening:
+def _end(search: FitSearch, steps: int = STEPS) -> Opening:
     """Return the end of least squares with whole intervals of the forces, which are fast."""
     fine = search.problem
     search.problem = replace(fine, parts=min(PARTS, fine.parts))
-    cost, rows = search.solve(search.noise, STEPS).cost, search.plain.rows
+    cost, rows = search.solve(search.noise, steps).cost, search.plain.rows
     search.problem = fine
     cost = rows * math.log(cost) + len(search.chosen) * math.log(rows)
     return Opening(cost, search.chosen, search.problem, search.q, search.starts)
