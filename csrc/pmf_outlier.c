@@ -236,9 +236,8 @@ PMF_SELDOM pmf_relative_t rounded(scalar_t x)
 PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t *verdict)
 {
     uint32_t first = path->place[path->past], second = path->place[path->past + 1U], last, before_last;
-    scalar_t after = view->time[first] - view->time[PAST], before, explained, slope;
+    scalar_t after = view->time[first] - view->time[PAST], before, explained, slope, apart;
     pmf_relative_t end = view->count[first], count;
-    scalar_t apart;
     if (first == PAST && path->moved == 0U) {
         return 0;
     }
