@@ -329,7 +329,8 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
         sentence = f"not determined by this log: {', '.join(unclear)}"
         findings.append(Finding("not_determined", sentence, _advise(unclear), "note"))
     if fit.added:
-        sentence = f"the log shows {', '.join(fit.added)}; the fit estimates these terms as well"
+        shown = ", ".join(fit.added[:4]) + (f" and {len(fit.added) - 4} more" if len(fit.added) > 4 else "")
+        sentence = f"the log shows {shown}; the fit estimates these terms as well"
         findings.append(Finding("added", sentence, severity="note"))
     if fitted.rival:
         wide = fitted.half / TUNING.normal > 2 * np.sqrt(np.diag(fitted.covariance))

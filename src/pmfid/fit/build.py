@@ -37,11 +37,8 @@ def build(search: FitSearch) -> Gaussian | Intervals:
     """Add and drop forces until the counts are explained or no force gains evidence, and return the likelihood.
 
     A set that comes again ends the search, too.
-
-    Raises NotIdentifiableError if a motion without any input explains the record as well.
     """
     kinds, seen = settle_either(search), list[list[int]]()
-    search.check_followed(search.noise)
     for _ in range(0 if search.reaches_bound(search.q) else MOST_STEPS):
         seen.append(sorted(search.chosen))
         step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))

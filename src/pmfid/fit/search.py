@@ -375,7 +375,9 @@ def _check_followed(search: FitSearch, noise: Gaussian) -> None:
     """Raise NotIdentifiableError if a motion without any input, but with a disturbance, explains the record as well."""
     still = [(one.y[0] - one.y) / search.plain.resolution for one in search.plain.stretches]
     alone = noise_of(noise.stretches, still, search.rate)
-    gain = noise.evidence(errors_of(search))[0] - alone.evidence(still)[0]
+    errors = errors_of(search)
+    likely = max(one.evidence(errors)[0] for one in (noise, noise_of(noise.stretches, errors, search.rate)))
+    gain = likely - alone.evidence(still)[0]
     free = np.count_nonzero(search.prior(search.problem) == 0)
     if not gain > (free + len(search.chosen)) * math.log(search.plain.rows):
         raise NotIdentifiableError(f"the motion does not follow the input; {FOLLOW}")
