@@ -138,8 +138,7 @@ PMF_SELDOM void demand(uint32_t doubt, scalar_t *factor)
     }
 }
 
-/* Choose the place after the last one. Two accepted counts, if there are so many, show the motion before the reading.
- */
+/* Choose the place after the last one. Two accepted counts, or all of fewer, show the motion before the reading. */
 PMF_SELDOM void choose(const pmf_view_t *view, uint32_t place, path_t *path, scalar_t *most)
 {
     path->place[path->chosen] = (uint8_t)place;

@@ -109,7 +109,7 @@ def write_hours(seeds: int, results: Mapping[Task, Any]) -> list[str]:
             row = [_held(bench), friction, f"{asked:g}", str(alarms), f"{mean:.3g}", f"{low:.3g} to {high:.3g}"]
             said = f"{np.exp(found['doubt'][asked]):.1f}"
             rows.append([*row, said, "yes" if met else ("possible" if possible else "**no**")])
-    head = ["machine", "what the model lacks", "asked [h]", "alarms", "found [h]", "95 % (Poisson) [h]"]
+    head = ["machine", "effect without a term", "asked [h]", "alarms", "found [h]", "95 % (Poisson) [h]"]
     return [
         "## False alarms",
         "",
@@ -144,7 +144,7 @@ def write_growth(seeds: int, results: Mapping[Task, Any]) -> list[str]:
         before = sum(run["before"] for run in runs)
         cells = [f"{100 * np.mean(named):.0f}", f"{100 * right:.0f}", f"{np.median(delay):.0f}", f"{grown:.0f}"]
         rows.append([_held(bench), friction, str(len(runs)), *cells, str(before)])
-    head = ["machine", "what the model lacks", "runs", "named friction [%]", "of all alarms [%]"]
+    head = ["machine", "effect without a term", "runs", "named friction [%]", "of all alarms [%]"]
     return [
         f"## Friction that grows by {100 * GROWTH:.0f} %",
         "",

@@ -30,8 +30,8 @@ class TrueServo:
     `backlash` [rad]. The motor loses `deadzone` [N m] of the torque. The Coulomb friction is larger by the part
     `warming` at first, for some 3 s. The goal moves at most at `slew` [rad/s]. The gain grows by the part
     `stiffening` at an error of 0.3 rad. The limit of the torque falls to 0 at the speed `no_load` [rad/s]. The
-    inertia turns with the position by the part `swing`. The encoder lies behind `windup` [rad/(N m)]. The loop has
-    another `loop_period` [s] than its user believes.
+    inertia turns with the position by the part `swing`. The shaft twists by `windup` [rad/(N m)] before the encoder.
+    The loop has another `loop_period` [s] than its user believes.
     """
 
     inertia: float

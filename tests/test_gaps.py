@@ -310,3 +310,13 @@ def test_an_input_that_is_lost_is_unknown_to_the_fit(kind: str) -> None:
         assert result.status == ()
         errors.append((result.theta - [1.07, 12.8, 0.8]) / result.theta_std)
     assert np.sqrt(np.mean(np.square(errors))) < 1.7
+
+
+def test_a_note_says_that_an_input_without_counts_is_known() -> None:
+    """The motion of the fit does not restart, however long the counts are missing."""
+    u, counts = run()
+    seen = np.where(kept(u.size, 0.1, burst=60), counts.astype(np.float64), np.nan)
+    result = identify(u, seen, model=SETTINGS["model"], dt=DT, encoder=SETTINGS["encoder"])
+    (note,) = [note for note in result.notes if "samples are missing" in note]
+    assert note.endswith("the input in each is known or interpolated")
+    np.testing.assert_allclose(result.theta, TRUTH, rtol=1e-3)

@@ -62,7 +62,7 @@ def test_one_wrong_count_of_a_hundred_is_forgotten_in_two_memories(largest: int,
 
 @pytest.mark.parametrize("size", [100, -5000, 550_523])
 def test_every_single_wrong_count_is_found(size: int) -> None:
-    """Before a change of the acceleration, a wrong count once hid behind a shift of the zero that was none."""
+    """Before a change of the acceleration, a wrong count was once taken for a shift of the zero."""
     case = case_of("cart", "prbs, 3", 256)
     for place in range(0, 2500, 3):
         counts = case.counts.copy()

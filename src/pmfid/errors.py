@@ -65,10 +65,6 @@ class NotIdentifiableError(PmfidError):
     exit_code: ClassVar[int] = 3
 
 
-class SecondMassError(NotIdentifiableError):
-    """Error for a record that two masses on a spring explain, and one mass does not."""
-
-
 class UnknownParameterError(UsageError, KeyError):
     """Error for a parameter name that a result does not contain. The error is a KeyError too, as for any mapping."""
 

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pmfid.fit.compare import NORMAL_95
 from pmfid.types import Flags, Floats
 from studies.referee.cases import PARAMETERS
 from studies.referee.judge import Row
 
-NORMAL_95 = 1.96
 #: An error is wrong beyond three standard errors and the tolerance of `identify` ([estimator] tolerance).
 STANDARD_ERRORS, TOLERANCE = 3.0, 0.01
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,15 +12,28 @@ from pmfid.fit.compare import MOST, ODDS
 from pmfid.fit.elastic import settle_starts
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.machine import DELAY, LAGGING
-from pmfid.fit.search import ROUNDS, SETTLED, FitSearch, as_rounding, errors_of, narrow
+from pmfid.fit.search import ROUNDS, SETTLED, FitSearch, errors_of, is_near_rounding, narrow
 from pmfid.fit.solve import normal_of
 from pmfid.fit.terms import waves
 from pmfid.types import Floats
 
 #: Most steps of the comparison, and the number of wavenumbers that a record is searched for.
 MOST_STEPS, WAVENUMBERS = 12, 100
-#: Parts of a record, each with a start of its own, that judge which noise gives the better motion.
-PARTS = 16
+#: Pieces of a record, each with a start of its own. They judge which noise gives the better motion, and replace a
+#: record that no whole motion follows.
+PIECES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseEnd:
+    """The end of a search with one kind of noise: log likelihood, mean square over pieces [counts^2], and the state."""
+
+    likelihood: float
+    square: float
+    kind: str
+    q: Floats
+    starts: Floats
+    noise: Gaussian
 
 
 def complete_readings(search: FitSearch) -> None:
@@ -60,7 +73,7 @@ def settle_either(search: FitSearch) -> Sequence[str]:
     """Settle with a force that wanders, and with an error of the position, keep the better end, and return its kind.
 
     The residuals of a poor fit look like an error of the position, even where a force wanders, and a force that wanders
-    predicts the next sample of a wrong model well. The likelier end is kept, unless the other one follows the parts of
+    predicts the next sample of a wrong model well. The likelier end is kept, unless the other one follows pieces of
     the record better by more than chance (Fisher 1924).
     """
     if len(search.wandering) == 1:
@@ -71,29 +84,27 @@ def settle_either(search: FitSearch) -> Sequence[str]:
         search.q, search.starts, search.noise = at
         settle(search, (kind,))
         likelihood = search.noise.evidence(errors_of(search))[0]
-        ends.append((likelihood, square_in_parts(search), (kind,), search.q, search.starts, search.noise))
-    ends.sort(key=lambda end: -end[0])
-    best = ends[0]
-    for end in ends[1:]:
-        if end[1] * _most_by_chance() < best[1]:
-            best = end
-    search.q, search.starts, search.noise = best[3:]
-    return best[2] if search.noise.wanders else search.wandering
+        ends.append(NoiseEnd(likelihood, square_of_pieces(search), kind, search.q, search.starts, search.noise))
+    best, other = sorted(ends, key=lambda end: -end.likelihood)
+    if other.square * _most_by_chance() < best.square:
+        best = other
+    search.q, search.starts, search.noise = best.q, best.starts, best.noise
+    return (best.kind,) if search.noise.wanders else search.wandering
 
 
-def square_in_parts(search: FitSearch) -> float:
-    """Return the mean square of the residuals [counts^2] where each part of the record has a start of its own."""
-    problem = search.problem.cut(PARTS)
+def square_of_pieces(search: FitSearch) -> float:
+    """Return the mean square of the residuals [counts^2] where each piece of the record has a start of its own."""
+    problem = search.problem.cut(PIECES)
     likelihood = Gaussian(problem.stretches)
     starts = settle_starts(problem, likelihood, search.q, problem.first_starts())
     return 2 * likelihood(problem.linearise(search.q, starts))[0] / problem.rows
 
 
 def _most_by_chance() -> float:
-    """Return the ratio of the mean squares of two records of PARTS parts that chance exceeds in one of 20 cases."""
+    """Return the ratio of two mean squares over PIECES pieces that chance exceeds in one of 20 cases."""
     from scipy.stats import f
 
-    return float(f.ppf(0.95, PARTS, PARTS))
+    return float(f.ppf(0.95, PIECES, PIECES))
 
 
 def settle(search: FitSearch, kinds: Sequence[str]) -> None:
@@ -134,7 +145,7 @@ def prune(search: FitSearch, likelihood: Intervals, fewest: int = 1) -> Interval
 def _follows(search: FitSearch) -> bool:
     """Return whether least squares ends near rounding."""
     search.solve(Gaussian(search.plain.stretches), 10)
-    return as_rounding(search)
+    return is_near_rounding(search)
 
 
 def _add_wave(search: FitSearch) -> bool:

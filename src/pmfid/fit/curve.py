@@ -106,7 +106,8 @@ class CurveSearch(FitSearch):
         self.strengths: Strengths = (0.3, 0.1, 1e3, 0.1)  # loose, before the record has been weighed
 
     def explain(self, tries: int = 0) -> Intervals | None:
-        """Return the likelihood of the intervals if a motion explains every count. Bends need no further tries."""
+        """Return the likelihood of the intervals if a motion explains every count. The friction of the table always has
+        all `TRIES`, and bends have none."""
         return explain(self, TRIES if self.force == 0 else 0)
 
     def add_bends(self) -> None:

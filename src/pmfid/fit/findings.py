@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pmfid.findings import MOVE, Finding
+from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.second_mass import SecondMass
@@ -38,7 +39,7 @@ def findings_of(
     yield from _wandering(fitted, names, sizes, tolerance)
     yield from _unknown(fitted, names, positive)
     half, std = fitted.half, np.sqrt(np.diag(fitted.covariance))
-    hidden = half > np.maximum(tolerance * sizes, 2 * 1.96 * std)
+    hidden = half > np.maximum(tolerance * sizes, 2 * NORMAL_95 * std)
     if np.any(hidden):
         worst = int(np.argmax(np.where(hidden, half / sizes, 0.0)))
         yield Finding(
@@ -61,20 +62,20 @@ def _forces(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: fl
             continue
         seen.add(one.words)
         if one.name == "warmth":
-            yield Finding("temperature", f"{one.words}{_size(fitted, one)}", severity="note")
+            yield Finding("temperature", f"{one.words}{_describe_size(fitted, one)}", severity="note")
             continue
         shown = one.describe(value * one.sd)
         detail = f"Without it, {names[worst]} would be {format_part(moved[worst])} off." if matters else ""
         yield Finding(
             OWN_WORDS.get(one.name, "unmodelled"),
-            f"the record shows {shown.words}{_size(fitted, one)}",
+            f"the record shows {shown.words}{_describe_size(fitted, one)}",
             shown.remedy,
             "doubt" if matters else "note",
             detail,
         )
 
 
-def _size(fitted: Fitted, one: ExtraForce) -> str:
+def _describe_size(fitted: Fitted, one: ExtraForce) -> str:
     """Return the size of an error of the encoder, with its phase at the first position of the record, or the slope of
     friction over its column."""
     weighed = next((force for force in fitted.weighed if force.candidates[0].words == one.words), None)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
-from pmfid.fit.build import build, complete_readings, prune
+from pmfid.fit.build import PIECES, build, complete_readings, prune
 from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.openings import begin
@@ -30,10 +30,10 @@ class Fitted:
 
     `theta` (p,) and `covariance` (p, p) belong to the machine's parameters. `half` (p,) is the half length of the 95 %
     intervals over the chosen model and the models next to it. `reach` (p,) is the largest error that residuals of this
-    size may cause, whatever their shape. `solution` belongs to `problem`, whose candidates are the
-    chosen ones. `likelihood` is that of the residuals. `plain` (p,) are the machine's parameters without candidates.
-    `rival` names the force that widens the intervals most. `weighed` has an entry for each force of the table.
-    `uncut` is the record of a fit to shorter stretches.
+    size may cause, whatever their shape. `solution` belongs to `problem`, whose candidates are the chosen ones.
+    `likelihood` is that of the residuals. `plain` (p,) are the machine's parameters without candidates. `rival` names
+    the force that widens the intervals most. `weighed` has an entry for each force of the table. `uncut` is the record
+    of a fit to shorter stretches.
     """
 
     problem: FitProblem
@@ -91,7 +91,7 @@ def fit(problem: FitProblem) -> Fitted:
         fitted = _fit_once(problem)
         if fitted.follows and not (isinstance(fitted.likelihood, Gaussian) and fitted.pushes):
             return fitted
-    search, likelihood = _begin(problem.cut(parts=16))
+    search, likelihood = _begin(problem.cut(PIECES))
     if likelihood is None and fitted is not None and fitted.follows:
         return fitted
     return replace(_finish(search, likelihood), uncut=problem)

@@ -90,7 +90,7 @@ def list_openings(search: FitSearch) -> list[tuple[int, ...]]:
 
 
 def _end(search: FitSearch, steps: int = STEPS) -> Opening:
-    """Return the end of least squares with whole intervals of the forces, which are fast."""
+    """Return the end of least squares. Forces are held over at least half of an interval, which saves time."""
     fine = search.problem
     search.problem = replace(fine, parts=min(PARTS, fine.parts))
     cost, rows = search.solve(search.noise, steps).cost, search.plain.rows

@@ -298,7 +298,7 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
         search.q, search.starts = at
         return None
     rng, likelihood = np.random.default_rng(1), narrow(search)
-    for _ in range(tries if likelihood is None and as_rounding(search) else 0):
+    for _ in range(tries if likelihood is None and is_near_rounding(search) else 0):
         search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
         search.solve(Gaussian(search.plain.stretches), 10)
         likelihood = narrow(search)
@@ -335,7 +335,8 @@ def mean_square(search: FitSearch) -> float:
     return float(np.mean(np.concatenate(errors_of(search)) ** 2))
 
 
-def as_rounding(search: FitSearch) -> bool:
+def is_near_rounding(search: FitSearch) -> bool:
+    """Return whether a motion next to the present one may explain every count."""
     return mean_square(search) < MOST_SQUARES
 
 

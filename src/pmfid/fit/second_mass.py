@@ -33,7 +33,8 @@ class SecondMass:
     """Two masses that explain a record better than one: resonance [Hz], sums of the masses and of viscous and Coulomb
     friction, by the place among the body's parameters, and the log odds.
 
-    Masses with play have the gap `play` and its standard error in place of a resonance."""
+    Masses with play have the gap `play` and its standard error in place of a resonance.
+    """
 
     resonance: float
     sums: Mapping[int, float]

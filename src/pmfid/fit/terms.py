@@ -92,8 +92,8 @@ class ExtraForce:
 class Sizes:
     """Sizes of a record that scale the priors, in SI units: root mean square and largest force of the input, highest
     speed, Coulomb friction, viscous friction, half the travel, mean step, the time from start to end, whether the
-    input has more than one size, the length of a turn or 0, the mean position, and the
-    standard deviation of the column that friction follows, or 0."""
+    input has more than one size, the length of a turn or 0, the mean position, and the standard deviation of the
+    column that friction follows, or 0."""
 
     force: float
     top_force: float

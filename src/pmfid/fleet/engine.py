@@ -124,17 +124,17 @@ class Files:
         share = TUNING.plan_rows // (self._engine.threads if isinstance(self._engine, Local) else 1)
         numbered = number_chunks(self._survey.rows, max(share, TUNING.plan_least))
         chunks = chunks_of(numbered, self._parts, self.given)
-        found, done, total = [pl.DataFrame(schema=work.schema)], 0, sum(one.rows for one in chunks)
+        results, done, total = [pl.DataFrame(schema=work.schema)], 0, sum(chunk.rows for chunk in chunks)
         with sort_mixed(chunks, numbered, work.length, self._folder) if here else nullcontext(chunks) as ready:
-            for one, rows in zip(ready, self._engine.map(partial(_work, work), ready), strict=True):
-                found.append(rows)
-                done += one.rows
+            for chunk, rows in zip(ready, self._engine.map(partial(_evaluate_chunk, work), ready), strict=True):
+                results.append(rows)
+                done += chunk.rows
                 tell(done / total)
-        return pl.concat(found)
+        return pl.concat(results)
 
 
-def _work(work: Work, chunk: Chunk) -> pl.DataFrame:
+def _evaluate_chunk(work: Work, chunk: Chunk) -> pl.DataFrame:
     rows, problems = read_chunk(chunk, work.length)
     reports = pl.DataFrame([asdict(one) for one in problems], PROBLEM)
-    found = pl.DataFrame(schema=work.schema) if not rows.height else work.evaluate(rows)
-    return pl.concat([found, reports], how="diagonal")
+    segments = pl.DataFrame(schema=work.schema) if not rows.height else work.evaluate(rows)
+    return pl.concat([segments, reports], how="diagonal")

@@ -9,7 +9,7 @@ import numpy as np
 
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import Matter, sizes
-from pmfid.errors import NotIdentifiableError, SecondMassError, UsageError
+from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
@@ -32,8 +32,8 @@ from pmfid.types import Flags, Floats
 RESTARTED = "the motion restarts after each lost input that its neighbours do not determine"
 
 
-class ElasticAxisError(SecondMassError):
-    """No motion of one mass follows a record, and that of two masses does."""
+class SecondMassError(NotIdentifiableError):
+    """Error for a record that two masses explain, and one mass does not. `second` describes them."""
 
     def __init__(self, second: SecondMass, rotary: bool) -> None:
         what = second.describe("rad" if rotary else "m").removesuffix(",")
@@ -162,7 +162,7 @@ def _refuse_second_mass(record: Record, axis: Axis) -> None:
         with np.errstate(all="ignore"):
             second = find_second_mass(problem)
     if second is not None:
-        raise ElasticAxisError(second, record.rotary)
+        raise SecondMassError(second, record.rotary)
 
 
 def _restore_inputs(record: Record) -> Record:

@@ -10,10 +10,11 @@ import numpy as np
 
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import OF_LOG, is_small_doubt, weigh_findings
-from pmfid.errors import NotIdentifiableError, PmfidError, SecondMassError, UsageError
+from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
 from pmfid.estimators.registry import methods_for
 from pmfid.findings import Finding, codes, make_notes, sort_findings
 from pmfid.pipeline.drives import Drives
+from pmfid.pipeline.fitted import SecondMassError
 from pmfid.pipeline.kinds import Kind, Progress, Records
 from pmfid.pipeline.processes import Processes
 from pmfid.pipeline.result import DriveResult, Result

@@ -21,7 +21,7 @@ from pmfid.models.axes import rotary
 from pmfid.models.drive import Drive
 from pmfid.models.equation import ESTIMATE
 from pmfid.pipeline.drives import match_kind
-from pmfid.pipeline.fitted import ElasticAxisError
+from pmfid.pipeline.fitted import SecondMassError
 from pmfid.pipeline.identify import identify
 from pmfid.pipeline.known import check_numbers_known
 from pmfid.pipeline.result import DriveResult
@@ -259,7 +259,7 @@ def search_drive(data: Record, axis: Axis) -> TermSearch:
     added, rows = dict[str, object](), list[TermRow]()
     try:
         first = result = cast(DriveResult, identify(data, axis))
-    except ElasticAxisError as error:  # one mass follows nothing that further terms could mend
+    except SecondMassError as error:  # one mass follows nothing that further terms could mend
         added, rows = error.second.change, [make_second_row(error.second, axis)]
         axis = axis.model_copy(update={"model": axis.model.model_copy(update=added)})
         first = result = cast(DriveResult, identify(data, axis))

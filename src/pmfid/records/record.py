@@ -342,7 +342,8 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         measured, bridged = _scale_column(inputs, scale * units.u), config.output_kind != "velocity"
         u, counts, there = fill_gaps(u, counts, rows.places, bridged=bridged, inputs=measured)
         measured = measured if bridged else u
-        notes, ages = (*notes, describe_missing(u, there)), None
+        known = np.where(np.isfinite(u), u, measured)
+        notes, ages = (*notes, describe_missing(known, there)), None
     return Record(
         u,
         counts,
