@@ -230,9 +230,13 @@ def average_in_bins(x: Floats, force: Floats, lags: int) -> Binned:
     return Binned(*np.array(rows).T)
 
 
-def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: ArrayLike) -> Balance | None:
+def make_balance(
+    estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: ArrayLike, inputs: ArrayLike | None = None
+) -> Balance | None:
     """Return the force balance of the record u (n,), counts (n,) at theta (p,).
 
+    Samples without u are left out. `inputs` (n,) are inputs that are known there nevertheless, or NaN, and move the
+    simulated axis.
     With forgetting, the balance covers the last three memories. The result is None if the model cannot be simulated.
 
     Raises PmfidError as `IV` does.
@@ -247,8 +251,9 @@ def make_balance(estimator: Estimator, u: ArrayLike, counts: ArrayLike, theta: A
         return None
     # A plant that is pushed by its friction has no motion for a comparison.
     plausible = np.where(twin.equation.positive, np.maximum(at, 0.0), at)
-    u, counts, dt = hold_last_input(np.asarray(u, float)), np.asarray(counts), twin.intervals
-    y, x = like(MotionFit, twin).position(counts), simulate_from_rest(twin.equation, plausible, u, dt)
+    u, counts, dt = np.asarray(u, float), np.asarray(counts), twin.intervals
+    acting = hold_last_input(u if inputs is None else np.where(np.isfinite(u), u, np.asarray(inputs, float)))
+    y, x = like(MotionFit, twin).position(counts), simulate_from_rest(twin.equation, plausible, acting, dt)
     speed = np.diff(x) / dt
     columns = twin.columns_at(plausible, u, counts)
     used = np.flatnonzero(columns.used)

@@ -158,7 +158,7 @@ def model_checks(result: DriveResult) -> list[Section]:
     """
     try:
         theta = result.theta[: len(result.estimator.names)]  # without an estimated input gain
-        balance = make_balance(result.estimator, result.record.u, result.record.counts, theta)
+        balance = make_balance(result.estimator, result.record.u, result.record.counts, theta, result.record.inputs)
     except PmfidError as error:
         return [Section("Model checks", f"This check is not possible: {error}.")]
     if balance is None:

@@ -150,7 +150,7 @@ def _drive(result: DriveResult) -> Figure:
         return estimate_figure(result.record.times, result.track)
     try:
         theta = result.theta[: len(result.estimator.names)]  # without an estimated input gain
-        balance = make_balance(result.estimator, result.record.u, result.record.counts, theta)
+        balance = make_balance(result.estimator, result.record.u, result.record.counts, theta, result.record.inputs)
     except PmfidError:
         balance = None
     if balance is None:
