@@ -150,8 +150,7 @@ typedef struct {
 #if PMF_WITH_STEPS
 /* Covariances of the tracker for a varying step, for a variance of the counts of 1. The covariances give the gains. */
 typedef struct {
-    real_t place, cross,
-        speed; /* covariances of the last position and velocity. `place` and `cross` are also the last gains. */
+    real_t place, cross, speed; /* covariances of the last position and velocity. The first two are also gains. */
     real_t start_place, start_speed; /* covariances of the earlier velocity with the last position and velocity */
 } pmf_tracker_t;
 #endif
@@ -464,7 +463,6 @@ typedef struct {
 } pmf_late_state_t;
 
 #endif
-
 
 typedef struct {
     uint32_t settle_samples;

@@ -145,7 +145,6 @@ PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const 
 }
 #endif
 
-
 uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 {
     uint32_t settle = config->settle_samples, fine;

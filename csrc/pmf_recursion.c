@@ -226,6 +226,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             hidden = note_bias(config, state, p, instrumental);
         }
 #endif
+        hidden |= judge_mass(config, &state->estimate);
     }
 #endif
     if (instrumental != 0U) {
@@ -312,7 +313,6 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
     PMF_WHERE((status & PMF_RESET) != 0U, state, restart(state, theta, p));
     return status;
 }
-
 
 #if PMF_WHOLE /* for one axis */
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion, real_t *p)

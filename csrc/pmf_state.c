@@ -62,9 +62,7 @@ void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state)
     real_t *node = state->network.node;
     uint32_t keeps = 0U, models = 0U, size = (uint32_t)sizeof *node;
     (void)config; /* an export may have its values as constants */
-    if (keeps == 0U) {
-        pmf_clear(state->network.column, (uint32_t)sizeof state->network.column);
-    }
+    pmf_clear(state->network.column, (uint32_t)sizeof state->network.column);
     if (computes_nodes(&config->network) != 0U) {
         pmf_clear(&node[PMF_SIGNALS], PMF_MAX_STAGES * size);
     }

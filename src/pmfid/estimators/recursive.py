@@ -194,6 +194,7 @@ class RecursiveEstimator(Estimator):
             config["lift"] = level.ratio * self.encoder.resolution
         if self.misreads and self._misread_columns[2]:
             config["biased"], config["noise"] = 1, noise_covariance(self)[:-1, :-1].tolist()
+            config["leading"] = self.equation.leading
         if forgetting < 1 and self.plant.rests:
             config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
             config["haste"], config["leak"] = (
