@@ -461,7 +461,6 @@ typedef struct {
     real_t lagged; /* output of the lag at the end of the interval */
     whole_t at;
 } pmf_late_state_t;
-
 #endif
 
 typedef struct {

@@ -348,5 +348,4 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
     }
     state->running = PMF_IF(where, PMF_W(1), state->running);
 }
-
 #endif

@@ -160,7 +160,8 @@ PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_st
 #if PMF_WITH_MISREAD
 /* Part of a parameter's information that is noise, above which least squares know nothing. */
 #define MOST_NOISE PMF_R(0.9)
-/* Ratio of noise to information above which instruments know nothing, for control may correlate both by 0.2. */
+/* Ratio of noise to information above which instruments know nothing: a correlation of 0.2 between instruments and
+ * noise would change the parameter by as much as itself, and control through the encoder causes such a correlation. */
 #define MOST_HIDDEN PMF_R(25.0)
 
 /* Return the variance of an error over the variance of white innovations, 0 if it is no number. */
@@ -171,7 +172,8 @@ PMF_INLINE real_t over_white(const pmf_estimate_t *estimate, real_t error, uint3
 }
 
 /* Add the largest effect of misread counts to the standard errors. An error e of an equation moves theta by P zeta e.
- * The signs of the errors are unknown, so that the sizes add up. `kept` is the weight of the past. */
+ * The signs of the errors are unknown, so that the sizes add up. Over the diagonal of P the sums are discounted like
+ * information. `kept` is the weight of the past. */
 PMF_INLINE void note_misread(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                              const real_t *error, const real_t *zeta, real_t kept, uint32_t p, uint32_t instrumental,
                              projection_t *projection)
@@ -196,7 +198,7 @@ PMF_INLINE void note_misread(const pmf_recursion_config_t *config, pmf_recursion
     }
 }
 
-/* Return poor excitation unless the mass is positive by three standard errors. The estimate moves on. */
+/* Return poor excitation unless the mass, which is positive, differs from zero by three standard errors (factor 9). */
 PMF_INLINE whole_t judge_mass(const pmf_recursion_config_t *config, const pmf_estimate_t *estimate)
 {
     uint32_t i = config->leading;

@@ -236,8 +236,8 @@ def make_balance(
     """Return the force balance of the record u (n,), counts (n,) at theta (p,).
 
     Samples without u are left out. `inputs` (n,) are inputs that are known there nevertheless, or NaN, and move the
-    simulated axis.
-    With forgetting, the balance covers the last three memories. The result is None if the model cannot be simulated.
+    simulated axis. With forgetting, the balance covers the last three memories. The result is None if the
+    model cannot be simulated.
 
     Raises PmfidError as `IV` does.
     """

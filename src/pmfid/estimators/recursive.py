@@ -194,6 +194,7 @@ class RecursiveEstimator(Estimator):
             config["lift"] = level.ratio * self.encoder.resolution
         if self.misreads and self._misread_columns[2]:
             config["biased"], config["noise"] = 1, noise_covariance(self)[:-1, :-1].tolist()
+        if self.plant.rests:
             config["leading"] = self.equation.leading
         if forgetting < 1 and self.plant.rests:
             config["half_memory"] = math.ceil(0.5 / (1 - forgetting) / LOOK)
@@ -201,7 +202,7 @@ class RecursiveEstimator(Estimator):
                 power(forgetting, TUNING.recursive_haste),
                 exp(-TUNING.recursive_haste / 2),
             )
-            config["leading"], config["shown"] = self.equation.leading, compute_encoder_floor(self)
+            config["shown"] = compute_encoder_floor(self)
             config["outgrown"] = TUNING.recursive_outgrown * LOOK
         return config
 
