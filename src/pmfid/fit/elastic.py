@@ -44,10 +44,7 @@ def elastic_start(problem: FitProblem, scan: bool = True) -> tuple[FitProblem, O
 
     Raises NotIdentifiableError if the axis does not move, or if the input is zero.
     """
-    stretch = max(problem.stretches, key=lambda one: float(np.sum(np.abs(np.diff(one.y)))))
-    force = float(np.sqrt(np.mean(stretch.drive.u**2)))
-    if not (np.ptp(stretch.y) > 0 and force > 0):
-        raise NotIdentifiableError(f"the axis or the input does not move in this record; {MOVE}")
+    stretch, force = liveliest(problem)
     late = problem.machine.lift[DELAY]
     pair = make_first_pair(bool(np.any(late)), float(problem.machine.rest[DELAY]))
     guess = guess_sum(stretch, force)
@@ -88,31 +85,54 @@ def _start(plain: FitProblem, guess: Floats) -> Floats:
 
 
 def _follow_guesses(plain: FitProblem, prior: Floats) -> Optimum | None:
-    """Return the best fit of the whole stretch from guesses by the measured motion, or None without a guess.
-
-    Parts of a few periods with starts of their own (Bock 1983) keep wrong parameters near the record.
-    """
+    """Return the best fit of the whole stretch from guesses by the measured motion, or None without a guess."""
     (stretch,) = plain.stretches
     points = [_start(plain, guess) for guess in driven_guesses(stretch, plain.resolution)]
     points = [points[i] for i in distinct(points, 0.02)[: TUNING.followed]]
     if not points:
         return None
     length = max(TUNING.periods * _period(plain, points[0]), TUNING.shortest * float(np.mean(stretch.steps)))
+    return follow(plain, points, prior, length, TUNING.parts)
+
+
+def follow(plain: FitProblem, points: Sequence[Floats], prior: Floats, length: float, parts: int) -> Optimum:
+    """Return the best fit of the whole stretch from starts that first follow some of its parts of a length [s].
+
+    Parts with start states of their own (Bock 1983) keep wrong parameters near the record.
+    """
+    enough = TUNING.rounded * plain.rows
     problem = plain.cut(count_parts(plain, length))
-    problem = replace(problem, stretches=problem.stretches[:: math.ceil(len(problem.stretches) / TUNING.parts)])
-    ends = sorted((settle(problem, q, problem.first_starts(), prior, 4) for q in points), key=lambda end: end.cost)
+    problem = replace(problem, stretches=problem.stretches[:: math.ceil(len(problem.stretches) / parts)])
+    first = problem.first_starts()
+    ends = sorted((settle(problem, q, first, prior, 4) for q in points), key=lambda end: end.cost)
+    ends = [settle(problem, end.q, end.starts, prior, 12) for end in ends[: TUNING.kept]]
     best: Optimum | None = None
-    for end in ends[:2]:
-        end = solve(problem, soften(problem.stretches), end.q, end.starts, prior, 20, 0.1)
+    for end in sorted(ends, key=lambda end: end.cost)[:2]:
         tried = join(plain, problem, end, length, prior)
         best = tried if best is None or tried.cost < best.cost else best
-        if best.cost < TUNING.rounded * stretch.y.size:
+        if best.cost < enough:
             return best
     assert best is not None
-    return restart(plain, best, prior)
+    for number in (TUNING.joined, TUNING.joined**2):
+        best = restart(plain, best, prior, number)
+        if best.cost < enough:
+            break
+    return best
 
 
-def restart(plain: FitProblem, end: Optimum, prior: Floats, parts: float = TUNING.joined) -> Optimum:
+def liveliest(problem: FitProblem) -> tuple[ObservedStretch, float]:
+    """Return the stretch with the longest way and its root mean square force.
+
+    Raises NotIdentifiableError if the axis does not move, or if the input is zero.
+    """
+    stretch = max(problem.stretches, key=lambda one: float(np.sum(np.abs(np.diff(one.y)))))
+    force = float(np.sqrt(np.mean(stretch.drive.u**2)))
+    if not (np.ptp(stretch.y) > 0 and force > 0):
+        raise NotIdentifiableError(f"the axis or the input does not move in this record; {MOVE}")
+    return stretch, force
+
+
+def restart(plain: FitProblem, end: Optimum, prior: Floats, parts: float) -> Optimum:
     """Return the better of a fit of the whole stretch and another one from parts of it, for stops make the likelihood
     rough."""
     length = float(plain.stretches[0].times[-1]) / parts
