@@ -278,7 +278,6 @@ typedef struct {
     uint32_t n_misread; /* number of regressors with an error from misread counts */
     uint32_t misread_column; /* first column of these errors, followed by the error of the target; 0: none */
     uint32_t misread_index[PMF_MAX_PARAMETERS]; /* parameters of these regressors */
-    uint32_t biased; /* 1: the standard errors include the bias from the known noise */
 #endif
 #if PMF_WITH_NOISE
     scalar_t unexplained; /* ratio of mean square innovation to the known noise, above which the model is wrong; 0: no

@@ -206,7 +206,6 @@ PMF_INLINE whole_t judge_mass(const pmf_recursion_config_t *config, const pmf_es
     return PMF_BIT(PMF_NOT(mass * PMF_SIZE(mass) > most * estimate->inflation[i]), PMF_POOR_EXCITATION);
 }
 
-#if PMF_WITH_NOISE
 /* Return the largest ratio of the known noise in a parameter's products to the information on the parameter. */
 PMF_INLINE real_t noise_ratio(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t p)
 {
@@ -249,7 +248,6 @@ PMF_INLINE whole_t note_bias(const pmf_recursion_config_t *config, pmf_recursion
     add_bias(config, state, ratio, p);
     return PMF_BIT(ratio > MOST_NOISE, PMF_POOR_EXCITATION);
 }
-#endif
 #endif
 
 /* Accumulate the innovations of a block. */

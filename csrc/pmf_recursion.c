@@ -221,11 +221,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
                      instrumental != 0U ? &column[p + 1U] : column,
                      PMF_IF(before > PMF_R(0.0), (state->sums.weight - PMF_R(1.0)) / before, PMF_R(0.0)), p,
                      instrumental, &projection);
-#if PMF_WITH_NOISE
-        if (config->biased != 0U) {
-            hidden = note_bias(config, state, p, instrumental);
-        }
-#endif
+        hidden = note_bias(config, state, p, instrumental);
         hidden |= judge_mass(config, &state->estimate);
     }
 #endif

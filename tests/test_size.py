@@ -21,7 +21,7 @@ MOST = {
     "lines of code in src": 41200,
     "lines of code in report and cli": 3750,
     "thresholds in src": 1126,
-    "lines of csrc": 9340,
+    "lines of csrc": 9333,
     "lines of tests": 43700,
     "match= in tests": 356,
     "lines of studies": 10550,

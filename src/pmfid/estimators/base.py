@@ -393,7 +393,6 @@ class Estimator:
             "n_misread": 0,
             "misread_column": 0,
             "misread_index": (),
-            "biased": 0,
         }
 
 

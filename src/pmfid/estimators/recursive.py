@@ -193,7 +193,7 @@ class RecursiveEstimator(Estimator):
             config["constant"], config["lowest"] = level.constant, level.lowest
             config["lift"] = level.ratio * self.encoder.resolution
         if self.misreads and self._misread_columns[2]:
-            config["biased"], config["noise"] = 1, noise_covariance(self)[:-1, :-1].tolist()
+            config["noise"] = noise_covariance(self)[:-1, :-1].tolist()
         if self.plant.rests:
             config["leading"] = self.equation.leading
         if forgetting < 1 and self.plant.rests:

@@ -41,7 +41,8 @@ def shape_of(config: Structured) -> KernelSizes:
     recursions = recursions_of(config)
     parameters = max(int(recursion["n_parameters"]) for recursion in recursions)
     noise = any(
-        recursion["compensated"] or recursion["biased"] or recursion["unexplained"] > 0 for recursion in recursions
+        recursion["compensated"] or recursion["misread_column"] or recursion["unexplained"] > 0
+        for recursion in recursions
     )
     process = config["encoder"]["process"] or any(np.any(recursion["target_noise"]) for recursion in recursions)
     nodes = {*network["stage"]["source"].tolist(), *network["tap"]["node"].tolist()}
