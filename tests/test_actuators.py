@@ -22,6 +22,7 @@ from pmfid.fit.problem import ObservedStretch
 from pmfid.types import Floats
 from studies.servo_grid import draw_case, draw_goal
 from studies.servo_truth import TrueServo, simulate_servos
+from tests.refusals import refused
 
 STEP = 2 * math.pi / 4096
 ROBOTS = Path(__file__).parents[2] / "shared" / "data" / "robots"
@@ -353,10 +354,11 @@ def test_arrays_that_no_fit_can_use_are_refused(changed, words: str) -> None:  #
 
 def test_a_motion_that_does_not_follow_the_command_is_refused() -> None:
     t, goal, position = make_log()
-    with pytest.raises(NotIdentifiableError, match="the same joint"):
-        fit_servo(Servo(STEP), t, np.random.default_rng(0).permutation(goal), -position)
-    with pytest.raises(NotIdentifiableError, match="hardly moves"):
-        fit_servo(Servo(STEP), t, goal, 0 * position)
+    refused(
+        ("the same joint", lambda: fit_servo(Servo(STEP), t, np.random.default_rng(0).permutation(goal), -position)),
+        ("hardly moves", lambda: fit_servo(Servo(STEP), t, goal, 0 * position)),
+        kind=NotIdentifiableError,
+    )
 
 
 @pytest.mark.parametrize(

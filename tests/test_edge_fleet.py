@@ -11,6 +11,7 @@ import pytest
 from pmfid import Status, UsageError
 from pmfid.monitor import EdgeFleet, EdgeMonitor
 from pmfid.monitor.events import STATES, Alarm, Event, FleetRows
+from tests.refusals import refused
 from tests.test_monitor_edges import changed_run, make_monitor
 
 #: Runs of four axes: a change, normal work with a rest, lost samples, and instants that are wrong.
@@ -89,14 +90,12 @@ def test_a_fleet_goes_on_from_its_saved_states(runs: tuple[np.ndarray, ...]) -> 
 def test_other_arrays_and_states_are_refused(runs: tuple[np.ndarray, ...]) -> None:
     fleet = EdgeFleet(make_monitor(), 1)
     state = fleet.get_state()
-    with pytest.raises(UsageError, match="ages must have the shape"):
-        fleet.run([0], runs[0][:1], runs[1][:1], runs[2][:1, 1:])
-    with pytest.raises(UsageError, match="no estimate exists yet"):
-        fleet.refer(0)
-    with pytest.raises(UsageError, match="not a state of this monitor"):
-        EdgeFleet(make_monitor(tolerance=0.3), 1).set_state(state)
-    with pytest.raises(UsageError, match="damaged"):
-        fleet.set_state(state[:-9] + b"x" + state[-8:])
+    refused(
+        ("ages must have the shape", lambda: fleet.run([0], runs[0][:1], runs[1][:1], runs[2][:1, 1:])),
+        ("no estimate exists yet", lambda: fleet.refer(0)),
+        ("not a state of this monitor", lambda: EdgeFleet(make_monitor(tolerance=0.3), 1).set_state(state)),
+        ("damaged", lambda: fleet.set_state(state[:-9] + b"x" + state[-8:])),
+    )
     monitor = make_monitor()
     monitor.statistic = np.nan
     with pytest.raises(UsageError, match="cannot be a state of a monitor"):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmfid import Drive, Encoder, REdge, UsageError
+from pmfid import Drive, Encoder, REdge
 from pmfid.cli.main import main
 from pmfid.monitor import Alarm, EdgeMonitor, Settled, Watch
 from pmfid.monitor.events import Event, StateChange
@@ -18,6 +18,7 @@ from pmfid.simulation import CART, Schedule, capture_edges, resolution_of, simul
 from studies.edges import draw_change, watch_edges
 from studies.monitoring.axis import changing
 from tests.edge_axes import AXIS, EVERY, TURN, Motion, cart_edges, heavier, write_record
+from tests.refusals import refused
 from tests.test_redge import DT, TRUTH
 
 WHEN, SECONDS = 12.0, 24.0
@@ -155,18 +156,14 @@ def test_a_monitor_goes_on_from_its_saved_state() -> None:
 def test_other_states_and_arguments_are_refused() -> None:
     monitor = make_monitor()
     state = monitor.get_state()
-    with pytest.raises(UsageError, match="not a state of this monitor"):
-        make_monitor(tolerance=0.1).set_state(state)
-    with pytest.raises(UsageError, match="not a state of this monitor"):
-        monitor.set_state(state + state)
-    with pytest.raises(UsageError, match="damaged"):
-        monitor.set_state(state[:-1] + bytes([state[-1] ^ 1]))
-    with pytest.raises(UsageError, match="not a state of this monitor"):
-        monitor.set_state(b"")
-    with pytest.raises(UsageError, match="needs a memory"):
-        make_monitor(memory=None)
-    with pytest.raises(UsageError, match="reference must contain values"):
-        EdgeMonitor(monitor.estimator, np.array([1.0, 0.0, 1.0]))
+    refused(
+        ("not a state of this monitor", lambda: make_monitor(tolerance=0.1).set_state(state)),
+        ("not a state of this monitor", lambda: monitor.set_state(state + state)),
+        ("damaged", lambda: monitor.set_state(state[:-1] + bytes([state[-1] ^ 1]))),
+        ("not a state of this monitor", lambda: monitor.set_state(b"")),
+        ("needs a memory", lambda: make_monitor(memory=None)),
+        ("reference must contain values", lambda: EdgeMonitor(monitor.estimator, np.array([1.0, 0.0, 1.0]))),
+    )
     assert monitor.get_state() == state
 
 

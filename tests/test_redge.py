@@ -11,6 +11,7 @@ from pmfid import Drive, EdgeFit, Encoder, REdge, Status, UsageError
 from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.simulation import CART, DriveParameters, Machine, capture_edges, drive_machine, prbs, simulate_drive
 from studies.edge_faults import HELD_BACK, make_record
+from tests.refusals import refused
 
 DT, EVERY = 0.01, 10
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
@@ -283,10 +284,9 @@ def test_wrong_arguments_are_refused() -> None:
 def test_foreign_and_damaged_states_are_refused() -> None:
     estimator = estimator_of(1e-3)
     state = estimator.get_state()
-    with pytest.raises(UsageError, match="not a state of this configuration"):
-        estimator.set_state(estimator_of(2e-3).get_state())
-    with pytest.raises(UsageError, match="damaged"):
-        estimator.set_state(state[:-1] + b"\x01")
-    with pytest.raises(UsageError, match="not a state of this configuration"):
-        estimator.set_state(b"")
+    refused(
+        ("not a state of this configuration", lambda: estimator.set_state(estimator_of(2e-3).get_state())),
+        ("damaged", lambda: estimator.set_state(state[:-1] + b"\x01")),
+        ("not a state of this configuration", lambda: estimator.set_state(b"")),
+    )
     assert estimator.get_state() == state

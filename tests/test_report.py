@@ -158,10 +158,13 @@ def test_a_long_record_stays_small() -> None:
 
 
 def test_wrong_lengths_are_named() -> None:
-    with pytest.raises(UsageError, match=r"u must have the shape of t, \(600,\), got \(3,\)"):
-        signals_figure(T, [1, 2, 3], np.cos(T))
-    with pytest.raises(UsageError, match=r"BCRLS, 512 must have the shape of t"):
-        comparison_figure(T, {"RLS": {"512": TRACK}, "BCRLS": {"512": make_track(500)}}, "mass", TRUTH)
+    refused(
+        (r"u must have the shape of t, \(600,\), got \(3,\)", lambda: signals_figure(T, [1, 2, 3], np.cos(T))),
+        (
+            r"BCRLS, 512 must have the shape of t",
+            lambda: comparison_figure(T, {"RLS": {"512": TRACK}, "BCRLS": {"512": make_track(500)}}, "mass", TRUTH),
+        ),
+    )
     refused(
         ("nominal mass must have the shape", lambda: estimate_figure(T, TRACK, {"mass": TRUTH[1:]})),
         (r"t must have shape \(n,\)", lambda: status_figure([], [])),

@@ -342,10 +342,16 @@ def test_models_that_cannot_be(build_model, message):
 
 def test_estimators_say_what_they_need():
     encoder = pmfid.Encoder(1e-6)
-    with pytest.raises(UsageError, match="prefilter_zeros must be 3 different"):
-        BCLS(TransferFunction(3, 0), encoder, 0.01, 10.0, prefilter_zeros=(-1, -2))
-    with pytest.raises(UsageError, match="not use prefilter_zeros for a linear process"):
-        RLS(TransferFunction(2, 0), encoder, 0.01, 10.0, prefilter_zeros=(-1, -2))
+    refused(
+        (
+            "prefilter_zeros must be 3 different",
+            lambda: BCLS(TransferFunction(3, 0), encoder, 0.01, 10.0, prefilter_zeros=(-1, -2)),
+        ),
+        (
+            "not use prefilter_zeros for a linear process",
+            lambda: RLS(TransferFunction(2, 0), encoder, 0.01, 10.0, prefilter_zeros=(-1, -2)),
+        ),
+    )
     refused(
         ("order must be at least 4", lambda: LS(TransferFunction(4, 0), encoder, 0.01, 10.0, order=3)),
         ("riv", lambda: pmfid.RIV(TransferFunction(2, 0), encoder, 0.01, 10.0)),

@@ -22,6 +22,7 @@ from pmfid.service.sources.mqtt import MqttSource, MqttSourceSection
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block, Lines, Unusable
 from tests.patience import PATIENCE
+from tests.refusals import refused
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.engine import FakeEngine, wait_for
 from tests.service.test_lines import axis
@@ -267,10 +268,10 @@ def test_a_secret_that_is_not_there_is_named_and_never_reported(
     monkeypatch.setenv("PMFID_TEST_SECRET", "s3cret")
     assert secret("PMFID_TEST_SECRET", None, tmp_path) == "s3cret"
     assert secret(None, None, tmp_path) is None
-    with pytest.raises(UsageError, match="PMFID_TEST_OTHER is not set"):
-        secret("PMFID_TEST_OTHER", None, tmp_path)
-    with pytest.raises(UsageError, match="nowhere cannot be read"):
-        secret(None, "nowhere", tmp_path)
+    refused(
+        ("PMFID_TEST_OTHER is not set", lambda: secret("PMFID_TEST_OTHER", None, tmp_path)),
+        ("nowhere cannot be read", lambda: secret(None, "nowhere", tmp_path)),
+    )
     (tmp_path / "open").write_text("s3cret words\n")
     (tmp_path / "open").chmod(0o644)
     with pytest.raises(UsageError, match=r"everybody on this machine can read .* chmod 600") as caught:

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from pmfid.config.toml_file import FileSection, validate_sections
-from pmfid.errors import UsageError
 from pmfid.service.plant import SINKS
+from tests.refusals import refused
 from tests.service.feed import Host
 
 NEEDED: dict[str, dict[str, object]] = {
@@ -31,12 +31,16 @@ def test_a_section_makes_a_sink_and_names_what_is_wrong(kind: str, tmp_path: Pat
     assert made.make("a", Host(tmp_path)).name == "a"
     assert list(tmp_path.iterdir()) == [], "nothing is opened yet"
     assert made.outlet("a", Host(tmp_path)).name == "a"
-    with pytest.raises(UsageError, match=r"quue_rows is an unknown key; known are .*did you mean 'queue_rows'"):
-        validate_sections(Whole, {"sink": {"kind": kind, **keys, "quue_rows": 5}})
-    with pytest.raises(
-        UsageError, match=r"queue_rows = 0: it should be greater than or equal to 1; give the largest number"
-    ):
-        validate_sections(Whole, {"sink": {"kind": kind, **keys, "queue_rows": 0}})
+    refused(
+        (
+            r"quue_rows is an unknown key; known are .*did you mean 'queue_rows'",
+            lambda: validate_sections(Whole, {"sink": {"kind": kind, **keys, "quue_rows": 5}}),
+        ),
+        (
+            r"queue_rows = 0: it should be greater than or equal to 1; give the largest number",
+            lambda: validate_sections(Whole, {"sink": {"kind": kind, **keys, "queue_rows": 0}}),
+        ),
+    )
     descriptions = {name: field.description for name, field in section.model_fields.items()}
     assert [name for name, words in descriptions.items() if not words] == []
 
