@@ -22,8 +22,8 @@ MOST = {
     "lines of code in report and cli": 3750,
     "thresholds in src": 1126,
     "lines of csrc": 9333,
-    "lines of tests": 43700,
-    "match= in tests": 356,
+    "lines of tests": 43483,
+    "match= in tests": 320,
     "lines of studies": 10550,
 }
 
