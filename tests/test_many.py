@@ -341,9 +341,12 @@ def test_tables_that_are_no_numbers_are_refused():
     estimator, fleet = make(pmfid.BCRLS), pmfid.Fleet(make(pmfid.BCRLS), 2)
     for wrong in (None, [[1, 2], [3]], "a", [["a", "b"], ["c", "d"]], [[1j, 2], [3, 4]]):
         refused(
-            ("counts must be an array of real numbers", lambda: estimator.run_many(np.zeros((2, 2)), wrong)),
-            ("u must be an array of real numbers", lambda: fleet.run(wrong, np.zeros((2, 2), int))),
-            ("u must be an array of real numbers", lambda: estimator.run(wrong, np.zeros(2, int))),
+            (
+                "counts must be an array of real numbers",
+                lambda wrong=wrong: estimator.run_many(np.zeros((2, 2)), wrong),
+            ),
+            ("u must be an array of real numbers", lambda wrong=wrong: fleet.run(wrong, np.zeros((2, 2), int))),
+            ("u must be an array of real numbers", lambda wrong=wrong: estimator.run(wrong, np.zeros(2, int))),
         )
     for state in (None, "a", 3):
         for target in (estimator, fleet):
