@@ -101,7 +101,10 @@ def test_a_service_keeps_all_states_on_another_processor(folder: Path, tmp_path:
     for k, setting in enumerate(SETTINGS):
         settings = {**os.environ, **setting, "PMFID_CACHE": str(tmp_path / f"cache-{k}")}
         command = [sys.executable, "-W", "ignore", "-c", PROGRAM, str(plant)]
-        done = subprocess.run(command, cwd=REPOSITORY, env=settings, capture_output=True, text=True, timeout=1200)
+        with (folder / "run.csv").open() as pipe:
+            done = subprocess.run(
+                command, cwd=REPOSITORY, env=settings, stdin=pipe, capture_output=True, text=True, timeout=1200
+            )
         reported = [json.loads(line) for line in done.stdout.splitlines()]
         found += [one for one in reported if one["event"] == "checkpoint"]
         assert len(list((tmp_path / f"cache-{k}").iterdir())) == 1

@@ -222,7 +222,7 @@ def _monitor(rng: Rng, folder: Path) -> Case:
 
 
 def _serve(rng: Rng, folder: Path) -> Case:
-    """Draw a PLANT.toml with a record, a pipe, or invalid `[axes]` and `[sources]`; each service ends by itself."""
+    """Draw a PLANT.toml with a pipe, or invalid `[axes]` and `[sources]`; each service ends by itself."""
     _, columns, facts = _plant(rng, ("watched",))
     files = {"normal.csv": as_csv(rng, columns)}
     files["axis.toml"] = (axis(rng, "drive", facts, ("riv", "bcrls")) + monitor(rng, facts)).encode()
@@ -231,12 +231,8 @@ def _serve(rng: Rng, folder: Path) -> Case:
         rng, 0.1, every=["0", "0.5", "-1"], state=["state", "axis.toml", "nowhere/state"], port=["0", "x"]
     )
     kind = rng.random()
-    if kind < 0.4:
-        speed = ["--speed", str(rng.choice(["0", "1e6", "-1", "nan", "inf", "1e-320", "x"]))]
-        name, files_of_run = as_file(rng, with_defects(rng, columns), folder)
-        return Case(("serve", "axis.toml", "--from", name, *speed, *chosen), files | {name: files_of_run})
     if kind < 0.7:
-        return Case(("serve", "axis.toml", "--from", "-", *chosen), files, as_pipe(rng, columns))
+        return Case(("serve", "axis.toml", *chosen), files, as_pipe(rng, columns))
     return Case(("serve", "plant.toml", *chosen), files | {"plant.toml": _odd_plant(rng).encode()})
 
 
@@ -245,8 +241,7 @@ def _odd_plant(rng: Rng) -> str:
     names = ["x1", '"../x"', '"<script>"', '"a b"', '""', "9" * 200]
     name = str(rng.choice([*8 * ("x1",), *names]))
     lines = [f"[axes.{name}]", f'config = "{rng.choice(["axis.toml", "axis.toml", "nowhere.toml", "."])}"']
-    lines += ["[sources.a]", f'kind = "{rng.choice(["file", "file", "fil", "mqtt", ""])}"', 'axis = "x1"']
-    lines += ['path = "normal.csv"', f"speed = {rng.choice(['0.0', '0.0', '-1.0', '1e-320', 'inf', '[]'])}"]
+    lines += ["[sources.a]", f'kind = "{rng.choice(["stdin", "stdin", "stdi", "mqtt", ""])}"', 'axis = "x1"']
     lines += some_lines(
         rng, ["[service]", "every = nan", 'state = "state"', "window = -1.0", "[what]", "axes = 3", "x ="]
     )

@@ -151,6 +151,14 @@ def standard_input() -> Iterator[Callable[[str], None]]:
     os.close(into)
 
 
+@contextmanager
+def file_as_input(path: Path) -> Iterator[None]:
+    """Replace standard input by a file."""
+    with path.open() as stream, pytest.MonkeyPatch.context() as patched:
+        patched.setattr("sys.stdin", stream)
+        yield
+
+
 def _write(file: int, data: bytes) -> None:
     while data:
         data = data[os.write(file, data) :]

@@ -1,14 +1,15 @@
 """Kill the service repeatedly, at named points and at random: `python -m tests.service.kill_campaign --kills 1000`.
 
 Each incarnation is a process of its own, forked from a process that has calibrated. The first source has blocks of one
-axis and lines of another; it delivers again until it has an acknowledgement, as a broker does at QoS 1. The second
-source plays a record and continues after its mark. After some kills the last incarnation runs to the end. The final
+axis and lines of another, the second has whole blocks of a third axis. Both deliver again until they have an
+acknowledgement, as a broker does at QoS 1. After some kills the last incarnation runs to the end. The final
 state and all rows must have the bits of a run without kills.
 """
 
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import random
 import signal
@@ -29,22 +30,21 @@ import numpy as np
 from pmfid.durable import arm
 from pmfid.pipeline.monitored import setup
 from pmfid.pipeline.monitored.timeline import Line
-from pmfid.records.record import Record, read_record
 from pmfid.service import arrangement
 from pmfid.service.context import Context, Source, SourceSection, Take
 from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog
-from pmfid.service.sources.record import Player, RecordSource
 from pmfid.simulation import CART_DT
 from pmfid.stream.checkpoint import Saved, Snapshot, read_snapshot
-from pmfid.stream.delivery import Block, Delivery, Item, Lines, Mark
+from pmfid.stream.delivery import Block, Delivery, Item, Lines
 from pmfid.stream.groups import prepare
 from pmfid.stream.outcome import EstimateRows, Notice
 from pmfid.stream.store import Vault
+from pmfid.types import Counts, Floats
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import write_axis
-from tests.edge_axes import cart_edges, heavier, write_edge_axis, write_record
+from tests.edge_axes import cart_edges, heavier, write_edge_axis
 from tests.service.orders import made
 
 #: All crash points, in the order in which a block passes them.
@@ -61,31 +61,37 @@ UNDER_WAY = 30
 
 @dataclass(frozen=True)
 class Work:
-    """The items to deliver: blocks of x1 out of order, and lines of x3."""
+    """The items to deliver: blocks of x1 out of order and lines of x3, and blocks of x2."""
 
-    items: tuple[Item, ...]
+    hall: tuple[Item, ...]
+    cell: tuple[Item, ...]
 
 
-def work_of(seed: int, seconds: float, folder: Path) -> Work:
-    """Return the motions of three axes; the motion of x2 is a record in the folder."""
+def work_of(seed: int, seconds: float) -> Work:
+    """Return the motions of three axes."""
     motions = [changing(heavier(seconds / 2), 5 * seed + k, INCREMENTS, seconds) for k in range(3)]
     blocks = [replace(b, axis="x1", dt=CART_DT) for b in made(*motions[0], random.Random(seed), WINDOW).arrived]
-    u, counts = motions[1]
-    rows = (f"{k * CART_DT:.2f},{a!r},{b}" for k, (a, b) in enumerate(zip(u.tolist(), counts.tolist(), strict=True)))
-    (folder / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
     lines = [Line(k * CART_DT, float(a), int(b)) for k, (a, b) in enumerate(zip(*motions[2], strict=True)) if k != 333]
-    return Work(_mix(blocks, lines))
+    return Work(_mix(blocks, lines), _whole(*motions[1]))
 
 
-def edge_work_of(seed: int, seconds: float, folder: Path) -> Work:
+def edge_work_of(seed: int, seconds: float) -> Work:
     """Return the work of axes with the ages of edges."""
     motions = [cart_edges(heavier(seconds / 2), 5 * seed + k, seconds) for k in range(3)]
     u, counts, ages = motions[0]
     sending = made(u, counts, random.Random(seed), WINDOW, ages=ages)
-    write_record(folder / "run.csv", motions[1])
     rows = enumerate(zip(*(part.tolist() for part in motions[2]), strict=True))
     lines = [Line(k * CART_DT, a, b, age=age) for k, (a, b, age) in rows if k != 333]
-    return Work(_mix([replace(b, axis="x1", dt=CART_DT) for b in sending.arrived], lines))
+    return Work(_mix([replace(b, axis="x1", dt=CART_DT) for b in sending.arrived], lines), _whole(*motions[1]))
+
+
+def _whole(u: Floats, counts: Counts, ages: Floats | None = None) -> tuple[Block, ...]:
+    """Return the blocks of x2, in order."""
+    found = list[Block]()
+    for k in range(0, u.size, 5):
+        own = None if ages is None else ages[k : k + 5]
+        found.append(Block("x2", 0, k, math.nan, CART_DT, u[k : k + 5], counts[k : k + 5], own))
+    return tuple(found)
 
 
 def _mix(blocks: Sequence[Block], lines: Sequence[Line]) -> tuple[Item, ...]:
@@ -106,38 +112,32 @@ class Broker(SourceSection):
     seconds: float
 
     def make(self, name: str, context: Context) -> Source:
-        return _Client(name, Path(self.folder), WORK[self.seed, self.seconds])
-
-
-class Played(RecordSource):
-    """The record of the folder, read before the fork, because a fork does not copy the reader's threads."""
-
-    def make(self, name: str, context: Context) -> Source:
-        axis, path = context.axis(self.axis), context.folder / self.path
-        assert axis is not None
-        return Player(name, self.axis, path, axis, self.speed, RECORDS[path])
+        return _Client(name, Path(self.folder), getattr(WORK[self.seed, self.seconds], name))
 
 
 #: Work by seed and length, made before the fork.
 WORK: dict[tuple[int, float], Work] = {}
-RECORDS: dict[Path, Record] = {}
 
 
 @dataclass
 class _Client:
     name: str
     folder: Path
-    work: Work
+    items: tuple[Item, ...]
     _under_way: int = field(default=0, init=False)
     _stopped: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
         self._changed = Condition()
-        self._file = os.open(self.folder / "acknowledged", os.O_RDWR | os.O_CREAT | os.O_APPEND)
+        self._file = os.open(self._place, os.O_RDWR | os.O_CREAT | os.O_APPEND)
 
-    def run(self, take: Take, mark: Mark | None) -> None:
-        known = {int(line) for line in (self.folder / "acknowledged").read_text().split()}
-        for k, item in enumerate(self.work.items):
+    @property
+    def _place(self) -> Path:
+        return self.folder / f"acknowledged-{self.name}"
+
+    def run(self, take: Take) -> None:
+        known = {int(line) for line in self._place.read_text().split()}
+        for k, item in enumerate(self.items):
             if k in known:
                 continue
             with self._changed:
@@ -203,10 +203,8 @@ class _Service(Service):
 
 def plant_of(folder: Path, axis: Path, seed: int, seconds: float) -> Plant:
     service = ServiceSection(state="state", checkpoint=0.05, window=WINDOW * CART_DT, every=0.0)
-    sources: dict[str, SourceSection] = {
-        "broker": Broker(folder=str(folder), seed=seed, seconds=seconds),
-        "record": Played(kind="record", path="run.csv", axis="x2", speed=20.0),
-    }
+    broker = Broker(folder=str(folder), seed=seed, seconds=seconds)
+    sources: dict[str, SourceSection] = {"hall": broker, "cell": broker}
     return Plant(folder, service, dict.fromkeys(("x1", "x2", "x3"), axis), sources, page={"enabled": False})
 
 
@@ -315,9 +313,6 @@ def assert_same(killed: Plant, whole: Plant) -> int:
         f"should not be; {state_of(killed).alarms}"
     )
     a, b = state_of(killed), state_of(whole)
-    assert {k: mark.get("sample") for k, mark in a.marks.items()} == {
-        k: mark.get("sample") for k, mark in b.marks.items()
-    }
     for one, other in zip(a.groups, b.groups, strict=True):
         assert one.axes == other.axes
         assert _kept(one) == _kept(other)
@@ -344,8 +339,7 @@ def campaign(
             for name in ("killed", "whole"):
                 place = folder / f"{name}-{seed}"
                 place.mkdir()
-                WORK[seed, seconds] = (edge_work_of if edges else work_of)(seed, seconds, place)
-                RECORDS[place / "run.csv"] = read_record(place / "run.csv", prepared.axis)
+                WORK[seed, seconds] = (edge_work_of if edges else work_of)(seed, seconds)
                 pair.append(plant_of(place, axis, seed, seconds))
             done = kill_round(pair[0], min(a_round, kills - total.kills), rng, log, 0.6)
             finish(pair[0], log)

@@ -12,7 +12,7 @@ from pmfid.service.sources.mqtt import MqttSource, MqttSourceSection
 
 
 def test_sections_and_sources_are_imported_without_their_libraries() -> None:
-    modules = ("sources.mqtt", "sources.record", "sources.stdin", "sinks.mqtt")
+    modules = ("sources.mqtt", "sources.stdin", "sinks.mqtt")
     program = "\n".join(f"import pmfid.service.{module}" for module in modules)
     program += "\nimport sys\nprint(*{name.partition('.')[0] for name in sys.modules})"
     run = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
@@ -26,4 +26,4 @@ def test_a_missing_extra_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setitem(sys.modules, "paho", None)
     source = MqttSource("a", MqttSourceSection(kind="mqtt", topics=("a",)), {}.get, lambda what: None)
     with pytest.raises(UsageError, match=r"needs \S+: pip install 'pmfid\[serve\]'$"):
-        source.run(lambda delivery: True, None)
+        source.run(lambda delivery: True)

@@ -23,6 +23,7 @@ from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import prepare
 from pmfid.stream.outcome import Counters, Notice
 from tests.service.collected import Collected
+from tests.service.feed import file_as_input
 from tests.service.test_serve import PLANT, Acting, folder  # noqa: F401 a fixture
 
 
@@ -46,10 +47,11 @@ def test_the_page_answers_before_the_calibration(folder: Path, monkeypatch: pyte
             assert service._engine.awaited == {"x1"}
         finally:
             ready.set()
-        acting.until("alarm")  # the record waited for its axis
+        acting.until("alarm")  # the pipe waited for its axis
 
     acting = Acting(service, text)
-    acting.run(look)
+    with file_as_input(folder / "run.csv"):
+        acting.run(look)
     assert not service._engine.awaited
 
 

@@ -8,7 +8,6 @@ from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
 
-import numpy as np
 import pytest
 
 from pmfid.config.axis import Axis, load_axis
@@ -16,10 +15,9 @@ from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.pipeline.tuning import TUNING
 from pmfid.service.context import Context, Source
-from pmfid.service.sources.record import Player
 from pmfid.service.sources.stdin import CsvLines, Piped, StdinSource
 from pmfid.service.wire.messages import LineSplitter
-from pmfid.stream.delivery import Block, Delivery, Lines, Mark, Unusable
+from pmfid.stream.delivery import Block, Delivery, Lines, Unusable
 from pmfid.stream.outcome import Counters
 from tests.patience import PATIENCE
 from tests.service.feed import standard_input
@@ -33,16 +31,16 @@ def axis(plant_folder: Path) -> Axis:
 class Taken:
     """The deliveries of a source that runs in its own thread."""
 
-    def __init__(self, source: Source, mark: Mark | None = None, most: int = 10**9) -> None:
+    def __init__(self, source: Source, most: int = 10**9) -> None:
         self.deliveries: list[Delivery] = []
         self.error: Exception | None = None
         self._source, self._most = source, most
-        self._thread = Thread(target=self._run, args=(mark,), daemon=True)
+        self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
 
-    def _run(self, mark: Mark | None) -> None:
+    def _run(self) -> None:
         try:
-            self._source.run(self._take, mark)
+            self._source.run(self._take)
         except UsageError as error:
             self.error = error
 
@@ -136,26 +134,3 @@ def test_lines_longer_than_any_are_left_out() -> None:
     assert splitter.feed(b"c" * (TUNING.longest_line + 1)) == []
     assert splitter.feed(b"d" * 10 + b"\ne\n") == [b"e"]
     assert splitter.feed(b"x" * (TUNING.longest_line + 1) + b"\nf\n") == [b"f"]
-
-
-def test_a_record_is_played_and_goes_on_after_its_mark(plant_folder: Path, axis: Axis) -> None:
-    path = plant_folder / "normal.csv"
-    whole = Taken(Player("record", "x1", path, axis, 0.0)).ended(stop=False)
-    counts = np.concatenate([block.counts for block in whole.blocks])
-    assert counts.size == 6000
-    assert [block.first for block in whole.blocks] == list(range(0, 6000, 1000))
-    first = Taken(Player("record", "x1", path, axis, 0.0), most=2).ended(stop=False)
-    rest = Taken(Player("record", "x1", path, axis, 0.0), first.deliveries[-1].mark).ended(stop=False)
-    assert [block.first for block in rest.blocks] == [2000, 3000, 4000, 5000]
-    assert {block.epoch for block in rest.blocks} == {0}
-    changed = {**(first.deliveries[-1].mark or {}), "version": "another file"}
-    again_ = Taken(Player("record", "x1", path, axis, 0.0), changed, most=1).ended(stop=False)
-    assert (again_.blocks[0].first, again_.blocks[0].epoch) == (0, 1)
-
-
-def test_a_record_keeps_its_time(plant_folder: Path, axis: Axis) -> None:
-    begun = time.monotonic()
-    taken = Taken(Player("record", "x1", plant_folder / "normal.csv", axis, 10.0))
-    taken.until(lambda: len(taken.blocks) >= 20)
-    assert time.monotonic() - begun > 20 * 0.05 / 10 * 0.9
-    taken.ended()

@@ -31,7 +31,8 @@ def test_a_process_that_was_stopped_says_for_how_long(folder: Path) -> None:  # 
     plant = folder / "paused.toml"
     plant.write_text(PLANT)
     command = [sys.executable, "-c", PROGRAM, plant]
-    with run_process(command, cwd=REPOSITORY, stdout=subprocess.PIPE, text=True) as process:
+    pipe = (folder / "run.csv").open()
+    with pipe, run_process(command, cwd=REPOSITORY, stdin=pipe, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         reported = (json.loads(line) for line in process.stdout)
         assert any(one["event"] == "alarm" for one in reported), "it works"

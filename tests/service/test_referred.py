@@ -8,6 +8,7 @@ from pathlib import Path
 from pmfid.service.plant import Plant, ServiceSection, load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog
+from tests.service.feed import file_as_input
 from tests.service.test_serve import PLANT, Acting, folder  # noqa: F401 a fixture
 
 Referred = list[dict[int, list[float]]]
@@ -31,7 +32,8 @@ def looked_at(plant: Plant, refer: bool = False) -> tuple[Referred, list[float]]
         found.append((service._board.list_referred(), group.fleet.references()[0].tolist()))
 
     acting = Acting(service, text)
-    acting.run(*([step] if refer else []), look)
+    with file_as_input(plant.folder / "run.csv"):
+        acting.run(*([step] if refer else []), look)
     return found[0]
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from pmfid.service.context import Take
 from pmfid.service.running import Running
-from pmfid.stream.delivery import Delivery, Mark
+from pmfid.stream.delivery import Delivery
 from pmfid.stream.engine import Inbox
 
 
@@ -19,7 +19,7 @@ class Failing:
     def __init__(self) -> None:
         self.calls = 0
 
-    def run(self, take: Take, mark: Mark | None) -> None:
+    def run(self, take: Take) -> None:
         self.calls += 1
         if self.calls == 1:
             raise RuntimeError("broken")
@@ -31,7 +31,7 @@ class Failing:
 
 def test_a_source_that_begins_again_is_said_to_work_once_something_comes() -> None:
     reported = list[dict[str, Any]]()
-    running = Running(Failing(), Inbox(), reported.append, {})
+    running = Running(Failing(), Inbox(), reported.append)
     running.start()
     while not running.ended:
         time.sleep(0.01)

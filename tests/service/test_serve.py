@@ -27,7 +27,7 @@ from pmfid.service.sinks.plain import NoticeLog
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.patience import PATIENCE
-from tests.service.feed import standard_input
+from tests.service.feed import file_as_input, standard_input
 
 Events = list[dict[str, Any]]
 
@@ -58,26 +58,26 @@ def events(text: str, *kinds: str) -> Events:
 FOUND = ("alarm", "state", "settled")
 
 
-@pytest.mark.parametrize("piped", [False, True])
-def test_one_axis_is_reported_as_by_the_monitor(folder: Path, piped: bool) -> None:
-    axis, run = str(folder / "axis.toml"), str(folder / "run.csv")
-    stdin = Path(run).read_bytes() if piped else None
-    source = "-" if piped else run
-    expected = events(called("monitor", source, "--config", axis, "--json", stdin=stdin), *FOUND)
-    options = ("--speed", "0", "--until-end", "--no-page", "--json")
-    served = events(called("serve", axis, "--from", source, *options, stdin=stdin), *FOUND)
-    assert [event.pop("axis") for event in served] == ["axis"] * len(expected)
-    assert len({event.pop("number") for event in served}) == len(expected)
-    for one, other in zip(served, expected, strict=True):
+def served(plant: Path, *options: str, code: int = 0) -> str:
+    """Return the output of a service to whose input run.csv is piped, until its end."""
+    run = (plant.parent / "run.csv").read_bytes()
+    return called("serve", str(plant), *options, "--until-end", code=code, stdin=run)
+
+
+def test_one_axis_is_reported_as_by_the_monitor(folder: Path) -> None:
+    axis, run = folder / "axis.toml", (folder / "run.csv").read_bytes()
+    expected = events(called("monitor", "-", "--config", str(axis), "--json", stdin=run), *FOUND)
+    served_ = events(served(axis, "--no-page", "--json"), *FOUND)
+    assert [event.pop("axis") for event in served_] == ["axis"] * len(expected)
+    assert len({event.pop("number") for event in served_}) == len(expected)
+    for one, other in zip(served_, expected, strict=True):
         times = {"time": 0, "changed_at": 0, "wall": 0}
         assert {**one, **times} == {**other, **times}
         assert one["time"] == pytest.approx(other["time"], abs=1e-6)
 
 
 def test_the_log_is_for_people(folder: Path) -> None:
-    options = ("--speed", "0", "--until-end", "--port", "0")
-    out = called("serve", str(folder / "axis.toml"), "--from", str(folder / "run.csv"), *options)
-    lines = out.splitlines()
+    lines = served(folder / "axis.toml", "--port", "0").splitlines()
     assert lines[0].startswith("serving axis: 1 axis")
     assert lines[1].startswith("page: http://127.0.0.1:")
     assert "#token=" not in lines[1]
@@ -88,8 +88,7 @@ def test_the_log_is_for_people(folder: Path) -> None:
 
 @pytest.mark.parametrize("form", [(), ("--json",)])
 def test_the_token_of_a_start_is_in_a_file_and_in_no_log(folder: Path, tmp_path: Path, form: tuple[str, ...]) -> None:
-    options = ("--speed", "0", "--until-end", "--port", "0", "--state", str(tmp_path / "state"), *form)
-    out = called("serve", str(folder / "axis.toml"), "--from", str(folder / "run.csv"), *options)
+    out = served(folder / "axis.toml", "--port", "0", "--state", str(tmp_path / "state"), *form)
     file = tmp_path / "state" / "page.token"
     token = file.read_text().strip()
     assert len(token) > 30
@@ -107,24 +106,26 @@ enabled = false
 [axes.x1]
 config = "axis.toml"
 [sources.a]
-kind = "record"
-path = "run.csv"
+kind = "stdin"
 axis = "x1"
-speed = 0.0
 """
 
 
 def test_a_restart_goes_on_where_the_last_one_ended(folder: Path, tmp_path: Path) -> None:
     plant = folder / "plant.toml"
     plant.write_text(PLANT)
-    options = (str(plant), "--state", str(tmp_path / "state"), "--until-end", "--json")
-    first, second = called("serve", *options), called("serve", *options)
-    assert len(events(first, "alarm")) == 1
-    assert events(second, *FOUND) == []
+    head, *rows = (folder / "run.csv").read_text().splitlines(keepends=True)
+    options = ("serve", str(plant), "--state", str(tmp_path / "state"), "--until-end", "--json")
+    parts = ("".join([head, *part]).encode() for part in (rows[:900], rows[900:]))
+    first, second = (called(*options, stdin=part) for part in parts)
+    whole = events(served(plant, "--json"), *FOUND)
+    assert [alarm["event"] for alarm in whole].count("alarm") == 1
+    found = events(first, *FOUND) + events(second, *FOUND)
+    assert [{**one, "wall": 0} for one in found] == [{**one, "wall": 0} for one in whole]
     (reported,) = events(second, "checkpoint")
     assert (reported["restored"], reported["fresh"]) == (1, 0)
     plant.write_text(PLANT.replace("axis.toml", "other.toml"))
-    (reported,) = events(called("serve", *options), "checkpoint")
+    (reported,) = events(served(plant, *options[2:]), "checkpoint")
     assert (reported["restored"], reported["fresh"], reported["changed"]) == (0, 1, ["x1"])
 
 
@@ -132,15 +133,15 @@ def test_a_configuration_that_fails_costs_its_own_axes_only(folder: Path) -> Non
     plant = folder / "plant.toml"
     (folder / "lonely.toml").write_text((folder / "axis.toml").read_text().replace("normal.csv", "nowhere.csv"))
     plant.write_text(PLANT + '[axes.x2]\nconfig = "lonely.toml"\n')
-    reported = called("serve", str(plant), "--until-end", "--json")
+    reported = served(plant, "--json")
     assert events(reported, "serving")[0]["axes"] == 1
     assert len(events(reported, "alarm")) == 1
     (problem,) = [event["problem"] for event in events(reported, "configuration") if "problem" in event]
     assert "nowhere.csv" in problem
     plant.write_text(PLANT.replace("axis.toml", "lonely.toml") + '[axes.x2]\nconfig = "none.toml"\n')
-    assert "no axis can be watched" in called("serve", str(plant), "--until-end", code=2)
+    assert "no axis can be watched" in served(plant, code=2)
     plant.write_text(PLANT.replace("axis.toml", "lonely.toml"))
-    (line,) = called("serve", str(plant), "--until-end", code=2).splitlines()
+    (line,) = served(plant, code=2).splitlines()
     assert line.startswith("pmfid: ")
     assert "nowhere.csv" in line
 
@@ -149,19 +150,16 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
     "an unknown section": (lambda text: text + "[axis.x3]\n", r"\[axis\] is an unknown section"),
     "an unknown key": (lambda text: text.replace("window", "windows"), r"\[service\] windows is an unknown key"),
     "an unknown kind": (
-        lambda text: text.replace('"record"', '"recor"'),
-        r"\[sources.a\] kind = 'recor' is none of .*'record'",
+        lambda text: text.replace('"stdin"', '"stdinn"'),
+        r"\[sources.a\] kind = 'stdinn' is none of .*'stdin'",
     ),
-    "an AXIS.toml in its place": (
-        lambda text: '[record]\ninput = "u"\n[model]\nkind = "drive"\n',
-        "this file is an AXIS.toml, of one axis, .* give --from RECORD",
-    ),
+    "an AXIS.toml with a fault": (lambda text: '[record]\ninput = "u"\n[model]\nkind = "drive"\n', "output is missing"),
     "axes without names": (
         lambda text: '[axes]\nconfig = "axis.toml"\n',
         r"outside a named section; write \[axes.NAME\]",
     ),
     "axes in double brackets": (lambda text: '[[axes]]\nconfig = "axis.toml"\n', r"\[axes.NAME\] .* single brackets"),
-    "no kind": (lambda text: text.replace('kind = "record"', ""), r"\[sources.a\] has no kind; give one of .*mqtt"),
+    "no kind": (lambda text: text.replace('kind = "stdin"', ""), r"\[sources.a\] has no kind; give one of .*mqtt"),
     "an URL of a broker": (
         lambda text: text + '[sources.b]\nkind = "mqtt"\nhost = "mqtt://hall"\ntopics = ["a"]\n',
         r"\[sources.b\] host = 'mqtt://hall': .*without mqtt://",
@@ -201,7 +199,6 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
         lambda text: text.replace('axis = "x1"', 'axis = "x9"'),
         "the plant has no axis 'x9'",
     ),
-    "a speed below 0": (lambda text: text.replace("speed = 0.0", "speed = -1.0"), r"\[sources.a\] speed = -1.0"),
     "a text for a number": (lambda text: text.replace("0.0", '"0"', 1), r"\[service\] window = '0'"),
     "no TOML": (lambda text: text + "x =", "not valid TOML"),
 }
@@ -211,7 +208,7 @@ REFUSED: dict[str, tuple[Callable[[str], str], str]] = {
 def test_a_plant_is_refused_in_a_sentence(folder: Path, change: Callable[[str], str], said: str) -> None:
     plant = folder / "refused.toml"
     plant.write_text(change(PLANT))
-    output = called("serve", str(plant), "--until-end", "--json", code=2)
+    output = served(plant, "--json", code=2)
     assert re.search(said, output), output
     assert "Traceback" not in output
 
@@ -277,8 +274,7 @@ def acting(folder: Path) -> Acting:
 def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting: Acting) -> None:
     plant = folder / "plant.toml"
     rows = (folder / "run.csv").read_text().splitlines(keepends=True)[1:]
-    follow = PLANT.replace('"record"\npath = "run.csv"', '"stdin"').replace("speed = 0.0\n", "")
-    plant.write_text(follow + '[axes.x2]\nconfig = "axis.toml"\n')
+    plant.write_text(PLANT + '[axes.x2]\nconfig = "axis.toml"\n')
 
     def write(part: list[str], samples: int) -> Callable[[], None]:
         def step() -> None:
@@ -288,7 +284,7 @@ def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting:
         return step
 
     def reload() -> None:
-        text = follow.replace("window = 0.0", "window = 0.1") + '[axes.x3]\nconfig = "other.toml"\n'
+        text = PLANT.replace("window = 0.0", "window = 0.1") + '[axes.x3]\nconfig = "other.toml"\n'
         plant.write_text(text)
         os.kill(os.getpid(), signal.SIGHUP)
         acting.until("reload")
@@ -310,14 +306,14 @@ def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting:
         ),
         *FOUND,
     )
-    served = [event for event in found if event["event"] in FOUND]
-    assert [(e["event"], e["time"]) for e in served] == [(e["event"], e["time"]) for e in expected]
+    reported = [event for event in found if event["event"] in FOUND]
+    assert [(e["event"], e["time"]) for e in reported] == [(e["event"], e["time"]) for e in expected]
     assert found[-1]["event"] == "ended"
 
 
 def test_systemd_is_reported(folder: Path, acting: Acting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (folder / "plant.toml").write_text(PLANT)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel, file_as_input(folder / "run.csv"):
         channel.bind(str(tmp_path / "notify"))
         channel.settimeout(PATIENCE)
         monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
@@ -345,7 +341,7 @@ def wrapped(folder: Path, place: Path, bits: int, start: int) -> Events:
     assert (np.ptp(counts) > 2 ** (bits - 1)) == (start > 0)
     rows = (f"{t!r},{u!r},{c}" for t, u, c in zip(table[:, 0].tolist(), table[:, 1].tolist(), counts, strict=True))
     stdin = "\n".join(["t,u,counts", *rows]) + "\n"
-    options = ("--from", "-", "--no-page", "--until-end", "--json")
+    options = ("--no-page", "--until-end", "--json")
     found = events(called("serve", str(place / "axis.toml"), *options, stdin=stdin.encode()), *FOUND)
     return [{**event, "wall": 0} for event in found]
 
@@ -374,11 +370,11 @@ def test_what_costs_nothing_is_looked_at_before_the_calibration(
     monkeypatch.setattr(Configurations, "calibrate", lambda *_: pytest.fail("calibrated first"))
     plant = folder / "early.toml"
     plant.write_text(change(PLANT))
-    assert re.search(said, called("serve", str(plant), "--until-end", code=2))
+    assert re.search(said, served(plant, code=2))
 
 
 def test_a_plant_to_which_nothing_can_come_says_so(folder: Path) -> None:
     plant = folder / "silent.toml"
     plant.write_text(PLANT[: PLANT.index("[sources.a]")])
-    reported = called("serve", str(plant), "--until-end", "--json")
+    reported = served(plant, "--json")
     assert ["add [sources.NAME]" in event["problem"] for event in events(reported, "source")] == [True]

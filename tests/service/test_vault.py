@@ -127,7 +127,7 @@ def block(first: int, n: int = 10, axis: str = "x1") -> Block:
 
 def test_a_snapshot_is_read_as_it_was_and_nothing_else_is(prepared: Prepared) -> None:
     engine = engine_of(prepared, 0.5)
-    engine.process([Delivery("source", [block(0, 60), block(80), block(120), block(5, 70, "x2")], mark={"at": 7})])
+    engine.process([Delivery("source", [block(0, 60), block(80), block(120), block(5, 70, "x2")])])
     body = b"".join(snapshot(engine))
     found = read_snapshot(body)
     (group,) = [one.restore_group(prepared, Pace(0.5, 1.0)) for one in found.groups]
@@ -136,7 +136,6 @@ def test_a_snapshot_is_read_as_it_was_and_nothing_else_is(prepared: Prepared) ->
     again.set_groups([group])
     assert [b.first for b in group.seats[0].order.held] == [80, 120]
     assert snapshot(again)[2:] == snapshot(engine)[2:]
-    assert again.marks == {"source": {"at": 7}}
     rng = np.random.default_rng(0)
     for cut in rng.integers(0, len(body), 60).tolist():
         with pytest.raises(ValueError, match=r".*"):

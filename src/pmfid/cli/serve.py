@@ -9,26 +9,11 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from pmfid.records.record import Record
     from pmfid.service.plant import Plant
 
 
 @click.command(short_help="Watch many axes as a service with a web page.")
 @click.argument("config", type=click.Path(path_type=Path, dir_okay=False))
-@click.option(
-    "--from",
-    "source",
-    type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
-    metavar="RECORD",
-    help="Watch the axis of AXIS.toml on this record, or with - on CSV lines from standard input.",
-)
-@click.option(
-    "--speed",
-    type=float,
-    default=1.0,
-    show_default=True,
-    help="Speed at which the record is played, 1 for real time; 0: as fast as possible.",
-)
 @click.option("--every", type=float, metavar="S", help="Time between two published estimates [s]; 0: publish all.")
 @click.option(
     "--state", type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Keep checkpoints in this folder."
@@ -39,8 +24,6 @@ if TYPE_CHECKING:
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object per event.")
 def serve(
     config: Path,
-    source: Path | None,
-    speed: float,
     every: float | None,
     state: Path | None,
     port: int | None,
@@ -48,30 +31,24 @@ def serve(
     until_end: bool,
     as_json: bool,
 ) -> None:
-    """Watch all axes of PLANT.toml, given as CONFIG, until a signal. With --from, watch the axis of AXIS.toml.
+    """Watch all axes of PLANT.toml, given as CONFIG, until a signal. An AXIS.toml is watched on standard input.
 
     SIGTERM and Ctrl-C end the service after all results are written. SIGHUP reads PLANT.toml again.
     """
-    from pmfid.config.axis import load_axis
-    from pmfid.records.record import read_record
     from pmfid.service.run import Service
     from pmfid.service.sinks.plain import NoticeLog, json_line
 
     page: dict[str, object] | None = {"enabled": False} if no_page else None if port is None else {"port": port}
-    record: Record | None = None
-    if source is not None and str(source) != "-":
-        record = read_record(source, load_axis(config))
     options = {"every": every, "state": None if state is None else str(state.absolute())}
     given = {key: value for key, value in options.items() if value is not None}
 
     def load() -> Plant:
-        from pmfid.service.plant import load_plant, single_axis
+        from pmfid.service.plant import load_plant
 
-        plant = load_plant(config, given) if source is None else single_axis(config, source, speed, given)
-        return plant.with_page(page)
+        return load_plant(config, given).with_page(page)
 
     line = json_line if as_json else _sentence
-    Service(load, NoticeLog(sys.stdout, line), until_end, record).run()
+    Service(load, NoticeLog(sys.stdout, line), until_end).run()
 
 
 def _sentence(notice: object) -> str:

@@ -15,7 +15,6 @@ from typing import TypeVar
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import PmfidError
 from pmfid.pipeline.edges import EdgeSetup
-from pmfid.records.record import Record
 from pmfid.service.context import Tell
 from pmfid.service.tuning import TUNING
 from pmfid.service.workers import Workers
@@ -29,12 +28,10 @@ Made = TypeVar("Made")
 class Configurations:
     """The configurations of a plant, each calibrated once.
 
-    A configuration that fails is reported, and only its own axes are lost. `record` is the record on which the only
-    axis is watched, or None if samples come from a source.
+    A configuration that fails is reported, and only its own axes are lost.
     """
 
     tell: Tell
-    record: Record | None = None
     _known: dict[Path, tuple[str, Prepared]] = field(default_factory=dict, init=False)
     _stamps: dict[Path, str] = field(default_factory=dict, init=False)
     _workers: Workers | None = field(default=None, init=False)
@@ -113,7 +110,7 @@ class Configurations:
                 reported[0] = monotonic()
                 self.tell({"event": "calibration", "config": path.name, "part": part})
 
-        return prepare(path, self.record, progress, axis)
+        return prepare(path, progress, axis)
 
     def _tell_calibrated(self, made: Prepared) -> None:
         cached = isinstance(made.setup, EdgeSetup) or made.setup.cached

@@ -10,7 +10,7 @@ from typing import Any, Protocol
 from pmfid.config.axis import Axis
 from pmfid.config.toml_file import FileSection
 from pmfid.errors import PmfidError, UsageError
-from pmfid.stream.delivery import Delivery, Mark
+from pmfid.stream.delivery import Delivery
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
 
 #: Number of bytes that one call reads.
@@ -30,14 +30,13 @@ class Source(Protocol):
 
     `name` is the name in PLANT.toml. `run` hands data over until the source ends, `stop` is called or `take` returns
     False. After an error `run` connects again by itself, with growing pauses. `tell` reports the error as an object
-    with "event": "source", "source": name, "problem": ... `mark` is the position in the last checkpoint, or None at the
-    first start. Where possible, `run` requests all later data again. `stop` may be called from any thread, at any time,
-    twice.
+    with "event": "source", "source": name, "problem": ... `stop` may be called from any thread, at any
+    time, twice.
     """
 
     name: str
 
-    def run(self, take: Take, mark: Mark | None) -> None: ...
+    def run(self, take: Take) -> None: ...
 
     def stop(self) -> None: ...
 

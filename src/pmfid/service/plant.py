@@ -20,14 +20,12 @@ from pmfid.service.sinks.mqtt import MqttSinkSection
 from pmfid.service.sinks.queued import SinkSection
 from pmfid.service.sinks.webhook import WebhookSection
 from pmfid.service.sources.mqtt import MqttSourceSection
-from pmfid.service.sources.record import RecordSource
 from pmfid.service.sources.stdin import StdinSource
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.config import HERE, PORT, PageConfig
 
 SOURCES: dict[str, type[SourceSection]] = {
     "mqtt": MqttSourceSection,
-    "record": RecordSource,
     "stdin": StdinSource,
 }
 SINKS: dict[str, type[SinkSection]] = {
@@ -141,12 +139,14 @@ Section = TypeVar("Section", bound=FileSection)
 
 
 def load_plant(path: Path, given: Mapping[str, object] | None = None) -> Plant:
-    """Read and validate a PLANT.toml.
+    """Read and validate a PLANT.toml, or an AXIS.toml as a plant of one axis on standard input.
 
     The keys `given` of [service] replace the keys in the file. Raises UsageError with the error and its place.
     """
     try:
         raw = _read(path)
+        if {"record", "model"} & set(raw) and not set(raw) & set(_KNOWN):
+            return _single_axis(path, given or {})
         _check_tables(raw)
         return Plant(
             path.parent,
@@ -160,20 +160,11 @@ def load_plant(path: Path, given: Mapping[str, object] | None = None) -> Plant:
         raise UsageError(f"{path}: {error}") from None
 
 
-def single_axis(config: Path, source: Path, speed: float, given: Mapping[str, object] | None = None) -> Plant:
-    """Return the plant of one AXIS.toml and a record that is played, or standard input for the `source` "-".
-
-    With a single pipe, no sample waits for another. `given` has keys of [service].
-    """
-    name = re.sub(r"[^A-Za-z0-9._-]|^[._-]+", "", config.stem)[:100] or "axis"
-    piped = str(source) == "-"
-    raw: dict[str, object] = {"kind": "stdin", "axis": name}
-    if not piped:
-        raw = {"kind": "record", "axis": name, "path": str(source.absolute()), "speed": speed}
-    sources = {"input" if piped else "record": _read_kind("sources", "input" if piped else "record", raw, SOURCES)}
-    own = {"name": name, "window": 0.0, "every": 0.1} | ({} if piped else {"silence": 0.0})  # a record ends
-    service = _section("service", ServiceSection, own | dict(given or {}))
-    return Plant(config.parent, service, {name: config}, sources)
+def _single_axis(path: Path, given: Mapping[str, object]) -> Plant:
+    """Return the plant of one AXIS.toml on standard input. With a single pipe, no sample waits for another."""
+    name = re.sub(r"[^A-Za-z0-9._-]|^[._-]+", "", path.stem)[:100] or "axis"
+    service = _section("service", ServiceSection, {"name": name, "window": 0.0, "every": 0.1} | dict(given))
+    return Plant(path.parent, service, {name: path}, {"input": StdinSource(kind="stdin", axis=name)})
 
 
 def page_config(plant: Plant) -> PageConfig:
@@ -196,12 +187,6 @@ _KNOWN = ("service", "page", "axes", "fleets", "sources", "sinks")
 
 
 def _check_tables(raw: Mapping[str, Any]) -> None:
-    if {"record", "model"} & set(raw) and not set(raw) & set(_KNOWN):
-        raise UsageError(
-            "this file is an AXIS.toml, of one axis, and the service needs a PLANT.toml with [axes.NAME] "
-            'and config = "AXIS.toml"; for a single axis give --from RECORD with this file, or --from - '
-            "for standard input"
-        )
     for key, table in raw.items():
         if key not in _KNOWN:
             raise UsageError(f"[{key}] is an unknown section; known are {', '.join(_KNOWN)}{did_you_mean(key, _KNOWN)}")

@@ -79,7 +79,7 @@ class Service:
     """A service with its sources, engine and sinks.
 
     `load` reads the plant at the start and at SIGHUP. Notices are printed to `log`. With `until_end`, the service ends
-    with its last source. `record` is an already read record on which the only axis is watched.
+    with its last source.
 
     The page starts first. Axes join the engine as they are calibrated, and a source that delivers a single axis waits
     for this axis. The axes of a checkpoint are restored together, and all sources wait for them.
@@ -88,7 +88,6 @@ class Service:
     load: Callable[[], Plant]
     log: NoticeLog
     until_end: bool = False
-    record: Record | None = None
     counters: Counters = field(default_factory=Counters, init=False)
 
     def run(self) -> None:
@@ -136,7 +135,7 @@ class Service:
         self._sources: list[Running] = []
         self._reported = time.monotonic()
         self._pace = Pace(plant.service.window, plant.service.every)
-        self._configurations = Configurations(self._tell_now, self.record)
+        self._configurations = Configurations(self._tell_now)
         self._axes: dict[str, Prepared] = {}
         self._vault: Vault | None = None
         self._unusable: BaseException | None = None
@@ -225,9 +224,8 @@ class Service:
         for queued in self._sinks:
             for notice in self._unwritten.get(queued.name, ()):
                 queued.notice(notice)
-        marks = self._engine.marks
         self._sources = [
-            Running(section.make(name, context), self._engine.inbox, tell, marks, getattr(section, "axis", None) or "")
+            Running(section.make(name, context), self._engine.inbox, tell, getattr(section, "axis", None) or "")
             for name, section in plant.sources.items()
         ]
         self._engine.beat = time.monotonic()

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import traceback
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from threading import Event, Thread
 
 from pmfid.errors import PmfidError
 from pmfid.service.context import Source, Tell
 from pmfid.service.tuning import TUNING
-from pmfid.stream.delivery import Delivery, Mark
+from pmfid.stream.delivery import Delivery
 from pmfid.stream.engine import Inbox
 
 
@@ -24,11 +23,9 @@ class Running:
     source: Source
     inbox: Inbox
     tell: Tell
-    marks: Mapping[str, Mark]
     axis: str = ""
     failed: PmfidError | None = field(default=None, init=False)
     ended: bool = field(default=False, init=False)
-    _mark: Mark | None = field(default=None, init=False)
     _broken: bool = field(default=False, init=False)
     _stopped: Event = field(default_factory=Event, init=False)
     _thread: Thread | None = field(default=None, init=False)
@@ -43,16 +40,13 @@ class Running:
         if self._broken:
             self._broken = False
             self.tell({"event": "source", "source": self.source.name, "problem": ""})
-        taken = self.inbox.put(delivery)
-        if taken and delivery.mark is not None:
-            self._mark = delivery.mark  # at a restart the marks of the engine are older
-        return taken
+        return self.inbox.put(delivery)
 
     def _run(self) -> None:
         pause = TUNING.run_first_pause
         while not self._stopped.is_set():
             try:
-                self.source.run(self._take, self._mark or self.marks.get(self.source.name))
+                self.source.run(self._take)
                 break
             except PmfidError as error:
                 self.failed = error

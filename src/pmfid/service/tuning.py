@@ -87,14 +87,6 @@ class ServiceTuning:
     #: Number of notices remembered as delivered while earlier notices are tried again.
     webhook_remembered: int = 2048
 
-    # sources.record
-    #: Duration of the blocks of a played record [s], and largest number of samples in a block.
-    block_time: float = 0.05
-    record_block: int = 1000
-    #: Limits of the speed at which a record is played.
-    record_slowest: float = 0.001
-    record_fastest: float = 1e6
-
     # sources.stdin
     #: Time without a byte after which the source looks whether the service ends [s].
     stdin_look: float = 0.2

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.monitor.saved import seal_parts
-from pmfid.stream.delivery import Block, Mark
+from pmfid.stream.delivery import Block
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, Seat
 from pmfid.stream.outcome import AlarmRecord, Notice
@@ -80,7 +80,6 @@ def draft(engine: StreamEngine) -> Draft:
         {
             "wall": time.time(),
             "numbered": engine.numbered,
-            "marks": engine.marks,
             "history": engine.history,
             "alarms": [vars(alarm) for alarm in engine.notices.alarms.all()],
             "unwritten": {
@@ -181,13 +180,12 @@ class Saved:
 class Snapshot:
     """The content of a checkpoint.
 
-    `wall` is the time of the checkpoint in seconds since 1970. `numbered` is the last number that an axis got. `marks`
-    has the positions of the sources. `unwritten` maps the name of a sink to alarms that the sink did not have yet.
+    `wall` is the time of the checkpoint in seconds since 1970. `numbered` is the last number that an axis got.
+    `unwritten` maps the name of a sink to alarms that the sink did not have yet.
     """
 
     wall: float
     numbered: int
-    marks: dict[str, Mark]
     history: list[dict[str, Any]]
     alarms: list[AlarmRecord]
     unwritten: dict[str, list[Notice]]
@@ -195,7 +193,6 @@ class Snapshot:
 
     def restore(self, engine: StreamEngine) -> None:
         """Restore the part of the engine outside its groups."""
-        engine.marks.update(self.marks)
         engine.history, engine.numbered = self.history, self.numbered
         engine.notices.restore(self.alarms)
         engine.silence.restore(self.alarms)
@@ -222,11 +219,10 @@ def read_snapshot(body: bytes) -> Snapshot:
             )
         if place != len(body):
             raise ValueError("the lengths of its parts do not add up to the length of the file")
-        marks = {str(name): dict(mark) for name, mark in raw["marks"].items()}
         alarms = [AlarmRecord(**alarm) for alarm in raw["alarms"]]
         unwritten = {sink: [Notice(*entry) for entry in some] for sink, some in raw["unwritten"].items()}
         history = list(raw["history"])
-        return Snapshot(float(raw["wall"]), int(raw["numbered"]), marks, history, alarms, unwritten, groups)
+        return Snapshot(float(raw["wall"]), int(raw["numbered"]), history, alarms, unwritten, groups)
     except (KeyError, TypeError, AttributeError, IndexError, struct.error, RecursionError) as error:
         raise ValueError(f"this version of pmfid cannot read it as a checkpoint: {error!r}") from None
 

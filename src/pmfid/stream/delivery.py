@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any
 
@@ -12,9 +12,6 @@ from numpy.typing import NDArray
 
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.types import Counts, Floats
-
-#: JSON from which a source resumes after a restart, for example the position in a file.
-Mark = dict[str, int | float | str]
 
 
 @dataclass(frozen=True)
@@ -132,14 +129,12 @@ class Delivery:
 
     `source` is the name in PLANT.toml. `items` are in the order of their arrival. `done` is called at most once, from
     any thread, when all items are in a durable checkpoint. Without checkpoints it is called immediately. A source that
-    can acknowledge uses `done` for the acknowledgement. `mark` is the position of the source after this delivery, and
-    is kept in the checkpoint. `received` is `time.monotonic()` at the arrival.
+    can acknowledge uses `done` for the acknowledgement. `received` is `time.monotonic()` at the arrival.
     """
 
     source: str
     items: Sequence[Item]
     done: Callable[[], object] | None = None
-    mark: Mark | None = field(default=None)
     received: float = 0.0
 
     @property

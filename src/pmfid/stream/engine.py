@@ -15,7 +15,7 @@ import numpy as np
 from pmfid.durable import crash_point
 from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.run import event_object
-from pmfid.stream.delivery import Delivery, Mark
+from pmfid.stream.delivery import Delivery
 from pmfid.stream.groups import Group, Seat
 from pmfid.stream.intake import Intake, Ordered
 from pmfid.stream.notices import Notices, Silence
@@ -126,7 +126,7 @@ class StreamEngine:
     `outlets` receive rows and notices. `followed` returns the names of the axes whose rows are all given out. `groups`
     has all axes. `unwritten` returns the alarms that sinks do not have yet, by the name of the sink.
 
-    `marks` has the positions of the sources after the last stepped delivery. `history` has the configurations and the
+    `history` has the configurations and the
     times at which they began. `numbered` is the last number given to an axis. `beat` is `time.monotonic()` of the last
     tick. `changes` counts the changes to the content of a checkpoint. If `urgent` is set, a checkpoint is due soon,
     because no source repeats a command. `waiting` is true while no source may deliver, so that silence means nothing.
@@ -139,7 +139,6 @@ class StreamEngine:
     keeper: Keeper = field(default_factory=_Forgetful)
     unwritten: Callable[[], dict[str, list[Notice]]] = dict
     groups: list[Group] = field(default_factory=list, init=False)
-    marks: dict[str, Mark] = field(default_factory=dict, init=False)
     history: list[dict[str, Any]] = field(default_factory=list, init=False)
     numbered: int = field(default=0, init=False)
     beat: float = field(default=0.0, init=False)
@@ -249,8 +248,6 @@ class StreamEngine:
         self._count(batch, begun)
         for delivery in batch:
             self.silence.note_delivery(delivery.source)
-            if delivery.mark is not None:
-                self.marks[delivery.source] = delivery.mark
             if delivery.done is not None:
                 self.keeper.call_when_kept(delivery.done)
 

@@ -25,7 +25,6 @@ from pmfid.pipeline.edges import EdgeSetup
 from pmfid.pipeline.monitored.run import Monitored
 from pmfid.pipeline.monitored.setup import VERSION, Setup, set_up_record
 from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Line, Metronome, Sample, Saved, Timeline
-from pmfid.records.record import Record
 from pmfid.stream.delivery import Lines
 from pmfid.stream.order import UNKNOWN_GAP, ItemReport, Order, PositionRow, Positions, SamplePiece
 from pmfid.stream.outcome import Kindred
@@ -216,20 +215,18 @@ class Prepared:
             raise ValueError(f"the nominal values do not fit the configuration: {error}") from None
 
 
-def prepare(
-    path: Path, record: Record | None = None, progress: Callable[[float], None] | None = None, given: Axis | None = None
-) -> Prepared:
+def prepare(path: Path, progress: Callable[[float], None] | None = None, given: Axis | None = None) -> Prepared:
     """Read and calibrate a configuration.
 
-    `record` is the record on which the only axis is watched. `given` is the content of AXIS.toml if it was already
+    `given` is the content of AXIS.toml if it was already
     read. Raises UsageError or NotIdentifiableError as `set_up` does.
     """
     axis = load_axis(path) if given is None else given
-    setup = set_up_record(axis, path.parent, record, progress)
-    return Prepared(path, axis, setup, _digest(path, axis, record))
+    setup = set_up_record(axis, path.parent, None, progress)
+    return Prepared(path, axis, setup, _digest(path, axis))
 
 
-def _digest(path: Path, axis: Axis, record: Record | None) -> str:
+def _digest(path: Path, axis: Axis) -> str:
     digest = sha256(f"{VERSION} {axis.model_dump_json(warnings=False)}".encode())
     if axis.monitor.reference is not None:
         reference = path.parent / axis.monitor.reference
@@ -237,8 +234,6 @@ def _digest(path: Path, axis: Axis, record: Record | None) -> str:
             if file.is_file():
                 with file.open("rb") as content:
                     digest.update(file_digest(content, "sha256").digest())
-    elif record is not None:
-        digest.update(record.u.tobytes() + record.counts.tobytes())
     return digest.hexdigest()
 
 

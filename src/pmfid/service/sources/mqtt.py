@@ -20,7 +20,7 @@ from pydantic import AfterValidator, Field
 from pmfid.service.broker import BrokerSection, Text, new_client, pauses
 from pmfid.service.context import Context, FindAxis, ProblemReport, SourceSection, Take, Tell
 from pmfid.service.wire.messages import LARGEST, Form, Messages, Readers
-from pmfid.stream.delivery import Delivery, Mark
+from pmfid.stream.delivery import Delivery
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage
@@ -103,7 +103,7 @@ class MqttSource:
         self._report = ProblemReport(self.name, self.tell)
         self._messages = Messages(Readers(self.axis), self.section.format, self.section.largest)
 
-    def run(self, take: Take, mark: Mark | None) -> None:
+    def run(self, take: Take) -> None:
         """Take messages until `stop`. Raises UsageError for a section that cannot work."""
         waiting, brief = pauses(), 0
         while not self._stopped.is_set():
@@ -195,7 +195,7 @@ class MqttSource:
             # An acknowledgement on a closed connection has no effect. The message comes again, maybe under another
             # number.
             done = partial(client.ack, message.mid, 1) if message.qos == 1 else None
-            if not take(Delivery(self.name, items, done, None, time.monotonic())):
+            if not take(Delivery(self.name, items, done, time.monotonic())):
                 self.stop()
         except BaseException as error:  # paho's thread would end without a report
             self._failure = error

@@ -18,13 +18,14 @@ from pydantic import Field
 
 from pmfid.config.axis import Axis
 from pmfid.config.model import Name
+from pmfid.errors import UsageError
 from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.pipeline.monitored.stream import Beginning
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.context import CHUNK, Context, Source, SourceSection, Take
 from pmfid.service.tuning import TUNING
 from pmfid.service.wire.messages import LineSplitter, Messages, Readers
-from pmfid.stream.delivery import Delivery, Item, Lines, Mark
+from pmfid.stream.delivery import Delivery, Item, Lines
 
 
 class StdinSource(SourceSection):
@@ -40,7 +41,12 @@ class StdinSource(SourceSection):
     )
 
     def make(self, name: str, context: Context) -> Source:
-        """Return the source. Raises UsageError for an axis that is not in the plant."""
+        """Return the source. Raises UsageError for a terminal, and for an axis that is not in the plant."""
+        if sys.stdin.isatty():
+            raise UsageError(
+                "standard input is a terminal; pipe lines into the command, for example "
+                "cat run.csv | pmfid serve AXIS.toml"
+            )
         if self.axis is None:
             messages = Messages(Readers(context.axis), "json")
             return Piped(name, lambda lines: messages.items(b"\n".join(lines)), sys.stdin.buffer)
@@ -80,11 +86,8 @@ class Piped:
     stream: BinaryIO
     _stop: Event = field(default_factory=Event, init=False)
 
-    def run(self, take: Take, mark: Mark | None) -> None:
-        """Hand over the lines as they arrive.
-
-        Lines cannot be read twice, so they have no mark. Raises UsageError for a stream without a header.
-        """
+    def run(self, take: Take) -> None:
+        """Hand over the lines as they arrive. Raises UsageError for a stream without a header."""
         splitter = LineSplitter()
         while not self._stop.is_set():
             chunk = self._take_bytes()
