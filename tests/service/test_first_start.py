@@ -17,7 +17,7 @@ from pmfid.service import arrangement
 from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog
-from pmfid.service.workers import Workers
+from pmfid.service.workers import calibrate_all
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import prepare
@@ -57,7 +57,7 @@ def test_the_page_answers_before_the_calibration(folder: Path, monkeypatch: pyte
 
 def test_processes_calibrate_and_report_errors(folder: Path) -> None:  # noqa: F811
     (folder / "lonely.toml").write_text((folder / "axis.toml").read_text().replace("normal.csv", "nowhere.csv"))
-    found = dict(Workers([folder / "axis.toml", folder / "lonely.toml"]).run())
+    found = dict(calibrate_all([folder / "axis.toml", folder / "lonely.toml"]))
     with pytest.raises((UsageError, OSError), match=r"nowhere\.csv"):
         found[folder / "lonely.toml"]()
     made, expected = found[folder / "axis.toml"](), prepare(folder / "axis.toml")

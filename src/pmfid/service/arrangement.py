@@ -17,7 +17,7 @@ from pmfid.errors import PmfidError
 from pmfid.pipeline.edges import EdgeSetup
 from pmfid.service.context import Tell
 from pmfid.service.tuning import TUNING
-from pmfid.service.workers import Workers
+from pmfid.service.workers import calibrate_all, stop_workers
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, prepare
 
@@ -34,7 +34,7 @@ class Configurations:
     tell: Tell
     _known: dict[Path, tuple[str, Prepared]] = field(default_factory=dict, init=False)
     _stamps: dict[Path, str] = field(default_factory=dict, init=False)
-    _workers: Workers | None = field(default=None, init=False)
+    _stopped: bool = field(default=False, init=False)
 
     def read(self, axes: Mapping[str, Path]) -> dict[Path, Axis]:
         """Return the content of each usable AXIS.toml.
@@ -60,11 +60,12 @@ class Configurations:
         due = [path for path in configs if path not in self._known or self._known[path][0] != stamps[path]]
         yield from ((path, self._known[path][1]) for path in configs if path not in due)
         if len(due) > 1:
-            self._workers = Workers(_equal_ones_last(due, stamps))
-            made: Iterable[tuple[Path, Callable[[], Prepared]]] = self._workers.run()
+            made: Iterable[tuple[Path, Callable[[], Prepared]]] = calibrate_all(_equal_ones_last(due, stamps))
         else:
             made = ((path, partial(self._calibrate_here, path, configs[path])) for path in due)
         for path, take in made:
+            if self._stopped:
+                return
             prepared = self._try(path, take, only=len(configs) == 1)
             if prepared is not None:
                 self._known[path] = stamps[path], prepared
@@ -83,8 +84,8 @@ class Configurations:
 
     def stop(self) -> None:
         """End calibrations in other processes."""
-        if self._workers is not None:
-            self._workers.stop()
+        self._stopped = True
+        stop_workers()
 
     def _try(self, path: Path, make: Callable[[], Made], only: bool) -> Made | None:
         """Return the result of `make`, or None after an error that has been reported."""

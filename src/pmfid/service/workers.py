@@ -4,96 +4,58 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from functools import partial
-from multiprocessing import get_context
-from multiprocessing.connection import Connection, wait
-from multiprocessing.process import BaseProcess
+from multiprocessing import active_children, get_context, parent_process
 from pathlib import Path
+from threading import Thread
 
-from pmfid.errors import PmfidError
 from pmfid.estimators.runner import processors
 from pmfid.service.tuning import TUNING
 from pmfid.stream.groups import Prepared, prepare
 
-#: A calibrated configuration, or the error of its calibration.
-Outcome = Prepared | PmfidError | OSError
+
+def calibrate_all(paths: Sequence[Path]) -> Iterator[tuple[Path, Callable[[], Prepared]]]:
+    """Yield each configuration when it is ready, with a function that returns it or raises its error.
+
+    The processes begin in the order of `paths`. `stop_workers` ends them.
+    """
+    context = get_context("spawn")  # a fork of a process with threads may hang
+    pool = ProcessPoolExecutor(min(processors(), len(paths)), context, _begin)
+    try:
+        futures = {pool.submit(prepare, path): path for path in paths}
+        for future in as_completed(futures):
+            yield futures[future], partial(_take, future)
+    finally:
+        pool.shutdown(wait=False, cancel_futures=True)
 
 
-class Workers:
-    """Processes that calibrate configurations in the order of `paths`."""
-
-    def __init__(self, paths: Iterable[Path]) -> None:
-        self._waiting = list(paths)[::-1]
-        self._context = get_context("spawn")  # a fork of a process with threads may hang
-        self._busy: dict[Connection, Path] = {}
-        self._processes = list[BaseProcess]()
-        self._stopped = False
-
-    def run(self) -> Iterator[tuple[Path, Callable[[], Prepared]]]:
-        """Yield each configuration when it is ready, with a function that returns it or raises its error."""
-        try:
-            for _ in range(min(processors(), len(self._waiting))):
-                self._give_next(self._start())
-            while self._busy:
-                ready = wait(list(self._busy))
-                for channel in [one for one in self._busy if one in ready]:
-                    path, outcome = self._busy.pop(channel), self._receive(channel)
-                    if self._stopped:
-                        return
-                    yield path, partial(_unpack, outcome)
-        finally:
-            self.stop()
-
-    def stop(self) -> None:
-        """End all processes. Any thread may call this function."""
-        self._stopped = True
-        for process in self._processes:
-            process.terminate()
-
-    def _start(self) -> Connection:
-        channel, far_end = self._context.Pipe()
-        process = self._context.Process(target=calibrate_in_turn, args=(far_end,), daemon=True)
-        process.start()
-        self._processes.append(process)
-        far_end.close()
-        return channel
-
-    def _give_next(self, channel: Connection) -> None:
-        if self._waiting:
-            self._busy[channel] = self._waiting.pop()
-            with suppress(OSError):  # `run` notices the end of a process
-                channel.send(self._busy[channel])
-
-    def _receive(self, channel: Connection) -> Outcome:
-        try:
-            outcome: Outcome = channel.recv()
-        except (EOFError, OSError):
-            outcome = OSError("the process of its calibration was killed; check the memory, and send SIGHUP")
-            channel = self._start() if self._waiting and not self._stopped else channel
-        self._give_next(channel)
-        return outcome
+def stop_workers() -> None:
+    """End all processes. Any thread may call this function."""
+    for process in active_children():
+        process.terminate()
 
 
-def calibrate_in_turn(channel: Connection) -> None:
-    """Calibrate the configurations whose paths arrive, until the service closes the channel or ends."""
+def _begin() -> None:
+    """Prepare a process. The process ends with the service, even if the service is killed."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C ends the service, which ends this process
     with suppress(AttributeError, OSError):
         os.nice(TUNING.workers_nice)
-    with suppress(EOFError, OSError):
-        while True:
-            channel.send(_calibrate(channel.recv()))
+    Thread(target=_follow, daemon=True).start()
 
 
-def _calibrate(path: Path) -> Outcome:
+def _follow() -> None:
+    service = parent_process()
+    assert service is not None
+    service.join()
+    os._exit(1)
+
+
+def _take(future: Future[Prepared]) -> Prepared:
     try:
-        return prepare(path)
-    except (PmfidError, OSError) as error:
-        return error
-
-
-def _unpack(outcome: Outcome) -> Prepared:
-    if isinstance(outcome, Prepared):
-        return outcome
-    raise outcome
+        return future.result()
+    except BrokenProcessPool:
+        raise OSError("the process of its calibration was killed; check the memory, and send SIGHUP") from None
