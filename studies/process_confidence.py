@@ -56,7 +56,8 @@ def estimator_of(plant: RandomPlant, model: TransferFunction | None = None) -> S
 
 def identified(estimator: SRIVC, record: Experiment) -> tuple[Process, Floats, tuple[str, ...]]:
     """Identify as `pmfid identify` does: return the process, theta (p,) and the status. Raises NotIdentifiableError."""
-    fit, problem = estimator.fit_experiments([record]), make_problem(estimator, [record])
+    fit = estimator.fit_experiments([record])
+    problem = make_problem(estimator, [record])
     theta = fit.theta / problem.structure.scale(problem.rate)
     checks = assess(problem, theta, estimator.equation.delay)
     if not checks.depends:

@@ -13,6 +13,7 @@ from pmfid import SRIVC, Encoder, Experiment, NotIdentifiableError, TransferFunc
 from pmfid.diagnostics.causality import ResidualStretch, find_feedback, find_unmodelled_response
 from pmfid.diagnostics.processes import assess
 from pmfid.estimators.srivc import fit_process, make_problem
+from pmfid.linear.experiment import HOLDS
 from pmfid.linear.order import UNSTABLE, OrderCandidate, Search, accepted_first
 from pmfid.linear.process import Process
 from pmfid.linear.residuals import Noise, fit_noise, score_covariance
@@ -200,6 +201,16 @@ def test_a_pole_and_a_zero_that_cancel_are_named():
         doubt = str(error)
     assert doubt == "uncertain" or "the order of the model is too high" in doubt
     assert identified(SRIVC(TransferFunction(1, 0), Encoder(1.0), DT, 2.0), Experiment(u, y, dt=DT))[2] == ()
+
+
+def test_poles_that_follow_the_noise_are_uncertain_beside_an_unknown_dead_time():
+    """A pair of poles and the dead time settle on a resonance of the noise, 70 standard errors from the process."""
+    rng = np.random.default_rng([977, 13, 4])
+    plant = random_plant(rng, 4)
+    record = open_record(plant, "multisine", "resonance", 1000, HOLDS[int(rng.integers(2))], rng)
+    late = replace(record, y=np.r_[np.zeros(5), record.y[:-5]])
+    model = TransferFunction(plant.a.size - 1, plant.b.size - 1, dead_time="estimate")
+    assert "uncertain" in identified(estimator_of(plant, model), late)[2]
 
 
 @pytest.mark.parametrize("made", ["zoh", "foh"])

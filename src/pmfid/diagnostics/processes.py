@@ -32,8 +32,8 @@ from pmfid.linear.residuals import (
     residual_repeats,
     whiten_columns,
 )
-from pmfid.linear.responses import Structure, companion, simulate
-from pmfid.linear.solve import ProcessPoint, ProcessProblem, descend, first_guess, refine, visit
+from pmfid.linear.responses import companion, simulate
+from pmfid.linear.solve import ProcessPoint, ProcessProblem, descend, first_guess, fix_dead_time, refine, visit
 from pmfid.linear.tuning import TUNING as LINEAR_TUNING
 from pmfid.types import Floats
 
@@ -130,17 +130,20 @@ class Second:
     moved: bool
 
 
-def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
-    """Examine an estimate a second time, for noise of any colour.
+def second_look(problem: ProcessProblem, theta: Floats) -> Second:
+    """Examine an estimate theta (p,) a second time, for noise of any colour.
 
     A pole can settle on a resonance of the noise, and then the residual shows no resonance. Therefore the colour comes
     from the residual of a model with one pole less, without the effect of recent inputs.
     """
-    structure = problem.structure
-    smaller = Structure(max(structure.n - 1, 1), max(structure.m - 1, 0), structure.offset)
-    plain = Structure(structure.n, structure.m, structure.offset)
-    if problem.referenced or structure != plain:  # known values do not depend on the noise
+    if problem.referenced:  # the noise does not correlate with the instruments
         return Second(False, False)
+    structure, least = problem.structure, max(problem.structure.integrators, 1)
+    if structure.latest is not None:  # the dead time of the estimate is the start of each fit
+        structure = replace(structure, dead_time=float(theta[-1]))
+        problem = replace(fix_dead_time(problem, theta)[0], structure=structure)
+    point = visit(problem, theta, np.zeros((len(problem.stretches), structure.n)))
+    smaller = replace(structure, n=max(structure.n - 1, least), m=max(structure.m - 1, 0))
     with np.errstate(all="ignore"):
         try:
             rest = point if smaller == structure else _settle_fit(replace(problem, structure=smaller))
@@ -148,11 +151,12 @@ def second_look(problem: ProcessProblem, point: ProcessPoint) -> Second:
             if noise is None:
                 return Second(False, False)
             white = prewhiten_problem(problem, noise)
-            factor = float(np.sum(noise.whitener)) if structure.offset and white is not problem else 1.0
-            scale = np.r_[np.ones(structure.size - 1), factor]
+            scale = np.ones(structure.size)
+            if structure.offset and white is not problem:
+                scale[structure.linear - 1] = float(np.sum(noise.whitener))
             start = visit(white, point.theta * scale, np.zeros((len(white.stretches), structure.n)))
             full = descend(white, start, TUNING.processes_settled).point
-            surplus = structure.n > 1 and not _reduces_residual(
+            surplus = structure.n > least and not _reduces_residual(
                 _settle_fit(replace(white, structure=smaller)).cost, full.cost, point.error.size, 2
             )
             return Second(surplus, _exceeds_chance(full.theta / scale - point.theta, covariance(point, problem)))
@@ -203,9 +207,9 @@ class Assessment:
     with the reference if one exists. The bounds of `autocorrelation` and `cross` hold 99 % of the correlations of an
     independent residual. `unmodelled` says whether the present and past input explains the residual. `feedback` says
     whether future inputs explain the residual, because a controller feeds the noise back (`causality.py`). `depends`
-    says whether the output depends on the input by more than chance. `second` is the result of a second examination,
-    and `hold` is the result of the test of the other hold. `repeats` says whether a part of the residual repeats in
-    every period of the input.
+    says whether the output depends on the input by more than chance. `hold` is the result of the test of the other
+    hold. `repeats` says whether a part of the residual repeats in every period of the input. `second` is the result of
+    a second examination.
     """
 
     fit: float
@@ -220,9 +224,9 @@ class Assessment:
     unmodelled: bool
     feedback: bool
     depends: bool
-    second: Second
     hold: Hold
     repeats: bool
+    second: Second
 
     @property
     def lags(self) -> NDArray[np.int64]:
@@ -247,6 +251,8 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment
 
     Raises NotIdentifiableError if the simulated output exceeds the range of numbers.
     """
+    second = second_look(problem, theta)
+    problem, theta = fix_dead_time(problem, theta)
     count = len(problem.stretches)
     point = visit(problem, theta, np.zeros((count, problem.structure.n)))
     pairs = zip(problem.stretches, point.initial, strict=True)
@@ -276,13 +282,14 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment
         cross,
         bounds[1],
         *_doubts(problem, point, residual, delay),
+        second,
     )
 
 
 def _doubts(
     problem: ProcessProblem, point: ProcessPoint, residual: list[Floats], delay: int
-) -> tuple[bool, bool, bool, Second, Hold, bool]:
-    """Return the findings unmodelled, feedback, depends, second, hold and repeats, in this order.
+) -> tuple[bool, bool, bool, Hold, bool]:
+    """Return the findings unmodelled, feedback, depends, hold and repeats, in this order.
 
     The tests take each input at its true time, and not `delay` samples later.
     """
@@ -296,7 +303,6 @@ def _doubts(
         find_unmodelled_response(parts, known).chance < TUNING.false_alarm,
         find_feedback(parts, known, _direct(problem, point)).chance < TUNING.false_alarm,
         depends_on_input(problem, point),
-        second_look(problem, point),
         look_at_hold(problem, point, estimate_residual_noise(parts, known)),
         residual_repeats(problem, point),
     )

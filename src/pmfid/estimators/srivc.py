@@ -268,14 +268,6 @@ def process_of(estimator: Estimator, theta: NDArray[np.float64], cov: NDArray[np
     return Process.from_theta(structure, theta, cov, model.delay * estimator.dt + structure.lateness(theta))
 
 
-def with_dead_time(estimator: Estimator, theta: NDArray[np.float64]) -> Estimator:
-    """Return a copy of the estimator whose known dead time is the last entry of theta (p,)."""
-    model = estimator.model
-    if not isinstance(model, TransferFunction) or model.dead_time != ESTIMATE:
-        return estimator
-    return replace(estimator, model=replace(model, dead_time=float(theta[-1])))
-
-
 def check_apart(point: ProcessPoint, names: tuple[str, ...]) -> None:
     """Raise NotIdentifiableError with the parameter's name if a sensitivity is zero or depends on the others."""
     with np.errstate(over="ignore"):  # an overflow is checked below

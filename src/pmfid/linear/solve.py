@@ -355,6 +355,16 @@ def keep_outputs_after(stretches: tuple[RecordStretch, ...], time: float, least:
     return tuple(stretch for stretch in found if stretch.rows.size >= least)
 
 
+def fix_dead_time(problem: ProcessProblem, theta: Floats) -> tuple[ProcessProblem, Floats]:
+    """Return the problem with the dead time in theta (p,) as a known number, and the other parameters."""
+    structure = problem.structure
+    if structure.latest is None:
+        return problem, theta
+    late = structure.lateness(theta)
+    stretches = keep_outputs_after(problem.stretches, late, structure.n + 2)
+    return replace(problem, structure=replace(structure, dead_time=late, latest=None), stretches=stretches), theta[:-1]
+
+
 def solve_dead_time(
     problem: ProcessProblem, solver: Callable[[ProcessProblem], Solution]
 ) -> tuple[ProcessProblem, Solution]:

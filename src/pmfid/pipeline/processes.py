@@ -21,7 +21,7 @@ from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.estimators.srivc import SRIVC, ProcessSolver, make_problem, process_of, with_dead_time
+from pmfid.estimators.srivc import SRIVC, ProcessSolver, make_problem, process_of
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import make_notes, sort_findings
 from pmfid.io.tables import Table
@@ -85,7 +85,7 @@ class Processes(Kind[Sequence[Experiment]]):
             theta, cov, bits = fit.theta, fit.theta_cov, fit.status
         else:
             theta, cov, bits = _from_counts(estimator, data)
-        problem = make_problem(with_dead_time(estimator, theta), data)
+        problem = make_problem(estimator, data)
         scaled = theta[: problem.structure.size] / problem.structure.scale(problem.rate)
         checks = assess(problem, scaled, delay_of(estimator))
         process = process_of(estimator, theta, cov)
