@@ -11,7 +11,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RLS
 from pmfid.monitor.monitor import GuessedSamples, guess, longest
-from pmfid.records.gaps import Polynomial, best_of, fill_gaps, is_held
+from pmfid.records.gaps import fill_gaps, is_held
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
@@ -56,24 +56,6 @@ def test_bends_of_an_input_are_not_cut_short() -> None:
     missed, smooth = (found - wave())[~there], wave()[~there]
     assert abs(missed @ smooth / (smooth @ smooth)) < 1e-3
     assert np.std(missed) < 0.003
-
-
-def test_what_is_left_out_says_what_is_taken() -> None:
-    rng, places = np.random.default_rng(3), np.arange(2000)
-    assert best_of(rng.standard_normal(2000), places) == Polynomial(0, 8)
-    smooth = np.sin(0.2 * places)
-    assert best_of(smooth, places).estimate_error(smooth, places, 1) < 0.02 * Polynomial(1, 1).estimate_error(
-        smooth, places, 1
-    )
-    assert Polynomial(1, 1).estimate_error(smooth, places, 20) > 50 * Polynomial(1, 1).estimate_error(smooth, places, 1)
-    assert best_of(smooth[:3], places[:3]) == Polynomial(1, 1)
-
-
-def test_samples_beyond_another_gap_hardly_count() -> None:
-    u, there = waving(400), np.ones(400, bool)
-    there[[200, *range(202, 262)]] = False
-    places = np.flatnonzero(there)
-    assert abs(Polynomial(3, 8).fill_grid(u[places], places)[200] - u[200]) < 0.05
 
 
 def test_an_input_that_rests_now_and_then_is_not_held() -> None:

@@ -15,11 +15,9 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.ls import LS
 from pmfid.estimators.recursive import RLS
-from pmfid.estimators.stretches import gaps_in, parts_of
 from pmfid.pipeline.identify import identify as identify_record
 from pmfid.pipeline.identify import kind_of
 from pmfid.records.clock import PlacedRows, place_rows
-from pmfid.records.gaps import fill_gaps
 from pmfid.records.joining import unbroken
 from pmfid.records.record import Record, record_of
 from pmfid.simulation import DriveParameters, multisine, prbs, quantize, simulate_drive
@@ -69,22 +67,6 @@ def axis(method: str = "iv", **record: object) -> Axis:
 
 
 # --- values in place of missing samples -------------------------------------------------------------------------------
-
-
-def test_a_gap_longer_than_the_input_is_held_is_not_filled() -> None:
-    u, counts = run()
-    there = kept(u.size, 0.02, 50)
-    line = fill_gaps(u[there], counts[there], np.flatnonzero(there))[0]
-    np.testing.assert_array_equal(np.isnan(line), ~there)
-
-
-def test_a_gap_is_no_part_of_a_record() -> None:
-    u = np.ones(9)
-    u[[0, 3, 4, 8]] = np.nan
-    assert parts_of(u) == [slice(1, 3), slice(5, 8)]
-    assert gaps_in(u) == ((0, 1), (3, 5), (8, 9))
-    assert parts_of(u[:1]) == []
-    assert gaps_in(u[1:3]) == ()
 
 
 # --- estimates --------------------------------------------------------------------------------------------------------
@@ -189,17 +171,6 @@ def test_parts_and_masked_rows_are_left_out(tmp_path: Path) -> None:
     assert any("mask 'bad'" in note for note in record.notes)
 
 
-def test_missing_lines_and_empty_cells_are_the_same(tmp_path: Path) -> None:
-    u, counts = run(2000)
-    t, there = np.arange(2000) * DT, kept(2000, 0.1)
-    gone = write(tmp_path / "gone.csv", there, t, u=u, n=counts)
-    empty = write(tmp_path / "empty.csv", np.ones(2000, bool), t, u=np.where(there, u, np.nan), n=counts)
-    records = [kind_of(axis()).read([path], axis()) for path in (gone, empty)]
-    np.testing.assert_array_equal(records[0].there, there)
-    for name in ("u", "counts", "there"):
-        np.testing.assert_array_equal(getattr(records[0], name), getattr(records[1], name))
-
-
 def test_a_row_that_repeats_is_left_out(tmp_path: Path) -> None:
     u, counts = run(1000)
     again = np.sort(np.r_[np.arange(1000), 17, 500])
@@ -217,13 +188,6 @@ def test_stamps_that_scatter_and_lines_that_are_missing(tmp_path: Path) -> None:
     record = kind_of(axis()).read([write(tmp_path / "run.csv", there, stamps, u=u, n=counts)], axis())
     np.testing.assert_array_equal(record.there, there)
     assert record.dt == pytest.approx(DT, rel=1e-4)
-
-
-def test_stamps_on_no_grid_are_resampled(tmp_path: Path) -> None:
-    u, counts = run(500)
-    stamps = np.cumsum(np.random.default_rng(4).uniform(0.3, 2.5, 500)) * DT
-    record = kind_of(axis()).read([write(tmp_path / "run.csv", np.ones(500, bool), stamps, u=u, n=counts)], axis())
-    assert record.jitter > 0.3
 
 
 def test_a_pause_need_not_be_whole() -> None:

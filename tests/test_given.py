@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 import pmfid
 from pmfid.cli.main import main
 from pmfid.design import Limits, Problem
-from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.errors import UsageError
 from pmfid.estimators.known import Facts, Known, Posterior, combine
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import Alarm, Settled, Watch
@@ -170,17 +170,6 @@ def test_what_contradicts_is_said(find_gain: bool) -> None:
     assert "by 14 standard deviations" in said
 
 
-def test_one_given_force_contradicts_nothing() -> None:
-    alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([1e-4, 1e-4, 1e-4]))
-    assert not known(True, given={"mass": 1e3}).combine(alone).notes
-
-
-def test_without_error_bars_it_is_refused() -> None:
-    alone = posterior(np.ones(3), np.full((3, 3), np.inf))
-    with pytest.raises(NotIdentifiableError, match="remove given and prior"):
-        known(prior={"mass": (1.0, 0.1)}).combine(alone)
-
-
 @pytest.mark.parametrize(
     ("facts", "said"),
     [
@@ -240,26 +229,6 @@ def test_it_is_the_estimate_with_any_other_gain_in_proportion(records: dict[str,
     assert found["coulomb_friction"] == pytest.approx(wrong["coulomb_friction"] * factor, rel=1e-5)
     assert found.theta_std[-1] / found["input_gain"] == pytest.approx(wrong.theta_std[0] / wrong["mass"], rel=1e-3)
     assert set(found.status) == set(wrong.status)
-
-
-@pytest.mark.parametrize(
-    "names",
-    [
-        ("viscous_friction",),
-        ("coulomb_friction",),
-        pytest.param(("mass", "viscous_friction"), marks=pytest.mark.long),
-        NAMES,
-    ],
-    ids=str,
-)
-def test_any_force_may_be_the_known_one(records: dict[str, CartRecord], names: tuple[str, ...]) -> None:
-    axis = BENCHES["heavy"]
-    given = {name: truth(axis)[name] for name in names}
-    result = identified(axis, records["heavy"], method="fit", given=given)
-    spread = result.model_spread[-1] if result.model_spread is not None else 0.0
-    assert result["input_gain"] == pytest.approx(axis.drive.input_gain, rel=0.01)
-    assert abs(result["input_gain"] - axis.drive.input_gain) < 4 * np.hypot(result.theta_std[-1], spread)
-    assert "prior_contradicted" not in result.status
 
 
 def test_given_forces_that_do_not_fit_each_other_are_said(records: dict[str, CartRecord]) -> None:
@@ -493,21 +462,6 @@ def test_a_result_with_a_gain_that_was_found_predicts(folder: Path) -> None:
     (folder / "other.toml").write_text(number.replace(repr(reported["input_gain"]), "9.0"))
     refused = invoked("validate", record, "--config", folder / "other.toml", "--model", stored, code=2)
     assert "the result has input_gain" in refused
-
-
-def test_a_result_in_python_predicts(records: dict[str, CartRecord]) -> None:
-    record = records["slide"]
-    result = identified(BENCHES["slide"], record, method="iv", given={"mass": 4.0})
-    assert pmfid.validate(result, record.u, record.counts).runs[0].fit > 99
-
-
-@pytest.mark.long
-def test_all_methods_side_by_side(folder: Path) -> None:
-    reported = json.loads(
-        invoked("identify", "--method", "all", folder / "run.csv", "--config", folder / "axis.toml", "--json")
-    )
-    for method in ("ls", "iv", "fit", "riv"):
-        assert reported["methods"][method]["parameters"]["input_gain"]["value"] == pytest.approx(8.0, rel=0.02)
 
 
 def test_what_has_no_such_map_says_what_to_do(folder: Path) -> None:

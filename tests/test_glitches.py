@@ -9,12 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from numpy.typing import NDArray
 
 import pmfid
 from pmfid import BCRLS, IV, LS, RIV, RLS, Drive, Encoder, Status
-from pmfid.cli.main import main
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import Alarm, Outlier, Watch
 from pmfid.monitor.monitor import Monitor
@@ -228,16 +226,6 @@ def test_without_the_guard_firmware_is_as_small_as_before(tmp_path: Path) -> Non
     assert 500 < size[True] - size[False] < 4300
 
 
-def test_export_leaves_it_out_on_request(tmp_path: Path) -> None:
-    cart = Path(__file__).parents[1] / "examples" / "cart.toml"
-    options = ["export", str(cart), "--method", "bcrls", "--dt", "0.01", "--precision", "float32"]
-    for name, more in (("with", []), ("without", ["--no-guard"])):
-        result = CliRunner().invoke(main, [*options, "--out", str(tmp_path / name), *more])
-        assert result.exit_code == 0, result.output
-    assert "PMF_WITH_GUARD 1" in (tmp_path / "with" / "pmf_sizes.h").read_text()
-    assert "PMF_WITH_GUARD 0" in (tmp_path / "without" / "pmf_sizes.h").read_text()
-
-
 def test_firmware_can_be_homed(tmp_path: Path) -> None:
     if GCC.missing:
         pytest.skip(GCC.missing)
@@ -308,11 +296,6 @@ def test_a_monitor_can_be_homed(calibration: Calibration) -> None:
             homed.rebase(int(counts[499]) - 10**6)
         one, other = plain.step(a, b)[0], homed.step(a, b - (10**6 if k >= 500 else 0))[0]
     assert np.array_equal(one.theta, other.theta)
-
-
-def test_a_monitor_is_homed_to_whole_counts_alone(calibration: Calibration) -> None:
-    with pytest.raises(TypeError):
-        Monitor(make_riv(1024, TRUTH), calibration, Watch()).rebase(1.5)  # type: ignore[arg-type]
 
 
 def test_samples_lost_while_the_input_switches_are_not_drawn_as_lines(calibration):

@@ -110,30 +110,20 @@ def test_each_line_has_its_reason_and_what_is_not_reported_is_marked(tmp_path: P
     assert marked == ["resolution", "input_gain"]
 
 
-def test_of_several_inputs_the_one_that_explains_the_motion_is_taken(tmp_path: Path) -> None:
-    assert guess_axis(saved("many", tmp_path)).record.input == "current"
+ASKED = [
+    (str(RESOLUTION), "2,0", [f"resolution = {RESOLUTION!r}", "input_gain = 2.0"]),
+    ("2,5 um", "0.42 N/A", ['resolution = "2.5 um"', 'input_gain = "0.42 N/A"']),
+    ("4096 counts/rev", "0.08 N m", ['resolution = "4096 counts/rev"', 'axis = "rotary"']),
+]
 
 
-def test_what_is_asked_is_written(tmp_path: Path) -> None:
-    answers = iter([str(RESOLUTION), "2,0", "n"])
+@pytest.mark.parametrize(("travel", "gain", "lines"), ASKED)
+def test_what_is_asked_is_written(tmp_path: Path, travel: str, gain: str, lines: list[str]) -> None:
+    answers = iter([travel, gain, "n"])
     text = guess(saved("counts", tmp_path), lambda question, read: read(next(answers))).text
-    assert f"resolution = {RESOLUTION!r}" in text
-    assert "input_gain = 2.0" in text
     assert "TO DO: travel" not in text
-
-
-def test_an_answer_may_have_a_unit_and_may_be_left_out(tmp_path: Path) -> None:
-    answers = iter(["2,5 um", "0.42 N/A", "n"])
-    text = guess(saved("counts", tmp_path), lambda question, read: read(next(answers))).text
-    assert 'resolution = "2.5 um"' in text
-    assert 'input_gain = "0.42 N/A"' in text
+    assert all(line in text for line in lines)
     assert "TO DO" in guess(saved("counts", tmp_path), lambda question, read: None).text
-
-
-@pytest.mark.parametrize(("read", "text"), [(read_travel, "1 furlong"), (read_gain, "zero"), (read_duration, "1 h")])
-def test_an_answer_that_is_no_number_is_asked_again(read: Reader, text: str) -> None:
-    with pytest.raises(ValueError, match="is no"):
-        read(text)
 
 
 def test_the_command_never_writes_over_a_file(tmp_path: Path) -> None:
@@ -362,6 +352,9 @@ def test_a_load_is_seen_and_otherwise_asked(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("read", "text", "said"),
     [
+        (read_travel, "1 furlong", "is no"),
+        (read_gain, "zero", "is no"),
+        (read_duration, "1 h", "is no"),
         (read_travel, "-5", "negative"),
         (read_travel, "3 rpm", "a travel is a length or an angle"),
         (read_gain, "-5", "negative"),
@@ -374,13 +367,6 @@ def test_a_load_is_seen_and_otherwise_asked(tmp_path: Path) -> None:
 def test_an_answer_that_does_not_fit_is_asked_again(read: Reader, text: str, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         read(text)
-
-
-def test_counts_of_a_revolution_stay_a_whole_number_and_make_the_axis_rotary(tmp_path: Path) -> None:
-    answers = iter(["4096 counts/rev", "0.08 N m", "n"])
-    text = guess(saved("counts", tmp_path), lambda question, read: read(next(answers))).text
-    assert 'resolution = "4096 counts/rev"' in text
-    assert 'axis = "rotary"' in text
 
 
 def test_what_is_left_to_do_is_said(tmp_path: Path) -> None:

@@ -234,6 +234,8 @@ def test_every_so_many_and_the_last_are_kept():
     whole = make(pmfid.BCRLS).run_many(u, counts, every=1)
     some = make(pmfid.BCRLS).run_many(u, counts, every=300)
     assert some.samples.tolist() == [299, 599, 699]
+    for every, kept in ((np.float32(300), [299, 599, 699]), (10**30, [699])):
+        assert make(pmfid.BCRLS).run_many(u, counts, every=every).samples.tolist() == kept
     assert np.array_equal(some.theta, whole.theta[:, [299, 599, 699]])
     assert np.array_equal(some["mass"], some.theta[:, :, 0])
     assert np.array_equal(some.theta_std[3], whole.axis(3).theta_std[[299, 599, 699]])
@@ -299,28 +301,13 @@ def test_what_does_not_fit_is_refused():
         ("u the same, or", lambda: fleet.run(u[:, 1:], counts)),
         ("one row for each axis", lambda: make(pmfid.BCRLS).run_many(u[0], counts[0])),
         ("integers", lambda: fleet.run(u, counts + 0.5)),
-        ("every must be", lambda: fleet.run(u, counts, every=0)),
+        *(
+            ("every must be a whole number of at least 1", lambda x=x: fleet.run(u, counts, every=x))
+            for x in (2.7, 3.0000000000000004, "a", np.nan, np.inf, 0, -1, True, [2], 1j)
+        ),
         ("axes must be a whole number of at least 1", lambda: pmfid.Fleet(make(pmfid.BCRLS), 0)),
         ("the axis must be from 0 to 20", lambda: fleet.axis(21)),
     )
-
-
-@pytest.mark.parametrize("every", [2.7, 3.0000000000000004, "a", np.nan, np.inf, 0, -1, True, [2], 1j])
-def test_every_must_be_whole(every):
-    u, counts = fleet_record()
-    with pytest.raises(pmfid.UsageError, match="every must be a whole number of at least 1"):
-        make(pmfid.BCRLS).run_many(u, counts, every=every)
-
-
-@pytest.mark.parametrize("every", [np.int64(300), 300.0, np.float32(300)])
-def test_whole_numbers_of_any_type_are_taken(every):
-    u, counts = fleet_record()
-    assert make(pmfid.BCRLS).run_many(u, counts, every=every).samples.tolist() == [299, 599, 699]
-
-
-def test_every_may_be_more_than_there_is():
-    u, counts = fleet_record()
-    assert make(pmfid.BCRLS).run_many(u, counts, every=10**30).samples.tolist() == [699]
 
 
 def test_a_fleet_of_anything_else_is_refused():
@@ -365,12 +352,6 @@ def test_a_missing_count_is_named():
     )
 
 
-def test_a_fleet_says_what_it_is():
-    text = repr(pmfid.Fleet(make(pmfid.BCRLS), 3, workers=1))
-    assert text.startswith("Fleet(BCRLS(")
-    assert text.endswith("3, workers=1)")
-
-
 def test_the_kernel_writes_only_where_there_is_room():
     axes, samples, p = 3, 10, 3
     kernel = make(pmfid.BCRLS).runner.kernel.many(axes, whole_words("float64"))
@@ -398,17 +379,6 @@ def test_the_kernel_writes_only_where_there_is_room():
     for first, end in ((-1, 2), (0, 4), (2, 1)):
         with pytest.raises(ValueError, match="there are 3 axes"):
             kernel.run(u, counts, first, end, 3, results(), 0)
-
-
-def test_only_the_words_in_use_are_kept():
-    packed = make(pmfid.BCRLS).runner.kernel.many(1, whole_words("float64")).states.shape[1]
-    assert packed <= 1600
-    assert len(make(pmfid.BCRLS).runner.kernel.raw_state()) > 5 * packed
-
-
-def test_all_variants_run_side_by_side():
-    for cls, options in [*VARIANTS, *((cls, {"model": PROCESS} | options) for cls, options in PROCESSES)]:
-        assert make(cls, **options).runner.kernel.many(1, whole_words("float64")).side_by_side
 
 
 @pytest.mark.skipif(COMPILER is None, reason="there is no C compiler cc on this machine")

@@ -182,14 +182,6 @@ def test_a_stamp_that_is_far_off_fills_no_memory(far: float) -> None:
     assert found.time.size < 2000
 
 
-def test_an_even_clock_stays_as_it_is() -> None:
-    k = np.arange(400)
-    y = np.sin(0.05 * k)
-    assert resample_uneven(0.01 * k, y, y) is None
-    assert resample_uneven(0.01 * np.r_[k[:200], k[200:] + 7], y, y) is None
-    assert resample_uneven(0.01 * k[::-1], y, y) is None
-
-
 @pytest.mark.parametrize(("late", "spread"), [(0.0, 0.09), (0.0, 0.5), (0.3, 0.0), (2.0, 0.0)])
 def test_a_coarse_encoder_tells_instants_from_arrivals(late: float, spread: float) -> None:
     """Steps of one count suffice to find a jitter, or an even clock with late stamps."""

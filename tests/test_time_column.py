@@ -85,12 +85,6 @@ def test_time_that_is_not_in_s_is_refused_and_the_remedy_followed_literally_help
     assert identify(read_record(path, axis), axis).theta[0] == pytest.approx(1.07, rel=0.02)
 
 
-def test_a_slow_axis_says_that_it_is_slow(tmp_path: Path) -> None:
-    path = logged(tmp_path, "t", 0.5)
-    assert read_record(path, axis_of(tmp_path, "t", 'time_unit = "s"')).dt == pytest.approx(0.5)
-    assert read_record(path, axis_of(tmp_path, "t", "dt = 0.5")).dt == pytest.approx(0.5)
-
-
 def test_a_name_that_the_numbers_contradict_is_refused(tmp_path: Path) -> None:
     path = logged(tmp_path, "t_us", 0.01)
     with pytest.raises(UsageError, match=r'"s" \(0\.01 s\) .*, or "us" to confirm'):

@@ -9,7 +9,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import pmfid
-from pmfid import BCLS, BCRLS, LS, RLS, TransferFunction, UsageError
+from pmfid import BCLS, BCRLS, LS, RLS, TransferFunction
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.filters.chain import derivative, euler_frobenius
 from pmfid.models.equation import Equation, Term
@@ -288,106 +288,40 @@ def test_initial_conditions_are_unknowns(cls, plant):
     assert build(LS, plant, run, model).columns(run.u, run.counts).z.size == 399
 
 
-def test_initial_condition_of_a_first_order_lag_by_itself():
-    """The input is negligible: only a0 decides, and the decay from the initial state gives it."""
-    dt, a0 = 0.01, 3.0
-    t = dt * np.arange(300)
-    u = 1e-3 * np.random.default_rng(0).choice([-1.0, 1.0], 300)
-    y = 2.0 * np.exp(-a0 * t)
-    run = recorded(u, y, y, 0.0)
-    model = TransferFunction(1, 0, initial_conditions=True)
-    theta = LS(model, run.encoder, dt, 10.0).fit(u, run.counts).theta
-    assert theta[0] == pytest.approx(a0, rel=1e-3)
-
-
-def test_the_output_counts_from_count_zero_also_where_the_counter_wraps():
-    run = make_record(LAG, 7)
-    encoder = pmfid.Encoder(float(np.ptp(run.y)) / 2**12, bits=16)
-    counts = pmfid.quantize(run.y, encoder.resolution)
-    same = [LS(LAG.model, encoder, LAG.dt, LAG.cutoff).fit(run.u, given).theta for given in (counts, counts % 2**16)]
-    assert np.array_equal(same[0], same[1])
-
-
 # --- errors -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("build_model", "message"),
-    [
-        (lambda: TransferFunction(0, 0), "n must be a whole number from 1 to 6, got 0"),
-        (lambda: TransferFunction(7, 0), "from 1 to 6, got 7"),
-        (lambda: TransferFunction(2, 3), "m must be a whole number from 0 to 2, got 3"),
-        (lambda: TransferFunction(2, 0, -1), "delay must be a whole number from 0"),
-        (lambda: TransferFunction(2, 0, 0.5), "delay must be a whole number"),
-        (
-            lambda: Equation((Term("process_output", 0, "a"), Term("input", 0, "b")), (Term("process_output", 1),)),
-            "must have only terms",
-        ),
-        (
-            lambda: Equation((Term("process_output", 0, "a"),), (Term("process_output", 1),)),
-            "must be the process_input",
-        ),
-        (
-            lambda: Equation(
-                (Term("process_output", 0, "a"), Term("process_input", 1, "b")), (Term("process_output", 1),)
-            ),
-            "higher than the input's",
-        ),
-    ],
-)
-def test_models_that_cannot_be(build_model, message):
-    with pytest.raises(UsageError, match=message):
-        build_model()
+def equation(*inputs: Term) -> Equation:
+    return Equation((Term("process_output", 0, "a"), *inputs), (Term("process_output", 1),))
 
 
-def test_estimators_say_what_they_need():
-    encoder = pmfid.Encoder(1e-6)
+def test_what_cannot_be_is_refused_with_what_can():
+    plain, encoder, drive = TransferFunction(2, 0), pmfid.Encoder(1e-6), pmfid.Drive(2.0)
     refused(
-        (
-            "prefilter_zeros must be 3 different",
-            lambda: BCLS(TransferFunction(3, 0), encoder, 0.01, 10.0, prefilter_zeros=(-1, -2)),
-        ),
-        (
-            "not use prefilter_zeros for a linear process",
-            lambda: RLS(TransferFunction(2, 0), encoder, 0.01, 10.0, prefilter_zeros=(-1, -2)),
-        ),
-    )
-    refused(
+        ("n must be a whole number from 1 to 6, got 0", lambda: TransferFunction(0, 0)),
+        ("from 1 to 6, got 7", lambda: TransferFunction(7, 0)),
+        ("n must be a whole number from", lambda: TransferFunction("2", 1)),
+        ("n must be a whole number from", lambda: TransferFunction(2.0, 1)),
+        ("n must be a whole number from", lambda: TransferFunction(True, 0)),
+        ("m must be a whole number from 0 to 2, got 3", lambda: TransferFunction(2, 3)),
+        ("delay must be a whole number from 0", lambda: TransferFunction(2, 0, -1)),
+        ("delay must be a whole number", lambda: TransferFunction(2, 0, 0.5)),
+        ("must have only terms", lambda: equation(Term("input", 0, "b"))),
+        ("must be the process_input", lambda: equation()),
+        ("higher than the input's", lambda: equation(Term("process_input", 1, "b"))),
+        ("3 different", lambda: BCLS(TransferFunction(3, 0), encoder, 0.01, 10.0, prefilter_zeros=(-1, -2))),
+        ("for a linear process", lambda: RLS(plain, encoder, 0.01, 10.0, prefilter_zeros=(-1, -2))),
         ("order must be at least 4", lambda: LS(TransferFunction(4, 0), encoder, 0.01, 10.0, order=3)),
-        ("riv", lambda: pmfid.RIV(TransferFunction(2, 0), encoder, 0.01, 10.0)),
+        ("riv", lambda: pmfid.RIV(plain, encoder, 0.01, 10.0)),
+        ("encoder must be an Encoder, got 1.0", lambda: pmfid.SRIVC(plain, 1.0, 0.1, 5.0)),
+        ("model must be a Drive", lambda: pmfid.SRIVC("drive", encoder, 0.1, 5.0)),
+        ("dt must be positive and finite, got 'a'", lambda: pmfid.SRIVC(plain, encoder, "a", 5.0)),
+        ("cutoff must be positive and finite", lambda: pmfid.SRIVC(plain, encoder, 0.1, None)),
+        ("input_gain must be finite", lambda: pmfid.Drive("a")),
+        ("not a length or angle", lambda: pmfid.Encoder("a")),
+        ("bits must be a whole number", lambda: pmfid.Encoder(1.0, bits="a")),
+        ("bits must be a whole number", lambda: pmfid.Encoder(1.0, bits=2.5)),
+        ("forgetting must be in", lambda: RLS(drive, encoder, 0.01, 50.0, forgetting="a")),
+        ("keep must be in", lambda: RLS(drive, encoder, 0.01, 50.0).open_memory("a")),
     )
-
-
-@pytest.mark.parametrize("arguments", [("2", 1), (2.0, 1), (2, 1.0), (2, "1"), (2, 1, 3.0), (None, 1), (True, 0)])
-def test_orders_are_integers(arguments):
-    with pytest.raises(pmfid.UsageError, match="must be a whole number from"):
-        pmfid.TransferFunction(*arguments)
-    assert pmfid.TransferFunction(np.int64(2), np.int32(1)).n == 2
-
-
-@pytest.mark.parametrize(
-    ("arguments", "text"),
-    [
-        ((pmfid.TransferFunction(2, 1), 1.0, 0.1, 5.0), "encoder must be an Encoder, got 1.0"),
-        (("drive", pmfid.Encoder(1.0), 0.1, 5.0), "model must be a Drive"),
-        ((pmfid.TransferFunction(2, 1), pmfid.Encoder(1.0), "a", 5.0), "dt must be positive and finite, got 'a'"),
-        ((pmfid.TransferFunction(2, 1), pmfid.Encoder(1.0), 0.1, None), "cutoff must be positive and finite"),
-    ],
-)
-def test_a_wrong_kind_of_argument_is_refused(arguments, text):
-    with pytest.raises(pmfid.UsageError, match=text):
-        pmfid.SRIVC(*arguments)
-
-
-def test_text_is_no_number():
-    drive, encoder = pmfid.Drive(2.0), pmfid.Encoder(1e-5)
-    for make, text in (
-        (lambda: pmfid.Drive("a"), "input_gain must be finite"),
-        (lambda: pmfid.Encoder("a"), "not a length or angle"),
-        (lambda: pmfid.Encoder(1.0, bits="a"), "bits must be a whole number"),
-        (lambda: pmfid.Encoder(1.0, bits=2.5), "bits must be a whole number"),
-        (lambda: pmfid.RLS(drive, encoder, 0.01, 50.0, forgetting="a"), "forgetting must be in"),
-        (lambda: pmfid.RLS(drive, encoder, 0.01, 50.0).open_memory("a"), "keep must be in"),
-    ):
-        with pytest.raises(pmfid.UsageError, match=text):
-            make()
+    assert TransferFunction(np.int64(2), np.int32(1)).n == 2
