@@ -101,7 +101,7 @@ class CurveSearch(FitSearch):
     """A search for a machine with bends, which begins with the friction of the table in their place."""
 
     def __init__(self, problem: FitProblem) -> None:
-        super().__init__(problem.refine())
+        super().__init__(problem)
         self.straight, self.force = problem.machine, 0.0
         self.strengths: Strengths = (0.3, 0.1, 1e3, 0.1)  # loose, before the record has been weighed
 
@@ -160,6 +160,7 @@ class CurveSearch(FitSearch):
     def follow(self, first: bool) -> Gaussian | Intervals:
         """Return to the optimum under the present strengths, and return its likelihood."""
         self.solve(self.noise)
+        self.refine()
         explained = self.explain()
         if explained is not None:
             return prune(self, explained, 0)

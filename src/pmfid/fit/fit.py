@@ -102,7 +102,7 @@ def _fit_once(problem: FitProblem) -> Fitted:
 
 
 def _begin(problem: FitProblem) -> tuple[FitSearch, Intervals | None]:
-    search = FitSearch(problem.refine() if problem.machine.forces else problem)
+    search = FitSearch(problem)
     return search, begin(search)
 
 
@@ -249,7 +249,7 @@ def _lowest_rows(search: FitSearch, optimum: Optimum, wide: Floats) -> tuple[Flo
 def _integration_errors(problem: FitProblem, optimum: Optimum, e: Floats) -> Floats:
     """Return the errors (n,) of the simulated motion [counts]: its change with twice as many parts of an
     interval, which is three quarters of them (Richardson 1911)."""
-    if not problem.machine.forces and not any(one.force is not None for one in problem.candidates):
+    if not problem.integrates:
         return np.zeros(e.size)
     finer = _stack(replace(problem, parts=2 * problem.parts).linearise(optimum.q, optimum.starts))[0]
     return np.asarray(np.abs(finer - e) / 0.75)

@@ -53,6 +53,7 @@ def begin(search: FitSearch) -> Intervals | None:
     best, share = min(plain, key=lambda pair: pair[0].cost)
     for end in (best, *(end for end, _ in plain if end is not best)):
         end.enter(search)
+        search.refine()
         likelihood = search.explain(TRIES if end is best else 0)
         if likelihood is not None:
             return likelihood
@@ -67,6 +68,7 @@ def begin(search: FitSearch) -> Intervals | None:
         if likelihood is not None:
             return likelihood
         best.enter(search)
+        search.refine()
         search.solve(search.noise, STEPS)
         if same or not search.explains or mean_square(search) > WITHIN or len(best.chosen) == MOST:
             return search.explain()
@@ -135,6 +137,7 @@ def _explain_any(search: FitSearch, ends: Sequence[Opening]) -> Intervals | None
     """Return the likelihood of the intervals of the likeliest set that explains every count."""
     for end in sorted(ends, key=lambda end: end.cost)[:LIKELY]:
         end.enter(search)
+        search.refine()
         search.solve(search.noise, STEPS)
         likelihood = search.explain(tries=0) if mean_square(search) < WITHIN else None
         if likelihood is not None:

@@ -142,12 +142,10 @@ class FitProblem:
         lengths = [1 + candidate.free for candidate in self.candidates]
         return [len(self.machine.names) + sum(lengths[:i]) for i in range(len(lengths))]
 
-    def refine(self) -> FitProblem:
-        """Return the problem with more parts of an interval for a faster motion, up to 8 times `PARTS`. The error of
-        the motion is then that of a slow motion with one count a sample."""
-        steps = np.concatenate([np.diff(one.y) for one in self.stretches])
-        counts = float(np.sqrt(np.mean(steps**2))) / self.resolution
-        return replace(self, parts=int(np.clip(np.ceil(PARTS * np.sqrt(counts)), PARTS, 8 * PARTS)))
+    @property
+    def integrates(self) -> bool:
+        """Whether a force makes the motion of a part of an interval inexact."""
+        return bool(self.machine.forces) or any(one.force is not None for one in self.candidates)
 
     def cut(self, parts: int) -> FitProblem:
         """Return the problem with stretches of at most 1/`parts` of the record's time, which have their own starts."""

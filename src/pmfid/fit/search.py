@@ -19,6 +19,7 @@ from pmfid.fit.problem import FitProblem
 from pmfid.fit.solve import Likelihood, Optimum, normal_of, solve
 from pmfid.fit.starts import blind_start, sizes_of
 from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes
+from pmfid.fit.tuning import MOTION
 from pmfid.types import Floats
 
 #: Spreads of a white error in addition to rounding [counts], in falling order.
@@ -194,6 +195,21 @@ class FitSearch:
         optimum = solve(self.problem, likelihood, self.q, self.starts, self.prior(self.problem), steps, GAIN)
         self.q, self.starts, self.solution = optimum.q, optimum.starts, optimum
         return optimum
+
+    def refine(self) -> None:
+        """Double the parts of an interval until the error of the simulated motion moves no parameter by much of its
+        standard error."""
+        prior, left = np.diag(self.prior(self.problem)), math.sqrt(mean_square(self))
+        blocks = self.problem.linearise(self.q, self.starts)
+        while self.problem.integrates and self.problem.parts < MOTION.parts:
+            finer = replace(self.problem, parts=2 * self.problem.parts)
+            after = finer.linearise(self.q, self.starts)
+            change = [replace(one, e=other.e - one.e) for one, other in zip(blocks, after, strict=True)]
+            normal = normal_of(change, np.zeros_like(self.starts))
+            if float(normal.g @ inverse(normal.A + prior) @ normal.g) < (MOTION.refined * left) ** 2:
+                break
+            self.problem, blocks = finer, after
+        self.plain = replace(self.plain, parts=self.problem.parts)
 
     @property
     def rate(self) -> float:

@@ -80,4 +80,13 @@ class PlayTuning:
     parts: int = 20
 
 
-TUNING, PLAY_TUNING = ElasticTuning(), PlayTuning()
+@dataclass(frozen=True)
+class MotionTuning:
+    """Precision of a simulated motion."""
+
+    #: Largest step of the parameters by twice the parts of an interval, in standard errors, and most parts.
+    refined: float = 0.1
+    parts: int = 64
+
+
+TUNING, PLAY_TUNING, MOTION = ElasticTuning(), PlayTuning(), MotionTuning()
