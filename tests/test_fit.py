@@ -195,11 +195,10 @@ def test_a_search_ends_at_the_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
         count[0] += 1
         return linearise(self, q, starts)
 
-    end = solve(
-        fitted.problem, Gaussian(fitted.problem.stretches), fitted.solution.q, fitted.solution.starts, np.zeros(3)
-    )
+    noise = Gaussian(fitted.problem.stretches)
+    end = solve(fitted.problem, noise, fitted.solution.q, fitted.solution.starts, np.zeros(3))
     monkeypatch.setattr(FitProblem, "linearise", counted)
-    solve(fitted.problem, Gaussian(fitted.problem.stretches), end.q, end.starts, np.zeros(3))
+    solve(fitted.problem, noise, end.q, end.starts, np.zeros(3))
     assert count[0] <= 2
 
 
@@ -218,9 +217,8 @@ def test_missing_counts_and_a_gap_of_the_input_cost_little() -> None:
 @pytest.mark.parametrize("uneven", [False, True])
 def test_an_input_without_counts_moves_the_axis(uneven: bool) -> None:
     """Fifty counts are lost while a random input goes on: the motion passes the gap."""
-    case = next(
-        one for one in make_cases(54, "right", range(40)) if (one.t is not None) == uneven and one.motion == "prbs"
-    )
+    cases = make_cases(54, "right", range(40))
+    case = next(one for one in cases if (one.t is not None) == uneven and one.motion == "prbs")
     counts, rng = case.counts.copy(), np.random.default_rng(1)
     for first in rng.integers(50, counts.size - 100, 6):
         counts[first : first + 50] = np.nan
