@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from functools import cache
 from pathlib import Path
 
@@ -153,16 +152,6 @@ def test_next_to_friction_of_a_given_form(method: type) -> None:
     assert found["mass"] == pytest.approx(mass, rel=0.005)
     bar = fit.theta_std[fit.names.index("stribeck_friction")]
     assert abs(found["stribeck_friction"] - 0.4 * coulomb) < 3 * bar < coulomb
-
-
-def test_from_arrays_to_json() -> None:
-    run = prbs("cart", 0.7)
-    result = pmfid.identify(
-        run.u, run.counts, model=Drive(2.0, dead_time="estimate"), encoder=Encoder(CART[6]), dt=0.01, cutoff=20.0
-    )
-    assert result["dead_time"] == pytest.approx(0.007, abs=2e-4)
-    reported = json.loads(json.dumps(result.to_json()))
-    assert reported["parameters"]["dead_time"]["unit"] == "s"
 
 
 def test_saved_states_go_on_with_the_same_bits_and_hold_the_inputs_that_are_still_to_act() -> None:

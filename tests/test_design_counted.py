@@ -11,7 +11,7 @@ import pytest
 
 from pmfid.design.appraisal import USUAL, best_input, choose
 from pmfid.design.calibration import DesignedRun, calibrate
-from pmfid.design.encoder_error import encoder_covariance, expected_covariance, inside, log_of_room, start_free, walk
+from pmfid.design.encoder_error import encoder_covariance, expected_covariance, inside, start_free, walk
 from pmfid.design.fisher import Criterion, affine
 from pmfid.design.polytope import input_set, violations
 from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_experiment
@@ -42,15 +42,6 @@ def test_errors_are_as_large_as_claimed(name: str) -> None:
     assert 0.4 < np.sqrt(np.mean(ratio**2)) < 1.6  # few runs give parameters with common errors
     assert found.inside.mean() >= 0.85
     assert not found.unexplained.any()
-
-
-@pytest.mark.long
-def test_least_squares_on_these_counts_errs_by_more_than_what_they_leave_open() -> None:
-    problem = MACHINES["40 kg"]
-    noise = claims(
-        replace(problem, noise_variance=problem.variance), standard_inputs(problem, names=(USUAL,))[USUAL].u, FEW
-    )
-    assert np.all(noise.scatter > 1.3 * usual_claims("40 kg").scatter)
 
 
 @pytest.mark.long
@@ -165,13 +156,6 @@ def test_the_trapezoid_is_taken_where_nothing_is_surely_better() -> None:
     assert best_input(problem, rule, {"design": usual, "other": np.diag([0.5, 0.5])}) == "other"
 
 
-def test_white_noise_is_chosen_by_its_own_deviations() -> None:
-    problem = replace(case("m, d"), resolution=None, noise_variance=1e-10)
-    choice = choose(evaluate(problem, standard_inputs(problem, names=(USUAL,))[USUAL].u), starts=2)
-    assert choice.name != USUAL
-    assert all(choice.std[name] < choice.usual[name] for name in problem.unknown)
-
-
 def test_rounds_run_what_was_chosen() -> None:
     problem = MACHINES["rotary"]
     state = sequential(problem, simulated_experiment(problem, {}, np.random.default_rng(1)), {"mass": 1e-5}, starts=2)
@@ -182,11 +166,6 @@ def test_rounds_run_what_was_chosen() -> None:
     assert np.array_equal(
         first.run.u[: problem.samples_per_interval], np.full(problem.samples_per_interval, first.design.u[0])
     )
-
-
-def test_room_is_by_how_much_a_motion_may_be_moved() -> None:
-    distance = np.array([[-0.3, 0.1, 0.4], [-0.6, 0.0, 0.5]])
-    assert log_of_room(distance, 0.5) == pytest.approx([np.log(0.3), -np.inf])
 
 
 def test_walkers_have_the_moments_of_the_density() -> None:

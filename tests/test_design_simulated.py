@@ -8,38 +8,17 @@ import numpy as np
 import pytest
 
 from pmfid.design.appraisal import accumulate_value, appraise, worth_of
-from pmfid.design.calibration import DesignedRun, calibrate
-from pmfid.design.encoder_error import centred_sensitivities, encoder_covariance, start_free
+from pmfid.design.encoder_error import encoder_covariance, start_free
 from pmfid.design.fisher import affine, criterion_of, information
-from pmfid.design.problem import Design, Problem
+from pmfid.design.problem import Design
 from pmfid.design.simulated import both_ways, simulate, simulated_information
 from pmfid.design.solver import setting, solve
 from pmfid.design.standard import standard_inputs
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
-from pmfid.types import Floats
 from studies.design_case import case, known
 
 CASE = case("m, d, F_c")
-#: Number of start phases of the encoder, evenly spread.
-PHASES = 128
-
-
-def squares_covariance(problem: Problem, u: Floats) -> Floats:
-    """Return the mean square error (p, p) of least squares on the counts, linearised at the nominal values.
-
-    The error of the counts along the simulated motion (paper eq. 3) passes through the estimate. All start phases have
-    the same weight.
-    """
-    maps = affine(problem)
-    s = centred_sensitivities(maps.weigh_sensitivities(u))
-    F = s @ s.T + maps.prior
-    x = simulate(problem, u).x / float(problem.resolution or 1.0)
-    phases = (np.arange(PHASES)[:, None] + 0.5) / PHASES
-    error = np.sqrt(12.0) * (np.floor(x + phases) - x - phases)  # over its deviation
-    score = error @ s.T
-    middle = score.T @ score / PHASES + maps.prior
-    return np.asarray(np.linalg.solve(F, np.linalg.solve(F, middle).T) * np.outer(problem.scale, problem.scale))
 
 
 @pytest.fixture(scope="module")
@@ -131,15 +110,6 @@ def test_an_unknown_start_costs_information(best: Design) -> None:
     assert np.linalg.inv(start_free(s)) == pytest.approx(covariance, rel=1e-6)
 
 
-def test_prediction_counts_what_was_known_before(best: Design) -> None:
-    alone = worth_of(setting(CASE, "D"), best.u)
-    std = alone.predicted_std["mass"]
-    prior = np.diag([std**-2, 0.0, 0.0])
-    both = worth_of(setting(replace(CASE, prior=prior), "D"), best.u)
-    assert both.predicted_std["mass"] == pytest.approx(std / np.sqrt(2), rel=1e-6)
-    assert both.surviving == pytest.approx(alone.surviving, rel=1e-9)
-
-
 def test_parameters_that_a_run_cannot_tell_apart_have_no_deviation() -> None:
     forward = replace(
         CASE,
@@ -149,30 +119,6 @@ def test_parameters_that_a_run_cannot_tell_apart_have_no_deviation() -> None:
     )
     std = worth_of(setting(forward, "trace"), np.full(40, 1.0)).predicted_std
     assert std["coulomb_friction"] == std["offset"] == np.inf
-
-
-def test_the_encoder_predicts_the_scatter_of_least_squares_on_counts() -> None:
-    problem = replace(CASE, resolution=9.1e-5)
-    squares = replace(problem, noise_variance=problem.variance)
-    u = standard_inputs(problem, names=("trapezoid",))["trapezoid"].u
-    motion = simulate(problem, u)
-    errors = []
-    for phase in (np.arange(40) + 0.5) / 40 * 9.1e-5:
-        y = np.floor((motion.x + phase) / 9.1e-5) * 9.1e-5
-        found = calibrate(squares, [DesignedRun(motion.u, y, problem.dt)]).parameters
-        errors.append([found[name] - problem.nominal[name] for name in problem.names])
-    covariance = squares_covariance(problem, u)
-    observed = np.sqrt(np.mean(np.square(errors), axis=0))
-    assert observed == pytest.approx(np.sqrt(covariance.diagonal()), rel=0.15)
-    white = np.sqrt(np.linalg.inv(start_free(affine(problem).weigh_sensitivities(u))).diagonal()) * problem.scale
-    assert observed[2] > 1.4 * white[2], "a trapezoid through an encoder is worse than white noise says"
-
-
-def test_another_least_speed_breaks_the_pattern_of_the_encoder() -> None:
-    problem = known(case("m, d, F_c", min_speed=0.0103))
-    found = appraise(solve(problem, "D", starts=5))
-    assert found.warnings == ()
-    assert found.worths["design"].value > 0.98 * solve(CASE, "D", starts=5).value
 
 
 def test_without_an_encoder_there_is_no_encoder_error() -> None:

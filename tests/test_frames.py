@@ -13,7 +13,6 @@ import pytest
 
 import pmfid
 from pmfid.config.axis import Axis, load_axis
-from pmfid.errors import UsageError
 from pmfid.io.tables import column, table_of, times
 from pmfid.records.record import record_of
 from tests.conftest import cart_run, unjudged
@@ -105,18 +104,6 @@ def test_epochs_in_ns_keep_their_digits_and_missing_numbers_are_missing() -> Non
     np.testing.assert_array_equal(column(table_of(with_gap), "input", "u"), [1.0, np.nan, 3.0])
 
 
-def test_what_is_no_frame_is_refused(axis: Path) -> None:
-    for wrong in (pl.LazyFrame(COLUMNS), 7, [1, 2]):
-        with pytest.raises(
-            UsageError, match="a record must be a frame of pandas, Polars or Arrow, a dict of arrays or"
-        ):
-            pmfid.identify(wrong, axis=axis)
-    refused(
-        ("axis already describes y", lambda: pmfid.identify(frames()["dict"], axis=axis, dt=0.01)),
-        ("model and axis are both missing", lambda: pmfid.identify(RUN.u, RUN.counts, dt=0.01)),
-    )
-
-
 def test_a_transfer_function_of_a_frame() -> None:
     sections = {
         "record": {"input": "u", "output": "y", "dt": 0.1},
@@ -152,52 +139,6 @@ def test_a_dict_is_an_axis_and_settings_replace_its_estimator(axis: Path) -> Non
     assert "estimator" not in SECTIONS
 
 
-@pytest.mark.parametrize(
-    ("axis", "settings", "message"),
-    [
-        (SECTIONS | {"model": {"friction": "direktional"}}, {}, "did you mean 'directional'"),
-        (SECTIONS | {"modell": {}}, {}, "did you mean 'model'"),
-        (SECTIONS, {"method": "bcl"}, "did you mean 'bcls'"),
-        (SECTIONS, {"cutof": 20.0}, "did you mean 'cutoff'"),
-        (SECTIONS | {"model": 7}, {}, "must be a section of keys"),
-        (7, {}, "axis must be the path of an AXIS.toml or a dict with its sections, got int"),
-    ],
-)
-def test_a_wrong_option_names_the_right_one(axis: Any, settings: Any, message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        pmfid.identify(COLUMNS, axis=axis, **settings)
-
-
-def test_wrong_options_of_models_and_estimators_name_the_right_one() -> None:
-    drive, encoder = pmfid.Drive(2.0), pmfid.Encoder(22.75e-6)
-    wrong: list[tuple[Any, str]] = [
-        (lambda: pmfid.Drive(2.0, friction="direktional"), "directional"),  # type: ignore[arg-type]
-        (lambda: pmfid.Drive(2.0, axis="rotatory"), "rotary"),  # type: ignore[arg-type]
-        (lambda: pmfid.IV(drive, encoder, 0.01, 20.0, discretization="match"), "matched"),  # type: ignore[arg-type]
-        (lambda: pmfid.IV(drive, encoder, 0.01, 20.0, precision="float23"), "float32"),  # type: ignore[arg-type]
-    ]
-    for make, right in wrong:
-        with pytest.raises(UsageError, match=f"did you mean '{right}'"):
-            make()
-    with pytest.raises(AttributeError, match="did you mean 'identify'"):
-        _ = pmfid.identifi  # type: ignore[attr-defined]
-
-
-def test_an_encoder_reads_units_as_the_configuration_does() -> None:
-    assert pmfid.Encoder("4096 counts/rev", max_speed="3000 rpm") == pmfid.Encoder(
-        2 * np.pi / 4096, max_speed=100 * np.pi
-    )
-    for text, why in (
-        ("0.01", "is not a known unit"),
-        ("3 rpm", "not a length or angle"),
-        ("fine", "not a length or angle"),
-    ):
-        with pytest.raises(UsageError, match=why):
-            pmfid.Encoder(text)
-    with pytest.raises(UsageError, match="positive and finite"):
-        pmfid.Encoder("0 deg")
-
-
 def test_the_unit_of_an_encoder_makes_the_axis_rotary() -> None:
     with unjudged():
         turned = pmfid.identify(
@@ -209,3 +150,31 @@ def test_the_unit_of_an_encoder_makes_the_axis_rotary() -> None:
     assert (turned.names[0], turned.units[0]) == ("inertia", "kg m2")
     assert (plain.names[0], plain.units[0]) == ("mass", "kg")
     np.testing.assert_allclose(turned.theta, plain.theta, rtol=1e-5)  # a rotary axis may have gravity
+
+
+def test_what_is_wrong_names_what_is_right(axis: Path) -> None:
+    drive, encoder, frame = pmfid.Drive(2.0), pmfid.Encoder(22.75e-6), frames()["dict"]
+    friction, model = SECTIONS | {"model": {"friction": "direktional"}}, SECTIONS | {"model": 7}
+    refused(
+        *(("a record must be a frame", lambda x=x: pmfid.identify(x, axis=axis)) for x in (frames, 7, [1, 2])),
+        ("axis already describes y", lambda: pmfid.identify(frame, axis=axis, dt=0.01)),
+        ("model and axis are both missing", lambda: pmfid.identify(RUN.u, RUN.counts, dt=0.01)),
+        ("did you mean 'directional'", lambda: pmfid.identify(frame, axis=friction)),
+        ("did you mean 'model'", lambda: pmfid.identify(frame, axis=SECTIONS | {"modell": {}})),
+        ("did you mean 'bcls'", lambda: pmfid.identify(frame, axis=SECTIONS, method="bcl")),
+        ("did you mean 'cutoff'", lambda: pmfid.identify(frame, axis=SECTIONS, cutof=20.0)),
+        ("must be a section of keys", lambda: pmfid.identify(frame, axis=model)),
+        ("axis must be the path of an AXIS.toml or a dict", lambda: pmfid.identify(frame, axis=7)),
+        ("did you mean 'directional'", lambda: pmfid.Drive(2.0, friction="direktional")),  # type: ignore[arg-type]
+        ("did you mean 'rotary'", lambda: pmfid.Drive(2.0, axis="rotatory")),  # type: ignore[arg-type]
+        ("did you mean 'matched'", lambda: pmfid.IV(drive, encoder, 0.01, 20.0, discretization="match")),  # type: ignore[arg-type]
+        ("did you mean 'float32'", lambda: pmfid.IV(drive, encoder, 0.01, 20.0, precision="float23")),  # type: ignore[arg-type]
+        ("is not a known unit", lambda: pmfid.Encoder("0.01")),
+        ("not a length or angle", lambda: pmfid.Encoder("3 rpm")),
+        ("not a length or angle", lambda: pmfid.Encoder("fine")),
+        ("positive and finite", lambda: pmfid.Encoder("0 deg")),
+    )
+    refused(("did you mean 'identify'", lambda: pmfid.identifi), kind=AttributeError)  # type: ignore[attr-defined]
+    assert pmfid.Encoder("4096 counts/rev", max_speed="3000 rpm") == pmfid.Encoder(
+        2 * np.pi / 4096, max_speed=100 * np.pi
+    )

@@ -80,12 +80,6 @@ def test_parameters_have_a_value_a_bar_and_a_unit(kind: str) -> None:
         assert number == pytest.approx(np.median(np.atleast_2d(one[name])[:, -1]), rel=1e-5)  # type: ignore[index]
 
 
-@pytest.mark.parametrize("kind", NAMED)
-def test_an_unknown_name_lists_the_names(kind: str) -> None:
-    with pytest.raises(KeyError, match=r"there is no parameter 'weight'; use one of (mass, viscous_friction|a0, b0)"):
-        gallery()[kind]["weight"]  # type: ignore[index]
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_notebook_gets_a_table(kind: str) -> None:
     one = gallery()[kind]

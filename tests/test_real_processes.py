@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmfid import BCLS, IV, LS, SRIVC, Encoder, Experiment, TransferFunction, UsageError
+from pmfid import BCLS, IV, LS, SRIVC, Encoder, Experiment, TransferFunction
 from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
-from pmfid.estimators.srivc import fit_process, fixed_filters
 from pmfid.linear.experiment import Grid, respond
 from pmfid.linear.process import Process
 from pmfid.linear.responses import respond_bounded
 from pmfid.simulation.process import simulate_process
 from studies.late_processes import Controller, simulate_late, simulate_loop
-from studies.real_processes import CASES, work
+from studies.real_processes import work
+from tests.refusals import refused
 
 DT = 0.05
 ONE = Encoder(1.0)
@@ -97,19 +97,6 @@ def test_a_dead_time_between_uneven_samples():
     for value, truth in ((0.113, [3.0, 4.0, 3.0]), ("estimate", [3.0, 4.0, 3.0, 0.113])):
         estimator = SRIVC(TransferFunction(2, 0, dead_time=value), ONE, dt, 2.0)
         np.testing.assert_allclose(estimator.fit_experiments([record]).theta, truth, rtol=1e-6)
-
-
-def test_srivc_and_iv_take_them_too():
-    u = steps(5)
-    y = simulate_late([3.0], [1, 2, 4], u, DT, 0.135)
-    model = TransferFunction(2, 0, dead_time="estimate")
-    found = fit_process(SRIVC(model, ONE, DT, 2.0), [Experiment(u, y, dt=DT)])
-    np.testing.assert_allclose(found.theta, [4, 2, 3, 0.135], rtol=1e-6)
-    assert found.process.delay == pytest.approx(0.135)
-    y = simulate_process([3.0], [1, 1, 0], u, DT)
-    model = TransferFunction(2, 0, integrators=1)
-    found = fit_process(IV(model, ONE, DT, 2.0), [Experiment(u, y, dt=DT)], fixed_filters)
-    np.testing.assert_allclose(found.theta, [1, 3], rtol=1e-3)
 
 
 @pytest.mark.parametrize("cls", [LS, BCLS])
@@ -199,27 +186,18 @@ def test_processes_with_integrators_and_dead_times_say_what_they_are():
     assert np.all(std[3:] > 0)
 
 
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        ({"integrators": 3}, "integrators must be a whole number from 0 to 2"),
-        ({"dead_time": -0.1}, "dead_time must be a time in s, at least 0"),
-        ({"dead_time": "guess"}, "dead_time must be a time in s, at least 0"),
-        ({"dead_time": 0.1, "delay": 2}, "are both given"),
-    ],
-)
-def test_options_that_cannot_be(options, text):
-    with pytest.raises(UsageError, match=text):
-        TransferFunction(2, 0, **options)
-
-
-def test_methods_that_cannot_take_them_say_which_can():
-    for model in (TransferFunction(2, 2), TransferFunction(2, 0, dead_time=0.1), TransferFunction(1, 0, integrators=1)):
-        assert methods_for(model) == ["iv", "srivc"]
-        with pytest.raises(UsageError, match="use srivc or iv"):
-            LS(model, ONE, DT, 2.0)
-    with pytest.raises(UsageError, match="use srivc"):
-        IV(TransferFunction(2, 0, dead_time="estimate"), ONE, DT, 2.0)
+def test_what_cannot_be_says_what_can():
+    late, found = TransferFunction(2, 0, dead_time=0.1), TransferFunction(2, 0, dead_time="estimate")
+    models = (TransferFunction(2, 2), late, TransferFunction(1, 0, integrators=1))
+    assert all(methods_for(model) == ["iv", "srivc"] for model in models)
+    refused(
+        ("integrators must be a whole number from 0 to 2", lambda: TransferFunction(2, 0, integrators=3)),
+        ("dead_time must be a time in s, at least 0", lambda: TransferFunction(2, 0, dead_time=-0.1)),
+        ("dead_time must be a time in s, at least 0", lambda: TransferFunction(2, 0, dead_time="guess")),
+        ("are both given", lambda: TransferFunction(2, 0, dead_time=0.1, delay=2)),
+        *(("use srivc or iv", lambda model=model: LS(model, ONE, DT, 2.0)) for model in models),
+        ("use srivc", lambda: IV(found, ONE, DT, 2.0)),
+    )
 
 
 CONFIG = """
@@ -259,10 +237,6 @@ def test_the_command(tmp_path):
     wrong = CliRunner().invoke(main, ["identify", *arguments, "--method", "ls"])
     assert wrong.exit_code == 2
     assert "use one of iv, srivc" in wrong.stderr
-
-
-def test_every_case_of_the_study_has_a_model():
-    assert all(case.model().n == len(case.poles) for case in CASES.values())
 
 
 def test_integrators_alone_have_no_pole_to_find():

@@ -172,22 +172,16 @@ def test_the_equation_holds_for_the_simulated_motion() -> None:
     assert np.std(columns.z - columns.phi @ theta) < 1e-3 * np.std(columns.z)
 
 
-@pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, pmfid.RLS, pmfid.BCRLS])
-def test_methods_without_a_simulated_motion_refuse_with_a_remedy(method: type[pmfid.LS]) -> None:
-    with pytest.raises(pmfid.UsageError, match=r"stribeck_friction.*use iv, riv or fit"):
-        method(pmfid.Drive(1.7, stribeck=0.02), pmfid.Encoder(3e-5), 2e-3, 31.0)
+def test_what_has_no_such_form_is_refused_with_a_remedy() -> None:
+    def made_by(method: type[pmfid.LS], speed: float | str) -> pmfid.LS:
+        return method(pmfid.Drive(1.7, stribeck=speed), pmfid.Encoder(3e-5), 2e-3, 31.0)  # type: ignore[arg-type]
 
-
-@pytest.mark.parametrize("method", [pmfid.IV, pmfid.RIV])
-def test_an_unknown_stribeck_speed_is_for_output_error(method: type[pmfid.IV]) -> None:
-    with pytest.raises(pmfid.UsageError, match=r"stribeck_speed does not.*fit"):
-        method(pmfid.Drive(1.7, stribeck="estimate"), pmfid.Encoder(3e-5), 2e-3, 31.0)
-
-
-@pytest.mark.parametrize("speed", [0.0, -0.1, math.nan, math.inf, True, "estimated"])
-def test_a_speed_that_is_none_is_refused(speed: object) -> None:
-    with pytest.raises(pmfid.UsageError, match="peed"):
-        pmfid.Drive(1.7, stribeck=speed)  # type: ignore[arg-type]
+    plain = (pmfid.LS, pmfid.BCLS, pmfid.RLS, pmfid.BCRLS)
+    refused(
+        *((r"stribeck_friction.*use iv, riv or fit", lambda m=m: made_by(m, 0.02)) for m in plain),
+        *((r"stribeck_speed does not.*fit", lambda m=m: made_by(m, "estimate")) for m in (pmfid.IV, pmfid.RIV)),
+        *(("peed", lambda v=v: made_by(pmfid.IV, v)) for v in (0.0, -0.1, math.nan, math.inf, True, "estimated")),
+    )
 
 
 def test_terms_of_the_users_own_have_shapes() -> None:

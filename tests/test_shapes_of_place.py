@@ -117,18 +117,26 @@ def test_keys_of_axis_toml_are_those_of_a_drive() -> None:
         ModelConfig.model_validate({"kind": "equation", "stribeck": 0.02, "unknown": []})
 
 
-@pytest.mark.parametrize("key", ["cogging", "friction_period", "gravity"])
-@pytest.mark.parametrize("value", [0.0, -1.0, math.nan, math.inf])
-def test_a_period_that_is_none_is_refused(key: str, value: float) -> None:
-    with pytest.raises(pmfid.UsageError, match="period must be a number above 0"):
-        pmfid.Drive(2.0, **{key: value})  # type: ignore[arg-type]
-
-
-def test_more_forces_than_the_kernel_holds_are_refused() -> None:
+def test_what_has_no_such_place_is_refused() -> None:
     model = pmfid.Drive(2.0, gravity=True, cogging=0.01, friction_period=0.4, stribeck=0.02, quadratic=True)
+    keys, lengths = ("cogging", "friction_period", "gravity"), (0.0, -1.0, math.nan, math.inf)
+    term = {"signal": "friction", "name": "low", "shape": {"form": "stribeck", "period": 0.3}}
+    section = {"kind": "equation", "unknown": [term]}
     refused(
         (r"8 forces of a given form", lambda: pmfid.RIV(model, pmfid.Encoder(1e-3), 1e-3, 30.0)),
         (r"8 forces of a given form.*use fewer", lambda: pmfid.MotionFit(model, pmfid.Encoder(1e-3), 1e-3, 30.0)),
+        *(
+            ("period must be a number above 0", lambda key=key, x=x: pmfid.Drive(2.0, **{key: x}))
+            for key in keys
+            for x in lengths
+        ),
+    )
+    refused(
+        (
+            r"got stribeck with \['period'\]",
+            lambda: ModelConfig.model_validate(section),
+        ),
+        kind=ValueError,
     )
 
 
@@ -147,12 +155,6 @@ def test_terms_of_the_users_own_go_through_axis_toml() -> None:
     model = pmfid.EquationModel(pmfid.Equation(terms, (pmfid.Term("input", coefficient=0.4),)))
     axis = axis_of(model, pmfid.Encoder(STEP), DT, {"cutoff": CUTOFF})
     assert axis.model.make() == model
-
-
-def test_a_form_with_the_keys_of_another_is_refused() -> None:
-    term = {"signal": "friction", "name": "low", "shape": {"form": "stribeck", "period": 0.3}}
-    with pytest.raises(ValueError, match=r"a shape has the form .* got stribeck with \['period'\]"):
-        ModelConfig.model_validate({"kind": "equation", "unknown": [term]})
 
 
 def test_an_arm_that_is_held_upright_is_followed() -> None:

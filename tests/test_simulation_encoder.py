@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pmfid.simulation import CART, CART_CONTROL, Faults, position_control, quantize, s_curve, stop_and_go
+from pmfid.simulation import CART, CART_CONTROL, Faults, position_control, quantize, stop_and_go
 from pmfid.simulation._plant import read_encoder
+from tests.refusals import refused
 
 
 def counts_of(x: np.ndarray, lines: np.ndarray | None = None, missed: float = 0.0, seed: int = 0) -> np.ndarray:
@@ -59,10 +60,6 @@ def test_missed_edges_do_not_depend_on_the_sampling() -> None:
     np.testing.assert_array_equal(fine[::100], coarse)
 
 
-def test_standing_still_misses_nothing() -> None:
-    assert np.ptp(counts_of(np.full(1000, 3.7), missed=0.9)) == 0
-
-
 def test_the_controller_sees_the_faults_and_counts_on_past_the_wrap() -> None:
     reference = stop_and_go(600, 0.01, 0.2, 0.8, 0.5)
     lattice = {"resolution": 1.82e-4, "phase": 1e-5}
@@ -78,29 +75,14 @@ def test_the_controller_sees_the_faults_and_counts_on_past_the_wrap() -> None:
     assert whole.x[125] > good.x[125] + 5 * lattice["resolution"]
 
 
-def test_same_seed_same_faults() -> None:
-    x = s_curve(500, 0.01, 0.4, 4.0)
-    first, second, other = (quantize(x, 1e-4, faults=Faults(0.05, 0.2, 0.2, 64, seed)) for seed in (1, 1, 2))
-    np.testing.assert_array_equal(first, second)
-    assert np.any(first != other)
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"missed": 1.0}, r"missed must be in \[0, 1\), got 1.0; give the part"),
-        ({"jitter": -0.1}, r"jitter must be in \[0, inf\), got -0.1; give a standard deviation"),
-        ({"jitter": float("nan")}, "jitter .* got nan"),
-        ({"line_error": 0.5}, r"line_error must be in \[0, 0.5\), got 0.5; give less"),
-        ({"lines": 0}, "lines .* got 0; give the counts per turn"),
-        ({"seed": -1}, "seed .* got -1; give any whole number"),
-    ],
-)
-def test_bad_faults_name_the_remedy(options: dict[str, float], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Faults(**options)  # type: ignore[arg-type]
-
-
-def test_faults_need_one_position_per_sample() -> None:
-    with pytest.raises(ValueError, match=r"x must have shape \(n,\)"):
-        quantize([[1.0]], 1.0, faults=Faults(missed=0.1))
+def test_bad_faults_name_the_remedy() -> None:
+    refused(
+        (r"missed must be in \[0, 1\), got 1.0; give the part", lambda: Faults(missed=1.0)),
+        (r"jitter must be in \[0, inf\), got -0.1; give a standard deviation", lambda: Faults(jitter=-0.1)),
+        ("jitter .* got nan", lambda: Faults(jitter=float("nan"))),
+        (r"line_error must be in \[0, 0.5\), got 0.5; give less", lambda: Faults(line_error=0.5)),
+        ("lines .* got 0; give the counts per turn", lambda: Faults(lines=0)),
+        ("seed .* got -1; give any whole number", lambda: Faults(seed=-1)),
+        (r"x must have shape \(n,\)", lambda: quantize([[1.0]], 1.0, faults=Faults(missed=0.1))),
+        kind=ValueError,
+    )

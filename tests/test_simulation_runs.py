@@ -28,6 +28,7 @@ from pmfid.simulation import (
     trapezoid,
 )
 from tests.conftest import long_unless
+from tests.refusals import refused
 
 HEAVY = replace(CART, mass=1.44)
 
@@ -59,23 +60,18 @@ def test_friction_and_belt() -> None:
     assert change_parameters(CART, 1.0, input_gain=1.6).sample([0.5, 1.0], 0.01)[3].tolist() == [2.0, 1.6]
 
 
-@pytest.mark.parametrize(
-    ("ramps", "message"),
-    [
-        ((0.0,), r"one time per change, the first 0, got \(0.0,\)"),
-        ((1.0, 0.0), r"one time per change, the first 0, got \(1.0, 0.0\)"),
-        ((0.0, -1.0), "ramp must be >= 0 and end before the next change, got -1.0"),
-        ((0.0, float("nan")), "got nan; give a time in s"),
-    ],
-)
-def test_bad_ramps(ramps: tuple[float, ...], message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        Schedule(((0.0, CART), (1.0, HEAVY)), ramps)
+def test_ramps_that_overlap_or_never_end_are_refused() -> None:
+    def ramped(*ramps: float) -> Schedule:
+        return Schedule(((0.0, CART), (1.0, HEAVY), (2.0, CART))[: max(2, len(ramps))], ramps)
 
-
-def test_a_ramp_does_not_run_into_the_next_change() -> None:
-    with pytest.raises(ValueError, match=r"end before the next change, got 2.0"):
-        Schedule(((0.0, CART), (1.0, HEAVY), (2.0, CART)), (0.0, 2.0, 0.0))
+    refused(
+        (r"one time per change, the first 0, got \(0.0,\)", lambda: ramped(0.0)),
+        (r"one time per change, the first 0, got \(1.0, 0.0\)", lambda: ramped(1.0, 0.0)),
+        ("ramp must be >= 0 and end before the next change, got -1.0", lambda: ramped(0.0, -1.0)),
+        ("end before the next change, got 2.0", lambda: ramped(0.0, 2.0, 0.0)),
+        ("got nan; give a time in s", lambda: ramped(0.0, float("nan"))),
+        kind=ValueError,
+    )
 
 
 # --- references -------------------------------------------------------------------------------------------------------
@@ -100,18 +96,6 @@ def test_random_moves_join_and_stay_in_the_stroke() -> None:
     assert np.mean(resting) == pytest.approx(0.5 / 1.3, abs=0.05)
     moves = np.flatnonzero(~resting[1:] & resting[:-1]).size
     assert moves == pytest.approx(200 / 1.3, rel=0.1)
-
-
-def test_the_standstill_scenario_rests_in_the_middle_half() -> None:
-    motion = make_scenario("standstill", duration=104.0).motion
-    middle = (motion.t > 27.0) & (motion.t < 77.0)
-    assert not motion.moving[middle].any()
-    assert np.mean(motion.moving[motion.t < 26.0] > 0) > 0.5
-    assert np.mean(motion.moving[motion.t > 78.0] > 0) > 0.5
-
-
-def test_steps_saturate_the_input() -> None:
-    assert np.mean(np.abs(make_scenario("steps").motion.u) == 6.0) > 0.02
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
