@@ -12,6 +12,9 @@ from pmfid.linear.solve import ProcessPoint, ProcessProblem
 from pmfid.linear.tuning import TUNING
 from pmfid.types import Flags, Floats, Places
 
+#: The rows of a residual, and orthonormal columns (r, q) that a fit removed from them.
+Removed = Sequence[tuple[slice, Floats]]
+
 
 @dataclass(frozen=True, eq=False)
 class Noise:
@@ -53,12 +56,12 @@ class Noise:
         return np.asarray(self.variance / np.abs(np.fft.rfft(self.whitener, size)) ** 2)
 
 
-def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Noise:
+def fit_noise(error: Floats, place: Places, taken: Removed = ()) -> Noise:
     """Return the noise model of a residual (N,) at rising places (N,).
 
-    Akaike's criterion with the correction of Hurvich and Tsai (1989) selects the order. `taken` (N, q) holds some of
-    the orthonormal columns that a fit removed from the noise. The function restores the expected part of the removed
-    columns in each autocovariance.
+    Akaike's criterion with the correction of Hurvich and Tsai (1989) selects the order. `taken` holds
+    orthonormal columns (r, q) that a fit removed from r rows of the noise. The function restores the expected part of
+    the removed columns in each autocovariance.
     """
     most = min(TUNING.residuals_most, max(1, error.size // TUNING.residuals_part))
     laid, there = _place_on_line(error, place, _size(place)), _place_on_line(np.ones(error.size), place, _size(place))
@@ -71,10 +74,9 @@ def fit_noise(error: Floats, place: Places, taken: Floats | None = None) -> Nois
     ):
         raw = _correlate_over_gaps(error, place, most)
     noise = _from_autocovariance(raw, error.size)
-    if taken is None or taken.shape[1] == 0:
-        return noise
-    for _ in range(TUNING.residuals_passes):
-        put_back = raw + _compute_fit_effect(noise, taken, place, most) / pairs[0]
+    for _ in range(TUNING.residuals_passes if taken else 0):
+        effects = [_compute_fit_effect(noise, columns, place[rows], most) for rows, columns in taken]
+        put_back = raw + np.sum(effects, axis=0) / pairs[0]
         if not put_back[0] < TUNING.residuals_largest * raw[0]:
             break
         noise = _from_autocovariance(put_back, error.size)
@@ -334,19 +336,21 @@ def residual_noise(problem: ProcessProblem, point: ProcessPoint) -> Noise:
     """Return the noise model of the residual at a point of the iteration."""
     size = np.linalg.norm(point.zeta, axis=0)
     Q = np.linalg.qr(point.zeta / np.where(size > 0, size, 1.0))[0]
-    return fit_noise(point.error, places(problem), Q)
+    return fit_noise(point.error, places(problem), [(slice(None), Q), *point.projected])
 
 
-def score_covariance(zeta: Floats, error: Floats, place: Places | None = None) -> Floats:
+def score_covariance(zeta: Floats, error: Floats, place: Places | None = None, projected: Removed = ()) -> Floats:
     """Return the covariance (p, p) of zeta^T v, where v is the noise.
 
     The columns of zeta (N, p) have similar sizes. The error (N,) is the part of v that the fit along zeta leaves, at
-    places (N,). If `place` is None, the samples follow one another without gaps.
+    places (N,). If `place` is None, the samples follow one another without gaps. `projected` holds the columns of the
+    initial conditions, which the fit removed before.
     """
     place = np.arange(error.size) if place is None else place
     Q, R = np.linalg.qr(zeta)
-    noise = fit_noise(error, place, Q)
-    free = max(noise.effective(error.size) - zeta.shape[1], TUNING.least_free)
+    noise = fit_noise(error, place, [(slice(None), Q), *projected])
+    removed = zeta.shape[1] + sum(columns.shape[1] for _, columns in projected)
+    free = max(noise.effective(error.size) - removed, TUNING.least_free)
     return np.asarray(free / (free - 2) * (R.T @ noise.covariance(Q, place) @ R))
 
 
@@ -355,7 +359,7 @@ def covariance(point: ProcessPoint, problem: ProcessProblem) -> Floats:
     size = np.linalg.norm(point.zeta, axis=0)
     zeta = point.zeta / size
     inverse = np.linalg.inv(zeta.T @ (point.phi / size))
-    spread = _spread(zeta, point.error, problem)
+    spread = _spread(zeta, point, problem)
     return np.asarray(inverse @ spread @ inverse.T / np.outer(size, size))
 
 
@@ -366,14 +370,14 @@ def residual_repeats(problem: ProcessProblem, point: ProcessPoint) -> bool:
     return phases is not None and repeats(point.error, point.zeta, problem.stretches, phases, places(problem))
 
 
-def _spread(zeta: Floats, error: Floats, problem: ProcessProblem) -> Floats:
+def _spread(zeta: Floats, point: ProcessPoint, problem: ProcessProblem) -> Floats:
     """Return the covariance (p, p) of the scores.
 
     The periodic part of the residual contributes a separate covariance.
     """
-    place, unknowns = places(problem), zeta.shape[1]
+    place, unknowns, error = places(problem), zeta.shape[1], point.error
     phases = phases_of(problem.stretches, unknowns)
     if phases is None or not repeats(error, zeta, problem.stretches, phases, place):
-        return score_covariance(zeta, error, place)
+        return score_covariance(zeta, error, place, point.projected)
     again, rest = split(error, phases)
-    return score_covariance(zeta, rest, place) + score_covariance(phases.sum(zeta), again)
+    return score_covariance(zeta, rest, place, point.projected) + score_covariance(phases.sum(zeta), again)

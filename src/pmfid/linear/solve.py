@@ -41,7 +41,8 @@ class ProcessPoint:
     """Parameters theta (p,) and initial conditions (stretches, n) with the linearisation at this point.
 
     The initial conditions are projected out of error (N,), phi (N, p) and zeta (N, p). `cost` is the sum of squares of
-    the error, and `power` is the sum of squares of the output.
+    the error, and `power` is the sum of squares of the output. `projected` holds the rows of each stretch and the
+    orthonormal columns (r, n) of its initial conditions.
     """
 
     theta: Floats
@@ -51,6 +52,7 @@ class ProcessPoint:
     zeta: Floats
     cost: float
     power: float
+    projected: tuple[tuple[slice, Floats], ...]
 
 
 @dataclass(frozen=True)
@@ -67,18 +69,29 @@ def visit(problem: ProcessProblem, theta: Floats, initial: Floats) -> ProcessPoi
     """Linearise at theta (p,), where the initial conditions (stretches, n) move to their best fit."""
     from scipy.linalg import qr, solve_triangular  # slow to import
 
-    errors, phis, zetas, found = [], [], [], []
+    errors, phis, zetas, found, projected, first = [], [], [], [], [], 0
     for stretch, start in zip(problem.stretches, initial, strict=True):
         here = linearise(problem.structure, theta, start, stretch)
         Q, R = qr(here.free, mode="economic", check_finite=False)
         inside = Q.T @ here.error
         found.append(start + solve_triangular(_regular(R), inside, check_finite=False))
+        projected.append((slice(first, first + Q.shape[0]), Q))
+        first += Q.shape[0]
         errors.append(here.error - Q @ inside)
         phis.append(here.phi - Q @ (Q.T @ here.phi))
         zetas.append(here.zeta - Q @ (Q.T @ here.zeta))
     error = np.concatenate(errors)
     power = sum(float(np.sum(stretch.y[stretch.rows] ** 2)) for stretch in problem.stretches)
-    return ProcessPoint(theta, np.array(found), error, np.vstack(phis), np.vstack(zetas), float(error @ error), power)
+    return ProcessPoint(
+        theta,
+        np.array(found),
+        error,
+        np.vstack(phis),
+        np.vstack(zetas),
+        float(error @ error),
+        power,
+        tuple(projected),
+    )
 
 
 def _regular(R: Floats) -> Floats:
