@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pmfid.service.sinks.queued import Queued, QueueLimits, SinkSection
 from pmfid.stream.outcome import Counters, EstimateRows, Kindred, Notice
 from tests.patience import PATIENCE
 
@@ -103,6 +104,8 @@ class Faulty:
     """
 
     name: str = "s"
+    takes_rows: bool = True
+    events: frozenset[str] | None = None
     error: Exception | None = None
     open_error: Exception | None = None
     poison: int | None = None
@@ -129,6 +132,11 @@ class Faulty:
 
     def close(self) -> None:
         self.closed += 1
+
+
+def queue_of(section: SinkSection, name: str, host: Host, limits: QueueLimits | None = None) -> Queued:
+    """Return the queue of a section's sink, not yet started."""
+    return Queued(section.make(name, host), host.counters, host.tell, limits)  # type: ignore[arg-type]
 
 
 def until(true: Callable[[], object], seconds: float = PATIENCE) -> bool:

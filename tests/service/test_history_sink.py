@@ -137,7 +137,7 @@ def test_a_history_that_cannot_be_written_tells_and_goes_on_by_itself(
     set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.01)
     host = Host(tmp_path)
     (tmp_path / "a.sqlite").mkdir()
-    outlet = Queued(HistorySink(tmp_path / "a.sqlite"), host.counters, host.tell, rows_wanted=False)
+    outlet = Queued(HistorySink(tmp_path / "a.sqlite"), host.counters, host.tell)
     outlet.start()
     outlet.notice(alarm(1))
     outlet.rows(block(kindred()))

@@ -19,7 +19,7 @@ from pmfid.service.sinks.mqtt import BrokerLink, MqttSink, MqttSinkSection
 from pmfid.service.sinks.queued import Queued
 from tests.patience import PATIENCE
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401
-from tests.service.feed import Host, alarm, block, kindred, notice, until
+from tests.service.feed import Host, alarm, block, kindred, notice, queue_of, until
 from tests.tuned import set_tuning
 
 pytest.importorskip("paho.mqtt.client", reason="paho-mqtt is not installed: pip install 'pmfid[serve]'")
@@ -144,8 +144,8 @@ def test_events_are_published_unless_only_alarms_are_wanted(tmp_path: Path) -> N
     quiet = Link()
     sink_of(quiet, events=False).put([alarm(2)])
     assert [topic for topic, *_ in quiet.got] == ["pmfid/hall-3/status", ALARM]
-    assert MqttSinkSection(events=False).wants_events() == {"alarm", "acknowledged", "settled", "cleared"}
-    assert MqttSinkSection(estimates="off").wants_rows() is False
+    assert sink_of(quiet, events=False).events == {"alarm", "acknowledged", "settled", "cleared"}
+    assert sink_of(quiet, estimates="off").takes_rows is False
 
 
 def test_the_end_is_said() -> None:
@@ -206,7 +206,7 @@ def started(tmp_path: Path, broker: Broker, monkeypatch: pytest.MonkeyPatch) -> 
 
     def start(host: Host, **keys: object) -> Queued:
         section = MqttSinkSection(port=broker.port, **keys)  # type: ignore[arg-type]
-        running.append(section.outlet("m", host))
+        running.append(queue_of(section, "m", host))
         running[-1].start()
         return running[-1]
 
@@ -226,6 +226,7 @@ def test_a_broker_gets_all_and_keeps_the_alarm(tmp_path: Path, broker: Broker, s
             outlet.rows(block(GROUP, number))
         outlet.notice(alarm(7))
         assert until(lambda: listener.last(ALARM))
+        assert until(lambda: sum(topic.endswith("estimates/x0") for topic, *_ in listener.got) == 100)
         estimates = [json.loads(text)["number"] for topic, text, _ in listener.got if topic.endswith("estimates/x0")]
         assert estimates == list(range(1, 101))
     with Listener(broker) as late:

@@ -47,22 +47,23 @@ def started(sink: Faulty, host: Host, limits: QueueLimits | None = None) -> Queu
 
 @given(
     st.lists(st.sampled_from(["rows", "rows", "alarm", "gap", "take", "give back"]), max_size=60),
-    st.integers(1, 60),
+    st.integers(1, 6),
     st.integers(1, 5),
 )
 def test_what_waits_is_bounded_in_order_and_all_accounted_for(steps: list[str], rows: int, notices: int) -> None:
-    waiting = OutcomeQueue(QueueLimits(rows, 10**9, notices, take=25))
+    size = size_of(block(GROUP))
+    waiting = OutcomeQueue(QueueLimits(rows * size, notices))
     offered_rows = offered_notices = lost_rows = lost_notices = 0
-    serials: list[int] = []
-    taken = []
+    got: list[EstimateRows | Notice] = []
+    taken: list[EstimateRows | Notice] = []
     for number, step in enumerate(steps, 1):
         if step == "take":
-            taken = waiting.take()
-            serials += [entry.serial for entry in taken]
+            taken = waiting.take(3)
+            got += taken
             continue
         if step == "give back":
             lost = waiting.give_back(taken)
-            serials = serials[: len(serials) - len(taken)]
+            got = got[: len(got) - len(taken)]
             taken = []
         else:
             is_rows = step == "rows"
@@ -72,29 +73,22 @@ def test_what_waits_is_bounded_in_order_and_all_accounted_for(steps: list[str], 
             lost = waiting.add(one)
         lost_rows += lost.rows
         lost_notices += lost.notices
-        assert waiting.rows <= max(rows, 10)
-        assert waiting.notices <= notices
-    while some := waiting.take():
-        serials += [entry.serial for entry in some]
-    assert serials == sorted(serials)
-    assert waiting.rows == waiting.size == waiting.notices == 0
-    assert len(serials) == (offered_rows - lost_rows) // 10 + offered_notices - lost_notices
+        assert waiting.size <= rows * size
+        assert len(waiting.notices) <= notices
+    got += waiting.take(1000)
+    for kind in (EstimateRows, Notice):
+        of_kind = numbers([one for one in got if isinstance(one, kind)])
+        assert of_kind == sorted(of_kind)
+    assert waiting.size == waiting.waiting_rows == len(waiting.notices) == 0
+    assert len(got) == (offered_rows - lost_rows) // 10 + offered_notices - lost_notices
 
 
 def test_the_oldest_rows_go_first_and_alarms_stay() -> None:
-    waiting = OutcomeQueue(QueueLimits(rows=30, notices=3))
+    waiting = OutcomeQueue(QueueLimits(3 * size_of(block(GROUP)), notices=3))
     for number in range(1, 11):
         waiting.add(block(GROUP, number))
         waiting.add(alarm(100 + number) if number in (1, 9) else notice(200 + number, "gap"))
-    assert numbers([entry.outcome for entry in waiting.take()]) == [101, 8, 9, 109, 10, 210]
-
-
-def test_bytes_bound_it_too() -> None:
-    size = size_of(block(GROUP))
-    waiting = OutcomeQueue(QueueLimits(size=3 * size))
-    dropped = [waiting.add(block(GROUP, number)).rows for number in range(1, 8)]
-    assert dropped == [0, 0, 0, 10, 10, 10, 10]
-    assert waiting.size == 3 * size
+    assert numbers(waiting.take(100)) == [101, 109, 210, 8, 9, 10]
 
 
 # --- the engine's side ------------------------------------------------------------------------------------------------
@@ -102,7 +96,7 @@ def test_bytes_bound_it_too() -> None:
 
 def test_a_sink_that_hangs_does_not_hold_the_engine(host: Host) -> None:
     sink = Faulty(hold=threading.Event())
-    outlet = started(sink, host, QueueLimits(rows=1000))
+    outlet = started(sink, host, QueueLimits(100 * size_of(block(GROUP))))
     outlet.rows(block(GROUP, 1))
     assert until(lambda: sink.puts)
     offered, rows = 3000, block(GROUP, 2)
@@ -128,7 +122,7 @@ def test_a_slow_sink_is_reported_once_and_what_is_dropped_is_counted(host: Host)
             super().put(outcomes)
 
     sink = Slow()
-    outlet = started(sink, host, QueueLimits(size=200_000, take=200))
+    outlet = started(sink, host, QueueLimits(size=200_000, take=2))
     rows = block(GROUP, 1, samples=10)
     offered = 400
     for _ in range(offered):  # about 4 MB
@@ -149,13 +143,15 @@ def test_offers_from_the_engine_go_on_in_order(host: Host) -> None:
     for number in range(1, 200):
         outlet.rows(block(GROUP, number)) if number % 3 else outlet.notice(alarm(number))
     assert outlet.close(PATIENCE)
-    assert numbers(sink.got) == list(range(1, 200))
+    for kind in (EstimateRows, Notice):
+        of_kind = numbers([one for one in sink.got if isinstance(one, kind)])
+        assert of_kind == [number for number in range(1, 200) if (kind is Notice) == (number % 3 == 0)]
     assert (sink.opened, sink.closed) == (1, 1)
 
 
 def test_only_what_is_wanted_waits(host: Host) -> None:
-    sink = Faulty()
-    outlet = Queued(sink, host.counters, host.tell, rows_wanted=False, events=frozenset({"alarm"}))
+    sink = Faulty(takes_rows=False, events=frozenset({"alarm"}))
+    outlet = Queued(sink, host.counters, host.tell)
     outlet.start()
     outlet.rows(block(GROUP))
     outlet.notice(notice(1, "gap"))
@@ -170,7 +166,7 @@ def test_only_what_is_wanted_waits(host: Host) -> None:
 @pytest.mark.usefixtures("quick")
 def test_an_error_is_reported_once_and_the_end_of_it_too(host: Host) -> None:
     sink = Faulty(error=OSError(28, "No space left on device", "out.jsonl"))
-    outlet = started(sink, host, QueueLimits(rows=50))
+    outlet = started(sink, host, QueueLimits(5 * size_of(block(GROUP))))
     for number in range(1, 11):
         outlet.rows(block(GROUP, number))
         outlet.notice(alarm(100 + number))
@@ -246,7 +242,7 @@ def test_what_a_sink_can_never_take_is_dropped_alone(host: Host) -> None:
 
 def test_closing_ends_in_time_also_where_the_sink_hangs(host: Host) -> None:
     sink = Faulty(hold=threading.Event())
-    outlet = started(sink, host, QueueLimits(take=10))
+    outlet = started(sink, host, QueueLimits(take=1))
     outlet.rows(block(GROUP, 1))
     assert until(lambda: sink.puts)
     for number in range(2, 5):

@@ -38,7 +38,7 @@ from pmfid.stream.tuning import TUNING
 from studies.service.processes import service
 from tests.patience import PATIENCE
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
-from tests.service.feed import Faulty, Host, kindred, notice, standard_input, until
+from tests.service.feed import Faulty, Host, kindred, notice, queue_of, standard_input, until
 from tests.service.feed import block as rows_of
 from tests.service.test_alarm_in_time import EXAMPLES, plant_of
 from tests.service.test_mqtt_sink import Link, sink_of
@@ -330,7 +330,8 @@ def test_the_broker_retains_it_until_it_is_over(reported: list[Notice]) -> None:
 
 def test_by_default_the_webhook_posts_both(reported: list[Notice], tmp_path: Path) -> None:
     with web_server() as server:
-        outlet = SINKS["webhook"].model_validate({"kind": "webhook", "url": server.url}).outlet("w", Host(tmp_path))
+        section = SINKS["webhook"].model_validate({"kind": "webhook", "url": server.url})
+        outlet = queue_of(section, "w", Host(tmp_path))
         outlet.start()
         for one in reported:
             outlet.notice(one)
@@ -340,7 +341,7 @@ def test_by_default_the_webhook_posts_both(reported: list[Notice], tmp_path: Pat
 
 
 def test_the_database_has_both(reported: list[Notice], tmp_path: Path) -> None:
-    outlet = Queued(HistorySink(tmp_path / FILE), Counters(), [].append, rows_wanted=False)
+    outlet = Queued(HistorySink(tmp_path / FILE), Counters(), [].append)
     outlet.start()
     for one in reported:
         outlet.notice(one)

@@ -150,7 +150,8 @@ def _restored(body: bytes, prepared: Prepared) -> None:
 class Broken:
     """A sink that accepts no rows until `works` is true."""
 
-    name, works = "alarms", False
+    name, works, takes_rows = "alarms", False, True
+    events: frozenset[str] | None = None
 
     def open(self) -> None:
         if not self.works:

@@ -16,9 +16,10 @@ import pmfid.service
 from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
 from pmfid.service.context import RefusedError
+from pmfid.service.sinks.queued import QueueLimits
 from pmfid.service.sinks.webhook import EVENTS, WebhookSection, WebhookSink
 from tests.patience import PATIENCE
-from tests.service.feed import Host, alarm, block, kindred, notice, until
+from tests.service.feed import Host, alarm, block, kindred, notice, queue_of, until
 from tests.service.web_servers import bad_server, web_server
 from tests.tuned import set_tuning
 
@@ -75,7 +76,7 @@ def test_an_alarm_is_posted_as_a_sentence_for_a_phone(tmp_path: Path) -> None:
 
 def test_after_its_queue_only_the_events_that_are_wanted_go_out(tmp_path: Path) -> None:
     with web_server() as server:
-        outlet = WebhookSection(url=server.url, events=("alarm", "settled")).outlet("hook", Host(tmp_path))
+        outlet = queue_of(WebhookSection(url=server.url, events=("alarm", "settled")), "hook", Host(tmp_path))
         outlet.start()
         outlet.rows(block(kindred()))
         outlet.notice(notice(1, "gap"))
@@ -90,7 +91,7 @@ def test_each_alarm_goes_out_once_whatever_fails_between(tmp_path: Path, monkeyp
     host = Host(tmp_path)
     # the second alarm is tried three times, the third is refused because of its content
     with web_server(200, 500, 503, 200, 422, 422, 200) as server:
-        outlet = WebhookSection(url=server.url).outlet("hook", host)
+        outlet = queue_of(WebhookSection(url=server.url), "hook", host)
         for number in (1, 2, 3, 4, 5):
             outlet.notice(alarm(number))
         outlet.start()
@@ -145,7 +146,8 @@ def test_an_answer_with_an_endless_page_has_said_all_at_its_start(tmp_path: Path
 def test_a_server_that_never_answers_costs_the_service_nothing(tmp_path: Path) -> None:
     host = Host(tmp_path)
     with bad_server(b"") as port:
-        outlet = WebhookSection(url=f"http://127.0.0.1:{port}", timeout_s=60.0, queue_notices=100).outlet("hook", host)
+        section = WebhookSection(url=f"http://127.0.0.1:{port}", timeout_s=60.0)
+        outlet = queue_of(section, "hook", host, QueueLimits(notices=100))
         outlet.start()
         for number in range(1, 301):
             outlet.notice(alarm(number))
@@ -163,7 +165,7 @@ def test_nobody_listens_is_an_error_that_may_pass_and_tells_no_secret(tmp_path: 
     (tmp_path / "url").write_text("http://127.0.0.1:9/very-secret-path\n")
     (tmp_path / "url").chmod(0o600)
     host = Host(tmp_path)
-    outlet = WebhookSection(url_file="url").outlet("hook", host)
+    outlet = queue_of(WebhookSection(url_file="url"), "hook", host)
     outlet.start()
     outlet.notice(alarm(1))
     assert until(lambda: host.reported)

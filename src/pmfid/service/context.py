@@ -41,6 +41,10 @@ class Source(Protocol):
     def stop(self) -> None: ...
 
 
+#: What a sink receives.
+Outcome = EstimateRows | Notice
+
+
 class RefusedError(PmfidError):
     """Raised by a sink for an outcome that it will never take, for example if a server rejects its content.
 
@@ -54,17 +58,20 @@ class Sink(Protocol):
     A full queue drops and counts its oldest rows, and keeps notices as long as possible. A broken sink therefore never
     delays an estimate.
 
-    `name` is the name in PLANT.toml. `put` writes outcomes in order. `put` raises OSError, also for errors of its
+    `name` is the name in PLANT.toml. `takes_rows` is true for a sink that takes rows. `events` has the events of the
+    notices that it takes. None means all. `put` writes outcomes in order. `put` raises OSError, also for errors of its
     library. The error is reported once, and all outcomes are tried again after a pause and `open`. While no outcome
     waits, `put` is called with an empty list, first at the start and then every few seconds. `close` writes the
     remaining outcomes if possible.
     """
 
     name: str
+    takes_rows: bool
+    events: frozenset[str] | None
 
     def open(self) -> None: ...
 
-    def put(self, outcomes: list[EstimateRows | Notice]) -> None: ...
+    def put(self, outcomes: list[Outcome]) -> None: ...
 
     def close(self) -> None: ...
 

@@ -125,7 +125,7 @@ class Service:
     def _prepare(self, plant: Plant) -> None:
         """Do all steps that can fail before a thread runs."""
         self._board = Board([], self.counters, every=max(plant.service.every, 0.1))
-        self._log = Queued(self.log, self.counters, lambda notice: None, rows_wanted=False)
+        self._log = Queued(self.log, self.counters, lambda notice: None)
         self._log.start()
         self._outlets: list[Outlet] = [self._board, self._log]
         self._engine = StreamEngine(self.counters, self._outlets, self._board.list_followed)
@@ -216,9 +216,11 @@ class Service:
     def _start(self, plant: Plant) -> None:
         tell, find = self._engine.tell, self._find_axis
         context = Context(plant.service.name, plant.folder, self.counters, tell, find)
-        self._sinks = [section.outlet(name, context) for name, section in plant.sinks.items()]
+        self._sinks = [
+            Queued(section.make(name, context), self.counters, tell) for name, section in plant.sinks.items()
+        ]
         if plant.state is not None:
-            self._sinks.append(Queued(HistorySink(plant.state / FILE), self.counters, tell, rows_wanted=False))
+            self._sinks.append(Queued(HistorySink(plant.state / FILE), self.counters, tell))
         self._engine.silence.sinks = self._sinks
         self._engine.unwritten = lambda: {sink.name: sink.unwritten() for sink in self._sinks}
         for queued in self._sinks:

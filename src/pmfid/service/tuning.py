@@ -82,8 +82,6 @@ class ServiceTuning:
     most_refusals: int = 10
 
     # sinks.webhook
-    #: Number of bytes that are read of an answer.
-    most_answer: int = 1 << 16
     #: Number of notices remembered as delivered while earlier notices are tried again.
     webhook_remembered: int = 2048
 

@@ -28,7 +28,8 @@ class HistorySink:
     start must not look like old alarms.
     """
 
-    name = "history"
+    name, takes_rows = "history", False
+    events: frozenset[str] | None = None
 
     def __init__(self, path: Path) -> None:
         self._path = path

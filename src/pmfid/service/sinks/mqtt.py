@@ -140,12 +140,6 @@ class MqttSinkSection(SinkSection, BrokerSection):
         "acknowledged", description="the event that removes the retained alarm of an axis"
     )
 
-    def wants_rows(self) -> bool:
-        return self.estimates != "off"
-
-    def wants_events(self) -> frozenset[str] | None:
-        return None if self.events else URGENT
-
     def make(self, name: str, context: Context) -> MqttSink:
         """Return the sink, not yet open. Raises UsageError without paho-mqtt, and for missing secrets."""
         base = f"{self.prefix}/{quote(context.name, safe='')}"
@@ -166,6 +160,7 @@ class MqttSink:
 
     def __init__(self, name: str, base: str, link: BrokerLink, section: MqttSinkSection) -> None:
         self.name = name
+        self.takes_rows, self.events = section.estimates != "off", None if section.events else URGENT
         self._base, self._link, self._section = base, link, section
         self._standing: dict[str, tuple[int, bytes]] = {}  # topic -> number and message that the broker retains
 

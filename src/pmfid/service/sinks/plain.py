@@ -64,6 +64,8 @@ class NoticeLog:
     stream: IO[str]
     line: Callable[[Notice], str] = json_line
     name: str = "log"
+    takes_rows: bool = False
+    events: frozenset[str] | None = None
 
     def open(self) -> None:
         pass

@@ -5,9 +5,12 @@ from __future__ import annotations
 import http.client
 import ssl
 from collections.abc import Mapping
+from contextlib import suppress
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from threading import Timer
+from time import monotonic
 from typing import Annotated, Literal, Self
 from urllib.parse import SplitResult, urlsplit
 
@@ -57,14 +60,6 @@ def check_address(url: str, secret: str | None, label: str) -> SplitResult:
     return parts
 
 
-def _ends(answer: http.client.HTTPResponse) -> bool:
-    """Return whether the answer ends within the bytes that are read. The connection may be cut while they are read."""
-    try:
-        return len(answer.read(TUNING.most_answer)) < TUNING.most_answer
-    except (OSError, http.client.HTTPException):
-        return False
-
-
 class Poster:
     """A client that posts to one address.
 
@@ -75,65 +70,47 @@ class Poster:
     def __init__(
         self, address: SplitResult, headers: Mapping[str, str], timeout: float, ca: Path | None = None
     ) -> None:
-        self._address, self._headers, self._timeout = address, dict(headers), timeout
+        self._headers, self._timeout = dict(headers), timeout
         self._target = (address.path or "/") + (f"?{address.query}" if address.query else "")
-        self._connection: http.client.HTTPConnection | None = None
-        self._context: ssl.SSLContext | None = None
+        host, port = str(address.hostname), address.port
+        self._connect = partial(http.client.HTTPConnection, host, port, timeout=timeout)
         if address.scheme == "https":
             try:
-                self._context = ssl.create_default_context(cafile=None if ca is None else str(ca))
+                context = ssl.create_default_context(cafile=None if ca is None else str(ca))
             except (OSError, ssl.SSLError):
                 raise UsageError(f"the certificates in {ca} cannot be read; correct the file name") from None
+            self._connect = partial(http.client.HTTPSConnection, host, port, timeout=timeout, context=context)
 
     def post(self, body: bytes, headers: Mapping[str, str]) -> None:
-        """Send the body. The connection stays open until `close`.
+        """Send the body by a new connection. Only the status of the answer counts.
 
         Raises OSError for errors that may pass, and RefusedError if the server will not take the content.
         """
-        connection = self._connection = self._connection or self._connect()
-        late: list[bool] = []
-        watch = Timer(self._timeout, _cut, (connection, late))
+        connection, end = self._connect(), monotonic() + self._timeout
+        watch = Timer(self._timeout, _cut, (connection,))
         watch.daemon = True
         watch.start()
         try:
             connection.request("POST", self._target, body, {**self._headers, **headers})
-            answer = connection.getresponse()
-            if not _ends(answer) or late:  # only the status counts
-                self.close()
+            status = connection.getresponse().status
         except (OSError, http.client.HTTPException) as error:
-            self.close()
-            raise _build_os_error(error, bool(late), self._timeout) from None
+            raise _build_os_error(error, monotonic() >= end, self._timeout) from None
         finally:
             watch.cancel()
-        if 300 <= answer.status < 400:
-            redirected = f"the server answers {answer.status} with another address, and pmfid does not follow it"
-            raise OSError(f"{redirected}; give that address in url")
-        if not 200 <= answer.status < 300:
-            kind = RefusedError if answer.status in ABOUT_CONTENT else OSError
-            raise kind(f"the server refuses the message with HTTP status {answer.status}")
-
-    def _connect(self) -> http.client.HTTPConnection:
-        host, port = str(self._address.hostname), self._address.port
-        if self._context is not None:
-            return http.client.HTTPSConnection(host, port, timeout=self._timeout, context=self._context)
-        return http.client.HTTPConnection(host, port, timeout=self._timeout)
-
-    def close(self) -> None:
-        """Close the connection. The next `post` opens a new connection."""
-        connection, self._connection = self._connection, None
-        if connection is not None:
             connection.close()
+        if 300 <= status < 400:
+            redirected = f"the server answers {status} with another address, and pmfid does not follow it"
+            raise OSError(f"{redirected}; give that address in url")
+        if not 200 <= status < 300:
+            kind = RefusedError if status in ABOUT_CONTENT else OSError
+            raise kind(f"the server refuses the message with HTTP status {status}")
 
 
-def _cut(connection: http.client.HTTPConnection, late: list[bool]) -> None:
+def _cut(connection: http.client.HTTPConnection) -> None:
     """End an exchange that takes too long, even if single bytes still arrive."""
-    late.append(True)
-    socket = connection.sock
-    if socket is not None:
-        try:
-            socket.shutdown(2)
-        except OSError:
-            return
+    if connection.sock is not None:
+        with suppress(OSError):
+            connection.sock.shutdown(2)
 
 
 def _build_os_error(error: OSError | http.client.HTTPException, late: bool, timeout: float) -> OSError:
@@ -200,12 +177,6 @@ class WebhookSection(SinkSection):
             raise ValueError("secret_env and secret_file are both given; keep one of them")
         return self
 
-    def wants_rows(self) -> bool:
-        return False
-
-    def wants_events(self) -> frozenset[str] | None:
-        return frozenset(self.events)
-
     def make(self, name: str, context: Context) -> WebhookSink:
         """Return the sink, not yet open. Raises UsageError for an invalid address or secret."""
         label, folder = f"[sinks.{name}]", context.folder
@@ -217,7 +188,7 @@ class WebhookSection(SinkSection):
         headers = {"User-Agent": "pmfid"} | ({} if value is None else {self.secret_header: value})
         ca = None if self.ca is None else folder / Path(self.ca)
         poster = Poster(address, headers, self.timeout_s, ca)
-        return WebhookSink(name, context.name, poster, as_json=self.format == "json")
+        return WebhookSink(name, context.name, poster, self.format == "json", frozenset(self.events))
 
 
 class WebhookSink:
@@ -226,8 +197,10 @@ class WebhookSink:
     A notice that repeats after a restart is sent again with its old `Idempotency-Key`.
     """
 
-    def __init__(self, name: str, service: str, poster: Poster, as_json: bool) -> None:
-        self.name = name
+    takes_rows = False
+
+    def __init__(self, name: str, service: str, poster: Poster, as_json: bool, events: frozenset[str] | None) -> None:
+        self.name, self.events = name, events
         self._service, self._poster, self._json = service, poster, as_json
         self._delivered: dict[str, None] = {}
 
@@ -239,12 +212,9 @@ class WebhookSink:
 
         Raises OSError if the server does not answer or has a problem, and RefusedError if it will not take a notice.
         """
-        try:
-            for notice in outcomes:
-                if isinstance(notice, Notice):
-                    self._send(notice)
-        finally:
-            self._poster.close()
+        for notice in outcomes:
+            if isinstance(notice, Notice):
+                self._send(notice)
 
     def _send(self, notice: Notice) -> None:
         key = sha256(as_json([self._service, notice.axis, notice.number, notice.what]).encode()).hexdigest()[:32]
@@ -259,4 +229,4 @@ class WebhookSink:
             del self._delivered[next(iter(self._delivered))]
 
     def close(self) -> None:
-        self._poster.close()
+        pass
