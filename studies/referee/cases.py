@@ -86,7 +86,9 @@ def make_case(machine: Machine, motion: Motion, column: int) -> Case:
     u, counts, force = (signal[log, column] for signal in (motion.u, motion.counts, motion.force))
     resolution = scale.turn / machine.increments
     top_force = scale.mass * resolution / (pace.mass * scale.dt**2)
-    friction = np.mean(np.broadcast_to(machine.effect.get("friction", 1.0), machine.step.shape)[log])
+    friction = np.mean(
+        np.broadcast_to(machine.effect.get("friction", 1.0), machine.step.shape)[log][:-1]
+    )  # the last sample's force acts after the record
     uneven = bool(np.ptp(machine.step) > 0)
     missing = machine.missing
     return Case(

@@ -10,13 +10,11 @@ from pmfid.fit.compare import MOST
 from pmfid.fit.likelihood import Intervals
 from pmfid.fit.machine import OFFSET
 from pmfid.fit.problem import PARTS, FitProblem
-from pmfid.fit.search import SPEEDS, TRIES, WITHIN, FitSearch, mean_square
+from pmfid.fit.search import GAIN, SPEEDS, TRIES, WITHIN, FitSearch, mean_square
 from pmfid.types import Floats
 
 #: Steps of least squares with a set of forces. The set that is kept has more of them.
 STEPS = 12
-#: Precision and most steps of the search for a width [octaves].
-ROUGH = {"xatol": 0.003, "maxiter": 12}
 #: Number of the likeliest sets that may explain every count.
 LIKELY = 3
 
@@ -33,7 +31,8 @@ class Opening:
 
     def enter(self, search: FitSearch) -> None:
         """Return the search to this state."""
-        search.chosen, search.problem, search.q, search.starts = self.chosen, self.problem, self.q, self.starts
+        search.chosen, search.problem, search.q, search.starts = self.chosen, self.problem, self.q.copy(), self.starts
+        search.plain = replace(search.plain, parts=self.problem.parts)
 
 
 def begin(search: FitSearch) -> Intervals | None:
@@ -63,7 +62,7 @@ def begin(search: FitSearch) -> Intervals | None:
         ends.append(_end(search))
     while True:
         end = min(ends, key=lambda end: end.cost)
-        same, best = end is best, _find_width(search, end)
+        same, best = end is best, _find_widths(search, end)
         likelihood = _explain_any(search, [best, *(one for one in ends if one not in (end, ends[0]))])
         if likelihood is not None:
             return likelihood
@@ -108,28 +107,14 @@ def _add(search: FitSearch, end: Opening, row: int) -> Opening:
     return _end(search)
 
 
-def _find_width(search: FitSearch, end: Opening) -> Opening:
-    """Return the end with the best width, within an octave on either side, of a part of the input."""
-    from scipy.optimize import minimize_scalar
-
-    index = next((i for i in end.chosen if search.table[i].with_width is not None), None)
-    if index is None:
-        return end
-    row = search.table[index]
-
-    def fit_width(log: float) -> Opening:
-        assert row.with_width is not None
+def _find_widths(search: FitSearch, end: Opening) -> Opening:
+    """Return the end with the best widths of the parts of the input, which move until the cost stays."""
+    for _ in range(STEPS if any(search.table[i].with_width is not None for i in end.chosen) else 0):
         end.enter(search)
-        search.replace_row(index, row.with_width(row.width * 2**log))
-        search.choose(end.chosen)
-        return _end(search)
-
-    highest = min(1.0, -math.log2(row.width))
-    best = minimize_scalar(lambda log: fit_width(log).cost, bounds=(-1.0, highest), method="bounded", options=ROUGH)
-    nearest = fit_width(float(best.x))
-    if nearest.cost < end.cost:
-        return nearest
-    search.replace_row(index, row)
+        search.move_widths()
+        before, end = end, _end(search)
+        if end.cost > before.cost - GAIN:
+            return min(before, end, key=lambda one: one.cost)
     return end
 
 

@@ -262,8 +262,8 @@ class FitProblem:
         base, shapes = m.base, m.lift.shape[0] - m.base - count - m.loops
         theta = self.theta(q) if acts is None else self.theta(q) * acts
         slopes = m.lift_at(theta) if acts is None else m.lift_at(theta) * acts
-        extra = [one.force for one in self.candidates if one.force is not None]
-        w = m.lift.shape[0] + len(extra) + sum(one.free for one in self.candidates)
+        extra = [force for one in self.candidates for force in one.forces]
+        w = m.lift.shape[0] + len(extra) + sum(one.free and one.slope is None for one in self.candidates)
         # rows: base, forces of the machine, further forces, constants of the machine, further constants, controller
         place = [*range(base + count), *range(base + count + len(extra), base + count + len(extra) + shapes)]
         place += range(w - m.loops, w)
@@ -277,9 +277,12 @@ class FitProblem:
             target = row if candidate.force is not None else candidate.base
             body[target] += q[k] * candidate.sd
             lift[target, k] += candidate.sd
-            if candidate.force is not None:
-                row += 1
-            if candidate.free:
+            row += len(candidate.forces)
+            if candidate.free and candidate.slope is not None:
+                further = candidate.sd * candidate.width
+                body[row - 1], lift[row - 1, k + 1] = q[k] * (q[k + 1] - 1) * further, q[k] * further
+                lift[row - 1, k] = (q[k + 1] - 1) * further
+            elif candidate.free:
                 body[constant], lift[constant, k + 1] = q[k + 1] * candidate.constant, candidate.constant
                 constant += 1
         return body, [*m.forces, *extra], lift

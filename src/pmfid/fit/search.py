@@ -72,7 +72,7 @@ def candidates_of(machine: BodyModel, sizes: Sizes) -> list[ExtraForce]:
 def with_columns(problem: FitProblem, candidates: Sequence[ExtraForce]) -> tuple[FitProblem, list[ExtraForce]]:
     """Return the problem with the candidates' columns, and the candidates with the numbers of their columns."""
     first = problem.stretches[0].drive.columns.shape[0]
-    makers = [one.column for one in candidates if one.column is not None]
+    makers = [make for one in candidates for make in one.columns]
     u, t = (np.concatenate([getattr(one.drive, name) for one in problem.stretches]) for name in ("u", "step"))
     rows = np.array([make(u, np.cumsum(t)) for make in makers]).reshape(len(makers), u.size)
     ends = np.cumsum([one.drive.u.size for one in problem.stretches])[:-1]
@@ -80,8 +80,8 @@ def with_columns(problem: FitProblem, candidates: Sequence[ExtraForce]) -> tuple
     for stretch, added in zip(problem.stretches, np.split(rows, ends, axis=1), strict=True):
         columns = np.ascontiguousarray(np.vstack([stretch.drive.columns, added]))
         stretches.append(replace(stretch, drive=replace(stretch.drive, columns=columns)))
-    numbers = iter(range(first, first + len(makers)))
-    placed = [one if one.column is None else one.place_column(next(numbers)) for one in candidates]
+    numbers = first + np.cumsum([0, *(len(one.columns) for one in candidates)])
+    placed = [one.place_columns(int(number)) for one, number in zip(candidates, numbers, strict=False)]
     return replace(problem, stretches=tuple(stretches)), placed
 
 
@@ -160,17 +160,24 @@ class FitSearch:
             self.q[k] = self._first_size(candidate)
         self.noise = Gaussian(self.plain.stretches)
 
-    def replace_row(self, index: int, row: ExtraForce) -> None:
-        """Put another candidate into a row of the table."""
-        self.table[index] = row
-        problem, self.table = with_columns(self.bare, self.table)
+    def move_widths(self) -> None:
+        """Move the widths of parts of the input to their fitted values, about which their columns are linear."""
+        table, places = list(self.table), list[int]()
+        for i, (k, one) in zip(self.chosen, self.problem.place_candidates(), strict=True):
+            if one.with_width is not None:
+                table[i], places = one.with_width(one.width * float(self.q[k + 1])), [*places, k + 1]
+        if not places:
+            return
+        problem, self.table = with_columns(self.bare, table)
         self.plain = replace(self.plain, stretches=problem.stretches)
+        self.problem = replace(self._chosen_problem(), parts=self.problem.parts)
+        self.q[places] = 1.0
 
     def _first_size(self, candidate: ExtraForce) -> float:
         """Return the size of a candidate at the blind start, in standard deviations of its prior."""
         if candidate.base == OFFSET:
             return self._first_load() / candidate.sd
-        if candidate.lowest == 0 or candidate.base == DELAY:  # at zero, it may look smaller than zero
+        if candidate.lowest == 0 or candidate.base == DELAY or candidate.free:  # at zero, it may look smaller than zero
             return FIRST
         force = candidate.force
         return 0.0 if force is None else _first_size(force, self.first, self.sizes.turn) / candidate.sd

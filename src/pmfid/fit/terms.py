@@ -29,7 +29,8 @@ class ExtraForce:
     body's parameters. A `free` force has its constant, in units of `constant`, among the parameters. `lowest` is the
     lower bound of the size in units of `sd`. `column` makes the column of the record from its input. A `reading`
     has the period and the phase of an error of the encoder, in place of a force, and `late` means the time by which all
-    edges are late. `with_width` makes the candidate with another `width` of its part of the input.
+    edges are late. `with_width` makes the candidate with another `width` of its part of the input, `by_width` the
+    derivative of its column by the width, and `slope` is the force of this derivative.
     """
 
     name: str
@@ -46,6 +47,18 @@ class ExtraForce:
     late: bool = False
     width: float = 0.0
     with_width: Callable[[float], ExtraForce] | None = None
+    by_width: Callable[[Floats, Floats], Floats] | None = None
+    slope: BodyForce | None = None
+
+    @property
+    def forces(self) -> list[BodyForce]:
+        """The force, and the derivative by its width if the width is free."""
+        return [one for one in (self.force, self.slope if self.free else None) if one is not None]
+
+    @property
+    def columns(self) -> list[Callable[[Floats, Floats], Floats]]:
+        """The makers of the columns of the force and of the derivative by its width."""
+        return [make for make in (self.column, self.by_width) if make is not None]
 
     @property
     def reads(self) -> bool:
@@ -54,6 +67,8 @@ class ExtraForce:
 
     def free_constant(self) -> ExtraForce:
         """Return the candidate with its constant among the parameters, if it has one that the record may determine."""
+        if self.slope is not None:
+            return replace(self, free=True)
         if self.force is None or self.force.kind not in ("stribeck", "load_stribeck"):
             return self
         return replace(self, free=True, constant=self.force.p, force=replace(self.force, free=True))
@@ -83,9 +98,12 @@ class ExtraForce:
             return self
         return replace(self, force=replace(self.force, load=True))
 
-    def place_column(self, column: int) -> ExtraForce:
-        """Return the candidate with the number of its column."""
-        return self if self.force is None else replace(self, force=replace(self.force, column=column))
+    def place_columns(self, first: int) -> ExtraForce:
+        """Return the candidate with the numbers of its columns, from the first one on."""
+        if self.force is None or self.column is None:
+            return self
+        slope = None if self.slope is None else replace(self.slope, column=first + 1)
+        return replace(self, force=replace(self.force, column=first), slope=slope)
 
 
 @dataclass(frozen=True)
@@ -157,6 +175,8 @@ def gravity(s: Sizes) -> Iterator[ExtraForce]:
             yield ExtraForce("gravity", "gravity on a rotary axis", "set gravity = true", 0.5 * s.force, force=force)
 
 
+#: Longest time constant of friction that drifts, in times of the record.
+LONGEST = 30.0
 #: Errors of an encoder that repeat with its turn: number in a turn, words and remedy.
 READINGS = ((1, "once a turn", "centre the disc of the encoder"), (2, "twice a turn", "align the disc of the encoder"))
 
@@ -171,22 +191,45 @@ def eccentric(s: Sizes) -> Iterator[ExtraForce]:
 
 
 def drift(s: Sizes) -> Iterator[ExtraForce]:
-    """Yield friction along a line and a parabola of time: friction falls as an exponential while an axis warms up."""
+    """Yield friction that falls or rises as an exponential of time while an axis warms up, about its mean."""
+    for kind, size, lengths in (("column_friction", s.coulomb, (0.2, 1.0)), ("column_viscous", s.viscous, (0.5,))):
+        for length in lengths:
+            yield _drift(BodyForce(kind), 0.4 * size, length)
+
+
+def _drift(force: BodyForce, size: float, length: float) -> ExtraForce:
+    """Return friction along an exponential whose time constant is `length` times the time of the record. With
+    `LONGEST` it is a line."""
     remedy = "record after the axis is warm, or identify shorter records"
-    for kind, size, column in (
-        ("column_friction", s.coulomb, _line),
-        ("column_friction", s.coulomb, _parabola),
-        ("column_viscous", s.viscous, _line),
-    ):
-        yield ExtraForce("drift", "friction that drifts", remedy, 0.4 * size, force=BodyForce(kind), column=column)
+    length = min(length, LONGEST)
+    end = math.exp(-1 / length)
+
+    def fall(u: Floats, t: Floats) -> Floats:
+        return np.asarray(np.exp(-t / (t[-1] * length)) / (1 - end))
+
+    def by_length(u: Floats, t: Floats) -> Floats:
+        return np.asarray(fall(u, t) * (t / t[-1] + end / (1 - end)) / length**2)
+
+    return ExtraForce(
+        "drift",
+        "friction that drifts",
+        remedy,
+        size,
+        force=force,
+        column=_about_mean(fall),
+        width=length,
+        with_width=partial(_drift, force, size),
+        by_width=_about_mean(by_length),
+        slope=force,
+    )
 
 
-def _line(u: Floats, t: Floats) -> Floats:
-    return np.asarray(t / max(float(t[-1]), 1e-300) - 0.5)
+def _about_mean(of_time: Callable[[Floats, Floats], Floats]) -> Callable[[Floats, Floats], Floats]:
+    def column(u: Floats, t: Floats) -> Floats:
+        h = of_time(u, t)
+        return np.asarray(h - np.mean(h))
 
-
-def _parabola(u: Floats, t: Floats) -> Floats:
-    return np.asarray(2 * _line(u, t) ** 2 - 1 / 6)
+    return column
 
 
 def warmth(s: Sizes) -> Iterator[ExtraForce]:
@@ -209,33 +252,37 @@ def bending(s: Sizes) -> Iterator[ExtraForce]:
 
 
 def dead_zone(s: Sizes) -> Iterator[ExtraForce]:
-    yield from _widths("dead_zone", "a dead zone of the input", _inside, s, (0.01, 0.03, 0.08))
+    yield from _widths("dead_zone", "a dead zone of the input", 1.0, s, (0.01, 0.03, 0.08))
 
 
 def saturation(s: Sizes) -> Iterator[ExtraForce]:
-    yield from _widths("saturated", "an input that saturates", _outside, s, (0.9, 0.8, 0.65))
+    yield from _widths("saturated", "an input that saturates", -1.0, s, (0.9, 0.8, 0.65))
 
 
-def _widths(
-    name: str, words: str, part: Callable[[float, Floats], Floats], s: Sizes, widths: Sequence[float]
-) -> Iterator[ExtraForce]:
-    """Yield a part of the input with several widths, in units of the largest input."""
+def _widths(name: str, words: str, side: float, s: Sizes, widths: Sequence[float]) -> Iterator[ExtraForce]:
+    """Yield the part of the input within several widths, in units of the largest input, which is the part beyond them
+    with the other sign and another gain. `side` is the sign."""
 
     def make(width: float) -> ExtraForce:
-        column = _column(partial(part, width * s.top_force))
+        top = min(width, 1.0) * s.top_force
+        inside = _column(lambda u: side * np.clip(u, -top, top))
+        edge = _column(lambda u: side * s.top_force * np.sign(u) * (np.abs(u) > top))
         force = BodyForce("column")
-        return ExtraForce(name, words, AMPLIFIER, 0.5, force=force, column=column, width=width, with_width=make)
+        return ExtraForce(
+            name,
+            words,
+            AMPLIFIER,
+            0.5,
+            force=force,
+            column=inside,
+            width=width,
+            with_width=make,
+            by_width=edge,
+            slope=force,
+        )
 
     if s.levels:
         yield from map(make, widths)
-
-
-def _inside(top: float, u: Floats) -> Floats:
-    return np.clip(u, -top, top)
-
-
-def _outside(top: float, u: Floats) -> Floats:
-    return u - np.clip(u, -top, top)
 
 
 def _column(of_input: Callable[[Floats], Floats]) -> Callable[[Floats, Floats], Floats]:
