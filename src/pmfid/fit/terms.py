@@ -207,7 +207,7 @@ def _drift(force: BodyForce, size: float, length: float) -> ExtraForce:
     def fall(u: Floats, t: Floats) -> Floats:
         return np.asarray(np.exp(-t / (t[-1] * length)) / (1 - end))
 
-    def by_length(u: Floats, t: Floats) -> Floats:
+    def differentiate(u: Floats, t: Floats) -> Floats:
         return np.asarray(fall(u, t) * (t / t[-1] + end / (1 - end)) / length**2)
 
     return ExtraForce(
@@ -216,15 +216,15 @@ def _drift(force: BodyForce, size: float, length: float) -> ExtraForce:
         remedy,
         size,
         force=force,
-        column=_about_mean(fall),
+        column=_center(fall),
         width=length,
         with_width=partial(_drift, force, size),
-        by_width=_about_mean(by_length),
+        by_width=_center(differentiate),
         slope=force,
     )
 
 
-def _about_mean(of_time: Callable[[Floats, Floats], Floats]) -> Callable[[Floats, Floats], Floats]:
+def _center(of_time: Callable[[Floats, Floats], Floats]) -> Callable[[Floats, Floats], Floats]:
     def column(u: Floats, t: Floats) -> Floats:
         h = of_time(u, t)
         return np.asarray(h - np.mean(h))
