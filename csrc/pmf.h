@@ -86,10 +86,9 @@ enum {
     PMF_COULOMB_BACKWARD,
     PMF_OFFSET,
     PMF_STIFFNESS,
-    PMF_DELAY, /* dead time of the input [s] */
     PMF_BODY_ROLES /* followed by a coefficient for each shape */
 };
-#define PMF_ROLES (7 + (PMF_WITH_DEAD_TIME + PMF_MAX_SHAPES > 0) + PMF_MAX_SHAPES)
+#define PMF_ROLES (7 + PMF_MAX_SHAPES)
 #define PMF_NO_PARAMETER 0xffU
 
 /* Status bits of a step. The Python enumeration `Status` has the same values, with advice. */
@@ -445,18 +444,16 @@ typedef struct {
 
 /* An input that acts late, by any fraction of a sample, and perhaps with a lag. */
 typedef struct {
-    uint32_t room; /* largest number of whole samples; 0: no dead time */
-    scalar_t rate; /* samples per second */
-    scalar_t dead_time; /* dead time [s], if no auxiliary model has its own */
-    uint32_t lags; /* 1: the input has a lag and a known dead time */
+    uint32_t kept; /* inputs kept: the whole samples of the dead time and two; 0: the input acts at once */
+    scalar_t part; /* fraction of the interval in which the older input acts */
+    uint32_t lags; /* 1: the input has a lag */
     pmf_decay_t decay[2]; /* decays over the parts of the older and the newer input */
 } pmf_late_config_t;
 
 typedef struct {
-    real_t past[PMF_MAX_LATE]; /* ring of inputs. The input at `at` acts first in the interval of the counts. */
+    real_t past[PMF_MAX_LATE]; /* ring of inputs, the last one at `at` */
     real_t older, newer,
         part; /* inputs that act in the interval of the counts. The older input acts for the fraction `part`. */
-    real_t gathered; /* dead time of the accumulated sums [s] */
     real_t lagged; /* output of the lag at the end of the interval */
     whole_t at;
 } pmf_late_state_t;

@@ -13,7 +13,6 @@
 #if PMF_WITH_AUXILIARY
 
 #define NEWTON_TURNS 3
-#define IS_DELAY(role) (PMF_WITH_DEAD_TIME && (role) == PMF_DELAY)
 
 /* A spring acts with its force in the middle of the interval. */
 static body_t body_of(const pmf_auxiliary_config_t *config, const real_t *parameter, real_t input, real_t middle)
@@ -266,12 +265,6 @@ PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const p
         target += jump * state->parameter[config->role[i]];
     }
     column[config->target_column] -= target;
-#if PMF_LATE
-    if (config->index[PMF_DELAY] != PMF_NO_PARAMETER) {
-        /* the regressor of the dead time is a derivative at the model's dead time, from which the target counts */
-        column[config->target_column] += state->parameter[PMF_DELAY] * column[first + config->index[PMF_DELAY]];
-    }
-#endif
 }
 
 PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state)
@@ -337,10 +330,7 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
     }
     for (i = 0; i < roles_of(config); ++i) {
         real_t target = index[i] == PMF_NO_PARAMETER ? PMF_R(0.0) : theta[index[i]], moved;
-        if (IS_DELAY(i) && index[i] == PMF_NO_PARAMETER) { /* the dead time is known */
-            continue;
-        }
-        if (i < PMF_OFFSET || IS_DELAY(i) || is_positive(config, i)) {
+        if (i < PMF_OFFSET || is_positive(config, i)) {
             target = PMF_IF(target < PMF_R(0.0), PMF_R(0.0), target);
         }
         moved = state->parameter[i] + smoothing * (target - state->parameter[i]);

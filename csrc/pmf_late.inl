@@ -30,43 +30,21 @@ static void lag_input(const pmf_decay_t *decay, pmf_late_state_t *late)
     late->part = half;
 }
 
-static real_t dead_time_of(const pmf_config_t *config, const pmf_state_t *state)
-{
-#if PMF_WITH_AUXILIARY
-    if (config->auxiliary.enabled != 0U) {
-        return state->auxiliary.parameter[PMF_DELAY];
-    }
-#endif
-    (void)state;
-    return config->late.dead_time;
-}
-
-/* Find the inputs that act in the interval of the counts, after a dead time of `samples`. */
-static void acts_behind(const pmf_late_config_t *late, const pmf_late_state_t *state, real_t samples, real_t *older,
-                        real_t *newer, real_t *part)
-{
-    uint32_t kept = late->room + 2U, whole;
-    samples = samples > PMF_R(0.0) ? samples : PMF_R(0.0);
-    samples = samples < (real_t)late->room ? samples : (real_t)late->room;
-    whole = (uint32_t)samples;
-    *part = samples - (real_t)whole;
-    *older = state->past[(state->at + whole + 1U) % kept];
-    *newer = state->past[(state->at + whole) % kept];
-}
-
 /* Delay the input after the encoder. All signals of the encoder belong to the interval before the last. */
-static void delay_input(const pmf_config_t *config, pmf_state_t *state)
+static void delay_input(const pmf_late_config_t *config, pmf_state_t *state)
 {
-    const pmf_late_config_t *late = &config->late;
+    pmf_late_state_t *late = &state->late;
     real_t *signal = state->network.node, mean;
-    real_t samples = dead_time_of(config, state) * late->rate;
-    state->late.at = state->late.at == 0U ? late->room + 1U : state->late.at - 1U;
-    state->late.past[state->late.at] = signal[PMF_LATE_INPUT];
-    acts_behind(late, &state->late, samples, &state->late.older, &state->late.newer, &state->late.part);
-    if (late->lags != 0U) {
-        lag_input(late->decay, &state->late);
+    uint32_t kept = config->kept;
+    late->at = late->at == 0U ? kept - 1U : late->at - 1U;
+    late->past[late->at] = signal[PMF_LATE_INPUT];
+    late->older = late->past[(late->at + kept - 1U) % kept];
+    late->newer = late->past[(late->at + kept - 2U) % kept];
+    late->part = config->part;
+    if (config->lags != 0U) {
+        lag_input(config->decay, late);
     }
-    mean = state->late.newer + state->late.part * (state->late.older - state->late.newer);
+    mean = late->newer + late->part * (late->older - late->newer);
     signal[PMF_LATE_INPUT] = mean;
     signal[PMF_INPUT] = signal[PMF_MOVING] * mean;
 }

@@ -167,8 +167,7 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
 #if PMF_WITH_DEAD_TIME
     fine &= all_finite(state->late.past, REALS(state->late.past)) & all_finite(&state->late.older, 1U) &
             all_finite(&state->late.newer, 1U) & within(&state->late.part, 1U, PMF_R(0.0), PMF_R(1.0)) &
-            all_finite(&state->late.gathered, 1U) & at_most(state->late.at, config->late.room + 1U) &
-            all_finite(&state->late.lagged, 1U);
+            ((state->late.at == 0U) | (state->late.at < config->late.kept)) & all_finite(&state->late.lagged, 1U);
 #endif
     fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed);
     fine &= check_recursion(&config->instrument, &state->instrument);

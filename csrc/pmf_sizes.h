@@ -8,7 +8,7 @@
 #define PMF_MAX_PARAMETERS 8
 #define PMF_MAX_NOISE PMF_MAX_PARAMETERS
 #define PMF_MAX_COLUMNS (5 * PMF_MAX_PARAMETERS + 4)
-#define PMF_MAX_LATE 22 /* inputs kept for a dead time, two more than the whole samples */
+#define PMF_MAX_LATE 22 /* inputs kept for a dead time, two more than its whole samples */
 #define PMF_MAX_SHAPES 6 /* number of shapes in the auxiliary model; 0 leaves shapes out */
 #define PMF_MAX_KNOTS 520 /* knots in the tables of all shapes */
 #define PMF_MAX_RATES 16 /* rules by which stages follow a varying step */

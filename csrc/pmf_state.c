@@ -70,7 +70,7 @@ void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state)
     keeps |= config->encoder.process;
 #endif
 #if PMF_WITH_DEAD_TIME
-    keeps |= config->late.room;
+    keeps |= config->late.kept;
 #endif
 #if PMF_WITH_AUXILIARY
     models = config->auxiliary.enabled; /* the axis may rest */

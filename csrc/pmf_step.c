@@ -96,8 +96,8 @@ __attribute__((always_inline)) inline
         state->hold -= PMF_BIT(state->hold > 0U, 1U);
     }
 #if PMF_LATE
-    if (config->late.room != 0U) {
-        delay_input(config, state);
+    if (config->late.kept != 0U) {
+        delay_input(&config->late, state);
     }
 #endif
 #if PMF_WITH_AUXILIARY
@@ -111,7 +111,7 @@ __attribute__((always_inline)) inline
         }
 #endif
 #if PMF_LATE
-        if (config->late.room != 0U && state->auxiliary.running != 0U) {
+        if (config->late.kept != 0U && state->auxiliary.running != 0U) {
             pmf_auxiliary_late_step(&config->auxiliary, &state->auxiliary, &state->late, state->network.node);
         } else
 #endif

@@ -270,7 +270,7 @@ def test_a_dead_time_that_is_found_next_to_the_gain() -> None:
     axis = BENCHES["gantry"]
     record = record_of(axis, Machine(axis.drive, dead_time=0.8 * axis.dt), "prbs", 1024, 9)
     model = pmfid.Drive(1.0, dead_time="estimate")
-    front = pmfid.IV(model, pmfid.Encoder(record.resolution), axis.dt, 1 / (3 * axis.dt))
+    front = pmfid.MotionFit(model, pmfid.Encoder(record.resolution), axis.dt, 1 / (3 * axis.dt))
     found = Known(front, given={"mass": axis.drive.mass}, find_gain=True).combine(front.fit(record.u, record.counts))
     assert found["input_gain"] == pytest.approx(axis.drive.input_gain, rel=0.01)
     assert found["dead_time"] == pytest.approx(0.8 * axis.dt, abs=0.05 * axis.dt)

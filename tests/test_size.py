@@ -21,7 +21,7 @@ MOST = {
     "lines of code in src": 41200,
     "lines of code in report and cli": 3750,
     "thresholds in src": 1126,
-    "lines of csrc": 9333,
+    "lines of csrc": 9297,
     "lines of tests": 42500,
     "match= in tests": 263,
     "lines of studies": 10550,

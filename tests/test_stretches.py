@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pmfid import IV, Drive, Encoder, identify, quantize
-from pmfid.estimators import instruments
+from pmfid.estimators import iv
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
 from pmfid.types import Counts, Floats
 from tests.tuned import set_tuning
@@ -20,7 +20,7 @@ METHOD = IV(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0)
 @pytest.fixture(autouse=True)
 def _short_stretch(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let records of few samples count as long."""
-    set_tuning(monkeypatch, instruments, stretch=STRETCH)
+    set_tuning(monkeypatch, iv, stretch=STRETCH)
 
 
 def record(seed: int, **later: float) -> tuple[Floats, Counts]:
@@ -34,7 +34,7 @@ def record(seed: int, **later: float) -> tuple[Floats, Counts]:
 def test_a_long_record_settles_where_the_whole_iteration_does(monkeypatch: pytest.MonkeyPatch) -> None:
     u, counts = record(5)
     found = METHOD.settle_iteration(u, counts)[1]
-    set_tuning(monkeypatch, instruments, stretch=SAMPLES)
+    set_tuning(monkeypatch, iv, stretch=SAMPLES)
     np.testing.assert_allclose(found, METHOD.settle_iteration(u, counts)[1], rtol=1e-6)
 
 

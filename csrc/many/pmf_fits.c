@@ -119,7 +119,7 @@ static uint32_t auxiliary_fits(const pmf_auxiliary_config_t *model)
 
 uint32_t pmf_fits(const pmf_config_t *config)
 {
-    return (config->late.room < PMF_MAX_LATE - 1U ? 1U : 0U) & network_fits(&config->network) &
+    return (config->late.kept <= PMF_MAX_LATE && config->late.kept != 1U ? 1U : 0U) & network_fits(&config->network) &
            recursion_fits(&config->direct) & recursion_fits(&config->instrument) &
            pmf_shapes_fit(&config->auxiliary.shapes) &
            (config->auxiliary.enabled == 0U ? 1U : auxiliary_fits(&config->auxiliary));

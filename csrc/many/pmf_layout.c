@@ -145,9 +145,8 @@ static void find_unused(const pmf_config_t *config, unused_t *unused)
         leave_out(unused, IN_STATE(network.ratio), END_IN_STATE(network.ratio_before));
         leave_out(unused, IN_STATE(auxiliary.step), END_IN_STATE(auxiliary.step));
     }
-    if (config->late.room == 0U) {
+    if (config->late.kept == 0U) {
         leave_out(unused, IN_STATE(late), END_IN_STATE(late));
-        leave_out(unused, IN_STATE(auxiliary.parameter[PMF_DELAY]), END_IN_STATE(auxiliary.parameter[PMF_DELAY]));
     }
     leave_zeros(unused, config);
 }
@@ -213,7 +212,7 @@ uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, p
     layout->reals = layout->words;
     add_words(layout, &unused, &filled, is_whole, 1U);
     layout->packed_size = (layout->packed_size + 7U) / 8U * 8U;
-    if (config->late.room != 0U || config->auxiliary.shapes.n != 0U || config->encoder.rate > PMF_SCALAR(0.0)) {
+    if (config->late.kept != 0U || config->auxiliary.shapes.n != 0U || config->encoder.rate > PMF_SCALAR(0.0)) {
         layout->lane_words = 0U;
     }
     return layout->words < PMF_MAX_WORDS && unused.ranges < MAX_RANGES ? 1U : 0U;

@@ -74,6 +74,6 @@ uint32_t JOIN(pmf_filter, PMF_STRAIGHT)(const pmf_config_t *config, pmf_state_t 
 
 uint32_t JOIN(pmf_is, PMF_STRAIGHT)(const pmf_config_t *config)
 {
-    return config->encoder.rate == 0 && config->late.room == 0U && config->auxiliary.shapes.n == 0U &&
+    return config->encoder.rate == 0 && config->late.kept == 0U && config->auxiliary.shapes.n == 0U &&
            has_method(config);
 }

@@ -18,7 +18,7 @@ left_out, estimated, found = [], [], []
 for delay in delays:
     run = drive_machine(Machine(CART, dead_time=float(delay)), u, CART_DT, 91e-6)
     left_out.append(pmfid.IV(pmfid.Drive(2.0), encoder, CART_DT, 33.0).fit(run.u, run.counts)["mass"])
-    fit = pmfid.IV(pmfid.Drive(2.0, dead_time="estimate"), encoder, CART_DT, 33.0).fit(run.u, run.counts)
+    fit = pmfid.MotionFit(pmfid.Drive(2.0, dead_time="estimate"), encoder, CART_DT, 33.0).fit(run.u, run.counts)
     estimated.append(fit["mass"])
     found.append(fit["dead_time"])
     print(f"{1000 * delay:4.0f} ms: left out {left_out[-1]:.3f} kg, estimated {estimated[-1]:.3f} kg")

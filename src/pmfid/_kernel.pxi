@@ -29,7 +29,6 @@ cdef extern from "pmf_internal.h":
         PMF_DIRECTION
         PMF_MOVING
         PMF_LATE_INPUT
-        PMF_DELAY
         PMF_AHEAD
     # The structures list only the fields that are read here. Python fills a configuration by the names in pmf.h.
     ctypedef struct pmf_network_config_t:
@@ -48,10 +47,6 @@ cdef extern from "pmf_internal.h":
     ctypedef struct pmf_auxiliary_state_t:
         real_t parameter[PMF_ROLES]
         real_t velocity, position, step
-    ctypedef struct pmf_decay_t:
-        real_t rest, mean, moment
-    ctypedef struct pmf_late_state_t:
-        real_t older, newer, part, lagged
     ctypedef struct pmf_encoder_config_t:
         real_t rate
         uint32_t guard

@@ -17,9 +17,9 @@ from pmfid.estimators.recursive import BCRLS, impulse_products
 from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import HELD, SPLIT, ColumnBuilder
 from pmfid.filters.network import ACCELERATION, AUXILIARY, VELOCITY, Network, Taps
-from pmfid.kernel.configuration import fill, kernel_of, make_config
+from pmfid.kernel.configuration import kernel_of, make_config
 from pmfid.kernel.structures import Structured, constants_of
-from pmfid.models.equation import LATE, ROLES, Equation
+from pmfid.models.equation import ROLES, Equation
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -100,8 +100,6 @@ def make_auxiliary_kernel(
     config = np.frombuffer(bytearray(known[key].tobytes()), known[key].dtype).reshape(())
     values = estimator.equation.role_values(initial)
     config["auxiliary"]["initial"][: len(values)] = values
-    if (late := estimator.late_config(float(values[LATE]))) is not None:
-        fill(config["late"], late)
     return kernel_of(estimator.precision, config), auxiliary_columns(estimator)[2]
 
 
@@ -155,6 +153,7 @@ def _make_config(estimator: Estimator, forgetting: float, has_initial: bool, ada
         instrument=_with_check(estimator, estimator.recursion_config(p, True, forgetting, first))
         | {"growing": _growing(estimator) if adapt else 0},
         auxiliary=auxiliary,
+        late=estimator.late_config(),
         rates=network.rates if estimator.steps is not None else ((), ()),
     )
 
@@ -219,7 +218,6 @@ def _causes(equation: Equation, network: Network) -> list[int]:
     return [
         network.slots.get((False, *t.place)) or (ACCELERATION if t.derivative == 2 else AUXILIARY + BLOCK[t.signal])
         for t in equation.unknown
-        if t.signal != "input"  # the dead time comes last
     ]
 
 

@@ -29,7 +29,7 @@ from pmfid.filters.network import TURN, Network, Taps, scale_taps
 from pmfid.kernel.configuration import kernel_of, late_values, make_config, shape_values, too_many
 from pmfid.kernel.structures import constants_of
 from pmfid.models.drive import Model
-from pmfid.models.equation import ESTIMATE, MOST_LATE, Equation
+from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, MOST_LATE, Equation
 from pmfid.types import Flags, Floats
 
 if TYPE_CHECKING:
@@ -124,13 +124,8 @@ class Estimator:
         """Return the reason, with a remedy, why the method cannot estimate this equation; empty if it can."""
         if equation.elastic and not cls.knows_elastic:
             return equation.refuse_second_mass(cls.method)
-        if equation.dead_time == ESTIMATE:
-            return (
-                f'{cls.method} does not simulate the motion, and dead_time = "estimate" needs that; use iv '
-                "or fit, or give the dead time in s"
-            )
-        if equation.lag == ESTIMATE:
-            return f"{cls.method} cannot estimate a lag: use iv or fit, or give the lag in s"
+        if late := " and ".join(name for name in (DEAD_TIME, LAG) if getattr(equation, name) == ESTIMATE):
+            return f"{cls.method} does not estimate {late}; use fit off-line, or give the time in s"
         if refused := too_many([table for table, _ in equation.known_at([1.0] * len(equation.further)).shapes]):
             return refused
         of_speed = ", ".join(str(term.name) for term in equation.shaped if term.shape and term.shape.of_speed)
@@ -332,14 +327,10 @@ class Estimator:
             return config | {"rate": 1 / self.dt, "standstill_samples": still}
         return config | {"guard": int(self.encoder.guard and self.plant.rests)}
 
-    def late_config(self, found: float = 0.0) -> dict[str, object] | None:
-        """Return the kernel configuration of a late input; None if the input acts at once. `found` is the dead time [s]
-        of the model if the dead time is unknown."""
-        late, lag = self.equation.dead_time, self.equation.lag
-        known, room = (found, MOST_LATE) if late == ESTIMATE else (float(late), None)
-        if not (late or lag):
-            return None
-        return late_values(self.dt, known, 0.0 if lag == ESTIMATE else lag, room, self.precision)
+    def late_config(self) -> dict[str, object] | None:
+        """Return the kernel configuration of a late input; None if the input acts at once, or an unknown time later."""
+        late, lag = (0.0 if time == ESTIMATE else float(time) for time in (self.equation.dead_time, self.equation.lag))
+        return late_values(self.dt, late, lag, self.precision) if late or lag else None
 
     @property
     def first_samples(self) -> int:

@@ -14,7 +14,7 @@ INPUT_GAIN = "input_gain"
 
 def forces_of(equation: Equation) -> list[str]:
     """Return the names of the unknowns that are in proportion to the gain of the input."""
-    return [str(term.name) for term in equation.unknown if term.signal != "input"]
+    return [str(term.name) for term in equation.unknown]
 
 
 def check_known(

@@ -2,32 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from pmfid.errors import NotIdentifiableError
-from pmfid.estimators.auxiliary import make_auxiliary_kernel
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
 from pmfid.estimators.base import Simulating
-from pmfid.estimators.configuration import like
-from pmfid.estimators.instruments import Instruments, initial_vector
-from pmfid.estimators.motion_fit import MotionFit
-from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.batch import check_identifiable, filter_parts
+from pmfid.estimators.configuration import check_arrays, check_size, like
+from pmfid.estimators.least_squares import inverse_of, solve_bounded, solve_with_instruments
+from pmfid.estimators.ls import BCLS
+from pmfid.estimators.plants import plant_of
+from pmfid.estimators.recursive import RecursiveEstimator, impulse_products
 from pmfid.estimators.results import Columns, Fit
+from pmfid.estimators.srivc import ProcessSolver, fixed_filters
+from pmfid.estimators.stretches import liveliest
 from pmfid.estimators.tuning import TUNING
-from pmfid.fit.likelihood import Intervals
-from pmfid.models.equation import DEAD_TIME, ESTIMATE, LAG, Equation
-from pmfid.types import Floats
+from pmfid.linear.solve import ProcessProblem, Solution
+from pmfid.models.equation import (
+    COULOMB_BACKWARD,
+    COULOMB_FORWARD,
+    MASS,
+    OFFSET,
+    ROLES,
+    STIFFNESS,
+    Equation,
+)
+from pmfid.status import Status
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
 
 
 @dataclass(frozen=True)
-class IV(Instruments):
+class IV(ProcessSolver, Simulating):
     """Iterated instrumental variables, off-line.
 
     The plant is simulated from the input alone with the present estimate, stiction included. The simulated motion gives
@@ -49,15 +62,10 @@ class IV(Instruments):
     Notes
     -----
     The method repeats theta = (sum zeta phi^T)^-1 sum zeta z until theta no longer changes (Young and Jakeman 1979).
-    The
-    friction in the auxiliary model is an addition of pmfid.
+    The friction in the auxiliary model is an addition of pmfid.
 
     A transfer function is simulated with unknown initial conditions, and its filter has the pole `cutoff`. `SRIVC`
     adapts the filter to the estimate.
-
-    The instrument of a dead time is the change of the input, which under control follows the encoder's error. The dead
-    time therefore comes from the motion that fits best (`MotionFit`), on two conditions. The best motion must explain
-    every count, and give a shorter error bar of the dead time.
 
     The standard errors follow from the scatter of the scores over the memory of the filters. They are up to eight times
     too long if the encoder's error cancels from move to move, and half as long as the errors if it repeats in every
@@ -77,59 +85,171 @@ class IV(Instruments):
 
     method: ClassVar[str] = "iv"
 
-    def fit_settled(self, columns: Columns, theta: Floats, u: Floats, counts: NDArray[np.int64]) -> Fit:
-        fit = super().fit_settled(columns, theta, u, counts)
-        late = [i for i, name in enumerate(self.names) if name in (DEAD_TIME, LAG)]
-        if not late or np.all(fit.theta_std[late] < TUNING.iv_sharp * self.dt):
-            return fit
-        sharp = self._sharp(u, counts)
-        if sharp is None or not np.all(sharp.theta_std[late] < fit.theta_std[late]):
-            return fit
-        try:
-            return self._fit_at_lateness(sharp.theta[late], sharp.theta_cov[np.ix_(late, late)], late, fit, u, counts)
-        except NotIdentifiableError:  # the iteration does not converge at this dead time or lag
-            return fit
+    initial: Mapping[str, float] | None = field(default=None, kw_only=True)
 
-    def _sharp(self, u: Floats, counts: NDArray[np.int64]) -> Fit | None:
-        """Return the fit of the motion, or None if the motion does not explain every count."""
-        method = like(MotionFit, self, prefilter_zeros=None, precision="float64")
-        try:
-            fitted = method.examine(u, counts)
-        except NotIdentifiableError:
-            return None
-        return method.summarise(fitted) if isinstance(fitted.likelihood, Intervals) else None
+    @classmethod
+    def refuses(cls, equation: Equation) -> str:
+        return super().refuses(equation) or refuse_nonlinear(cls.method, equation)
 
-    def _fit_at_lateness(
-        self, late: Floats, late_cov: Floats, places: list[int], fit: Fit, u: Floats, counts: NDArray[np.int64]
-    ) -> Fit:
-        """Return the fit at dead time and lag (l,) [s] with the covariance (l, l). `places` are their indices in
-        theta.
+    def solve_problem(self, problem: ProcessProblem) -> Solution:
+        return fixed_filters(problem)
+
+    def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
+        """Estimate the parameters. Raises NotIdentifiableError also if the iteration does not converge."""
+        u, counts = check_arrays(u, counts)
+        columns, theta = self.settle_iteration(u, counts)
+        return self._result(columns, theta, self._covariance(columns, theta, self._gain(columns, theta, u, counts)))
+
+    def settle_iteration(self, u: ArrayLike, counts: ArrayLike) -> tuple[Columns, NDArray[np.float64]]:
+        """Return the columns of the last iteration and theta (p,), as `fit` without the covariance. Raises the errors
+        of `fit`."""
+        if np.size(u) > TUNING.stretch and self.steps is None:
+            with suppress(NotIdentifiableError):
+                return self._settle_from_stretch(*check_arrays(u, counts))
+        theta = self.start(u, counts)
+        for turn in range(TUNING.instruments_max_iterations):
+            columns = self.columns_at(theta, u, counts)
+            check_identifiable(columns, self.names, simulated=True)
+            before, theta = theta, self._plausible(theta, self._solve(columns)[0])
+            if turn >= TUNING.damped_from:
+                theta = (theta + before) / 2
+            change = _measure_change(columns, before, theta)
+            if change <= TUNING.instruments_tolerance or (
+                turn == TUNING.instruments_max_iterations - 1 and change <= TUNING.instruments_accepted
+            ):
+                return columns, theta
+        raise NotIdentifiableError(
+            "the iteration does not converge (last "
+            f"{dict(zip(self.names, theta.round(4).tolist(), strict=True))}): the simulated motion does "
+            "not follow the measured motion; check input_gain and the model, or in Python give `initial`"
+        )
+
+    def _settle_from_stretch(
+        self, u: NDArray[np.float64], counts: NDArray[np.int64]
+    ) -> tuple[Columns, NDArray[np.float64]]:
+        """Return the result of `settle_iteration` for a long record, by the method of Broyden (1965).
+
+        The iteration starts from the liveliest stretch, with the gain of that stretch. Raises NotIdentifiableError also
+        if a few turns do not settle.
         """
-        others = [i for i in range(fit.theta.size) if i not in places]
-        known = self._fix_lateness(late, fit.theta[others])
-        columns, theta = known.settle_iteration(u, counts)
-        moves = np.empty((theta.size, late.size))
-        for j, bar in enumerate(np.sqrt(np.diagonal(late_cov))):
-            sides = [np.maximum(late + side * bar * np.eye(late.size)[j], 0.0) for side in (1.0, -1.0)]
-            ends = [self._fix_lateness(side, theta).settle_iteration(u, counts)[1] for side in sides]
-            moves[:, j] = (ends[0] - ends[1]) / (sides[0][j] - sides[1][j])
-        own = known.estimate_covariance(columns, theta, u, counts)
-        whole, cov = np.empty(fit.theta.size), np.empty_like(fit.theta_cov)
-        whole[others], whole[places] = theta, late
-        cov[np.ix_(others, others)] = own + moves @ late_cov @ moves.T
-        cov[np.ix_(places, places)] = late_cov
-        cov[np.ix_(others, places)] = moves @ late_cov
-        cov[np.ix_(places, others)] = cov[np.ix_(others, places)].T
-        return self._result(self.columns_at(whole, u, counts), whole, cov)
+        part = liveliest(self.encoder.position(counts), TUNING.stretch)
+        columns, theta = self.settle_iteration(u[part], counts[part])
+        gain = self._gain(columns, theta, u[part], counts[part]) * columns.z.size
+        score, step = np.zeros(theta.size), np.zeros(theta.size)
+        for turn in range(TUNING.stretch_turns):
+            columns = self.columns_at(theta, u, counts)
+            check_identifiable(columns, self.names, simulated=True)
+            last, score = score, columns.zeta.T @ (columns.z - columns.phi @ theta) / columns.z.size
+            if turn > 0:
+                expected = gain @ (last - score)
+                gain += np.outer(step - expected, step @ gain) / (step @ expected)
+            before, theta = theta, self._plausible(theta, theta + gain @ score)
+            step = theta - before
+            if _measure_change(columns, before, theta) <= TUNING.instruments_tolerance:
+                return columns, theta
+        raise NotIdentifiableError("the iteration does not converge on a part of the record")
 
-    def _fix_lateness(self, late: Floats, start: Floats) -> Instruments:
-        """Return the estimator with a known lateness (l,) [s], starting from theta (p,)."""
-        times = iter(late.tolist())
-        model, equation = self.model, self.equation
-        model = model.replace_dead_time(next(times)) if equation.dead_time == ESTIMATE else model
-        model = model.replace_lag(next(times)) if equation.lag == ESTIMATE else model
-        twin = like(Instruments, self, model=model)
-        return replace(twin, initial=dict(zip(twin.names, start.tolist(), strict=True)))
+    def _gain(
+        self, columns: Columns, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike
+    ) -> NDArray[np.float64]:
+        """Return the gain (p, p) by which a change of sum zeta z moves theta, with moving reversals of the model.
+
+        The matrix sum zeta phi^T alone takes the direction as known, so that the error bar of the mass is a fifth too
+        short.
+        """
+        rests = self._rests(*check_arrays(u, counts), theta)
+        jacobian = np.empty((theta.size, theta.size))
+        size = np.maximum(np.abs(theta), 1e-3 * np.max(np.abs(theta)))
+        for i, step in enumerate(TUNING.jacobian_step * size):
+            moved = [theta + side * np.eye(theta.size)[i] for side in (step, -step)]
+            sides = [self.columns_at(at, u, counts, rests) for at in moved]
+            # two motions use different samples if one of them moves while the other rests
+            used = columns.used & sides[0].used & sides[1].used
+            error = [(side.z - side.phi @ at)[used[side.used]] for side, at in zip(sides, moved, strict=True)]
+            with np.errstate(over="ignore"):  # the error comes from a resolution that no encoder has
+                jacobian[:, i] = columns.zeta[used[columns.used]].T @ (error[1] - error[0]) / (2 * step)
+        return inverse_of(jacobian)
+
+    def start(self, u: ArrayLike, counts: ArrayLike) -> NDArray[np.float64]:
+        """Return the given start values (p,), or start values from the counts alone."""
+        if self.initial is not None:
+            return initial_vector(self.initial, self.names)
+        batch = like(BCLS, self, model=self.model.simple)
+        found = batch.solve(u, counts)
+        if found is None or not found[batch.equation.leading] > 0:
+            positive = np.array(batch.equation.positive)
+            if (stiffness := batch.equation.roles[STIFFNESS]) is not None:
+                positive[stiffness] = True
+            found = solve_bounded(batch.columns(u, counts), positive)
+        theta = spread(batch.equation.role_values(found), self.equation)
+        for term in batch.equation.shaped:
+            theta[self.names.index(str(term.name))] = found[batch.names.index(str(term.name))]
+        return theta
+
+    def columns_at(
+        self, theta: NDArray[np.float64], u: ArrayLike, counts: ArrayLike, rests: bool | None = None
+    ) -> Columns:
+        """Return regressors, target and instruments with the auxiliary model at theta (p,).
+
+        If a record begins at rest and the model agrees, the axis has been at rest before, and its first motion counts.
+        `rests` says whether the record begins at rest. None decides from the counts and theta.
+        """
+        columns, used, status = self._filter_record(theta, *check_arrays(u, counts), rests)
+        first, p = auxiliary_columns(self)[2], len(self.names)
+        columns = columns[used, first:]
+        occurred = int(np.bitwise_or.reduce(status)) & int(Status.SAMPLE_REJECTED)
+        zeta = self.weigh_rows(columns[:, p + 1 : 2 * p + 1], used)
+        return Columns(columns[:, :p], columns[:, p], zeta, used, occurred)
+
+    def _filter_record(
+        self,
+        theta: NDArray[np.float64],
+        u_array: NDArray[np.float64],
+        counts_array: NDArray[np.int64],
+        rests: bool | None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint32]]:
+        """Return all columns (n, c), the rows that count (n,), and the status (n,)."""
+        check_size(u_array)
+        kernel, _ = make_auxiliary_kernel(self, 1.0, list(theta), adapt=False)
+        rests = self._rests(u_array, counts_array, theta) if rests is None else rests
+        before = 2 * self.settle_samples + 1 if rests else 0
+        rest = np.full(before, counts_array[:1])
+        steps = self.steps_before(u_array.size)
+        steps = None if steps is None else np.r_[np.full(before, self.dt), steps]
+        columns, status = filter_parts(kernel, np.r_[np.zeros(before), u_array], np.r_[rest, counts_array], steps)
+        columns, status = columns[before:], status[before:]
+        used = (status & Status.SETTLING) == 0
+        used[: 0 if before else int(TUNING.start_part * used.size)] = False
+        return columns, used, status
+
+    def _rests(self, u: NDArray[np.float64], counts: NDArray[np.int64], theta: NDArray[np.float64]) -> bool:
+        """Return whether the axis rests at first, according to the counts and the friction of theta (p,)."""
+        begin = slice(0, TUNING.rest_samples)
+        if counts.size <= TUNING.rest_samples or np.any(counts[begin] != counts[0]):
+            return False
+        friction = min(
+            (theta[i] for i in (self.equation.roles[r] for r in (COULOMB_FORWARD, COULOMB_BACKWARD)) if i is not None),
+            default=0.0,
+        )
+        index = self.equation.roles[OFFSET]
+        force = self.equation.input_gain * u[begin] - (0.0 if index is None else theta[index])
+        return bool(np.all(np.abs(force) <= friction)) and not self.equation.place_matters
+
+    def noise(self) -> NDArray[np.float64]:
+        """Return the covariance (p, p) of one sample's regressors by a white error with the variance of the encoder's
+        step.
+        """
+        network, columns, first, _ = auxiliary_columns(self)
+        responses = impulse_products(self, network, columns[first : first + len(self.names)])
+        return np.asarray(self.encoder.rounding_variance * responses)
+
+    def _solve(self, columns: Columns) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        return solve_with_instruments(columns)
+
+    def _plausible(self, theta: NDArray[np.float64], found: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return `found` with lower limits: a mass or friction falls at most half-way from theta to zero."""
+        low = np.where(self.equation.positive, 0.5 * theta, -np.inf)
+        return np.maximum(found, low)
 
 
 @dataclass(frozen=True)
@@ -174,16 +294,7 @@ class RIV(Simulating, RecursiveEstimator):
 
     @classmethod
     def refuses(cls, equation: Equation) -> str:
-        refused = super().refuses(equation)
-        if not refused and ESTIMATE in (equation.lag, equation.dead_time):
-            return "riv needs numbers for dead_time and lag: estimate them with iv or fit, and give them in s"
-        if refused or not equation.further:
-            return refused
-        names = ", ".join(dict(equation.further))
-        return (
-            f"riv estimates parameters that act linearly, and {names} does not; estimate it with fit, and give its "
-            "value"
-        )
+        return super().refuses(equation) or refuse_nonlinear(cls.method, equation)
 
     def make_kernel(self, forgetting: float = 1.0) -> Kernel:
         initial = None if self.initial is None else list(initial_vector(self.initial, self.names))
@@ -193,3 +304,50 @@ class RIV(Simulating, RecursiveEstimator):
     def _zeros_needed(self) -> int:
         """Number of zeros of the direct estimate, which does not distinguish the directions."""
         return len(self.model.symmetric.equation.noisy)
+
+
+def _measure_change(columns: Columns, before: NDArray[np.float64], theta: NDArray[np.float64]) -> float:
+    """Return the largest relative change of a parameter from `before` to `theta` (p,)."""
+    small = (
+        TUNING.instruments_small
+        * np.linalg.norm(columns.z)
+        / np.maximum(np.linalg.norm(columns.phi, axis=0), TUNING.tiny)
+    )
+    size = np.maximum(np.maximum(np.abs(theta), np.abs(before)), small)
+    return float(np.max(np.abs(theta - before) / size))
+
+
+def initial_vector(initial: Mapping[str, float], names: tuple[str, ...]) -> NDArray[np.float64]:
+    """Return the parameters of `initial` in the order of theta. Raises UsageError for a missing or unknown name."""
+    if set(initial) != set(names):
+        raise UsageError(f"initial must name {list(names)}, got {list(initial)}")
+    return np.array([float(initial[name]) for name in names])
+
+
+def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
+    """Return theta (p,) from the values of the roles in the symmetric equation. In an equation without an offset, a
+    constant load becomes Coulomb friction that differs between the directions. Negative frictions start at zero."""
+    values = list(known)
+    if equation.roles[OFFSET] is None:
+        values[COULOMB_FORWARD] += values[OFFSET]
+        values[COULOMB_BACKWARD] -= values[OFFSET]
+    theta = np.zeros(len(equation.names))
+    for value, index in zip(values[: len(ROLES)], equation.roles[: len(ROLES)], strict=True):
+        if index is not None:
+            theta[index] = value
+    if not values[MASS] > 0:
+        raise NotIdentifiableError(
+            f"the iteration has no start values: the counts alone give a mass of {values[MASS]:.3g}; "
+            "check the signs of input and output, use a lower cutoff, record a more varied motion, or in "
+            "Python give `initial`"
+        )
+    return np.where(equation.positive, np.maximum(theta, 0.0), theta)
+
+
+def refuse_nonlinear(method: str, equation: Equation) -> str:
+    """Return why a method with instruments refuses the equation; empty if the parameters act linearly."""
+    names, other = ", ".join(dict(equation.further)), "fit" if plant_of(equation).rests else "srivc"
+    if not names:
+        return ""
+    way = f"use {other} off-line, or give its value"
+    return f"{method} estimates parameters that act linearly, and {names} does not; {way}"

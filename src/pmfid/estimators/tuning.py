@@ -76,18 +76,6 @@ class EstimatorTuning:
     rest_samples: int = 5
     #: Relative step of the difference quotients for the covariance.
     jacobian_step: float = 1e-3
-    #: Dead times [samples] that are tried before the estimation of a dead time.
-    instruments_tried: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 18.0)
-    #: Number of tried dead times if another model gives an approximate value.
-    tried_near: int = 3
-    #: Lags that are tried before the estimation of a lag, and step of the difference quotient by the lag [samples].
-    tried_lags: tuple[float, ...] = (0.0, 0.5, 1.0, 2.0, 4.0, 8.0)
-    lag_step: float = 1e-3
-
-    # iv
-    #: A dead time with a smaller standard error [samples] moves nothing. The whole motion may improve a less certain
-    #: one.
-    iv_sharp: float = 0.005
 
     # known
     #: Most iterations. One given force needs a single step; only contradicting facts need more.

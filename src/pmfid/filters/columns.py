@@ -165,8 +165,6 @@ class ColumnBuilder:
                 raise UsageError(f"the counts alone do not give the speed for {term.name}; use iv or riv")
             return self._hold(self.network.slot((source == "measured", *term.place)))
         block = 0 if source == "measured" else AUXILIARY
-        if term.signal in HELD and term.derivative == 1:
-            return self._rate(HELD[term.signal] + block)
         if term.signal in HELD:
             return self._hold(HELD[term.signal] + block) + self._turns(term, source)
         if term.signal in SPLIT:
@@ -257,13 +255,6 @@ class ColumnBuilder:
     def model_acceleration(self) -> Taps:
         """Return the taps of the auxiliary model's filtered mean acceleration, without approximation."""
         return self._hold(ACCELERATION)
-
-    def _rate(self, source: int) -> Taps:
-        """Return the taps of the filtered derivative of a held signal."""
-        spec = self.spec
-        if spec.discretization == "matched":
-            return self._derivative(source, 1)
-        return hold_exact(self.network, source, spec.cutoff, spec.order, spec.dt, 1)
 
     def _hold(self, source: int) -> Taps:
         spec = self.spec

@@ -220,22 +220,16 @@ def too_many(tables: Sequence[ShapeTable]) -> str:
 Decay = tuple[float, float, float]
 
 
-def late_values(
-    dt: float, dead_time: float, lag: float, room: int | None = None, precision: str = "float64"
-) -> dict[str, object]:
-    """Return the fields of `pmf_late_config_t` for a dead time and a lag [s].
-
-    `room` is the longest dead time in whole samples. None takes the present dead time.
-    """
-    room = max(1, math.ceil(dead_time / dt)) if room is None else room
+def late_values(dt: float, dead_time: float, lag: float, precision: str = "float64") -> dict[str, object]:
+    """Return the fields of `pmf_late_config_t` for a dead time and a lag [s], not both 0."""
     real = np.float32 if precision == "float32" else np.float64
-    samples = min(float(real(dead_time) * real(1 / dt)), float(room))  # with the kernel's rounding
+    samples = float(real(dead_time) * real(1 / dt))
+    whole, part = math.floor(samples), samples - math.floor(samples)
     return {
-        "room": room,
-        "rate": 1 / dt,
-        "dead_time": dead_time,
+        "kept": whole + 2,
+        "part": part,
         "lags": int(lag > 0),
-        "decay": decays(samples - math.floor(samples), lag / dt) if lag > 0 else [(0.0, 0.0, 0.0)] * 2,
+        "decay": decays(part, lag / dt) if lag > 0 else [(0.0, 0.0, 0.0)] * 2,
     }
 
 

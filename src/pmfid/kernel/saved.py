@@ -55,15 +55,15 @@ def shape_of(config: Structured) -> KernelSizes:
         max_shapes=int(shapes["n"]),
         max_knots=knots_of(shapes),
         max_rates=max(1, 4 * -(-int(network["n_rates"]) // 4)),  # the kernel computes four rules at once
-        max_late=int(config["late"]["room"]) + 2 if config["late"]["room"] else 1,
-        with_dead_time=int(config["late"]["room"] > 0),
+        max_late=max(1, int(config["late"]["kept"])),
+        with_dead_time=int(config["late"]["kept"] > 0),
         with_auxiliary=int(config["auxiliary"]["enabled"] or shapes["n"] > 0),
         with_process=int(process),
         with_guard=int(config["encoder"]["guard"] > 0),
         with_endless=int(any(long_memory(recursion) for recursion in recursions)),
         with_split=int(
             bool(process)
-            or config["late"]["room"] > 0
+            or config["late"]["kept"] > 0
             or place_matters(shapes)
             or any(node in split_signals(bool(config["encoder"]["turns"])) for node in nodes)
         ),

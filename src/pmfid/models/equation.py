@@ -28,11 +28,10 @@ ROLES: tuple[tuple[tuple[Signal, int], ...], ...] = (
     (("direction", 0), ("backward", 0)),
     (("moving", 0),),
     (("output", 0),),
-    (("input", 1),),
 )
-MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, OFFSET, STIFFNESS, LATE = range(8)
-#: Roles whose value is never negative, which are inertia, friction and dead time.
-POSITIVE_ROLES = (MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, LATE)
+MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD, OFFSET, STIFFNESS = range(7)
+#: Roles whose value is never negative, which are inertia and friction.
+POSITIVE_ROLES = (MASS, VISCOUS_FORWARD, VISCOUS_BACKWARD, COULOMB_FORWARD, COULOMB_BACKWARD)
 DEAD_TIME, LAG = "dead_time", "lag"
 #: Longest dead time, and longest lag, in samples.
 MOST_LATE = 20
@@ -47,9 +46,8 @@ class Term:
     signal : str
         One of `Signal`. The signal `output` counts from its first sample.
     derivative : int
-        0 to 2 for `output`, 1 for `forward_output` and `backward_output`, 0 for other signals of a machine. 1 for
-        `input` means a dead time (see `Equation`). For a process, 0 to 6 for the output, and less than that for the
-        input.
+        0 to 2 for `output`, 1 for `forward_output` and `backward_output`, 0 for other signals of a machine. For a
+        process, 0 to 6 for the output, and less than that for the input.
     name : str, optional
         Name of an unknown coefficient.
     unit : str
@@ -88,7 +86,8 @@ class Term:
         low, high = self.facts.derivatives
         if not low <= self.derivative <= high:
             allowed = f"{low}" if low == high else f"{low} to {high}"
-            raise UsageError(f"derivative of a term of {self.signal} must be {allowed}, got {self.derivative}")
+            hint = '; for a dead time write dead_time = "estimate"' if self.signal == "input" else ""
+            raise UsageError(f"derivative of a term of {self.signal} must be {allowed}, got {self.derivative}{hint}")
         if self.name is not None and not self.name.isidentifier():
             raise UsageError(f"name of a term must be a plain word such as 'inertia', got {self.name!r}")
         if not 1e-30 < abs(self.coefficient) < 1e30 or not math.isfinite(self.coefficient):
@@ -154,11 +153,10 @@ class Equation:
         to this list.
     dead_time : float or "estimate"
         Dead time of a machine's input [s], any part of a sample. Late counts have the same effect as a late input. With
-        "estimate", the equation has a further unknown term: dead_time times the derivative of the input. This term is
-        the dead time to first order, around the dead time of the simulated model.
+        "estimate", the dead time is one of `further`.
     lag : float or "estimate"
-        Time constant [s] of a first-order lag of the input, as in a current loop. With "estimate", the equation is not
-        linear in the lag.
+        Time constant [s] of a first-order lag of the input, as in a current loop. With "estimate", the lag is one of
+        `further`.
     second : tuple of (name, unit)
         Inertia, viscous and Coulomb friction of a second mass, stiffness and damping of the spring between the masses,
         and perhaps the gap between them, or nothing. The terms belong to the first mass, on which the input acts and
@@ -189,7 +187,7 @@ class Equation:
 
     def __post_init__(self) -> None:
         self._check_late()
-        object.__setattr__(self, "unknown", (*self.unknown, *self._late()))
+        object.__setattr__(self, "unknown", tuple(self.unknown))
         object.__setattr__(self, "known", tuple(self.known))
         names = [term.name for term in self.unknown]
         if not self.unknown or not self.known or None in names or len(set(names)) < len(names):
@@ -208,8 +206,9 @@ class Equation:
                 "viscous friction"
             )
         free = tuple((f"{term.name}_speed".replace("_friction", ""), self.motion.speed) for term in self._free)
+        late = ((DEAD_TIME, "s"),) if self.dead_time == ESTIMATE else ()
         lag = ((LAG, "s"),) if self.lag == ESTIMATE else ()
-        object.__setattr__(self, "further", tuple(dict.fromkeys((*lag, *self.second, *self.further, *free))))
+        object.__setattr__(self, "further", tuple(dict.fromkeys((*late, *lag, *self.second, *self.further, *free))))
         places = [term.place for term in (*self.unknown, *self.known)]
         if len(set(places)) < len(places):
             raise UsageError(
@@ -224,20 +223,9 @@ class Equation:
         if self.lag and self.process:
             raise UsageError("a lag of a linear process is one of its poles; leave lag out, and increase n by 1")
 
-    def _late(self) -> tuple[Term, ...]:
-        """Return the term of an unknown dead time, unless the equation already contains that term."""
-        late = [term for term in self.unknown if (term.signal, term.derivative) == ("input", 1)]
-        if late and self.dead_time != ESTIMATE:
-            raise UsageError('a derivative of the input stands for a dead time: write dead_time = "estimate"')
-        if late or self.dead_time != ESTIMATE:
-            return ()
-        gains = [term.coefficient for term in self.known if (term.signal, term.derivative) == ("input", 0)]
-        return (Term("input", 1, DEAD_TIME, "s", gains[0]),) if gains else ()
-
     def replace_dead_time(self, seconds: float | Literal["estimate"]) -> Equation:
         """Return a copy with another dead time [s]."""
-        unknown = tuple(term for term in self.unknown if (term.signal, term.derivative) != ("input", 1))
-        return replace(self, unknown=unknown, dead_time=seconds)
+        return replace(self, further=tuple(one for one in self.further if one[0] != DEAD_TIME), dead_time=seconds)
 
     def replace_lag(self, seconds: float | Literal["estimate"]) -> Equation:
         """Return a copy with another lag of the input [s]."""
@@ -248,21 +236,11 @@ class Equation:
         """Equation without dead time and lag of the input."""
         return self.replace_dead_time(0.0).replace_lag(0.0)
 
-    @property
-    def searched(self) -> tuple[str, ...]:
-        """Unknowns in which the equation is not linear, except the lag of a machine."""
-        return tuple(name for name, _ in self.further if name != LAG or self.process)
-
     def role_values(self, theta: Sequence[float] | Floats | None) -> list[float]:
         """Return the value of each role of the simulated body from the parameters (p,). A role without a term has the
-        value 0.
-
-        A known dead time is included. If `theta` is None, only the dead time differs from 0.
+        value 0, and None stands for zeros.
         """
-        known = [0.0 if index is None or theta is None else float(theta[index]) for index in self.roles]
-        if self.dead_time != ESTIMATE:
-            known[LATE] = self.dead_time
-        return known
+        return [0.0 if index is None or theta is None else float(theta[index]) for index in self.roles]
 
     def _check_process(self) -> None:
         terms = (*self.unknown, *self.known)
@@ -358,12 +336,15 @@ class Equation:
         return self.roles[STIFFNESS] is not None or any(not term.shape.of_speed for term in self.shaped if term.shape)
 
     def known_at(self, further: Sequence[float] | Floats) -> Equation:
-        """Return the equation with the lag and the shape parameters set to the values `further` (f,). All unknowns of
-        the result are linear.
+        """Return the equation with dead time, lag and shape parameters set to the values `further` (f,). All unknowns
+        of the result are linear.
         """
-        lagging = self.lag == ESTIMATE
-        plain = self.replace_lag(max(0.0, float(further[0]))) if lagging else self
-        return plain.replace_shapes(further[lagging:])
+        known, values = self, list(further)
+        if self.dead_time == ESTIMATE:
+            known = known.replace_dead_time(max(0.0, float(values.pop(0))))
+        if self.lag == ESTIMATE:
+            known = known.replace_lag(max(0.0, float(values.pop(0))))
+        return known.replace_shapes(values)
 
     def replace_shapes(self, further: Sequence[float] | Floats) -> Equation:
         """Return the equation with the shape parameters set to the last values of `further` (f,)."""
@@ -374,7 +355,7 @@ class Equation:
             replace(term, shape=Stribeck(float(next(values)))) if term.shape is not None and term.shape.free else term
             for term in self.unknown
         )
-        return replace(self, unknown=unknown, further=tuple(one for one in self.further if one[0] == LAG))
+        return replace(self, unknown=unknown, further=tuple(one for one in self.further if one[0] in (DEAD_TIME, LAG)))
 
     @cached_property
     def positive(self) -> tuple[bool, ...]:
@@ -422,7 +403,7 @@ class Equation:
     def text(self) -> str:
         """Equation in one line, for people."""
         if not self.process:
-            left = [f"{term.name} {term.reads}" for term in self.unknown if term.signal != "input"]
+            left = [f"{term.name} {term.reads}" for term in self.unknown]
             late = DEAD_TIME if self.dead_time == ESTIMATE else f"{self.dead_time:.9g} s"
             driven = " + ".join(f"{term.coefficient:.9g} {term.reads}" for term in self.known)
             lag = LAG if self.lag == ESTIMATE else f"{self.lag:.9g} s"

@@ -62,7 +62,7 @@ class SignalFacts:
 
 SIGNALS: dict[Signal, SignalFacts] = {
     "output": SignalFacts("x", (0, 2), measured=True),
-    "input": SignalFacts("u", (0, 1)),
+    "input": SignalFacts("u"),
     "direction": SignalFacts("sign(x')", of_motion=True),
     "moving": SignalFacts("(while it moves)", of_motion=True, keeps_sign=True),
     "forward": SignalFacts("(moving forward)", of_motion=True, one_way=True),

@@ -143,10 +143,7 @@ def candidates_of(equation: Equation, theta: Floats, information: Floats, fixed:
     )
     sizes = np.where(sizes > 0, sizes, np.maximum(effect, TINY))
     part = theta / sizes
-    frictions = [
-        one and i != equation.leading and term.signal != "input"
-        for i, (one, term) in enumerate(zip(equation.positive, terms, strict=True))
-    ]
+    frictions = [one and i != equation.leading for i, one in enumerate(equation.positive)]
     forces = forces_of(equation)
     affected = {INPUT_GAIN: [name in forces for name in names]}
     if not equation.shaped:

@@ -33,7 +33,7 @@ from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import MOVE, Finding, advise, codes, make_notes, sort_findings
 from pmfid.io.tables import Table
 from pmfid.models.drive import EquationModel
-from pmfid.models.equation import ESTIMATE, LATE, Equation
+from pmfid.models.equation import Equation
 from pmfid.models.shapes import Square
 from pmfid.pipeline import checks
 from pmfid.pipeline.checks.inputs import note_one_level
@@ -254,7 +254,7 @@ def make_estimator(axis: Axis, record: Record) -> Estimator:
 def _construct(axis: Axis, record: Record) -> Estimator:
     check_sampling(axis, record.dt)
     model = axis.model.make()
-    first = "bcls" if model.equation.without_simulation else "fit" if model.equation.searched else "iv"
+    first = "bcls" if model.equation.without_simulation else "fit" if model.equation.further else "iv"
     cls = ESTIMATORS[method_of(axis, first)]
     own = {
         "model": model,
@@ -363,8 +363,7 @@ def _period_errors(result: DriveResult, record: Record, axis: Axis) -> Floats:
 
 def _needs_simulation(estimator: Estimator) -> bool:
     """Return whether the equation has regressors that only a simulated motion gives."""
-    of_speed = any(term.shape is not None and term.shape.of_speed for term in estimator.equation.shaped)
-    return of_speed or estimator.equation.lag == ESTIMATE
+    return any(term.shape is not None and term.shape.of_speed for term in estimator.equation.shaped)
 
 
 def _batch_twin(estimator: Estimator) -> BatchEstimator:
@@ -374,17 +373,11 @@ def _batch_twin(estimator: Estimator) -> BatchEstimator:
     if isinstance(estimator, RIV):
         if _needs_simulation(estimator):
             return like(IV, estimator, prefilter_zeros=None)
-        model = estimator.model.replace_dead_time(0.0) if late_of(estimator) is not None else estimator.model
-        return like(LS, estimator, model=model, prefilter_zeros=None)
+        return like(LS, estimator, prefilter_zeros=None)
     twin = like(ESTIMATORS["bcls" if estimator.instrumental else "ls"], estimator)
     if not isinstance(twin, BatchEstimator):
         raise UsageError(f"the method {estimator.method} has no off-line counterpart; use another method")
     return twin
-
-
-def late_of(estimator: Estimator) -> int | None:
-    """Return the index of the dead time if it is a parameter."""
-    return estimator.equation.roles[LATE]
 
 
 def _recursive(

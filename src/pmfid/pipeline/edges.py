@@ -15,7 +15,7 @@ from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auto import AUTO
 from pmfid.estimators.base import memory_of
-from pmfid.estimators.instruments import initial_vector
+from pmfid.estimators.iv import initial_vector
 from pmfid.estimators.redge import REdge, is_plain
 from pmfid.models.drive import Drive
 from pmfid.monitor.edges import EdgeMonitor

@@ -19,8 +19,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.facts import INPUT_GAIN
-from pmfid.estimators.instruments import initial_vector
-from pmfid.estimators.iv import IV, RIV
+from pmfid.estimators.iv import IV, RIV, initial_vector
 from pmfid.estimators.known import Known
 from pmfid.estimators.recursive import RLS, RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
