@@ -23,7 +23,7 @@ from studies.paper.truth import Study, Task, table
 #: Ratio of the powers of output and noise.
 SNR = 10.0
 NOISES = ("white", "quantiser")
-METHODS = ("ls", "bcls", "bcrls", "iv", "srivc")
+METHODS = ("ls", "bcls", "bcrls", "srivc")
 #: Bounds of the mean error of every parameter except b0 of the last plant [%].
 GOALS = {"white": 1.0, "quantiser": 2.0}
 HARD = ("rao-garnier", "b0")

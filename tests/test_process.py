@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmfid import IV, SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction, UsageError
+from pmfid import SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction, UsageError
 from pmfid.cli.main import main
 from pmfid.diagnostics.processes import Assessment, assess
 from pmfid.estimators.srivc import check_experiments, make_problem
@@ -111,12 +111,6 @@ def test_error_bars_are_those_of_many_runs():
     np.testing.assert_allclose(stated, poles.std(axis=0), rtol=0.35)
     gains = np.std([fit.process.gain for fit in fits])
     assert np.mean([fit.process.gain_std for fit in fits]) == pytest.approx(gains, rel=0.35)
-
-
-def test_instrumental_variables_without_the_bias_of_least_squares():
-    experiment = np.round(noisy(SECOND, 4, 0.3) * 1e6).astype(int)
-    fit = IV(TransferFunction(2, 0), Encoder(1e-6), SECOND.dt, SECOND.cutoff).fit(SECOND.u, experiment)
-    assert np.all(np.abs(fit.theta - SECOND.theta) < 4 * fit.theta_std)
 
 
 def closed_loop(seed: int, samples: int = 4000, dt: float = 0.05) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -287,7 +281,7 @@ def run(*arguments: str, code: int = 0) -> str:
     return result.stdout if code == 0 else result.stderr
 
 
-@pytest.mark.parametrize("method", ["auto", "srivc", "bcls", "rls", "iv"])
+@pytest.mark.parametrize("method", ["auto", "srivc", "bcls", "rls"])
 def test_identify_json(records, method):
     found = json.loads(run("identify", records[0], "--config", str(CONFIG), "--json", "--method", method))
     assert [found["a0"], found["a1"], found["b0"]] == pytest.approx([3, 4, 3], rel=0.05)

@@ -189,13 +189,13 @@ def test_processes_with_integrators_and_dead_times_say_what_they_are():
 def test_what_cannot_be_says_what_can():
     late, found = TransferFunction(2, 0, dead_time=0.1), TransferFunction(2, 0, dead_time="estimate")
     models = (TransferFunction(2, 2), late, TransferFunction(1, 0, integrators=1))
-    assert all(methods_for(model) == ["iv", "srivc"] for model in models)
+    assert all(methods_for(model) == ["srivc"] for model in models)
     refused(
         ("integrators must be a whole number from 0 to 2", lambda: TransferFunction(2, 0, integrators=3)),
         ("dead_time must be a time in s, at least 0", lambda: TransferFunction(2, 0, dead_time=-0.1)),
         ("dead_time must be a time in s, at least 0", lambda: TransferFunction(2, 0, dead_time="guess")),
         ("are both given", lambda: TransferFunction(2, 0, dead_time=0.1, delay=2)),
-        *(("use srivc or iv", lambda model=model: LS(model, ONE, DT, 2.0)) for model in models),
+        *(("use srivc", lambda model=model: LS(model, ONE, DT, 2.0)) for model in models),
         ("use srivc", lambda: IV(found, ONE, DT, 2.0)),
     )
 

@@ -244,7 +244,7 @@ def _simulate_stretches(
     starts = visit(replace(problem, stretches=tuple(first)), scaled, start).initial
     with np.errstate(all="ignore"):  # `finite` checks the result
         return [
-            (stretch, simulate(problem.structure, scaled, initial, stretch, source=0)[stretch.rows])
+            (stretch, simulate(problem.structure, scaled, initial, stretch)[stretch.rows])
             for stretch, initial in zip(problem.stretches, starts, strict=True)
         ]
 

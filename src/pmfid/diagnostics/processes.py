@@ -257,9 +257,7 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment
     point = visit(problem, theta, np.zeros((count, problem.structure.n)))
     pairs = zip(problem.stretches, point.initial, strict=True)
     with np.errstate(all="ignore"):  # the finiteness of the result is checked below
-        simulated = [
-            simulate(problem.structure, theta, initial, stretch, source=0)[stretch.rows] for stretch, initial in pairs
-        ]
+        simulated = [simulate(problem.structure, theta, initial, stretch)[stretch.rows] for stretch, initial in pairs]
     measured = [stretch.y[stretch.rows] for stretch in problem.stretches]
     residual = [y - x for y, x in zip(measured, simulated, strict=True)]
     if not np.max([np.max(np.abs(e), initial=0.0) for e in residual]) < TUNING.beyond:
@@ -392,9 +390,9 @@ def flags_on(checks: Assessment, process: Process, referenced: bool = False, hel
 #: Without a reference, the estimate is consistent only if the input does not correlate with the noise.
 FEEDBACK = (
     "the residual correlates with later inputs, because a controller feeds noise back; the estimate is biased",
-    'give [record] reference, and set method = "srivc" or "iv"',
+    'give [record] reference, and set method = "srivc"',
 )
-IGNORED = "{method} does not use the reference of the controller; srivc and iv do"
+IGNORED = "{method} does not use the reference of the controller; srivc does"
 DEPENDENT = (
     "the input explains a part of the residual, and the standard errors leave this error out",
     "try another dead time, more poles or zeros, or another hold",

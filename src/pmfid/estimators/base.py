@@ -136,7 +136,7 @@ class Estimator:
             )
         if not equation.only_simulated:
             return ""
-        return f"{cls.method} does not simulate the process, and {equation.only_simulated} needs that; use srivc or iv"
+        return f"{cls.method} does not simulate the process, and {equation.only_simulated} needs that; use srivc"
 
     def _check_steps(self) -> None:
         """Raise UsageError if the step varies and the method, plant or discretisation does not allow it."""

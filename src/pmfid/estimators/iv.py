@@ -13,17 +13,14 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.auxiliary import auxiliary_columns, make_auxiliary_kernel
 from pmfid.estimators.base import Simulating
-from pmfid.estimators.batch import check_identifiable, filter_parts
+from pmfid.estimators.batch import BatchEstimator, check_identifiable, filter_parts
 from pmfid.estimators.configuration import check_arrays, check_size, like
 from pmfid.estimators.least_squares import inverse_of, solve_bounded, solve_with_instruments
 from pmfid.estimators.ls import BCLS
-from pmfid.estimators.plants import plant_of
 from pmfid.estimators.recursive import RecursiveEstimator, impulse_products
 from pmfid.estimators.results import Columns, Fit
-from pmfid.estimators.srivc import ProcessSolver, fixed_filters
 from pmfid.estimators.stretches import liveliest
 from pmfid.estimators.tuning import TUNING
-from pmfid.linear.solve import ProcessProblem, Solution
 from pmfid.models.equation import (
     COULOMB_BACKWARD,
     COULOMB_FORWARD,
@@ -40,7 +37,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class IV(ProcessSolver, Simulating):
+class IV(BatchEstimator, Simulating):
     """Iterated instrumental variables, off-line.
 
     The plant is simulated from the input alone with the present estimate, stiction included. The simulated motion gives
@@ -48,7 +45,7 @@ class IV(ProcessSolver, Simulating):
 
     Parameters
     ----------
-    model : Drive, EquationModel or TransferFunction
+    model : Drive or EquationModel
         Model of the plant.
     encoder : Encoder
         Data sheet of the encoder.
@@ -63,9 +60,6 @@ class IV(ProcessSolver, Simulating):
     -----
     The method repeats theta = (sum zeta phi^T)^-1 sum zeta z until theta no longer changes (Young and Jakeman 1979).
     The friction in the auxiliary model is an addition of pmfid.
-
-    A transfer function is simulated with unknown initial conditions, and its filter has the pole `cutoff`. `SRIVC`
-    adapts the filter to the estimate.
 
     The standard errors follow from the scatter of the scores over the memory of the filters. They are up to eight times
     too long if the encoder's error cancels from move to move, and half as long as the errors if it repeats in every
@@ -90,9 +84,6 @@ class IV(ProcessSolver, Simulating):
     @classmethod
     def refuses(cls, equation: Equation) -> str:
         return super().refuses(equation) or refuse_nonlinear(cls.method, equation)
-
-    def solve_problem(self, problem: ProcessProblem) -> Solution:
-        return fixed_filters(problem)
 
     def _fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
         """Estimate the parameters. Raises NotIdentifiableError also if the iteration does not converge."""
@@ -346,8 +337,7 @@ def spread(known: Sequence[float], equation: Equation) -> NDArray[np.float64]:
 
 def refuse_nonlinear(method: str, equation: Equation) -> str:
     """Return why a method with instruments refuses the equation; empty if the parameters act linearly."""
-    names, other = ", ".join(dict(equation.further)), "fit" if plant_of(equation).rests else "srivc"
+    names = ", ".join(dict(equation.further))
     if not names:
         return ""
-    way = f"use {other} off-line, or give its value"
-    return f"{method} estimates parameters that act linearly, and {names} does not; {way}"
+    return f"{method} estimates parameters that act linearly, and {names} does not; use fit off-line, or give its value"

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,13 +27,9 @@ from pmfid.linear.solve import (
     keep_outputs_after,
     solve,
     solve_dead_time,
-    with_fixed_filter,
 )
 from pmfid.models.equation import ESTIMATE, Equation
 from pmfid.models.transfer_function import MAX_DELAY, TransferFunction
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass(frozen=True)
@@ -46,50 +42,7 @@ class ProcessFit(Fit):
 
 
 @dataclass(frozen=True)
-class ProcessSolver(BatchEstimator):
-    """A `BatchEstimator` that simulates any transfer function and always fits its initial conditions. A subclass that
-    takes another equation implements `_fit` for this equation."""
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if isinstance(self.model, TransferFunction):  # initial conditions are no parameters of the model
-            object.__setattr__(self, "model", replace(self.model, initial_conditions=False))
-
-    @classmethod
-    def refuses(cls, equation: Equation) -> str:
-        return "" if equation.process else super().refuses(equation)
-
-    def fit(self, u: ArrayLike, counts: ArrayLike) -> Fit:
-        if self.equation.process:
-            return self.fit_experiments([make_experiment(self, u, counts)])
-        return super().fit(u, counts)
-
-    def fit_experiments(self, experiments: Sequence[Experiment]) -> ProcessFit:
-        """Return the estimate from several records at once.
-
-        `delay` of the model counts in periods of the estimator's `dt`. Raises UsageError without a usable record, or
-        for another model than a `TransferFunction`, and NotIdentifiableError as `fit`.
-        """
-        return fit_process(self, experiments, self.solve_problem)
-
-    def solve_problem(self, problem: ProcessProblem) -> Solution:
-        """Return the method's own solution."""
-        raise NotImplementedError
-
-
-@dataclass(frozen=True)
-class ProcessOnly(Estimator):
-    """An `Estimator` for linear processes alone, not for a machine with friction."""
-
-    @classmethod
-    def refuses(cls, equation: Equation) -> str:
-        if equation.process:
-            return super().refuses(equation)
-        return f"{cls.method} works on a transfer function; for a machine use iv or interval"
-
-
-@dataclass(frozen=True)
-class SRIVC(ProcessSolver, ProcessOnly):
+class SRIVC(BatchEstimator):
     """Simplified refined instrumental variables for continuous time (Young and Jakeman 1980; Young 2011, chapter 8).
 
     Parameters
@@ -136,13 +89,35 @@ class SRIVC(ProcessSolver, ProcessOnly):
 
     method: ClassVar[str] = "srivc"
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if isinstance(self.model, TransferFunction):  # initial conditions are no parameters of the model
+            object.__setattr__(self, "model", replace(self.model, initial_conditions=False))
+
+    @classmethod
+    def refuses(cls, equation: Equation) -> str:
+        return "" if equation.process else "srivc works on a transfer function; for a machine use fit or iv"
+
     def fit(self, u: ArrayLike, counts: ArrayLike) -> ProcessFit:
         """Return the estimate from u and counts (n,). Raises UsageError for arrays that do not fit each other, and
         NotIdentifiableError if the record cannot identify every parameter."""
         return self.fit_experiments([make_experiment(self, u, counts)])
 
-    def solve_problem(self, problem: ProcessProblem) -> Solution:
-        return solve(problem)
+    def fit_experiments(self, experiments: Sequence[Experiment]) -> ProcessFit:
+        """Return the estimate from several records at once.
+
+        `delay` of the model counts in periods of the estimator's `dt`. Raises UsageError without a usable record, and
+        NotIdentifiableError as `fit`.
+        """
+        check_experiments(self, experiments)
+        problem = make_problem(self, experiments)
+        check_signals(problem, self.names)
+        with np.errstate(all="ignore"):  # an intermediate model may be far off, and non-finite values are rejected
+            if problem.structure.latest is None:
+                solution = solve(problem)
+            else:
+                problem, solution = solve_dead_time(problem)
+        return result(self, problem, solution)
 
 
 def make_experiment(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Experiment:
@@ -152,26 +127,6 @@ def make_experiment(estimator: Estimator, u: ArrayLike, counts: ArrayLike) -> Ex
     if u.size < 2:
         raise NotIdentifiableError("the record has fewer than two samples; record longer")
     return Experiment(hold_last_input(u), estimator.encoder.position(counts), dt=estimator.dt)
-
-
-def fit_process(
-    estimator: Estimator, experiments: Sequence[Experiment], solver: Callable[[ProcessProblem], Solution] = solve
-) -> ProcessFit:
-    """Return the estimate from all records by refined instrumental variables, or by another `solver`."""
-    check_experiments(estimator, experiments)
-    problem = make_problem(estimator, experiments)
-    check_signals(problem, estimator.names)
-    with np.errstate(all="ignore"):  # an intermediate model may be far off, and non-finite values are rejected
-        if problem.structure.latest is None:
-            solution = solver(problem)
-        else:
-            problem, solution = solve_dead_time(problem, solver)
-    if not solution.settled:
-        raise NotIdentifiableError(
-            f"the iteration of {estimator.method} does not converge, because the model does not follow "
-            "the record; try srivc, another structure, dead time or cutoff"
-        )
-    return result(estimator, problem, solution)
 
 
 def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -> None:
@@ -187,11 +142,6 @@ def check_experiments(estimator: Estimator, experiments: Sequence[Experiment]) -
                 f"{part.period:.9g} s; give the estimator the dt of the data, because it counts the delay in "
                 "samples"
             )
-
-
-def fixed_filters(problem: ProcessProblem) -> Solution:
-    """Solve by instrumental variables with the filters of the estimator's cutoff."""
-    return with_fixed_filter(problem, 1.0)
 
 
 def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> ProcessProblem:

@@ -281,18 +281,12 @@ def _stack_columns(columns: list[Floats], rows: NDArray[np.int64]) -> Floats:
     return np.array(columns)[:, rows].T
 
 
-def simulate(
-    structure: Structure, theta: Floats, initial: Floats, stretch: RecordStretch, *, source: int | None = None
-) -> Floats:
-    """Return the output (M,) from the initial conditions (n,) and one input.
-
-    `source` is the number of the input in the stretch. If `source` is None, the input is the one for the instruments.
-    """
+def simulate(structure: Structure, theta: Floats, initial: Floats, stretch: RecordStretch) -> Floats:
+    """Return the output (M,) from the initial conditions (n,) and the measured input."""
     _, b, offset = structure.split(theta)
     single = channels(structure, theta, stretch, twice=False).single
-    source = stretch.inputs.shape[0] - 1 if source is None else source
     constant = offset * single[0, -2] if structure.offset else 0.0
-    return np.asarray(b @ single[: b.size, source] + initial @ single[: structure.n, -1] + constant)
+    return np.asarray(b @ single[: b.size, 0] + initial @ single[: structure.n, -1] + constant)
 
 
 def stable(a: Floats, duration: float) -> Floats:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.linear.experiment import RecordStretch
-from pmfid.linear.responses import Structure, linearise, simulate, stable
+from pmfid.linear.responses import Structure, linearise, stable
 from pmfid.linear.tuning import TUNING
 from pmfid.types import Floats
 
@@ -293,68 +292,6 @@ def _reason(problem: ProcessProblem) -> str:
     return f"the model does not follow the record; try {offset}another structure, dead time or cutoff"
 
 
-def with_fixed_filter(problem: ProcessProblem, pole: float) -> Solution:
-    """Solve by instrumental variables with the fixed filter 1/(s + pole)^n and instruments from the simulated output.
-
-    The method takes the output as a straight line between samples, which causes an error of order dt^2. Direct
-    feedthrough (m = n) jumps with the input and is treated separately.
-    """
-    data, point = filter_problem(problem, pole), first_guess(problem, pole)
-    theta, missed = point.theta, _missed_by_lines(problem, pole, data)
-    for passes in range(1, TUNING.solve_refinements + 1):
-        simulated = [
-            simulate(problem.structure, theta, initial, stretch)
-            for initial, stretch in zip(point.initial, problem.stretches, strict=True)
-        ]
-        ideal = tuple(replace(stretch, y=y) for stretch, y in zip(problem.stretches, simulated, strict=True))
-        through = _get_feedthrough(problem, theta) * missed
-        here = replace(data, zeta=filter_problem(replace(problem, stretches=ideal), pole).phi + through)
-        phi = data.phi + through
-        step = step_from(here, phi)
-        if not np.all(np.isfinite(step)):
-            break
-        before, theta = theta, data.theta + step
-        moved = replace(here, theta=theta, error=data.error - phi @ step)
-        if small(moved, theta - before):
-            return Solution(replace(moved, cost=float(moved.error @ moved.error)), True, passes)
-        theta = possible(problem, theta)
-        point = visit(problem, theta, point.initial)
-    raise NotIdentifiableError("the instrumental variables do not converge: use srivc, or another structure or cutoff")
-
-
-def _get_feedthrough(problem: ProcessProblem, theta: Floats) -> float:
-    """Return the coefficient of the direct feedthrough, or 0 without feedthrough."""
-    structure = problem.structure
-    return float(theta[structure.free + structure.n]) if structure.m == structure.n else 0.0
-
-
-def _missed_by_lines(problem: ProcessProblem, pole: float, data: ProcessPoint) -> Floats:
-    """Return the error (N, p) of the regressors if straight lines replace the input between its samples.
-
-    The error belongs to an output that equals the input, and is zero without direct feedthrough. `data` is the filtered
-    problem, whose regressors contain the exact input.
-    """
-    structure, missed = problem.structure, np.zeros(data.phi.shape)
-    if structure.m < structure.n:
-        return missed
-    free, first = structure.free, structure.free + structure.integrators
-    itself = data.theta.copy()
-    itself[free : free + structure.n + 1] = np.r_[structure.denominator(data.theta), 1.0]
-    inputs = tuple(
-        _replace_output(stretch, simulate(structure, itself, np.zeros(structure.n), stretch, source=0))
-        for stretch in problem.stretches
-    )
-    lines = filter_problem(replace(problem, stretches=inputs), pole).phi[:, :free]
-    missed[:, :free] = -data.phi[:, first : first + free] - lines
-    return missed
-
-
-def _replace_output(stretch: RecordStretch, signal: Floats) -> RecordStretch:
-    """Return the stretch with a signal (M,) as output, which follows straight lines between measured instants."""
-    times = stretch.grid.instants
-    return replace(stretch, y=np.interp(times, times[stretch.rows], signal[stretch.rows]))
-
-
 def keep_outputs_after(stretches: tuple[RecordStretch, ...], time: float, least: int) -> tuple[RecordStretch, ...]:
     """Return the stretches without outputs earlier than `time` after the first instant, because the late input is
     unknown there.
@@ -378,9 +315,7 @@ def fix_dead_time(problem: ProcessProblem, theta: Floats) -> tuple[ProcessProble
     return replace(problem, structure=replace(structure, dead_time=late, latest=None), stretches=stretches), theta[:-1]
 
 
-def solve_dead_time(
-    problem: ProcessProblem, solver: Callable[[ProcessProblem], Solution]
-) -> tuple[ProcessProblem, Solution]:
+def solve_dead_time(problem: ProcessProblem) -> tuple[ProcessProblem, Solution]:
     """Return the best solution of several start values for the dead time, and the problem that it solves.
 
     The start values are the most promising whole samples. For a comparison, all solutions use the same outputs.
@@ -399,7 +334,7 @@ def solve_dead_time(
     for start in starts:
         here = replace(wide, structure=replace(structure, dead_time=float(start), latest=bound))
         try:
-            solution = solver(here)
+            solution = solve(here)
         except NotIdentifiableError as error:
             failure = error
             continue

@@ -21,7 +21,7 @@ from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.estimators.srivc import SRIVC, ProcessSolver, make_problem, process_of
+from pmfid.estimators.srivc import SRIVC, make_problem, process_of
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import make_notes, sort_findings
 from pmfid.io.tables import Table
@@ -38,8 +38,6 @@ from pmfid.status import Status, status_findings
 from pmfid.types import Floats
 
 AUTOMATIC = "srivc"
-#: Methods that support several records, gaps, missing samples and uneven spacing.
-FREE = ", ".join(name for name, cls in ESTIMATORS.items() if issubclass(cls, ProcessSolver))
 
 
 class Processes(Kind[Sequence[Experiment]]):
@@ -80,7 +78,7 @@ class Processes(Kind[Sequence[Experiment]]):
     def estimate(self, data: Sequence[Experiment], axis: Axis, progress: Progress | None = None) -> ProcessResult:
         estimator = make_process_estimator(data, axis)
         method = estimator.method
-        if isinstance(estimator, ProcessSolver):
+        if isinstance(estimator, SRIVC):
             fit = estimator.fit_experiments(data)
             theta, cov, bits = fit.theta, fit.theta_cov, fit.status
         else:
@@ -91,7 +89,7 @@ class Processes(Kind[Sequence[Experiment]]):
         process = process_of(estimator, theta, cov)
         check_known(estimator, theta, cov, checks)
         std, unstable = np.sqrt(np.diagonal(cov)), expects_unstable(estimator)
-        referenced = problem.referenced and isinstance(estimator, ProcessSolver)
+        referenced = problem.referenced and isinstance(estimator, SRIVC)
         flags = flags_on(checks, process, referenced, unstable)
         found = [*findings_on(data, checks, process, flags, unstable), *doubts(estimator, theta, std, checks)]
         found += make_notes("reference", [IGNORED.format(method=method)] * (problem.referenced and not referenced))
@@ -138,7 +136,7 @@ def _plain(experiments: Sequence[Experiment], method: str) -> Experiment:
     whole = len(stretches) == 1 and stretches[0].grid.uniform and stretches[0].rows.size == first.u.size
     if len(experiments) > 1 or not whole or not np.all(np.isfinite(first.u)) or first.hold != "zoh":
         raise UsageError(
-            f"{method} needs one evenly spaced record without missing samples and with a held input; use {FREE}"
+            f"{method} needs one evenly spaced record without missing samples and with a held input; use srivc"
         )
     return first
 
