@@ -9,33 +9,6 @@ from dataclasses import dataclass
 class DiagnosticTuning:
     """Thresholds and counts of `pmfid.diagnostics`, grouped by module."""
 
-    # balance
-    #: Encoder noise of the velocity, relative to the standard deviation of the velocity, that moves hardly any sample
-    #: to another bin.
-    quiet_encoder: float = 0.003
-    #: Smallest part of the filter's memory with one direction of motion for which friction belongs to a single
-    #: velocity.
-    one_way: float = 0.95
-    most_bins: int = 24
-    fewest_bins: int = 6
-    #: Longest lag of the correlations in a report, in time constants of the filter.
-    shown_lags: float = 10.0
-    #: Number of standard deviations above which a difference is real. The number is high because many bins and lags are
-    #: tested.
-    significant: float = 4.5
-    #: Residual force, relative to the model's friction, that is too small for a warning even if the force is real.
-    relevant_force: float = 0.03
-    #: Correlated part of the residual, relative to the input force, that is too small for a warning.
-    relevant_part: float = 0.005
-    #: Fit of the velocity [%] below which the model does not follow the motion.
-    good_fit: float = 90.0
-    #: Multiple of the encoder's error above which a velocity error belongs to the model.
-    above_encoder: float = 3.0
-    #: Correlation above which the residual depends on its past at lags that the filter does not explain.
-    balance_correlated: float = 0.2
-    #: Number of filter time constants after which the filter alone leaves no correlation.
-    filter_lags: float = 5.0
-
     # causality
     #: Smallest number of lags of the input. The next constants are the largest number of lags, the samples for each
     #: further lag, and the number of future lags.

@@ -11,12 +11,17 @@ from typing import Protocol, Self
 
 import numpy as np
 
+from pmfid.diagnostics.drives import recent
+from pmfid.diagnostics.free_run import FreeRun, drive_run
 from pmfid.diagnostics.matter import Matter, weigh_findings
 from pmfid.diagnostics.processes import Assessment
 from pmfid.errors import place_of
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.configuration import like
 from pmfid.estimators.known import Known, choose_naming
+from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.results import Fit, Track
+from pmfid.estimators.sample_steps import SampleSteps
 from pmfid.findings import Finding, codes, sort_findings, texts
 from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.second_mass import SecondMass
@@ -343,6 +348,18 @@ class DriveResult(Result):
     @property
     def samples(self) -> int:
         return int(self.record.u.size)
+
+    def free_run(self) -> FreeRun:
+        """Return the motion that the input alone gives at the last parameters, next to the measured one.
+
+        With forgetting, the run covers the last three memories. Raises UsageError if the parameters allow no motion.
+        """
+        record, method = self.record, like(MotionFit, self.estimator)
+        part = recent(self.estimator, record.u.size)
+        u = record.u if record.inputs is None else np.where(np.isfinite(record.u), record.u, record.inputs)
+        steps = None if record.steps is None else SampleSteps(record.steps.before[part])
+        theta, there = self.theta[: len(method.names)], np.isfinite(record.u[part])
+        return drive_run(replace(method, steps=steps), theta, u[part], record.counts[part], record.name, there)
 
     @property
     def coupling(self) -> Coupling | None:

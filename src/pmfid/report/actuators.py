@@ -8,7 +8,7 @@ from pathlib import Path
 from pmfid.actuators.exports import make_files
 from pmfid.actuators.joints import HEADER, FittedJoint
 from pmfid.errors import printable
-from pmfid.report.checks import followed_figure
+from pmfid.report.figures import followed_figure
 from pmfid.report.html import Section, replace_file, svg, write_json, write_report
 
 
@@ -39,6 +39,5 @@ def _draw_joint(joint: FittedJoint) -> Section:
     findings = [f"{finding.paragraph[0].upper()}{finding.paragraph[1:]}." for finding in fit.findings]
     deviation = f"The simulated motion deviates by {fit.residual / log.resolution:.2f} encoder steps (rms)."
     simulated = fit.simulated[0]
-    t, position = log.t[: simulated.size], log.position[: simulated.size]
-    figure = followed_figure(t, (position, simulated), "position [rad]", simulated - position, "difference [rad]")
+    figure = followed_figure(log.t[: simulated.size], log.position[: simulated.size], simulated, "rad")
     return Section(_name_joint(joint), "\n\n".join([deviation, *findings, *notes]), svg=svg(figure))

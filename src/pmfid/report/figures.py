@@ -265,6 +265,28 @@ def residual_figure(t: ArrayLike, residual: ArrayLike, *, unit: str = "N") -> Fi
     return figure
 
 
+def followed_figure(t: Floats, measured: Floats, simulated: Floats, unit: str, read: float = 0.0) -> Figure:
+    """Draw a measured and a simulated output (n,) over time t (n,) [s], with their difference below.
+
+    The start of the simulation was fitted to the first `read` seconds, which are shaded.
+    """
+    label = f" [{unit}]" if unit else ""
+    with open_figure(4.4, 2, sharex=True, height_ratios=(3, 2)) as (figure, (upper, lower)):
+        for signal, name, style in ((measured, "measured", "-"), (simulated, "simulated", "--")):
+            i = decimation(signal)
+            upper.plot(t[i], signal[i], style, lw=0.9, label=name)
+        upper.set_ylabel(f"output{label}")
+        upper.legend(loc="lower left", bbox_to_anchor=(0, 1), ncols=2, borderaxespad=0.2)
+        i = decimation(measured - simulated)
+        lower.plot(t[i], (measured - simulated)[i], color=COLOURS[2])
+        if read:
+            lower.axvspan(t[0], t[0] + read, color=GREY, alpha=0.3, lw=0)
+        lower.set_ylabel(f"measured\nless simulated{label}")
+        lower.set_xlabel("time [s]" + (" (the fit of the start uses the shaded part)" if read else ""))
+        lower.margins(x=0)
+    return figure
+
+
 def _time(t: ArrayLike, others: Mapping[str, ArrayLike]) -> Floats:
     time = np.asarray(t, float)
     if time.ndim != 1 or time.size == 0:

@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike
 from pmfid._estimate import Estimate
 from pmfid.design.appraisal import Appraisal
 from pmfid.design.problem import Design
-from pmfid.diagnostics.balance import make_balance
 from pmfid.errors import PmfidError, UsageError
 from pmfid.estimators.known import Posterior, Seen
 from pmfid.estimators.results import Fit, Track, Tracks
@@ -26,7 +25,6 @@ from pmfid.pipeline.friction import FrictionCurve
 from pmfid.pipeline.result import DriveResult, ProcessResult
 from pmfid.pipeline.terms import TermSearch
 from pmfid.pipeline.validation import Validation
-from pmfid.report.checks import simulation_figure
 from pmfid.report.design import motion_figure as designed_figure
 from pmfid.report.design import motions_of
 from pmfid.report.encoders import encoder_figure
@@ -149,13 +147,9 @@ def _drive(result: DriveResult) -> Figure:
     if result.track is not None:
         return estimate_figure(result.record.times, result.track)
     try:
-        theta = result.theta[: len(result.estimator.names)]  # without an estimated input gain
-        balance = make_balance(result.estimator, result.record.u, result.record.counts, theta, result.record.inputs)
+        return run_figure(result.free_run(), result.estimator.equation.motion.travel)
     except PmfidError:
-        balance = None
-    if balance is None:
         return motion_figure(result.record, result.estimator.equation)
-    return simulation_figure(balance)
 
 
 @_draw.register

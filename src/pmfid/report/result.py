@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from pmfid.diagnostics.processes import search_notes
+from pmfid.errors import PmfidError
 from pmfid.estimators.base import Simulating
 from pmfid.io.row_file import fresh
 from pmfid.linear.order import Search
@@ -20,7 +21,6 @@ from pmfid.pipeline.conclusion import conclude
 from pmfid.pipeline.processes import search_json
 from pmfid.pipeline.result import DriveResult, ProcessResult, Result, findings_lines, parameter_header, parameter_rows
 from pmfid.records.record import Record
-from pmfid.report.checks import model_checks
 from pmfid.report.figures import (
     COLOURS,
     GREY,
@@ -34,6 +34,7 @@ from pmfid.report.figures import (
 )
 from pmfid.report.html import Section, replace_file, svg, write_pages
 from pmfid.report.tuning import TUNING
+from pmfid.report.validation import run_figure
 
 HOW_TO_READ = (
     "std: scatter of the value between records of this length. model spread: largest effect on the value of friction, "
@@ -54,8 +55,8 @@ def write_drive(out: Path, result: DriveResult) -> None:
         track.rename(fresh(track))
     if result.track is not None:
         _write_track(track, result)
-    said, checks = conclude(result), model_checks(result)
-    sections = [_drive_parameters(result), *checks[:1], _drive_notes(result), *_figures(result), *checks[1:]]
+    said = conclude(result)
+    sections = [_drive_parameters(result), _model_check(result), _drive_notes(result), *_figures(result)]
     title = f"{result.record.name}: {result.estimator.method}"
     write_pages(out, "result", result.to_json(), title, sections, (said.sentence, said.action), "report")
 
@@ -78,6 +79,23 @@ def _write_track(path: Path, result: DriveResult) -> None:
 def _drive_parameters(result: DriveResult) -> Section:
     text = "\n\n".join(findings_lines(result, notes=False))
     return Section("Parameters", text, (parameter_header(result), parameter_rows(result)))
+
+
+def _model_check(result: DriveResult) -> Section:
+    """Return the section on the motion that the input alone gives."""
+    heading, own = "Model check: simulated from the input alone", result.estimator.equation.motion
+    try:
+        run = result.free_run()
+    except PmfidError as error:
+        return Section(heading, f"This check is not possible: {error}.")
+    text = (
+        f"Fit: {'–' if run.fit is None else f'{run.fit:.2f} %'}. The simulated motion departs from the measured one by "
+        f"at most {run.largest:.2g} {own.travel}, root mean square {run.rmse:.2g} {own.travel}; rounding to the steps "
+        f"of the encoder alone gives {run.encoder:.2g} {own.travel}."
+    )
+    return Section(
+        heading, "\n\n".join([text, *(f"Note: {note}." for note in run.notes)]), svg=svg(run_figure(run, own.travel))
+    )
 
 
 def _drive_notes(result: DriveResult) -> Section:

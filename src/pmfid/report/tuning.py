@@ -9,9 +9,6 @@ from dataclasses import dataclass
 class ReportTuning:
     """All thresholds of `pmfid.report`, ordered by module."""
 
-    # checks
-    max_dots: int = 1200
-
     # comparison
     #: Largest number of panels in a row. The numbers of more panels would not fit.
     comparison_panels: int = 4

@@ -8,8 +8,7 @@ from matplotlib.figure import Figure
 
 from pmfid.diagnostics.free_run import FreeRun
 from pmfid.pipeline.validation import Validation
-from pmfid.report.checks import followed_figure
-from pmfid.report.figures import COLOURS, open_figure, plain_ticks
+from pmfid.report.figures import COLOURS, followed_figure, open_figure, plain_ticks
 from pmfid.report.html import Section, svg, write_pages
 from pmfid.report.tuning import TUNING
 
@@ -85,9 +84,8 @@ def _number(value: float | None) -> str:
 
 
 def run_figure(run: FreeRun, unit: str) -> Figure:
-    """Draw the measured and simulated output, and their difference, over time."""
-    labels = _with_unit("output", unit), _with_unit("measured\nless simulated", unit)
-    return followed_figure(run.t, (run.measured, run.simulated), labels[0], run.error, labels[1], run.read)
+    """Draw the measured and the simulated output over time, with their difference below."""
+    return followed_figure(run.t, run.measured, run.simulated, unit, run.read)
 
 
 def horizon_figure(found: Validation) -> Figure:
