@@ -61,7 +61,7 @@ class FakeEngine:
 
     def running(self, source: Source) -> Thread:
         """Start the source's thread and return it."""
-        thread = Thread(target=source.run, args=(self.take, None), daemon=True)
+        thread = Thread(target=source.run, args=(self.take,), daemon=True)
         thread.start()
         return thread
 

@@ -1,4 +1,4 @@
-"""Messages of equal blocks are read at once, with the result of reading single blocks."""
+"""Messages of equal blocks are one table, with the content of single blocks."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import zlib
 import numpy as np
 import pytest
 
-from pmfid.stream.blocks import CRC, HEADER, block_type, decode, encode, read_alike_blocks
-from pmfid.stream.delivery import Block, Unusable
+from pmfid.stream.blocks import encode, items
+from pmfid.stream.delivery import Block, Table, Unusable
+from tests.service.test_blocks import decode
 
 SIZE = 7
 
@@ -52,8 +53,8 @@ def said(found: list[Block | Unusable]) -> list[tuple[object, ...]]:
 @pytest.mark.parametrize("name", ["axis-{:02d}", "ä{}-long-name-of-an-axis-0123456789"])
 def test_many_blocks_say_what_each_says(wide: bool, name: str, edges: bool) -> None:
     parts = [encode(block(k % 9 + 1, wide, name, edges)) for k in range(30)]
-    found = read_alike_blocks(b"".join(parts))
-    assert found is not None
+    (found,) = items(b"".join(parts))
+    assert isinstance(found, Table)
     assert said([*found.blocks()]) == said([one for part in parts for one in decode(part)])
     assert found.u.dtype == np.float64
     assert found.counts.dtype == np.int64
@@ -82,9 +83,7 @@ def sealed(part: bytes, place: int, value: bytes) -> bytes:
 def test_what_is_wrong_with_one_is_reported_of_that_one(place: int, value: bytes) -> None:
     parts = [encode(block(k + 1)) for k in range(8)]
     parts[5] = sealed(parts[5], place, value)
-    data = b"".join(parts)
-    assert read_alike_blocks(data) is None
-    found = decode(data)
+    found = decode(b"".join(parts))
     assert [one.axis for one in found if isinstance(one, Block)][:5] == [f"axis-{k:02d}" for k in range(1, 6)]
     assert sum(isinstance(one, Unusable) for one in found) >= 1
     assert sum(isinstance(one, Block) for one in found) == 7
@@ -93,7 +92,6 @@ def test_what_is_wrong_with_one_is_reported_of_that_one(place: int, value: bytes
 @pytest.mark.parametrize("damaged", [(3,), (0,), (7,), (2, 3), (0, 7), (1, 4, 6)])
 @pytest.mark.parametrize("place", [-1, -5, 30, 60])
 def test_a_wrong_checksum_costs_each_block_that_is_damaged(damaged: tuple[int, ...], place: int) -> None:
-    """One checksum of the whole message finds every damage, also the same one in several blocks."""
     parts = [bytearray(encode(block(k + 1))) for k in range(8)]
     for k in damaged:
         parts[k][place] ^= 1
@@ -105,26 +103,4 @@ def test_a_wrong_checksum_costs_each_block_that_is_damaged(damaged: tuple[int, .
 def test_a_shorter_name_is_a_block_of_another_form() -> None:
     parts = [encode(block(k + 1)) for k in range(8)]
     parts[5] = sealed(parts[5], 12, b"\x05")
-    data = b"".join(parts)
-    assert read_alike_blocks(data) is None
-    assert [one.axis for one in decode(data) if isinstance(one, Block)][5] == "axis-"
-
-
-def test_blocks_of_other_sizes_are_read_one_by_one() -> None:
-    data = b"".join(encode(block(k + 1, wide=k % 2 == 0)) for k in range(8))
-    assert read_alike_blocks(data) is None
-    assert sum(isinstance(one, Block) for one in decode(data)) == 8
-
-
-@pytest.mark.parametrize("letters", [1, 8, 13])
-def test_the_two_ways_to_read_a_header_say_the_same(letters: int) -> None:
-    one = Block("x" * letters, 7, 11, 2.5, 0.01, np.ones(3), np.arange(3))
-    data = encode(one)
-    form = block_type(0, 3, letters)
-    assert form.itemsize == len(data)
-    assert form.fields is not None
-    assert form.fields["name"][1] == HEADER.size
-    assert form.fields["crc"][1] == len(data) - CRC.size
-    row = np.frombuffer(data, form)[0]
-    names = ("magic", "version", "flags", "samples", "epoch", "letters", "first", "time", "dt")
-    assert tuple(row[name] for name in names) == HEADER.unpack_from(data)
+    assert [one.axis for one in decode(b"".join(parts)) if isinstance(one, Block)][5] == "axis-"

@@ -17,13 +17,17 @@ from hypothesis import strategies as st
 
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
-from pmfid.stream.blocks import MAGIC, MOST_BYTES, MOST_SAMPLES, decode, encode
-from pmfid.stream.delivery import Block, Unusable
+from pmfid.stream.blocks import MAGIC, MOST_BYTES, MOST_SAMPLES, encode, items
+from pmfid.stream.delivery import Block, Unusable, split_tables
 from tests.firmware.build import GCC
 
 ROOT = Path(__file__).parents[2]
 NAN = float("nan")
 EXAMPLE = Block("x1", 7, 12, 1.5, 0.002, np.array([0.5, NAN, -1.25]), np.array([100, 101, 99]))
+
+
+def decode(data: bytes) -> list[Block | Unusable]:
+    return split_tables(items(data))  # type: ignore[return-value]
 
 
 def block(k: int = 0, n: int = 3, axis: str = "x1") -> Block:

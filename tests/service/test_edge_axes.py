@@ -18,7 +18,8 @@ from pmfid.pipeline.monitored.timeline import Line, Sample
 from pmfid.service.arrangement import arrange_groups
 from pmfid.service.wire.messages import Messages, Readers
 from pmfid.simulation import CART_DT
-from pmfid.stream.blocks import decode, encode
+from pmfid.stream.blocks import encode
+from pmfid.stream.blocks import items as items_of
 from pmfid.stream.checkpoint import read_snapshot, snapshot
 from pmfid.stream.delivery import Block, Delivery, Item, Lines, Unusable
 from pmfid.stream.engine import StreamEngine
@@ -110,7 +111,7 @@ def test_every_form_of_input_gives_the_same_rows(edge_axis: Prepared, motion: Mo
         rows = [f"{CART_DT * k!r},{u!r},{n},{'' if math.isnan(a) else repr(a)}" for k, (u, n, a) in enumerate(cells)]
         items: list[Item] = [Lines("x1", [line for row in rows if (line := parser(row.encode())) is not None])]
     elif form == "block":
-        items = [*decode(b"".join(messages_of(tuple(part[:400] for part in motion))))]
+        items = [*items_of(b"".join(messages_of(tuple(part[:400] for part in motion))))]
     else:
         items = list(Messages(Readers({"x1": config}.get)).items(texts(motion, form)))
     found = [bits for _, bits in run(edge_axis, [items]).of("x1")]
@@ -136,7 +137,7 @@ def test_wrong_ages_are_a_status_and_no_crash(edge_axis: Prepared, motion: Motio
     wrong = [-1e-3, math.inf, -math.inf, math.nan, 1e300, 5e-324 + 0.011, -0.1, 1.0, 1e9, -1e300, 0.0101, 2.0]
     ages[moved] = wrong
     messages = b"".join(messages_of((u, counts, ages)))
-    table = dict(run(edge_axis, [[*decode(messages)]]).of("x1"))
+    table = dict(run(edge_axis, [[*items_of(messages)]]).of("x1"))
     flagged = [number - 1 for number, bits in sorted(table.items()) if bits[3] & Status.INVALID_INPUT]
     assert flagged == moved.tolist()
     theta = np.frombuffer(table[800][0])

@@ -16,7 +16,7 @@ from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.wire.messages import MOST_POINTS, Messages, Readers
 from pmfid.stream.blocks import encode
-from pmfid.stream.delivery import Block, Item, Lines, Unusable
+from pmfid.stream.delivery import Block, Item, Lines, Table, Unusable
 
 AXIS = """
 [record]
@@ -142,7 +142,7 @@ def test_a_value_that_is_none_is_a_lost_sample(messages: Messages, field: str, p
 
 def test_forms_are_reported_by_content_and_a_topic_of_one_axis_is_of_no_other(messages: Messages) -> None:
     block = encode(Block("x1", 0, 0, 0.0, 0.01, np.zeros(2), np.zeros(2, int)))
-    assert isinstance(messages.items(block)[0], Block)
+    assert isinstance(messages.items(block)[0], Table)
     assert isinstance(messages.items(block, "x1")[0], Block)
     refused = messages.items(block, "x 2")[0]
     assert isinstance(refused, Unusable)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import Any
 
@@ -54,72 +55,11 @@ def block_type(flags: int, samples: int, letters: int, version: int = PLAIN) -> 
     )
 
 
-#: Least number of blocks for which one pass is faster.
-FEWEST = 4
 #: Number of cached name lists, and largest number of names in a list. The messages of a gateway repeat their names.
 LISTS, NAMES = 1024, 256
-#: Bytes of the header that alike blocks share (magic, version, flags, samples), and the place of the name's length.
+#: Bytes of the header that blocks of one form share (magic, version, flags, samples), and the place of the name's
+#: length.
 _COMMON, _LETTERS = np.dtype("<u8"), 12
-
-
-def read_alike_blocks(data: bytes) -> Table | None:
-    """Return the blocks of a message as a table if all blocks have the same form and are valid, otherwise None."""
-    if len(data) < HEADER.size or not data.startswith(MAGIC):
-        return None
-    _, version, flags, samples, _, letters, *_ = HEADER.unpack_from(data)
-    if not (0 < samples <= MOST_SAMPLES and 0 < letters <= LONGEST_NAME and flags < FLAGS.get(version, 0)):
-        return None
-    form = block_type(flags, samples, letters, version)
-    if len(data) % form.itemsize or len(data) < FEWEST * form.itemsize:
-        return None
-    rows, steps = np.frombuffer(data, form), (form.itemsize,)
-    common, lengths = (
-        np.ndarray(rows.size, kind, data, place, steps) for kind, place in ((_COMMON, 0), (np.uint8, _LETTERS))
-    )
-    same = (common == common[0]).all() and (lengths == letters).all()
-    if not (same and zlib.crc32(data) == _sum_of_whole(form.itemsize, rows.size) and _are_in_range(rows, samples)):
-        return None
-    names = (_read_names if rows.size <= NAMES else _read_names.__wrapped__)(rows["name"].tobytes(), letters)
-    if names is None:
-        return None
-    # The copies are aligned, and do not keep the whole message in memory.
-    epoch, first, counts = (rows[key].astype(np.int64) for key in ("epoch", "first", "counts"))
-    time, dt, u = (rows[key].astype(np.float64) for key in ("time", "dt", "u"))
-    ages = rows["ages"].astype(np.float64) if version == WITH_AGES else None
-    return Table(names, epoch, first, time, dt, u, counts, ages)
-
-
-@lru_cache(64)
-def _sum_of_whole(size: int, many: int) -> int:
-    """Return the checksum over `many` whole blocks of `size` bytes, each with its own checksum.
-
-    After a block and its checksum, a CRC no longer depends on the content. One call therefore checks a message. A
-    single damaged block always changes the sum, and several do with all but a chance of 2**-32.
-    """
-    block = bytes(size - CRC.size)
-    return zlib.crc32((block + CRC.pack(zlib.crc32(block))) * many)
-
-
-def _are_in_range(rows: np.ndarray, samples: int) -> bool:
-    time, dt, counts = rows["time"], rows["dt"], rows["counts"]
-    with np.errstate(invalid="ignore"):
-        fine: Flags = (dt > 0) & (dt < math.inf) & ~(np.abs(time) >= MOST_TIME)  # a time may be NaN
-    narrow = counts.dtype.itemsize == 4 or bool(((counts > -MAX_COUNT) & (counts < MAX_COUNT)).all())
-    return bool(
-        fine.all() and narrow and (rows["first"] <= MOST_NUMBER - samples).all() and not np.isinf(rows["u"]).any()
-    )
-
-
-@lru_cache(LISTS)
-def _read_names(text: bytes, letters: int) -> tuple[str, ...] | None:
-    """Return consecutive names of `letters` bytes each, or None if one of them is not a valid name."""
-    try:
-        names = tuple(text[k : k + letters].rstrip(b"\0").decode() for k in range(0, len(text), letters))
-    except UnicodeDecodeError:
-        return None
-    # A name that ends in zeros is shorter than `letters`.
-    whole = all(map(str.isprintable, names)) and all(len(name.encode()) == letters for name in names)
-    return names if whole else None
 
 
 #: Number of searches for a block by MAGIC in one message. Each search for a block may cost the checksum of a whole
@@ -162,85 +102,95 @@ def _shorten(values: NDArray[Any], kinds: tuple[np.dtype[Any], np.dtype[Any]], f
     return (0, short.tobytes()) if whole else (flag, values.astype(kinds[1]).tobytes())
 
 
-def items(data: bytes) -> list[Table] | list[Block | Unusable]:
+def items(data: bytes) -> list[Table | Unusable]:
     """Return the blocks of a message in order, with the reason in place of each unusable block.
 
-    If all blocks have the same form, the result is one table.
+    Consecutive blocks of one form are one table.
     """
-    found = read_alike_blocks(data)
-    return [found] if found is not None else _blocks(data)
-
-
-def decode(data: bytes) -> list[Block | Unusable]:
-    """Return the blocks of a message in order, with the reason in place of each unusable block, never as a table."""
-    found = read_alike_blocks(data)
-    return [*found.blocks()] if found is not None else _blocks(data)
-
-
-def _blocks(data: bytes) -> list[Block | Unusable]:
-    view, found, place, searches = memoryview(data), list[Block | Unusable](), 0, 0
+    view, found, place, searches = memoryview(data), list[Table | Unusable](), 0, 0
     while place < len(data):
-        end, item = _block(data, view, place)
-        # The length of a damaged block is trusted if another block may begin at its end.
-        if isinstance(item, Block) or (item and end and (end == len(data) or data.startswith(MAGIC, end))):
-            found.append(item)
-            place = end
-            continue
-        found.append(
-            item or Unusable("length", f"the last {len(data) - place} bytes of a message are not a complete block")
-        )
+        rows = _find_run(data, place)
+        if isinstance(rows, Unusable):
+            found.append(rows)
+        else:
+            size, end = rows.itemsize, place + rows.nbytes
+            sums = [zlib.crc32(view[k : k + size - CRC.size]) for k in range(place, end, size)]
+            sound: Flags = rows["crc"] == np.array(sums, np.uint32)
+            found += _read_rows(rows, sound)
+            # The length of a damaged block is trusted if another block may begin at its end.
+            if sound[-1] or end == len(data) or data.startswith(MAGIC, end):
+                place = end
+                continue
+            place = end - size
         searches += 1
         place = data.find(MAGIC, place + 1) if searches <= _MOST_SEARCHES else -1
         place = len(data) if place < 0 else place
     return found
 
 
-def _block(data: bytes, view: memoryview, place: int) -> tuple[int, Block | Unusable | None]:
-    """Return the end of the block that begins at `place`, 0 if unknown, and the content of the block.
-
-    The content is None if the block is incomplete.
-    """
+def _find_run(data: bytes, place: int) -> NDArray[np.void] | Unusable:
+    """Return the block that begins at `place` and the next blocks of the same form, or the reason why none begins."""
     if not data.startswith(MAGIC[: len(data) - place], place):
-        return 0, Unusable("magic", "these bytes do not begin with a block")
+        return Unusable("magic", "these bytes do not begin with a block")
+    cut = Unusable("length", f"the last {len(data) - place} bytes of a message are not a complete block")
     if place + HEADER.size > len(data):
-        return 0, None
-    _, version, flags, n, epoch, letters, first, time, dt = HEADER.unpack_from(data, place)
+        return cut
+    _, version, flags, n, _, letters, *_ = HEADER.unpack_from(data, place)
     if version not in FLAGS:
-        return 0, Unusable(
-            "version", f"the block has version {version}, and this program reads versions {PLAIN} and {WITH_AGES}"
-        )
+        text = f"the block has version {version}, and this program reads versions {PLAIN} and {WITH_AGES}"
+        return Unusable("version", text)
     if not (0 < n <= MOST_SAMPLES and 0 < letters <= LONGEST_NAME and flags < FLAGS[version]):
-        return 0, Unusable(
-            "length", f"the header of a block is not valid: {n} samples, a name of {letters} bytes, flags {flags}"
-        )
-    name_at = place + HEADER.size
-    u_at = name_at + letters + -letters % 8
-    u_type, counts_type, ages_type = U[flags & WIDE_U], COUNTS[flags // WIDE_COUNTS % 2], U[flags // WIDE_AGES]
-    counts_at = u_at + n * u_type.itemsize
-    ages_at = counts_at + n * counts_type.itemsize
-    crc_at = ages_at + n * ages_type.itemsize * (version == WITH_AGES)
-    end = crc_at + CRC.size
-    if end > len(data):
-        return 0, None
-    if zlib.crc32(view[place:crc_at]) != CRC.unpack_from(data, crc_at)[0]:
-        return end, Unusable("crc", "the block has a wrong checksum")
-    try:
-        name = data[name_at : name_at + letters].decode()
-    except UnicodeDecodeError:
-        return end, Unusable("name", "the name in the block is not valid UTF-8")
+        text = f"the header of a block is not valid: {n} samples, a name of {letters} bytes, flags {flags}"
+        return Unusable("length", text)
+    form = block_type(flags, n, letters, version)
+    many = (len(data) - place) // form.itemsize
+    if not many:
+        return cut
+    steps = (form.itemsize,)
+    common = np.ndarray(many, _COMMON, data, place, steps)
+    same = (common == common[0]) & (np.ndarray(many, np.uint8, data, place + _LETTERS, steps) == letters)
+    return np.frombuffer(data, form, many if same.all() else int(np.argmin(same)), place)
+
+
+def _read_rows(rows: NDArray[np.void], sound: Flags) -> Iterator[Table | Unusable]:
+    """Yield tables of the usable blocks, and the reason in place of each other block. `sound` is true for blocks with
+    the right checksum."""
+    read = _read_names if rows.size <= NAMES else _read_names.__wrapped__
+    names = read(rows["name"].tobytes(), rows.dtype["name"].itemsize)
     # The copies are aligned, and do not keep the whole message in memory.
-    u = np.frombuffer(data, u_type, n, u_at).astype(np.float64)
-    counts = np.frombuffer(data, counts_type, n, counts_at).astype(np.int64)
-    ages = np.frombuffer(data, ages_type, n, ages_at).astype(np.float64) if version == WITH_AGES else None
-    block = Block(name, epoch, first, time, dt, u, counts, ages)
-    return end, problem_of(block, u, counts, bool(flags & WIDE_COUNTS)) or block
+    epoch, first, counts = (rows[key].astype(np.int64) for key in ("epoch", "first", "counts"))
+    with np.errstate(invalid="ignore"):  # damaged bytes
+        time, dt, u = (rows[key].astype(np.float64) for key in ("time", "dt", "u"))
+        ages = rows["ages"].astype(np.float64) if "ages" in (rows.dtype.names or ()) else None
+    table, start = Table(names, epoch, first, time, dt, u, counts, ages), 0
+    for k in np.flatnonzero(~(sound & _are_in_range(table))).tolist():
+        yield from table.parts(start, k)
+        damaged = Unusable("crc", "the block has a wrong checksum")
+        yield (problem_of(table.block(k), u[k], counts[k]) if sound[k] else None) or damaged
+        start = k + 1
+    yield from table.parts(start, rows.size)
 
 
-def problem_of(block: Block, u: Floats, counts: Counts, wide: bool = True) -> Unusable | None:
-    """Return the reason why a block of u (n,) and counts (n,) cannot be used, or None.
+def _are_in_range(table: Table) -> Flags:
+    """Return which blocks have a valid name and valid numbers, as `problem_of` for a single block."""
+    n = table.u.shape[1]
+    with np.errstate(invalid="ignore"):
+        fine: Flags = (table.dt > 0) & (table.dt < math.inf) & ~(np.abs(table.time) >= MOST_TIME)  # a time may be NaN
+    fine &= (table.first >= 0) & (table.first <= MOST_NUMBER - n) & ~np.isinf(table.u).any(axis=1)
+    fine &= ((table.counts > -MAX_COUNT) & (table.counts < MAX_COUNT)).all(axis=1)
+    named: Flags = np.array([name != "" for name in table.axes])
+    return fine & named
 
-    If `wide` is set, the counts may have any size.
-    """
+
+@lru_cache(LISTS)
+def _read_names(text: bytes, letters: int) -> tuple[str, ...]:
+    """Return consecutive names of `letters` bytes each, with "" in place of each name that is not valid."""
+    names = (text[k : k + letters].decode(errors="surrogateescape") for k in range(0, len(text), letters))
+    return tuple(name if name.isprintable() else "" for name in names)
+
+
+def problem_of(block: Block, u: Floats, counts: Counts) -> Unusable | None:
+    """Return the reason why a block of u (n,) and counts (n,) cannot be used, or None."""
     name, n = block.axis, u.size
     if not (name.isprintable() and 0 < len(name.encode("utf-8", "replace")) <= LONGEST_NAME):
         return Unusable(
@@ -256,6 +206,6 @@ def problem_of(block: Block, u: Floats, counts: Counts, wide: bool = True) -> Un
         )
     if np.isinf(u).any():
         return Unusable("not finite", "an input in the block is infinite", name)
-    if wide and max(abs(int(counts.min())), abs(int(counts.max()))) >= MAX_COUNT:
+    if max(abs(int(counts.min())), abs(int(counts.max()))) >= MAX_COUNT:
         return Unusable("number", "counts beyond 2**53", name)
     return None

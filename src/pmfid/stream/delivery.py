@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
 
@@ -86,6 +86,15 @@ class Table:
         numbers = int(self.epoch[row]), int(self.first[row]), float(self.time[row]), float(self.dt[row])
         ages = None if self.ages is None else self.ages[row]
         return Block(self.axes[row], *numbers, self.u[row], self.counts[row], ages)
+
+    def parts(self, first: int, end: int) -> Iterator[Table]:
+        """Yield the table of the rows from `first` to `end`, or nothing if there are none."""
+        if end - first == len(self.axes):
+            yield self
+        elif end > first:
+            rows = slice(first, end)
+            parts = {name: array[rows] for name, array in vars(self).items() if array is not None}
+            yield replace(self, **parts)
 
     def blocks(self) -> list[Block]:
         return [self.block(row) for row in range(len(self.axes))]
