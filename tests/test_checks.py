@@ -133,15 +133,6 @@ def test_the_same_sentence_everywhere(fault: str, tmp_path: Path) -> None:
     assert all(sentence in page for sentence in sentences)
 
 
-def test_python_says_what_the_command_says() -> None:
-    log = log_of("reversed sign")
-    record, gain = log.record(), log.run.axis.drive.input_gain
-    encoder = pmfid.Encoder(record.resolution)
-    found = pmfid.check(record.u, record.counts, model=pmfid.Drive(gain), dt=record.dt, encoder=encoder)
-    assert [finding.code for finding in found] == ["reversed"]
-    assert found[0].text == found_in("reversed sign")[0].text
-
-
 @pytest.mark.parametrize("bits", [12, 14, 32])
 def test_a_counter_narrower_than_its_encoder_is_named(bits: int) -> None:
     run = make_scenario("prbs", seed=SEED, increments=2048)

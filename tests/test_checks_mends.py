@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import pmfid
-from pmfid.cli.main import main
-from pmfid.findings import Finding, codes
+from pmfid.findings import codes
 from pmfid.pipeline.checks import check_record
-from pmfid.pipeline.checks.readings import convert_velocity
-from pmfid.pipeline.checks.view import long_stops, sudden
 from pmfid.pipeline.identify import check
 from pmfid.records.outliers import repair_record
 from pmfid.simulation import CART, CART_DT, quantize, simulate_drive
 from studies.check_logs import ALL, Logged, clean, faulty, limited
 from tests.conftest import long_unless
-from tests.test_checks import written
 
 
 def found_in(log: Logged) -> tuple[str, ...]:
@@ -34,45 +28,12 @@ def test_a_velocity_is_read_as_it_stands(seed: int) -> None:
     assert found_in(faulty("velocity as position", seed)) == ("velocity",)
 
 
-def test_an_axis_at_rest_stays_where_it_is() -> None:
-    encoder, counts = convert_velocity(np.array([0, 0, 5, 5, 0, 0, 0]), 1e-3, 0.1)
-    assert np.ptp(counts[:2]) == np.ptp(counts[5:]) == 0
-    assert encoder.position(counts)[-1] - encoder.position(counts)[0] == pytest.approx(1e-3, rel=1e-6)
-
-
 # --- stops ------------------------------------------------------------------------------------------------------------
-
-#: Counts of moves with constant acceleration up and down, with at most 20 counts per sample and with rests.
-RAMP = np.repeat([0.0, *np.linspace(0, 20, 60), *np.linspace(20, 0, 60), 0.0], [30] + [1] * 120 + [30])
-SPEED = np.tile(np.r_[RAMP, -RAMP], 4)
-
-
-def counted(speed: np.ndarray) -> np.ndarray:
-    return np.floor(np.cumsum(speed)).astype(np.int64)
-
-
-def test_rests_are_no_sudden_stops() -> None:
-    counts = counted(SPEED)
-    assert long_stops(counts)
-    assert sudden(counts, long_stops(counts)) == set()
 
 
 def test_a_counter_that_catches_up_was_stuck() -> None:
     # The axis itself stops nearly as suddenly as the counter, but it never starts as suddenly.
     assert found_in(faulty("stuck counter", 1008)) == ("stuck",)
-
-
-@pytest.mark.parametrize("missed", ["lost until the axis rests", "to the end"])
-def test_a_counter_that_stops_in_motion_is_stuck(missed: str) -> None:
-    change, start = np.diff(counted(SPEED), prepend=0), 30 + 75
-    if missed == "to the end":
-        start += 6 * RAMP.size
-        change[start:] = 0
-    else:
-        change[start : start + 80] = 0
-    counts = np.cumsum(change)
-    found = sudden(counts, long_stops(counts))
-    assert [first for first, _ in found] == [start - 1]
 
 
 # --- short and slow records -------------------------------------------------------------------------------------------
@@ -99,18 +60,6 @@ def test_what_the_log_cuts_off_is_distinguished_from_the_limit_of_the_drive() ->
     assert [(one.code, one.severity) for one in found] == [("saturated", "note")]
 
 
-@pytest.mark.long
-def test_a_note_ends_no_search_and_is_no_fault(tmp_path: Path) -> None:
-    assert found_in(faulty("sample rate too low", 5002)) == ("rate_low",)
-    log = limited(5044, {"slide": ALL["slide"]})
-    record, axis = written(log, tmp_path)
-    result = CliRunner().invoke(main, ["check", str(record), "--config", str(axis)])
-    assert result.exit_code == 1  # the model is wrong in this log
-    assert "\nnote: the input column" in result.stdout
-    assert "\ndoubt: the record shows a constant load\n" in result.stdout
-    assert "doubt: the input column" not in result.stdout
-
-
 # --- clean logs -------------------------------------------------------------------------------------------------------
 
 
@@ -124,10 +73,6 @@ def test_a_motion_that_starts_with_all_its_force_has_no_wrong_first_row() -> Non
     assert repair_record(replace(record, counts=record.counts[::-1].copy())).findings == ()
     wrong = replace(record, counts=np.r_[500, record.counts[1:]])
     assert [one.code for one in repair_record(wrong).findings] == ["count_jump"]
-
-
-def test_findings_are_reported_by_their_weight() -> None:
-    assert codes((Finding("saturated", "at a limit", severity="note"),)) == ()
 
 
 def test_a_large_load_is_named() -> None:

@@ -9,10 +9,9 @@ from itertools import product
 import numpy as np
 import pytest
 
-from pmfid.design.appraisal import USUAL, best_input, choose
+from pmfid.design.appraisal import USUAL, choose
 from pmfid.design.calibration import DesignedRun, calibrate
-from pmfid.design.encoder_error import encoder_covariance, expected_covariance, inside, start_free, walk
-from pmfid.design.fisher import Criterion, affine
+from pmfid.design.encoder_error import encoder_covariance, inside, walk
 from pmfid.design.polytope import input_set, violations
 from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_experiment
 from pmfid.design.simulated import drive_of, simulate
@@ -133,27 +132,6 @@ def test_a_motion_that_stops_on_a_machine_near_by_is_not_chosen(name: str) -> No
         truth = {each: (1 + 0.1 * sign) * problem.nominal[each] for each, sign in zip(NAMES, signs, strict=True)}
         moving = simulate(problem, choice.design.u, truth).moving[: -2 * problem.samples_per_interval]
         assert moving.mean() > 0.95
-
-
-def test_white_noise_sees_the_stops_too() -> None:
-    problem = replace(MACHINES["40 kg"], resolution=None, noise_variance=1e-10)
-    creeping = standard_inputs(problem, names=("minimum_time",))["minimum_time"].u
-    found = expected_covariance(problem, creeping)
-    assert found is not None
-    linear = np.linalg.inv(start_free(affine(problem).weigh_sensitivities(creeping))) * np.outer(
-        problem.scale, problem.scale
-    )
-    assert found[2, 2] > 9 * linear[2, 2]
-
-
-def test_the_trapezoid_is_taken_where_nothing_is_surely_better() -> None:
-    problem = case("m, d")
-    rule = Criterion("D", 2)
-    usual = np.diag([1.0, 1.0])
-    assert best_input(problem, rule, {"design": np.diag([0.01, 1.01]), USUAL: usual}) == USUAL
-    assert best_input(problem, rule, {"design": np.diag([0.5, 0.5]), USUAL: usual}) == "design"
-    assert best_input(problem, rule, {"design": None, USUAL: usual}) == USUAL
-    assert best_input(problem, rule, {"design": usual, "other": np.diag([0.5, 0.5])}) == "other"
 
 
 def test_rounds_run_what_was_chosen() -> None:

@@ -20,7 +20,6 @@ from pmfid.design.fisher import (
     affine,
     check_identifiable,
     criterion_of,
-    eliminate,
     motion,
     sensitivities,
 )
@@ -77,15 +76,6 @@ def test_sensitivities_are_those_of_an_independent_integration() -> None:
     assert np.abs(np.array(found) - exact).max() <= 1e-8 * np.abs(exact).max()
 
 
-def test_a_rest_keeps_position_sensitivities_and_drops_those_of_velocity() -> None:
-    case = problem(directions=(1,) * 10 + (0,) * 3 + (-1,) * 7)
-    maps = affine(case)
-    u = np.random.default_rng(0).uniform(0, 3, 20)
-    rest = maps.weigh_sensitivities(u)[:, 9:13]
-    assert np.ptp(rest, axis=1) == pytest.approx(0.0, abs=1e-9 * np.abs(rest).max())
-    assert np.abs(np.diff(maps.weigh_sensitivities(u)[:, 12:], axis=1)).min() > 0
-
-
 @pytest.mark.parametrize("name", list(CRITERIA))
 @pytest.mark.parametrize("size", [1, 2, 3])
 def test_gradients_and_homogeneity(name: str, size: int) -> None:
@@ -104,14 +94,6 @@ def test_criteria_are_what_their_names_say() -> None:
     S = np.diag([1.0, 4.0])
     values = {name: Criterion(name, 2, np.array([1.0, 0.0])).value(S) for name in CRITERIA}
     assert values == pytest.approx({"trace": 5.0, "D": 2.0, "A": 1.6, "E": 1.0, "ME": 0.25, "c": 1.0})
-
-
-def test_nuisance_parameters_are_eliminated() -> None:
-    root = np.random.default_rng(1).standard_normal((3, 6))
-    F = root @ root.T
-    expected = np.linalg.inv(np.linalg.inv(F)[:2, :2])
-    assert eliminate(F, 2)[0] == pytest.approx(expected)
-    assert Criterion("D", 2).value(F) == pytest.approx(np.sqrt(np.linalg.det(expected)))
 
 
 def test_the_tangent_at_the_best_mixture_bounds_every_part() -> None:

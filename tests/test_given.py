@@ -20,11 +20,11 @@ from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import Alarm, Settled, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.result import DriveResult, parameter_rows
-from pmfid.simulation import CART, DriveParameters, Machine, Schedule, prbs, quantize, simulate_drive
+from pmfid.simulation import CART, DriveParameters, Schedule, prbs, quantize, simulate_drive
 from pmfid.simulation.scenarios import change_parameters
 from pmfid.types import Floats
 from studies.friction_axes import BENCHES
-from studies.machines import Axis, machine_record, record_of
+from studies.machines import Axis, machine_record
 from studies.monitoring.axis import changing, make_riv, normal_work
 from studies.paper.truth import CartRecord
 from tests.conftest import long_unless
@@ -231,14 +231,6 @@ def test_it_is_the_estimate_with_any_other_gain_in_proportion(records: dict[str,
     assert set(found.status) == set(wrong.status)
 
 
-def test_given_forces_that_do_not_fit_each_other_are_said(records: dict[str, CartRecord]) -> None:
-    axis = BENCHES["heavy"]
-    given = {"mass": axis.drive.mass, "viscous_friction": 1.3 * axis.drive.viscous_friction}
-    result = identified(axis, records["heavy"], method="iv", given=given)
-    assert "prior_contradicted" in result.status
-    assert any("contradict each other or the record" in note for note in result.notes)
-
-
 def test_a_motor_that_turns_the_other_way_has_a_negative_gain(records: dict[str, CartRecord]) -> None:
     axis, record = BENCHES["slide"], records["slide"]
     turned = CartRecord(-record.u, record.counts, record.resolution)
@@ -264,25 +256,6 @@ def test_times_and_speeds_do_not_go_with_the_gain() -> None:
     )
     assert dead_time["dead_time"] == pytest.approx(0.00201)
     assert dead_time["input_gain"] == pytest.approx(4.0)
-
-
-def test_a_dead_time_that_is_found_next_to_the_gain() -> None:
-    axis = BENCHES["gantry"]
-    record = record_of(axis, Machine(axis.drive, dead_time=0.8 * axis.dt), "prbs", 1024, 9)
-    model = pmfid.Drive(1.0, dead_time="estimate")
-    front = pmfid.MotionFit(model, pmfid.Encoder(record.resolution), axis.dt, 1 / (3 * axis.dt))
-    found = Known(front, given={"mass": axis.drive.mass}, find_gain=True).combine(front.fit(record.u, record.counts))
-    assert found["input_gain"] == pytest.approx(axis.drive.input_gain, rel=0.01)
-    assert found["dead_time"] == pytest.approx(0.8 * axis.dt, abs=0.05 * axis.dt)
-
-
-def test_a_friction_that_a_record_does_not_show_is_said_as_such(records: dict[str, CartRecord]) -> None:
-    axis, record = BENCHES["slide"], records["slide"]
-    model = pmfid.Drive(axis.drive.input_gain, stribeck="estimate")
-    encoder = pmfid.Encoder(record.resolution)
-    result = pmfid.identify(record.u[:1000], record.counts[:1000], model=model, dt=axis.dt, encoder=encoder)
-    assert result.status == ("uncertain",)
-    assert any("stribeck_friction" in finding.sentence for finding in result.findings)
 
 
 def test_an_equation_of_the_user_may_have_a_prior(records: dict[str, CartRecord]) -> None:

@@ -15,17 +15,13 @@ from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
 from pmfid.config.record import RecordConfig
 from pmfid.design.appraisal import _stds
-from pmfid.design.ascent import _subtract_least
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.estimators import recursive as encoder_noise
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RLS
 from pmfid.kernel.saved import configuration
 from pmfid.models.drive import Drive
-from pmfid.monitor.calibration import calibrate, powers, simulated_counts
-from pmfid.monitor.scores import scores
-from pmfid.monitor.tuning import TUNING
+from pmfid.monitor.calibration import calibrate, simulated_counts
 from pmfid.pipeline.designs import load_spec, make_problem
 from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.records.clock import sample_period
@@ -33,7 +29,6 @@ from pmfid.report.monitored import RunData, _velocity, run_figure
 from pmfid.status import Status
 from tests.test_front import CART
 from tests.test_states import forged, used
-from tests.tuned import set_tuning
 
 THETA = np.array([1.07, 12.8, 0.8])
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
@@ -44,18 +39,6 @@ def riv() -> RIV:
 
 
 # --- a monitor's reference --------------------------------------------------------------------------------------------
-
-
-def test_sums_that_a_record_is_too_short_for_say_nothing() -> None:
-    mean, error = powers(np.ones((1, 5, 3)), np.ones((1, 5, 3)), 0.0)
-    short = [length > 5 for length in TUNING.calibration_lengths]
-    assert np.all(np.isinf(error[short]))
-    np.testing.assert_array_equal(mean[short], 1.0)
-    np.testing.assert_array_equal(mean[0], 1.0)
-
-
-def test_a_record_without_a_block_has_none() -> None:
-    assert scores(riv(), THETA, np.zeros(5), np.zeros(5, np.int64)).score.shape == (0, 3)
 
 
 def test_a_reference_that_shows_no_scatter_is_refused() -> None:
@@ -77,13 +60,6 @@ def test_normal_parameters_of_a_machine_that_runs_away_are_refused() -> None:
 def parser(tmp_path: Path, header: bytes) -> LineParser:
     (tmp_path / "axis.toml").write_text(CART.replace("[record]", '[record]\ntime = "t"'))
     return LineParser(header, load_axis(tmp_path / "axis.toml"))
-
-
-def test_a_stamp_beyond_all_clocks_is_a_bad_line(tmp_path: Path) -> None:
-    parse = parser(tmp_path, b"t,u,counts\n")
-    line = parse(b"1e308,1.0,3\n")
-    assert line is not None
-    assert line.problem == "a time that is not finite, or larger than any clock shows"
 
 
 def test_two_columns_of_one_name_are_refused_in_a_pipe(tmp_path: Path) -> None:
@@ -121,22 +97,7 @@ def test_a_low_cutoff_takes_no_memory() -> None:
         tracemalloc.stop()
 
 
-def test_the_noise_is_the_same_in_parts(monkeypatch: pytest.MonkeyPatch) -> None:
-    estimator = RLS(Drive(2.0), Encoder(2e-4), 0.01, 30.0)
-    whole = encoder_noise.noise_covariance(estimator)
-    set_tuning(monkeypatch, encoder_noise, recursive_part=7)
-    np.testing.assert_allclose(encoder_noise.noise_covariance(estimator), whole, rtol=1e-12, atol=1e-18)
-    shown = encoder_noise.compute_encoder_floor(estimator)
-    monkeypatch.undo()
-    assert encoder_noise.compute_encoder_floor(estimator) == pytest.approx(shown, rel=1e-12)
-
-
 # --- a design ---------------------------------------------------------------------------------------------------------
-
-
-def test_the_worst_of_cases_that_tell_nothing_tells_nothing() -> None:
-    values = np.array([[-math.inf, -math.inf, 1.0], [-math.inf, 2.0, 1.0]])
-    np.testing.assert_array_equal(_subtract_least(values), [[0.0, 0.0, 0.0], [0.0, math.inf, 0.0]])
 
 
 def test_a_design_from_rest_for_the_worst_case_ends_in_numbers(tmp_path: Path) -> None:

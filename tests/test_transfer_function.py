@@ -10,8 +10,6 @@ from scipy.signal import cont2discrete, lfilter
 
 import pmfid
 from pmfid import BCLS, BCRLS, LS, RLS, TransferFunction
-from pmfid.estimators.cutoff import choose_prefilter_zeros
-from pmfid.filters.chain import derivative, euler_frobenius
 from pmfid.models.equation import Equation, Term
 from tests.oracles import paper
 from tests.oracles.paper import coefficient_matrix
@@ -117,20 +115,6 @@ def test_the_coefficient_matrix_in_the_frequency_domain():
     np.testing.assert_allclose(right[0], [gain**n * (-cutoff / gain) ** k * c for k, c in enumerate([1, 4, 6, 4, 1])])
 
 
-def test_the_chain_of_the_kernel_is_the_coefficient_matrix_with_unit_gain():
-    n, cutoff = 3, 5.0
-    matrix = coefficient_matrix(n, cutoff, cutoff)
-    for j in range(n + 1):
-        row = np.zeros(n + 1)
-        for node, weight in derivative(list(range(n + 1)), j, cutoff):
-            row[node] = weight
-        np.testing.assert_allclose(row, matrix[n - j])
-
-
-def test_euler_frobenius_polynomials():
-    assert [euler_frobenius(r) for r in (1, 2, 3, 4)] == [[1], [1, 1], [1, 4, 1], [1, 11, 11, 1]]
-
-
 @pytest.mark.parametrize(("n", "m", "delay"), [(1, 0, 0), (2, 0, 2), (2, 1, 0), (3, 0, 1), (4, 0, 0), (4, 1, 3)])
 @pytest.mark.parametrize("extra", [0, 1])
 def test_columns_are_those_of_the_oracle(n, m, delay, extra):
@@ -175,13 +159,6 @@ def test_order_of_convergence_of_the_matched_filter(name, least):
         worst.append(np.max(np.abs(estimate(LS, finer, make_record(finer, 1)) / plant.truth - 1)))
     order = np.polyfit(np.log(dts), np.log(worst), 1)[0]
     assert order > least
-
-
-@pytest.mark.parametrize("name", PLANTS)
-def test_the_discretisation_of_the_paper_is_there_too(name):
-    plant = PLANTS[name]
-    error = np.abs(estimate(LS, plant, make_record(plant, 1), discretization="paper") / plant.truth - 1)
-    assert 1e-4 < np.max(error) < 0.2
 
 
 @pytest.mark.parametrize("name", PLANTS)
@@ -236,18 +213,6 @@ def test_compensation_takes_out_the_bias_of_white_noise(name, least):
         mean[cls] = np.abs(np.mean(theta, axis=0) / plant.truth - 1)[: plant.model.n]
     assert np.max(mean[LS]) > least
     assert np.max(mean[BCLS]) < least / 4
-
-
-def test_chosen_zeros_are_as_good_as_good_ones():
-    plant = LAG
-    theta = []
-    for seed in range(8):
-        run = make_record(plant, seed, snr=10.0)
-        zeros = choose_prefilter_zeros(build(BCLS, plant, run), run.u, run.counts)
-        assert len(zeros) == 2
-        theta.append([estimate(BCLS, plant, run, prefilter_zeros=chosen) for chosen in (zeros, plant.zeros)])
-    spread = np.std(theta, axis=0)
-    assert np.all(spread[0] < 1.3 * spread[1])
 
 
 # --- delay, offset, initial conditions --------------------------------------------------------------------------------

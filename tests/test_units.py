@@ -14,7 +14,6 @@ import polars as pl
 import pytest
 
 from pmfid.config.axis import Axis
-from pmfid.config.record import conversion
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
 from pmfid.pipeline.guess.axis_file import guess
@@ -58,79 +57,49 @@ def same(record: Record) -> Record:
     return record
 
 
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [
-        ("pos_mm", "mm"),
-        ("y [mm]", "mm"),
-        ("phi (deg)", "deg"),
-        ("pos [°]", "deg"),
-        ("n_rpm", "rpm"),
-        ("Drehzahl [U/min]", "rpm"),
-        ("v [m/s]", "m/s"),
-        ("angle/deg", "deg"),
-        ("x_um", "um"),
-        ("x [µm]", "um"),
-        ("y_rad", "rad"),
-        ("y_m", None),
-        ("items", None),
-        ("position", None),
-        ("encoder [inc]", None),
-        ("torque [Nm]", None),
-        ("t_ms", None),
-    ],
-)
-def test_units_of_outputs(name: str, unit: str | None) -> None:
-    found = column_unit(name, OUTPUTS)
-    assert (found and found.name) == unit
+OF_OUTPUTS = {"pos_mm": "mm", "y [mm]": "mm", "phi (deg)": "deg", "pos [°]": "deg", "n_rpm": "rpm", "v [m/s]": "m/s"}
+OF_OUTPUTS |= {"Drehzahl [U/min]": "rpm", "angle/deg": "deg", "x_um": "um", "x [µm]": "um", "y_rad": "rad"}
+OF_INPUTS = {"Current [mA]": "mA", "Iq [A]": "A", "i_mA": "mA", "M [N·m]": "N m", "M [N-m]": "N m", "torque_Nm": "N m"}
+OF_INPUTS |= {"u [mNm]": "mN m", "Torque [%]": "%", "load_pct": "%", "F_kN": "kN", "iq_A": "A", "I / A": "A"}
+OF_INPUTS |= {"motor_i_A": "A", "iq_A_filt": "A", "Iq[A].1": "A", "current_ampere": "A", "uq_V": "V", "Fx_N": "N"}
 
 
-@pytest.mark.parametrize(
-    ("name", "unit"),
-    [
-        ("Current [mA]", "mA"),
-        ("Iq [A]", "A"),
-        ("i_mA", "mA"),
-        ("M [N·m]", "N m"),
-        ("M [N-m]", "N m"),
-        ("torque_Nm", "N m"),
-        ("u [mNm]", "mN m"),
-        ("Torque [%]", "%"),
-        ("load_pct", "%"),
-        ("F_kN", "kN"),
-        ("u_v", None),
-        ("u", None),
-        ("iq_A", "A"),
-        ("I / A", "A"),
-        ("motor_i_A", "A"),
-        ("iq_A_filt", "A"),
-        ("Iq[A].1", "A"),
-        ("current_ampere", "A"),
-        ("uq_V", "V"),
-        ("Fx_N", "N"),
-        ("motor_A", None),
-        ("tau(1)", None),
-    ],
-)
-def test_units_of_inputs(name: str, unit: str | None) -> None:
-    found = column_unit(name, INPUTS)
-    assert (found and found.name) == unit
+def test_units_of_columns() -> None:
+    for units, table in ((OUTPUTS, OF_OUTPUTS), (INPUTS, OF_INPUTS)):
+        found = {name: column_unit(name, units) for name in table}
+        assert {name: unit and unit.name for name, unit in found.items()} == table
+    for name in ("y_m", "items", "position", "encoder [inc]", "torque [Nm]", "t_ms"):
+        assert column_unit(name, OUTPUTS) is None
+    for name in ("u_v", "u", "motor_A", "tau(1)"):
+        assert column_unit(name, INPUTS) is None
 
 
-@pytest.mark.parametrize(
-    ("name", "gain", "per", "right"),
-    [
-        ("iq_A", "0.35 N m/V", "V", "A"),
-        ("u_V", "0.35 N m/A", "A", "V"),
-        ("I / A", "3 N/V", "V", "A"),
-        ("iq [A] raw", "0.35 N m/%", "%", "A"),
-        ("torque_cmd [%]", "0.35 N m/A", "A", "%"),
-    ],
-)
-def test_the_unit_in_any_name_must_be_that_of_the_gain(name: str, gain: str, per: str, right: str) -> None:
-    """A current "iq_A" with a gain per volt was accepted once."""
-    with pytest.raises(UsageError, match=f"input_gain is per {per}: write it per {right}, or rename the column"):
-        conversion(axis("y", name, input_gain=gain), name, "y")
+#: Output, input, gain and further keys of an axis, and what its refusal says. "iq_A" per volt was accepted once.
+UNITS_REFUSED: list[tuple[str, str, object, dict[str, object], str]] = [
+    ("y", "iq_A", "0.35 N m/V", {}, "input_gain is per V: write it per A, or rename the column"),
+    ("y", "u_V", "0.35 N m/A", {}, "input_gain is per A: write it per V, or rename the column"),
+    ("y", "I / A", "3 N/V", {}, "input_gain is per V: write it per A, or rename the column"),
+    ("y", "iq [A] raw", "0.35 N m/%", {}, "input_gain is per %: write it per A, or rename the column"),
+    ("y", "torque_cmd [%]", "0.35 N m/A", {}, "input_gain is per A: write it per %, or rename the column"),
+    ("y", "iq_mA", "0.35 N m", {}, 'write [model] input_gain = "0.35 N m/mA" or "0.35 N m/A"'),
+    ("pos_mm", "u", 2.0, {"record_output_unit": "m"}, 'write output_unit = "mm", or rename'),
+    ("pos_mm", "u", 2.0, {"record_output_kind": "counts"}, 'output_kind = "position"'),
+    ("v [mm/s]", "u", 2.0, {}, 'output_kind = "velocity"'),
+    ("y", "u", "2 N/V", {"encoder_resolution": "0.01 deg"}, "belongs to a rotary axis"),
+    ("y", "u", 2.0, {"encoder_resolution": 4096.0, "record_output_kind": "counts"}, 'resolution = "4096 counts/rev"'),
+    ("y", "u", 2.0, {"record_time": "t_ms", "record_dt": None, "record_time_unit": "s"}, 'write time_unit = "ms"'),
+]
+
+
+@pytest.mark.parametrize(("output", "u", "gain", "more", "said"), UNITS_REFUSED)
+def test_units_that_contradict_each_other_are_refused(
+    tmp_path: Path, output: str, u: str, gain: object, more: dict[str, object], said: str
+) -> None:
+    t = 10.0 * np.arange(RUN.u.size)
+    pl.DataFrame({"t_ms": t, u: RUN.u, output: RUN.counts * STEP}).write_csv(tmp_path / "run.csv")
+    with pytest.raises(UsageError) as caught:
+        read_record(tmp_path / "run.csv", axis(output, u, input_gain=gain, **more))
+    assert said in str(caught.value)
 
 
 def test_a_gain_without_a_unit_is_per_percent_of_a_column_in_percent(tmp_path: Path) -> None:
@@ -144,11 +113,6 @@ def test_a_gain_without_a_unit_is_per_percent_of_a_column_in_percent(tmp_path: P
     text = guess(path).text
     assert "input_gain = 1.0" in text
     assert "force or torque per % of the input" in text
-
-
-def test_a_gain_without_a_unit_of_input_is_ambiguous_for_a_converted_column() -> None:
-    with pytest.raises(UsageError, match=r'write \[model\] input_gain = "0.35 N m/mA" or "0.35 N m/A"'):
-        conversion(axis("y", "iq_mA", input_gain="0.35 N m"), "iq_mA", "y")
 
 
 def test_numbers_with_units() -> None:
@@ -212,18 +176,6 @@ def test_an_input_in_another_unit(tmp_path: Path) -> None:
         read_record(path, axis("y", "Current [mA]", input_gain="2 N/V"))
     scaled = read_record(path, axis("y", "Current [mA]", record_input_scale=1e-3))
     same(scaled)  # the user converts
-
-
-def test_a_name_that_the_configuration_contradicts_is_refused(tmp_path: Path) -> None:
-    path = logged(tmp_path, "pos_mm", 1e-3)
-    with pytest.raises(UsageError, match=r'says mm, but .* output_unit = "m": write output_unit = "mm", or rename'):
-        read_record(path, axis("pos_mm", record_output_unit="m"))
-    with pytest.raises(UsageError, match=r'is in mm: give .* output_kind = "position"'):
-        read_record(path, axis("pos_mm", record_output_kind="counts"))
-    with pytest.raises(UsageError, match='output_kind = "velocity"'):
-        read_record(logged(tmp_path, "v [mm/s]"), axis("v [mm/s]"))
-    with pytest.raises(UsageError, match=r"resolution in deg belongs to a rotary axis, .* in N/V to a linear one"):
-        axis("y", resolution="0.01 deg", input_gain="2 N/V")
 
 
 def test_a_rotary_axis_has_its_units_everywhere(tmp_path: Path) -> None:
@@ -311,22 +263,3 @@ def test_a_copy_of_a_quantity_is_converted_once(again: Callable[[Quantity], Quan
     made = Quantity(5.0, OUTPUTS["mm"])
     copied = again(made)
     assert (copied, copied.unit, type(copied)) == (made, made.unit, Quantity)
-
-
-def test_whole_numbers_with_a_unit_are_a_position(tmp_path: Path) -> None:
-    pl.DataFrame({"u": RUN.u, "pos [um]": 2 * RUN.counts}).write_csv(tmp_path / "run.csv")
-    record = read_record(tmp_path / "run.csv", axis("pos [um]", resolution="2 um"))
-    np.testing.assert_array_equal(record.counts, RUN.counts)
-
-
-def test_a_time_unit_and_its_column_agree(tmp_path: Path) -> None:
-    pl.DataFrame({"t_ms": 10.0 * np.arange(RUN.u.size), "u": RUN.u, "y": STEP * RUN.counts}).write_csv(
-        tmp_path / "a.csv"
-    )
-    with pytest.raises(UsageError, match='write time_unit = "ms", or rename the column'):
-        read_record(tmp_path / "a.csv", axis("y", record_time="t_ms", record_dt=None, record_time_unit="s"))
-
-
-def test_counts_per_revolution_are_no_travel_per_count() -> None:
-    with pytest.raises(UsageError, match='write resolution = "4096 counts/rev"'):
-        axis("y", resolution=4096.0, record_output_kind="counts")

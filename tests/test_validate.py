@@ -12,7 +12,7 @@ from click.testing import CliRunner, Result
 import pmfid
 from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
-from pmfid.diagnostics.free_run import drive_run, firsts_of, process_run
+from pmfid.diagnostics.free_run import drive_run, process_run
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.srivc import SRIVC
 from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs, quantize, simulate_drive
@@ -146,24 +146,6 @@ def test_figures_of_merit_are_what_they_are_called() -> None:
     assert (second.seconds, second.runs) == (2.0, 3)
 
 
-def test_runs_that_restart_drift_less() -> None:
-    """A constant force outside the model moves the axis away."""
-    rng = np.random.default_rng(3)
-    u = prbs(2400, clock=14, amplitude=3.0, rng=rng)
-    counts = quantize(simulate_drive(AXIS, u + 0.1, DT).x, STEP)
-    found = drive_run(method(), np.array([0.45, 3.1, 0.6]), u, counts, "drifts")
-    errors = [horizon.rmse for horizon in found.horizons] + [found.rmse]
-    assert len(errors) == 5
-    assert errors[0] < errors[2] / 2 < errors[4] / 4
-
-
-def test_very_many_runs_are_thinned() -> None:
-    firsts = firsts_of(100_000, 10)
-    assert 100 <= len(firsts) <= 200
-    assert firsts[-1] + 10 <= 100_000
-    assert firsts_of(5, 10) == []
-
-
 def test_each_part_between_gaps_has_a_start_and_missing_counts_have_no_error() -> None:
     run, there = run_of(2), np.arange(1200) % 7 > 0
     u, counts = run.u.copy(), run.counts.copy()
@@ -218,14 +200,6 @@ def test_a_transfer_function_predicts_other_records_gaps_included(tmp_path: Path
         assert run.encoder is None
         assert run.horizons
     found.to_json()
-
-
-def test_horizons_of_a_slow_process_are_longer() -> None:
-    method = SRIVC(pmfid.TransferFunction(2, 0, offset=True), pmfid.Encoder(1e-29), 5.0, 0.04)
-    theta = np.array([2.0 / 50**2, 1.1 / 50, 3.0 / 50**2, 10.0 / 50**2])
-    run = process_run(method, theta, process_record(3, slower=50.0), None)
-    assert [horizon.seconds for horizon in run.horizons] == [1000.0, 2000.0]
-    assert run.rmse < 0.1
 
 
 def test_an_unstable_transfer_function_is_refused() -> None:
