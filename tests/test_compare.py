@@ -18,7 +18,6 @@ from pmfid.config.axis import Axis
 from pmfid.estimators.registry import methods_for
 from pmfid.pipeline.identify import Comparison, compare
 from pmfid.pipeline.kinds import Progress, Records
-from pmfid.report.comparison import _fit
 from pmfid.simulation import CART, make_scenario, write_csv
 from studies.second_order import write
 
@@ -114,16 +113,7 @@ def test_no_number_of_many_parameters_is_cut(tmp_path, monkeypatch, width):
         assert max(len(line) for line in printed.splitlines() if line[:1] in "\u2502\u2503") <= 80
 
 
-def test_a_drive_keeps_its_single_table(record):
-    printed = run(str(record), "--config", str(CONFIG))
-    assert printed.count("method") == 2, "in the title and in one header"
-
-
 def _cells(page: Path) -> list[list[str]]:
     """Return header and rows of the first table of a report."""
     table = page.read_text().split("<table", 1)[1].split("</table>", 1)[0]
     return [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL) for row in table.split("<tr")[1:]]
-
-
-def test_a_huge_misfit_has_few_digits():
-    assert [_fit(90.123), _fit(-4.3e87)] == ["90.12", "-4.3e+87"]

@@ -70,13 +70,6 @@ def test_filters_far_too_fast_for_the_encoder_are_not_chosen() -> None:
     assert abs(mass[1] - 1) < 0.01
 
 
-def test_a_cutoff_that_is_given_is_taken() -> None:
-    error, result = identified(REAL["plotter"], "prbs", 40.0, method="iv")
-    assert result.estimator.cutoff == 40.0
-    assert not any("chosen" in note and "cutoff" in note for note in result.notes)
-    assert abs(error[0]) < 5e-3
-
-
 def test_without_motion_it_is_the_record_that_is_refused() -> None:
     rng, still = np.random.default_rng(0), np.zeros(900, dtype=np.int64)
     encoder, model = pmfid.Encoder(1e-3), pmfid.Drive(2.0)

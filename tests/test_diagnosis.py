@@ -101,12 +101,6 @@ def test_a_constant_input_is_no_load(machine: str) -> None:
     assert not named(constant, axis_of()).startswith(LOAD)
 
 
-def test_the_mistake_stands_first_in_a_result() -> None:
-    first = identify(logged("light", "velocity"), axis_of()).findings[0]
-    assert first.severity == "wrong"
-    assert first.sentence.startswith(MISTAKES["velocity"])
-
-
 @pytest.mark.parametrize("fault", ["reversed", "exchanged"])
 def test_the_mistake_stands_first_where_an_identification_is_refused(fault: str) -> None:
     with pytest.raises(NotIdentifiableError) as caught:
@@ -145,12 +139,6 @@ def test_what_the_model_lacks_is_no_mistake_of_the_log(machine: str) -> None:
     found = named(replace(record, u=record.u + load), axis_of())
     assert found == "" or found.startswith(LOAD)
     assert named(replace(record, u=np.r_[record.u[6:], np.zeros(6)]), axis_of()) == ""
-
-
-def test_comparing_names_the_mistake_with_every_refusal() -> None:
-    with pytest.raises(NotIdentifiableError) as refused:
-        compare(logged("light", "reversed"), axis_of())
-    assert str(refused.value).startswith(MISTAKES["reversed"])
 
 
 def test_an_angle_that_wraps_has_another_period_than_a_counter() -> None:

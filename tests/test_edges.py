@@ -52,38 +52,6 @@ def test_a_sample_at_a_whole_tick_is_read_at_this_tick() -> None:
     assert np.nanmax(late) < 1.0001 * tick
 
 
-def test_way_back_passes_the_same_lines() -> None:
-    voltage = np.where(np.arange(1001) < 500, 3.0, -3.0)
-    motion = simulate_drive(CART, voltage, DT)
-    counts, ages = capture_edges(motion, RESOLUTION)
-    back = np.flatnonzero(np.diff(counts) < 0) + 1
-    assert back.size > 100
-    places = np.interp(motion.t[back] - ages[back], motion.t, motion.x)
-    np.testing.assert_allclose(places, (counts[back] + 1) * RESOLUTION, rtol=0.0, atol=5e-6)
-
-
-def test_sample_without_an_edge_has_no_age() -> None:
-    motion = simulate_drive(CART, np.zeros(20), DT)
-    assert np.isnan(capture_edges(motion, RESOLUTION)[1]).all()
-
-
-def test_age_is_a_whole_number_of_ticks() -> None:
-    motion = simulate_drive(CART, np.full(501, 3.0), DT)
-    exact = capture_edges(motion, RESOLUTION, every=EVERY)[1]
-    ages = capture_edges(motion, RESOLUTION, every=EVERY, tick=1e-5)[1]
-    assert np.array_equal(np.isnan(ages), np.isnan(exact))
-    ticks = ages[~np.isnan(ages)] / 1e-5
-    np.testing.assert_allclose(ticks, np.round(ticks), rtol=0.0, atol=1e-6)
-    assert np.nanmax(np.abs(ages - exact)) <= 1.001e-5
-
-
-@pytest.mark.parametrize(("argument", "value"), [("every", 0), ("tick", -1e-6), ("tick", np.nan)])
-def test_wrong_argument_is_named(argument, value) -> None:
-    motion = simulate_drive(CART, np.zeros(5), DT)
-    with pytest.raises(ValueError, match=argument):
-        capture_edges(motion, RESOLUTION, **{argument: value})
-
-
 def swing(
     turn: int, tick: float = 1e-6, off: float = 0.0, asymmetry: float = 0.0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Encoder]:
@@ -131,13 +99,6 @@ def test_instants_that_all_come_late_move_nothing() -> None:
     assert np.all(np.abs(fit.theta - TRUTH) < 3.5 * fit.theta_std)
 
 
-def test_a_count_that_is_lost_costs_nothing() -> None:
-    u, counts, ages, encoder = swing(16, off=0.01)
-    counts = counts - (np.arange(counts.size) > 900)
-    fit = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16, tick=1e-6).fit(u, counts, ages)
-    np.testing.assert_allclose(fit.theta, TRUTH, rtol=1e-5)
-
-
 @pytest.mark.parametrize("asymmetry", [0.002, 0.2])
 def test_a_load_that_the_model_lacks_is_named_and_moves_nothing(asymmetry: float) -> None:
     u, counts, ages, encoder = swing(16, asymmetry=asymmetry)
@@ -179,8 +140,22 @@ def test_ages_that_cannot_be_are_refused() -> None:
         ("ages must have the shape of counts", lambda: method.fit(u, counts, ages[1:])),
         (r"the age in row \d+ is 5 s", lambda: method.fit(u, counts, np.where(np.isfinite(ages), 5.0, np.nan))),
     )
-    with pytest.raises(NotIdentifiableError, match="the record has 0 edges"):
-        method.fit(u, counts, np.full(counts.size, np.nan))
+    refused(
+        ("the record has 0 edges", lambda: method.fit(u, counts, np.full(counts.size, np.nan))),
+        kind=NotIdentifiableError,
+    )
+    refused(
+        ("lists", lambda: sample_edges([], [], 0.01, 3)),
+        ("lists", lambda: sample_edges([0.1], [1, 2], 0.01, 3)),
+        ("sort the edges", lambda: sample_edges([0.2, 0.1], [1, 2], 0.01, 3)),
+        ("edge 1 is not finite", lambda: sample_edges([0.2, np.nan], [1, 2], 0.01, 3)),
+    )
+    still = simulate_drive(CART, np.zeros(5), DT)
+    refused(
+        ("every", lambda: capture_edges(still, RESOLUTION, every=0)),
+        *(("tick", lambda tick=tick: capture_edges(still, RESOLUTION, tick=tick)) for tick in (-1e-6, np.nan)),
+        kind=ValueError,
+    )
 
 
 @pytest.mark.parametrize("asymmetry", [0.0, 0.2])
@@ -245,20 +220,6 @@ def test_a_list_of_edges_gives_the_columns_of_a_capture() -> None:
     np.testing.assert_allclose(later[1][1:], ages[101:150], atol=1e-12)
     several = sample_edges([0.001, 0.002, 0.003], [1, 2, 3], 0.01, 2)
     assert (several[0].tolist(), several[1][1]) == ([1, 3], pytest.approx(0.007))
-
-
-@pytest.mark.parametrize(
-    ("instants", "counts", "words"),
-    [
-        ([], [], "lists"),
-        ([0.1], [1, 2], "lists"),
-        ([0.2, 0.1], [1, 2], "sort the edges"),
-        ([0.2, np.nan], [1, 2], "edge 1 is not finite"),
-    ],
-)
-def test_wrong_lists_of_edges_are_refused(instants: list[float], counts: list[int], words: str) -> None:
-    with pytest.raises(UsageError, match=words):
-        sample_edges(instants, counts, 0.01, 3)
 
 
 def test_ages_in_ticks_need_the_period_of_the_timer(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +12,12 @@ from click.testing import CliRunner, Result
 
 from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
-from pmfid.errors import UsageError
 from pmfid.pipeline.encoders import EncoderChoice, compare_encoders
 from pmfid.records.edge_ages import Coarser
 from pmfid.records.joining import join_records
 from pmfid.records.record import read_record
 from pmfid.simulation import CART, prbs, simulate_drive
+from tests.refusals import refused
 
 AXIS = """
 [record]
@@ -64,28 +63,6 @@ def test_edges_of_a_coarse_encoder_give_what_its_counts_cannot(fine: Path) -> No
     assert mass["--edges"]["std"] < 0.1 * mass["--quantize"]["std"]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        (("--edges", "0.01", "--quantize", "0.01"), "give only one of them"),
-        (("--edges", "0.01", "--method", "iv"), "drop --method iv"),
-        (("--edges", "1e-9"), "edges = 1e-09 must be .* give a larger step"),
-    ],
-)
-def test_wrong_use_of_edges(fine: Path, options: tuple[str, ...], message: str) -> None:
-    result = run(fine, "identify", *options)
-    assert result.exit_code == 2
-    assert re.search(message, result.stderr)
-
-
-def test_made_edges_stand_in_place_of_no_recorded_ones(fine: Path, tmp_path: Path) -> None:
-    config = tmp_path / "axis.toml"
-    config.write_text(AXIS.replace("resolution", 'edge_age = "t"\nresolution'))
-    command = ["identify", str(fine / "run.csv"), "--config", str(config), "--edges", "0.01"]
-    result = CliRunner().invoke(main, command)
-    assert (result.exit_code, "drop [encoder] edge_age" in result.stderr) == (2, True)
-
-
 def test_records_that_are_joined_have_no_ages(fine: Path) -> None:
     axis = load_axis(fine / "axis.toml")
     record = read_record(fine / "run.csv", axis, Coarser(0.01, edges=True))
@@ -125,32 +102,23 @@ def test_increments_name_the_encoders_of_a_rotary_axis() -> None:
     assert found.plot().axes[0].get_xlabel() == "increments per turn"
 
 
-@pytest.mark.long
-def test_edge_times_need_a_coarser_encoder_than_counts(fine: Path, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    result = run(fine, "encoder", "--want", "0.02", "--json", "--out", str(out))
-    assert result.exit_code == 0, result.output
-    found = json.loads(result.stdout.splitlines()[-1])
-    assert json.loads((out / "encoder.json").read_text()) == found
-    assert "<svg" in (out / "encoder.html").read_text()
-    counts, edges = (np.array(found[key], float) for key in ("counts", "edges"))
-    assert found["step"][:3] == pytest.approx([0.01, 0.003, 0.001])
-    assert np.all(edges[1:3] < 0.1 * counts[1:3])
-    assert np.all(np.diff(counts) < 0)
-    assert edges[-1] < 1e-4
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"wanted": 0.0}, "above 0 and below 100 %"),
-        ({"line_error": 0.5}, "error of the lines below 50 %"),
-        ({"parameter": "masss"}, "did you mean"),
-    ],
-)
-def test_wrong_use_of_the_comparison(fine: Path, changes: dict[str, object], message: str) -> None:
+def test_wrong_use_of_edges(fine: Path, tmp_path: Path) -> None:
+    own = tmp_path / "axis.toml"
+    own.write_text(AXIS.replace("resolution", 'edge_age = "t"\nresolution'))
+    for options, message in (
+        (("--edges", "0.01", "--quantize", "0.01"), "give only one of them"),
+        (("--edges", "0.01", "--method", "iv"), "drop --method iv"),
+        (("--edges", "1e-9"), "give a larger step"),
+        (("--edges", "0.01", "--config", str(own)), "drop [encoder] edge_age"),
+    ):
+        result = run(fine, "identify", *options)
+        assert result.exit_code == 2
+        assert message in result.stderr
     axis = load_axis(fine / "axis.toml")
     record = read_record(fine / "run.csv", axis)
     short = replace(record, u=record.u[:1500], counts=record.counts[:1500])
-    with pytest.raises(UsageError, match=message):
-        compare_encoders(short, axis, **changes)  # type: ignore[arg-type]
+    refused(
+        ("above 0 and below 100 %", lambda: compare_encoders(short, axis, wanted=0.0)),
+        ("error of the lines below 50 %", lambda: compare_encoders(short, axis, line_error=0.5)),
+        ("did you mean", lambda: compare_encoders(short, axis, parameter="masss")),
+    )

@@ -43,20 +43,6 @@ def test_every_key_says_what_it_is() -> None:
     assert [name for name, entry in KEYS.items() if len(entry.meaning) < 8 or not entry.kind or not entry.default] == []
 
 
-def test_a_key_has_its_type_its_unit_its_default_and_its_models() -> None:
-    cutoff, dead, hold, zeros = (
-        KEYS[name] for name in ("estimator.cutoff", "model.dead_time", "record.hold", "estimator.prefilter_zeros")
-    )
-    assert (cutoff.kind, cutoff.unit, cutoff.default) == ("number > 0", "rad/s", "none")
-    assert (dead.kind, dead.unit, dead.default, dead.models) == ('number or "estimate"', "s", "0", "")
-    assert (hold.kind, hold.default, hold.models) == ('"zoh" or "foh"', '"zoh"', 'kind = "transfer_function"')
-    assert zeros.kind == "list of number < 0, 2 of them"
-    assert KEYS["encoder.resolution"].default == "required"
-    assert KEYS["model.unknown.shape.speed"].unit == "unit of y per s"
-    assert KEYS["encoder.max_speed"].kind == "number > 0 or text with a unit"
-    assert '"\\t"' in KEYS["record.separator"].kind
-
-
 def test_a_default_may_be_written_down(tmp_path: Path) -> None:
     """The defaults on the page are valid TOML, and writing them down changes nothing."""
     text = (ROOT / "examples" / "cart.toml").read_text(encoding="utf-8").replace("# [monitor]", "[monitor]")
@@ -103,13 +89,6 @@ def test_every_word_of_a_status_is_explained() -> None:
 )
 def test_a_key_is_found_however_it_is_written(word: str) -> None:
     assert [entry.name for entry in find(word)] == ["record.time_unit"]
-
-
-def test_a_word_of_a_status_and_a_key_may_have_one_name() -> None:
-    assert [(entry.name, "." in entry.name) for entry in find("dead_time")] == [
-        ("model.dead_time", True),
-        ("dead_time", False),
-    ]
 
 
 def test_the_command_says_it_in_the_terminal() -> None:
@@ -162,8 +141,3 @@ def test_every_key_of_a_plant_says_what_it_is() -> None:
 )
 def test_keys_of_a_plant_are_explained_under_the_names_that_stand_there(word: str, wanted: str) -> None:
     assert wanted in said(word)
-
-
-def test_several_keys_are_explained_in_their_order() -> None:
-    text = said("resolution", "model.offset", "unmodelled")
-    assert text.index("[encoder] resolution") < text.index("[model] offset") < text.index("unmodelled: status")

@@ -13,14 +13,13 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
-from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.fit.curve import GRID, SPEEDS, friction_rows, with_bends
-from pmfid.fit.machine import machine_of
+from pmfid.errors import NotIdentifiableError
 from pmfid.pipeline.friction import FrictionCurve
 from pmfid.report.friction import curve_figure
 from pmfid.types import Floats
 from studies.referee.cases import Case, make_cases
 from studies.referee.machines import draw_machine
+from tests.refusals import refused
 
 #: Index of a machine of each friction: PRBS, multisine, trapezoids and position control.
 MACHINES = {"right": 5, "Stribeck 20 %": 0, "Stribeck 50 %": 2, "quadratic": 9, "asymmetry": 0}
@@ -94,34 +93,6 @@ def test_nothing_is_said_of_speeds_outside_the_record() -> None:
     assert labels == ["two standard deviations", "friction"]
 
 
-def test_quadratic_friction_is_a_sum_of_bends() -> None:
-    """A line and bends of equal curvature follow |v| v exactly."""
-    machine = machine_of(pmfid.Drive(1.0, friction="directional").equation)
-    bent = with_bends(machine, 2.0)
-    theta = np.zeros(len(bent.names))
-    theta[len(machine.names) : len(machine.names) + SPEEDS.size - 1] = 2.0 * 2.0 * 2.0 * np.diff(SPEEDS)
-    v = np.array([-2.0, -0.7, -0.01, 0.3, 1.9])
-    np.testing.assert_allclose(friction_rows(bent, v) @ theta, v * np.abs(v), atol=1e-12)
-    assert np.all(np.isfinite(GRID))
-
-
-@pytest.mark.parametrize(
-    ("model", "said"),
-    [(pmfid.EquationModel(pmfid.Drive(2.0).equation), "kind"), (pmfid.Drive("estimate"), "gain of the input")],
-)
-def test_what_it_cannot_take_is_said(model: pmfid.Drive, said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        pmfid.friction_curve(np.ones(500), np.arange(500), model=model, encoder=pmfid.Encoder(1e-4), dt=0.004)
-
-
-def test_one_way_motion_is_refused() -> None:
-    case = case_of("right", 5)
-    travel = np.cumsum(np.abs(np.diff(case.counts, prepend=0)))
-    encoder = pmfid.Encoder(case.resolution)
-    with pytest.raises(NotIdentifiableError):
-        pmfid.friction_curve(np.abs(case.u), travel, model=pmfid.Drive(case.input_gain), encoder=encoder, dt=case.dt)
-
-
 def test_the_command_leaves_out_a_wrong_count(tmp_path: Path) -> None:
     case = case_of("Stribeck 20 %", 0)
     counts = case.counts.astype(int).tolist()
@@ -142,3 +113,19 @@ def test_the_command_leaves_out_a_wrong_count(tmp_path: Path) -> None:
     assert mass["value"] == pytest.approx(case.truth["mass"], rel=0.005)
     assert any("701" in finding["sentence"] for finding in reported["findings"])
     assert "does not contain friction at rest" in (tmp_path / "out" / "friction.html").read_text()
+
+
+def test_what_it_cannot_take_is_said() -> None:
+    case = case_of("right", 5)
+    travel = np.cumsum(np.abs(np.diff(case.counts, prepend=0)))
+
+    def curve(model: object) -> FrictionCurve:
+        encoder = pmfid.Encoder(case.resolution)
+        return pmfid.friction_curve(np.abs(case.u), travel, model=model, encoder=encoder, dt=case.dt)  # type: ignore[arg-type]
+
+    refused(
+        ("kind", lambda: curve(pmfid.EquationModel(pmfid.Drive(2.0).equation))),
+        ("gain of the input", lambda: curve(pmfid.Drive("estimate"))),
+    )
+    with pytest.raises(NotIdentifiableError):
+        curve(pmfid.Drive(case.input_gain))  # a motion in one direction

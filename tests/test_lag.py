@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pmfid
-from pmfid import IV, RIV, Drive, Encoder, MotionFit, UsageError
-from pmfid.export.firmware import export_firmware
+from pmfid import IV, RIV, Drive, Encoder, MotionFit
 from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
 from tests.refusals import refused
 from tests.test_dead_time import AXES, CART, truth
@@ -80,51 +77,13 @@ def test_a_known_lag_on_line_next_to_a_known_dead_time(method: type, precision: 
     np.testing.assert_allclose(track.theta[-1] / THETA, 1.0, atol=0.03)
 
 
-def test_saved_states_go_on_with_the_same_bits() -> None:
-    run = run_lagged("cart", 1.2)
-    one, other = (made(RIV, "cart", lag=0.012) for _ in range(2))
-    one.run(run.u[:700], run.counts[:700])
-    other.set_state(one.get_state())
-    rest = slice(700, None)
-    np.testing.assert_array_equal(
-        one.run(run.u[rest], run.counts[rest]).theta, other.run(run.u[rest], run.counts[rest]).theta
-    )
-
-
-def test_from_arrays_to_json() -> None:
-    run, (gain, _, _, _, dt, _, step, cutoff) = run_lagged("stage", 0.8, switches=100), AXES["stage"]
-    model = Drive(gain, lag="estimate")
-    result = pmfid.identify(run.u, run.counts, model=model, encoder=Encoder(step), dt=dt, cutoff=cutoff)
-    assert result["lag"] == pytest.approx(0.8 * dt, abs=0.02 * dt)
-    assert json.loads(json.dumps(result.to_json()))["parameters"]["lag"]["unit"] == "s"
-    assert result.status == ()
-
-
-def test_an_export_without_one_has_no_trace_of_it(tmp_path: Path) -> None:
-    for dead_time, lag in ((0.0, 0.0), (0.02, 0.0), (0.0, 0.004)):
-        folder = tmp_path / f"{dead_time} {lag}"
-        export_firmware(made(RIV, "cart", lag=lag, dead_time=dead_time), folder)
-        assert f"#define PMF_WITH_DEAD_TIME {int(dead_time + lag > 0)}" in (folder / "pmf_sizes.h").read_text()
-
-
 def test_refusals_have_a_remedy() -> None:
-    with pytest.raises(UsageError, match="lag must be a time in s, at least 0"):
-        Drive(2.0, lag=-0.1)
-    for method in (pmfid.LS, pmfid.BCRLS):
-        with pytest.raises(UsageError, match="does not estimate lag; use fit off-line, or give the time in s"):
-            made(method, "cart", lag="estimate")
-    for options in ({"lag": "estimate"}, {"lag": 0.004, "dead_time": "estimate"}):
-        with pytest.raises(UsageError, match="use fit off-line, or give its value"):
-            made(RIV, "cart", **options)
+    either = ({"lag": "estimate"}, {"lag": 0.004, "dead_time": "estimate"})
     refused(
+        ("lag must be a time in s, at least 0", lambda: Drive(2.0, lag=-0.1)),
+        ("does not estimate lag; use fit off-line", lambda: made(pmfid.LS, "cart", lag="estimate")),
+        ("does not estimate lag; use fit off-line", lambda: made(pmfid.BCRLS, "cart", lag="estimate")),
+        *(("use fit off-line, or give its value", lambda late=late: made(RIV, "cart", **late)) for late in either),
         ("check the unit", lambda: made(IV, "cart", lag=0.3)),
         ("increase n by 1", lambda: pmfid.TransferFunction(2, 0).replace_lag(0.1)),
     )
-
-
-def test_the_equation_says_it_and_takes_it_out_again() -> None:
-    lagging = Drive(2.0, lag="estimate").equation
-    assert "u lagging by lag" in lagging.text
-    assert lagging.at_once == Drive(2.0).equation
-    assert lagging.known_at([0.004]) == Drive(2.0, lag=0.004).equation
-    assert lagging.further == (("lag", "s"),)

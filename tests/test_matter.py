@@ -56,14 +56,6 @@ def test_an_error_of_a_load_that_is_not_there_is_held_against_friction() -> None
     assert matter_of(method, theta, nothing, np.array([0.0, 0.0, 0.0, 0.1]), 0.01).beyond
 
 
-def test_noise_alone_does_not_matter_and_the_unknown_does() -> None:
-    method = IV(pmfid.Drive(2.0), pmfid.Encoder(1e-4), 0.001, 300.0)
-    theta = np.array([1.0, 2.0, 4.0])
-    assert not matter_of(method, theta, 0.1 * theta, 0.1 * theta, 0.01).beyond
-    assert matter_of(method, theta, 0.1 * theta, 0.3 * theta, 0.01).beyond
-    assert matter_of(method, theta, 0.1 * theta, np.full(3, np.nan), 0.01).beyond
-
-
 # --- one verdict ------------------------------------------------------------------------------------------------------
 
 
@@ -96,11 +88,3 @@ def test_terms_says_of_the_model_that_it_chose_what_identify_says() -> None:
     found = pmfid.search_terms(record.u, record.counts, model=pmfid.Drive(TURRET.drive.input_gain), **own)
     assert found.added == {"quadratic": True}
     assert found.status == pmfid.identify(record.u, record.counts, model=found.model, **own).status == ()
-
-
-def test_terms_that_finds_none_says_what_identify_says() -> None:
-    record = record_of(TURRET, Machine(TURRET.drive), "multisine", 1024, 23)
-    own = {"model": pmfid.Drive(TURRET.drive.input_gain), "encoder": pmfid.Encoder(record.resolution), "dt": TURRET.dt}
-    found = pmfid.search_terms(record.u, record.counts, **own)
-    assert found.added == {}
-    assert found.status == pmfid.identify(record.u, record.counts, **own).status == ()

@@ -70,23 +70,6 @@ def test_a_copy_of_a_runner_goes_on_with_the_bits(precision: str, again) -> None
         assert bits(runner) == expected
 
 
-def test_runners_share_nothing_with_the_estimator_that_started_them() -> None:
-    estimator = recursive("float64")[0]
-    untouched = estimator.get_state()
-    one, two = estimator.start(), estimator.start()
-    one.run(*FIRST)
-    two.run(*LAST)
-    assert estimator.get_state() == untouched
-    assert one.get_state() != two.get_state()
-    assert np.array_equal(one.estimate.theta, estimator.run(*FIRST).theta[-1])
-
-
-def test_a_foreign_state_starts_no_runner() -> None:
-    estimator = recursive("float64")[0]
-    with pytest.raises(pmfid.UsageError, match="same method"):
-        estimator.start(replace(estimator, cutoff=2 * CUTOFF).get_state())
-
-
 @pytest.mark.parametrize("again", COPIES)
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_copy_of_a_fleet_goes_on_with_the_bits_and_has_its_beginning(precision: str, again) -> None:
@@ -122,35 +105,6 @@ def test_a_configuration_is_a_value() -> None:
         one.forgetting = 0.5
     with pytest.raises(TypeError):
         one.initial["mass"] = 0.5
-
-
-def test_the_order_of_names_is_no_part_of_a_configuration() -> None:
-    one, two = (
-        pmfid.RIV(MODELS["drive"], RUN.encoder, DT, CUTOFF, initial=initial)
-        for initial in (START, dict(reversed(list(START.items()))))
-    )
-    assert one == two
-    assert hash(one) == hash(two)
-
-
-def test_an_equation_of_lists_is_a_value_too() -> None:
-    terms = [pmfid.Term("output", 2, "mass"), pmfid.Term("output", 1, "drag")]
-    model = pmfid.EquationModel(pmfid.Equation(terms, [pmfid.Term("input", coefficient=2.0)]))
-    assert hash(pmfid.LS(model, RUN.encoder, DT, CUTOFF)) == hash(pmfid.LS(model, RUN.encoder, DT, CUTOFF))
-
-
-@pytest.mark.parametrize(
-    ("source", "options", "target"),
-    [
-        (pmfid.IV, {"initial": START}, pmfid.RIV),
-        (pmfid.RLS, {"forgetting": 0.99, "precision": "float32"}, pmfid.BCRLS),
-    ],
-)
-def test_like_keeps_all_that_the_other_method_has_a_use_for(source, options, target) -> None:
-    other = like(target, source(MODELS["drive"], RUN.encoder, DT, CUTOFF, order=3, **options))
-    assert type(other) is target
-    assert (other.order, other.model) == (3, MODELS["drive"])
-    assert {name: getattr(other, name) for name in options} == options
 
 
 def test_like_leaves_the_names_of_another_model_out() -> None:

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 import pmfid
 from pmfid import Status
-from pmfid.estimators.plants import default_zeros
 from pmfid.simulation.drive import quantize, simulate_drive
 from pmfid.simulation.scenarios import CART, resolution_of
 from pmfid.simulation.signals import prbs
@@ -25,41 +24,6 @@ RECURSIVE = [pmfid.RLS, pmfid.BCRLS]
 def tracks_equal(a: pmfid.Track, b: pmfid.Track) -> None:
     for name in ("theta", "variance_factor", "innovation", "innovation_variance", "status"):
         assert np.array_equal(getattr(a, name), getattr(b, name)), name
-
-
-def joined(parts: list[pmfid.Track], name: str) -> np.ndarray:
-    return np.concatenate([getattr(part, name) for part in parts])
-
-
-@pytest.mark.parametrize("cls", RECURSIVE)
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_step_run_and_split_run_give_the_same_bits(cls, precision, drive):
-    run = cart_run(1, samples=900)
-    make = lambda: cls(drive, run.encoder, DT, CUTOFF, forgetting=0.99, precision=precision)  # noqa: E731
-    whole = make().run(run.u, run.counts)
-    stepped = make()
-    estimates = [stepped.step(u, c) for u, c in zip(run.u.tolist(), run.counts.tolist(), strict=True)]
-    assert np.array_equal(np.array([e.theta for e in estimates]), whole.theta)
-    assert np.array_equal([e.innovation for e in estimates], whole.innovation)
-    assert np.array_equal([e.status for e in estimates], whole.status)
-    assert np.array_equal(estimates[-1].theta_std, whole.theta_std[-1])
-    halves = make()
-    parts = [halves.run(run.u[:437], run.counts[:437]), halves.run(run.u[437:], run.counts[437:])]
-    for name in ("theta", "variance_factor", "innovation", "innovation_variance", "status"):
-        assert np.array_equal(joined(parts, name), getattr(whole, name))
-
-
-def test_state_saved_and_restored_continues_with_the_same_bits(drive):
-    run = cart_run(2, samples=600)
-    first = pmfid.BCRLS(drive, run.encoder, DT, CUTOFF)
-    whole = first.run(run.u, run.counts)
-    first.reset()
-    first.run(run.u[:300], run.counts[:300])
-    second = pmfid.BCRLS(drive, run.encoder, DT, CUTOFF)
-    second.set_state(first.get_state())
-    assert np.array_equal(second.run(run.u[300:], run.counts[300:]).theta, whole.theta[300:])
-    with pytest.raises(pmfid.UsageError, match="same method"):
-        second.set_state(b"too short")
 
 
 @settings(max_examples=25)
@@ -110,19 +74,6 @@ def test_bcrls_follows_the_papers_recursion(drive):
     track = pmfid.BCRLS(drive, encoder, DT, CUTOFF, prefilter_zeros=zeros, forgetting=0.995).run(run.u, run.counts)
     late = track.theta[-len(expected) :]
     np.testing.assert_allclose(late[600:], expected[600:, :3], rtol=2e-3)
-
-
-@pytest.mark.parametrize("cls", RECURSIVE)
-@pytest.mark.parametrize("forgetting", [1.0, 0.99])
-def test_float32_is_close_to_float64(cls, forgetting, drive):
-    run = cart_run(6, increments=256)
-    theta = {
-        precision: cls(drive, run.encoder, DT, CUTOFF, forgetting=forgetting, precision=precision)
-        .run(run.u, run.counts)
-        .theta[100:]
-        for precision in ("float64", "float32")
-    }
-    np.testing.assert_allclose(theta["float32"], theta["float64"], rtol=1e-3)
 
 
 @pytest.mark.parametrize("cls", RECURSIVE)
@@ -182,19 +133,6 @@ def test_counter_wrap_changes_nothing(drive):
     np.testing.assert_allclose(np.diff(narrow.position(wrapped)), np.diff(run.encoder.position(run.counts)), atol=1e-12)
 
 
-@pytest.mark.parametrize("cls", RECURSIVE)
-def test_inputs_stay_untouched_and_covariance_is_symmetric(cls, drive):
-    run = cart_run(11, samples=800)
-    u, counts = run.u.copy(), run.counts.copy()
-    estimator = cls(drive, run.encoder, DT, CUTOFF, forgetting=0.99)
-    estimator.run(run.u, run.counts)
-    assert np.array_equal(u, run.u)
-    assert np.array_equal(counts, run.counts)
-    covariance = estimator.estimate.theta_cov
-    assert np.array_equal(covariance, covariance.T)
-    assert np.all(np.linalg.eigvalsh(covariance) > 0)
-
-
 def test_an_estimate_is_a_snapshot(drive):
     run = cart_run(12, samples=400)
     estimator = pmfid.RLS(drive, run.encoder, DT, CUTOFF, forgetting=0.95)
@@ -204,8 +142,3 @@ def test_an_estimate_is_a_snapshot(drive):
     estimator.run(run.u[300:], run.counts[300:])
     assert np.array_equal(estimate.theta, theta)
     assert not np.array_equal(estimator.estimate.theta, theta)
-
-
-def test_default_zeros_follow_the_cutoff(drive):
-    assert pmfid.BCRLS(drive, pmfid.Encoder(1e-5), DT, CUTOFF).zeros == default_zeros(CUTOFF)
-    assert pmfid.RLS(drive, pmfid.Encoder(1e-5), DT, CUTOFF).zeros == ()

@@ -13,7 +13,6 @@ from pmfid.errors import UsageError
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.result import DriveResult
 from pmfid.records.clock import period_error, slope_below
-from pmfid.records.record import read_record
 from pmfid.records.resampling import resample_uneven
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.types import Counts, Floats
@@ -245,21 +244,3 @@ def test_samples_that_arrive_at_once_are_samples_of_an_even_clock() -> None:
     twice = resample_uneven(stamps, u, y)
     assert twice is not None
     assert twice.u.size == n - 1
-
-
-def test_a_scattered_stamp_soon_after_another_is_no_row_too_many(tmp_path: Path) -> None:
-    rng, n = np.random.default_rng(9), 1500
-    stamps = np.arange(n) + 0.1 * np.abs(rng.standard_normal(n))
-    stamps[700:702] = 700.75, 701.0
-    path = tmp_path / "run.csv"
-    counts = np.arange(n) // 400  # the motion is too small to judge the stamps
-    pl.DataFrame({"t": 0.01 * stamps, "u": rng.standard_normal(n), "counts": counts}).write_csv(path)
-    axis = tmp_path / "axis.toml"
-    axis.write_text(
-        '[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ntime = "t"\n'
-        "[encoder]\nresolution = 1e-3\n[model]\ninput_gain = 1.0\n"
-    )
-    record = read_record(path, load_axis(axis))
-    assert not any("left out" in note for note in record.notes)
-    assert np.count_nonzero(np.isfinite(record.u)) == n
-    assert record.dt == pytest.approx(0.01, rel=1e-5)

@@ -53,12 +53,6 @@ def test_a_motion_that_the_encoder_shows_only_in_the_mean_is_enough():
     assert max(one.error for one in outcomes("rotary", 1 / 10, 4)) < 0.05
 
 
-def test_pre_filter_zeros_do_not_outlast_the_memory(drive):
-    for memory, slow in ((500, 0.4), (10**6, 50 / 300), (10, 1.0)):
-        estimator = pmfid.BCRLS(drive, pmfid.Encoder(CART_RESOLUTION), CART_DT, 50.0, forgetting=1 - 1 / memory)
-        np.testing.assert_allclose(estimator.zeros, (-5.0, -slow), rtol=1e-6)
-
-
 @pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.BCRLS, pmfid.RIV])
 def test_rest_and_a_constant_speed_after_a_large_motion_are_harmless(cls, drive):
     """Each part lasts half an hour: the estimate stays, is flagged as held, and follows again at once."""
