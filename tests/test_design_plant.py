@@ -108,26 +108,17 @@ def test_an_estimate_reaches_the_predicted_scatter() -> None:
     assert np.std(errors) == pytest.approx(design.predicted_std["pole"], rel=0.15)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"horizon": 0.0}, "horizon must be positive"),
-        ({"input": (1.0, 1.0)}, "input must be"),
-        ({"states": {3: (0.0, 1.0)}}, "states has the state 3, and the plant has the states 0 to 2"),
-    ],
-)
-def test_wrong_arguments_are_named(changes, message) -> None:
+def test_what_cannot_be_is_named() -> None:
+    def silent(p):
+        return [[-1.0]], [1.0], [1.0], [0.0]
+
+    ghost = PlantProblem(silent, {"ghost": 1.0}, ("ghost",), 1.0, 4, 1e-6, (-1.0, 1.0))
+    states = "states has the state 3, and the plant has the states 0 to 2"
     refused(
-        (message, lambda: problem_of(**changes)),
+        ("horizon must be positive", lambda: problem_of(horizon=0.0)),
+        ("input must be", lambda: problem_of(input=(1.0, 1.0))),
+        (states, lambda: problem_of(states={3: (0.0, 1.0)})),
         ("'poles' is no parameter of nominal; did you mean 'pole'", lambda: replace(problem_of(), unknown=("poles",))),
     )
-
-
-def test_no_input_and_no_information_are_errors() -> None:
-    with pytest.raises(InfeasibleError, match="widen input or states"):
-        solve_plant(problem_of(end={1: 50.0}))
-    silent = PlantProblem(
-        *(lambda p: ([[-1.0]], [1.0], [1.0], [0.0]), {"ghost": 1.0}, ("ghost",), 1.0, 4, 1e-6, (-1.0, 1.0))
-    )
-    with pytest.raises(pmfid.NotIdentifiableError, match="ghost"):
-        solve_plant(silent)
+    refused(("widen input or states", lambda: solve_plant(problem_of(end={1: 50.0}))), kind=InfeasibleError)
+    refused(("ghost", lambda: solve_plant(ghost)), kind=pmfid.NotIdentifiableError)

@@ -7,11 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.design.fisher import motion
 from pmfid.design.polytope import input_set, nearest, violation
-from pmfid.design.problem import InfeasibleError, Limits, Problem
-from pmfid.design.standard import STANDARD, input_wish, standard_inputs
-from pmfid.models.drive import Drive
+from pmfid.design.problem import InfeasibleError, Limits
+from pmfid.design.standard import STANDARD, standard_inputs
 from studies.design_case import case
 
 CASE = case("m, d, F_c")
@@ -81,13 +79,6 @@ def test_signals_without_other_limits_are_themselves() -> None:
     assert np.array_equal(found["prbs"].u, standard_inputs(free, seed=3)["prbs"].u)
 
 
-def test_the_multisine_has_a_low_crest_factor() -> None:
-    long = replace(CASE, intervals=1000)
-    u = input_wish(long, "multisine", -1.0, 1.0, np.random.default_rng(0))
-    assert np.abs(u).max() / np.sqrt(np.mean(u**2)) < 1.9
-    assert np.count_nonzero(np.abs(np.fft.rfft(u)) > 1e-9 * u.size) == 200
-
-
 def test_nearest_is_nearer_than_any_other_way_to_the_limits() -> None:
     rng = np.random.default_rng(0)
     inputs = input_set(CASE)
@@ -106,18 +97,3 @@ def test_no_input_is_an_error() -> None:
         standard_inputs(replace(CASE, horizon=0.3))
     with pytest.raises(InfeasibleError, match="energy"):
         standard_inputs(replace(CASE, limits=replace(CASE.limits, rms=0.5)), names=("trapezoid",))
-
-
-def test_random_drives_keep_their_limits() -> None:
-    rng = np.random.default_rng(1)
-    for _ in range(5):
-        mass, viscous, coulomb = rng.uniform([0.5, 0.0, 0.0], [3.0, 8.0, 1.0])
-        nominal = {"mass": mass, "viscous_friction": viscous, "coulomb_friction": coulomb}
-        limits = Limits(input=6.0, min_speed=0.005)
-        problem = Problem(Drive(2.0), nominal, ("mass",), 2.0, 30, limits, resolution=1e-5, end=(0.3, 0.0))
-        inputs = input_set(problem)
-        for each in standard_inputs(problem).values():
-            assert violation(inputs, each.u) < 1e-7
-            x, v = motion(problem, each.u)
-            assert np.array_equal(x, each.x)
-            assert v[1:-1].min() > 0.005 - 1e-9

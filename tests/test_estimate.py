@@ -10,6 +10,7 @@ import pytest
 
 import pmfid
 from tests.conftest import cart_run
+from tests.refusals import refused
 
 PRECISIONS = ("float64", "float32")
 
@@ -19,11 +20,6 @@ def estimate_of(precision: str, drive: pmfid.Drive) -> pmfid.Estimate:
     estimator = pmfid.RIV(drive, run.encoder, 0.01, 100 / 3, precision=precision)
     estimator.run(run.u, run.counts)
     return estimator.step(1.0, int(run.counts[-1]))
-
-
-@pytest.mark.parametrize("precision", PRECISIONS)
-def test_both_precisions_return_the_public_class(precision: str, drive: pmfid.Drive) -> None:
-    assert type(estimate_of(precision, drive)) is pmfid.Estimate
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)
@@ -38,13 +34,11 @@ def test_a_copy_has_the_same_bits(again, precision: str, drive: pmfid.Drive) -> 
     assert other["mass"] == one["mass"] > 0
 
 
-def test_an_estimate_is_not_made_by_hand() -> None:
-    with pytest.raises(TypeError, match="what the step of a recursive estimator returns"):
-        pmfid.Estimate()
-
-
-def test_parts_that_do_not_fit_are_no_estimate(drive: pmfid.Drive) -> None:
+def test_an_estimate_is_not_made_by_hand_or_of_parts_that_do_not_fit(drive: pmfid.Drive) -> None:
     made, parts = estimate_of("float64", drive).__reduce__()
-    for place, wrong in ((1, np.ones(9)), (2, np.ones(8)), (3, np.ones(2)), (4, np.ones(4))):
-        with pytest.raises(ValueError, match="not the parts of an estimate"):
-            made(*parts[:place], wrong, *parts[place + 1 :])
+    places = ((1, np.ones(9)), (2, np.ones(8)), (3, np.ones(2)), (4, np.ones(4)))
+    refused(("what the step of a recursive estimator returns", pmfid.Estimate), kind=TypeError)
+    refused(
+        *(("not the parts of an estimate", lambda k=k, x=x: made(*parts[:k], x, *parts[k + 1 :])) for k, x in places),
+        kind=ValueError,
+    )

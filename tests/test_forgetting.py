@@ -37,18 +37,3 @@ def test_a_gap_is_survived_and_the_new_mass_is_found(cls, precision):
     np.testing.assert_allclose(track["mass"][1000:2000], CART.mass, rtol=0.005)
     np.testing.assert_allclose(track["mass"][2000 : change - 1], CART.mass, rtol=0.06)
     np.testing.assert_allclose(track["mass"][-1], 1.44, rtol=0.01)
-
-
-@pytest.mark.parametrize("cls", RECURSIVE)
-def test_step_by_step_gives_the_bits_of_run(cls):
-    u, counts, resolution, _ = gap_record(still=50, coast=50, head=600)
-    whole = make(cls, resolution).run(u, counts)
-    single = make(cls, resolution)
-    steps = np.array([single.step(float(a), int(b)).theta for a, b in zip(u, counts, strict=True)])
-    assert np.array_equal(steps, whole.theta)
-
-
-@pytest.mark.parametrize("name", ["forgetting_scheme", "forgetting_of"])
-def test_there_is_one_way_to_forget(name):
-    with pytest.raises(TypeError, match=name):
-        pmfid.RLS(pmfid.Drive(1.0), pmfid.Encoder(1e-5), CART_DT, CUTOFF, forgetting=0.99, **{name: None})

@@ -1,12 +1,11 @@
 """The simulation of machines that the drive's equation does not describe."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from pmfid.simulation import CART, CART_CONTROL, DriveParameters, position_control, prbs, stop_and_go
 from pmfid.simulation.drive import Machine, control_machine, drive_machine
+from tests.refusals import refused
 
 DT = 0.01
 HEAVY = DriveParameters(mass=220.0, viscous_friction=900.0, coulomb_friction=60.0, input_gain=35.0, offset=-3.0)
@@ -65,22 +64,11 @@ def test_it_sticks_below_the_friction_at_rest_and_not_above():
     assert np.ptp(drive_machine(machine, np.full(100, 1.01 * volts), DT, 1e-6).x) > 0.0
 
 
-def test_force_noise_needs_a_generator_and_is_repeatable():
-    noisy, u = Machine(CART, force_noise=0.3), np.full(100, 2.0)
-    with pytest.raises(ValueError, match="rng"):
-        drive_machine(noisy, u, DT, 1e-6)
-    first, second = (drive_machine(noisy, u, DT, 1e-6, rng=np.random.default_rng(5)) for _ in range(2))
-    assert np.array_equal(first.counts, second.counts)
-    assert not np.array_equal(first.x, drive_machine(replace(noisy, force_noise=0.0), u, DT, 1e-6).x)
-
-
-@pytest.mark.parametrize("field", ["stribeck", "quadratic", "stiffness", "dead_time", "force_noise"])
-def test_values_out_of_range_are_refused(field):
-    for wrong in (-1.0, np.nan, np.inf):
-        with pytest.raises(ValueError, match=field):
-            Machine(CART, **{field: wrong})
-
-
-def test_asymmetry_leaves_friction_in_both_directions():
-    with pytest.raises(ValueError, match="asymmetry"):
-        Machine(CART, asymmetry=1.0)
+def test_values_out_of_range_are_refused():
+    noisy, fields = Machine(CART, force_noise=0.3), ("stribeck", "quadratic", "stiffness", "dead_time", "force_noise")
+    refused(
+        *((f, lambda f=f, x=x: Machine(CART, **{f: x})) for f in fields for x in (-1.0, np.nan, np.inf)),
+        ("asymmetry", lambda: Machine(CART, asymmetry=1.0)),
+        ("rng", lambda: drive_machine(noisy, np.full(100, 2.0), DT, 1e-6)),
+        kind=ValueError,
+    )

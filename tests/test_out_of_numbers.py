@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 import pmfid
 from pmfid.config.axis import load_axis
@@ -13,6 +12,7 @@ from pmfid.design import Limits, Problem
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.estimators.recursive import compute_encoder_floor
 from pmfid.records.record import read_experiment, read_record
+from tests.refusals import refused
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart.toml"
 NOMINAL = {"mass": 1.5, "viscous_friction": 6.0, "coulomb_friction": 0.6}
@@ -36,32 +36,18 @@ def test_a_motion_too_small_for_numbers_is_shown_all_the_same() -> None:
     assert 0 < compute_encoder_floor(estimator) < 1e37
 
 
-def test_an_input_scale_beyond_numbers_is_refused(tmp_path: Path) -> None:
+def test_sizes_that_no_machine_has_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
-    path.write_text("t,u,counts\n" + "".join(f"{k / 100},{k % 7 + 10},{k}\n" for k in range(50)))
-    with pytest.raises(pmfid.UsageError, match="input_scale"):
-        read_record(path, load_axis(EXAMPLE, {"record.input_scale": 1e308}))
-
-
-def test_a_resolution_beyond_numbers_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "run.csv"
-    path.write_text("t,u,y\n" + "".join(f"{k / 100},{k % 7},{k + 10}\n" for k in range(50)))
-    changes = {"record.output_kind": "counts", "encoder.resolution": 1.7e308}
-    with pytest.raises(pmfid.UsageError, match="resolution"):
-        read_experiment(path, load_axis(EXAMPLE.with_name("second_order.toml"), changes))
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"resolution": 1e-200},
-        {"resolution": None, "noise_variance": 1e200},
-        {"nominal": NOMINAL | {"mass": 1e-200}},
-        {"nominal": NOMINAL | {"viscous_friction": 1e200}},
-    ],
-    ids=["fine", "noisy", "light", "sticky"],
-)
-def test_no_machine_is_made_of_such_sizes(changes: dict[str, object]) -> None:
+    path.write_text("t,u,counts,y\n" + "".join(f"{k / 100},{k % 7 + 10},{k},{k + 10}\n" for k in range(50)))
+    process = {"record.output_kind": "counts", "encoder.resolution": 1.7e308}
+    second = EXAMPLE.with_name("second_order.toml")
+    unit = r"check the unit|SI units"
+    refused(
+        ("input_scale", lambda: read_record(path, load_axis(EXAMPLE, {"record.input_scale": 1e308}))),
+        ("resolution", lambda: read_experiment(path, load_axis(second, process))),
+        (unit, lambda: problem(resolution=1e-200)),
+        (unit, lambda: problem(resolution=None, noise_variance=1e200)),
+        (unit, lambda: problem(nominal=NOMINAL | {"mass": 1e-200})),
+        (unit, lambda: problem(nominal=NOMINAL | {"viscous_friction": 1e200})),
+    )
     assert problem().names == ("mass",)
-    with pytest.raises(pmfid.UsageError, match=r"check the unit|SI units"):
-        problem(**changes)
