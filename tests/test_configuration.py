@@ -13,6 +13,7 @@ from pmfid.kernel import configuration
 from pmfid.kernel.saved import configuration as configuration_of
 from pmfid.kernel.structures import constants_of, resize_structure, structures
 from pmfid.status import Status
+from tests.refusals import refused
 
 NEW = "brand_new"
 LARGE = 2**32 - 1
@@ -57,8 +58,7 @@ def test_a_field_without_a_value_is_found(method: str, place: str, monkeypatch: 
 
     monkeypatch.setattr(_kernel64, "Kernel", Kernel)
     monkeypatch.setattr(configuration, "structures", lambda *_: {"pmf_config_t": grown(place)})
-    with pytest.raises(pmfid.UsageError, match=rf"missing \['{NEW}'\]"):
-        made(method)
+    refused((rf"missing \['{NEW}'\]", lambda: made(method)))
 
 
 def test_a_value_without_a_field_is_found() -> None:
@@ -78,8 +78,7 @@ def test_more_values_than_room_are_refused() -> None:
 
 @pytest.mark.parametrize("kernel", [_kernel32.Kernel, _kernel64.Kernel])
 def test_another_number_of_bytes_is_refused(kernel: type[_kernel64.Kernel]) -> None:
-    with pytest.raises(ValueError, match="a configuration has"):
-        kernel(b"\0" * 100)
+    refused(("a configuration has", lambda: kernel(b"\0" * 100)), kind=ValueError)
 
 
 @pytest.mark.parametrize(
@@ -108,16 +107,14 @@ def test_numbers_that_lead_beyond_the_memory_are_refused(method: str, place: str
     config = config_of(method)
     _kernel64.Kernel(config.tobytes())
     config[place][field] = number
-    with pytest.raises(ValueError, match="beyond the kernel's memory"):
-        _kernel64.Kernel(config.tobytes())
+    refused(("beyond the kernel's memory", lambda: _kernel64.Kernel(config.tobytes())), kind=ValueError)
 
 
 @pytest.mark.parametrize(("rows", "field"), [("stage", "source"), ("tap", "node")])
 def test_nodes_that_are_not_there_are_refused(rows: str, field: str) -> None:
     config = config_of("RLS")
     config["network"][rows][field][0] = LARGE
-    with pytest.raises(ValueError, match="beyond the kernel's memory"):
-        _kernel64.Kernel(config.tobytes())
+    refused(("beyond the kernel's memory", lambda: _kernel64.Kernel(config.tobytes())), kind=ValueError)
 
 
 @pytest.mark.parametrize("method", ["RLS", "RIV"])

@@ -14,9 +14,9 @@ from pmfid.design.problem import Design
 from pmfid.design.simulated import both_ways, simulate, simulated_information
 from pmfid.design.solver import setting, solve
 from pmfid.design.standard import standard_inputs
-from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
 from studies.design_case import case, known
+from tests.refusals import refused
 
 CASE = case("m, d, F_c")
 
@@ -56,8 +56,7 @@ def test_friction_is_never_negative_in_a_difference() -> None:
 
 
 def test_simulate_wants_one_value_per_interval() -> None:
-    with pytest.raises(UsageError, match="one value per interval"):
-        simulate(CASE, np.zeros(3))
+    refused(("one value per interval", lambda: simulate(CASE, np.zeros(3))))
 
 
 def test_a_design_with_a_least_speed_survives(best: Design) -> None:

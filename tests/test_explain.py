@@ -15,9 +15,9 @@ from pmfid.cli.main import main
 from pmfid.config.axis import Axis, load_axis
 from pmfid.config.explain import entries, find, page
 from pmfid.diagnostics.matter import FLAGS
-from pmfid.errors import UsageError
 from pmfid.service.plant import SINKS, SOURCES, plant_entries, plant_page
 from pmfid.status import Status
+from tests.refusals import refused
 
 ROOT = Path(__file__).parents[1]
 KEYS = {entry.name: entry for entry in entries() if "." in entry.name}
@@ -110,8 +110,7 @@ def test_what_is_unknown_is_refused_with_what_it_may_mean() -> None:
         "pmfid: no key or word is called 'record.timeunit'; did you mean 'record.time_unit'?; pmfid explain without a "
         "key lists them all\n"
     )
-    with pytest.raises(UsageError, match="no key or word is called ''"):
-        find("")
+    refused(("no key or word is called ''", lambda: find("")))
 
 
 def test_the_page_of_a_plant_is_up_to_date() -> None:

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from pmfid.config.axis import load_axis
-from pmfid.errors import UsageError
 from pmfid.pipeline.guess.axis_file import NamedColumns, guess
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.identify import identify, kind_of
 from tests.conftest import unjudged
 from tests.first_guess.logs import LOGS, Log
+from tests.refusals import refused
 
 
 @pytest.mark.parametrize(
@@ -23,8 +23,7 @@ from tests.first_guess.logs import LOGS, Log
 def test_the_columns_of_a_log_are_found(tmp_path: Path, seed: int, log: Log) -> None:
     path = log.write(tmp_path, seed)
     if log.answer is None:
-        with pytest.raises(UsageError, match=r"no column|no two columns|does not move"):
-            guess(path)
+        refused((r"no column|no two columns|does not move", lambda: guess(path)))
         return
     record = tomllib.loads(guess(path).text)["record"]
     assert (record.get("time", ""), record["input"], record["output"]) == log.answer
@@ -47,8 +46,7 @@ def test_names_of_columns_may_be_given(tmp_path: Path) -> None:
     path = Log("matlab", "open", columns, None).write(tmp_path, 3)
     text = guess(path, choice=NamedColumns(input="b", output="x")).text
     assert 'input = "b"  # as given' in text
-    with pytest.raises(UsageError, match="no column 'zeit'"):
-        guess(path, choice=NamedColumns(time="zeit"))
+    refused(("no column 'zeit'", lambda: guess(path, choice=NamedColumns(time="zeit"))))
 
 
 @pytest.mark.parametrize(
@@ -63,8 +61,7 @@ def test_names_of_columns_may_be_given(tmp_path: Path) -> None:
 def test_a_log_without_an_axis_is_refused_with_what_it_has(
     tmp_path: Path, columns: dict[str, str], sentence: str
 ) -> None:
-    with pytest.raises(UsageError, match=sentence):
-        guess(Log("controller", "servo", columns, None).write(tmp_path, 5))
+    refused((sentence, lambda: guess(Log("controller", "servo", columns, None).write(tmp_path, 5))))
 
 
 @pytest.mark.parametrize(

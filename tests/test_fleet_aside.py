@@ -9,11 +9,11 @@ import polars as pl
 import pytest
 
 from pmfid import fleet
-from pmfid.errors import UsageError
 from pmfid.fleet import plan
 from pmfid.fleet.history import History
 from pmfid.fleet.source import Part, SourceColumns
 from studies.fleet_data import AXIS_TOML, machines, rows
+from tests.refusals import refused
 from tests.tuned import set_tuning
 
 AXES, SAMPLES = 6, 12_000
@@ -119,5 +119,4 @@ def test_a_disk_without_room_is_said(
 
     monkeypatch.setattr(pl.LazyFrame, "sink_parquet", full)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(1, 1, 0))
-    with pytest.raises(UsageError, match="free some space"):
-        estimated(mixed, config)
+    refused(("free some space", lambda: estimated(mixed, config)))

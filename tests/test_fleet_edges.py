@@ -9,10 +9,10 @@ import polars as pl
 import pytest
 
 from pmfid import fleet
-from pmfid.errors import UsageError
 from pmfid.fleet.history import History
 from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
 from tests.edge_axes import AXIS, TURN, cart_edges, heavier
+from tests.refusals import refused
 
 SECONDS, WHEN = 240.0, 130.0
 PERIOD = 60.0
@@ -83,5 +83,4 @@ def test_files_and_threads_do_not_change_the_bytes(
 
 
 def test_data_without_the_column_of_ages_are_refused(log: pl.DataFrame, axis: Path) -> None:
-    with pytest.raises(UsageError, match="no column 'age_us'"):
-        fleet.estimate(log.drop("age_us"), axis=axis, by="machine")
+    refused(("no column 'age_us'", lambda: fleet.estimate(log.drop("age_us"), axis=axis, by="machine")))

@@ -7,7 +7,6 @@ import pytest
 
 from pmfid import Drive, Encoder
 from pmfid._stage import Inputs
-from pmfid.errors import UsageError
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RLS
 from pmfid.monitor.monitor import GuessedSamples, guess, longest
@@ -15,6 +14,7 @@ from pmfid.records.gaps import fill_gaps, is_held
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
+from tests.refusals import refused
 
 DT, STEP, CUTOFF = 0.004, 2e-5, 20.0
 RATE = CUTOFF * DT
@@ -143,6 +143,4 @@ def test_a_doubt_leaves_out_samples_and_the_filters_go_on() -> None:
     np.testing.assert_allclose(track.theta[-1], other.theta[-1], rtol=0.01)
     doubted.doubt(10**6)
     doubted.set_state(doubted.get_state())  # the state is valid
-    for wrong in (-1, 1.5, True):
-        with pytest.raises(UsageError, match="whole number"):
-            doubted.doubt(wrong)
+    refused(*(("whole number", lambda wrong=wrong: doubted.doubt(wrong)) for wrong in (-1, 1.5, True)))

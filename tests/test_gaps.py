@@ -10,7 +10,7 @@ import pytest
 
 from pmfid import Drive, Encoder, identify
 from pmfid.config.axis import Axis
-from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.ls import LS
 from pmfid.estimators.recursive import RLS
@@ -23,6 +23,7 @@ from pmfid.simulation import DriveParameters, multisine, prbs, quantize, simulat
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
 from tests.conftest import long_unless
+from tests.refusals import refused
 
 DT, STEP, CUTOFF = 0.004, 2e-5, 20.0
 STAGE = DriveParameters(6.3, 9.0, 2.6, 3.34)
@@ -87,8 +88,7 @@ def test_gaps_that_leave_nothing_are_refused_and_the_fit_goes_through(method: st
     """The samples were once filled, with an error that a repeated removal of samples estimated."""
     u, counts = run(3000)
     lost = lacking(kept(u.size, 0.2), u, counts)
-    with pytest.raises(NotIdentifiableError, match='method = "auto"'):
-        identify(*lost, method=method, **SETTINGS)
+    refused(('method = "auto"', lambda: identify(*lost, method=method, **SETTINGS)), kind=NotIdentifiableError)
     found = identify(*lost, method="auto", **SETTINGS)
     assert np.all(np.abs(found.theta - TRUTH) < 4 * found.theta_std)
 
@@ -128,8 +128,7 @@ def test_three_records_are_one_estimate() -> None:
 def test_several_records_where_the_place_matters_are_refused() -> None:
     runs = [run(100, seed) for seed in range(2)]
     spring = {**SETTINGS, "model": Drive(STAGE.input_gain, spring=True)}
-    with pytest.raises(UsageError, match="several records with unknown start positions"):
-        identify(runs, **spring)
+    refused(("several records with unknown start positions", lambda: identify(runs, **spring)))
 
 
 # --- on-line ----------------------------------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.records.clock import sample_period
 from pmfid.report.monitored import RunData, _velocity, run_figure
 from pmfid.status import Status
+from tests.refusals import refused
 from tests.test_front import CART
 from tests.test_states import forged, used
 
@@ -63,8 +64,7 @@ def parser(tmp_path: Path, header: bytes) -> LineParser:
 
 
 def test_two_columns_of_one_name_are_refused_in_a_pipe(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="standard input has two columns 'u'; rename one of them"):
-        parser(tmp_path, b"t,u,counts, u\n")
+    refused(("standard input has two columns 'u'; rename one of them", lambda: parser(tmp_path, b"t,u,counts, u\n")))
 
 
 # --- a record ---------------------------------------------------------------------------------------------------------

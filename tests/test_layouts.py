@@ -14,6 +14,7 @@ from pmfid.errors import UsageError
 from pmfid.io.csv_text import layout_of
 from pmfid.io.reading import read_table
 from pmfid.records.record import Record, read_record
+from tests.refusals import refused
 
 DT, N = 0.004, 300
 TOML = """\
@@ -185,8 +186,7 @@ def test_a_missing_sample_is_no_scatter(tmp_path: Path, scatter: float) -> None:
 def test_no_lines_make_the_program_wait() -> None:
     """A line of any text needs only a few splits."""
     assert layout_of(["a,b", "1,2"] + ["1,2"] * 300).names == ("a", "b")
-    with pytest.raises(UsageError, match="no lines of numbers"):
-        layout_of(["x" * 100_000] * 400)
+    refused(("no lines of numbers", lambda: layout_of(["x" * 100_000] * 400)))
 
 
 def test_what_is_in_the_file_next_to_data_is_named(tmp_path: Path) -> None:

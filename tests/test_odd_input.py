@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.errors import UsageError
 from pmfid.estimators.configuration import check_arrays
 from pmfid.linear.experiment import Experiment, _count_columns
 from pmfid.monitor.calibration import Calibration
@@ -65,8 +64,7 @@ def test_a_reference_beyond_the_squares_of_the_number_format() -> None:
 
 @pytest.mark.parametrize("cutoff", [1e-320, 5e-324, 1e-310])
 def test_a_cutoff_below_the_number_format_is_refused(cutoff: float) -> None:
-    with pytest.raises(UsageError, match=r"too low for dt = 0\.01 s"):
-        pmfid.RLS(pmfid.Drive(2.0), pmfid.Encoder(1e-4), 0.01, cutoff)
+    refused((r"too low for dt = 0\.01 s", lambda: pmfid.RLS(pmfid.Drive(2.0), pmfid.Encoder(1e-4), 0.01, cutoff)))
 
 
 def test_a_damaged_calibration_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -9,10 +9,10 @@ import pytest
 
 import pmfid
 from pmfid._body import BASE, ELASTIC_BASE, run
-from pmfid.errors import UsageError
 from pmfid.pipeline.arrays import search_terms
 from pmfid.types import Counts, Floats
 from tests.oracles.two_mass import TwoMasses, simulate_two_masses
+from tests.refusals import refused
 
 STEP = 0.002
 RNG = np.random.default_rng(5)
@@ -96,5 +96,4 @@ def test_a_stiff_axis_has_no_gap() -> None:
 
 
 def test_play_needs_two_masses() -> None:
-    with pytest.raises(UsageError, match='play needs body = "two-mass"; set that, or leave play out'):
-        pmfid.Drive(1.0, play=True)
+    refused(('play needs body = "two-mass"; set that, or leave play out', lambda: pmfid.Drive(1.0, play=True)))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from pmfid import SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction, UsageError
+from pmfid import SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction
 from pmfid.cli.main import main
 from pmfid.diagnostics.processes import Assessment, assess
 from pmfid.estimators.srivc import check_experiments, make_problem
@@ -202,8 +202,7 @@ def test_order_of_the_second_plant():
 def test_the_sample_period_is_that_of_the_records():
     record = Experiment(SECOND.u, SECOND.y, dt=SECOND.dt)
     other = replace(srivc(SECOND, delay=3), dt=2 * SECOND.dt)
-    with pytest.raises(UsageError, match=r"but record has a sample every .* counts the delay in samples"):
-        other.fit_experiments([record])
+    refused((r"but record has a sample every .* counts the delay in samples", lambda: other.fit_experiments([record])))
     times = np.arange(SECOND.u.size) * SECOND.dt
     uneven = times + np.random.default_rng(0).uniform(-0.3, 0.3, times.size) * SECOND.dt
     with_gap = np.where(np.arange(times.size) > 1000, times + 50.0, times)

@@ -21,6 +21,7 @@ from pmfid.kernel.structures import structures
 from tests.conftest import long_unless
 from tests.firmware.build import GCC
 from tests.hostile.crafted import attack, estimators, folder_of, leaves, program
+from tests.refusals import refused
 from tests.test_export import needs
 from tests.test_many import AXES, ENCODER, fleet_record, make
 
@@ -101,8 +102,7 @@ def test_every_field_has_its_limits(name: str, precision: str) -> None:
 def test_a_field_beyond_its_range_is_refused(name: str, field: str, value: float) -> None:
     estimator = used(name, "float32")
     before = estimator.get_state()
-    with pytest.raises(pmfid.UsageError, match="no state of this configuration"):
-        estimator.set_state(forged(estimator, field, value))
+    refused(("no state of this configuration", lambda: estimator.set_state(forged(estimator, field, value))))
     assert estimator.get_state() == before
 
 
@@ -118,8 +118,7 @@ def test_a_fleet_has_a_checksum_and_the_same_limits() -> None:
         with pytest.raises(pmfid.UsageError, match="checksum is wrong"):
             fleet.set_state(bytes(flipped))
         assert fleet.get_state() == state
-    with pytest.raises(pmfid.UsageError, match="not the states of this fleet"):
-        fleet.set_state(state[:-1])
+    refused(("not the states of this fleet", lambda: fleet.set_state(state[:-1])))
 
 
 def test_numbers_that_no_fleet_has_are_refused_with_a_right_checksum() -> None:

@@ -9,6 +9,7 @@ import pytest
 from pmfid.estimators.auxiliary import FOLLOWED
 from pmfid.estimators.recursive import LOOK
 from pmfid.kernel.structures import constants_of, header, structures, value, whole_words
+from tests.refusals import refused
 
 
 @pytest.mark.parametrize(
@@ -44,8 +45,7 @@ def test_constant_expressions(text: str, number: int) -> None:
     ],
 )
 def test_anything_else_is_refused(text: str) -> None:
-    with pytest.raises(ValueError, match="no constant expression"):
-        value(text, {"SIZE": 8})
+    refused(("no constant expression", lambda: value(text, {"SIZE": 8})), kind=ValueError)
 
 
 def test_the_header_has_the_sizes() -> None:

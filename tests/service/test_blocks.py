@@ -16,10 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pmfid.cli.main import main
-from pmfid.errors import UsageError
 from pmfid.stream.blocks import MAGIC, MOST_BYTES, MOST_SAMPLES, encode, items
 from pmfid.stream.delivery import Block, Unusable, split_tables
 from tests.firmware.build import GCC
+from tests.refusals import refused
 
 ROOT = Path(__file__).parents[2]
 NAN = float("nan")
@@ -124,8 +124,7 @@ def test_a_block_is_as_short_as_loses_nothing_and_at_most_so_long() -> None:
     ],
 )
 def test_what_a_receiver_would_refuse_is_not_sent(change: dict[str, object], message: str) -> None:
-    with pytest.raises(UsageError, match=message):
-        encode(replace(block(), **change))
+    refused((message, lambda: encode(replace(block(), **change))))
 
 
 def changed(at: int, new: bytes) -> bytes:

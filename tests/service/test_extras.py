@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
-from pmfid.errors import UsageError
 from pmfid.service.sources.mqtt import MqttSource, MqttSourceSection
+from tests.refusals import refused
 
 
 def test_sections_and_sources_are_imported_without_their_libraries() -> None:
@@ -25,5 +25,4 @@ def test_a_missing_extra_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> Non
         monkeypatch.delitem(sys.modules, name)
     monkeypatch.setitem(sys.modules, "paho", None)
     source = MqttSource("a", MqttSourceSection(kind="mqtt", topics=("a",)), {}.get, lambda what: None)
-    with pytest.raises(UsageError, match=r"needs \S+: pip install 'pmfid\[serve\]'$"):
-        source.run(lambda delivery: True)
+    refused((r"needs \S+: pip install 'pmfid\[serve\]'$", lambda: source.run(lambda delivery: True)))

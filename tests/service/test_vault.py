@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmfid.errors import UsageError
 from pmfid.service import keeping
 from pmfid.service.arrangement import arrange_groups
 from pmfid.service.keeping import Checkpoints
@@ -26,6 +25,7 @@ from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
 from pmfid.stream.store import FILE, Vault
 from tests.patience import PATIENCE
+from tests.refusals import refused
 from tests.service.test_history_sink import full_at
 from tests.tuned import set_tuning
 
@@ -91,8 +91,7 @@ def test_states_of_another_version_are_refused_in_a_sentence(tmp_path: Path) -> 
     written(tmp_path, b"state 1")
     with closing(sqlite3.connect(tmp_path / FILE)) as database:
         database.execute("PRAGMA user_version = 99")
-    with pytest.raises(UsageError, match=r"another version of pmfid, .* use that version, or choose another folder"):
-        loaded(tmp_path)
+    refused((r"another version of pmfid, .* use that version, or choose another folder", lambda: loaded(tmp_path)))
 
 
 def test_large_states_have_several_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -103,13 +102,11 @@ def test_large_states_have_several_pieces(tmp_path: Path, monkeypatch: pytest.Mo
 
 def test_a_folder_has_one_service(tmp_path: Path) -> None:
     first = Vault(tmp_path)
-    with pytest.raises(UsageError, match="another service already uses"):
-        Vault(tmp_path)
+    refused(("another service already uses", lambda: Vault(tmp_path)))
     first.close()
     Vault(tmp_path).close()
     (tmp_path / "file").write_text("")
-    with pytest.raises(UsageError, match=r"\[service\] state: .*choose a folder"):
-        Vault(tmp_path / "file")
+    refused((r"\[service\] state: .*choose a folder", lambda: Vault(tmp_path / "file")))
 
 
 # --- the engine's state -----------------------------------------------------------------------------------------------
