@@ -30,6 +30,7 @@ from pmfid.report.result import write_result
 from pmfid.simulation import DriveParameters, Machine, control_machine, make_scenario
 from studies.check_logs import FAULTS, Logged, clean, faulty
 from studies.friction_axes import BENCHES
+from tests.command import run_command
 from tests.conftest import long_unless
 from tests.refusals import refused
 
@@ -180,8 +181,7 @@ def test_a_clean_log_of_the_right_model_ends_with_0(seed: int, tmp_path: Path) -
     log = clean(seed, AXES)
     assert "nothing" in log.run.label
     record, axis = written(log, tmp_path)
-    result = CliRunner().invoke(main, ["check", str(record), "--config", str(axis)])
-    assert result.exit_code == 0
+    result = run_command("check", str(record), "--config", str(axis))
     first, *more = result.stdout.splitlines()
     assert re.fullmatch(rf"log.csv: {log.run.u.size} samples, nothing (wrong )?found", first)
     assert [line for line in more if not line.startswith("note: effects outside the model are below")] == []

@@ -27,6 +27,7 @@ from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.pipeline.result import format_value
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 from pmfid.simulation.drive import Schedule, quantize, simulate_drive
+from tests.command import run_command
 from tests.conftest import PROGRESS, long_unless
 from tests.patience import PATIENCE
 
@@ -190,8 +191,8 @@ def test_the_configuration_is_by_default_the_one_that_init_writes(
     missing = CliRunner().invoke(main, ["identify", str(cart.csv)])
     assert "AXIS.toml: cannot read the configuration" in missing.stderr
     assert "pmfid init LOG writes it" in missing.stderr
-    assert CliRunner().invoke(main, ["init", str(cart.csv)]).exit_code == 0
-    assert CliRunner().invoke(main, ["identify", str(cart.csv)]).exit_code == 0
+    run_command("init", str(cart.csv))
+    run_command("identify", str(cart.csv))
 
 
 def test_a_max_speed_below_the_motion_is_named(tmp_path: Path, cart: Cart) -> None:
@@ -451,8 +452,7 @@ def test_help_names_every_option(name: str, flag: str) -> None:
 
 
 def test_help_of_the_whole_lists_the_commands() -> None:
-    result = CliRunner().invoke(main, ["--help"])
-    assert result.exit_code == 0
+    result = run_command("--help")
     assert {"identify", "monitor"} <= set(main.commands)
     assert all(f"  {name} " in result.stdout for name in main.commands)
 

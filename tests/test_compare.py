@@ -10,16 +10,15 @@ from pathlib import Path
 from unittest import mock
 
 import pytest
-from click.testing import CliRunner
 
 import pmfid
-from pmfid.cli.main import main
 from pmfid.config.axis import Axis
 from pmfid.estimators.registry import methods_for
 from pmfid.pipeline.identify import Comparison, compare
 from pmfid.pipeline.kinds import Progress, Records
 from pmfid.simulation import CART, make_scenario, write_csv
 from studies.second_order import write
+from tests.command import run_command
 
 CONFIG = Path(__file__).parents[1] / "examples" / "cart.toml"
 
@@ -49,8 +48,7 @@ def compared() -> Iterator[None]:
 
 
 def run(*arguments: str) -> str:
-    result = CliRunner().invoke(main, ["identify", "--method", "all", *arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
+    result = run_command("identify", "--method", "all", *arguments)
     return result.stdout
 
 
@@ -73,8 +71,7 @@ def test_table_and_report(record, tmp_path):
 def test_nothing_to_identify_is_said_once(tmp_path):
     path = tmp_path / "still.csv"
     path.write_text("t,u,counts\n" + "".join(f"{k / 100},1.0,5\n" for k in range(500)))
-    result = CliRunner().invoke(main, ["identify", "--method", "all", str(path), "--config", str(CONFIG)])
-    assert result.exit_code == 3
+    result = run_command("identify", "--method", "all", str(path), "--config", str(CONFIG), code=3)
     assert result.stderr.count("does not move") == 1
 
 

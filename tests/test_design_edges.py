@@ -6,14 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import pmfid
-from pmfid.cli.main import main
 from pmfid.design.polytope import input_set, violations
 from pmfid.design.problem import Limits, Problem
 from pmfid.design.solver import solve
 from pmfid.design.standard import standard_inputs
+from tests.command import run_command
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
@@ -63,8 +62,7 @@ def test_a_way_back_to_a_limit_of_position_is_feasible(axis: tuple, limits: tupl
 def test_a_run_of_two_samples_cannot_tell_three_parameters(tmp_path: Path, certify: str) -> None:
     spec = tmp_path / "two.toml"
     spec.write_text(EXAMPLE.read_text().replace("intervals = 40", "intervals = 2"))
-    result = CliRunner().invoke(main, ["design", str(spec), "--set", "search.starts=2", "--certify", certify])
-    assert result.exit_code == 3
+    result = run_command("design", str(spec), "--set", "search.starts=2", "--certify", certify, code=3)
     assert "2 samples" in result.stderr
     assert "samples_per_interval" in result.stderr
     assert result.stdout == ""
@@ -80,8 +78,7 @@ def test_the_remedies_for_too_few_samples_help(tmp_path: Path) -> None:
     ):
         spec = tmp_path / "mended.toml"
         spec.write_text(text)
-        result = CliRunner().invoke(main, ["design", str(spec), "--set", "search.starts=2", "--certify", "1"])
-        assert result.exit_code == 0, result.stderr
+        run_command("design", str(spec), "--set", "search.starts=2", "--certify", "1")
 
 
 def test_three_samples_tell_three_parameters() -> None:

@@ -8,15 +8,14 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 import pmfid
-from pmfid.cli.main import main
 from pmfid.config.axis import Axis, load_axis
 from pmfid.config.explain import entries, find, page
 from pmfid.diagnostics.matter import FLAGS
 from pmfid.service.plant import SINKS, SOURCES, plant_entries, plant_page
 from pmfid.status import Status
+from tests.command import run_command
 from tests.refusals import refused
 
 ROOT = Path(__file__).parents[1]
@@ -24,8 +23,7 @@ KEYS = {entry.name: entry for entry in entries() if "." in entry.name}
 
 
 def said(*arguments: str) -> str:
-    result = CliRunner().invoke(main, ["explain", *arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.stderr
+    result = run_command("explain", *arguments)
     return result.output
 
 
@@ -104,8 +102,7 @@ def test_the_command_says_it_in_the_terminal() -> None:
 
 
 def test_what_is_unknown_is_refused_with_what_it_may_mean() -> None:
-    result = CliRunner().invoke(main, ["explain", "record.timeunit"])
-    assert result.exit_code == 2
+    result = run_command("explain", "record.timeunit", code=2)
     assert result.stderr == (
         "pmfid: no key or word is called 'record.timeunit'; did you mean 'record.time_unit'?; pmfid explain without a "
         "key lists them all\n"

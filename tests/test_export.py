@@ -22,6 +22,7 @@ from pmfid.export.c_text import literal
 from pmfid.export.samples import record_run
 from pmfid.kernel.saved import configuration
 from pmfid.kernel.structures import structures
+from tests.command import run_command
 from tests.conftest import EMPS, cart_run, long_unless, needs_emps
 from tests.firmware.build import (
     CLANG,
@@ -275,8 +276,7 @@ def test_a_linear_process_on_a_microcontroller(precision: str, tmp_path: Path) -
 
 def test_the_command_exports_a_transfer_function_that_has_counts(tmp_path: Path) -> None:
     axis = Path(__file__).parents[1] / "examples" / "second_order.toml"
-    result = CliRunner().invoke(main, ["export", str(axis), "--out", str(tmp_path / "x"), "--dt", "0.05"])
-    assert result.exit_code == 2
+    result = run_command("export", str(axis), "--out", str(tmp_path / "x"), "--dt", "0.05", code=2)
     assert "[encoder] resolution" in result.stderr
     record = tmp_path / "record.csv"
     record.write_text("t,u,y\n" + "".join(f"{0.05 * k},1,{1 - 0.5**k}\n" for k in range(50)))
@@ -579,8 +579,7 @@ def test_the_command_says_what_is_missing(tmp_path: Path) -> None:
         (["--out", "x"], "--dt", 1),
         (["--out", "x", "--method", "ls"], "'rls', 'bcrls'", 4),
     ):
-        result = CliRunner().invoke(main, ["export", str(AXIS), *arguments])
-        assert result.exit_code == 2
+        result = run_command("export", str(AXIS), *arguments, code=2)
         assert remedy in result.stderr
         assert result.stderr.count("\n") == lines
 

@@ -23,6 +23,7 @@ from pmfid.errors import UsageError
 from pmfid.fleet.history import History
 from pmfid.report.fleet import write_fleet
 from studies.fleet_data import AXIS_TOML, DT, Change, Machine, machines, rows
+from tests.command import run_command
 from tests.conftest import long_unless
 from tests.refusals import refused
 from tests.tuned import set_tuning
@@ -286,8 +287,7 @@ def test_the_command_prints_and_writes(log: pl.DataFrame, plain: History, tmp_pa
     log.write_parquet(tmp_path / "log.parquet")
     words = ["fleet", "history", str(tmp_path / "log.parquet"), "--config", str(config), "--axis", "machine"]
     words += ["--out", str(tmp_path / "out"), "--period", "1min"]
-    shown = CliRunner().invoke(main, words)
-    assert shown.exit_code == 0, shown.output
+    shown = run_command(*words)
     assert shown.stdout.startswith("3 of 12 axes need attention")
     page = (tmp_path / "out" / "fleet.html").read_text()
     assert all(f"axis-{k:04d}" in page for k in CHANGES)
@@ -318,8 +318,7 @@ def test_nobody_moves_is_exit_code_3(log: pl.DataFrame, config: Path, tmp_path: 
     still = log.head(SAMPLES).with_columns(pl.lit(0.0).alias("u"), pl.lit(0).alias("counts"))
     still.write_parquet(tmp_path / "log.parquet")
     words = ["fleet", "history", str(tmp_path / "log.parquet"), "--config", str(config), "--axis", "machine"]
-    shown = CliRunner().invoke(main, [*words, "--out", str(tmp_path / "out")])
-    assert shown.exit_code == 3, shown.output
+    run_command(*words, "--out", str(tmp_path / "out"), code=3)
 
 
 def test_the_package_opens_by_its_name() -> None:

@@ -9,16 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import pmfid
-from pmfid.cli.main import main
 from pmfid.errors import NotIdentifiableError
 from pmfid.pipeline.friction import FrictionCurve
 from pmfid.report.friction import curve_figure
 from pmfid.types import Floats
 from studies.referee.cases import Case, make_cases
 from studies.referee.machines import draw_machine
+from tests.command import run_command
 from tests.refusals import refused
 
 #: Index of a machine of each friction: PRBS, multisine, trapezoids and position control.
@@ -105,8 +104,7 @@ def test_the_command_leaves_out_a_wrong_count(tmp_path: Path) -> None:
         f'[model]\ninput_gain = {float(case.input_gain)!r}\naxis = "{"rotary" if case.rotary else "linear"}"\n'
     )
     command = ["friction", str(tmp_path / "run.csv"), "--config", str(tmp_path / "axis.toml")]
-    shown = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "out")])
-    assert shown.exit_code == 0, shown.output
+    shown = run_command(*command, "--out", str(tmp_path / "out"))
     assert re.search(r"friction .*\n.*\[N", shown.output)
     reported = json.loads((tmp_path / "out" / "friction.json").read_text())
     mass = reported["inertia" if case.rotary else "mass"]

@@ -27,6 +27,7 @@ from pmfid.errors import UnknownParameterError, UsageError
 from pmfid.estimators import METHODS
 from pmfid.pipeline.identify import identify
 from pmfid.records.record import Record, read_experiment
+from tests.command import run_command
 from tests.conftest import cart_run
 from tests.patience import PATIENCE
 
@@ -123,8 +124,7 @@ def test_what_the_demo_writes_can_be_identified_as_it_stands(
     demo(["--out", str(tmp_path)])
     command = capsys.readouterr().out.partition("next: ")[2].split()[:-2]
     assert command[:2] == ["pmfid", "identify"]
-    result = CliRunner().invoke(main, command[1:], catch_exceptions=False)
-    assert result.exit_code == 0
+    result = run_command(*command[1:])
     assert "mass" in result.output
 
 

@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
-from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
 from pmfid.config.record import RecordConfig
 from pmfid.design.appraisal import _stds
@@ -27,6 +25,7 @@ from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.records.clock import sample_period
 from pmfid.report.monitored import RunData, _velocity, run_figure
 from pmfid.status import Status
+from tests.command import run_command
 from tests.refusals import refused
 from tests.test_front import CART
 from tests.test_states import forged, used
@@ -107,8 +106,7 @@ def test_a_design_from_rest_for_the_worst_case_ends_in_numbers(tmp_path: Path) -
     lines += ['criterion = "E"', "[motion]", "duration = 1.0", "intervals = 3", "[limits]", "input = 3.0"]
     lines += ["[robust]", "mass = 0.1", 'average = "worst"', "[search]", "starts = 1"]
     (tmp_path / "spec.toml").write_text("\n".join(lines))
-    result = CliRunner().invoke(main, ["design", str(tmp_path / "spec.toml"), "--certify", "0"])
-    assert result.exit_code == 0
+    result = run_command("design", str(tmp_path / "spec.toml"), "--certify", "0")
     assert re.search(r"\b(inf|nan)\b", result.stdout) is None
     problem = make_problem(load_spec(tmp_path / "spec.toml"))
     assert _stds(problem, np.zeros((2, 2))) == {"mass": math.inf, "viscous_friction": math.inf}

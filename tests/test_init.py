@@ -23,6 +23,7 @@ from pmfid.pipeline.identify import kind_of
 from pmfid.records.record import read_record
 from pmfid.simulation import CART, Scenario, make_scenario
 from pmfid.units import Unit
+from tests.command import run_command
 from tests.conftest import unjudged
 from tests.refusals import refused
 
@@ -129,8 +130,7 @@ def test_what_is_asked_is_written(tmp_path: Path, travel: str, gain: str, lines:
 def test_the_command_never_writes_over_a_file(tmp_path: Path) -> None:
     path, place = saved("counts", tmp_path), tmp_path / "AXIS.toml"
     command = ["init", str(path), "--out", str(place)]
-    first = CliRunner().invoke(main, command)
-    assert first.exit_code == 0
+    first = run_command(*command)
     assert f"pmfid identify {path} --config {place}" in first.stdout
     before = place.read_bytes()
     again = CliRunner().invoke(main, command)
@@ -140,8 +140,7 @@ def test_the_command_never_writes_over_a_file(tmp_path: Path) -> None:
 
 def test_a_record_without_two_columns_is_refused(tmp_path: Path) -> None:
     (tmp_path / "one.csv").write_text("t,u\n" + "".join(f"{k / 100},1.0\n" for k in range(50)), encoding="utf-8")
-    result = CliRunner().invoke(main, ["init", str(tmp_path / "one.csv"), "--out", str(tmp_path / "a.toml")])
-    assert result.exit_code == 2
+    result = run_command("init", str(tmp_path / "one.csv"), "--out", str(tmp_path / "a.toml"), code=2)
     assert "no two columns can be input and output" in result.stderr
     assert not (tmp_path / "a.toml").exists()
 
@@ -366,7 +365,7 @@ def test_an_answer_that_does_not_fit_is_asked_again(read: Reader, text: str, sai
 
 def test_what_is_left_to_do_is_said(tmp_path: Path) -> None:
     path, place = saved("counts", tmp_path), tmp_path / "AXIS.toml"
-    assert CliRunner().invoke(main, ["init", str(path), "--out", str(place)]).exit_code == 0
+    run_command("init", str(path), "--out", str(place))
     printed = CliRunner().invoke(main, ["check", str(path), "--config", str(place)]).stdout
     assert "AXIS.toml still has the mark TO DO at resolution, input_gain" in printed
 

@@ -8,15 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import pmfid
-from pmfid.cli.main import main
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.kernel.saved import MOST_WEIGHT, configuration, shape_of
 from pmfid.kernel.structures import structures
 from pmfid.simulation import CART, CART_DT
 from pmfid.simulation.drive import quantize, simulate_drive
+from tests.command import run_command
 from tests.conftest import cart_run
 
 SAMPLES, REPEATED = 20_000, 50
@@ -94,6 +93,5 @@ def test_only_long_memories_of_float32_carry_the_code() -> None:
 def test_export_says_how_long_float32_remembers(forgetting: str, reported: bool, tmp_path: Path) -> None:
     axis = Path(__file__).parents[1] / "examples" / "cart.toml"
     options = ["--out", str(tmp_path / "c"), "--precision", "float32", "--method", "bcrls", "--dt", "0.01"]
-    result = CliRunner().invoke(main, ["export", str(axis), *options, "--set", f"estimator.forgetting={forgetting}"])
-    assert result.exit_code == 0, result.output
+    result = run_command("export", str(axis), *options, "--set", f"estimator.forgetting={forgetting}")
     assert ("remembers at most the last 524288 samples" in result.output) == reported

@@ -17,6 +17,7 @@ from pmfid.monitor.events import Event, StateChange
 from pmfid.simulation import CART, Schedule, capture_edges, resolution_of, simulate_drive
 from studies.edges import draw_change, watch_edges
 from studies.monitoring.axis import changing
+from tests.command import run_command
 from tests.edge_axes import AXIS, EVERY, TURN, Motion, cart_edges, heavier, write_record
 from tests.refusals import refused
 from tests.test_redge import DT, TRUTH
@@ -176,8 +177,7 @@ def test_the_command_watches_the_edges_of_a_record(tmp_path: Path) -> None:
     ):
         (tmp_path / "axis.toml").write_text(AXIS % (resolution_of(TURN), key))
         arguments = ["monitor", str(tmp_path / "run.csv"), "--config", str(tmp_path / "axis.toml")]
-        done = CliRunner().invoke(main, [*arguments, "--json", "--report", str(tmp_path / "page.html")])
-        assert done.exit_code == 0, done.stderr
+        done = run_command(*arguments, "--json", "--report", str(tmp_path / "page.html"))
         events = [json.loads(line) for line in done.stdout.splitlines()]
         (alarm,) = (event for event in events if event["event"] == "alarm")
         assert (alarm["parameter"], alarm["direction"]) == ("mass", "up")

@@ -25,6 +25,7 @@ from pmfid.pipeline.monitored.stream import Stop
 from pmfid.report.html import replace_file
 from pmfid.simulation import CART_DT
 from studies.monitoring.pipe import lines, write_axis
+from tests.command import run_command
 from tests.patience import PATIENCE
 
 #: A calibration of half an hour is enough here.
@@ -250,9 +251,9 @@ def test_identify_leaves_the_track_of_another_run(folder: Path) -> None:
     (out / "result.json").symlink_to(folder / "elsewhere")
     (folder / "elsewhere").write_text("mine")
     arguments = ["identify", str(folder / "normal.csv"), "--config", str(folder / "axis.toml"), "--out", str(out)]
-    assert CliRunner().invoke(main, [*arguments, "--method", "ls"]).exit_code == 0
+    run_command(*arguments, "--method", "ls")
     assert not (out / "track.parquet").exists()
-    assert CliRunner().invoke(main, [*arguments, "--method", "rls"]).exit_code == 0
+    run_command(*arguments, "--method", "rls")
     assert (out / "track-2.parquet").read_bytes() == b"mine"
     assert pl.read_parquet(out / "track.parquet").height > N
     assert (folder / "elsewhere").read_text() == "mine"

@@ -33,6 +33,7 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import lines, resident, write_axis
+from tests.command import run_command
 from tests.patience import PATIENCE
 from tests.processes import run_process
 
@@ -175,8 +176,7 @@ def test_a_wrong_configuration_is_one_line(folder: Path, tmp_path: Path, change:
 def test_a_transfer_function_is_refused_before_its_record_is_read(tmp_path: Path) -> None:
     config = Path(__file__).parents[1] / "examples" / "second_order.toml"
     (tmp_path / "run.csv").write_text("t,u,y\n" + "".join(f"{0.05 * k},1,{1 - 0.5**k}\n" for k in range(50)))
-    result = CliRunner().invoke(main, ["monitor", str(tmp_path / "run.csv"), "--config", str(config)])
-    assert result.exit_code == 2
+    result = run_command("monitor", str(tmp_path / "run.csv"), "--config", str(config), code=2)
     assert result.stderr.startswith("pmfid: the monitor is for a machine with friction")
 
 

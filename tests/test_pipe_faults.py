@@ -29,6 +29,7 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing, make_riv, normal_work
 from studies.monitoring.pipe import write_axis
+from tests.command import run_command
 from tests.conftest import long_unless
 from tests.pipe_faults import FAULTS, HEADER, Row, Text, lines, restamped
 
@@ -252,17 +253,13 @@ def test_a_repetition_is_called_one() -> None:
 
 def test_a_refused_pipe_ends_with_its_totals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The exit code is 2, one line gives the refusal, and all earlier output is written."""
-    from click.testing import CliRunner
-
-    from pmfid.cli.main import main
 
     path = write_axis(tmp_path, 60.0)
     monkeypatch.setenv("PMFID_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr("pmfid.pipeline.monitored.setup.HOURS", 0.5)
     body = [f"{0.008 * k:.3f},0,0\n".encode() for k in range(60)]
     arguments = ["monitor", "-", "--config", str(path), "--json", "--out", str(tmp_path / "x.csv")]
-    result = CliRunner().invoke(main, arguments, input=HEADER + b"".join(body))
-    assert result.exit_code == 2
+    result = run_command(*arguments, stdin=HEADER + b"".join(body), code=2)
     assert result.stderr.splitlines()[-1].startswith("pmfid: the lines come every 0.008 s")
     assert '"event": "end"' in result.stdout
     assert (tmp_path / "x.csv").read_text().count("\n") > 10

@@ -6,10 +6,8 @@ import json
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from pmfid import BCLS, IV, LS, SRIVC, Encoder, Experiment, TransferFunction
-from pmfid.cli.main import main
 from pmfid.estimators.registry import methods_for
 from pmfid.linear.experiment import Grid, respond
 from pmfid.linear.process import Process
@@ -17,6 +15,7 @@ from pmfid.linear.responses import respond_bounded
 from pmfid.simulation.process import simulate_process
 from studies.late_processes import Controller, simulate_late, simulate_loop
 from studies.real_processes import work
+from tests.command import run_command
 from tests.refusals import refused
 
 DT = 0.05
@@ -224,18 +223,15 @@ def test_the_command(tmp_path):
     np.savetxt(tmp_path / "record.csv", np.column_stack([u, y]), delimiter=",", header="u,y", comments="")
     (tmp_path / "axis.toml").write_text(CONFIG, "utf-8")
     arguments = [str(tmp_path / "record.csv"), "--config", str(tmp_path / "axis.toml")]
-    result = CliRunner().invoke(main, ["identify", *arguments, "--json", "--out", str(tmp_path)])
-    assert result.exit_code == 0, result.output
+    result = run_command("identify", *arguments, "--json", "--out", str(tmp_path))
     found = json.loads(result.stdout)
     assert list(found["parameters"]) == ["a1", "b0", "dead_time"]
     assert found["dead_time"] == pytest.approx(0.085, abs=0.002)
     assert found["gain"] is None
     assert found["time_constants"][0] is None
-    table = CliRunner().invoke(main, ["identify", *arguments])
-    assert table.exit_code == 0
+    table = run_command("identify", *arguments)
     assert "dead time" in table.output
-    wrong = CliRunner().invoke(main, ["identify", *arguments, "--method", "ls"])
-    assert wrong.exit_code == 2
+    wrong = run_command("identify", *arguments, "--method", "ls", code=2)
     assert "use one of srivc" in wrong.stderr
 
 

@@ -9,10 +9,8 @@ import polars as pl
 import pytest
 import scipy.io
 import scipy.sparse
-from click.testing import CliRunner
 
 import pmfid
-from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError, printable
@@ -20,6 +18,7 @@ from pmfid.io.csv_text import parse_csv
 from pmfid.io.reading import read_table
 from pmfid.io.tables import column
 from pmfid.records.record import read_experiment
+from tests.command import run_command
 from tests.test_front import CART, PROCESS
 
 
@@ -60,8 +59,7 @@ def test_names_do_not_steer_the_terminal(tmp_path: Path) -> None:
     record, axis = tmp_path / "run.csv", tmp_path / "axis.toml"
     record.write_text("t,\x1b[31mu,counts\n0,1,2\n")
     axis.write_text(CART)
-    result = CliRunner().invoke(main, ["identify", str(record), "--config", str(axis)])
-    assert result.exit_code == 2
+    result = run_command("identify", str(record), "--config", str(axis), code=2)
     assert "\x1b" not in result.stderr
     assert "\\x1b[31mu" in result.stderr
     assert printable("a\x07\u202eb\n\udce9") == "a\\x07\\u202eb\n\\udce9"
@@ -75,12 +73,10 @@ def test_markup_in_a_unit_is_printed_as_it_stands(tmp_path: Path) -> None:
         '{ signal = "output", derivative = 1, name = "d" }, { signal = "direction", name = "c" }]\n'
         'known = [{ signal = "input", coefficient = 2.0 }]',
     )
-    demo = CliRunner().invoke(main, ["simulate", "prbs", "--out", str(tmp_path / "run.csv"), "--duration", "10"])
-    assert demo.exit_code == 0
+    run_command("simulate", "prbs", "--out", str(tmp_path / "run.csv"), "--duration", "10")
     (tmp_path / "axis.toml").write_text(lines)
     arguments = [str(tmp_path / "run.csv"), "--config", str(tmp_path / "axis.toml"), "--out", str(tmp_path / "out")]
-    result = CliRunner().invoke(main, ["identify", *arguments, "--method", "rls"], catch_exceptions=False)
-    assert result.exit_code == 0
+    result = run_command("identify", *arguments, "--method", "rls")
     assert "[bold]$\\frac$[/x]" in result.stdout
 
 

@@ -14,6 +14,7 @@ from pmfid.cli.main import main
 from pmfid.pipeline.terms import TermSearch
 from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs
 from pmfid.simulation.drive import MachineRun
+from tests.command import run_command
 from tests.refusals import refused
 
 DT, GAIN, STEP = 0.002, 0.5, 2 * np.pi / 1024
@@ -110,8 +111,7 @@ def test_the_command_says_what_python_says(directional: TermSearch, tmp_path: Pa
         f'[encoder]\nresolution = {STEP}\n[model]\naxis = "rotary"\ninput_gain = {GAIN}\n'
     )
     command = ["terms", str(table), "--config", str(axis)]
-    result = CliRunner().invoke(main, [*command, "--json", "--out", str(out)])
-    assert result.exit_code == 0, result.output
+    result = run_command(*command, "--json", "--out", str(out))
     printed = json.loads(result.stdout)
     assert printed["added"] == directional.added
     assert json.loads((out / "terms.json").read_text()) == printed
@@ -120,6 +120,5 @@ def test_the_command_says_what_python_says(directional: TermSearch, tmp_path: Pa
     assert directional.sentence in shown
     assert "status: none" in shown
     for further, said in ((["--set", "estimator.cutoff=-1"], "cutoff"), (["--out", str(table)], "run.csv")):
-        refused = CliRunner().invoke(main, [*command, *further])
-        assert refused.exit_code == 2
+        refused = run_command(*command, *further, code=2)
         assert said in refused.stderr

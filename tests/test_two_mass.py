@@ -17,6 +17,7 @@ from pmfid.fit.second_mass import find_second_mass
 from pmfid.types import Counts, Floats
 from studies.referee.cases import make_cases
 from studies.referee.judge import identify
+from tests.command import run_command
 from tests.oracles.two_mass import TwoMasses, simulate_two_masses
 
 STEP = 0.002
@@ -173,6 +174,5 @@ def test_the_command_takes_the_body(tmp_path: Path) -> None:
     found = CliRunner().invoke(main, ["identify", log, "--config", axis, "--json"])
     assert json.loads(found.stdout)["parameters"]["stiffness"]["value"] == pytest.approx(3947.8, rel=0.005)
     for command in (["export", axis, "--out", str(tmp_path / "out")], ["monitor", log, "--config", axis]):
-        said = CliRunner().invoke(main, command)
-        assert said.exit_code == 2
+        said = run_command(*command, code=2)
         assert "off-line" in said.stderr

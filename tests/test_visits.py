@@ -12,6 +12,7 @@ from click.testing import CliRunner, Result
 from pmfid.cli.main import main
 from pmfid.fleet.visits import Visits, find_changes
 from pmfid.types import Floats
+from tests.command import run_command
 
 VISITS, PERIOD = 60, 35 * 3600.0
 TIME: Floats = 1.7e9 + PERIOD * np.arange(VISITS)
@@ -109,6 +110,5 @@ def test_what_is_no_series_is_refused(tmp_path: Path, text: str, arguments: tupl
 
 
 def test_a_record_or_estimates_are_needed() -> None:
-    shown = CliRunner().invoke(main, ["monitor"])
-    assert shown.exit_code == 2
+    shown = run_command("monitor", code=2)
     assert "RECORD is missing" in shown.stderr

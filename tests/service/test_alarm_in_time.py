@@ -11,13 +11,12 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from examples.plant_machines import LOADED, cart
-from pmfid.cli.main import main
 from pmfid.simulation import make_scenario
 from pmfid.simulation.scenarios import write_csv
 from studies.service.processes import free_port, service
+from tests.command import run_command
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.chromium import chromium, tab, until
 
@@ -57,8 +56,7 @@ def found_by_the_monitor(folder: Path) -> float:
     run = cart(LOADED, SECONDS, STEP)
     write_csv(run, folder / "today.csv")
     words = ["monitor", str(folder / "today.csv"), "--config", str(folder / "plant_axis.toml"), "--json"]
-    result = CliRunner().invoke(main, words)
-    assert result.exit_code == 0, result.output
+    result = run_command(*words)
     found = [json.loads(line) for line in result.stdout.splitlines()]
     (alarm,) = [event for event in found if event["event"] == "alarm"]
     return float(alarm["time"])

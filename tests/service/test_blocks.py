@@ -11,13 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pmfid.cli.main import main
 from pmfid.stream.blocks import MAGIC, MOST_BYTES, MOST_SAMPLES, encode, items
 from pmfid.stream.delivery import Block, Unusable, split_tables
+from tests.command import run_command
 from tests.firmware.build import GCC
 from tests.refusals import refused
 
@@ -297,7 +296,7 @@ def test_the_encoder_goes_out_with_firmware_on_request_alone(tmp_path: Path) -> 
     without, with_it = tmp_path / "without", tmp_path / "with"
     for folder, option in ((without, []), (with_it, ["--blocks"])):
         arguments = ["export", str(ROOT / "examples" / "cart.toml"), "--dt", "0.01", "--out", str(folder), *option]
-        assert CliRunner().invoke(main, arguments).exit_code == 0
+        run_command(*arguments)
     files, plain = (
         {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
         for folder in (with_it, without)

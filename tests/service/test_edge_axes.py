@@ -25,6 +25,7 @@ from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared, prepare
 from pmfid.stream.order import UNKNOWN_GAP
 from pmfid.stream.outcome import Counters
+from tests.command import run_command
 from tests.edge_axes import Motion, cart_edges, heavier, write_edge_axis
 from tests.refusals import refused
 from tests.service.collected import Collected, monitored
@@ -183,16 +184,13 @@ def test_lines_without_ages_are_kept_as_before_ages() -> None:
 
 
 def test_the_monitor_takes_ages_from_a_pipe(tmp_path: Path, motion: Motion) -> None:
-    from click.testing import CliRunner
 
-    from pmfid.cli.main import main
     from tests.edge_axes import write_record
 
     write_edge_axis(tmp_path)
     write_record(tmp_path / "run.csv", motion)
     arguments = ["monitor", "-", "--config", str(tmp_path / "axis.toml"), "--json"]
-    done = CliRunner().invoke(main, arguments, input=(tmp_path / "run.csv").read_bytes())
-    assert done.exit_code == 0, done.stderr
+    done = run_command(*arguments, stdin=(tmp_path / "run.csv").read_bytes())
     events = [json.loads(line) for line in done.stdout.splitlines()]
     assert [one["parameter"] for one in events if one["event"] == "alarm"] == ["mass"]
     assert events[0]["method"] == "redge"

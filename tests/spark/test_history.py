@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 import pytest
-from click.testing import CliRunner
 
 from pmfid import fleet
-from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.fleet.history import History
 from studies.fleet_data import AXIS_TOML, DT, Change, Machine, machines, rows
+from tests.command import run_command
 from tests.tuned import set_tuning
 
 if TYPE_CHECKING:
@@ -131,9 +130,7 @@ def test_executors_with_another_version_are_refused(
 def test_the_command(spark: SparkSession, folder: Path, config: Path, tmp_path: Path) -> None:
     words = ["fleet", "history", str(folder), "--config", str(config), "--axis", "machine", "--period", "1min"]
     words += ["--out", str(tmp_path / "out"), "--engine", "spark"]
-    shown = CliRunner().invoke(main, words)
-    assert shown.exit_code == 0, shown.output
+    shown = run_command(*words)
     assert shown.stdout.startswith("1 of 5 axes need")
-    refused = CliRunner().invoke(main, [*words, "--workers", "2"])
-    assert refused.exit_code == 2
+    refused = run_command(*words, "--workers", "2", code=2)
     assert "--master" in refused.stderr
