@@ -218,15 +218,6 @@ def test_out_where_one_file_cannot_be_written(tmp_path: Path, cart: Cart, name: 
     assert "None" not in text
 
 
-def test_out_without_permission(tmp_path: Path, cart: Cart, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refused(self: Path, *_: object, **__: object) -> None:
-        raise PermissionError(13, "Permission denied", str(self))
-
-    monkeypatch.setattr(Path, "mkdir", refused)
-    place = str(tmp_path / "out")
-    assert f"{place}: Permission denied; choose another file or folder" in bad(cart.csv, "--out", place)
-
-
 # --- records that cannot identify the parameters --------------------------------------------------------------------
 
 
@@ -251,16 +242,6 @@ def test_input_of_zero_while_the_axis_moves(tmp_path: Path, cart: Cart, method: 
     record = written(tmp_path, cart.frame.with_columns(u=0.0))
     text = complaint(run(record, "--json", "--method", method), code=3)
     assert "the input is zero while the axis moves" in text
-
-
-@pytest.mark.parametrize("method", EVERY_METHOD)
-def test_constant_input_and_speed(tmp_path: Path, method: str) -> None:
-    record = written(tmp_path, constant_from(0))
-    result = run(record, "--json", "--method", method)
-    if method == "fit":  # the start of the motion shows a mass, and the status says how little that is
-        assert {"little_motion", "uncertain"} <= set(json.loads(result.stdout)["status"])
-        return
-    assert "the excitation is too small: record reversals" in complaint(result, code=3)
 
 
 def constant_from(start: int) -> pl.DataFrame:
@@ -391,13 +372,6 @@ def test_a_jump_of_the_counter_is_flagged_and_left_out(tmp_path: Path, cart: Car
     assert values(printed)["mass"] == pytest.approx(CART.mass, rel=0.02)
 
 
-def test_a_homing_in_a_record_is_reported_once(tmp_path: Path, cart: Cart) -> None:
-    homed = pl.when(pl.col.t > 15).then(7000).otherwise(0)
-    printed = good(written(tmp_path, cart.frame.with_columns(pl.col.counts + homed)), "--method", "iv")
-    assert printed["status"].count("count_jump") == 1
-    assert len(printed["notes"]) == len(set(printed["notes"]))
-
-
 @pytest.mark.parametrize("method", FAMILIES)
 def test_out_writes_the_report_the_numbers_and_the_track(
     out: Path, found: Callable[[str], dict[str, Any]], method: str
@@ -449,12 +423,6 @@ def test_help_names_every_option(name: str, flag: str) -> None:
             assert parameter.help
             assert parameter.opts[0] in result.stdout
     assert "Exit code 0" in result.stdout or name != "identify"
-
-
-def test_help_of_the_whole_lists_the_commands() -> None:
-    result = run_command("--help")
-    assert {"identify", "monitor"} <= set(main.commands)
-    assert all(f"  {name} " in result.stdout for name in main.commands)
 
 
 def spawned(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -162,7 +162,6 @@ def test_many_axes_have_the_bits_of_one() -> None:
         np.testing.assert_array_equal(np.asarray(many.theta)[i, -1], alone.theta[-1])
 
 
-@pytest.mark.long
 def test_an_export_without_one_has_no_trace_of_it(tmp_path: Path) -> None:
     from pmfid.export.firmware import export_firmware
 

@@ -11,7 +11,7 @@ import pytest
 
 from pmfid.design.appraisal import USUAL, choose
 from pmfid.design.calibration import DesignedRun, calibrate
-from pmfid.design.encoder_error import encoder_covariance, inside, walk
+from pmfid.design.encoder_error import encoder_covariance
 from pmfid.design.polytope import input_set, violations
 from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_experiment
 from pmfid.design.simulated import drive_of, simulate
@@ -19,7 +19,6 @@ from pmfid.design.solver import evaluate
 from pmfid.design.standard import standard_inputs
 from pmfid.design.tuning import TUNING
 from pmfid.simulation.drive import Machine, drive_machine
-from studies.design_case import case
 from studies.design_machines import MACHINES, NAMES, Claims, claims
 from tests.conftest import long_unless
 
@@ -99,18 +98,6 @@ def test_an_axis_without_one_of_the_frictions_is_not_refused(seed: int) -> None:
     assert known.parameters["mass"] == pytest.approx(8.0, rel=0.01)
 
 
-def test_two_runs_know_more_than_one_and_a_prior_counts() -> None:
-    problem = replace(case("m, d"), resolution=1e-3)
-    experiment = simulated_experiment(problem, {"mass": 1.55}, np.random.default_rng(3))
-    design = evaluate(problem, standard_inputs(problem, names=(USUAL,))[USUAL].u)
-    runs = [experiment(design), experiment(design)]
-    one, two = calibrate(problem, runs[:1]), calibrate(problem, runs)
-    known = calibrate(replace(problem, prior=np.diag([1e12, 0.0])), runs[:1])
-    assert two.std(problem.names)["mass"] < one.std(problem.names)["mass"]
-    assert two.interval["mass"][0] < 1.55 < two.interval["mass"][1]
-    assert known.parameters["mass"] == pytest.approx(1.5, abs=1e-5)
-
-
 def test_an_input_is_chosen_that_leaves_no_parameter_worse_than_the_trapezoid() -> None:
     # 0.01 m/s are exactly 10 counts per sample, so that the encoder's error repeats at the creep speed of the design
     problem = replace(MACHINES["40 kg"], resolution=50e-6, samples_per_interval=1)
@@ -144,17 +131,3 @@ def test_rounds_run_what_was_chosen() -> None:
     assert np.array_equal(
         first.run.u[: problem.samples_per_interval], np.full(problem.samples_per_interval, first.design.u[0])
     )
-
-
-def test_walkers_have_the_moments_of_the_density() -> None:
-    rng = np.random.default_rng(0)
-    turn = np.array([[1.0, 0.0], [30.0, 0.1]])
-
-    def box(z: np.ndarray) -> np.ndarray:
-        return np.where((np.abs(z @ np.linalg.inv(turn).T) < 1.0).all(axis=-1), 0.0, -np.inf)
-
-    start = inside(box, np.zeros(2), rng.standard_normal((40, 2)))
-    assert np.isfinite(box(start)).all()
-    flat = walk(box, start, 1500, rng)[100:].reshape(-1, 2)
-    assert flat.mean(axis=0) == pytest.approx([0.0, 0.0], abs=1.5)
-    assert np.cov(flat.T) == pytest.approx(turn @ turn.T / 3.0, rel=0.1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pmfid.design.appraisal import accumulate_value, appraise, worth_of
-from pmfid.design.encoder_error import encoder_covariance, start_free
+from pmfid.design.encoder_error import start_free
 from pmfid.design.fisher import affine, criterion_of, information
 from pmfid.design.problem import Design
 from pmfid.design.simulated import both_ways, simulate, simulated_information
@@ -107,32 +107,6 @@ def test_an_unknown_start_costs_information(best: Design) -> None:
     wide = np.vstack([np.c_[np.zeros(3), s], np.ones(s.shape[1] + 1)])
     covariance = np.linalg.inv(wide @ wide.T)[:3, :3]
     assert np.linalg.inv(start_free(s)) == pytest.approx(covariance, rel=1e-6)
-
-
-def test_parameters_that_a_run_cannot_tell_apart_have_no_deviation() -> None:
-    forward = replace(
-        CASE,
-        drive=Drive(2.0, offset=True),
-        nominal={**CASE.nominal, "offset": 0.1},
-        unknown=("mass", "coulomb_friction", "offset"),
-    )
-    std = worth_of(setting(forward, "trace"), np.full(40, 1.0)).predicted_std
-    assert std["coulomb_friction"] == std["offset"] == np.inf
-
-
-def test_without_an_encoder_there_is_no_encoder_error() -> None:
-    noisy = replace(CASE, resolution=None, noise_variance=1e-10)
-    u = standard_inputs(noisy, names=("trapezoid",))["trapezoid"].u
-    assert encoder_covariance(noisy, u) is None
-    assert set(worth_of(setting(noisy, "D"), u).std_encoder.values()) == {np.inf}
-
-
-def test_a_strong_prior_is_the_encoders_limit() -> None:
-    known = replace(CASE, prior=np.diag([1e12, 1e12, 1e12]))
-    u = standard_inputs(known, names=("trapezoid",))["trapezoid"].u
-    covariance = encoder_covariance(known, u)
-    assert covariance is not None
-    assert covariance.diagonal() == pytest.approx(np.full(3, 1e-12), rel=0.05)
 
 
 @pytest.mark.long

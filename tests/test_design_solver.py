@@ -116,15 +116,6 @@ def test_every_concave_criterion_has_a_bound(criterion: str, unknown: int) -> No
     assert many.value <= (found.bound or 0.0)
 
 
-def test_a_second_motion_tells_more_than_the_first_again() -> None:
-    """The first motion is the prior of the second, as in rounds: a mixture of motions gives at most 1.53 times as
-    much.
-    """
-    first = solve(case(3), "D", starts=5)
-    second = solve(replace(case(3), prior=first.fisher), "D", starts=5)
-    assert 1.45 * 2 * first.value < second.value < 1.54 * 2 * first.value
-
-
 @pytest.mark.parametrize("average", [None, "mean", "worst"])
 def test_a_robust_design_keeps_the_limits_in_every_scenario(average: str | None) -> None:
     scenarios = tuple({"mass": 1.5 * part} for part in (0.8, 1.2))

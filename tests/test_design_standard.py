@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pmfid.design.polytope import input_set, nearest, violation
+from pmfid.design.polytope import input_set, violation
 from pmfid.design.problem import InfeasibleError, Limits
 from pmfid.design.standard import STANDARD, standard_inputs
 from studies.design_case import case
@@ -77,19 +77,6 @@ def test_signals_without_other_limits_are_themselves() -> None:
     assert np.abs(found["multisine"].u - 2.0).max() == pytest.approx(1.0)
     assert not np.array_equal(found["prbs"].u, standard_inputs(free, seed=4)["prbs"].u)
     assert np.array_equal(found["prbs"].u, standard_inputs(free, seed=3)["prbs"].u)
-
-
-def test_nearest_is_nearer_than_any_other_way_to_the_limits() -> None:
-    rng = np.random.default_rng(0)
-    inputs = input_set(CASE)
-    others = [each.u for each in standard_inputs(CASE).values()]
-    for _ in range(5):
-        wish = rng.uniform(-3, 3, CASE.intervals)
-        u = nearest(inputs, wish)
-        assert violation(inputs, u) < 1e-9
-        # a projection on a convex set: no feasible point lies beyond the plane through u
-        assert max(float((wish - u) @ (other - u)) for other in others) < 1e-7
-        assert nearest(inputs, u) == pytest.approx(u, abs=1e-9)
 
 
 def test_no_input_is_an_error() -> None:

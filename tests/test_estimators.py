@@ -73,20 +73,6 @@ def test_bcrls_on_line_never_leaves_the_plausible(increments, precision, drive):
         assert not np.any(track.status[100:] & (Status.POOR_EXCITATION | Status.STARTING))
 
 
-def test_offset_is_found(drive):
-    """A constant load of 0.5 N acts, with and without an offset in the model."""
-    from pmfid.simulation.drive import DriveParameters, quantize, simulate_drive
-    from pmfid.simulation.signals import prbs
-
-    loaded = DriveParameters(1.07, 12.8, 0.8, 2.0, offset=0.5)
-    u = prbs(3000, clock=10, amplitude=3.0, rng=np.random.default_rng(3))
-    counts = quantize(simulate_drive(loaded, u, DT).x, 22.75e-6)
-    fit = pmfid.LS(pmfid.Drive(2.0, offset=True), pmfid.Encoder(22.75e-6), DT, CUTOFF).fit(u, counts)
-    assert fit["offset"] == pytest.approx(0.5, rel=0.02)
-    assert fit["mass"] == pytest.approx(1.07, rel=0.005)
-    assert fit.units == ("kg", "N s/m", "N", "N")
-
-
 def test_zeros_chosen_from_a_record_are_no_worse(drive):
     run = cart_run(1, increments=256)
     estimator = pmfid.BCLS(drive, run.encoder, DT, CUTOFF)

@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 
 import pmfid
-from pmfid.config.axis import Axis, load_axis
+from pmfid.config.axis import load_axis
 from pmfid.io.tables import column, table_of, times
 from pmfid.records.record import record_of
 from tests.conftest import cart_run, unjudged
@@ -102,22 +102,6 @@ def test_epochs_in_ns_keep_their_digits_and_missing_numbers_are_missing() -> Non
     np.testing.assert_allclose(np.diff(stamps), 1e7, atol=256)
     with_gap = pd.DataFrame({"u": pd.array([1, None, 3], dtype="Int64")})
     np.testing.assert_array_equal(column(table_of(with_gap), "input", "u"), [1.0, np.nan, 3.0])
-
-
-def test_a_transfer_function_of_a_frame() -> None:
-    sections = {
-        "record": {"input": "u", "output": "y", "dt": 0.1},
-        "encoder": {"resolution": 1e-29},
-        "model": {"kind": "transfer_function", "n": 1, "m": 0},
-        "estimator": {"cutoff": 2.0},
-    }
-    u = np.repeat(np.random.default_rng(2).normal(size=60), 5)
-    y = np.zeros(u.size)
-    for k in range(1, u.size):
-        y[k] = np.exp(-0.1) * y[k - 1] + 2 * (1 - np.exp(-0.1)) * u[k - 1]
-    result = pmfid.identify(pl.DataFrame({"u": u, "y": y}), axis=Axis.model_validate(sections))
-    assert result.names == ("b0", "a0") or len(result.theta) == 2
-    assert float(np.max(np.abs(np.sort(np.abs(result.theta)) - [1.0, 2.0]))) < 0.02
 
 
 SECTIONS: Any = {

@@ -85,17 +85,6 @@ def test_a_wrong_name_lists_the_right_ones() -> None:
         )
 
 
-def test_an_estimate_has_its_parameters_by_name() -> None:
-    run = cart_run(1, samples=600)
-    estimator = pmfid.RLS(pmfid.Drive(2.0), run.encoder, 0.01, 20.0)
-    track = estimator.run(run.u, run.counts)
-    last = estimator.estimate
-    assert [last[name] for name in track.names] == last.theta.tolist() == track.theta[-1].tolist()
-    kept = estimator.step(0.0, int(run.counts[-1]))
-    estimator.reset()
-    assert kept["mass"] == kept.theta[0] != 0
-
-
 # --- help -------------------------------------------------------------------------------------------------------------
 
 
@@ -131,25 +120,24 @@ def test_what_the_demo_writes_can_be_identified_as_it_stands(
 # --- keys without an effect, and one rule for the gain ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("line", ['hold = "foh"', "gap = 0.1", 'reference = "r"'])
-def test_a_key_of_a_transfer_function_is_refused_for_a_drive(tmp_path: Path, line: str) -> None:
-    key = line.partition(" ")[0]
-    with pytest.raises(UsageError, match=rf'\[record\] {key} = .* is not used with kind = "drive"; drop it'):
-        loaded(tmp_path, CART, "dt = 0.01", f"dt = 0.01\n{line}")
-    loaded(tmp_path, PROCESS, "dt = 0.01", f"dt = 0.01\n{line}")
+OF_A_PROCESS, OF_A_DRIVE = (
+    ('hold = "foh"', "gap = 0.1", 'reference = "r"'),
+    ("standstill_time = 0.1", "max_speed = 2.0"),
+)
 
 
-@pytest.mark.parametrize("line", ["standstill_time = 0.1", "max_speed = 2.0"])
-def test_a_key_of_a_drive_is_refused_for_a_transfer_function(tmp_path: Path, line: str) -> None:
-    key = line.partition(" ")[0]
-    encoder = f"[encoder]\nresolution = 1e-3\n{line}\n[model]"
-    with pytest.raises(UsageError, match=rf'\[encoder\] {key} = .* is not used with kind = "transfer_function"'):
-        loaded(tmp_path, PROCESS, "[model]", encoder)
-    loaded(tmp_path, CART, "resolution = 22.75e-6", f"resolution = 22.75e-6\n{line}")
-
-
-def test_the_default_may_be_written_down(tmp_path: Path) -> None:
-    assert loaded(tmp_path, CART, "dt = 0.01", 'dt = 0.01\nhold = "zoh"').record.hold == "zoh"
+def test_a_key_of_another_kind_of_plant_is_refused(tmp_path: Path) -> None:
+    for line in OF_A_PROCESS:
+        with pytest.raises(UsageError) as caught:
+            loaded(tmp_path, CART, "dt = 0.01", f"dt = 0.01\n{line}")
+        assert f"[record] {line.partition(' ')[0]} = " in str(caught.value)
+        assert 'is not used with kind = "drive"; drop it' in str(caught.value)
+        loaded(tmp_path, PROCESS, "dt = 0.01", f"dt = 0.01\n{line}")
+    for line in OF_A_DRIVE:
+        with pytest.raises(UsageError) as caught:
+            loaded(tmp_path, PROCESS, "[model]", f"[encoder]\nresolution = 1e-3\n{line}\n[model]")
+        assert 'is not used with kind = "transfer_function"' in str(caught.value)
+        loaded(tmp_path, CART, "resolution = 22.75e-6", f"resolution = 22.75e-6\n{line}")
 
 
 @pytest.mark.parametrize("gain", [-0.12, 0.12, 0.0, 1e40, float("nan"), float("inf")])

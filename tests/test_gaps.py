@@ -12,7 +12,6 @@ from pmfid import Drive, Encoder, identify
 from pmfid.config.axis import Axis
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.iv import RIV
-from pmfid.estimators.ls import LS
 from pmfid.estimators.recursive import RLS
 from pmfid.pipeline.identify import identify as identify_record
 from pmfid.pipeline.identify import kind_of
@@ -93,15 +92,6 @@ def test_gaps_that_leave_nothing_are_refused_and_the_fit_goes_through(method: st
     assert np.all(np.abs(found.theta - TRUTH) < 4 * found.theta_std)
 
 
-def test_a_gap_is_two_records_for_the_filters() -> None:
-    (u, counts), (later, further) = run(1500), run(1500, 1)
-    joined = np.r_[u, np.nan, later], np.r_[counts, 0, further]
-    columns = LS(**SETTINGS).columns(*joined)
-    apart = [LS(**SETTINGS).columns(*one) for one in ((u, counts), (later, further))]
-    np.testing.assert_allclose(columns.phi, np.vstack([one.phi for one in apart]), atol=2e-3)
-    np.testing.assert_allclose(columns.z, np.concatenate([one.z for one in apart]), atol=0.02)
-
-
 @pytest.mark.parametrize(
     "method",
     long_unless(
@@ -177,15 +167,6 @@ def test_a_row_that_repeats_is_left_out(tmp_path: Path) -> None:
     np.testing.assert_array_equal(record.counts, counts)
     assert record.there is None
     assert "2 rows repeat the row before with its time and are left out" in record.notes
-
-
-def test_stamps_that_scatter_and_lines_that_are_missing(tmp_path: Path) -> None:
-    u, counts = run(3000)
-    there = kept(3000, 0.05)
-    stamps = (np.arange(3000) + np.random.default_rng(3).uniform(-0.2, 0.2, 3000)) * DT
-    record = kind_of(axis()).read([write(tmp_path / "run.csv", there, stamps, u=u, n=counts)], axis())
-    np.testing.assert_array_equal(record.there, there)
-    assert record.dt == pytest.approx(DT, rel=1e-4)
 
 
 def test_a_pause_need_not_be_whole() -> None:

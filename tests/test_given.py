@@ -104,25 +104,6 @@ def known(find_gain: bool = False, gain: float = 1.0, **facts: Mapping[str, obje
     return Known(front, find_gain=find_gain, **facts)  # type: ignore[arg-type]
 
 
-def test_a_prior_is_weighed_by_both_error_bars() -> None:
-    """The expected values are two independent measurements of one number, combined by hand."""
-    alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([0.04, 0.01, 0.01]))
-    found = known(prior={"mass": (1.3, 0.1)}).combine(alone)
-    weight = 0.04 / (0.04 + 0.01)
-    assert found["mass"] == pytest.approx(1.0 + weight * 0.3)
-    assert found.theta_std == pytest.approx([np.sqrt(1 / (1 / 0.04 + 1 / 0.01)), 0.1, 0.1])
-    assert found.theta[1:] == pytest.approx([5.0, 2.0])
-    assert not found.notes
-
-
-def test_what_goes_with_the_mass_follows_it() -> None:
-    """The other parameters move along the covariance, as if the mass had been fixed in the estimate."""
-    covariance = np.array([[0.04, 0.03, 0.0], [0.03, 0.09, 0.0], [0.0, 0.0, 0.01]])
-    found = known(given={"mass": 1.2}).combine(posterior(np.array([1.0, 5.0, 2.0]), covariance))
-    assert found.theta == pytest.approx([1.2, 5.0 + 0.03 / 0.04 * 0.2, 2.0])
-    assert found.theta_std == pytest.approx([0.0, np.sqrt(0.09 - 0.03**2 / 0.04), 0.1])
-
-
 def test_model_spread_weighs_and_is_in_no_error_bar_for_noise() -> None:
     alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([1e-6, 0.01, 0.01]))
     found = known(prior={"mass": (1.3, 0.1)}).combine(alone, np.array([0.2, 0.0, np.nan]))
@@ -131,18 +112,6 @@ def test_model_spread_weighs_and_is_in_no_error_bar_for_noise() -> None:
     assert found.model_spread[0] == pytest.approx(0.2 * 0.2, rel=1e-3)
     assert found.theta_std[0] == pytest.approx(0.8 * 0.1, rel=1e-3)
     assert np.isnan(found.model_spread[2])
-
-
-def test_a_wide_prior_changes_nothing_and_one_without_width_is_given() -> None:
-    theta, covariance = some_estimate()
-    alone = posterior(theta[:3], covariance[:3, :3])
-    wide = known(prior={"mass": (1.0, 1e6), "coulomb_friction": (0.0, 1e6)}).combine(alone)
-    assert wide.theta == pytest.approx(alone.theta, rel=1e-9)
-    assert wide.theta_cov == pytest.approx(alone.theta_cov, rel=1e-9)
-    for find_gain in (False, True):
-        narrow, given = known(find_gain, prior={"mass": (0.031, 0.0)}), known(find_gain, given={"mass": 0.031})
-        assert np.array_equal(narrow.combine(alone).theta, given.combine(alone).theta)
-        assert np.array_equal(narrow.combine(alone).theta_cov, given.combine(alone).theta_cov)
 
 
 def test_the_gain_is_as_uncertain_as_the_mass() -> None:

@@ -133,17 +133,3 @@ def test_judge_knows_what_the_encoder_explains(drive):
     counts = quantize(simulate_drive(CART, late, DT / 10).x[::10], resolution_of(1024))
     fit = estimator.fit(run.u, counts)
     assert "dead_time" in codes(verdict(estimator, run.u, counts, fit.theta, fit.theta_std, 0.01).findings)
-
-
-def test_no_coulomb_friction(drive):
-    from dataclasses import replace
-
-    from pmfid.simulation.drive import simulate_drive
-    from pmfid.simulation.scenarios import CART
-
-    for seed in range(3):
-        run = cart_run(seed, increments=1024)
-        counts = quantize(simulate_drive(replace(CART, coulomb_friction=0.0), run.u, DT).x, run.encoder.resolution)
-        fit = pmfid.IV(drive, run.encoder, DT, 100 / 3).fit(run.u, counts)
-        assert fit["mass"] == pytest.approx(1.07, rel=2e-3)
-        assert fit["coulomb_friction"] < 0.02

@@ -99,11 +99,6 @@ def test_other_endings_are_text_too(tmp_path: Path, name: str) -> None:
     same(read(tmp_path, gzip.compress(text(";", ",").encode()), "run.csv.gz"))
 
 
-def test_what_was_found_is_said(tmp_path: Path) -> None:
-    assert read(tmp_path, text()).notes == ()
-    assert read(tmp_path, text(";", ",")).notes == ("the columns are separated by semicolons, with decimal commas",)
-
-
 def test_without_a_header_columns_have_numbers(tmp_path: Path) -> None:
     (tmp_path / "run.csv").write_text(text(header=""))
     own = 'time = "column_1"\ninput = "column_2"\noutput = "column_3"'
@@ -162,12 +157,6 @@ def test_stamps_that_scatter_around_an_even_grid(tmp_path: Path, scatter: float)
     np.testing.assert_allclose(record.u, U)
     assert record.dt == pytest.approx(DT, rel=2e-3)
     assert any("around an even grid" in note for note in record.notes)
-
-
-def test_steps_that_are_uneven_by_themselves_are_resampled(tmp_path: Path) -> None:
-    steps = DT * np.random.default_rng(6).uniform(0.6, 1.4, N)
-    stamps = [f"{t:.6f}" for t in np.cumsum(steps)]
-    assert read(tmp_path, text(time=stamps)).jitter == pytest.approx(0.8 / np.sqrt(12), rel=0.1)
 
 
 @pytest.mark.parametrize("scatter", [0.0, 0.2, 0.35])

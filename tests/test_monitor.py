@@ -22,7 +22,6 @@ from studies.monitoring.false_alarms import count_alarms, poisson_interval
 from tests.refusals import refused
 
 THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
-NAMES = ("mass", "viscous_friction", "coulomb_friction")
 INCREMENTS = 1024
 
 
@@ -144,13 +143,6 @@ def test_a_noisy_record_raises_the_scale(calibration: Calibration) -> None:
     assert np.all(noise_ratio(calibration.scale, scores(front(), THETA, u, rough)) > 2)
 
 
-def test_calibration_is_reproducible() -> None:
-    u, counts = normal_work(7, INCREMENTS, 0.2)
-    one, again, other = (calibrate(make_riv(INCREMENTS), THETA, u, counts, hours=0.5, seed=k) for k in (0, 0, 1))
-    assert again.tail == one.tail
-    assert other.tail != one.tail
-
-
 # --- opening the memory -----------------------------------------------------------------------------------------------
 
 
@@ -187,16 +179,6 @@ def test_opening_one_parameter_leaves_the_others() -> None:
     assert after[0, 0] < 0.05 * before[0, 0]
     schur = [R[1:, 1:] - np.outer(R[1:, 0], R[0, 1:]) / R[0, 0] for R in (before, after)]
     assert schur[1] == pytest.approx(schur[0], rel=0.1)
-
-
-def test_opening_by_nothing_changes_nothing() -> None:
-    u, counts = normal_work(4, INCREMENTS, 0.01)
-    estimator = make_riv(INCREMENTS, THETA)
-    whole = estimator.run(u, counts).theta
-    estimator.reset()
-    estimator.run(u[:900], counts[:900])
-    estimator.open_memory(1.0)
-    assert np.array_equal(estimator.run(u[900:], counts[900:]).theta, whole[900:])
 
 
 def test_what_cannot_be_opened_is_said() -> None:

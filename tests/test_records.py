@@ -152,6 +152,25 @@ def test_what_is_no_file_of_a_known_type(tmp_path: Path) -> None:
     assert "must contain one log, but this one contains none" in message(tmp_path / "folder.csv")
 
 
+#: Columns and keys of the axis, and what a note says of the record.
+NOTED: list[tuple[dict[str, Any], dict[str, object], str]] = [
+    ({"counts": np.arange(20) * 6 % 16}, COUNTS | {"encoder_bits": 4}, "largest step is 38% of the counter's range"),
+    (
+        {"counts": np.arange(2**32 - 10, 2**32 + 10) % 2**32},
+        COUNTS | {"encoder_bits": 32},
+        "wrapped 1 time (undone)",
+    ),
+    ({}, {"encoder_bits": 8}, "bits is ignored, because the output is a position"),
+    ({"t": edited(T, 9, 0.0805)}, {}, "time steps vary by up to 5.0% of their median"),
+    ({"t": edited(T, 7, 0.05)}, {}, "after another row: left out"),
+]
+
+
+@pytest.mark.parametrize(("replaced", "changes", "note"), NOTED)
+def test_what_is_odd_is_noted(tmp_path: Path, replaced: dict[str, Any], changes: dict[str, object], note: str) -> None:
+    assert note in "; ".join(read_record(csv(tmp_path, **replaced), make_axis(**changes)).notes)
+
+
 #: Columns and keys of the axis with which the record is that of `columns`.
 SAME: list[tuple[dict[str, Any], dict[str, object]]] = [
     ({}, COUNTS),
@@ -225,12 +244,6 @@ def test_counts_that_the_log_rounds_keep_their_steps(tmp_path: Path, phase: floa
     assert set(np.diff(read_record(path, make_axis(encoder_resolution=360 / 4096)).counts)) == {1}
 
 
-def test_position_between_counts_is_floored(tmp_path: Path) -> None:
-    y = np.linspace(-0.0105, 0.0095, 21)
-    path = write(tmp_path / "run.parquet", {"t": np.arange(21) * DT, "u": y, "y": y})
-    np.testing.assert_array_equal(read_record(path, make_axis()).counts, np.arange(-11, 10))
-
-
 def test_quantize_floors_the_position_to_the_coarser_step(tmp_path: Path) -> None:
     record = read_record(csv(tmp_path), make_axis(), Coarser(4e-3))
     np.testing.assert_array_equal(record.counts, columns()["counts"] // 4)
@@ -256,24 +269,6 @@ def test_wrapped_counter_is_unwrapped(tmp_path: Path, signed: bool) -> None:
     wraps = np.count_nonzero(np.abs(np.diff(raw)) > 128)
     assert wraps > 1
     assert record.notes == (f"counter wrapped {wraps} times (undone)",)
-
-
-def test_counter_of_32_bits_and_one_wrap(tmp_path: Path) -> None:
-    true = np.arange(2**32 - 10, 2**32 + 10)
-    record = read_record(csv(tmp_path, counts=true % 2**32), make_axis(**COUNTS, encoder_bits=32))
-    np.testing.assert_array_equal(record.counts, true)
-    assert record.notes == ("counter wrapped 1 time (undone)",)
-
-
-def test_an_ambiguous_wrap_is_noted(tmp_path: Path) -> None:
-    record = read_record(csv(tmp_path, counts=np.arange(20) * 6 % 16), make_axis(**COUNTS, encoder_bits=4))
-    assert any("largest step is 38% of the counter's range" in note for note in record.notes)
-
-
-def test_bits_without_counts_is_noted(tmp_path: Path) -> None:
-    assert read_record(csv(tmp_path), make_axis(encoder_bits=8)).notes == (
-        "bits is ignored, because the output is a position",
-    )
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
@@ -441,30 +436,6 @@ def test_empty_cells_are_missing_values(tmp_path: Path, empty: str) -> None:
     assert np.flatnonzero(~there).tolist() == [3]
 
 
-def test_a_row_with_the_stamp_of_the_row_before_is_left_out(tmp_path: Path) -> None:
-    record = read_record(csv(tmp_path, t=edited(columns()["t"], 7, 0.05)), make_axis())
-    assert record.there is not None
-    assert np.flatnonzero(~record.there).tolist() == [6]
-    assert any("after another row: left out" in note for note in record.notes)
-
-
-def test_time_gaps(tmp_path: Path) -> None:
-    t = columns()["t"]
-    t[8:] += DT
-    t[15:] += DT
-    record = read_record(csv(tmp_path, t=t), make_axis())
-    assert record.there is not None
-    assert np.flatnonzero(~record.there).tolist() == [8, 16]
-    assert record.dt == pytest.approx(DT, rel=1e-9)
-
-
-def test_small_jitter_is_accepted_and_noted(tmp_path: Path) -> None:
-    t = columns()["t"]
-    record = read_record(csv(tmp_path, t=edited(t, 9, t[8] + 0.05 * DT)), make_axis())
-    assert record.dt == pytest.approx(DT, rel=1e-12)
-    assert record.notes == ("time steps vary by up to 5.0% of their median",)
-
-
 def test_dt_without_a_time_column(tmp_path: Path) -> None:
     assert read_record(csv(tmp_path), make_axis(record_time=None, record_dt=0.02)).dt == 0.02
 
@@ -474,12 +445,6 @@ def test_input_scale_variable(tmp_path: Path) -> None:
     record = read_record(path, make_axis(record_input_scale="gain"))
     np.testing.assert_array_equal(record.u, 3.5 * columns()["u"])
     assert record.notes == ("input scaled by gain = 3.5",)
-
-
-def test_the_cart_example_reads_its_columns(tmp_path: Path) -> None:
-    record = read_record(csv(tmp_path), load_axis(EXAMPLES / "cart.toml"))
-    np.testing.assert_array_equal(record.counts, columns()["counts"])
-    assert record.resolution == 22.75e-6
 
 
 @pytest.mark.skipif(not EMPS.exists(), reason=f"the EMPS record is not here: {EMPS.name} is not distributed")

@@ -26,7 +26,6 @@ from pmfid.report.figures import (
     save_png,
     signals_figure,
     status_figure,
-    stretches,
 )
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.result import write_result
@@ -108,17 +107,6 @@ def test_decimation_keeps_the_extremes_and_the_ends(n: int) -> None:
     assert (np.diff(i) > 0).all()
     assert (i[0], i[-1]) == (0, n - 1)
     assert (y[i].min(), y[i].max()) == (y.min(), y.max())
-
-
-def test_stretches() -> None:
-    t = np.arange(6) * 0.5
-    assert stretches(t, np.array([1, 1, 0, 0, 1, 0], bool)) == [(0.0, 1.0), (2.0, 0.5)]
-    assert stretches(t, np.array([0, 0, 0, 0, 0, 1], bool)) == [(2.5, 0.5)]
-    assert stretches(t, np.zeros(6, bool)) == []
-    alternating = np.arange(100_000) % 200 < 100
-    spans = stretches(np.arange(100_000) * 1.0, alternating)
-    assert len(spans) <= TUNING.max_points / 2
-    assert spans[1][0] == pytest.approx(200, abs=50)
 
 
 def test_a_long_record_stays_small() -> None:

@@ -11,7 +11,7 @@ import pytest
 from pmfid.config.axis import load_axis
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.result import DriveResult
-from pmfid.records.clock import period_error, slope_below
+from pmfid.records.clock import slope_below
 from pmfid.records.resampling import resample_uneven
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.types import Counts, Floats
@@ -112,17 +112,6 @@ def test_stamps_of_arrival_give_what_even_stamps_give(tmp_path: Path, delay: flo
     even, late = (identified(tmp_path, *run("even", by), method) for by in (0.0, delay))
     np.testing.assert_allclose(late.theta, even.theta, rtol=2e-3)
     assert "uneven_clock" not in late.status
-
-
-@pytest.mark.parametrize("delay", [0.3, 3.0])
-def test_the_error_of_a_period_is_that_of_the_line_through_the_stamps(delay: float) -> None:
-    """Stamps in the order of their arrival are late together, and scatter less from each other than from the grid."""
-    errors, bars, k = [], [], np.arange(2000.0)
-    for seed in range(200):
-        stamps = np.sort(k + delay * np.abs(np.random.default_rng([seed, 41]).standard_normal(k.size)))
-        errors.append(np.polyfit(k, stamps, 1)[0] - 1)
-        bars.append(period_error(stamps, k))
-    assert np.median(bars) == pytest.approx(np.std(errors), rel=0.2)
 
 
 def test_the_intervals_contain_the_error_of_the_period(tmp_path: Path) -> None:

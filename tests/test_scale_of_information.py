@@ -65,23 +65,3 @@ def test_rest_and_a_constant_speed_after_a_large_motion_are_harmless(cls, drive)
         assert track.has_status(Status.POOR_EXCITATION)[end]
         np.testing.assert_allclose(track["mass"][end], CART.mass, rtol=0.03)
     np.testing.assert_allclose(track["mass"][-1], CART.mass, rtol=0.01)
-
-
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("cls", RECURSIVE)
-@pytest.mark.long
-def test_an_hour_of_standstill_is_harmless(cls, precision, drive):
-    """Standstill keeps the earlier estimate, and one memory later the estimate equals the original."""
-    head, still = 2000, 360_000
-    wave = prbs(2 * head, clock=10, amplitude=6.0, rng=np.random.default_rng(6))
-    u = np.r_[wave[:head], np.zeros(still), wave[head:]]
-    counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
-    options = {"forgetting": 0.998, "precision": precision}
-    track = cls(drive, pmfid.Encoder(CART_RESOLUTION), CART_DT, 50.0, **options).run(u, counts)
-    before, rested = track.theta[head - 1], slice(head + 200, head + still)
-    deviation = np.abs(track.theta[rested] / before - 1)
-    assert np.max(deviation[:, 0]) < 0.01
-    assert np.max(deviation) < 0.05
-    assert track.has_status(Status.STANDSTILL)[head + still - 1]
-    np.testing.assert_allclose(track["mass"][-1], CART.mass, rtol=0.03)
-    assert track.status[-1] == 0

@@ -141,13 +141,6 @@ def test_columns_are_those_of_the_oracle(n, m, delay, extra):
 # --- estimates --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("name", "worst"), [("lag", 1.5e-4), ("undershoot", 0.0043), ("rao_garnier", 3e-4)])
-def test_without_noise_little_but_the_bias_of_the_matched_filter_is_left(name, worst):
-    plant = PLANTS[name]
-    error = np.abs(estimate(LS, plant, make_record(plant, 1)) / plant.truth - 1)
-    assert np.max(error) < worst
-
-
 @pytest.mark.parametrize(("name", "least"), [("lag", 3.8), ("undershoot", 1.9)])
 def test_order_of_convergence_of_the_matched_filter(name, least):
     """The order in dt is four from relative degree 2 on, and two for relative degree 1."""
