@@ -23,10 +23,6 @@ from tests.hostile import records
 REPOSITORY = Path(__file__).parents[1]
 
 
-def bcrls() -> pmfid.BCRLS:
-    return pmfid.BCRLS(pmfid.Drive(2.0), pmfid.Encoder(1e-4), 0.01, 30.0, forgetting=0.99)
-
-
 # --- a key of [model] -------------------------------------------------------------------------------------------------
 
 

@@ -14,7 +14,6 @@ from pmfid.testing import checks_of
 from tests.test_transfer_function import UNDERSHOOT, build, make_record
 
 METHODS = [ESTIMATORS[name] for name in methods_for(UNDERSHOOT.model)]
-BATCH = [cls for cls in METHODS if issubclass(cls, BatchEstimator)]
 RECURSIVE = [cls for cls in METHODS if issubclass(cls, RecursiveEstimator)]
 NAMES = ("a0", "a1", "b0", "b1")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pmfid.design.appraisal import accumulate_value, appraise, worth_of
-from pmfid.design.encoder_error import start_free
+from pmfid.design.encoder_error import encoder_covariance, start_free
 from pmfid.design.fisher import affine, criterion_of, information
 from pmfid.design.problem import Design
 from pmfid.design.simulated import both_ways, simulate, simulated_information
@@ -119,3 +119,10 @@ def test_a_robust_design_says_what_that_costs_and_is_judged_over_its_scenarios()
     assert found.worths["design"].value == pytest.approx(found.design.value)
     assert found.gain["trapezoid"] > 1.2
     assert appraise(solve(case("m"), "trace", starts=2)).price is None
+
+
+def test_without_an_encoder_there_is_no_encoder_error() -> None:
+    noisy = replace(CASE, resolution=None, noise_variance=1e-10)
+    u = standard_inputs(noisy, names=("trapezoid",))["trapezoid"].u
+    assert encoder_covariance(noisy, u) is None
+    assert set(worth_of(setting(noisy, "D"), u).std_encoder.values()) == {np.inf}

@@ -100,6 +100,7 @@ def test_bounds_are_proved_and_hold() -> None:
     bound = upper_bound(case(1, 20), rule, _slow(20), gap=0.0, seconds=1.0)
     assert bound is not None
     assert bound >= found.value
+    assert solve(case(2, 12), "ME", starts=2, certify=1.0).bound is None, "roundness is not concave"
 
 
 def _slow(intervals: int) -> np.ndarray:

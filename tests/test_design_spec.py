@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.pipeline.designs import Spec, load_spec, make_problem, run_appraisal, run_design
+from pmfid.models.drive import Drive
+from pmfid.pipeline.designs import Spec, load_spec, make_problem, read_run, run_appraisal, run_design
 from studies.design_case import case
 from tests.refusals import refused
 
@@ -114,3 +116,12 @@ def test_what_is_wrong_is_one_line(overrides: dict[str, object], said: str) -> N
         make_problem(spec(**overrides))
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_what_a_design_does_not_do_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "spec.toml"
+    path.write_text(EXAMPLE.read_text().replace("resolution = 22.75e-6", "noise_std = 1e-5"))
+    refused(
+        ("resolution", lambda: read_run(load_spec(path), tmp_path / "run.csv")),
+        ("spring", lambda: replace(case("m"), drive=Drive(2.0, spring=True))),
+    )

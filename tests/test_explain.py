@@ -92,6 +92,8 @@ def test_a_key_is_found_however_it_is_written(word: str) -> None:
 def test_the_command_says_it_in_the_terminal() -> None:
     text = said("record.time_unit")
     assert text.startswith("[record] time_unit: the unit of the time column")
+    both = said("resolution", "model.offset")
+    assert both.index("[encoder] resolution") < both.index("[model] offset")
     assert 'type: "s" or "ms"' in text
     assert "move the axis more, or use a longer memory" in said("poor_excitation")
     assert said("encoder").count("\n") == len([name for name in KEYS if name.startswith("encoder.")])

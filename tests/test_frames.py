@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
+from scipy.signal import lfilter
 
 import pmfid
 from pmfid.config.axis import load_axis
@@ -162,3 +163,12 @@ def test_what_is_wrong_names_what_is_right(axis: Path) -> None:
     assert pmfid.Encoder("4096 counts/rev", max_speed="3000 rpm") == pmfid.Encoder(
         2 * np.pi / 4096, max_speed=100 * np.pi
     )
+
+
+def test_a_frame_of_a_process() -> None:
+    u = np.repeat(np.random.default_rng(2).normal(size=60), 5)
+    y = lfilter([0.0, 2 * (1 - np.exp(-0.1))], [1.0, -np.exp(-0.1)], u)
+    axis = {"record": {"input": "u", "output": "y", "dt": 0.1}, "estimator": {"cutoff": 2.0}}
+    axis |= {"model": {"kind": "transfer_function", "n": 1, "m": 0}}
+    result = pmfid.identify(pl.DataFrame({"u": u, "y": y}), axis=axis)  # type: ignore[arg-type]
+    assert (result["a0"], result["b0"]) == pytest.approx((1.0, 2.0), abs=0.02)

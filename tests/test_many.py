@@ -287,6 +287,10 @@ def test_states_are_saved_and_single_axes_taken_out():
             wrong.set_state(fleet.get_state())
 
 
+def test_a_fleet_says_what_it_is():
+    assert repr(pmfid.Fleet(make(pmfid.BCRLS), 3, workers=1)).endswith("3, workers=1)")
+
+
 def test_no_samples_give_no_estimates():
     tracks = make(pmfid.BCRLS).run_many(np.zeros((3, 0)), np.zeros((3, 0), int), every=2)
     assert tracks.theta.shape == (3, 0, 3)

@@ -29,12 +29,6 @@ def axis_of(method: str = "auto", resolution: float = 0.01, **more: dict[str, ob
     return Axis.model_validate({name: section | more.get(name, {}) for name, section in sections.items()})
 
 
-def coarse_cart() -> Record:
-    """Return a record of the cart with one count per centimetre."""
-    run = make_scenario("prbs", seed=1, duration=20.0)
-    return Record(run.motion.u, quantize(run.motion.x, 0.01), 0.01, 0.01, (), "cart")
-
-
 def test_equations_without_one_solution_are_refused() -> None:
     for matrix in (np.zeros((2, 2)), np.ones((2, 2)), np.full((2, 2), np.nan), 1e-320 * np.eye(2)):
         with pytest.raises(NotIdentifiableError, match="no unique solution"):

@@ -8,10 +8,11 @@ import numpy as np
 import polars as pl
 import pytest
 
-from pmfid.config.axis import load_axis
+from pmfid.config.axis import Axis, load_axis
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.result import DriveResult
 from pmfid.records.clock import slope_below
+from pmfid.records.record import record_of
 from pmfid.records.resampling import resample_uneven
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.types import Counts, Floats
@@ -232,3 +233,15 @@ def test_samples_that_arrive_at_once_are_samples_of_an_even_clock() -> None:
     twice = resample_uneven(stamps, u, y)
     assert twice is not None
     assert twice.u.size == n - 1
+
+
+def test_a_scattered_stamp_soon_after_another_is_no_row_too_many() -> None:
+    rng, n = np.random.default_rng(9), 1500
+    stamps = np.arange(n) + 0.1 * np.abs(rng.standard_normal(n))
+    stamps[700:702] = 700.75, 701.0
+    columns = {"t": 0.01 * stamps, "u": rng.standard_normal(n), "n": np.arange(n) // 400}
+    record = {"input": "u", "output": "n", "output_kind": "counts", "time": "t"}
+    axis = Axis.model_validate({"record": record, "encoder": {"resolution": 1e-3}, "model": {"input_gain": 1.0}})
+    found = record_of(columns, axis)
+    assert np.count_nonzero(np.isfinite(found.u)) == n
+    assert found.dt == pytest.approx(0.01, rel=1e-5)

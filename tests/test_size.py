@@ -22,8 +22,8 @@ MOST = {
     "lines of code in report and cli": 3750,
     "thresholds in src": 1110,
     "lines of csrc": 9296,
-    "lines of tests": 42500,
-    "match= in tests": 263,
+    "lines of tests": 40889,
+    "match= in tests": 138,
     "lines of studies": 10550,
 }
 

@@ -155,6 +155,13 @@ def test_order_of_convergence_of_the_matched_filter(name, least):
 
 
 @pytest.mark.parametrize("name", PLANTS)
+def test_the_discretisation_of_the_paper_is_there_too(name):
+    plant = PLANTS[name]
+    error = np.abs(estimate(LS, plant, make_record(plant, 1), discretization="paper") / plant.truth - 1)
+    assert 1e-4 < np.max(error) < 0.2
+
+
+@pytest.mark.parametrize("name", PLANTS)
 def test_recursive_estimates_without_forgetting_are_the_batch_ones(name):
     plant = PLANTS[name]
     run = make_record(plant, 2, snr=10.0)
