@@ -6,7 +6,6 @@ import sys
 from collections.abc import Sequence
 
 from studies import (
-    discretizations,
     process_confidence,
     processes,
     published,
@@ -17,12 +16,11 @@ from studies.sections import Page, by_name
 STUDIES = by_name(
     processes.STUDY,
     published.STUDY,
-    discretizations.STUDY,
     real_processes.STUDY,
     process_confidence.STUDY,
 )
 SEEDS = 100
-PARTS = {"discretizations": 0.05, "process-confidence": 0.1}
+PARTS = {"process-confidence": 0.1}
 INTRODUCTION = """\
 Transfer functions from input and output alone, no parameter known. The records are simulated exactly for a held input
 and start at rest; the methods do not know that. Each table states how many runs it has."""

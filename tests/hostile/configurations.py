@@ -46,7 +46,7 @@ def _estimator(rng: Rng, facts: Columns, methods: tuple[str, ...]) -> Columns:
         "cutoff": facts["cutoff"] * float(rng.choice([1.0, 0.2, 3.0, 0.01, 100.0], p=[0.7, 0.15, 0.1, 0.03, 0.02])),
         **some(rng, 0.85, method=list(methods)),
         **some(rng, 0.2, order=[2, 3, 6], forgetting=[0.99, 0.5, 1.0, 1e-3, 0.999999]),
-        **some(rng, 0.15, precision=["float32", "float64"], discretization=["matched", "paper", "exact"]),
+        **some(rng, 0.15, precision=["float32", "float64"], discretization=["matched", "paper"]),
         **some(rng, 0.05, prefilter_zeros=[[-3.0, -1.0], [-1e-6, -1e6], [-5.0, -4.0]]),
     }
 

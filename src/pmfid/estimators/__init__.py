@@ -14,7 +14,7 @@ Method = Literal[
     "bcrls",
     "riv",
 ]
-Discretization = Literal["matched", "paper", "exact"]
+Discretization = Literal["matched", "paper"]
 Precision = Literal["float64", "float32"]
 METHODS: tuple[Method, ...] = get_args(Method)
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)

@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
 #: Number of time constants after which the filters' start has decayed to less than 1 %, for each order.
 SETTLE_TIME_CONSTANTS = {2: 7.0, 3: 9.0, 4: 11.0, 5: 12.5, 6: 14.0}
-#: Name of the discretisation that is refined with the estimate in every iteration.
-EXACT = "exact"
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ class Estimator:
     dt: sample period [s].
     cutoff: pole of the Poisson chain [rad/s], 0 < cutoff <= 2/dt. Its inverse is the time constant of the filters.
     order: number of stages, >= 2 for a drive. The default 2 means n for a transfer function of a higher order n.
-    discretization: "matched", "paper", or "exact" for `LS` and `BCLS`.
+    discretization: "matched" or "paper".
     prefilter_zeros: one negative zero [rad/s] per noisy column, or None for the method's default.
     precision: "float64" or "float32".
     steps: time [s] between each sample of the record and the preceding one (n,), if the clock is uneven. On-line,
@@ -78,8 +76,6 @@ class Estimator:
     #: The method simulates the motion, from which it takes friction that depends on the speed.
     knows_shapes: ClassVar[bool] = False
     knows_elastic: ClassVar[bool] = False
-    #: Discretisations of the held signals that the method accepts.
-    discretizations: ClassVar[tuple[str, ...]] = tuple(sorted(HOLD_FILTERS))
 
     def __init_subclass__(cls, **further: object) -> None:
         super().__init_subclass__(**further)
@@ -112,7 +108,7 @@ class Estimator:
             )
         if self.order < self.equation.order:
             raise UsageError(f"order must be at least {self.equation.order}, got {self.order}")
-        check_choice(f"discretization of {self.method}", self.discretization, self.discretizations)
+        check_choice(f"discretization of {self.method}", self.discretization, sorted(HOLD_FILTERS))
         check_choice("precision", self.precision, PRECISIONS)
         self._check_zeros()
 
@@ -264,9 +260,7 @@ class Estimator:
 
     @property
     def spec(self) -> FilterSpec:
-        # the exact discretisation starts from the matched one
-        first = "matched" if self.discretization == EXACT else self.discretization
-        return FilterSpec(self.cutoff, self.order, self.dt, first, self.zeros, self.steps is not None)
+        return FilterSpec(self.cutoff, self.order, self.dt, self.discretization, self.zeros, self.steps is not None)
 
     @cached_property
     def _columns(self) -> tuple[Network, list[Taps]]:

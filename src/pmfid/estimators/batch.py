@@ -218,9 +218,6 @@ class BatchEstimator(Estimator):
         y = np.asarray(y, np.float64)
         if not np.all(np.isfinite(y)) or y.ndim != 1:
             raise UsageError(f"y must be a finite array (n,), got shape {y.shape}; see Experiment for missing samples")
-        return self._fit_output(u, y)
-
-    def _fit_output(self, u: ArrayLike, y: NDArray[np.float64]) -> Fit:
         encoder, counts = fine_counts(y)
         return replace(self, encoder=encoder).fit(u, counts)
 

@@ -45,10 +45,6 @@ class PlantDefaults(ABC):
         """Return zeros [rad/s] for an estimator that is made before a record exists."""
 
     @abstractmethod
-    def another_guess(self, equation: Equation, cutoff: float) -> Floats | None:
-        """Return a start value theta (p,) for records on which least squares fail, or None if the plant has none."""
-
-    @abstractmethod
     def made_up_counts(self, equation: Equation, u: Floats, dt: float, cutoff: float, resolution: float) -> Counts:
         """Return the counts (n,) of an example plant for an input u (n,) up to 1. The plant suits dt, cutoff and
         resolution."""
@@ -76,9 +72,6 @@ class MachineDefaults(PlantDefaults):
 
     def zeros_without_record(self, cutoff: float, memory: float, needed: int) -> tuple[float, ...]:
         return self.default_zeros(cutoff, memory, needed)
-
-    def another_guess(self, equation: Equation, cutoff: float) -> None:
-        return None
 
     def made_up_counts(self, equation: Equation, u: Floats, dt: float, cutoff: float, resolution: float) -> Counts:
         from pmfid._kernel64 import simulate
@@ -119,12 +112,6 @@ class LinearProcess(PlantDefaults):
 
     def zeros_without_record(self, cutoff: float, memory: float, needed: int) -> tuple[float, ...]:
         return self.candidate_zeros(cutoff, memory, needed)[0]
-
-    def another_guess(self, equation: Equation, cutoff: float) -> Floats:
-        """Return the parameters of a process with all poles at the cutoff and no input."""
-        A = np.poly(np.full(equation.order, -cutoff))[::-1]
-        outputs = [term.signal == "process_output" for term in equation.unknown]
-        return np.array([A[t.derivative] if own else 0.0 for t, own in zip(equation.unknown, outputs, strict=True)])
 
     def made_up_counts(self, equation: Equation, u: Floats, dt: float, cutoff: float, resolution: float) -> Counts:
         """Return the counts of a chain of lags, up to some hundred."""

@@ -88,13 +88,6 @@ class EstimatorTuning:
     #: Samples of a record over which the parameters' correlation counts as constant.
     known_piece: int = 200
 
-    # ls
-    ls_passes: int = 12
-    #: Relative change of every parameter at which the passes end.
-    ls_settled: float = 1e-12
-    #: Relative change from which the passes count as converged if rounding or noise prevents ls_settled.
-    ls_close: float = 1e-6
-
     #: A fit is invalid if a larger part of the motion stays unexplained.
     worst_fit: float = 0.5
     #: Least mass, as a part of the start's mass. Without mass the motion has no equation.

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid._stage import first_order
 from pmfid.linear.experiment import Grid, RecordStretch, product, respond, transition
 from pmfid.linear.tuning import TUNING
 from pmfid.types import Floats
@@ -299,81 +298,3 @@ def stable(a: Floats, duration: float) -> Floats:
         return a
     mirrored = np.where(bad, -poles.real, poles.real) + 1j * poles.imag
     return np.asarray(np.poly(mirrored).real[:0:-1])
-
-
-@dataclass(frozen=True)
-class Filter:
-    """The filter F = (cutoff / (s + cutoff))^order by the trapezoidal rule with the sample period dt [s]."""
-
-    cutoff: float
-    order: int
-    dt: float
-
-    def output(self, signal: Floats, k: int) -> Floats:
-        """Return F_T s_T^k of a sampled signal (N,) from rest, where k <= order."""
-        for stage in range(self.order):
-            signal = self.stage(signal, self.cutoff, differentiating=stage < k)
-        return signal
-
-    def stage(self, signal: Floats, cutoff: float, *, differentiating: bool) -> Floats:
-        """Return the signal after cutoff / (s + cutoff), or after s times this filter."""
-        high = 2 / self.dt
-        gain, pole = cutoff / (high + cutoff), (high - cutoff) / (high + cutoff)
-        top = (gain * high, -gain * high) if differentiating else (gain, gain)
-        return first_order(signal, pole, *top)[0]
-
-    def equation(self, signal: Floats, A: Floats) -> Floats:
-        """Return F_T A(s_T) of a sampled signal (N,) with A (n+1,), starting with the constant."""
-        return np.asarray(sum(A[k] * self.output(signal, k) for k in range(A.size)))
-
-
-@dataclass(frozen=True)
-class ExactTerm:
-    """A term of an equation: coefficient of s^power times the held signal `source`.
-
-    `column` is the column of an unknown coefficient, or None for a known coefficient.
-    """
-
-    source: int
-    power: int
-    coefficient: float
-    column: int | None
-
-
-@dataclass(frozen=True)
-class Responses:
-    """Responses of an equation to its held signals.
-
-    `responses` (terms, N) holds s^j / A of each term's signal without its coefficient. `simulated` (N,) is the output.
-    `slopes` (n+1, N) holds s^k / A of the simulated output.
-    """
-
-    responses: Floats
-    simulated: Floats
-    slopes: Floats
-
-
-def respond_exactly(A: Floats, terms: list[ExactTerm], signals: Floats, dt: float) -> Responses:
-    """Return the responses from rest for A (n+1,), starting with the constant, and held signals (s, N).
-
-    The powers of all terms are below n.
-    """
-    n, size = A.size - 1, signals.shape[1]
-    poles = np.roots(A[::-1])
-    rate = max(float(np.max(np.abs(poles))), 1e-3 / dt)
-    a = A[:-1] / A[-1] / rate ** (n - np.arange(n))
-    rows = np.arange(size)
-    stretch = RecordStretch(Grid(rate * dt, size), signals, np.zeros(size), rows, rows, held=True)
-    found = channels(Structure(n, 0), np.r_[a, 0.0], stretch, twice=True)
-    single, double = found.single, found.double
-
-    def size_of(power: int, divisions: int) -> float:
-        return float(rate ** (power - divisions * n) / A[-1] ** divisions)
-
-    responses = np.array([single[term.power, term.source] * size_of(term.power, 1) for term in terms])
-    weights = np.array([term.coefficient for term in terms])
-    slopes = [
-        sum(term.coefficient * double[term.power + k, term.source] * size_of(term.power + k, 2) for term in terms)
-        for k in range(n + 1)
-    ]
-    return Responses(responses, weights @ responses, np.array(slopes))
