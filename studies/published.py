@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from pmfid.encoder import fine_counts
-from pmfid.estimators.iv import IV
 from pmfid.estimators.ls import BCLS, LS
 from pmfid.estimators.srivc import SRIVC
 from pmfid.models.transfer_function import TransferFunction
@@ -46,7 +45,7 @@ def work(case: str, seed: int) -> dict[str, Floats]:
     encoder, counts = fine_counts(y)
     model = TransferFunction(2, 1)
     found = {}
-    for cls in (LS, BCLS, IV, SRIVC):
+    for cls in (LS, BCLS, SRIVC):
         options: dict[str, Any] = {"prefilter_zeros": PLANT.zeros} if cls is BCLS else {}
         found[cls.method] = cls(model, encoder, PLANT.dt, PLANT.cutoff, **options).fit(u, counts).theta
     return found

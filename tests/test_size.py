@@ -17,14 +17,14 @@ NO_CODE = {
 }
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 69750,
-    "lines of code in src": 41200,
+    "lines of src": 69000,
+    "lines of code in src": 40700,
     "lines of code in report and cli": 3750,
-    "thresholds in src": 1110,
+    "thresholds in src": 1105,
     "lines of csrc": 9296,
     "lines of tests": 40889,
     "match= in tests": 138,
-    "lines of studies": 10550,
+    "lines of studies": 10450,
 }
 
 
