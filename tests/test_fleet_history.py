@@ -161,7 +161,7 @@ def test_the_size_of_chunks_leaves_the_bytes(
     log: pl.DataFrame, config: Path, plain: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     set_tuning(monkeypatch, "pmfid.fleet.engine", plan_rows=50_000, plan_least=50_000)
-    set_tuning(monkeypatch, "pmfid.fleet.segments", segments_batch=20_000)
+    set_tuning(monkeypatch, "pmfid.fleet.evaluate", segments_batch=20_000)
     shuffled = log.sample(fraction=1.0, shuffle=True, seed=2)
     assert fleet.estimate(shuffled, axis=config, by="machine", period="1min").periods.equals(plain.periods)
 

@@ -174,6 +174,11 @@ def test_alarms_that_a_sink_does_not_have_yet_survive(prepared: Prepared) -> Non
     assert read_snapshot(b"".join(snapshot(engine))).unwritten == {}
 
 
+def wait_for_writer(keeper: Checkpoints) -> None:
+    if keeper._job is not None:
+        keeper._job.result(PATIENCE)
+
+
 def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(prepared: Prepared, tmp_path: Path) -> None:
     counters, reported, done = Counters(), Report(), list[int]()
     keeper = Checkpoints(Vault(tmp_path), 0.0, counters, reported.append)
@@ -184,8 +189,7 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(prepared: Prepared,
         engine.process([Delivery("source", [block(10 * k)], lambda: done.append(k))])
         engine.urgent = True
         keeper.offer(engine)
-        with keeper._changed:
-            assert keeper._changed.wait_for(lambda: keeper._job is None, PATIENCE)
+        wait_for_writer(keeper)
 
     checkpoint(0)
     with full_at(8192):
@@ -226,8 +230,7 @@ def test_a_large_state_is_not_written_all_the_time(
         now[0] += 0.5
         engine.changes += 1
         keeper.offer(engine)
-        with keeper._changed:
-            assert keeper._changed.wait_for(lambda: keeper._job is None, PATIENCE)
+        wait_for_writer(keeper)
         if k == 50:
             engine.urgent = True
     keeper.offer(engine, last=True)
@@ -259,8 +262,7 @@ def test_an_alarm_that_a_sink_got_is_in_no_checkpoint_for_long_though_nothing_el
     engine.urgent = True
     for _ in range(3):
         keeper.offer(engine)
-        with keeper._changed:
-            assert keeper._changed.wait_for(lambda: keeper._job is None, PATIENCE)
+        wait_for_writer(keeper)
         waiting.clear()
     assert keeper.vault.sequence == 2, "one with the alarm, one without, and no more"
     keeper.offer(engine, last=True)
@@ -274,8 +276,7 @@ def test_the_last_checkpoint_has_the_last_state(prepared: Prepared, tmp_path: Pa
         engine.process([Delivery("source", [block(10 * k)], lambda k=k: done.append(k))])
         engine.urgent = True
         keeper.offer(engine)
-        with keeper._changed:
-            assert keeper._changed.wait_for(lambda: keeper._job is None, PATIENCE)
+        wait_for_writer(keeper)
         assert done == list(range(k + 1))
     keeper.offer(engine, last=True)
     (saved,) = read_snapshot(b"".join(snapshot(engine))).groups

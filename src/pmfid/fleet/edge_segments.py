@@ -2,58 +2,24 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
-import polars as pl
+from numpy.typing import NDArray
 
 from pmfid._stage import bars
-from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.errors import UsageError
 from pmfid.estimators.redge import REdge
-from pmfid.fleet.plan import RowProblem
-from pmfid.fleet.segments import RecordPiece, Segments, empty, evidence_gaps
+from pmfid.fleet.segments import RecordPiece, Stretch, evidence_gaps
 from pmfid.fleet.settings import Settings, record_at
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import column
-from pmfid.records.record import Record
 from pmfid.status import Status
-from pmfid.types import Counts, Floats
+from pmfid.types import Floats
 
 
-@dataclass(frozen=True)
-class EdgeStretch:
-    """Samples u, counts and ages (n,) of one segment of an axis without a missing row. `start` is its time [s]."""
-
-    axis: str
-    start: float
-    u: Floats
-    counts: Counts
-    ages: Floats
-
-
-def solve_edges(pieces: Iterable[RecordPiece], settings: Settings) -> Segments:
-    """Return the segments of pieces, each estimated on its own. A piece that is no record is a problem of its axis."""
-    problems = list[RowProblem]()
-    groups: dict[tuple[float, float, int], list[EdgeStretch]] = defaultdict(list)
-    for piece in pieces:
-        for whole in _split_at_missing_rows(piece, settings):
-            try:
-                record = record_at(whole.table, settings.axis)
-                for stretch in _cut(whole, record, settings):
-                    groups[record.dt, record.resolution, stretch.u.size].append(stretch)
-            except (UsageError, NotIdentifiableError) as error:
-                problems.append(RowProblem(piece.axis, "", "no_record", " ".join(str(error).split()), whole.start))
-    frames = [empty(settings)]
-    for (dt, resolution, size), group in groups.items():
-        estimator = _adapt(settings, dt, resolution)
-        many = max(1, TUNING.edges_batch // size)
-        frames += [_estimate(group[first : first + many], estimator) for first in range(0, len(group), many)]
-    return Segments(pl.concat(frames).sort("axis", "start"), tuple(problems))
-
-
-def _split_at_missing_rows(piece: RecordPiece, settings: Settings) -> Iterator[RecordPiece]:
+def split_at_missing_rows(piece: RecordPiece, settings: Settings) -> Iterator[RecordPiece]:
     """Yield the parts of a piece without a missing row, because a missing edge has no instant.
 
     A piece with too many of them has another clock, and stays whole.
@@ -68,8 +34,10 @@ def _split_at_missing_rows(piece: RecordPiece, settings: Settings) -> Iterator[R
         yield replace(piece, start=piece.start + float(time[low]), table=table | {name: time[low:high] - time[low]})
 
 
-def _cut(piece: RecordPiece, record: Record, settings: Settings) -> Iterator[EdgeStretch]:
-    """Yield the segments of a record. Raises UsageError for a record that is too short, or whose ages are unusable."""
+def cut_edge_stretches(piece: RecordPiece, settings: Settings) -> Iterator[Stretch]:
+    """Yield the stretches of a piece. Raises UsageError for a piece that is no record, that is too short, or whose ages
+    are unusable."""
+    record = record_at(piece.table, settings.axis)
     if record.u.size < TUNING.edges_least:
         raise UsageError(
             f"the record has only {record.u.size} samples without a missing row; {TUNING.edges_least} are needed"
@@ -81,19 +49,14 @@ def _cut(piece: RecordPiece, record: Record, settings: Settings) -> Iterator[Edg
     if n - ends[-1] >= size / 2:
         ends.append(n)
     for first, end in zip([0, *ends[:-1]], ends, strict=True):
-        samples = record.u[first:end], record.counts[first:end], record.ages[first:end]
-        yield EdgeStretch(piece.axis, piece.start + first * record.dt, *samples)
+        begin, dt, own = piece.start + first * record.dt, record.dt, slice(first, end)
+        many, samples = end - first, (record.u[own], record.counts[own])
+        facts = piece.axis, begin, begin + many * dt, many, dt, record.resolution
+        yield Stretch(*facts, *samples, 0.0, 1.0, ages=record.ages[own])
 
 
-def _adapt(settings: Settings, dt: float, resolution: float) -> REdge:
-    """Return the estimator with another sample period [s] and resolution."""
-    estimator = settings.estimator
-    assert isinstance(estimator, REdge)
-    return replace(estimator, dt=dt, encoder=replace(estimator.encoder, resolution=resolution))
-
-
-def _estimate(stretches: Sequence[EdgeStretch], estimator: REdge) -> pl.DataFrame:
-    """Return the estimates of stretches of one length."""
+def estimate_edge_batch(stretches: Sequence[Stretch], estimator: REdge) -> tuple[Floats, Floats, NDArray[np.uint32]]:
+    """Return the parameters and their standard deviations (m, p), and the status (m,), of m stretches of one length."""
     u, counts, ages = (np.stack([getattr(one, name) for one in stretches]) for name in ("u", "counts", "ages"))
     start = np.frombuffer(estimator.kernel.raw_state(), np.uint8)
     states = np.tile(start, (len(stretches), 1))
@@ -102,16 +65,4 @@ def _estimate(stretches: Sequence[EdgeStretch], estimator: REdge) -> pl.DataFram
     std = bars(last, np.ascontiguousarray(known[:, -1]), np.zeros_like(last))
     half = (status[:, u.shape[1] // 2 :] & Status.UNMODELLED) != 0
     often = np.where(np.mean(half, axis=1) >= TUNING.segments_off, int(Status.UNMODELLED), 0)
-    size, first = u.shape[1], np.array([one.start for one in stretches])
-    columns: dict[str, object] = {
-        "axis": [one.axis for one in stretches],
-        "start": first,
-        "end": first + size * estimator.dt,
-        "samples": np.full(len(stretches), size),
-        "dt": np.full(len(stretches), estimator.dt),
-        "lost": np.zeros(len(stretches)),
-        "status": (status[:, -1] | often.astype(np.uint32) | evidence_gaps(u, counts)).astype(np.int64),
-    }
-    for i, name in enumerate(estimator.names):
-        columns |= {name: theta[:, i], f"{name}_std": std[:, i]}
-    return pl.DataFrame(columns)
+    return theta, std, status[:, -1] | often.astype(np.uint32) | evidence_gaps(u, counts)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -10,10 +11,12 @@ import polars as pl
 from numpy.typing import NDArray
 
 from pmfid import __version__
-from pmfid.errors import UsageError
-from pmfid.fleet.edge_segments import solve_edges
+from pmfid.errors import NotIdentifiableError, UsageError
+from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.redge import REdge
+from pmfid.fleet.edge_segments import cut_edge_stretches, estimate_edge_batch, split_at_missing_rows
 from pmfid.fleet.plan import RowProblem
-from pmfid.fleet.segments import RecordPiece, empty, solve
+from pmfid.fleet.segments import RecordPiece, Stretch, cut_stretches, estimate_batch
 from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import AXIS, TIME, SourceColumns
 from pmfid.fleet.tuning import TUNING
@@ -42,16 +45,14 @@ class Work:
                 "on both"
             )
         pieces, problems = pieces_of(frame, self.columns, self.length)
-        found = (solve if self.columns.age is None else solve_edges)(pieces, self.settings)
-        reports = pl.DataFrame(
-            [asdict(one) for one in (*problems, *found.problems)], {name: self.schema[name] for name in PROBLEM}
-        )
-        return pl.concat([pl.DataFrame(schema=self.schema), found.rows, reports], how="diagonal")
+        rows, found = solve(pieces, self.settings)
+        reports = pl.DataFrame([asdict(one) for one in (*problems, *found)], PROBLEM)
+        return pl.concat([pl.DataFrame(schema=self.schema), rows, reports], how="diagonal")
 
     @property
     def schema(self) -> dict[str, type[pl.DataType]]:
         """Columns of the result. A row with a `code` is a problem, any other row a segment."""
-        return {**empty(self.settings).schema, **PROBLEM}  # type: ignore[dict-item]
+        return segment_schema(self.settings) | PROBLEM
 
     def split(self, rows: pl.DataFrame) -> tuple[pl.DataFrame, list[RowProblem]]:
         """Return the segments in results of `evaluate`, in the order of axes and time, and the problems."""
@@ -61,7 +62,13 @@ class Work:
 
 
 #: Columns of a problem.
-PROBLEM = {AXIS: pl.String, "part": pl.String, "code": pl.String, "text": pl.String, "at": pl.Float64}
+PROBLEM: dict[str, type[pl.DataType]] = {
+    AXIS: pl.String,
+    "part": pl.String,
+    "code": pl.String,
+    "text": pl.String,
+    "at": pl.Float64,
+}
 
 
 def pieces_of(
@@ -137,3 +144,53 @@ def longest_tables(frame: pl.DataFrame, columns: SourceColumns, length: float) -
         if len(piece.table[columns.time]) > len(before.table[columns.time]):  # type: ignore[arg-type]
             longest[piece.axis] = piece
     yield from (longest[axis].table for axis in sorted(longest))
+
+
+def segment_schema(settings: Settings) -> dict[str, type[pl.DataType]]:
+    """Return the columns of segments: their axis, times and sample period [s], the lost part of the samples, status and
+    parameters with standard deviations."""
+    kinds: dict[str, type[pl.DataType]] = {"axis": pl.String, "start": pl.Float64, "end": pl.Float64}
+    kinds |= {"samples": pl.Int64, "dt": pl.Float64, "lost": pl.Float64, "status": pl.Int64}
+    for name in settings.estimator.names:
+        kinds |= {name: pl.Float64, f"{name}_std": pl.Float64}
+    return kinds
+
+
+def solve(pieces: Iterable[RecordPiece], settings: Settings) -> tuple[pl.DataFrame, list[RowProblem]]:
+    """Return the segments of pieces, in the order of axes and time. A piece that is no record is a problem of its
+    axis."""
+    problems = list[RowProblem]()
+    groups: dict[tuple[float, float, int], list[Stretch]] = defaultdict(list)
+    edges = isinstance(settings.estimator, REdge)
+    if edges:
+        pieces = (part for piece in pieces for part in split_at_missing_rows(piece, settings))
+    for piece in pieces:
+        try:
+            for one in cut_edge_stretches(piece, settings) if edges else cut_stretches(piece, settings):
+                groups[one.dt, one.resolution, one.u.size].append(one)
+        except (UsageError, NotIdentifiableError) as error:
+            problems.append(RowProblem(piece.axis, "", "no_record", " ".join(str(error).split()), piece.start))
+    frames = [pl.DataFrame(schema=segment_schema(settings))]
+    for (dt, resolution, size), group in groups.items():
+        many = max(1, (TUNING.edges_batch if edges else TUNING.segments_batch) // size)
+        try:
+            estimator = settings.adapt_estimator(dt, resolution)
+            frames += [_estimate(group[k : k + many], estimator) for k in range(0, len(group), many)]
+        except UsageError as error:
+            reason = " ".join(str(error).split())
+            problems += [RowProblem(one.axis, "", "no_estimate", reason, one.start) for one in group]
+    return pl.concat(frames).sort("axis", "start"), problems
+
+
+def _estimate(stretches: Sequence[Stretch], estimator: RecursiveEstimator | REdge) -> pl.DataFrame:
+    """Return the estimates of stretches of one length."""
+    if isinstance(estimator, REdge):
+        theta, std, status = estimate_edge_batch(stretches, estimator)
+    else:
+        theta, std, status = estimate_batch(stretches, estimator)
+    facts = ("axis", "start", "end", "samples", "dt", "lost")
+    columns: dict[str, object] = {name: [getattr(one, name) for one in stretches] for name in facts}
+    columns["status"] = status.astype(np.int64)
+    for i, name in enumerate(estimator.names):
+        columns |= {name: theta[:, i], f"{name}_std": std[:, i]}
+    return pl.DataFrame(columns)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import polars as pl
 from numpy.typing import NDArray
 from scipy.special import expit
 
@@ -21,7 +19,6 @@ from pmfid.estimators.least_squares import inverse_of, long_run_covariance
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Tracks
 from pmfid.estimators.stretches import parts_of
-from pmfid.fleet.plan import RowProblem
 from pmfid.fleet.series import BACKWARD, FORWARD, LOOKED_AT, MOVED, ONE_SIZE, UNUSABLE
 from pmfid.fleet.settings import Settings, quarter_of, record_at, recursive
 from pmfid.fleet.tuning import TUNING
@@ -52,6 +49,7 @@ class Stretch:
 
     `samples` is the slice of the record, including omitted rests. `lost` is the imputed part of the slice. `repeats` is
     the number of times that each of the n samples occurs. `looked_at` is true if the segment gets a second look.
+    `ages` (n,) are the ages of edges, if the data have them.
     """
 
     axis: str
@@ -65,6 +63,7 @@ class Stretch:
     lost: float
     repeats: float
     looked_at: bool = False
+    ages: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -299,39 +298,7 @@ def _first_after(tracks: Tracks, part: int) -> int:
     return (tracks.samples.size - 1) // part
 
 
-@dataclass(frozen=True)
-class Segments:
-    """Estimates of segments, and problems with unusable pieces.
-
-    The columns of `rows` are axis, start [s], end [s], samples, dt [s], lost (a part of the samples), status and
-    parameters with standard deviations. The rows are in the order of axes and time.
-    """
-
-    rows: pl.DataFrame
-    problems: tuple[RowProblem, ...]
-
-
-def solve(pieces: Iterable[RecordPiece], settings: Settings) -> Segments:
-    """Return the segments of pieces. A piece that is no record is a problem of its axis."""
-    problems = list[RowProblem]()
-    groups: dict[tuple[float, float], list[Stretch]] = defaultdict(list)
-    for piece in pieces:
-        try:
-            for stretch in _stretches(piece, settings):
-                groups[stretch.dt, stretch.resolution].append(stretch)
-        except (UsageError, NotIdentifiableError) as error:
-            problems.append(RowProblem(piece.axis, "", "no_record", " ".join(str(error).split()), piece.start))
-    frames = [empty(settings)]
-    for (dt, resolution), stretches in groups.items():
-        try:
-            frames += _estimate_batches(stretches, settings.adapt_estimator(dt, resolution))
-        except UsageError as error:
-            reason = " ".join(str(error).split())
-            problems += [RowProblem(one.axis, "", "no_estimate", reason, one.start) for one in stretches]
-    return Segments(pl.concat(frames).sort("axis", "start"), tuple(problems))
-
-
-def _stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
+def cut_stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
     """Return the stretches of a piece. Raises UsageError for a piece that is no record, or too short for an
     estimate."""
     record = record_at(piece.table, settings.axis)
@@ -374,46 +341,17 @@ def _stretch(
     )
 
 
-def _estimate_batches(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> list[pl.DataFrame]:
-    """Return estimates of stretches. Stretches of one length form a batch."""
-    groups: dict[int, list[Stretch]] = defaultdict(list)
-    for one in stretches:
-        groups[one.u.size].append(one)
-    frames = []
-    for size, group in groups.items():
-        many = max(1, TUNING.segments_batch // size)
-        frames += [_batch(group[start : start + many], estimator) for start in range(0, len(group), many)]
-    return frames
-
-
-def _batch(stretches: Sequence[Stretch], estimator: RecursiveEstimator) -> pl.DataFrame:
+def estimate_batch(
+    stretches: Sequence[Stretch], estimator: RecursiveEstimator
+) -> tuple[Floats, Floats, NDArray[np.uint32]]:
+    """Return the parameters and their standard deviations (m, p), and the status (m,), of m stretches of one length."""
     u, counts = np.stack([one.u for one in stretches]), np.stack([one.counts for one in stretches])
     fleet = Fleet(estimator.start(), len(stretches), workers=1)
     tracks = fleet.run(u, counts, every=max(1, u.shape[1] // TUNING.segments_marks))
     theta = tracks.theta[:, -1]
     std = settled_std(tracks) * np.sqrt([[one.repeats] for one in stretches])
-    columns: dict[str, object] = {
-        "axis": [one.axis for one in stretches],
-        "start": np.array([one.start for one in stretches]),
-        "end": np.array([one.end for one in stretches]),
-        "samples": np.array([one.samples for one in stretches]),
-        "dt": np.array([one.dt for one in stretches]),
-        "lost": np.array([one.lost for one in stretches]),
-    }
     status = lasting_status(tracks) | evidence_gaps(u, counts)
-    columns["status"] = second_looks(stretches, estimator, theta, std, status).astype(np.int64)
-    for i, name in enumerate(tracks.names):
-        columns |= {name: theta[:, i], f"{name}_std": std[:, i]}
-    return pl.DataFrame(columns)
-
-
-def empty(settings: Settings) -> pl.DataFrame:
-    """Return an empty table of segments."""
-    kinds: dict[str, type[pl.DataType]] = {"axis": pl.String, "start": pl.Float64, "end": pl.Float64}
-    kinds |= {"samples": pl.Int64, "dt": pl.Float64, "lost": pl.Float64, "status": pl.Int64}
-    for name in settings.estimator.names:
-        kinds |= {name: pl.Float64, f"{name}_std": pl.Float64}
-    return pl.DataFrame(schema=kinds)
+    return theta, std, second_looks(stretches, estimator, theta, std, status)
 
 
 def believed_square(size: Floats, std: Floats, plausible: Floats) -> Floats:

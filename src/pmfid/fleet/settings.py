@@ -40,16 +40,18 @@ class Settings:
     segment: float
     span: float
 
-    def adapt_estimator(self, dt: float, resolution: float) -> RecursiveEstimator:
+    def adapt_estimator(self, dt: float, resolution: float) -> RecursiveEstimator | REdge:
         """Return the estimator of an axis with another sample period [s] and resolution.
 
         Raises UsageError if the pole of the filters does not fit the axis.
         """
+        encoder = replace(self.estimator.encoder, resolution=resolution)
+        if isinstance(self.estimator, REdge):
+            return replace(self.estimator, dt=dt, encoder=encoder)
         check_sampling(self.axis, dt)
         estimator = recursive(self.estimator)
         if dt == estimator.dt and resolution == estimator.encoder.resolution:
             return estimator
-        encoder = replace(estimator.encoder, resolution=resolution)
         return replace(estimator, dt=dt, encoder=encoder, forgetting=forgetting_of(self.segment, dt))
 
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
-from threading import Condition, Thread
 from time import monotonic
 from typing import Any
 
@@ -16,14 +16,6 @@ from pmfid.stream.outcome import Counters
 from pmfid.stream.store import Vault
 
 Done = Callable[[], object]
-
-
-@dataclass
-class _Job:
-    """A checkpoint to write. The functions `done` are called afterwards."""
-
-    draft: Draft
-    done: list[Done]
 
 
 @dataclass
@@ -40,16 +32,13 @@ class Checkpoints:
     counters: Counters
     tell: Callable[[dict[str, Any]], None]
     _undone: list[Done] = field(default_factory=list, init=False)
-    _job: _Job | None = field(default=None, init=False)
+    _job: Future[None] | None = field(default=None, init=False)
     _failing: bool = field(default=False, init=False)
     _too_slow: bool = field(default=False, init=False)
-    _closing: bool = field(default=False, init=False)
 
     def __post_init__(self) -> None:
-        self._changed = Condition()
         self._next, self._rested, self._made_at = monotonic() + self.period, 0.0, -1
-        self._thread = Thread(target=self._run, name="checkpoints", daemon=True)
-        self._thread.start()
+        self._writer = ThreadPoolExecutor(1, "checkpoints")
 
     def call_when_kept(self, done: Done) -> None:
         """Register `done`, which is called after the next durable checkpoint."""
@@ -68,48 +57,29 @@ class Checkpoints:
 
         If `last` is set, the checkpoint is made immediately, and the call returns after the attempt to write it.
         """
+        if self._job is not None and (last or self._job.done()):
+            self._job.result()
+            self._job = None
         if last:
-            self._close(engine)
+            self._make(engine).result()
+            self._writer.shutdown()
+            self.vault.close()
         elif self._job is None and (monotonic() >= max(self._next, self._rested) or engine.urgent):
             self._next = monotonic() + self.period
             if engine.changes != self._made_at:
                 self._make(engine)
 
-    def _make(self, engine: StreamEngine) -> None:
+    def _make(self, engine: StreamEngine) -> Future[None]:
         begun = monotonic()
         # The next checkpoint writes the outcomes that wait for a sink, even if nothing else changes.
         self._made_at, engine.urgent = -1 if any(engine.unwritten().values()) else engine.changes, False
-        job, self._undone = _Job(draft(engine), self._undone), []
+        made, done, self._undone = draft(engine), self._undone, []
         crash_point("checkpoint.made")
         self.counters.put("pmfid_checkpoint_made_seconds", monotonic() - begun)
-        with self._changed:
-            self._job = job
-            self._changed.notify_all()
-
-    def _close(self, engine: StreamEngine) -> None:
-        with self._changed:
-            self._changed.wait_for(lambda: self._job is None)
-        self._make(engine)
-        with self._changed:
-            self._changed.wait_for(lambda: self._job is None)
-            self._closing = True
-            self._changed.notify_all()
-        self._thread.join()
-        self.vault.close()
+        self._job = self._writer.submit(self._write, made, done)
+        return self._job
 
     # --- the writer's thread ------------------------------------------------------------------------------------------
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._job is not None or self._closing)
-                job = self._job
-            if job is None:
-                return
-            self._write(job.draft, job.done)
-            with self._changed:
-                self._job = None
-                self._changed.notify_all()
 
     def _write(self, made: Draft, done: list[Done]) -> None:
         begun = monotonic()
