@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
-import zlib
 
 import numpy as np
 import pytest
@@ -60,35 +58,6 @@ def test_many_blocks_say_what_each_says(wide: bool, name: str, edges: bool) -> N
     assert found.counts.dtype == np.int64
 
 
-def sealed(part: bytes, place: int, value: bytes) -> bytes:
-    body = part[:place] + value + part[place + len(value) : -4]
-    return body + struct.pack("<I", zlib.crc32(body))
-
-
-@pytest.mark.parametrize(
-    ("place", "value"),
-    [
-        (4, b"\x03"),  # another version
-        (4, b"\x02"),  # a version with more columns
-        (16, b"\xff" * 8),  # a number beyond 2**53
-        (24, struct.pack("<d", math.inf)),  # an infinite time
-        (32, struct.pack("<d", -0.01)),  # a negative sample period
-        (40, b"\xff\xfe"),  # a name that is not UTF-8
-        (41, b"\n"),  # a name that is not printable
-        (46, b"\x00"),  # a name that ends in a zero
-        (48, struct.pack("<f", math.inf)),  # an infinite input
-        (0, b"PMFX"),
-    ],
-)
-def test_what_is_wrong_with_one_is_reported_of_that_one(place: int, value: bytes) -> None:
-    parts = [encode(block(k + 1)) for k in range(8)]
-    parts[5] = sealed(parts[5], place, value)
-    found = decode(b"".join(parts))
-    assert [one.axis for one in found if isinstance(one, Block)][:5] == [f"axis-{k:02d}" for k in range(1, 6)]
-    assert sum(isinstance(one, Unusable) for one in found) >= 1
-    assert sum(isinstance(one, Block) for one in found) == 7
-
-
 @pytest.mark.parametrize("damaged", [(3,), (0,), (7,), (2, 3), (0, 7), (1, 4, 6)])
 @pytest.mark.parametrize("place", [-1, -5, 30, 60])
 def test_a_wrong_checksum_costs_each_block_that_is_damaged(damaged: tuple[int, ...], place: int) -> None:
@@ -98,9 +67,3 @@ def test_a_wrong_checksum_costs_each_block_that_is_damaged(damaged: tuple[int, .
     found = decode(b"".join(parts))
     assert [one.reason for one in found if isinstance(one, Unusable)] == ["crc"] * len(damaged)
     assert sum(isinstance(one, Block) for one in found) == 8 - len(damaged)
-
-
-def test_a_shorter_name_is_a_block_of_another_form() -> None:
-    parts = [encode(block(k + 1)) for k in range(8)]
-    parts[5] = sealed(parts[5], 12, b"\x05")
-    assert [one.axis for one in decode(b"".join(parts)) if isinstance(one, Block)][5] == "axis-"
