@@ -34,6 +34,8 @@ typedef struct {
     const double *theta, *size; /* parameters, and sizes of the forces among them */
     double *p; /* (forces) constants, from the parameters if free */
     int w, late, i; /* number of derivatives; index of the present input; of the present interval */
+    double z; /* argument of `f`, which most parts share */
+    phi f;
     double x, v, g; /* position, velocity, force of the input after its lag */
     double g_delay, g_lag; /* derivatives of g */
     double *dx, *dv; /* (w) derivatives */
@@ -320,11 +322,11 @@ static double net_force(state *t, double x, double v, double s, double drive, in
 }
 
 /* Move for h seconds from the state at a constant net force; the new state goes to (*x, *v, dx, dv). */
-static void advance(const state *t, double net, double s, double h, double *x, double *v, double *dx, double *dv)
+static void advance(state *t, double net, double s, double h, double *x, double *v, double *dx, double *dv)
 {
     const double m = t->theta[PMF_BODY_MASS], d = t->theta[PMF_BODY_VISCOUS] + s * t->theta[PMF_BODY_DIRECTIONAL];
     const double a = net / m, z = d * h / m, v0 = t->v;
-    const phi f = phi_of(z);
+    const phi f = z == t->z ? t->f : phi_of(z);
     const double hp = h * f.p1, mp = hp / m, mq = h * h * f.p2 / m;
     const double vz = -v0 * f.e + a * h * f.q1, xz = v0 * h * f.q1 + a * h * h * f.q2;
     const double *dn = t->dn, *sx = t->dx, *sv = t->dv;
@@ -341,6 +343,7 @@ static void advance(const state *t, double net, double s, double h, double *x, d
     dv[PMF_BODY_DIRECTIONAL] += vz * s * h / m;
     *x = t->x + v0 * hp + net * mq;
     *v = v0 * f.e + net * mp;
+    t->z = z, t->f = f;
 }
 
 /* Time until the velocity is zero under a net force against the motion. */
@@ -505,6 +508,7 @@ int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, d
     const int w = S ? full : 0; /* without derivatives, only the few that have a name are written */
     double wait = b->step[0] + theta[PMF_BODY_DELAY];
     state t = {0};
+    t.z = NAN;
     t.b = b, t.theta = theta, t.size = theta + PMF_BODY_BASE, t.w = w;
     t.x = theta[PMF_BODY_X0], t.v = theta[PMF_BODY_V0], t.g = b->u[0];
     memset(work, 0, pmf_body_work(b) * sizeof *work);

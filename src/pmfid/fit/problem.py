@@ -309,7 +309,7 @@ class FitProblem:
             far = ResidualBlock(np.full(rows, FAR), np.zeros((rows, lift.shape[1])), np.zeros((rows, state.size)))
             return far, np.zeros(rows)
         y, v, S = simulate(stretch.drive, forces, at, self.parts, elastic=self.machine.elastic)
-        e, J = (y - stretch.y) / self.resolution, S @ lift / self.resolution
+        e, J = (y - stretch.y) / self.resolution, S @ (lift / self.resolution)
         K = S[:, list(self.machine.starts)] * np.resize([1.0, scale], state.size)
         if not (np.isfinite(e.sum()) and np.isfinite(J.sum()) and np.isfinite(K.sum()) and np.isfinite(v.sum())):
             e = np.nan_to_num(e, nan=FAR, posinf=FAR, neginf=-FAR)
