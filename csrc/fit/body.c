@@ -157,12 +157,9 @@ static double loop_force(state *t, double x, double v, double g, double g_delay,
     for (int j = 0; j < t->b->forces; j++)
         if (in_loop(t->b->force + j)) {
             const double a = t->size[j], *d = ds + (size_t)(1 + j) * t->w;
-            if (a != 0 && t->b->force[j].kind == PMF_LOOP_VELOCITY)
-                for (int k = 0; k < t->w; k++)
-                    dq[k] -= a * (2 * ds[k] - dv[k]);
-            else if (a != 0)
-                for (int k = 0; k < t->w; k++)
-                    dq[k] -= a * d[k];
+            const int now = t->b->force[j].kind == PMF_LOOP_VELOCITY;
+            for (int k = 0; a != 0 && k < t->w; k++)
+                dq[k] -= a * (now ? 2 * ds[k] - dv[k] : d[k]);
             dq[PMF_BODY_BASE + j] -= loop_signal(t, j, v, s);
         }
     return used;
@@ -359,7 +356,6 @@ static double time_to_stop(const state *t, double net, double s)
 /* Move for `left` seconds in sample i. The input is g, with derivatives by delay and lag. */
 static void move(state *t, int i, double g, double g_delay, double g_lag, double left)
 {
-    const int loop = t->loop != 0;
     t->i = i;
     for (int turn = 0; left > 0; turn++) {
         double s = t->v > 0 ? 1 : -1, drive = drive_now(t, g, i), net, step = left, x, v;
@@ -369,10 +365,10 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             rest(t, left, g, g_delay, g_lag);
             return;
         }
-        if (loop)
+        if (t->loop)
             loop_force(t, t->x, t->v, g, g_delay, g_lag, i, t->dx, t->dv, t->s, t->ds);
         net = net_force(t, t->x, t->v, s, drive, i, t->dx, t->dv);
-        if (t->b->forces || loop) { /* forces in the middle of the part */
+        if (t->b->forces || t->loop) { /* forces in the middle of the part */
             double half = left / 2;
             if (s * net < 0 && t->v != 0) {
                 double stop = time_to_stop(t, net, s);
@@ -382,13 +378,13 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             advance(t, net, s, half, &x, &v, t->mx, t->mv);
             if (s * v < 0)
                 v = 0;
-            if (loop) {
+            if (t->loop) {
                 carry_memories(t, half, g, g_delay, g_lag, t->x, t->v, t->dx, t->dv, x, v, t->mx, t->mv);
                 drive = loop_force(t, x, v, g, g_delay, g_lag, i, t->mx, t->mv, t->ms, t->dms) - offset;
             }
             net = net_force(t, x, v, s, drive, i, t->mx, t->mv);
         }
-        if (!loop) {
+        if (!t->loop) {
             t->dn[PMF_BODY_DELAY] += g_delay;
             t->dn[PMF_BODY_LAG] += g_lag;
         }
@@ -402,7 +398,7 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             rest(t, left, g, g_delay, g_lag);
             return;
         }
-        if (loop) {
+        if (t->loop) {
             advance(t, net, s, step, &x, &v, t->mx, t->mv);
             carry_memories(t, step, g, g_delay, g_lag, t->x, t->v, t->dx, t->dv, x, stops ? 0 : v, t->mx, t->mv);
             swap(&t->s, &t->ms);
