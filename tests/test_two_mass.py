@@ -148,6 +148,15 @@ def test_cogging_is_no_second_mass(period: float) -> None:
     assert find_second_mass(fit.problem(u, np.floor(y / resolution + 0.4).astype(np.int64))) is None
 
 
+def test_one_mass_that_leaves_rounding_has_no_trial_of_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The trial could only fail, and took six of seven seconds."""
+    trials: list[object] = []
+    monkeypatch.setattr("pmfid.fit.second_mass.elastic_start", lambda problem, *_: trials.append(problem))
+    (case,) = make_cases(5, "cogging", [0])
+    assert "two_mass" not in identify(case).status
+    assert not trials
+
+
 @pytest.mark.parametrize("method", ["riv", "bcls", "rls", "iv"])
 def test_other_methods_name_the_way_off_line(method: str) -> None:
     u, counts, resolution = record()

@@ -37,10 +37,11 @@ from pmfid.types import Floats
 ROWS = (MASS, VISCOUS, COULOMB, OFFSET, LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
 
 
-def elastic_start(problem: FitProblem, scan: bool = True) -> tuple[FitProblem, Optimum]:
+def elastic_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProblem, Optimum]:
     """Return the fit of two masses with friction and a load to the liveliest stretch.
 
-    Where no guess by the measured motion explains it, a `scan` of resonances takes several times as long.
+    Where no guess by the measured motion explains it, a scan of resonances takes several times as long. With a `bound`
+    of the cost, there is no such scan if there are guesses, and a first fit beyond it ends the search.
 
     Raises NotIdentifiableError if the axis does not move, or if the input is zero.
     """
@@ -50,10 +51,9 @@ def elastic_start(problem: FitProblem, scan: bool = True) -> tuple[FitProblem, O
     guess = guess_sum(stretch, force)
     bounds = (math.log(guess[0]) - TUNING.far, math.log(guess[0]) + TUNING.far)
     plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=resonances(stretch))
-    prior = np.zeros(plain.size)
-    prior[3] = 1 / (0.5 * force) ** 2
-    best = _follow_guesses(plain, prior)
-    if best is None or (scan and best.cost > TUNING.rounded * stretch.y.size):
+    prior = prior_of(plain, force)
+    best = _follow_guesses(plain, prior, bound)
+    if best is None or (math.isinf(bound) and best.cost > TUNING.rounded * stretch.y.size):
         ends = [_follow_scan(plain, prior, guess), *([best] if best is not None else [])]
         best = min(ends, key=lambda end: end.cost)
     return plain, best
@@ -84,7 +84,7 @@ def _start(plain: FitProblem, guess: Floats) -> Floats:
     return plain.clip_to_bounds(plain.start(np.append(guess, late)))
 
 
-def _follow_guesses(plain: FitProblem, prior: Floats) -> Optimum | None:
+def _follow_guesses(plain: FitProblem, prior: Floats, bound: float) -> Optimum | None:
     """Return the best fit of the whole stretch from guesses by the measured motion, or None without a guess."""
     (stretch,) = plain.stretches
     points = [_start(plain, guess) for guess in driven_guesses(stretch, plain.resolution)]
@@ -92,17 +92,20 @@ def _follow_guesses(plain: FitProblem, prior: Floats) -> Optimum | None:
     if not points:
         return None
     length = max(TUNING.periods * _period(plain, points[0]), TUNING.shortest * float(np.mean(stretch.steps)))
-    return follow(plain, points, prior, length, TUNING.parts)
+    return follow(plain, points, prior, (length, TUNING.parts), bound)
 
 
-def follow(plain: FitProblem, points: Sequence[Floats], prior: Floats, length: float, parts: int) -> Optimum:
-    """Return the best fit of the whole stretch from starts that first follow some of its parts of a length [s].
+def follow(
+    plain: FitProblem, points: Sequence[Floats], prior: Floats, parts: tuple[float, int], bound: float
+) -> Optimum:
+    """Return the best fit of the whole stretch from starts that first follow `parts` of it, of a length [s] and up to a
+    number. It ends where the first fit costs more than a `bound`.
 
     Parts with start states of their own (Bock 1983) keep wrong parameters near the record.
     """
-    enough = TUNING.rounded * plain.rows
+    (length, most), enough = parts, TUNING.rounded * plain.rows
     problem = plain.cut(count_parts(plain, length))
-    problem = replace(problem, stretches=problem.stretches[:: math.ceil(len(problem.stretches) / parts)])
+    problem = replace(problem, stretches=problem.stretches[:: math.ceil(len(problem.stretches) / most)])
     first = problem.first_starts()
     ends = sorted((settle(problem, q, first, prior, 4) for q in points), key=lambda end: end.cost)
     ends = [settle(problem, end.q, end.starts, prior, 12) for end in ends[: TUNING.kept]]
@@ -110,7 +113,7 @@ def follow(plain: FitProblem, points: Sequence[Floats], prior: Floats, length: f
     for end in sorted(ends, key=lambda end: end.cost)[:2]:
         tried = join(plain, problem, end, length, prior)
         best = tried if best is None or tried.cost < best.cost else best
-        if best.cost < enough:
+        if best.cost < enough or best.cost > bound:
             return best
     assert best is not None
     for number in (TUNING.joined, TUNING.joined**2):
@@ -139,6 +142,13 @@ def restart(plain: FitProblem, end: Optimum, prior: Floats, parts: float) -> Opt
     problem = plain.cut(count_parts(plain, length))
     tried = join(plain, problem, settle(problem, end.q, problem.first_starts(), prior, 20), length, prior)
     return min(tried, end, key=lambda one: one.cost)
+
+
+def prior_of(plain: FitProblem, force: float) -> Floats:
+    """Return the prior precisions (p,), with a load of about half the force."""
+    prior = np.zeros(plain.size)
+    prior[ROWS.index(OFFSET)] = 1 / (0.5 * force) ** 2
+    return prior
 
 
 def _period(plain: FitProblem, q: Floats) -> float:

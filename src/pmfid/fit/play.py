@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
 
-from pmfid.fit.elastic import ROWS, follow, guess_sum, liveliest, make_first_pair
+from pmfid.fit.elastic import ROWS, follow, guess_sum, liveliest, make_first_pair, prior_of
 from pmfid.fit.machine import DELAY
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.solve import Optimum
@@ -16,8 +17,8 @@ from pmfid.fit.tuning import PLAY_TUNING, TUNING
 from pmfid.types import Floats
 
 
-def play_start(problem: FitProblem) -> tuple[FitProblem, Optimum]:
-    """Return the fit of two masses with play to the liveliest stretch.
+def play_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProblem, Optimum]:
+    """Return the fit of two masses with play to the liveliest stretch. A first fit beyond a `bound` ends the search.
 
     The contact is stiff at first: it swings once in a few steps.
 
@@ -32,10 +33,9 @@ def play_start(problem: FitProblem) -> tuple[FitProblem, Optimum]:
     bounds = (float(np.min(logs)) - TUNING.far, float(np.max(logs)) + TUNING.far)
     rates = (PLAY_TUNING.rates[0] / step, PLAY_TUNING.rates[1] / step)
     plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=rates)
-    prior = np.zeros(plain.size)
-    prior[3] = 1 / (0.5 * force) ** 2
     points = [q for one in (theta, smooth) for q in _scan(plain, one, step)]
-    return plain, follow(plain, points, prior, PLAY_TUNING.part * step, PLAY_TUNING.parts)
+    parts = (PLAY_TUNING.part * step, PLAY_TUNING.parts)
+    return plain, follow(plain, points, prior_of(plain, force), parts, bound)
 
 
 def _scan(plain: FitProblem, theta: Floats, step: float) -> Iterator[Floats]:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -14,10 +13,10 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import NORMAL_95, ODDS
 from pmfid.fit.elastic import ROWS, elastic_start, settle_starts
 from pmfid.fit.fit import Fitted
-from pmfid.fit.likelihood import Gaussian, noise_of
+from pmfid.fit.likelihood import ROUNDING, Gaussian, noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
 from pmfid.fit.play import play_start
-from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.problem import FitProblem, ObservedStretch, ResidualBlock
 from pmfid.fit.search import inverse, with_columns
 from pmfid.fit.solve import Optimum, solve
 from pmfid.fit.starts import soften
@@ -73,10 +72,13 @@ def try_second_mass(fitted: Fitted) -> SecondMass | None:
         return None
     problem = _whole(fitted)
     part = _worst_part(fitted, problem.stretches)
-    pair = _fit_two_masses(problem, part)
+    one = _fit_one_mass(problem, fitted.solution.q, part)
+    if _leaves_rounding(*one):
+        return None
+    pair = _fit_two_masses(problem, part, one[1].cost)
     if pair is None:
         return None
-    odds = _evidence(*pair) - _evidence(*_fit_one_mass(problem, fitted.solution.q, part)) + ODDS
+    odds = _evidence(*pair) - _evidence(*one) + ODDS
     odds -= 0.5 * (TUNING.further + pair[0].machine.plays) * math.log(part.y.size)
     return _read(*pair, odds) if odds > 0 else None
 
@@ -85,19 +87,24 @@ def find_second_mass(problem: FitProblem) -> SecondMass | None:
     """Return the second mass of a record that no motion of one mass follows, if that of two masses explains every
     count."""
     stretch = max(problem.stretches, key=lambda one: one.y.size)
-    pair = _fit_two_masses(problem, stretch.part(*_windows(stretch.drive.step.size)[0]))
+    pair = _fit_two_masses(problem, stretch.part(*_windows(stretch.drive.step.size)[0]), math.inf)
     return None if pair is None else _read(*pair, math.inf)
 
 
-def _fit_two_masses(problem: FitProblem, part: ObservedStretch) -> tuple[FitProblem, Optimum] | None:
+def _fit_two_masses(problem: FitProblem, part: ObservedStretch, bound: float) -> tuple[FitProblem, Optimum] | None:
     """Return the fit of two masses to a part of the record, on a spring or else with play, or None if both leave more
-    than rounding."""
+    than rounding.
+
+    The search ends early where one mass, whose cost is the `bound`, or an axis at rest is better.
+    """
     if part.y.size < TUNING.fewest:
         return None
     problem = replace(problem, stretches=(part,), candidates=())
-    for start in (partial(elastic_start, scan=False), play_start):
+    still = ResidualBlock((part.y - part.y[0]) / problem.resolution, *np.zeros((2, part.y.size, 1)))
+    bound = min(bound, soften((part,))([still])[0])
+    for start in (elastic_start, play_start):
         with suppress(NotIdentifiableError):
-            pair, end = start(problem)
+            pair, end = start(problem, bound)
             if end.cost < TUNING.rounded * part.y.size:
                 return pair, end
     return None
@@ -158,6 +165,13 @@ def _fit_one_mass(problem: FitProblem, q: Floats, part: ObservedStretch) -> tupl
     prior[problem.places] = 1.0
     starts = settle_starts(problem, like, q, problem.first_starts())
     return problem, solve(problem, like, q, starts, prior, 15, 0.1)
+
+
+def _leaves_rounding(problem: FitProblem, end: Optimum) -> bool:
+    """Return whether the squares of the residuals have a sum as that of rounding, whose variance is 1/180 each."""
+    (block,) = problem.linearise(end.q, end.starts)
+    excess = float(np.sum(block.e**2 - ROUNDING))
+    return excess < NORMAL_95 * math.sqrt(block.e.size / 180)
 
 
 def _evidence(problem: FitProblem, end: Optimum) -> float:
