@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from pmfid import Status
-from pmfid.monitor import EdgeFleet, EdgeMonitor
+from pmfid.monitor import EdgeMonitor, MonitorFleet
 from pmfid.monitor.events import STATES, Alarm, Event, FleetRows
 from tests.refusals import refused
 from tests.test_monitor_edges import changed_run, make_monitor
@@ -46,7 +46,7 @@ def run_singly(monitor: EdgeMonitor, run: tuple[np.ndarray, ...]) -> tuple[Fleet
 
 @pytest.mark.parametrize(("precision", "size"), [("float64", 50), ("float32", 333)])
 def test_a_fleet_has_the_bits_of_single_monitors(runs: tuple[np.ndarray, ...], precision: str, size: int) -> None:
-    fleet = EdgeFleet(make_monitor(precision=precision), AXES)
+    fleet = MonitorFleet(make_monitor(precision=precision), AXES)
     found, events = [], [[] for _ in range(AXES)]
     for part in batches(runs, size):
         found.append(fleet.run(np.arange(AXES), *part))
@@ -64,7 +64,7 @@ def test_a_fleet_has_the_bits_of_single_monitors(runs: tuple[np.ndarray, ...], p
 
 
 def test_wrong_ages_are_a_status_and_wrong_estimates_are_none(runs: tuple[np.ndarray, ...]) -> None:
-    rows = EdgeFleet(make_monitor(), AXES).run(np.arange(AXES), *runs)
+    rows = MonitorFleet(make_monitor(), AXES).run(np.arange(AXES), *runs)
     wrong = (rows.status[3] & Status.INVALID_INPUT) != 0
     moved = np.diff(runs[1][3], prepend=runs[1][3][0]) != 0
     np.testing.assert_array_equal(wrong, moved & ~((runs[2][3] >= 0) & (runs[2][3] <= 0.01)))
@@ -74,7 +74,7 @@ def test_wrong_ages_are_a_status_and_wrong_estimates_are_none(runs: tuple[np.nda
 
 def test_a_fleet_goes_on_from_its_saved_states(runs: tuple[np.ndarray, ...]) -> None:
     first, second = (tuple(part[:, cut] for part in runs) for cut in (slice(0, 1205), slice(1205, None)))
-    fleet, resumed = EdgeFleet(make_monitor(), AXES), EdgeFleet(make_monitor(), AXES)
+    fleet, resumed = MonitorFleet(make_monitor(), AXES), MonitorFleet(make_monitor(), AXES)
     fleet.run(np.arange(AXES), *first)
     resumed.set_state(fleet.get_state())
     fleet.remove([0])
@@ -88,12 +88,12 @@ def test_a_fleet_goes_on_from_its_saved_states(runs: tuple[np.ndarray, ...]) -> 
 
 
 def test_other_arrays_and_states_are_refused(runs: tuple[np.ndarray, ...]) -> None:
-    fleet = EdgeFleet(make_monitor(), 1)
+    fleet = MonitorFleet(make_monitor(), 1)
     state = fleet.get_state()
     refused(
         ("ages must have the shape", lambda: fleet.run([0], runs[0][:1], runs[1][:1], runs[2][:1, 1:])),
         ("no estimate exists yet", lambda: fleet.refer(0)),
-        ("not a state of this monitor", lambda: EdgeFleet(make_monitor(tolerance=0.3), 1).set_state(state)),
+        ("not a state of this monitor", lambda: MonitorFleet(make_monitor(tolerance=0.3), 1).set_state(state)),
         ("damaged", lambda: fleet.set_state(state[:-9] + b"x" + state[-8:])),
     )
     monitor = make_monitor()
@@ -105,6 +105,6 @@ def test_other_arrays_and_states_are_refused(runs: tuple[np.ndarray, ...]) -> No
 def test_the_copy_of_a_fleet_keeps_its_monitor(runs: tuple[np.ndarray, ...]) -> None:
     monitor = make_monitor()
     before = monitor.get_state()
-    EdgeFleet(monitor, 1).run([0], *(part[:1, :300] for part in runs))
+    MonitorFleet(monitor, 1).run([0], *(part[:1, :300] for part in runs))
     assert monitor.get_state() == before
     assert replace(monitor.estimator) == monitor.estimator

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from pmfid.monitor.events import STATES
+from pmfid.monitor.fleet import MonitorFleet
 from pmfid.pipeline.monitored.run import watch
 from pmfid.pipeline.monitored.timeline import Sample
-from pmfid.stream.groups import Prepared, make_fleet
+from pmfid.stream.groups import Prepared
 from pmfid.stream.outcome import EstimateRows, Notice
 
 #: Bits of theta, std, innovation, status and state.
@@ -74,7 +75,7 @@ class _Sink:
 
 def monitored(prepared: Prepared, samples: Iterable[Sample]) -> tuple[list[Bits], list[dict[str, Any]]]:
     """Return rows and events of `pmfid monitor` for the samples."""
-    fleet = make_fleet(prepared.setup.monitor)
+    fleet = MonitorFleet(prepared.setup.monitor, 0)
     fleet.add(1)
     monitor = fleet.monitor(0)
     sink, reported = _Sink(len(monitor.names)), list[dict[str, Any]]()

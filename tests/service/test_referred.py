@@ -29,7 +29,7 @@ def looked_at(plant: Plant, refer: bool = False) -> tuple[Referred, list[float]]
     def look() -> None:
         acting.until("checkpoint")
         (group,) = service._engine.groups
-        found.append((service._board.list_referred(), group.fleet.references()[0].tolist()))
+        found.append((service._board.list_referred(), group.fleet.monitor(0).reference.tolist()))
 
     acting = Acting(service, text)
     with file_as_input(plant.folder / "run.csv"):

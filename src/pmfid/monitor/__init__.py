@@ -15,7 +15,6 @@ from pmfid.lazy_imports import make_getattr
 if TYPE_CHECKING:
     from pmfid.monitor.calibration import Calibration as Calibration
     from pmfid.monitor.calibration import calibrate as calibrate
-    from pmfid.monitor.edge_fleet import EdgeFleet as EdgeFleet
     from pmfid.monitor.edges import EdgeMonitor as EdgeMonitor
     from pmfid.monitor.events import Alarm as Alarm
     from pmfid.monitor.events import Change as Change
@@ -31,7 +30,6 @@ _PUBLIC = {
     "Alarm": "events",
     "Calibration": "calibration",
     "Change": "events",
-    "EdgeFleet": "edge_fleet",
     "EdgeMonitor": "edges",
     "FleetRows": "events",
     "Monitor": "monitor",

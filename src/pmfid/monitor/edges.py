@@ -5,7 +5,9 @@ from __future__ import annotations
 import math
 import zlib
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass, field, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +25,7 @@ from pmfid.monitor.events import (
     WATCHING,
     Alarm,
     Event,
+    FleetRows,
     Settled,
     StateChange,
     Watch,
@@ -54,6 +57,10 @@ class EdgeStates(RowArrays):
     @property
     def axes(self) -> int:
         return len(self.state)
+
+    @property
+    def samples(self) -> NDArray[np.int64]:
+        return self.whole[:, SAMPLES]
 
     def arrays(self) -> Iterator[NDArray[np.generic]]:
         """Yield all arrays."""
@@ -120,6 +127,7 @@ class EdgeMonitor:
     estimator: REdge
     reference: Floats
     watch: Watch = field(default_factory=Watch)
+    longest: ClassVar[int] = 0  # missing samples that can be guessed
 
     def __post_init__(self) -> None:
         self.reference = np.array(self.reference, np.float64)
@@ -314,6 +322,22 @@ class EdgeMonitor:
         busy = self.state in (SUSPICIOUS, SETTLING)
         changes = self._enter(WATCHING, "a new reference was given") if busy else []
         return [Settled(self._time, wanted, std, before), *changes]
+
+    def run(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike) -> FleetRows:
+        """Take many samples u, counts, ages (n,), and return the rows of a fleet of one axis, as `step` in a loop."""
+        samples = list(zip(*(np.asarray(array).tolist() for array in (u, counts, ages)), strict=True))
+        rows = FleetRows.empty(1, len(samples), len(self.names))
+        for k, sample in enumerate(samples):
+            estimate, events = self.step(*sample)
+            rows.theta[0, k], rows.std[0, k] = estimate.theta, estimate.theta_std
+            rows.innovation[0, k], rows.status[0, k] = estimate.innovation, estimate.status
+            rows.state[0, k] = STATES.index(self.state)
+            rows.events.extend((0, k, event) for event in events)
+        return rows
+
+    def fresh(self) -> EdgeMonitor:
+        """Return a new monitor with this configuration."""
+        return EdgeMonitor(replace(self.estimator), self.reference, copy(self.watch))
 
     @property
     def configuration_number(self) -> int:

@@ -2,110 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from copy import copy
+from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from pmfid._stage import bars, follow_many
-from pmfid.estimators.configuration import configuration_of, construct_estimator
-from pmfid.monitor.axis import REASONS
-from pmfid.monitor.axis_fleet import AxisFleet
-from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, Event, FleetRows, Outlier, StateChange
-from pmfid.monitor.monitor import ANY_OUTLIER, Monitor, outliers
-from pmfid.monitor.saved import AxisStates
-from pmfid.monitor.scores import Sampled, Watched
+from pmfid.errors import UsageError, whole_number
+from pmfid.estimators.configuration import integer_counts, numbers
+from pmfid.monitor.edges import EdgeMonitor
+from pmfid.monitor.events import Event, FleetRows
+from pmfid.monitor.monitor import Monitor
+from pmfid.monitor.quiet import Quiet
+from pmfid.monitor.quiet_edges import QuietEdges
+from pmfid.monitor.saved import make_parts, read, write_states
+from pmfid.monitor.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats, Places
 
-#: Numbers of the states in which an axis is not quiet.
-UNEASY = (STATES.index(SUSPICIOUS), STATES.index(SETTLING))
+T = TypeVar("T")
+#: Samples u, counts and ages of some axes, (k, n) each.
+Inputs = tuple[Floats, Counts, Floats]
 
 
-class Quiet:
-    """A runner that steps quiet axes together, a piece of their samples at a time, with the configuration of a
-    monitor."""
-
-    def __init__(self, monitor: Monitor) -> None:
-        self._watching = monitor.watching
-        self._estimator, self._filter = monitor.packers
-        self._scoring, self._dt, self._delay = monitor.scoring, monitor.estimator.dt, monitor.estimator.delay
-        alone = monitor.known is not None  # each estimate needs its own combination with prior information
-        self._calm = np.array([state not in UNEASY and not alone for state in range(len(STATES))])
-        self._memory = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0))
-
-    def may_run(self, watched: Watched, index: Places) -> Flags:
-        """Return which of these axes can run here, (k,)."""
-        return self._calm[watched.state[index]]
-
-    def run(
-        self, every: AxisStates, index: Places, sampled: Sampled, u: Floats, counts: Counts, rows: FleetRows
-    ) -> Flags:
-        """Run a piece u, counts (k, n), n >= 1, of k axes, and return whether each axis stayed quiet, (k,).
-
-        `index` (k,) has the rows of the axes in `every`. `sampled` has only the axes of the piece, and is updated.
-        `every.watched` is updated for the axes that stay quiet. `rows` is filled as if all axes stayed quiet.
-        """
-        samples, filled = sampled.samples - self._delay, sampled.progress[:, 0].astype(np.int64)
-        own = follow_many(sampled.whole, sampled.real, u, counts)
-        self._estimates(sampled, u, own, rows)
-        rows.state[:] = every.watched.state[index][:, None]
-        rows.events.extend(self._outliers(sampled, rows.status, samples))
-        self._filter.hold(sampled.filter)
-        theta = every.watched.theta[index]
-        scored = self._filter.score(u, own, self._scoring.numbers, theta, sampled.sums, sampled.progress)
-        wanted, reason, crossed = self._watching.watcher.run(
-            every.watched, every.disturbed, index, scored, rows.status, samples, filled, self._scoring.size, self._dt
-        )
-        self._changes(rows, wanted, reason, filled, samples)
-        return ~crossed
-
-    def _estimates(self, sampled: Sampled, u: Floats, counts: Counts, rows: FleetRows) -> None:
-        factor, inflation, variance = self._room(*rows.theta.shape)
-        results = rows.theta, factor, inflation, rows.innovation, variance, rows.status
-        self._estimator.hold(sampled.estimator)
-        self._estimator.run(u, counts, 0, len(u), 1, results, self._estimator.fastest_way)
-        bars(factor, variance, inflation, rows.std)
-
-    def _room(self, k: int, n: int, p: int) -> tuple[Floats, Floats, Floats]:
-        """Return work arrays for results that are not returned. The memory of the arrays is reused."""
-        if self._memory[0].shape != (k, n, p):
-            self._memory = np.empty((k, n, p)), np.empty((k, n, p)), np.empty((k, n))
-        return self._memory
-
-    def _outliers(
-        self, sampled: Sampled, status: NDArray[np.uint32], samples: Places
-    ) -> Iterator[tuple[int, int, Event]]:
-        before = sampled.flagged.copy()
-        sampled.flagged[:] = status[:, -1]
-        for row in np.flatnonzero(np.any(status & ANY_OUTLIER, axis=1)).tolist():
-            for k, signal in outliers(status[row], int(before[row]))[0]:
-                yield row, k, Outlier((int(samples[row]) + k) * self._dt, signal)
-
-    def _changes(
-        self, rows: FleetRows, wanted: NDArray[np.uint8], reason: NDArray[np.uint8], filled: Places, samples: Places
-    ) -> None:
-        """Report changes of state. `wanted` (k, most) is the state after each block."""
-        if (wanted == rows.state[:, :1]).all():
-            return
-        before = np.concatenate([rows.state[:, :1], wanted[:, :-1]], axis=1)
-        for k, block in np.argwhere(wanted != before).tolist():
-            place = (block + 1) * self._scoring.size - 1 - int(filled[k])
-            time = (int(samples[k]) + place) * self._dt
-            rows.state[k, place:] = wanted[k, block]
-            rows.events.append((k, place, StateChange(time, STATES[wanted[k, block]], REASONS[reason[k, block]])))
-
-
-class MonitorFleet(AxisFleet[Monitor, AxisStates]):
+class MonitorFleet:
     """Many axes watched with the configuration and calibration of one monitor.
 
-    Each axis has its own state. The results have the same bits as the results of a single `Monitor`.
+    Each axis has its own state. The results have the same bits as the results of a single monitor.
 
     Parameters
     ----------
     monitor
-        Monitor from whose present state all axes start; the monitor does not change.
+        `Monitor`, or `EdgeMonitor` for encoders with edge times, from whose present state all axes start; the monitor
+        does not change.
     axes
         Number of axes, >= 0.
 
@@ -134,87 +63,177 @@ class MonitorFleet(AxisFleet[Monitor, AxisStates]):
     ((2, 500, 3), 2)
     """
 
-    def __init__(self, monitor: Monitor, axes: int) -> None:
-        super().__init__(monitor, axes)
-        self.dt = monitor.estimator.dt
-        self._quiet = Quiet(self._scratch)
+    def __init__(self, monitor: Monitor | EdgeMonitor, axes: int) -> None:
+        axes = whole_number("axes", axes, 0, "it is the number of axes")
+        self._source, self._first = monitor, monitor.pack_state()
+        self.names, self.units, self.longest = monitor.names, monitor.units, monitor.longest
+        self._all: Any = self._first.repeat_rows(axes)
+        scratch = monitor.fresh()
+        self._scratch: Any = scratch  # computes the axes that are not quiet, one after the other
+        self._quiet: Any = QuietEdges(scratch) if isinstance(scratch, EdgeMonitor) else Quiet(scratch)
 
-    def _copy_monitor(self) -> Monitor:
-        source = self._source
-        estimator = construct_estimator(type(source.estimator), configuration_of(source.estimator))
-        return Monitor(estimator, source.calibration, copy(source.watch), source.known)
+    @property
+    def takes_ages(self) -> bool:
+        """Whether the monitors need the ages of edges."""
+        return isinstance(self._source, EdgeMonitor)
 
-    def _run(
-        self, index: Places, u: Floats, counts: Counts, ages: Floats, rows: FleetRows, part: tuple[slice, slice]
-    ) -> None:
-        quiet = self._quiet.may_run(self._all.watched, index)
+    @property
+    def axes(self) -> int:
+        """Number of axes."""
+        return int(self._all.axes)
+
+    def _with(self, axis: int, action: Callable[[Any], T]) -> T:
+        """Apply an action to the monitor of an axis, store the monitor's new state, and return the action's result."""
+        self._scratch.go_on(self._all, axis)
+        found = action(self._scratch)
+        self._all.put(slice(axis, axis + 1), self._scratch.pack_state())
+        return found
+
+    def run(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike, ages: ArrayLike | None = None) -> FleetRows:
+        """Take the next n samples u, counts (k, n) of the axes `index` (k,), each at most once.
+
+        `ages` (k, n) belong to monitors of edges: an age [s] is NaN without an edge since the last sample, and None
+        means no edges. If u is not finite, the sample is lost, as in `step` of a monitor. Raises UsageError if an axis
+        does not exist or comes twice, or if the arrays do not fit.
+        """
+        places, inputs, read_counts = self._check_arrays(index, u, counts)
+        nothing = np.broadcast_to(np.float64(np.nan), inputs.shape)
+        instants = nothing if ages is None else np.asarray(numbers("ages", ages), np.float64)
+        if instants.shape != inputs.shape:
+            raise UsageError(f"ages must have the shape {inputs.shape} of u, got {instants.shape}")
+        rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
+        for group in slices(len(inputs), TUNING.fleet_group):
+            for time in slices(inputs.shape[1], TUNING.fleet_piece):
+                part = group, time
+                self._run(places[group], (inputs[part], read_counts[part], instants[part]), rows, part)
+        rows.events.sort(key=lambda one: one[:2])
+        return rows
+
+    def _run(self, index: Places, inputs: Inputs, rows: FleetRows, part: tuple[slice, slice]) -> None:
+        """Run a piece of a group of axes. The quiet axes run together, all other axes one by one."""
+        quiet = self._quiet.may_run(self._all, index, inputs[0])
         if quiet.all():
-            quiet = self._run_quiet(index, u, counts, rows, part, np.arange(index.size))
+            quiet = self._run_quiet(index, inputs, rows, part, np.arange(index.size))
         elif quiet.any():
-            quiet[quiet] = self._run_quiet(index[quiet], u[quiet], counts[quiet], rows, part, np.flatnonzero(quiet))
+            some = inputs[0][quiet], inputs[1][quiet], inputs[2][quiet]
+            quiet[quiet] = self._run_quiet(index[quiet], some, rows, part, np.flatnonzero(quiet))
         for k in np.flatnonzero(~quiet).tolist():
-            single = self._with(int(index[k]), partial(Monitor.run, u=u[k], counts=counts[k]))
+            single = self._with(int(index[k]), partial(_run_one, inputs=[array[k] for array in inputs]))
             rows.take(single, np.array([part[0].start + k]), part[1])
 
     def _run_quiet(
-        self, index: Places, u: Floats, counts: Counts, rows: FleetRows, part: tuple[slice, slice], at: Places
+        self, index: Places, inputs: Inputs, rows: FleetRows, part: tuple[slice, slice], at: Places
     ) -> Flags:
         """Run a piece of quiet axes, and return whether each axis stayed quiet, (k,).
 
         The states and rows are valid for the axes that stayed quiet.
         """
         group, time = part
-        u, counts = np.ascontiguousarray(u), np.ascontiguousarray(counts)
+        shape = inputs[0].shape
         own = rows.part(group)
-        if own.status.shape != u.shape:  # only some axes of the group, or some samples
-            found = FleetRows.empty(u.shape[0], u.shape[1], len(self.names))
-            kept = self._run_rows(index, u, counts, found)
+        if own.status.shape != shape:  # only some axes of the group, or some samples
+            found = FleetRows.empty(shape[0], shape[1], len(self.names))
+            kept = self._quiet.run(self._all, index, *inputs, found)
             rows.take(found, group.start + at, time, kept)
         else:
-            kept = self._run_rows(index, u, counts, own)
+            kept = self._quiet.run(self._all, index, *inputs, own)
             rows.tell(own, group.start + at, time, kept)
-        return kept
+        return np.asarray(kept)
 
-    def _run_rows(self, index: Places, u: Floats, counts: Counts, rows: FleetRows) -> Flags:
-        """Run a copy with the rows of these axes only. Consecutive axes are computed in place."""
-        every = self._all
-        if index[-1] - index[0] == index.size - 1 and (np.diff(index) == 1).all():
-            sampled = every.sampled.take_rows(slice(int(index[0]), int(index[-1]) + 1))
-            before = sampled.copy_rows()
-            kept = self._quiet.run(every, index, sampled, u, counts, rows)
-            back = np.flatnonzero(~kept)
-            sampled.put(back, before.take_rows(back))
-        else:
-            sampled = every.sampled.take_rows(index)
-            kept = self._quiet.run(every, index, sampled, u, counts, rows)
-            every.sampled.put(index[kept], sampled if kept.all() else sampled.take_rows(np.flatnonzero(kept)))
-        return kept
+    def _check_arrays(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> tuple[Places, Floats, Counts]:
+        places = self._places(index)
+        inputs = np.ascontiguousarray(numbers("u", u), np.float64)
+        read_counts = np.ascontiguousarray(integer_counts(counts), np.int64)
+        if inputs.ndim != 2 or inputs.shape != read_counts.shape or len(inputs) != places.size:
+            raise UsageError(
+                f"u and counts must be ({places.size}, n), with one row for each axis; got {inputs.shape} and "
+                f"{read_counts.shape}"
+            )
+        return places, inputs, read_counts
 
-    @property
-    def longest(self) -> int:
-        """The common value of `Monitor.longest`."""
-        return self._source.longest
+    def _places(self, index: ArrayLike) -> NDArray[np.int64]:
+        places = np.asarray(index)
+        if places.ndim != 1 or (places.size and places.dtype.kind not in "iu"):
+            raise UsageError(f"index must contain the numbers of the axes (k,), got {places.dtype} {places.shape}")
+        if places.size and not (places.min() >= 0 and places.max() < self.axes):
+            raise UsageError(
+                f"index must be from 0 to {self.axes - 1} for {self.axes} axes; got {places.min()} to {places.max()}"
+            )
+        if not (np.diff(places) > 0).all() and not np.diff(np.sort(places)).all():
+            raise UsageError("index contains an axis twice; pass later samples of an axis in a second call")
+        return places.astype(np.int64)
+
+    def _place(self, axis: int) -> int:
+        return int(self._places([axis])[0])
+
+    def skip(self, axis: int, samples: int) -> list[Event]:
+        """Skip lost samples of one axis, and return the events."""
+        return self._with(self._place(axis), lambda monitor: monitor.skip(samples))
+
+    def refer(self, axis: int, theta: ArrayLike | None = None) -> list[Event]:
+        """Make theta (p,) the reference of one axis, and return the events. None takes its present estimate."""
+        return self._with(self._place(axis), lambda monitor: monitor.refer(theta))
+
+    def monitor(self, axis: int) -> Any:
+        """Return a new monitor in the state of an axis."""
+        single = self._source.fresh()
+        single.go_on(self._all, self._place(axis))
+        return single
+
+    def add(self, count: int = 1) -> range:
+        """Add `count` axes in the start state of the fleet, and return their numbers."""
+        before = self.axes
+        more = whole_number("count", count, 0, "it is the number of axes to add")
+        self._all = self._all.join_rows(self._first.repeat_rows(more))
+        return range(before, self.axes)
+
+    def remove(self, index: ArrayLike) -> NDArray[np.int64]:
+        """Remove axes, and return the new numbers (axes before,) of all axes, -1 for the removed ones.
+
+        The remaining axes keep their order. Raises UsageError for an axis that does not exist or comes twice.
+        """
+        kept, moved = np.ones(self.axes, np.bool_), np.full(self.axes, -1, np.int64)
+        kept[self._places(index)] = False
+        moved[kept] = np.arange(kept.sum())
+        self._all = self._all.take_rows(np.flatnonzero(kept))
+        return moved
+
+    def get_state(self) -> bytes:
+        """Return the states of all axes, with a version and checksums.
+
+        `set_state` of a fleet with the same configuration continues from these states.
+        """
+        return write_states(self._all, self._source.configuration_number)
+
+    def unsealed_state(self) -> list[memoryview]:
+        """Return the states of all axes in pieces, without the checksum.
+
+        Most pieces are the arrays themselves. The checksum takes longer than a copy. `pmfid.monitor.saved.seal_parts`
+        adds the checksum to a copy, in any thread.
+        """
+        return make_parts(self._all, self._source.configuration_number)
+
+    def set_state(self, state: bytes) -> None:
+        """Continue from saved states of the same number of axes.
+
+        Raises UsageError, and changes nothing, for states of another configuration, damaged states and impossible
+        numbers.
+        """
+        self._all = self._scratch.check_states(read(state, self._first, self._source.configuration_number))
 
     def fill_gap(self, axis: int, missing: int, u: float, counts: int) -> list[Event]:
-        """Call `Monitor.fill_gap` for one axis."""
+        """Call `Monitor.fill_gap` for one axis. At most `longest` samples may be missing."""
         return self._with(self._place(axis), lambda monitor: monitor.fill_gap(missing, u, counts))
 
-    def rebase(self, axis: int, counts: int) -> None:
-        """Call `Monitor.rebase` for one axis."""
-        self._with(self._place(axis), lambda monitor: monitor.rebase(counts))
-
     def samples(self) -> NDArray[np.int64]:
-        """`Monitor.samples` of each axis, (axes,)."""
-        return self._all.sampled.samples.copy()
+        """Number of samples of each axis so far, (axes,)."""
+        return np.array(self._all.samples, np.int64)
 
-    def states(self) -> NDArray[np.uint8]:
-        """Numbers of the states in `STATES`, (axes,)."""
-        return self._all.watched.state.copy()
 
-    def statistics(self) -> Floats:
-        """`Monitor.statistic` of each axis, (axes,)."""
-        return self._all.watched.statistic.copy()
+def _run_one(monitor: Monitor | EdgeMonitor, inputs: list[Any]) -> FleetRows:
+    return monitor.run(*inputs)
 
-    def references(self) -> Floats:
-        """`Monitor.reference` of each axis, (axes, p)."""
-        return self._all.watched.theta.copy()
+
+def slices(size: int, most: int) -> Iterator[slice]:
+    """Yield slices of at most `most` rows of `size` rows."""
+    return (slice(start, min(start + most, size)) for start in range(0, size, most))

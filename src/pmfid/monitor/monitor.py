@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import zlib
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -14,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid._estimate import Estimate
 from pmfid._stage import Inputs
 from pmfid.errors import UsageError
-from pmfid.estimators.configuration import check_arrays
+from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator
 from pmfid.estimators.known import Seen, choose_naming
 from pmfid.estimators.results import Track
 from pmfid.kernel.structures import whole_words
@@ -194,10 +195,16 @@ class Monitor(WatchedAxis, Presentable):
         signals, self._flagged = new_outliers(status, self._flagged) if status & ANY_OUTLIER else [], status
         return [Outlier(self._time, signal) for signal in signals]
 
-    def run(self, u: ArrayLike, counts: ArrayLike) -> FleetRows:
+    def fresh(self) -> Monitor:
+        """Return a new monitor with this configuration."""
+        estimator = construct_estimator(type(self.estimator), configuration_of(self.estimator))
+        return Monitor(estimator, self.calibration, copy(self.watch), self.known)
+
+    def run(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike | None = None) -> FleetRows:
         """Take many samples u, counts (n,) at once, and return the rows of a fleet of one axis.
 
-        The results have the bits of `step` in a loop. Raises UsageError if the arrays do not fit.
+        The results have the bits of `step` in a loop. `ages` have no effect. Raises UsageError if the arrays do not
+        fit.
         """
         inputs, read_counts = check_arrays(u, counts)
         rows = FleetRows.empty(1, inputs.size, len(self.names))

@@ -50,6 +50,8 @@ class StateRows(Protocol):
 
     @property
     def axes(self) -> int: ...
+    @property
+    def samples(self) -> NDArray[np.int64]: ...
     def arrays(self) -> Iterator[NDArray[np.generic]]: ...
     def row_type(self) -> np.dtype[np.void]: ...
     def take_rows(self, index: Places | slice) -> Self: ...
@@ -72,6 +74,10 @@ class AxisStates:
     @property
     def axes(self) -> int:
         return len(self.watched.state)
+
+    @property
+    def samples(self) -> NDArray[np.int64]:
+        return self.sampled.samples
 
     @property
     def _parts(self) -> tuple[RowArrays, RowArrays, RowArrays]:

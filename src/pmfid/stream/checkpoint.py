@@ -113,7 +113,7 @@ def _pack_held(group: Group) -> bytes:
     waiting = np.flatnonzero(group.positions.waits).tolist()
     pairs = [(index, block) for index in waiting for block in group.seats[index].order.held]
     heads = [(index, b.epoch, b.first, b.time, b.dt, b.counts.size) for index, b in pairs]
-    ages = [block.ages for _, block in pairs if group.takes_ages and block.ages is not None]
+    ages = [block.ages for _, block in pairs if group.fleet.takes_ages and block.ages is not None]
     u, counts = [block.u for _, block in pairs], [block.counts for _, block in pairs]
     return _write_held([np.array(heads, HELD)], u, counts, ages)
 

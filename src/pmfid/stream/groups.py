@@ -17,12 +17,9 @@ from numpy.typing import NDArray
 
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
-from pmfid.monitor.edge_fleet import EdgeFleet
 from pmfid.monitor.events import Event, FleetRows
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.edges import EdgeSetup
-from pmfid.pipeline.monitored.run import Monitored
 from pmfid.pipeline.monitored.setup import VERSION, Setup, set_up_record
 from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Line, Metronome, Sample, Saved, Timeline
 from pmfid.stream.delivery import Lines
@@ -237,11 +234,6 @@ def _digest(path: Path, axis: Axis) -> str:
     return digest.hexdigest()
 
 
-def make_fleet(monitor: Monitored) -> MonitorFleet | EdgeFleet:
-    """Return a fleet without axes, with the configuration of a monitor."""
-    return MonitorFleet(monitor, 0) if isinstance(monitor, Monitor) else EdgeFleet(monitor, 0)
-
-
 @dataclass(frozen=True)
 class Pace:
     """Times that set the pace of a group.
@@ -321,14 +313,9 @@ class Group:
 
     def __post_init__(self) -> None:
         self.dt = self.prepared.dt
-        self.fleet = make_fleet(self.prepared.setup.monitor)
+        self.fleet = MonitorFleet(self.prepared.setup.monitor, 0)
         self.stride = max(1, round(self.pace.every / self.dt))
         self.kindred = self._build_kindred()
-
-    @property
-    def takes_ages(self) -> bool:
-        """Whether the monitors need the ages of edges."""
-        return isinstance(self.fleet, EdgeFleet)
 
     def run(self, index: NDArray[np.int64], u: Floats, counts: Counts, ages: Floats | None) -> FleetRows:
         """Step the next n samples u, counts, ages (k, n) of the axes `index` (k,)."""

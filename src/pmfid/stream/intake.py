@@ -168,7 +168,7 @@ class Intake:
         self._turn += size
         rest = np.ones(size, np.bool_)
         for group, index in seating:
-            if group.takes_ages and table.ages is None:
+            if group.fleet.takes_ages and table.ages is None:
                 continue  # each block is refused
             taken = take_expected(group.positions, group.dt, index, table)
             if taken.any():
@@ -176,7 +176,7 @@ class Intake:
                 group.positions.source[index[rows]] = sources[rows]
                 at, offset = index[rows], np.zeros(np.count_nonzero(taken), np.int64)
                 u, counts, time = table.u[rows], table.counts[rows], table.time[rows]
-                ages = table.ages[rows] if group.takes_ages and table.ages is not None else None
+                ages = table.ages[rows] if group.fleet.takes_ages and table.ages is not None else None
                 ordered.put(group, Batch(at, u, counts, ages, time, offset, turns[rows], received[rows]))
                 rest &= ~taken
         left = np.flatnonzero(rest).tolist()
@@ -209,7 +209,7 @@ class Intake:
         pieces = list[SamplePiece]()
         try:
             if isinstance(item, Block):
-                if seat.group.takes_ages and item.ages is None:
+                if seat.group.fleet.takes_ages and item.ages is None:
                     self._refuse(delivery.source, Unusable("ages", WITHOUT_AGES.format(item.axis), item.axis))
                     return
                 verdict = seat.order.take(item, delivery.received, turn, pieces)

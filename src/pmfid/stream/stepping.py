@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.monitor.events import Event, FleetRows
-from pmfid.monitor.fleet import MonitorFleet
 from pmfid.pipeline.monitored.run import event_object
 from pmfid.stream.delivery import join_ages, join_arrays
 from pmfid.stream.groups import Group, Seat
@@ -171,7 +170,7 @@ def _report_interruption(group: Group, index: int, piece: SamplePiece) -> list[E
     missing = max(1, piece.lead)
     group.numbers[index] += missing
     fleet = group.fleet
-    if isinstance(fleet, MonitorFleet) and 0 < piece.lead <= fleet.longest and not piece.apart:
+    if 0 < piece.lead <= fleet.longest and not piece.apart:
         return fleet.fill_gap(index, missing, float(piece.u[0]), int(piece.counts[0]))
     return fleet.skip(index, missing)
 
