@@ -20,7 +20,7 @@ MOST = {
     "lines of src": 69000,
     "lines of code in src": 40700,
     "lines of code in report and cli": 3750,
-    "thresholds in src": 1105,
+    "thresholds in src": 1104,
     "lines of csrc": 9296,
     "lines of tests": 40889,
     "match= in tests": 138,

@@ -33,7 +33,7 @@ from pmfid.linear.residuals import (
     whiten_columns,
 )
 from pmfid.linear.responses import companion, simulate
-from pmfid.linear.solve import ProcessPoint, ProcessProblem, descend, first_guess, fix_dead_time, refine, visit
+from pmfid.linear.solve import ProcessPoint, ProcessProblem, descend, fix_dead_time, settle, visit
 from pmfid.linear.tuning import TUNING as LINEAR_TUNING
 from pmfid.types import Floats
 
@@ -146,7 +146,11 @@ def second_look(problem: ProcessProblem, theta: Floats) -> Second:
     smaller = replace(structure, n=max(structure.n - 1, least), m=max(structure.m - 1, 0))
     with np.errstate(all="ignore"):
         try:
-            rest = point if smaller == structure else _settle_fit(replace(problem, structure=smaller))
+            rest = (
+                point
+                if smaller == structure
+                else settle(replace(problem, structure=smaller), settled=TUNING.processes_settled).point
+            )
             noise = estimate_residual_noise(pair_inputs(problem, rest.error), rest.zeta)
             if noise is None:
                 return Second(False, False)
@@ -157,7 +161,10 @@ def second_look(problem: ProcessProblem, theta: Floats) -> Second:
             start = visit(white, point.theta * scale, np.zeros((len(white.stretches), structure.n)))
             full = descend(white, start, TUNING.processes_settled).point
             surplus = structure.n > least and not _reduces_residual(
-                _settle_fit(replace(white, structure=smaller)).cost, full.cost, point.error.size, 2
+                settle(replace(white, structure=smaller), settled=TUNING.processes_settled).point.cost,
+                full.cost,
+                point.error.size,
+                2,
             )
             return Second(surplus, _exceeds_chance(full.theta / scale - point.theta, covariance(point, problem)))
         except (np.linalg.LinAlgError, ValueError):
@@ -172,11 +179,6 @@ def _exceeds_chance(difference: Floats, cov: Floats) -> bool:
     scaled = difference / size
     distance = scaled @ np.linalg.pinv(cov / np.outer(size, size), hermitian=True) @ scaled
     return bool(distance > chdtri(difference.size, TUNING.processes_elsewhere))
-
-
-def _settle_fit(problem: ProcessProblem) -> ProcessPoint:
-    found = refine(problem, first_guess(problem, 1.0), TUNING.processes_settled)
-    return found.point if found.settled else descend(problem, found.point, TUNING.processes_settled).point
 
 
 def pair_inputs(problem: ProcessProblem, error: Floats) -> list[ResidualStretch]:

@@ -86,16 +86,6 @@ def respond(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, *, held:
     return follow_states(step.phi.reshape(-1, n, n), step.now.reshape(-1, n), change.reshape(-1, n), w, start)
 
 
-def product(matrix: Floats, rows: Floats) -> Floats:
-    """Return the product of matrix (n, n) and rows (n, N). The blocks are so small that each product stays in one
-    thread, because more threads would only wait."""
-    result = np.empty(rows.shape)
-    for first in range(0, rows.shape[1], TUNING.experiment_block):
-        part = slice(first, first + TUNING.experiment_block)
-        result[:, part] = matrix @ rows[:, part]
-    return result
-
-
 def _exponential(matrices: Floats) -> Floats:
     """Return the exponential of each of the matrices (k, n, n) by scaling, series and squaring. The function of SciPy
     processes the matrices one by one."""

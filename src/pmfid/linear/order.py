@@ -13,7 +13,7 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.residuals import Noise, is_white, prewhiten_problem, residual_noise
 from pmfid.linear.responses import Structure
-from pmfid.linear.solve import ProcessProblem, Solution, descend, first_guess, refine, visit
+from pmfid.linear.solve import ProcessProblem, Solution, first_guess, refine, settle, visit
 from pmfid.linear.tuning import TUNING
 
 #: Number of structures that are tried before the search recommends none, and reason for the refusal of an estimate.
@@ -173,7 +173,7 @@ def _colour(
     for n in sorted({max(orders), min(max(orders), TUNING.order_middle)}):
         for delay in delays:
             problem = _problem(experiments, Structure(n, n - 1, offset), delay, cutoff)
-            point = _refine_structure(problem, TUNING.order_settled, TUNING.order_passes)
+            point = _refine_structure(problem)
             criterion = math.inf if point is None else _bic(problem, point.point.cost, point.point.error.size)
             if point is not None and criterion < best:
                 best, noise = criterion, residual_noise(problem, point.point)
@@ -192,9 +192,7 @@ def _try(
 ) -> OrderCandidate | None:
     problem = _problem(experiments, Structure(n, m, offset), delay, cutoff)
     white = problem if colour is None else prewhiten_problem(problem, colour)
-    solution = _refine_structure(
-        white, TUNING.order_settled, TUNING.solve_refinements if thorough else TUNING.order_passes, descending=thorough
-    )
+    solution = _refine_structure(white, thorough)
     return None if solution is None else _make_candidate(problem, white, colour, solution, delay)
 
 
@@ -206,14 +204,13 @@ def _problem(experiments: Sequence[Experiment], structure: Structure, delay: int
     return ProcessProblem(structure, usable, cutoff)
 
 
-def _refine_structure(
-    problem: ProcessProblem, settled: float, passes: int, *, descending: bool = False
-) -> Solution | None:
+def _refine_structure(problem: ProcessProblem, thorough: bool = False) -> Solution | None:
     with np.errstate(all="ignore"):
         try:
-            solution = refine(problem, first_guess(problem, 1.0), settled, passes)
-            if descending and not solution.settled and not problem.referenced:
-                solution = descend(problem, solution.point, settled)
+            if thorough:
+                solution = settle(problem, settled=TUNING.order_settled)
+            else:
+                solution = refine(problem, first_guess(problem, 1.0), TUNING.order_settled, TUNING.order_passes)
         except (np.linalg.LinAlgError, ValueError):
             return None
     return solution if np.isfinite(solution.point.cost) else None

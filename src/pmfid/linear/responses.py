@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.linear.experiment import Grid, RecordStretch, product, respond, transition
+from pmfid.linear.experiment import Grid, RecordStretch, respond, transition
 from pmfid.linear.tuning import TUNING
 from pmfid.types import Floats
 
@@ -35,7 +35,7 @@ def respond_bounded(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, 
         parts.append(respond(T[:kept, :kept], g[:kept], grid, w, start[:kept], held=held))
     late = respond(-T[kept:, kept:], -g[kept:], grid.reversed, _reverse_time(w, held), start[kept:], held=held)
     modes = np.concatenate([*parts, late[..., ::-1]])
-    return product(Q @ apart, modes.reshape(n, -1)).reshape(modes.shape)
+    return np.asarray(np.einsum("ij,jck->ick", Q @ apart, modes))
 
 
 def _reverse_time(w: Floats, held: bool) -> Floats:
@@ -96,7 +96,7 @@ def _advance_states(F: Floats, g: Floats, grid: Grid, x: Floats, w: Floats, slop
     """Return the states x (n, channels, N) after the further times `rest` (N,)."""
     if grid.uniform:
         step = transition(F, g, Grid(float(rest[0]), 2))
-        moved = product(step.phi, x.reshape(F.shape[0], -1)).reshape(x.shape)
+        moved = np.einsum("ij,jck->ick", step.phi, x)
         return np.asarray(moved + step.now[:, None, None] * w + step.change[:, None, None] * slope * rest)
     step = transition(F, g, Grid(rest, rest.size + 1))
     moved = np.einsum("kij,jck->ick", step.phi, x)

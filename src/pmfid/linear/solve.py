@@ -240,6 +240,12 @@ def small(point: ProcessPoint, step: Floats, settled: float = TUNING.solve_settl
     return predicted <= max(settled * point.cost, TUNING.solve_rounding * point.power)
 
 
+def settle(problem: ProcessProblem, pole: float = 1.0, settled: float = TUNING.solve_settled) -> Solution:
+    """Return the refined solution from the filter 1/(s + pole)^n. If the refinement does not converge, it descends."""
+    solution = refine(problem, first_guess(problem, pole), settled)
+    return solution if solution.settled or problem.referenced else descend(problem, solution.point, settled)
+
+
 def solve(problem: ProcessProblem) -> Solution:
     """Refine the solution of least squares.
 
@@ -250,9 +256,7 @@ def solve(problem: ProcessProblem) -> Solution:
     best: Solution | None = None
     every = problem.structure.free >= TUNING.solve_several and not problem.referenced
     for pole in TUNING.solve_starts:
-        solution = refine(problem, first_guess(problem, pole))
-        if not solution.settled and not problem.referenced:
-            solution = descend(problem, solution.point)
+        solution = settle(problem, pole)
         if best is None or _better(solution, best):
             best = solution
         if solution.settled and not every:

@@ -14,8 +14,6 @@ class LinearTuning:
     #: of float64.
     series_terms: int = 14
     series_norm: float = 0.25
-    #: Number of columns in each block of a product of a small matrix and a long matrix.
-    experiment_block: int = 2048
     #: Relative deviation from an even spacing below which instants are evenly spaced. Clocks and rounded decimals cause
     #: small deviations from an even spacing.
     experiment_even: float = 5e-3
