@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pmfid.design import evaluate
 from pmfid.design.calibration import DesignedRun, calibrate, correlation_time
 from pmfid.design.problem import InfeasibleError
 from pmfid.design.rounds import redesign, sequential, simulated_experiment
@@ -61,6 +62,13 @@ def test_correlated_and_large_residuals_inflate() -> None:
     assert wild.inflation == pytest.approx(25 * calm.inflation, rel=0.05)
     ratio = wild.std(CASE.names)["mass"] / calm.std(CASE.names)["mass"]
     assert ratio == pytest.approx(np.sqrt(wild.inflation / max(1.0, calm.inflation)), rel=0.05)
+
+
+def test_a_simulated_experiment_has_the_noise_of_the_case() -> None:
+    design = evaluate(NOISY, U)
+    found = simulated_experiment(NOISY, TRUTH, np.random.default_rng(0))(design)
+    noise = found.y - simulate(NOISY, design.u, TRUTH).x
+    assert np.std(noise) == pytest.approx(np.sqrt(NOISY.variance), rel=0.4)
 
 
 @pytest.mark.parametrize("factor", [pytest.param(0.8, marks=pytest.mark.long), 1.2])

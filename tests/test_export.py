@@ -7,6 +7,7 @@ from __future__ import annotations
 import re
 import subprocess
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -506,8 +507,7 @@ def test_a_flipped_bit_is_refused(precision: str) -> None:
     for place in range(0, len(state), 3):
         damaged = bytearray(state)
         damaged[place] ^= 1 << place % 8
-        with pytest.raises(pmfid.UsageError, match=r"checksum|configuration"):
-            estimator.set_state(bytes(damaged))
+        refused(("checksum|configuration", partial(estimator.set_state, bytes(damaged))))
     estimator.set_state(state)
 
 
@@ -553,25 +553,20 @@ def test_numbers_are_exact(number: float, text: str) -> None:
     refused(("cannot be written as a constant in C", lambda: literal(np.float64(np.nan))), kind=ValueError)
 
 
-@pytest.mark.parametrize("prefix", ["", "1st", "Axis", "a-b", "pmf", "pmf_x"])
-def test_a_prefix_must_be_a_name(prefix: str, tmp_path: Path) -> None:
-    with pytest.raises(pmfid.UsageError, match=r"prefix must consist of .* begin with a letter"):
-        pmfid.export_firmware(make(pmfid.RLS), tmp_path, prefix=prefix)
-
-
-def test_off_line_methods_and_full_folders_are_refused(tmp_path: Path) -> None:
-    for cls in OFF_LINE:
-        with pytest.raises(pmfid.UsageError, match="needs a whole record"):
-            pmfid.export_firmware(cls(pmfid.Drive(2.0), pmfid.Encoder(1e-5), DT, CUTOFF), tmp_path)
-    (tmp_path / "thesis.tex").write_text("")
-    refused((r"thesis\.tex", lambda: pmfid.export_firmware(make(pmfid.RLS), tmp_path)))
-
-
-def test_a_self_test_of_one_sample_is_one_and_of_none_is_not(tmp_path: Path) -> None:
-    assert len(record_run(make(pmfid.RLS), [1.0], [0]).u) == 1
-    for u, counts in (([], []), ([np.nan], [0])):
-        with pytest.raises(pmfid.UsageError, match="at least one; take another record"):
-            record_run(make(pmfid.RLS), u, counts)
+def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
+    rls, whole = make(pmfid.RLS), [cls(pmfid.Drive(2.0), pmfid.Encoder(1e-5), DT, CUTOFF) for cls in OFF_LINE]
+    (full := tmp_path / "full").mkdir()
+    (full / "thesis.tex").write_text("")
+    name = r"prefix must consist of .* begin with a letter"
+    names = ("", "1st", "Axis", "a-b", "pmf", "pmf_x")
+    refused(
+        *((name, partial(pmfid.export_firmware, rls, tmp_path, prefix=prefix)) for prefix in names),
+        *(("needs a whole record", partial(pmfid.export_firmware, made, tmp_path)) for made in whole),
+        (r"thesis\.tex", lambda: pmfid.export_firmware(rls, full)),
+        ("at least one; take another record", lambda: record_run(rls, [], [])),
+        ("at least one; take another record", lambda: record_run(rls, [np.nan], [0])),
+    )
+    assert len(record_run(rls, [1.0], [0]).u) == 1
 
 
 def test_the_command_says_what_is_missing(tmp_path: Path) -> None:

@@ -65,10 +65,18 @@ def axis(method: str = "iv", **record: object) -> Axis:
     )
 
 
-# --- values in place of missing samples -------------------------------------------------------------------------------
-
-
-# --- estimates --------------------------------------------------------------------------------------------------------
+def test_missing_lines_and_empty_cells_are_the_same_and_scattered_stamps_are_resampled(tmp_path: Path) -> None:
+    u, counts = run(2000)
+    t, there, whole = np.arange(2000) * DT, kept(2000, 0.1), np.ones(2000, bool)
+    gone = write(tmp_path / "gone.csv", there, t, u=u, n=counts)
+    empty = write(tmp_path / "empty.csv", whole, t, u=np.where(there, u, np.nan), n=counts)
+    scattered = np.cumsum(np.random.default_rng(4).uniform(0.3, 2.5, 2000)) * DT
+    paths = (gone, empty, write(tmp_path / "scattered.csv", whole, scattered, u=u, n=counts))
+    first, second, third = (kind_of(axis()).read([path], axis()) for path in paths)
+    np.testing.assert_array_equal(first.there, there)
+    for name in ("u", "counts", "there"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    assert third.jitter > 0.3
 
 
 @pytest.mark.parametrize("method", ["ls", "bcls", "iv", "rls", "riv"])

@@ -55,7 +55,8 @@ def test_next_to_a_dead_time() -> None:
 
 def test_where_there_is_none_none_is_found() -> None:
     run = run_lagged("cart", 0.0)
-    fit = made(MotionFit, "cart", lag="estimate").fit(run.u, run.counts)
+    drive, encoder = Drive(2.0, lag="estimate"), Encoder(CART[6])
+    fit = pmfid.identify(run.u, run.counts, model=drive, dt=0.01, encoder=encoder, cutoff=20.0, method="fit")
     assert 0 <= fit.theta[-1] < 0.02 * 0.01
     np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.01)
 

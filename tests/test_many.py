@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import subprocess
 from dataclasses import dataclass
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -283,8 +283,7 @@ def test_states_are_saved_and_single_axes_taken_out():
     axis = fleet.axis(-1)
     assert np.array_equal(axis.run(u[-1, 400:], counts[-1, 400:]).theta[-1], whole.theta[-1, -1])
     for wrong in (pmfid.Fleet(make(pmfid.RIV), AXES + 1), pmfid.Fleet(make(pmfid.RIV, forgetting=0.9), AXES)):
-        with pytest.raises(pmfid.UsageError, match="same estimator"):
-            wrong.set_state(fleet.get_state())
+        refused(("same estimator", lambda wrong=wrong: wrong.set_state(fleet.get_state())))
 
 
 def test_a_fleet_says_what_it_is():
@@ -315,17 +314,14 @@ def test_what_does_not_fit_is_refused():
 
 
 def test_a_fleet_of_anything_else_is_refused():
-    for axes in (2.5, "a", np.nan, None, True, 10**30):
-        with pytest.raises(pmfid.UsageError, match="axes"):
-            pmfid.Fleet(make(pmfid.BCRLS), axes)
-    for workers in (2.5, "a", np.nan, 0):
-        with pytest.raises(pmfid.UsageError, match="workers must be a whole number"):
-            pmfid.Fleet(make(pmfid.BCRLS), 2, workers=workers)
-    for index in ("a", 0.5, None):
-        with pytest.raises(pmfid.UsageError, match="index must be a whole number"):
-            pmfid.Fleet(make(pmfid.BCRLS), 2).axis(index)
-    with pytest.raises(pmfid.UsageError, match="and srivc does not"):
-        pmfid.Fleet(pmfid.SRIVC(pmfid.TransferFunction(2, 1), ENCODER, DT, CUTOFF), 5)
+    made, off_line = make(pmfid.BCRLS), pmfid.SRIVC(pmfid.TransferFunction(2, 1), ENCODER, DT, CUTOFF)
+    fleet = pmfid.Fleet(made, 2)
+    refused(
+        *(("axes", partial(pmfid.Fleet, made, axes)) for axes in (2.5, "a", np.nan, None, True, 10**30)),
+        *(("workers must be a whole", partial(pmfid.Fleet, made, 2, workers=n)) for n in (2.5, "a", np.nan, 0)),
+        *(("index must be a whole number", partial(fleet.axis, index)) for index in ("a", 0.5, None)),
+        ("and srivc does not", lambda: pmfid.Fleet(off_line, 5)),
+    )
 
 
 def test_tables_that_are_no_numbers_are_refused():
@@ -341,8 +337,7 @@ def test_tables_that_are_no_numbers_are_refused():
         )
     for state in (None, "a", 3):
         for target in (estimator, fleet):
-            with pytest.raises(pmfid.UsageError, match="a state must be bytes from get_state"):
-                target.set_state(state)
+            refused(("a state must be bytes from get_state", partial(target.set_state, state)))
 
 
 def test_a_missing_count_is_named():
@@ -367,22 +362,18 @@ def test_the_kernel_writes_only_where_there_is_room():
 
     kernel.run(u, counts, 0, axes, 3, results(), 0)  # samples 2, 5, 8 and the last
     short = [*results()[:5], np.zeros((axes, 3), np.uint32)]
-    for wrong in (results(kept=3), results(kept=5), results(rows=2), results(parameters=2), short):
-        with pytest.raises(ValueError, match="must have shapes"):
-            kernel.run(u, counts, 0, axes, 3, wrong, 0)
+    unshaped = (results(kept=3), results(kept=5), results(rows=2), results(parameters=2), short)
     single, split = results(), results()
     single[1], split[4] = single[1].astype(np.float32), np.zeros((2 * axes, 4))[::2]
-    for wrong in (single, split):
-        with pytest.raises(ValueError, match="must be arrays of float64"):
-            kernel.run(u, counts, 0, axes, 3, wrong, 0)
-    for wrong_u, wrong_counts in ((u[:2], counts[:2]), (u[:, :9], counts)):
-        with pytest.raises(ValueError, match=r"must be \(3, n\)"):
-            kernel.run(wrong_u, wrong_counts, 0, axes, 3, results(), 0)
-    with pytest.raises(ValueError, match="float32 or float64"):
-        kernel.run(u.astype(np.float16), counts, 0, axes, 3, results(), 0)
-    for first, end in ((-1, 2), (0, 4), (2, 1)):
-        with pytest.raises(ValueError, match="there are 3 axes"):
-            kernel.run(u, counts, first, end, 3, results(), 0)
+    inputs, spans = ((u[:2], counts[:2]), (u[:, :9], counts)), ((-1, 2), (0, 4), (2, 1))
+    refused(
+        *(("must have shapes", partial(kernel.run, u, counts, 0, axes, 3, wrong, 0)) for wrong in unshaped),
+        *(("of float64", partial(kernel.run, u, counts, 0, axes, 3, wrong, 0)) for wrong in (single, split)),
+        *((r"must be \(3, n\)", partial(kernel.run, *pair, 0, axes, 3, results(), 0)) for pair in inputs),
+        ("float32 or float64", partial(kernel.run, u.astype(np.float16), counts, 0, axes, 3, results(), 0)),
+        *(("there are 3 axes", partial(kernel.run, u, counts, *span, 3, results(), 0)) for span in spans),
+        kind=ValueError,
+    )
 
 
 @pytest.mark.skipif(COMPILER is None, reason="there is no C compiler cc on this machine")

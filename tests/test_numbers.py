@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from pmfid.estimators.results import Columns
 from pmfid.pipeline.identify import identify
 from pmfid.records.record import Record
 from pmfid.simulation import make_scenario
+from tests.refusals import refused
 
 
 def axis_of(method: str = "auto", resolution: float = 0.01, **more: dict[str, object]) -> Axis:
@@ -30,9 +32,13 @@ def axis_of(method: str = "auto", resolution: float = 0.01, **more: dict[str, ob
 
 
 def test_equations_without_one_solution_are_refused() -> None:
-    for matrix in (np.zeros((2, 2)), np.ones((2, 2)), np.full((2, 2), np.nan), 1e-320 * np.eye(2)):
-        with pytest.raises(NotIdentifiableError, match="no unique solution"):
-            inverse_of(matrix)
+    without = (np.zeros((2, 2)), np.ones((2, 2)), np.full((2, 2), np.nan), 1e-320 * np.eye(2))
+    huge = Columns(np.full((50, 2), 1e200), np.ones(50), np.ones((50, 2)), np.ones(50, bool), 0)
+    refused(
+        *(("no unique solution", partial(inverse_of, matrix)) for matrix in without),
+        ("exceeds the range of numbers", lambda: check_identifiable(huge, ("mass", "drag"))),
+        kind=NotIdentifiableError,
+    )
     np.testing.assert_array_equal(inverse_of(2 * np.eye(2)), np.eye(2) / 2)
 
 
@@ -42,12 +48,6 @@ def test_a_counter_of_one_bit_is_refused() -> None:
     record = Record(np.sin(np.arange(300.0)), counts, 0.01, 1e-4, (), "one bit")
     with pytest.raises(NotIdentifiableError):
         identify(record, axis_of(resolution=1e-4))
-
-
-def test_columns_beyond_the_numbers_are_refused() -> None:
-    huge = Columns(np.full((50, 2), 1e200), np.ones(50), np.ones((50, 2)), np.ones(50, bool), 0)
-    with pytest.raises(NotIdentifiableError, match="exceeds the range of numbers"):
-        check_identifiable(huge, ("mass", "drag"))
 
 
 def test_prefilter_zeros_are_no_parameters_of_a_method_that_simulates() -> None:

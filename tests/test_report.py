@@ -17,6 +17,7 @@ from pmfid import Drive, Encoder, identify
 from pmfid.errors import UsageError
 from pmfid.estimators.results import Track
 from pmfid.pipeline.result import format_short, format_value
+from pmfid.report.design import ellipse_figure
 from pmfid.report.figures import (
     DOUBTFUL,
     comparison_figure,
@@ -97,6 +98,7 @@ def test_doubtful_samples_are_shaded() -> None:
 def test_without_an_estimate_there_is_a_figure_still() -> None:
     nothing = replace(TRACK, status=np.full(N, Status.STARTING, np.uint32), innovation_variance=np.zeros(N))
     assert "mass [kg]" in svg(estimate_figure(T, nothing))
+    assert ellipse_figure(("mass",), np.ones(1), {}) is None  # one parameter has no pair
 
 
 @pytest.mark.parametrize("n", [1, 5, TUNING.max_points, TUNING.max_points + 1, 9973, 300_000])

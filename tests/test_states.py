@@ -8,6 +8,7 @@ from __future__ import annotations
 import zlib
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from pathlib import Path
 
@@ -79,8 +80,7 @@ def test_every_field_has_its_limits(name: str, precision: str) -> None:
             estimator.set_state(state)
             estimator.set_state(before)
             continue
-        with pytest.raises(pmfid.UsageError, match=r"no state of this configuration.*start from an older state"):
-            estimator.set_state(state)
+        refused(("no state of this configuration.*start from an older", partial(estimator.set_state, state)))
         assert estimator.get_state() == before, field
 
 
@@ -115,8 +115,7 @@ def test_a_fleet_has_a_checksum_and_the_same_limits() -> None:
     for place in rng.integers(0, len(state), 300):
         flipped = bytearray(state)
         flipped[place] ^= 1 << rng.integers(8)
-        with pytest.raises(pmfid.UsageError, match="checksum is wrong"):
-            fleet.set_state(bytes(flipped))
+        refused(("checksum is wrong", partial(fleet.set_state, bytes(flipped))))
         assert fleet.get_state() == state
     refused(("not the states of this fleet", lambda: fleet.set_state(state[:-1])))
 
@@ -132,8 +131,7 @@ def test_numbers_that_no_fleet_has_are_refused_with_a_right_checksum() -> None:
         at = start + axis * packed + 8 * word
         data[at : at + 8] = np.float64(value).tobytes()
         data[start - 4 : start] = zlib.crc32(data[start:], zlib.crc32(data[: start - 4])).to_bytes(4, "little")
-        with pytest.raises(pmfid.UsageError, match="no state of this configuration"):
-            fleet.set_state(bytes(data))
+        refused(("no state of this configuration", partial(fleet.set_state, bytes(data))))
         assert fleet.get_state() == state
     fleet.set_state(state)
 

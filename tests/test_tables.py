@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -95,10 +96,11 @@ def test_times_and_speeds_at_the_end_of_the_numbers_are_what_they_say(options: d
 
 
 def test_a_period_that_nothing_has_and_a_mask_are_refused() -> None:
-    refused(("no plausible sample period", lambda: pmfid.LS(pmfid.Drive(1.0), Encoder(1e-3), 1e-320, 20.0)))
-    masked = np.ma.masked_greater(np.arange(50.0), 40)
-    with pytest.raises(UsageError, match="u has masked elements"):
-        pmfid.LS(pmfid.Drive(1.0), Encoder(1e-3), 0.01, 20.0).fit(masked, np.arange(50))
+    masked, made = np.ma.masked_greater(np.arange(50.0), 40), partial(pmfid.LS, pmfid.Drive(1.0), Encoder(1e-3))
+    refused(
+        ("no plausible sample period", lambda: made(1e-320, 20.0)),
+        ("u has masked elements", lambda: made(0.01, 20.0).fit(masked, np.arange(50))),
+    )
 
 
 @pytest.mark.parametrize(

@@ -22,6 +22,7 @@ from pmfid.service.web.config import PageConfig
 from pmfid.service.web.security import Token, load_token
 from pmfid.service.web.server import serve
 from pmfid.stream.outcome import Counters
+from tests.refusals import refused
 from tests.service.fake_engine import FakePlant
 from tests.service.loopback import Served, received, served, until
 
@@ -50,11 +51,6 @@ def test_another_host_is_refused_whatever_is_asked_for(page: Served, path: str, 
     assert page.counted("refused", reason="host") == before + 1
 
 
-@pytest.mark.parametrize("host", ["localhost:{port}", "LOCALHOST:{port}", "[::1]:{port}"])
-def test_the_names_of_this_machine_are_answered(page: Served, host: str) -> None:
-    assert page.ask("/api/plant", host=host.format(port=page.address[1]))[0] == 200
-
-
 def test_two_hosts_or_none_are_refused(page: Served) -> None:
     host = page.host.encode()
     two = page.raw(b"GET / HTTP/1.1\r\nHost: %b\r\nHost: evil.example\r\n\r\n" % host)
@@ -63,21 +59,32 @@ def test_two_hosts_or_none_are_refused(page: Served) -> None:
     assert none.split()[1] in (b"400", b"421")
 
 
-@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1", "http://localhost", ""])
-def test_another_origin_is_refused_with_the_right_token(page: Served, origin: str) -> None:
-    assert page.ask("/api/plant", origin=origin)[0] == 403
-    assert page.ask("/api/alarms/1/acknowledge", method="POST", body=b"{}", origin=origin)[0] == 403
+FOREIGN = ("http://evil.example", "null", "http://127.0.0.1:1", "http://localhost", "")
+ACKNOWLEDGE = "/api/alarms/1/acknowledge"
+STYLED, OWN = {"sec_fetch_mode": "no-cors"}, {"sec_fetch_mode": "navigate"}
+#: The path of a request, its headers ({port}, {host} and {token} are those of the page), and the status of the answer.
+#: What a browser calls another site or port may follow a link alone; the token counts in its header alone.
+ASKED: list[tuple[str, dict[str, str | None], int]] = [
+    *(("/api/plant", {"host": host}, 200) for host in ("localhost:{port}", "LOCALHOST:{port}", "[::1]:{port}")),
+    *(("/api/plant", {"origin": origin}, 403) for origin in FOREIGN),
+    *((ACKNOWLEDGE, {"origin": origin, "method": "POST"}, 403) for origin in FOREIGN),
+    ("/api/plant", {"origin": "http://{host}"}, 200),
+    *(("/style.css", {"sec_fetch_site": site, **STYLED}, 403) for site in ("cross-site", "same-site")),
+    *(("/", {"sec_fetch_site": site, **OWN}, 200) for site in ("cross-site", "same-site")),
+    *(("/api/plant", {"sec_fetch_site": site, **OWN, "token": None}, 401) for site in ("cross-site", "same-site")),
+    ("/api/plant?token={token}", {"token": None}, 401),
+    ("/api/plant", {"token": None, "cookie": "token={token}"}, 401),
+    ("/api/plant", {"token": None, "authorization": "Basic {token}"}, 401),
+    ("/api/plant", {"token": None, "authorization": "bearer {token}"}, 200),
+]
 
 
-def test_the_pages_own_origin_is_answered(page: Served) -> None:
-    assert page.ask("/api/plant", origin=f"http://{page.host}")[0] == 200
-
-
-@pytest.mark.parametrize("site", ["cross-site", "same-site"])
-def test_what_a_browser_calls_another_site_or_port_may_follow_a_link_alone(page: Served, site: str) -> None:
-    assert page.ask("/style.css", sec_fetch_site=site, sec_fetch_mode="no-cors")[0] == 403
-    assert page.ask("/", sec_fetch_site=site, sec_fetch_mode="navigate")[0] == 200
-    assert page.ask("/api/plant", sec_fetch_site=site, sec_fetch_mode="navigate", token=None)[0] == 401
+@pytest.mark.parametrize(("path", "headers", "status"), ASKED)
+def test_hosts_origins_and_tokens(page: Served, path: str, headers: dict[str, str | None], status: int) -> None:
+    own = {"port": page.address[1], "host": page.host, "token": page.token}
+    written = {name: text and text.format(**own) for name, text in headers.items()}
+    body = b"{}" if path == ACKNOWLEDGE else b""
+    assert page.ask(path.format(**own), body=body, **written)[0] == status
 
 
 # --- tokens -----------------------------------------------------------------------------------------------------------
@@ -99,13 +106,6 @@ def test_nothing_of_the_plant_without_the_token(page: Served, path: str, token: 
     assert status == 401
     assert headers["www-authenticate"] == "Bearer"
     assert b"gantry" not in body
-
-
-def test_the_token_counts_in_its_header_alone(page: Served) -> None:
-    assert page.ask(f"/api/plant?token={page.token}", token=None)[0] == 401
-    assert page.ask("/api/plant", token=None, cookie=f"token={page.token}")[0] == 401
-    assert page.ask("/api/plant", token=None, authorization=f"Basic {page.token}")[0] == 401
-    assert page.ask("/api/plant", token=None, authorization=f"bearer {page.token}")[0] == 200
 
 
 def test_one_token_in_one_header_opens_the_page() -> None:
@@ -268,24 +268,16 @@ def test_what_fails_inside_says_nothing_of_the_inside_but_to_the_log(
 # --- configuration ----------------------------------------------------------------------------------------------------
 
 
-def refused(**config: object) -> str:
-    with pytest.raises(UsageError) as caught:
-        PageConfig.model_validate(config)
-    return str(caught.value)
-
-
 def test_another_address_asks_for_two_decisions() -> None:
-    assert "token_file" in refused(address="0.0.0.0")
-    assert "hosts = " in refused(address="0.0.0.0", token_env="T")
+    refused(
+        ("token_file", lambda: PageConfig(address="0.0.0.0")),
+        ("hosts = ", lambda: PageConfig(address="0.0.0.0", token_env="T")),
+        ("keep one", lambda: PageConfig(token_env="A", token_file="b")),
+    )
     config = PageConfig(address="0.0.0.0", token_env="T", hosts=("hall.example:8127",))
     assert not config.local
     assert PageConfig(address="::1").local
     assert not PageConfig(address="192.0.2.7", token_env="T").local
-    assert "keep one" in refused(token_env="A", token_file="b")
-
-
-def start(config: PageConfig, folder: Path) -> None:
-    serve(config, "hall-3", Board([], Counters()), Counters(), FakePlant(1), folder=folder).stop()
 
 
 def test_a_page_for_others_says_so_and_shows_no_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -309,23 +301,20 @@ def test_a_token_that_is_none_is_refused(tmp_path: Path, content: str) -> None:
     assert not content or content not in str(caught.value)
 
 
-def test_a_missing_token_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_cannot_be_served_is_reported(page: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NO_TOKEN", raising=False)
-    with pytest.raises(UsageError, match="token_env = 'NO_TOKEN'"):
-        load_token(PageConfig(token_env="NO_TOKEN"), tmp_path)
-    with pytest.raises(UsageError, match="cannot be read"):
-        load_token(PageConfig(token_file="none"), tmp_path)
-
-
-def test_a_port_that_is_taken_is_reported(page: Served, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="choose another port"):
-        start(PageConfig(port=page.address[1]), tmp_path)
-
-
-def test_without_the_extra_it_is_one_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    taken = PageConfig(port=page.address[1])
+    refused(
+        ("token_env = 'NO_TOKEN'", lambda: load_token(PageConfig(token_env="NO_TOKEN"), tmp_path)),
+        ("cannot be read", lambda: load_token(PageConfig(token_file="none"), tmp_path)),
+        (
+            "choose another port",
+            lambda: serve(taken, "hall-3", Board([], Counters()), Counters(), FakePlant(1), folder=tmp_path),
+        ),
+    )
     monkeypatch.setitem(sys.modules, "uvicorn", None)
     monkeypatch.delitem(sys.modules, "pmfid.service.web.server")
     plant = Plant(tmp_path, ServiceSection(), {}, {})
-    service = Service(lambda: plant, NoticeLog(io.StringIO()))
-    with pytest.raises(UsageError, match=r"pip install 'pmfid\[serve\]'"):
-        service._serve_page(plant)
+    refused(
+        (r"pip install 'pmfid\[serve\]'", lambda: Service(lambda: plant, NoticeLog(io.StringIO()))._serve_page(plant))
+    )

@@ -14,6 +14,7 @@ from pmfid.errors import UsageError
 from pmfid.fleet.history import History
 from studies.fleet_data import AXIS_TOML, DT, Change, Machine, machines, rows
 from tests.command import run_command
+from tests.refusals import refused
 from tests.tuned import set_tuning
 
 if TYPE_CHECKING:
@@ -111,12 +112,11 @@ def test_times_and_types_of_spark_are_those_of_polars(
 
 def test_what_is_wrong_is_said(spark: SparkSession, frames: list[pl.DataFrame], config: Path) -> None:
     data = spark.createDataFrame(frames[0].rename({"u": "voltage"}).head(100).to_arrow())
-    with pytest.raises(UsageError, match="no column 'u'"):
-        estimated(data, config)
-    with pytest.raises(UsageError, match="leave out the engine"):
-        estimated(data, config, engine=fleet.Local())
-    with pytest.raises(UsageError, match="stays on this machine"):
-        estimated(frames[0], config, engine=fleet.Spark())
+    refused(
+        ("no column 'u'", lambda: estimated(data, config)),
+        ("leave out the engine", lambda: estimated(data, config, engine=fleet.Local())),
+        ("stays on this machine", lambda: estimated(frames[0], config, engine=fleet.Spark())),
+    )
 
 
 def test_executors_with_another_version_are_refused(
