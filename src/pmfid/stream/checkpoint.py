@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.monitor.saved import seal_parts
-from pmfid.stream.delivery import Block
+from pmfid.stream.blocks import encode, items
+from pmfid.stream.delivery import Block, split_tables
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, Seat
 from pmfid.stream.outcome import AlarmRecord, Notice
@@ -29,30 +30,27 @@ SEAT = np.dtype(
 )
 #: Fields of SEAT that are columns of `Positions`.
 _COLUMNS = tuple(name for name in SEAT.names or () if name not in ("seat", "notices"))
-#: Head of each block that waits for earlier blocks. The samples of the block follow, u as float64, counts
-#: as int64, and in a group with edge times the ages as float64.
-HELD = np.dtype(
-    [("seat", "<i8"), ("epoch", "<i8"), ("first", "<i8"), ("time", "<f8"), ("dt", "<f8"), ("samples", "<i8")]
-)
 
 
 @dataclass(frozen=True)
 class Draft:
     """A checkpoint without the checksums of its states, which take longer than a copy of the states.
 
-    `text` is the JSON object. `states` and `others` have the parts of each group, where the state of a group has
-    several pieces.
+    `text` is the JSON object. For each group, `states` has the pieces of its state, `seats` its array of SEAT, and
+    `held` its waiting blocks.
     """
 
     text: bytes
     states: list[list[bytes]]
-    others: list[list[bytes]]
+    seats: list[bytes]
+    held: list[list[Block]]
 
     def chunks(self) -> list[bytes | memoryview]:
-        """Return the whole checkpoint. Any thread may call this function."""
+        """Return the whole checkpoint, each part after its length. Any thread may call this function."""
         found: list[bytes | memoryview] = [_LENGTH.pack(len(self.text)), self.text]
-        for state, own in zip(self.states, self.others, strict=True):
-            found += [*seal_parts(state), *own]
+        for state, seats, held in zip(self.states, self.seats, self.held, strict=True):
+            for pieces in (seal_parts(state), [seats], [encode(block) for block in held]):
+                found += [_LENGTH.pack(sum(map(len, pieces))), *pieces]
         return found
 
 
@@ -66,16 +64,18 @@ def draft(engine: StreamEngine) -> Draft:
     runs.
     """
     states = [[bytes(part) for part in group.fleet.unsealed_state()] for group in engine.groups]
-    others = [[_pack_seats(group).tobytes(), _pack_held(group)] for group in engine.groups]
+    packed, held = (
+        [_pack_seats(group).tobytes() for group in engine.groups],
+        [_held_by(group) for group in engine.groups],
+    )
     groups = list[dict[str, Any]]()
-    for group, state, own in zip(engine.groups, states, others, strict=True):
+    for group in engine.groups:
         seats = {str(seat.index): rare for seat in group.seats if (rare := _collect_rare(seat))}
         for index in np.flatnonzero(group.positions.alarm).tolist():
             seats.setdefault(str(index), {})["silent"] = int(group.positions.alarm[index])
-        names, parts = [seat.name for seat in group.seats], [sum(map(len, state)), *map(len, own)]
-        prepared = group.prepared
+        names, prepared = [seat.name for seat in group.seats], group.prepared
         head = {"digest": prepared.digest, "baseline": prepared.setup.baseline, "axes": names}
-        groups.append({**head, "seats": seats, "parts": parts})
+        groups.append({**head, "seats": seats})
     text = json.dumps(
         {
             "wall": time.time(),
@@ -90,7 +90,7 @@ def draft(engine: StreamEngine) -> Draft:
             "groups": groups,
         }
     ).encode()
-    return Draft(text, states, others)
+    return Draft(text, states, packed, held)
 
 
 def _pack_seats(group: Group) -> NDArray[np.void]:
@@ -109,36 +109,10 @@ def _collect_rare(seat: Seat) -> dict[str, Any]:
     return {name: value for name, value in found.items() if value}
 
 
-def _pack_held(group: Group) -> bytes:
+def _held_by(group: Group) -> list[Block]:
+    """Return the waiting blocks of a group, those of an axis in order."""
     waiting = np.flatnonzero(group.positions.waits).tolist()
-    pairs = [(index, block) for index in waiting for block in group.seats[index].order.held]
-    heads = [(index, b.epoch, b.first, b.time, b.dt, b.counts.size) for index, b in pairs]
-    ages = [block.ages for _, block in pairs if group.fleet.takes_ages and block.ages is not None]
-    u, counts = [block.u for _, block in pairs], [block.counts for _, block in pairs]
-    return _write_held([np.array(heads, HELD)], u, counts, ages)
-
-
-def _write_held(
-    heads: Sequence[np.ndarray], u: Sequence[np.ndarray], counts: Sequence[np.ndarray], ages: Sequence[np.ndarray]
-) -> bytes:
-    """Return waiting blocks as bytes: their number, their heads, all u, all counts, and ages if there are any.
-
-    No blocks give no bytes.
-    """
-    number = sum(map(len, heads))
-    kinds = ((heads, HELD), (u, "<f8"), (counts, "<i8"), (ages, "<f8"))
-    whole = (np.concatenate(parts).astype(kind) for parts, kind in kinds if parts)
-    return b"".join([_LENGTH.pack(number), *(part.tobytes() for part in whole)]) if number else b""
-
-
-def _read_held(held: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
-    """Return the heads, all u, all counts and the ages of waiting blocks. Without ages, the last is None."""
-    (number,) = _LENGTH.unpack_from(held)
-    heads = np.frombuffer(held, HELD, number, _LENGTH.size)
-    samples, place = int(heads["samples"].sum()), _LENGTH.size + heads.nbytes
-    u, counts = np.frombuffer(held, "<f8", samples, place), np.frombuffer(held, "<i8", samples, place + 8 * samples)
-    place += 16 * samples
-    return heads, u, counts, np.frombuffer(held, "<f8", samples, place) if len(held) > place else None
+    return [block for index in waiting for block in group.seats[index].order.held]
 
 
 @dataclass(frozen=True)
@@ -204,27 +178,38 @@ class Snapshot:
 def read_snapshot(body: bytes) -> Snapshot:
     """Read the checkpoint in the bytes of `snapshot`. Raises ValueError for other bytes."""
     try:
-        (length,) = _LENGTH.unpack_from(body)
-        place = _LENGTH.size + length
-        raw = json.loads(body[_LENGTH.size : place])
-        groups = list[Saved]()
-        for one in raw["groups"]:
-            own = list[bytes]()
-            for size in one["parts"]:
-                own.append(body[place : place + size])
-                place += size
-            seats = np.frombuffer(own[1], SEAT)
-            groups.append(
-                Saved(one["digest"], one["baseline"], tuple(one["axes"]), own[0], seats, own[2], one["seats"])
+        text, *parts = _split_parts(body)
+        raw = json.loads(text)
+        groups = [
+            Saved(
+                one["digest"],
+                one["baseline"],
+                tuple(one["axes"]),
+                state,
+                np.frombuffer(seats, SEAT),
+                held,
+                one["seats"],
             )
-        if place != len(body):
-            raise ValueError("the lengths of its parts do not add up to the length of the file")
+            for one, state, seats, held in zip(raw["groups"], parts[::3], parts[1::3], parts[2::3], strict=True)
+        ]
         alarms = [AlarmRecord(**alarm) for alarm in raw["alarms"]]
         unwritten = {sink: [Notice(*entry) for entry in some] for sink, some in raw["unwritten"].items()}
         history = list(raw["history"])
         return Snapshot(float(raw["wall"]), int(raw["numbered"]), history, alarms, unwritten, groups)
     except (KeyError, TypeError, AttributeError, IndexError, struct.error, RecursionError) as error:
         raise ValueError(f"this version of pmfid cannot read it as a checkpoint: {error!r}") from None
+
+
+def _split_parts(body: bytes) -> list[bytes]:
+    found, place = list[bytes](), 0
+    while place < len(body):
+        (length,) = _LENGTH.unpack_from(body, place)
+        place += _LENGTH.size
+        found.append(body[place : place + length])
+        place += length
+    if place != len(body):
+        raise ValueError("the lengths of its parts do not add up to the length of the file")
+    return found
 
 
 def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:
@@ -238,11 +223,9 @@ def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:
 
 
 def _restore_held(seats: Sequence[Seat], held: bytes) -> None:
-    if not held:
-        return
-    (heads, u, counts, ages), start = _read_held(held), 0
-    for index, epoch, first, begun, dt, n in heads.tolist():
-        seat, here = seats[index], slice(start, start + n)
-        own = None if ages is None else ages[here]
-        seat.order.hold(len(seat.order.held), Block(seat.name, epoch, first, begun, dt, u[here], counts[here], own))
-        start += n
+    known = {seat.name: seat.order for seat in seats} if held else {}
+    for block in split_tables(items(held)):
+        if not isinstance(block, Block):
+            raise ValueError("its waiting blocks cannot be read")
+        order = known[block.axis]
+        order.hold(len(order.held), block)

@@ -16,7 +16,7 @@ from pmfid.stream.tuning import TUNING
 #: Name of the file in the folder `[service] state`.
 FILE = "pmfid.sqlite"
 #: Version of the tables, and the number that marks such a file ("pmfd"). The file contains both.
-VERSION, APPLICATION = 2, 0x706D6664
+VERSION, APPLICATION = 3, 0x706D6664
 
 SCHEMA = """
 CREATE TABLE checkpoint (sequence INTEGER NOT NULL, checksum INTEGER NOT NULL);
