@@ -14,7 +14,6 @@ from pmfid.actuators.search import ServoSearch, limited_part
 from pmfid.actuators.terms import LOOP_FRICTION
 from pmfid.actuators.ticks import measure_ticks
 from pmfid.actuators.tuning import TUNING
-from pmfid.fit.compare import mixture_half_length
 from pmfid.fit.fit import Fitted, sandwich
 from pmfid.fit.problem import ResidualBlock
 from pmfid.fit.search import inverse
@@ -141,27 +140,10 @@ def _widen(search: ServoSearch, gradient: Floats, std: Floats) -> Floats:
 
     A parameter may be a sum of coordinates, which another model moves against one another.
     """
-    local, count, chosen = search.local(search.noise), search.count, search.chosen
-    rows = gradient[:, [*range(count), *search.problem.places]]
-    value, step, inner = local.evidence(chosen)
-    weights, shifts, sds = [1.0], [np.zeros(std.size)], [std]
-    for one in local.neighbours(chosen, range(len(search.table))):
-        other, moved, wider = local.evidence(one)
-        if not math.isfinite(other):
-            continue
-        shared = [k for k, i in enumerate(chosen) if i in one]
-        here = [*range(count), *(count + k for k in shared)]
-        there = [*range(count), *(count + one.index(chosen[k]) for k in shared)]
-        change = np.where(np.arange(step.size) < count, 0.0, -step)  # without its size, if a term is gone
-        change[here] = moved[there] - step[here]
-        more = np.sum(rows[:, here] @ (wider[np.ix_(there, there)] - inner[np.ix_(here, here)]) * rows[:, here], axis=1)
-        weights.append(math.exp(min(other - value, 50.0)))
-        shifts.append(rows @ change)
-        sds.append(np.sqrt(np.maximum(std**2 + more, 1e-300)))
     known = np.isfinite(std)
-    half = mixture_half_length(np.array(weights), np.array(shifts)[:, known], np.array(sds)[:, known])
-    std = std.copy()
-    std[known] = half / TUNING.normal
+    rows = gradient[:, [*range(search.count), *search.problem.places]][known]
+    local, std = search.local(search.noise), std.copy()
+    std[known] = local.half_length(search.chosen, range(len(search.table)), std[known] ** 2, rows)[0] / TUNING.normal
     return std
 
 

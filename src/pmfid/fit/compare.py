@@ -73,8 +73,8 @@ class Quadratic:
         self, chosen: Sequence[int], allowed: Sequence[int], variance: Floats, rows: Floats
     ) -> tuple[Floats, int | None]:
         """Return the half length (k,) of the intervals that hold 95 % of the posterior over the sets next to `chosen`,
-        and the candidate that widens them most, for the products of `rows` (k, plain) and the plain parameters.
-        `variance` (k,) is that within the set.
+        and the candidate that widens them most, for the products of `rows` (k, c) and the first c parameters of the
+        set. A candidate that is gone has the size 0. `variance` (k,) is that within the set.
 
         The set itself has a normal distribution about 0, and each set next to it another one.
         """
@@ -83,10 +83,15 @@ class Quadratic:
         sets = [one for one in self.neighbours(chosen, allowed) if np.isfinite(self.evidence(one)[0])]
         for one in sets:
             other, moved, wider = self.evidence(one)
-            more = wider[: self.plain, : self.plain] - inner[: self.plain, : self.plain]
+            kept = [k for k, j in enumerate(chosen) if j in one]
+            here = [k for k in [*range(self.plain), *(self.plain + k for k in kept)] if k < rows.shape[1]]
+            there = [*range(self.plain), *(self.plain + one.index(chosen[k]) for k in kept)][: len(here)]
+            change, part = -step[: rows.shape[1]], rows[:, here]
+            change[here] += moved[there]
+            more = wider[np.ix_(there, there)] - inner[np.ix_(here, here)]
             weights.append(math.exp(min(other - value, 50.0)))
-            shifts.append(rows @ (moved[: self.plain] - step[: self.plain]))
-            sds.append(np.sqrt(np.maximum(variance + np.einsum("ij,jk,ik->i", rows, more, rows), 1e-300)))
+            shifts.append(rows @ change)
+            sds.append(np.sqrt(np.maximum(variance + np.einsum("ij,jk,ik->i", part, more, part), 1e-300)))
         half = mixture_half_length(np.array(weights), np.array(shifts), np.array(sds))
         if not sets:
             return half, None
