@@ -63,8 +63,8 @@ def test_a_field_without_a_value_is_found(method: str, place: str, monkeypatch: 
 
 def test_a_value_without_a_field_is_found() -> None:
     tap = np.zeros((), structures(None, "float64")["pmf_tap_t"])
-    with pytest.raises(ValueError, match=r"unknown \['wait'\]"):
-        configuration.fill(tap, {"node": 1, "weight": 2.0, "wait": 3.0})
+    wrong = {"node": 1, "weight": 2.0, "wait": 3.0}
+    refused((r"unknown \['wait'\]", lambda: configuration.fill(tap, wrong)), kind=ValueError)
 
 
 def test_more_values_than_room_are_refused() -> None:
@@ -72,8 +72,8 @@ def test_more_values_than_room_are_refused() -> None:
     values = configuration.network_values([(0, 0.0, 0.0, 1.0)], [[(1, 1.0)]], 1)
     configuration.fill(network, values)
     assert (network["n_stages"], network["tap_end"][0], network["tap"]["weight"][0]) == (1, 1, 1.0)
-    with pytest.raises(ValueError, match="tap_end has the shape"):
-        configuration.fill(network, values | {"tap_end": np.ones(1000)})
+    wrong = values | {"tap_end": np.ones(1000)}
+    refused(("tap_end has the shape", lambda: configuration.fill(network, wrong)), kind=ValueError)
 
 
 @pytest.mark.parametrize("kernel", [_kernel32.Kernel, _kernel64.Kernel])

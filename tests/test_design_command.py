@@ -9,20 +9,13 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 import pytest
-from click.testing import CliRunner, Result
 
-from pmfid.cli.main import main
 from pmfid.design.simulated import simulate
 from pmfid.pipeline.designs import load_spec, make_problem
+from tests.command import run_command
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "cart_design.toml"
 FEW = ("--set", "search.starts=3", "--certify", "0")
-
-
-def run(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
 
 
 def changed(tmp_path: Path, *changes: tuple[str, str]) -> Path:
@@ -39,8 +32,7 @@ def changed(tmp_path: Path, *changes: tuple[str, str]) -> Path:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     """Return the folder of the example's design, and the printed text."""
     out = tmp_path_factory.mktemp("design")
-    result = run("design", EXAMPLE, *FEW, "--out", out)
-    assert result.exit_code == 0
+    result = run_command("design", EXAMPLE, *FEW, "--out", out)
     return out, result.stdout
 
 
@@ -48,15 +40,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 def first(tmp_path_factory: pytest.TempPathFactory) -> np.ndarray:
     """Return the input of the first design of a commissioning."""
     out = tmp_path_factory.mktemp("first")
-    assert run("design", EXAMPLE, "--want", "mass=1e-6", "--set", "search.starts=3", "--out", out).exit_code == 0
+    run_command("design", EXAMPLE, "--want", "mass=1e-6", "--set", "search.starts=3", "--out", out)
     return pl.read_csv(out / "design.csv")["u"].to_numpy()[:-1]
 
 
 def test_json_is_the_object_that_was_promised() -> None:
-    result = run(
+    result = run_command(
         "design", EXAMPLE, "--set", "experiment.unknown=['mass']", "--set", "experiment.criterion=trace", "--json", *FEW
     )
-    assert result.exit_code == 0
     found = json.loads(result.stdout)
     assert {
         "criterion",
@@ -102,8 +93,7 @@ def test_the_table_shows_design_and_standard_inputs(folder: tuple[Path, str]) ->
 
 
 def test_the_trap_of_no_least_speed_is_reported(tmp_path: Path) -> None:
-    result = run("design", changed(tmp_path, ("min_speed = 0.01", "min_speed = 0.0")), *FEW)
-    assert result.exit_code == 0
+    result = run_command("design", changed(tmp_path, ("min_speed = 0.01", "min_speed = 0.0")), *FEW)
     assert "warning" in result.stdout
     assert "survives" in result.stdout
 
@@ -119,14 +109,12 @@ def test_the_trap_of_no_least_speed_is_reported(tmp_path: Path) -> None:
 )
 def test_limits_that_cannot_be_met_say_what_to_relax(tmp_path: Path, old: str, new: str, message: str) -> None:
     path = changed(tmp_path, (old, new))
-    result = run("design", path, "--set", "experiment.unknown=['mass']", *FEW)
-    assert result.exit_code == 3
+    result = run_command("design", path, "--set", "experiment.unknown=['mass']", *FEW, code=3)
     assert result.stdout == ""
     assert "relax one of" in result.stderr
     assert message in result.stderr
     assert result.stderr.count("\n") == 1
-    machine = run("design", path, "--set", "experiment.unknown=['mass']", *FEW, "--json")
-    assert machine.exit_code == 3
+    machine = run_command("design", path, "--set", "experiment.unknown=['mass']", *FEW, "--json", code=3)
     found = json.loads(machine.stdout)
     assert found["feasible"] is False
     assert found["relax"]
@@ -134,15 +122,12 @@ def test_limits_that_cannot_be_met_say_what_to_relax(tmp_path: Path, old: str, n
 
 
 def test_relaxing_as_reported_is_enough(tmp_path: Path) -> None:
-    result = run("design", changed(tmp_path, ("input = 3.0", "input = 1.0")), *FEW, "--json")
+    result = run_command("design", changed(tmp_path, ("input = 3.0", "input = 1.0")), *FEW, "--json", code=3)
     needed = next(way["to"] for way in json.loads(result.stdout)["relax"] if way["limit"] == "input")
     assert 1.0 < needed < 3.0
-    enough, too_little = (
-        run("design", changed(tmp_path, ("input = 3.0", f"input = {factor * needed}")), *FEW, "--json")
-        for factor in (1.0001, 0.999)
-    )
-    assert enough.exit_code == 0, enough.stderr
-    assert too_little.exit_code == 3
+    for factor, code in ((1.0001, 0), (0.999, 3)):
+        spec = changed(tmp_path, ("input = 3.0", f"input = {factor * needed}"))
+        run_command("design", spec, *FEW, "--json", code=code)
 
 
 def record(tmp_path: Path, u: np.ndarray, mass: float) -> Path:
@@ -157,8 +142,7 @@ def record(tmp_path: Path, u: np.ndarray, mass: float) -> Path:
 
 def test_a_recorded_run_is_estimated_and_the_next_one_designed(tmp_path: Path, first: np.ndarray) -> None:
     path = record(tmp_path, first, 1.6)
-    result = run("design", EXAMPLE, path, "--set", "search.starts=3", "--json", "--out", tmp_path / "next")
-    assert result.exit_code == 0, result.stderr
+    result = run_command("design", EXAMPLE, path, "--set", "search.starts=3", "--json", "--out", tmp_path / "next")
     found = json.loads(result.stdout)
     mass = found["rounds"][-1]["parameters"]["mass"]
     assert mass["value"] == pytest.approx(1.6, rel=1e-4)
@@ -168,22 +152,22 @@ def test_a_recorded_run_is_estimated_and_the_next_one_designed(tmp_path: Path, f
     assert found["doubts"] == []
     assert found["next"]["predicted_std"]["mass"] < mass["std"]
     assert pl.read_csv(tmp_path / "next" / "design.csv")["x"][-1] == pytest.approx(0.4, abs=1e-9)
-    done = run("design", EXAMPLE, path, path, "--want", "mass=0.01", "--json")
+    done = run_command("design", EXAMPLE, path, path, "--want", "mass=0.01", "--json")
     assert json.loads(done.stdout)["reached"] is True
     assert json.loads(done.stdout)["next"] is None
-    assert "every wanted deviation is reached" in run("design", EXAMPLE, path, "--want", "mass=0.01").stdout
+    assert "every wanted deviation is reached" in run_command("design", EXAMPLE, path, "--want", "mass=0.01").stdout
 
 
 @pytest.mark.long
 def test_all_rounds_on_a_simulated_axis() -> None:
     options = ("--truth", "mass=1.8", "--want", "mass=1e-9", "--rounds", "2", "--set", "search.starts=3")
-    result = run("design", EXAMPLE, *options, "--json")
+    result = run_command("design", EXAMPLE, *options, "--json")
     found = json.loads(result.stdout)
     assert found["reached"] is False
     assert len(found["rounds"]) == 2
     assert found["rounds"][1]["parameters"]["mass"]["value"] == pytest.approx(1.8, rel=1e-3)
     assert found["rounds"][1]["travel"] == pytest.approx(0.4, rel=0.02)
-    assert re.search(r"1\.(80|79)\d* ±", run("design", EXAMPLE, *options).stdout)
+    assert re.search(r"1\.(80|79)\d* ±", run_command("design", EXAMPLE, *options).stdout)
 
 
 @pytest.mark.parametrize(
@@ -201,12 +185,10 @@ def test_all_rounds_on_a_simulated_axis() -> None:
     ],
 )
 def test_wrong_use_is_one_error(arguments: list[str], message: str) -> None:
-    result = run("design", EXAMPLE, *arguments)
-    assert result.exit_code == 2
+    result = run_command("design", EXAMPLE, *arguments, code=2)
     assert message in result.stderr
 
 
 def test_records_and_a_truth_exclude_each_other(tmp_path: Path, first: np.ndarray) -> None:
-    result = run("design", EXAMPLE, record(tmp_path, first, 1.5), "--truth", "mass=1.5")
-    assert result.exit_code == 2
+    result = run_command("design", EXAMPLE, record(tmp_path, first, 1.5), "--truth", "mass=1.5", code=2)
     assert "exclude each other" in result.stderr

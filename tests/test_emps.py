@@ -7,9 +7,8 @@ from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
-from pmfid.cli.main import main
+from tests.command import run_command
 from tests.conftest import EMPS, needs_emps, unjudged
 
 pytestmark = needs_emps
@@ -26,9 +25,8 @@ def identified(*options: str, judged: bool = True) -> dict[str, float]:
     `judged` includes the status, which takes most of the time.
     """
     with nullcontext() if judged else unjudged():
-        result = CliRunner().invoke(main, ["identify", str(EMPS), "--config", str(AXIS), "--json", *options])
-    progress = [line for line in result.stderr.splitlines() if not line.startswith("pmfid: identify: ")]
-    assert (result.exit_code, progress) == (0, [])
+        result = run_command("identify", EMPS, "--config", AXIS, "--json", *options)
+    assert [line for line in result.stderr.splitlines() if not line.startswith("pmfid: identify: ")] == []
     printed = json.loads(result.stdout)
     assert printed["samples"] == 24841
     return {name: entry["value"] for name, entry in printed["parameters"].items()}
@@ -53,9 +51,8 @@ def test_fine_encoder_loses_nothing_by_the_compensation(method: str) -> None:
 def test_half_a_millimetre_ruins_least_squares() -> None:
     """The mass of 6 kg has a standard error of half of the true mass, and is refused."""
     with unjudged():
-        options = ["identify", str(EMPS), "--config", str(AXIS), "--json", "--method", "rls", *HALF_MILLIMETRE]
-        result = CliRunner().invoke(main, options)
-    assert result.exit_code == 3
+        options = ("--json", "--method", "rls", *HALF_MILLIMETRE)
+        result = run_command("identify", EMPS, "--config", AXIS, *options, code=3)
     assert "mass comes out as 5.98 with a standard deviation of 57" in result.stderr
 
 
@@ -77,8 +74,7 @@ def test_a_whole_millimetre_is_compensated_in_the_mass(method: str) -> None:
 
 def test_the_fit_names_the_friction_of_each_direction() -> None:
     """Viscous friction of this axis is 166 N s/m in one direction and 232 N s/m in the other."""
-    result = CliRunner().invoke(main, ["identify", str(EMPS), "--config", str(AXIS), "--json", "--method", "auto"])
-    printed = json.loads(result.stdout)
+    printed = json.loads(run_command("identify", EMPS, "--config", AXIS, "--json", "--method", "auto").stdout)
     mass = printed["parameters"]["mass"]
     assert mass["value"] == pytest.approx(MASS, rel=0.02)
     assert mass["interval_95"][0] < MASS < mass["interval_95"][1]

@@ -6,6 +6,7 @@ If the good lines do not count again, one sentence refuses the run.
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
@@ -32,6 +33,7 @@ from studies.monitoring.pipe import write_axis
 from tests.command import run_command
 from tests.conftest import long_unless
 from tests.pipe_faults import FAULTS, HEADER, Row, Text, lines, restamped
+from tests.refusals import refused
 
 THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 CHANGE, SECONDS = 8.0, 13.5
@@ -159,8 +161,7 @@ def test_the_rest_is_refused_without_an_alarm(axis: Axis, calibration: Calibrati
     body, message = REFUSED[name]
     run = monitored(axis, calibration, body(rows))
     assert run.alarms == []
-    with pytest.raises(UsageError, match=message):
-        raise UsageError(run.problem)
+    assert re.search(message, run.problem)
     assert run.problem.count("\n") == 0
 
 
@@ -185,8 +186,8 @@ def test_a_pipe_may_be_written_as_a_file_may(axis: Axis, name: str) -> None:
 
 def test_data_without_a_header_are_refused_at_once(axis: Axis) -> None:
     stream = io.BytesIO(b"Logger\nhall 2\n0.0;1.5;7\n0.01;1.5;7\n")
-    with pytest.raises(UsageError, match="standard input has no column 'u'; it has hall 2"):
-        list(line_samples(stream, axis, CART_DT, Stop()))
+    absent = "standard input has no column 'u'; it has hall 2"
+    refused((absent, lambda: list(line_samples(stream, axis, CART_DT, Stop()))))
     assert stream.read() == b"0.01;1.5;7\n"
 
 
@@ -242,8 +243,8 @@ def test_strays_without_end_are_refused() -> None:
     timeline = Timeline(DT)
     for _ in range(TUNING.most_strays):
         timeline.take(Line(0.0, 0.0, 0))
-    with pytest.raises(UsageError, match="does not continue the record, the last 0 s: correct the time column"):
-        timeline.take(Line(0.0, 0.0, 0))
+    stuck = "does not continue the record, the last 0 s: correct the time column"
+    refused((stuck, lambda: timeline.take(Line(0.0, 0.0, 0))))
 
 
 def test_a_repetition_is_called_one() -> None:

@@ -8,16 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 from pmfid import SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction
-from pmfid.cli.main import main
 from pmfid.diagnostics.processes import Assessment, assess
 from pmfid.estimators.srivc import check_experiments, make_problem
 from pmfid.linear.order import search_structure
 from pmfid.linear.process import Process
 from pmfid.simulation.process import PLANTS, SimulatedProcess, simulate_process
 from studies.second_order import write
+from tests.command import run_command
 from tests.refusals import refused
 
 ENCODER = Encoder(1.0)
@@ -275,8 +274,7 @@ def records(tmp_path_factory) -> list[str]:
 
 
 def run(*arguments: str, code: int = 0) -> str:
-    result = CliRunner().invoke(main, list(arguments))
-    assert result.exit_code == code, result.output
+    result = run_command(*arguments, code=code)
     return result.stdout if code == 0 else result.stderr
 
 

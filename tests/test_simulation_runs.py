@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
 from pmfid.pipeline.identify import identify
 from pmfid.records.record import read_record
@@ -27,6 +25,7 @@ from pmfid.simulation import (
     stop_and_go,
     trapezoid,
 )
+from tests.command import run_command
 from tests.conftest import long_unless
 from tests.refusals import refused
 
@@ -101,10 +100,6 @@ def test_random_moves_join_and_stay_in_the_stroke() -> None:
 # --- the command ------------------------------------------------------------------------------------------------------
 
 
-def run(*arguments: str) -> Result:
-    return CliRunner().invoke(main, ["simulate", *arguments])
-
-
 CHANGING = {name for name, recipe in SCENARIOS.items() if recipe.change != "constant"}
 
 
@@ -113,8 +108,7 @@ CHANGING = {name for name, recipe in SCENARIOS.items() if recipe.change != "cons
 )
 def test_identify_reads_every_scenario_and_finds_the_mass(name: str, tmp_path: Path) -> None:
     record = tmp_path / "run.csv"
-    result = run(name, "--out", str(record), "--increments", "1024", "--bits", "12", "--seed", "2")
-    assert result.exit_code == 0, result.output
+    run_command("simulate", name, "--out", str(record), "--increments", "1024", "--bits", "12", "--seed", "2")
     axis = load_axis(tmp_path / "run.toml")
     found = identify(read_record(record, axis), axis)
     # all changes are relative to the present input gain: a slipping belt looks like more mass
@@ -125,7 +119,7 @@ def test_identify_reads_every_scenario_and_finds_the_mass(name: str, tmp_path: P
 
 def test_truth_columns_are_the_truth(tmp_path: Path) -> None:
     record = tmp_path / "run.csv"
-    assert run("stop-and-go-slipping-belt", "--out", str(record), "--truth", "--duration", "4").exit_code == 0
+    run_command("simulate", "stop-and-go-slipping-belt", "--out", str(record), "--truth", "--duration", "4")
     header, *rows = record.read_text().splitlines()
     assert header == "t,u,counts,x,v,mass,viscous_friction,coulomb_friction,input_gain,offset"
     values = np.array([[float(cell) for cell in row.split(",")] for row in rows])
@@ -137,9 +131,9 @@ def test_truth_columns_are_the_truth(tmp_path: Path) -> None:
 def test_faults_reach_the_record(tmp_path: Path) -> None:
     plain, faulty = tmp_path / "a.csv", tmp_path / "b.csv"
     options = ["--duration", "5", "--increments", "512"]
-    assert run("prbs", "--out", str(plain), *options).exit_code == 0
+    run_command("simulate", "prbs", "--out", str(plain), *options)
     worse = ["--missed", "0.01", "--jitter", "0.1", "--line-error", "0.2"]
-    assert run("prbs", "--out", str(faulty), *options, *worse).exit_code == 0
+    run_command("simulate", "prbs", "--out", str(faulty), *options, *worse)
     made = make_scenario("prbs", duration=5.0, increments=512, faults=Faults(0.01, 0.1, 0.2, 512, 0))
     counts = [int(row.split(",")[2]) for row in faulty.read_text().splitlines()[1:]]
     assert counts == made.counts.tolist()
@@ -147,8 +141,7 @@ def test_faults_reach_the_record(tmp_path: Path) -> None:
 
 
 def test_list_names_every_scenario() -> None:
-    result = run("--list")
-    assert result.exit_code == 0
+    result = run_command("simulate", "--list")
     assert [line.split()[0] for line in result.output.splitlines()] == list(SCENARIOS)
 
 
@@ -168,8 +161,7 @@ def test_bad_usage_is_one_error(
     arguments: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    result = run(*arguments)
-    assert result.exit_code == 2
+    result = run_command("simulate", *arguments, code=2)
     assert message in result.output
     assert len(result.output.splitlines()) == 1
     assert not list(Path().iterdir())

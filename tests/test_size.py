@@ -22,8 +22,8 @@ MOST = {
     "lines of code in report and cli": 3750,
     "thresholds in src": 1104,
     "lines of csrc": 9296,
-    "lines of tests": 40766,
-    "match= in tests": 97,
+    "lines of tests": 40720,
+    "match= in tests": 58,
     "lines of studies": 10450,
 }
 

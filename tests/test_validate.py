@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
 import pmfid
-from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
 from pmfid.diagnostics.free_run import drive_run, process_run
 from pmfid.estimators.motion_fit import MotionFit
@@ -18,6 +16,7 @@ from pmfid.estimators.srivc import SRIVC
 from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs, quantize, simulate_drive
 from pmfid.simulation.process import simulate_process
 from studies.record_parts import measured
+from tests.command import run_command
 from tests.conftest import Run, needs_emps
 from tests.refusals import refused
 
@@ -73,13 +72,9 @@ def files(folder: Path, content: object = GOOD, toml: str = TOML, seeds: tuple[i
     return ["validate", *records, *options]
 
 
-def called(arguments: list[str], *options: str) -> Result:
-    return CliRunner().invoke(main, [*arguments, *options])
-
-
 def test_the_truth_predicts_every_count_of_every_record(tmp_path: Path) -> None:
-    result = called(files(tmp_path, seeds=(1, 2)), "--json")
-    assert (result.exit_code, result.stderr) == (0, "")
+    result = run_command(*files(tmp_path, seeds=(1, 2)), "--json")
+    assert result.stderr == ""
     found = json.loads(result.stdout)
     assert [record["record"] for record in found["records"]] == ["run1.csv", "run2.csv"]
     for record in found["records"]:
@@ -93,16 +88,16 @@ def test_the_truth_predicts_every_count_of_every_record(tmp_path: Path) -> None:
 def test_what_identify_writes_is_what_validate_reads(tmp_path: Path) -> None:
     arguments = files(tmp_path, seeds=(1, 2))
     one, config = arguments[1], arguments[4]
-    assert called(["identify", one, "--config", config, "--out", str(tmp_path / "id"), "--method", "ls"]).exit_code == 0
+    run_command("identify", one, "--config", config, "--out", tmp_path / "id", "--method", "ls")
     arguments[-1] = str(tmp_path / "id" / "result.json")
-    result = called(arguments, "--out", str(tmp_path / "out"))
-    assert (result.exit_code, result.stderr) == (0, "")
+    result = run_command(*arguments, "--out", tmp_path / "out")
+    assert result.stderr == ""
     assert "parameters by ls" in result.stdout
     assert "run2.csv" in result.stdout
     page = (tmp_path / "out" / "validation.html").read_text("utf-8")
     assert page.count("<figure") == 3
     stored = json.loads((tmp_path / "out" / "validation.json").read_text())
-    assert stored == json.loads(called(arguments, "--json").stdout)
+    assert stored == json.loads(run_command(*arguments, "--json").stdout)
 
 
 def test_python_gives_what_the_command_gives(tmp_path: Path) -> None:
@@ -111,7 +106,7 @@ def test_python_gives_what_the_command_gives(tmp_path: Path) -> None:
         train.u, train.counts, model=pmfid.Drive(1.5), encoder=train.encoder, dt=DT, cutoff=60.0, method="iv"
     )
     found = pmfid.validate(result, other.u, other.counts).to_json()
-    printed = json.loads(called(files(tmp_path, result.to_json()), "--json").stdout)
+    printed = json.loads(run_command(*files(tmp_path, result.to_json()), "--json").stdout)
     assert found["records"][0] | {"record": "run1.csv"} == printed["records"][0]
     assert found["parameters"] == printed["parameters"]
     finer = pmfid.validate(result, other.u, other.counts * 10, encoder=pmfid.Encoder(STEP / 10), dt=DT)
@@ -248,8 +243,8 @@ HOSTILE: dict[str, tuple[object, str]] = {
 
 @pytest.mark.parametrize(("content", "said"), HOSTILE.values(), ids=list(HOSTILE))
 def test_what_is_no_result_is_reported_in_one_line(tmp_path: Path, content: object, said: str) -> None:
-    result = called(files(tmp_path, content))
-    assert (result.exit_code, result.stdout) == (2, "")
+    result = run_command(*files(tmp_path, content), code=2)
+    assert result.stdout == ""
     assert result.stderr.startswith("pmfid: ")
     assert result.stderr.count("\n") == 1
     assert len(result.stderr) < 600
@@ -266,55 +261,42 @@ def test_what_no_name_of_a_parameter_tells_must_be_the_same(tmp_path: Path, then
     more = GOOD["parameters"] | ({"stribeck_friction": {"value": 0.1, "unit": "N"}} if "stribeck" in then else {})
     (tmp_path / "then.toml").write_text(before)
     found = changed(parameters=more, equation=load_axis(tmp_path / "then.toml").model.make().equation.text)
-    assert called(files(tmp_path / "same", found, before)).exit_code == 0
-    result = called(files(tmp_path / "other", found, after))
-    assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+    run_command(*files(tmp_path / "same", found, before))
+    result = run_command(*files(tmp_path / "other", found, after), code=2)
+    assert result.stderr.count("\n") == 1
     assert "but [model] has" in result.stderr
 
 
 def test_a_result_that_is_not_there(tmp_path: Path) -> None:
     arguments = files(tmp_path)
     for place in (tmp_path / "none.json", tmp_path):
-        result = called([*arguments[:-1], str(place)])
-        assert (result.exit_code, result.stderr.count("\n")) == (2, 1)
+        result = run_command(*arguments[:-1], place, code=2)
+        assert result.stderr.count("\n") == 1
         assert "cannot read the result" in result.stderr
 
 
-def test_parameters_of_prefilters_do_not_matter(tmp_path: Path) -> None:
+def test_what_does_not_change_the_model_fits_it_and_an_equation_that_nothing_simulates_does_not(tmp_path: Path) -> None:
+    """Parameters of prefilters do not matter, and a dead time that was known must be the same."""
     more = changed(parameters=GOOD["parameters"] | {"prefilter_1": {"value": 1.0, "unit": "s^1"}})
-    assert called(files(tmp_path, more)).exit_code == 0
-
-
-def test_a_dead_time_that_was_known_is_the_same(tmp_path: Path) -> None:
+    run_command(*files(tmp_path, more))
     toml = TOML.replace("input_gain = 1.5", 'kind = "transfer_function"\nn = 1\nm = 0\ndelay = 2')
     values = {"a0": {"value": 1.0}, "b0": {"value": 2.0}}
     content = {"model": "transfer_function", "parameters": values, "dead_time": 0.01}
-    toml = toml.replace("resolution = 5e-5", "resolution = 5e-5\n")
-    assert called(files(tmp_path, content, toml)).exit_code == 0
-    result = called(files(tmp_path, content | {"dead_time": 0.03}, toml))
-    assert result.exit_code == 2
+    run_command(*files(tmp_path, content, toml))
+    result = run_command(*files(tmp_path, content | {"dead_time": 0.03}, toml), code=2)
     assert "dead_time = 0.03, but [model] has 0.01" in result.stderr
-
-
-def test_an_equation_that_nothing_simulates(tmp_path: Path) -> None:
     terms = '{ signal = "output", derivative = 1, name = "viscous_friction", unit = "N s/m" }'
     toml = TOML.replace("input_gain = 1.5", f'kind = "equation"\nunknown = [{terms}]')
-    result = called(files(tmp_path, changed(model="equation"), toml))
-    assert result.exit_code == 2
+    result = run_command(*files(tmp_path, changed(model="equation"), toml), code=2)
     assert "cannot simulate this equation" in result.stderr
 
 
-@pytest.mark.parametrize("still", ["axis", "input"])
-def test_a_record_without_a_motion_is_reported(still: str) -> None:
-    run = run_of(7)
-    u, counts = (run.u, 0 * run.counts) if still == "axis" else (0 * run.u, run.counts)
-    refused((f"the {still}", lambda: drive_run(method(), np.array([0.45, 3.1, 0.6]), u, counts, "run")))
-
-
-def test_arguments_in_python_that_do_not_fit() -> None:
-    run = run_of(8)
+def test_a_record_without_a_motion_and_arguments_that_do_not_fit_are_reported() -> None:
+    run, theta = run_of(7), np.array([0.45, 3.1, 0.6])
     result = pmfid.identify(run.u, run.counts, model=pmfid.Drive(1.5), encoder=run.encoder, dt=DT, cutoff=60.0)
     refused(
+        ("the axis", lambda: drive_run(method(), theta, run.u, 0 * run.counts, "run")),
+        ("the input", lambda: drive_run(method(), theta, 0 * run.u, run.counts, "run")),
         ("u and counts", lambda: pmfid.validate(result, run.u)),
         ("same length", lambda: pmfid.validate(result, run.u, run.counts[1:])),
     )

@@ -18,6 +18,7 @@ from pmfid.service.sinks.queued import Queued
 from pmfid.stream import store
 from pmfid.stream.outcome import EstimateRows, Notice
 from tests.patience import PATIENCE
+from tests.refusals import refused
 from tests.service.feed import Host, alarm, block, kindred, notice, until
 from tests.service.kills import killed_after
 from tests.tuned import set_tuning
@@ -152,8 +153,7 @@ def test_a_history_that_cannot_be_written_tells_and_goes_on_by_itself(
 
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="this system has no /proc, where nobody can make files")
 def test_a_folder_that_is_read_only_is_an_error_that_may_pass() -> None:
-    with pytest.raises(OSError, match="unable to open"):
-        HistorySink(Path("/proc/a.sqlite")).open()
+    refused(("unable to open", HistorySink(Path("/proc/a.sqlite")).open), kind=OSError)
 
 
 def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
@@ -166,8 +166,7 @@ def test_files_of_others_are_left_alone(tmp_path: Path) -> None:
         database.execute(f"PRAGMA user_version = {store.VERSION + 1}")
     for path, problem in ((text, "not a database"), (other, "another program"), (newer, "another version")):
         before = path.read_bytes()
-        with pytest.raises(OSError, match=problem):
-            HistorySink(path).open()
+        refused((problem, HistorySink(path).open), kind=OSError)
         assert path.read_bytes() == before
 
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from pmfid.errors import UsageError
 from pmfid.fleet import spark as sessions
+from tests.refusals import refused
 
 if TYPE_CHECKING:
     from pyspark.sql import SparkSession
@@ -19,16 +19,14 @@ if TYPE_CHECKING:
 def test_without_pyspark_the_remedy_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyspark", None)
     monkeypatch.setitem(sys.modules, "pyspark.sql", None)
-    with pytest.raises(UsageError, match=r"pip install 'pmfid\[spark\]'"):
-        sessions.session_of()
+    refused((r"pip install 'pmfid\[spark\]'", sessions.session_of))
 
 
 def test_without_java_the_remedy_is_said(tmp_path: object, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sessions, "running", lambda: None)
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("JAVA_HOME", raising=False)
-    with pytest.raises(UsageError, match="apt install openjdk-17-jre-headless"):
-        sessions.session_of()
+    refused(("apt install openjdk-17-jre-headless", sessions.session_of))
 
 
 def test_what_is_set_up_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -44,8 +42,7 @@ def test_what_is_set_up_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> Non
 def test_a_session_that_runs_is_taken(spark: SparkSession) -> None:
     assert sessions.session_of() is spark
     assert sessions.session_of("local[2]") is spark
-    with pytest.raises(UsageError, match=r"is already running on local\[2\]"):
-        sessions.session_of("spark://host:7077")
+    refused((r"is already running on local\[2\]", lambda: sessions.session_of("spark://host:7077")))
 
 
 def test_settings_that_can_change_are_set(spark: SparkSession) -> None:
