@@ -17,10 +17,10 @@ NO_CODE = {
 }
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 69000,
-    "lines of code in src": 40700,
+    "lines of src": 67800,
+    "lines of code in src": 39900,
     "lines of code in report and cli": 3750,
-    "thresholds in src": 1104,
+    "thresholds in src": 1095,
     "lines of csrc": 9296,
     "lines of tests": 40720,
     "match= in tests": 58,
