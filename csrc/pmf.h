@@ -421,7 +421,8 @@ typedef struct {
     real_t velocity, position;
     pmf_jump_t jump[PMF_ROLES]; /* effect of each parameter on the stops */
     real_t power, mismatch;
-    real_t cross, innovations, changes; /* products of innovations and changes of the input, and their squares */
+    real_t lack, change; /* measured minus modelled velocity of the last interval, and change of the input after it */
+    real_t cross, after, chance, bends, changes; /* sums for the verdict on feedback */
     whole_t running; /* 1: the model has parameters */
     whole_t trial; /* samples until the model is judged */
     whole_t trusted;

@@ -161,10 +161,9 @@ PMF_API void pmf_auxiliary_start(const pmf_auxiliary_config_t *config, pmf_auxil
 /* Judge the model by the measured velocity, and return whether its instruments are usable. */
 PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                                     const real_t *column, truth_t held);
-/* Return PMF_FEEDBACK if the changes of the input follow the innovations, otherwise 0. `where` marks a step of the
- * recursion. */
-PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,
-                                       truth_t where, real_t change);
+/* Return PMF_FEEDBACK if changes of the input follow the encoder's error, otherwise 0. `where` marks a step. */
+PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const real_t *signal, truth_t where,
+                                       real_t change);
 /* Return PMF_DEAD_TIME if the measured velocity lags the model's velocity, otherwise 0. */
 PMF_API whole_t pmf_auxiliary_late(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                                    const real_t *column, truth_t where);

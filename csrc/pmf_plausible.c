@@ -135,8 +135,9 @@ PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const 
            all_finite(&state->position, 1U) & not_negative(&state->power, 1U) & not_negative(&state->mismatch, 1U) &
            at_most(state->running, 1U) & at_most(state->trial, config->trial_samples) & at_most(state->trusted, 1U) &
            at_most(state->in_charge, 1U) & all_finite((const real_t *)(const void *)state->jump, REALS(state->jump)) &
-           all_finite(&state->cross, 1U) & not_negative(&state->innovations, 1U) & not_negative(&state->changes, 1U) &
-           at_most(state->feedback, PMF_FEEDBACK) &
+           all_finite(&state->lack, 1U) & all_finite(&state->change, 1U) & all_finite(&state->cross, 1U) &
+           all_finite(&state->after, 1U) & not_negative(&state->chance, 1U) & not_negative(&state->bends, 1U) &
+           not_negative(&state->changes, 1U) & at_most(state->feedback, PMF_FEEDBACK) &
 #if PMF_WITH_STEPS
            not_negative(&state->step, 1U) &
 #endif

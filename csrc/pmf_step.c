@@ -240,7 +240,7 @@ static whole_t instrument_step(const pmf_config_t *config, pmf_state_t *state, w
     PMF_WHERE(trusted & settled, &state->instrument,
               stepped = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column));
     status = PMF_IF(trusted & settled, stepped, status);
-    status |= pmf_auxiliary_feedback(&state->auxiliary, &state->instrument, trusted & settled,
+    status |= pmf_auxiliary_feedback(&state->auxiliary, state->network.node, trusted & settled,
                                      state->encoder.input - state->encoder.input_before);
     status |= pmf_auxiliary_late(auxiliary, &state->auxiliary, state->network.column,
                                  trusted & settled & (state->auxiliary.in_charge != 0U));

@@ -1,4 +1,4 @@
-/* Verdicts from the auxiliary model's errors on an input that follows the errors, or that acts late.
+/* Verdicts from the auxiliary model's errors on an input that follows the encoder's errors, or that acts late.
  * SPDX-License-Identifier: Apache-2.0
  *
  * Both verdicts are correlations of known values, sample by sample, and each gives one bit of the status. */
@@ -6,35 +6,32 @@
 
 #if PMF_WITH_AUXILIARY
 
+#define SURE PMF_R(9.0) /* least evidence against chance: three standard deviations */
+/* A controller answers a step of the encoder's error, which is in the change of the velocity residual. The limit is the
+ * squared correlation with this change of the input and the next one: 0 in open loop, and 0.2 to 1 under control where
+ * the encoder is coarse enough to move the mass. */
+#define FEEDBACK_PART PMF_R(0.2)
 #define FEEDBACK_MEMORY PMF_R(0.999)
 /* The first limit is the least squared correlation of the velocity residual with the model's acceleration, and the
  * second the least lead [samples]. Half a sample of dead time gives 0.06 and 0.03 under position control, and 0.2 in
- * open loop. Chance and a right model stay below one of these limits. The third limit is the least evidence, in
- * independent samples. */
+ * open loop. Chance and a right model stay below one of these limits. */
 #define LATE_PART PMF_R(0.04)
 #define LATE_BY PMF_R(0.02)
-#define LATE_SURE PMF_R(9.0)
-#define FEEDBACK_STARTS 250U /* updates whose large innovations are ignored; a verdict needs twice as many updates */
-#define FEEDBACK_TURNS 16U /* updates in stretches that are used and skipped by turns, at half the cost */
-/* Squared correlation of the controller's response to the encoder's error with the equation's response: The value is
- * 0.14 to 0.8 under position control, and at most 0.04 in open loop, even with rare changes of the input. */
-#define FEEDBACK_PART PMF_R(0.09)
 
-PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const pmf_recursion_state_t *recursion,
-                                       truth_t where, real_t change)
+PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const real_t *signal, truth_t where, real_t change)
 {
-    real_t innovation = recursion->estimate.innovation, limit;
+    real_t lack = signal[PMF_LATE_VELOCITY] - signal[PMF_AUXILIARY + PMF_VELOCITY], bend = lack - state->lack;
+    real_t answer = state->change, now = bend * answer, next = bend * change, square;
     truth_t follows;
-    where = where & (recursion->started > FEEDBACK_STARTS) & ((recursion->updates & FEEDBACK_TURNS) != 0U);
-    if (!PMF_ANY(where)) {
-        return state->feedback;
-    }
-    state->cross = PMF_IF(where, FEEDBACK_MEMORY * state->cross + innovation * change, state->cross);
-    state->innovations =
-        PMF_IF(where, FEEDBACK_MEMORY * state->innovations + innovation * innovation, state->innovations);
-    state->changes = PMF_IF(where, FEEDBACK_MEMORY * state->changes + change * change, state->changes);
-    limit = FEEDBACK_PART * state->innovations * state->changes;
-    follows = (recursion->started > 2U * FEEDBACK_STARTS) & (state->cross * state->cross > limit);
+    state->lack = lack;
+    state->change = change;
+    state->cross = PMF_IF(where, FEEDBACK_MEMORY * state->cross + now, state->cross);
+    state->after = PMF_IF(where, FEEDBACK_MEMORY * state->after + next, state->after);
+    state->chance = PMF_IF(where, FEEDBACK_MEMORY * state->chance + now * now + next * next, state->chance);
+    state->bends = PMF_IF(where, FEEDBACK_MEMORY * state->bends + bend * bend, state->bends);
+    state->changes = PMF_IF(where, FEEDBACK_MEMORY * state->changes + answer * answer, state->changes);
+    square = state->cross * state->cross + state->after * state->after;
+    follows = (square > FEEDBACK_PART * state->bends * state->changes) & (square > SURE * state->chance);
     state->feedback = PMF_IF(where, PMF_BIT(follows, PMF_FEEDBACK), state->feedback);
     return state->feedback;
 }
@@ -60,7 +57,7 @@ static truth_t is_behind(const pmf_auxiliary_config_t *config, const pmf_lag_t *
     acceleration = lag->acceleration - lag->cross * alike;
     part = (both / acceleration) * (both / lacks);
     return (lacks > PMF_R(0.0)) & (acceleration > PMF_R(0.0)) & (part > LATE_PART) &
-           (part * lag->weight > LATE_SURE * config->lag_samples) & (-both > LATE_BY * config->dt * acceleration);
+           (part * lag->weight > SURE * config->lag_samples) & (-both > LATE_BY * config->dt * acceleration);
 }
 
 PMF_API whole_t pmf_auxiliary_late(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
