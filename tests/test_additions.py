@@ -33,7 +33,7 @@ class StoppedError(Exception):
 #: A value of each field of a model that differs from its default; a new field needs a line here.
 DRIVE = {"input_gain": 3.0, "offset": True, "friction": "directional", "spring": True, "dead_time": 0.003}
 DRIVE |= {"stribeck": 0.02, "quadratic": True, "gravity": True, "cogging": 0.01, "friction_period": 0.2, "lag": 0.004}
-DRIVE |= {"axis": "rotary", "body": "two-mass", "play": True}
+DRIVE |= {"axis": "rotary", "body": "two-mass", "play": True, "output": "load"}
 PROCESS = {"n": 3, "m": 2, "delay": 4, "offset": True, "integrators": 1, "unstable": True, "dead_time": 0.25}
 TERM = {"signal": "forward_output", "derivative": 1, "name": "d", "unit": "N s/m", "coefficient": 2.5}
 SHAPE = {"form": "stribeck", "speed": 0.02}
@@ -46,7 +46,7 @@ FIELDS += [(pmfid.TransferFunction, {name: value}) for name, value in PROCESS.it
 
 def needed_by(field: dict[str, object]) -> dict[str, object]:
     """Return the further fields without which a field is refused."""
-    return {"n": 3, "m": 2} if "m" in field else {"body": "two-mass"} if "play" in field else {}
+    return {"n": 3, "m": 2} if "m" in field else {"body": "two-mass"} if {"play", "output"} & set(field) else {}
 
 
 def model_of(cls: type, field: dict[str, object]) -> pmfid.Drive | pmfid.TransferFunction:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -35,33 +36,35 @@ def body_of(pair: tuple[float, ...], delay: float = 0.0) -> Floats:
     return theta
 
 
-def simulate(theta: Floats, u: Floats = INPUT, step: float = STEP, forces: list[object] | None = None) -> list[Floats]:
-    row, clock = np.arange(u.size + 1, dtype=np.int32), np.full(u.size, step)
-    y, v, S, rows = run(forces or [], clock, u, row, np.zeros((0, u.size)), theta, 2, True, elastic=True)  # type: ignore[arg-type]
-    assert rows == u.size + 1
+def simulate(theta: Floats, forces: list[object] | None = None, load: bool = False) -> list[Floats]:
+    row, clock, none = np.arange(INPUT.size + 1, dtype=np.int32), np.full(INPUT.size, STEP), np.zeros((0, INPUT.size))
+    y, v, S, rows = run(forces or [], clock, INPUT, row, none, theta, 2, True, elastic=True, load=load)  # type: ignore[arg-type]
+    assert rows == INPUT.size + 1
     return [y, v, S]
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-def test_the_motion_is_that_of_an_independent_integrator(pair: tuple[float, ...]) -> None:
+@pytest.mark.parametrize("load", [False, True])
+def test_the_motion_is_that_of_an_independent_integrator(pair: tuple[float, ...], load: bool) -> None:
     theta = body_of(pair)
-    truth = simulate_two_masses(TwoMasses(*pair), INPUT, STEP, np.array([0.0, 0.0, 0.001, 0.02]))
-    y, v, _ = simulate(theta)
-    assert np.max(np.abs(y - truth[:, 0])) < 1e-8 * np.ptp(y)
-    assert np.max(np.abs(v - truth[:, 1])) < 1e-7 * np.ptp(v)
+    start = np.array([0.001, 0.02, 0.0, 0.0] if load else [0.0, 0.0, 0.001, 0.02])
+    truth = simulate_two_masses(TwoMasses(*pair), INPUT, STEP, start)
+    y, v, _ = simulate(theta, load=load)
+    assert np.max(np.abs(y - truth[:, 2 * load])) < 1e-8 * np.ptp(y)
+    assert np.max(np.abs(v - truth[:, 2 * load + 1])) < 1e-7 * np.ptp(v)
 
 
 @pytest.mark.parametrize("pair", PAIRS)
-@pytest.mark.parametrize("load", [False, True])
-def test_the_derivatives_are_those_of_the_motion(pair: tuple[float, ...], load: bool) -> None:
+@pytest.mark.parametrize(("load", "shown"), [(False, False), (True, False), (True, True)])
+def test_the_derivatives_are_those_of_the_motion(pair: tuple[float, ...], load: bool, shown: bool) -> None:
     forces: list[object] = [(KINDS["wave"], 0, False, np.zeros(1), 0.1, 0.3, load)]
     theta = np.append(body_of(pair, 0.3 * STEP), 0.02)
-    slopes = simulate(theta, forces=forces)[2]
+    slopes = simulate(theta, forces, shown)[2]
     # a start velocity of 0 within friction has no derivative, and a gap of 0 has none either
     for index in [*range(6), 7, *range(BASE, BASE + 7), ELASTIC_BASE]:
         step = np.zeros(theta.size)
         step[index] = 1e-8 if index == 5 else 1e-6 * max(abs(theta[index]), 1e-3)
-        ahead, back = simulate(theta + step, forces=forces)[0], simulate(theta - step, forces=forces)[0]
+        ahead, back = simulate(theta + step, forces, shown)[0], simulate(theta - step, forces, shown)[0]
         quotient = (ahead - back) / (2 * step[index])
         assert np.max(np.abs(quotient - slopes[:, index])) < 2e-4 * np.max(np.abs(quotient)), index
 
@@ -76,9 +79,9 @@ def test_a_stiff_spring_is_a_rigid_axis() -> None:
     assert np.max(np.abs(simulate(theta)[0] - y)) < 1e-2 * np.ptp(y)
 
 
-def record(seed: int = 3, pair: int = 0, hold: int = 12) -> tuple[Floats, Counts, float]:
+def record(seed: int = 3, pair: int = 0, hold: int = 12, load: bool = False) -> tuple[Floats, Counts, float]:
     u, resolution = np.random.default_rng(seed).uniform(-1, 1, 1800 // hold).repeat(hold), 1e-5
-    y = simulate_two_masses(TwoMasses(*PAIRS[pair]), u[:-1], STEP, np.zeros(4), 10)[:, 0]
+    y = simulate_two_masses(TwoMasses(*PAIRS[pair]), u[:-1], STEP, np.zeros(4), 10)[:, 2 * load]
     return u, np.floor(y / resolution + 0.4).astype(np.int64), resolution
 
 
@@ -97,6 +100,25 @@ def test_both_masses_and_the_spring_are_found(result: pmfid.Result) -> None:
     assert np.all(part[[0, 3, 6]] < 0.005), part
     assert np.all(part < 0.05), part
     assert np.sum((result.interval_95[:, 0] <= truth) & (truth <= result.interval_95[:, 1])) >= 7
+
+
+def test_counts_of_the_load_show_both_masses() -> None:
+    (u, counts, resolution), (further, others, _) = record(5, load=True), record(4, load=True)
+    drive = pmfid.Drive(1.0, body="two-mass", output="load")
+    result = pmfid.identify(u, counts, model=drive, dt=STEP, encoder=pmfid.Encoder(resolution))
+    truth = np.array(PAIRS[0])
+    part = np.abs(result.theta / truth - 1)
+    assert np.all(part[[0, 3, 6]] < 0.01), part
+    assert result.interval_95 is not None
+    assert np.sum((result.interval_95[:, 0] <= truth) & (truth <= result.interval_95[:, 1])) >= 7
+    assert pmfid.validate(result, further, others).status == ()
+
+
+@pytest.mark.parametrize("body", ["rigid", "two-mass"])
+def test_counts_of_the_load_need_two_masses_without_play(body: Literal["rigid", "two-mass"]) -> None:
+    remedy = "needs counts of the motor" if body == "two-mass" else 'output = "load" needs body = "two-mass"'
+    with pytest.raises(UsageError, match=remedy):
+        pmfid.Drive(1.0, body=body, play=body == "two-mass", output="load")
 
 
 def test_the_motion_of_another_record_follows(result: pmfid.Result) -> None:

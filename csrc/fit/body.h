@@ -79,6 +79,7 @@ typedef struct {
     const double *column; /* (columns, n) */
     double tick; /* longest part of an interval with a controller [s], or 0 without one */
     const double *on; /* (n) 0 where the controller is off; may be null */
+    int side; /* 1 if an elastic axis shows its second mass */
 } pmf_body;
 
 /* A force of size 1, and its derivatives by position, velocity and the constant p. */

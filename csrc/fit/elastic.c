@@ -453,8 +453,7 @@ static void move(pair *t, int i, double left)
     for (int turn = 0; left > 0; turn++) {
         series c;
         double step = left, slope[4];
-        int turned = -1, way = 0;
-        int next = 0;
+        int turned = -1, way = 0, next = 0;
         plan(t, i, drive, left, c);
         for (int side = 0; side < 2 && turn < MOST_TURNS; side++) {
             int s = 0;
@@ -530,6 +529,7 @@ static double rate_of(const double *theta)
 int pmf_elastic_run(const pmf_body *b, const double *theta, double *y, double *v, double *S, double *work)
 {
     const int w = PMF_ELASTIC_BASE + b->forces + b->shapes, parts = b->forces ? b->parts : 1;
+    const int shown = b->side ? 2 : 0, other = 2 - shown; /* places in the state */
     const double rate = rate_of(theta);
     double wait = b->step[0] + theta[PMF_BODY_DELAY];
     flight flights[18][LENGTHS];
@@ -543,23 +543,23 @@ int pmf_elastic_run(const pmf_body *b, const double *theta, double *y, double *v
         t.dz[r] = work + r * w, t.mid[r] = work + (4 + r) * w, t.term[r] = work + (8 + r) * w;
     t.dn[0] = work + 12 * w, t.dn[1] = work + 13 * w, t.p = work + 14 * w;
     memset(work, 0, 15 * w * sizeof *work);
-    t.z[0] = theta[PMF_BODY_X0], t.z[1] = theta[PMF_BODY_V0];
-    t.z[2] = t.z[0] + theta[PMF_ELASTIC_TWIST], t.z[3] = t.z[1] + theta[PMF_ELASTIC_SLIP];
+    t.z[shown] = theta[PMF_BODY_X0], t.z[shown + 1] = theta[PMF_BODY_V0];
+    t.z[other] = t.z[shown] + theta[PMF_ELASTIC_TWIST], t.z[other + 1] = t.z[shown + 1] + theta[PMF_ELASTIC_SLIP];
     const double twist = t.z[0] - t.z[2], half = 0.5 * theta[PMF_ELASTIC_PLAY];
     touch_at(&t, half == 0 || twist > half ? 1 : twist < -half ? -1 : 0);
     for (int j = 0, shape = PMF_ELASTIC_BASE + b->forces; j < b->forces; j++)
         t.p[j] = b->force[j].unknown ? theta[shape++] : b->force[j].p;
-    t.dz[0][PMF_BODY_X0] = t.dz[2][PMF_BODY_X0] = t.dz[2][PMF_ELASTIC_TWIST] = 1;
-    t.dz[1][PMF_BODY_V0] = t.dz[3][PMF_BODY_V0] = t.dz[3][PMF_ELASTIC_SLIP] = 1;
+    t.dz[0][PMF_BODY_X0] = t.dz[2][PMF_BODY_X0] = t.dz[other][PMF_ELASTIC_TWIST] = 1;
+    t.dz[1][PMF_BODY_V0] = t.dz[3][PMF_BODY_V0] = t.dz[other + 1][PMF_ELASTIC_SLIP] = 1;
     for (int i = 0, k = 0; k < b->rows; i++) {
         if (!(fabs(t.z[0]) < 1e150 && fabs(t.z[1]) < 1e150 && fabs(t.z[2]) < 1e150 && fabs(t.z[3]) < 1e150))
             return k;
         if (i == b->row[k]) {
-            y[k] = t.z[0];
+            y[k] = t.z[shown];
             if (v)
-                v[k] = t.z[1];
+                v[k] = t.z[shown + 1];
             if (S)
-                memcpy(S + (size_t)k * w, t.dz[0], w * sizeof *S);
+                memcpy(S + (size_t)k * w, t.dz[shown], w * sizeof *S);
             k++;
         }
         if (i < b->n) {

@@ -7,8 +7,7 @@
  *
  * With play, p acts only where the twist x - x2 is beyond half of the gap, and counts from there.
  *
- * Between stops, starts and switches of the input the motion is linear. Its Taylor series of tenth order is exact to
- * rounding within a tenth of a period. The same series shows when a mass stops or starts. */
+ * Between stops, starts and switches of the input the motion is linear. Its Taylor series shows the next of them. */
 #ifndef PMF_ELASTIC_H
 #define PMF_ELASTIC_H
 
@@ -21,14 +20,14 @@ enum {
     PMF_ELASTIC_COULOMB,
     PMF_ELASTIC_STIFFNESS,
     PMF_ELASTIC_DAMPING,
-    PMF_ELASTIC_TWIST, /* x2 - x at the start */
-    PMF_ELASTIC_SLIP, /* v2 - v at the start */
+    PMF_ELASTIC_TWIST, /* position of the mass that is not shown at the start, less that of the other one */
+    PMF_ELASTIC_SLIP, /* the same for the velocity */
     PMF_ELASTIC_PLAY, /* gap between the masses, >= 0; 0 means none */
     PMF_ELASTIC_BASE
 };
 
-/* Simulate as pmf_body_run, with w = PMF_ELASTIC_BASE + forces + shapes, and without a lag. Positions and velocities
- * are those of the first mass. `work` has room for 15 w numbers. */
+/* Simulate as pmf_body_run, with w = PMF_ELASTIC_BASE + forces + shapes, and without a lag. Positions,
+ * velocities and the start are those of the mass that body->side shows. `work` has room for 15 w numbers. */
 int pmf_elastic_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work);
 
 /* Force of a load on the motor per mass of the load, force (n), where the motor moves through x (n) at intervals of

@@ -18,6 +18,7 @@ def run(
     tick: float = 0.0,
     on: NDArray[np.float64] | None = None,
     elastic: bool = False,
+    load: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]: ...
 def run_firmware(
     forces: list[tuple[int, int, bool, NDArray[np.float64], float, float, bool]],

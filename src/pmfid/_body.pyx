@@ -21,7 +21,7 @@ cdef extern from "fit/body.h":
         const double *table
         double p, q
     ctypedef struct pmf_body:
-        int n, parts, forces, shapes, rows
+        int n, parts, forces, shapes, rows, side
         const int *row
         const double *step
         const double *u
@@ -79,13 +79,13 @@ cdef pack(list forces, Py_ssize_t columns, pmf_force *list_):
 def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.ndarray[double, mode="c"] u not None,
         cnp.ndarray[int, mode="c"] row not None, cnp.ndarray[double, ndim=2, mode="c"] columns not None,
         cnp.ndarray[double, mode="c"] theta not None, int parts, bint slopes, double tick=0.0,
-        cnp.ndarray[double, mode="c"] on=None, bint elastic=False):
+        cnp.ndarray[double, mode="c"] on=None, bint elastic=False, bint load=False):
     """Return positions, velocities (rows,) and derivatives (rows, w), and the number of finite rows.
 
     forces: tuples (kind, column, free, table, p, q, load). step, u: (n,). row: (rows,) rising, 0 to n. columns: (c, n).
     theta: (w,). Without `slopes`, the derivatives are (rows, 0). A controller moves the body in parts of at most `tick`
     [s], if that is positive. u is then its goal, and it is off where `on` (n,) is 0. An `elastic` body has two masses
-    and no controller.
+    and no controller, and shows its `load` or the motor.
     """
     cdef Py_ssize_t n = step.shape[0], rows = row.shape[0], count = len(forces)
     cdef int shapes = sum(bool(force[2]) for force in forces), done
@@ -115,6 +115,7 @@ def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.n
         body.row, body.step, body.u = <int *>row.data, <double *>step.data, <double *>u.data
         body.force, body.column = list_, <double *>columns.data
         body.tick, body.on = tick, <double *>on.data if on is not None else NULL
+        body.side = load
         work = np.empty(15 * w if elastic else pmf_body_work(&body))
         with nogil:
             if elastic:

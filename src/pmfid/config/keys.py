@@ -11,7 +11,7 @@ from typing import Literal, Required, TypedDict
 from pmfid.estimators import Discretization, Method, Precision
 from pmfid.linear.experiment import Hold
 from pmfid.models.axes import AxisKind
-from pmfid.models.drive import Body, Friction
+from pmfid.models.drive import Body, Friction, Side
 from pmfid.models.signals import Signal
 
 Searched = Literal["estimate"]
@@ -105,6 +105,7 @@ class ModelKeys(TypedDict, total=False):
     input_gain: float | str
     body: Body
     play: bool
+    output: Side
     friction: Friction
     offset: bool
     spring: bool

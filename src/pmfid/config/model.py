@@ -16,7 +16,7 @@ from pmfid.config.keys import Form, KindName
 from pmfid.config.toml_file import FileSection
 from pmfid.errors import UsageError
 from pmfid.models.axes import AxisKind
-from pmfid.models.drive import Body, Drive, EquationModel, Friction, Model
+from pmfid.models.drive import Body, Drive, EquationModel, Friction, Model, Side
 from pmfid.models.equation import Equation, Term
 from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
 from pmfid.models.signals import Signal
@@ -137,6 +137,9 @@ class ModelConfig(FileSection):
     )
     body: Body = Field("rigid", description='"rigid", or "two-mass" for a load on a spring')
     play: bool = Field(False, description="true for a gap between motor and load of a two-mass body, false for none")
+    output: Side = Field(
+        "motor", description='the mass of a two-mass body that the encoder shows: "motor", or "load" for the other one'
+    )
     friction: Friction = Field("symmetric", description="whether friction differs between forward and backward")
     offset: bool = Field(False, description="true to identify a constant load as well, false if there is none")
     spring: bool = Field(False, description="true if the load hangs on a spring, false if there is none")

@@ -47,7 +47,7 @@ def elastic_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProb
     """
     stretch, force = liveliest(problem)
     late = problem.machine.lift[DELAY]
-    pair = make_first_pair(bool(np.any(late)), float(problem.machine.rest[DELAY]))
+    pair = make_first_pair(bool(np.any(late)), float(problem.machine.rest[DELAY]), load=problem.machine.load)
     guess = guess_sum(stretch, force)
     bounds = (math.log(guess[0]) - TUNING.far, math.log(guess[0]) + TUNING.far)
     plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=resonances(stretch))
@@ -59,16 +59,16 @@ def elastic_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProb
     return plain, best
 
 
-def make_first_pair(late: bool, dead_time: float, plays: bool = False) -> BodyModel:
+def make_first_pair(late: bool, dead_time: float, plays: bool = False, load: bool = False) -> BodyModel:
     """Return two masses with viscous and Coulomb friction, a load, a dead time [s], which is free if `late`, and a gap
-    if it `plays`."""
+    if it `plays`. It shows its `load` or the motor."""
     rows = [*ROWS, *([PLAY] if plays else []), *([DELAY] if late else [])]
     lift = np.zeros((ELASTIC_BASE, len(rows)))
     lift[rows, range(len(rows))] = 1.0
     lowest = np.where(np.isin(rows, (MASS, OFFSET, LOAD_MASS, STIFFNESS)), -np.inf, 0.0)
     rest = dead_time * np.eye(ELASTIC_BASE)[DELAY]
     places = tuple(rows.index(row) for row in (LOAD_MASS, STIFFNESS, DAMPING, PLAY) if row in rows)
-    return BodyModel(tuple(map(str, rows)), (), rest, lift, 0, lowest, elastic=True, further=places)
+    return BodyModel(tuple(map(str, rows)), (), rest, lift, 0, lowest, elastic=True, further=places, load=load)
 
 
 def resonances(stretch: ObservedStretch) -> tuple[float, float]:
@@ -85,7 +85,10 @@ def _start(plain: FitProblem, guess: Floats) -> Floats:
 
 
 def _follow_guesses(plain: FitProblem, prior: Floats, bound: float) -> Optimum | None:
-    """Return the best fit of the whole stretch from guesses by the measured motion, or None without a guess."""
+    """Return the best fit of the whole stretch from guesses by the measured motion of the motor, or None without a
+    guess."""
+    if plain.machine.load:
+        return None
     (stretch,) = plain.stretches
     points = [_start(plain, guess) for guess in driven_guesses(stretch, plain.resolution)]
     points = [points[i] for i in distinct(points, 0.02)[: TUNING.followed]]

@@ -57,8 +57,9 @@ class BodyModel:
     The parameters of the body (w,) are `rest` (w,) + `lift` (w, p) theta. `lead` is the index of the mass, and
     `lowest` (p,) are the lower bounds of the parameters.
     `turn` is the length of a turn of a rotary axis, or 0. `precision` (p,) are the precisions of the parameters'
-    Gaussian priors about zero; None means no prior. An `elastic` body has two masses. `further` are the indices of its
-    second mass, stiffness, damping and, with play, gap. Its friction contains the effects named in `within`.
+    Gaussian priors about zero; None means no prior. An `elastic` body has two masses and shows its `load` or the motor.
+    `further` are the indices of its second mass, stiffness, damping and, with play, gap. Its friction contains the
+    effects named in `within`.
     """
 
     names: tuple[str, ...]
@@ -72,6 +73,7 @@ class BodyModel:
     elastic: bool = field(default=False, kw_only=True)
     further: tuple[int, ...] = field(default=(), kw_only=True)
     within: tuple[str, ...] = field(default=(), kw_only=True)
+    load: bool = field(default=False, kw_only=True)
 
     @property
     def base(self) -> int:
@@ -154,8 +156,9 @@ def machine_of(equation: Equation) -> BodyModel:
     rows = (LOAD_MASS, STIFFNESS, DAMPING, PLAY) if equation.elastic else ()
     further = tuple(int(np.flatnonzero(lift[row])[0]) for row in rows if np.any(lift[row]))
     lowest[list(further[:2])] = -np.inf
+    pair = (equation.elastic, equation.shows_load)
     return BodyModel(
-        names, forces, rest, lift, equation.leading, lowest, turn, elastic=equation.elastic, further=further
+        names, forces, rest, lift, equation.leading, lowest, turn, elastic=pair[0], load=pair[1], further=further
     )
 
 
@@ -192,6 +195,7 @@ def simulate(
     parts: int,
     slopes: bool = True,
     elastic: bool = False,
+    load: bool = False,
 ) -> tuple[Floats, Floats, Floats]:
     """Return positions (k,), velocities (k,) and derivatives (k, w) of the positions by the body's parameters (w,).
 
@@ -199,5 +203,5 @@ def simulate(
     """
     packed = [force.pack() for force in forces]
     inputs = (packed, drive.step, drive.u, drive.row, drive.columns, np.ascontiguousarray(body))
-    y, v, S, _ = run(*inputs, parts, slopes, drive.tick, drive.on, elastic)
+    y, v, S, _ = run(*inputs, parts, slopes, drive.tick, drive.on, elastic, load)
     return y, v, S

@@ -251,8 +251,9 @@ class FitProblem:
         for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True):
             body, forces, _ = self._body(q, stretch.acts)
             at = self._start_body(stretch, state, scale, body)
-            two = self.machine.elastic
-            found.append(simulate(stretch.drive, forces, at, self.parts, slopes=False, elastic=two)[:2])
+            m = self.machine
+            motion = simulate(stretch.drive, forces, at, self.parts, slopes=False, elastic=m.elastic, load=m.load)
+            found.append(motion[:2])
         return found
 
     def _body(self, q: Floats, acts: Floats | None = None) -> tuple[Floats, list[BodyForce], Floats]:
@@ -308,7 +309,8 @@ class FitProblem:
             rows = stretch.y.size
             far = ResidualBlock(np.full(rows, FAR), np.zeros((rows, lift.shape[1])), np.zeros((rows, state.size)))
             return far, np.zeros(rows)
-        y, v, S = simulate(stretch.drive, forces, at, self.parts, elastic=self.machine.elastic)
+        m = self.machine
+        y, v, S = simulate(stretch.drive, forces, at, self.parts, elastic=m.elastic, load=m.load)
         e, J = (y - stretch.y) / self.resolution, S @ (lift / self.resolution)
         K = S[:, list(self.machine.starts)] * np.resize([1.0, scale], state.size)
         if not (np.isfinite(e.sum()) and np.isfinite(J.sum()) and np.isfinite(K.sum()) and np.isfinite(v.sum())):

@@ -19,6 +19,8 @@ FRICTIONS: tuple[Friction, ...] = get_args(Friction)
 Body = Literal["rigid", "two-mass"]
 BODIES: tuple[Body, ...] = get_args(Body)
 TWO_MASS: Body = "two-mass"
+Side = Literal["motor", "load"]
+SIDES: tuple[Side, ...] = get_args(Side)
 #: Fields of `Drive` whose force depends on the position.
 POSITION_KEYS = ("spring", "gravity", "cogging", "friction_period")
 
@@ -135,8 +137,10 @@ class Drive:
         the lag a parameter, off-line (iv, fit).
     body : {"rigid", "two-mass"}
         With "two-mass", a load follows on a spring with damping, as on a belt, a coupling or a harmonic drive. The
-        input acts on the motor, the encoder shows the motor, and gravity acts on the load. The off-line fit estimates
-        such an axis, and no recursion does.
+        input acts on the motor, and gravity acts on the load. The off-line fit estimates such an axis, and no recursion
+        does.
+    output : {"motor", "load"}
+        The mass of a two-mass body that the encoder shows.
     play : bool
         True for a gap between motor and load, as in a gear. Stiffness and damping then belong to the contact.
     axis : {"linear", "rotary"}
@@ -190,6 +194,7 @@ class Drive:
     lag: Late = 0.0
     body: Body = "rigid"
     play: bool = False
+    output: Side = "motor"
     axis: AxisKind = "linear"
 
     def __post_init__(self) -> None:
@@ -207,8 +212,12 @@ class Drive:
         if self.body == TWO_MASS and (self.spring or self.lag):
             name = "spring" if self.spring else "lag"
             raise UsageError(f'body = "{TWO_MASS}" excludes {name}; leave {name} out, or use body = "rigid"')
-        if self.play and self.body != TWO_MASS:
-            raise UsageError(f'play needs body = "{TWO_MASS}"; set that, or leave play out')
+        check_choice("output", self.output, SIDES)
+        if self.body != TWO_MASS and (self.play or self.output != "motor"):
+            name = "play" if self.play else 'output = "load"'
+            raise UsageError(f'{name} needs body = "{TWO_MASS}"; set that, or leave {name.split()[0]} out')
+        if self.play and self.output != "motor":
+            raise UsageError('play needs counts of the motor; leave play out, or use output = "motor"')
         if self.friction == "directional" and self.offset:
             raise UsageError(
                 "offset and directional friction cannot be distinguished; leave the offset out, because it equals half "
@@ -241,7 +250,14 @@ class Drive:
         # forces are relative to the gain if the gain is unknown
         gain = 1.0 if isinstance(self.input_gain, str) else self.input_gain
         known = (Term("input", 0, coefficient=gain),)
-        return Equation(tuple(unknown), known, dead_time=self.dead_time, lag=self.lag, second=second)
+        return Equation(
+            tuple(unknown),
+            known,
+            dead_time=self.dead_time,
+            lag=self.lag,
+            second=second,
+            shows_load=self.output == "load",
+        )
 
     def _make_shaped_terms(self) -> list[Term]:
         terms = []
@@ -262,7 +278,7 @@ class Drive:
         """Drive that can be identified without a simulated motion: one mass with equal friction in both directions."""
         both = self.friction == "symmetric"
         plain = replace(self, friction="symmetric", offset=self.offset or not both, stribeck=None, quadratic=False)
-        plain = replace(plain, body="rigid", play=False)
+        plain = replace(plain, body="rigid", play=False, output="motor")
         return self if self == plain else plain
 
     @property

@@ -159,8 +159,9 @@ class Equation:
         `further`.
     second : tuple of (name, unit)
         Inertia, viscous and Coulomb friction of a second mass, stiffness and damping of the spring between the masses,
-        and perhaps the gap between them, or nothing. The terms belong to the first mass, on which the input acts and
-        which the encoder shows.
+        and perhaps the gap between them, or nothing. The terms belong to the first mass, on which the input acts.
+    shows_load : bool
+        Whether the output is the position of the second mass, and not that of the first one.
 
     Raises
     ------
@@ -184,6 +185,7 @@ class Equation:
     dead_time: float | Literal["estimate"] = 0.0
     lag: float | Literal["estimate"] = 0.0
     second: tuple[tuple[str, str], ...] = ()
+    shows_load: bool = False
 
     def __post_init__(self) -> None:
         self._check_late()
