@@ -12,7 +12,6 @@ from pmfid._body import BASE, ELASTIC_BASE, run
 from pmfid.pipeline.arrays import search_terms
 from pmfid.types import Counts, Floats
 from tests.oracles.two_mass import TwoMasses, simulate_two_masses
-from tests.refusals import refused
 
 STEP = 0.002
 RNG = np.random.default_rng(5)
@@ -93,7 +92,3 @@ def test_a_stiff_axis_has_no_gap() -> None:
     asked = pmfid.Drive(1.0, body="two-mass", play=True)
     result = pmfid.identify(u, counts, model=asked, dt=STEP, encoder=encoder)
     assert "uncertain" in result.status or result["play"] < 0.1 * RESOLUTION
-
-
-def test_play_needs_two_masses() -> None:
-    refused(('play needs body = "two-mass"; set that, or leave play out', lambda: pmfid.Drive(1.0, play=True)))
