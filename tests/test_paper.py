@@ -27,15 +27,10 @@ PAGE = (ROOT / "docs/paper.md").read_text(encoding="utf-8")
 
 
 def test_the_index_of_the_page_is_the_index_of_the_code() -> None:
+    """And has every equation of the paper, and no row that names nothing."""
     assert "\n".join(index_table()) in PAGE + "\n"
-
-
-def test_every_equation_of_the_paper_is_in_the_index() -> None:
     covered = {number for row in INDEX for number in range(row.first, row.last + 1)}
     assert covered == set(range(1, 44))
-
-
-def test_a_row_that_names_nothing_is_an_error() -> None:
     refused(
         ("has no quantise", lambda: check_row(replace(INDEX[0], code="pmfid.encoder:quantise", here=""))),
         ("has no test_nothing", lambda: check_row(replace(INDEX[0], test="test_filters:test_nothing"))),
@@ -80,15 +75,12 @@ def test_a_step_of_the_mass_is_followed() -> None:
 # --- inputs -----------------------------------------------------------------------------------------------------------
 
 
-def test_every_input_does_the_same_errand() -> None:
+def test_every_input_does_the_same_errand_and_the_design_has_more_information_than_pulses() -> None:
     for name, u in experiments().items():
         assert abs(miss_end(u)) < 1e-4, name
         assert np.abs(u).max() <= 3.0 + 1e-9, name
     assert set(pulse().tolist()) >= {0.0, 3.0}
     assert problem().end == (STROKE, 0.0)
-
-
-def test_under_the_same_freedom_the_design_has_more_information_than_pulses() -> None:
     known = {name: information(u)[0] for name, u in experiments().items()}
     assert known["design (5) with rest"] > 1.2 * known["one pulse"]
     assert known["design (5)"] > 1.2 * known["four pulses"]
@@ -96,14 +88,11 @@ def test_under_the_same_freedom_the_design_has_more_information_than_pulses() ->
     assert joint["design, friction unknown"] == max(joint.values())
 
 
-def test_ties_go_to_the_input_nearest_to_the_nominal_design() -> None:
+def test_ties_go_to_the_input_nearest_to_the_nominal_design_and_masses_settle() -> None:
     """Without the rule, the pulse of the design for the larger mass began one interval earlier."""
     nominal, large = designed(), designed(1.2 * CART.mass)
     first = [int(np.argmax(u > 1.0)) for u in (nominal, large)]
     assert first[0] == first[1]
-
-
-def test_settling_time() -> None:
     assert settling_time(CART.mass * np.array([1.1, 1.0, 1.0])) == pytest.approx(0.01)
     assert settling_time(CART.mass * np.array([1.0, np.nan])) == np.inf
     assert settling_time(CART.mass * np.ones(3)) == 0.0
@@ -117,11 +106,7 @@ def test_bad_usage_is_one_error(capsys: pytest.CaptureFixture[str]) -> None:
         main(["--seeds", "1"])
     assert ended.value.code == 2
     assert "--seeds must be at least 2" in capsys.readouterr().err
-
-
-def test_the_page_needs_its_table() -> None:
-    with pytest.raises(TypeError, match="bias"):
-        page.write_page({"bias": Finding}, 2, "images")
+    refused(("bias", lambda: page.write_page({"bias": Finding}, 2, "images")), kind=TypeError)
 
 
 @pytest.mark.long

@@ -63,11 +63,21 @@ def test_the_gallery_has_all_of_them() -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_person_reads_a_few_lines(kind: str) -> None:
-    text = repr(gallery()[kind])
+def test_a_person_reads_a_few_lines_a_notebook_a_table_and_a_program_numbers(kind: str) -> None:
+    one = gallery()[kind]
+    text, html, content, frame = repr(one), one._repr_html_(), one.to_dict(), one.to_frame()
     assert 2 <= len(text.splitlines()) <= 9
     assert max(map(len, text.splitlines())) < 120
     assert not re.search(r"array\(|object at|\(\w+=", text)
+    page = Text(html)
+    assert set(page.tags) <= {"div", "p", "b", "table", "tr", "th", "td"}
+    assert page.tags.count("tr") == 1 + len(one.summary().rows)
+    cells = page.tags.count("th") + page.tags.count("td")
+    assert html.count("padding: 0.1em 1em") == cells  # this padding alone keeps the columns apart
+    assert one.summary().title in page.text
+    assert json.loads(json.dumps(content, allow_nan=False)) == content
+    assert isinstance(frame, pl.DataFrame)
+    assert frame.height > 0
 
 
 @pytest.mark.parametrize("kind", NAMED)
@@ -79,27 +89,6 @@ def test_parameters_have_a_value_a_bar_and_a_unit(kind: str) -> None:
         assert " ± " in line or " to " in line
         number = float(line.split()[2 if "=" in line else 1])
         assert number == pytest.approx(np.median(np.atleast_2d(one[name])[:, -1]), rel=1e-5)  # type: ignore[index]
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_notebook_gets_a_table(kind: str) -> None:
-    one = gallery()[kind]
-    page = Text(one._repr_html_())
-    assert set(page.tags) <= {"div", "p", "b", "table", "tr", "th", "td"}
-    assert page.tags.count("tr") == 1 + len(one.summary().rows)
-    cells = page.tags.count("th") + page.tags.count("td")
-    assert one._repr_html_().count("padding: 0.1em 1em") == cells  # this padding alone keeps the columns apart
-    assert one.summary().title in page.text
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_program_gets_numbers(kind: str) -> None:
-    one = gallery()[kind]
-    content = one.to_dict()
-    assert json.loads(json.dumps(content, allow_nan=False)) == content
-    frame = one.to_frame()
-    assert isinstance(frame, pl.DataFrame)
-    assert frame.height > 0
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -122,15 +111,12 @@ def test_frames_hold_the_values() -> None:
     assert fleet["mass"].to_list() == shown["tracks"]["mass"][2].tolist()  # type: ignore[index]
 
 
-def test_an_estimate_says_its_status_in_words() -> None:
+def test_an_estimate_says_its_status_in_words_and_none_for_what_is_not_known() -> None:
     estimate = gallery()["estimate"]
     assert isinstance(estimate, pmfid.Estimate)
     assert estimate.status_names == ("count_jump",)
     assert repr(estimate).splitlines()[-1] == "status: count_jump"
     assert estimate.to_dict()["status"] == ["count_jump"]
-
-
-def test_what_is_not_known_is_none_to_a_program() -> None:
     start = pmfid.RLS(pmfid.Drive(1.0), pmfid.Encoder(1e-5), 0.01, 30.0).step(0.0, 0)
     content = start.to_dict()["parameters"]
     assert content["mass"] == {"value": 0.0, "std": None, "unit": ""}  # type: ignore[index]

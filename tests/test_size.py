@@ -22,8 +22,8 @@ MOST = {
     "lines of code in report and cli": 3750,
     "thresholds in src": 1095,
     "lines of csrc": 9294,
-    "lines of tests": 40720,
-    "match= in tests": 58,
+    "lines of tests": 40719,
+    "match= in tests": 56,
     "lines of studies": 10450,
 }
 
