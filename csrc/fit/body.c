@@ -489,7 +489,7 @@ static int parts_of(const pmf_body *b, double lag, int i)
     const double ticks = b->tick > 0 ? ceil(b->step[i] / b->tick - 1e-6) : 1;
     if (b->tick > 0)
         return ticks < 1 ? 1 : ticks > MOST_PARTS ? MOST_PARTS : (int)ticks;
-    return lag > 0 ? 8 * b->parts : b->forces ? b->parts : 1;
+    return lag > 0 ? (b->parts > 8 ? 2 * b->parts : 16) : b->forces ? b->parts : 1;
 }
 
 int pmf_body_work(const pmf_body *b)

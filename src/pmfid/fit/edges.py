@@ -50,6 +50,10 @@ class EdgeSearch(FitSearch):
         """Counts that are explained end no search, because the edges show more."""
         return False
 
+    def forget_input(self) -> bool:
+        """Keep all observations, which have margins of their own."""
+        return False
+
     def estimate_noise(self, kinds: Sequence[str]) -> Gaussian:
         self.sharpen()
         motion = self.problem.motion(self.q, self.starts)

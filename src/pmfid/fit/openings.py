@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 from pmfid.fit.compare import MOST
 from pmfid.fit.likelihood import Intervals
 from pmfid.fit.machine import OFFSET
-from pmfid.fit.problem import PARTS, FitProblem
+from pmfid.fit.problem import PARTS
 from pmfid.fit.search import GAIN, SPEEDS, TRIES, WITHIN, FitSearch, mean_square
-from pmfid.types import Floats
 
 #: Steps of least squares with a set of forces. The set that is kept has more of them.
 STEPS = 12
@@ -21,18 +20,15 @@ LIKELY = 3
 
 @dataclass(frozen=True, eq=False)
 class Opening:
-    """The end of least squares with a set of forces: cost by Schwarz (1978), and the state of the search."""
+    """The end of least squares with a set of forces: cost by Schwarz (1978), set, and the state of the search."""
 
     cost: float
     chosen: list[int]
-    problem: FitProblem
-    q: Floats
-    starts: Floats
+    state: dict[str, object]
 
     def enter(self, search: FitSearch) -> None:
         """Return the search to this state."""
-        search.chosen, search.problem, search.q, search.starts = self.chosen, self.problem, self.q.copy(), self.starts
-        search.plain = replace(search.plain, parts=self.problem.parts)
+        vars(search).update(self.state)
 
 
 def begin(search: FitSearch) -> Intervals | None:
@@ -61,15 +57,15 @@ def begin(search: FitSearch) -> Intervals | None:
         search.restart(chosen, share)
         ends.append(_end(search))
     while True:
-        end = min(ends, key=lambda end: end.cost)
-        same, best = end is best, _find_widths(search, end)
-        likelihood = _explain_any(search, [best, *(one for one in ends if one not in (end, ends[0]))])
+        before, leaders = best.chosen, _lead(search, ends)
+        best = _find_widths(search, leaders[0])
+        likelihood = _explain_any(search, [best, *leaders[1:]])
+        if likelihood is None and (shorter := _forget_input(search, best)) is not best:
+            best, likelihood = shorter, _explain_any(search, [shorter])
         if likelihood is not None:
             return likelihood
         best.enter(search)
-        search.refine()
-        search.solve(search.noise, STEPS)
-        if same or not search.explains or mean_square(search) > WITHIN or len(best.chosen) == MOST:
+        if best.chosen == before or not search.explains or mean_square(search) > WITHIN or len(best.chosen) == MOST:
             return search.explain()
         ends = [best, *(_add(search, best, i) for i in range(len(search.table)) if i not in best.chosen)]
 
@@ -94,10 +90,30 @@ def _end(search: FitSearch, steps: int = STEPS) -> Opening:
     """Return the end of least squares. Forces are held over at least half of an interval, which saves time."""
     fine = search.problem
     search.problem = replace(fine, parts=min(PARTS, fine.parts))
-    cost, rows = search.solve(search.noise, steps).cost, search.plain.rows
+    cost = search.solve(search.noise, steps).cost
     search.problem = fine
-    cost = rows * math.log(cost) + len(search.chosen) * math.log(rows)
-    return Opening(cost, search.chosen, search.problem, search.q, search.starts)
+    return _open(search, cost)
+
+
+def _open(search: FitSearch, cost: float) -> Opening:
+    rows = search.plain.rows
+    return Opening(rows * math.log(cost) + len(search.chosen) * math.log(rows), search.chosen, dict(vars(search)))
+
+
+def _lead(search: FitSearch, ends: Sequence[Opening]) -> list[Opening]:
+    """Return the likeliest ends by their costs, after more steps of a motion that is as fine as needed."""
+    leaders = []
+    for end in sorted(ends, key=lambda end: end.cost)[:LIKELY]:
+        end.enter(search)
+        search.refine()
+        leaders.append(_open(search, search.solve(search.noise, STEPS).cost))
+    return sorted(leaders, key=lambda end: end.cost)
+
+
+def _forget_input(search: FitSearch, end: Opening) -> Opening:
+    """Return the end without observations that depend on the input before the record, or the end if there are none."""
+    end.enter(search)
+    return _end(search) if search.forget_input() else end
 
 
 def _add(search: FitSearch, end: Opening, row: int) -> Opening:
@@ -119,12 +135,12 @@ def _find_widths(search: FitSearch, end: Opening) -> Opening:
 
 
 def _explain_any(search: FitSearch, ends: Sequence[Opening]) -> Intervals | None:
-    """Return the likelihood of the intervals of the likeliest set that explains every count."""
-    for end in sorted(ends, key=lambda end: end.cost)[:LIKELY]:
+    """Return the likelihood of the intervals of the first set that explains every count. The first set has more
+    tries."""
+    for place, end in enumerate(ends):
         end.enter(search)
         search.refine()
-        search.solve(search.noise, STEPS)
-        likelihood = search.explain(tries=0) if mean_square(search) < WITHIN else None
+        likelihood = search.explain(0 if place else TRIES) if mean_square(search) < WITHIN else None
         if likelihood is not None:
             return likelihood
     return None

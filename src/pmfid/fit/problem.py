@@ -35,7 +35,7 @@ class ObservedStretch:
     is that of rounding, and False for the instant of an edge. `rest` (k,) is True while the simulated axis rests.
     `first` is the index of the first sample in the record. `line` (k,) is the number of the encoder's line of each
     edge, or -1; a stretch without it has counts only. `acts` (p,) is 0 for parameters of the machine that belong to
-    another log, and 1 for all others.
+    another log, and 1 for all others. The start position is relative to `origin` [unit], or to the first observation.
     """
 
     drive: Excitation
@@ -46,6 +46,12 @@ class ObservedStretch:
     first: int = 0
     line: NDArray[np.intp] | None = None
     acts: Floats | None = None
+    origin: float | None = None
+
+    @property
+    def base(self) -> float:
+        """The position [unit] to which that of the start is relative."""
+        return float(self.y[0]) if self.origin is None else self.origin
 
     @cached_property
     def times(self) -> Floats:
@@ -146,6 +152,11 @@ class FitProblem:
     def integrates(self) -> bool:
         """Whether a force makes the motion of a part of an interval inexact."""
         return bool(self.machine.forces) or any(one.force is not None for one in self.candidates)
+
+    def keep(self, rows: Sequence[Flags]) -> FitProblem:
+        """Return the problem with some of the observations (k,) of each stretch."""
+        pairs = zip(self.stretches, rows, strict=True)
+        return replace(self, stretches=tuple(replace(one.keep(kept), origin=one.base) for one, kept in pairs))
 
     def cut(self, parts: int) -> FitProblem:
         """Return the problem with stretches of at most 1/`parts` of the record's time, which have their own starts."""
@@ -291,7 +302,7 @@ class FitProblem:
     def _start_body(self, stretch: ObservedStretch, state: Floats, scale: float, body: Floats) -> Floats:
         at = body.copy()
         at[list(self.machine.starts)] = state * self.resolution * np.resize([1.0, scale], state.size)
-        at[self.machine.starts[0]] += stretch.y[0]
+        at[self.machine.starts[0]] += stretch.base
         return at
 
     def _block(

@@ -130,7 +130,7 @@ class FitSearch:
             else blind_start(problem.stretches, problem.resolution, machine.turn)
         )
         self.sizes = sizes_of(problem, start, solution)
-        self.bare = problem
+        self.columns = problem.stretches[0].drive.columns.shape[0]  # without those of the table
         self.plain, self.table = with_columns(problem, candidates_of(problem.machine, self.sizes))
         self.first, self.begin = start.theta(solution.q), problem.first_starts()
         logs = solution.q[start.machine.logs[:2]]  # of each mass
@@ -168,9 +168,12 @@ class FitSearch:
                 table[i], places = one.with_width(one.width * float(self.q[k + 1])), [*places, k + 1]
         if not places:
             return
-        problem, self.table = with_columns(self.bare, table)
-        self.plain = replace(self.plain, stretches=problem.stretches)
+        own = (replace(one.drive, columns=one.drive.columns[: self.columns]) for one in self.plain.stretches)
+        pairs = zip(self.plain.stretches, own, strict=True)
+        bare = replace(self.plain, stretches=tuple(replace(one, drive=drive) for one, drive in pairs))
+        self.plain, self.table = with_columns(bare, table)
         self.problem = replace(self._chosen_problem(), parts=self.problem.parts)
+        self.q = self.q.copy()
         self.q[places] = 1.0
 
     def _first_size(self, candidate: ExtraForce) -> float:
@@ -217,6 +220,20 @@ class FitSearch:
                 break
             self.problem, blocks = finer, after
         self.plain = replace(self.plain, parts=self.problem.parts)
+
+    def forget_input(self) -> bool:
+        """Leave out the observations that depend on the input before the record, by a dead time or a lag, and return
+        whether there are any."""
+        if self.plain.machine.elastic:
+            return False
+        body, _, _ = self.problem._body(self.q)
+        time = max(0.0, float(body[DELAY])) + MOTION.lags * max(0.0, float(body[LAGGING]))
+        kept = [one.times >= min(time, float(one.times[-1]) / 2) for one in self.plain.stretches]
+        if all(np.all(rows) for rows in kept):
+            return False
+        self.plain, self.problem = self.plain.keep(kept), self.problem.keep(kept)
+        self.noise = Gaussian(self.plain.stretches)
+        return True
 
     @property
     def rate(self) -> float:
@@ -337,13 +354,15 @@ def narrow(search: FitSearch) -> Intervals | None:
     before, best = -math.inf, None
     beyond = max(float(np.max(np.abs(e))) for e in errors_of(search)) - 0.5
     for spread in [one for one in SPREADS if one <= max(beyond, EXPLAINED)]:
+        search.move_widths()
         likelihood = Intervals(search.plain.stretches, spread)
         value = -search.solve(likelihood, 15).cost
         if value <= before:
             break
-        before, best = value, (likelihood, search.q, search.starts)
+        before, best = value, (likelihood, dict(vars(search)))
     assert best is not None
-    likelihood, search.q, search.starts = best
+    likelihood, state = best
+    vars(search).update(state)
     return likelihood if likelihood.spread <= EXPLAINED else None
 
 

@@ -87,6 +87,8 @@ class MotionTuning:
     #: Largest step of the parameters by twice the parts of an interval, in standard errors, and most parts.
     refined: float = 0.1
     parts: int = 64
+    #: Lags after which the input before a record has no effect: 5e-5 of it is left.
+    lags: float = 10.0
 
 
 TUNING, PLAY_TUNING, MOTION = ElasticTuning(), PlayTuning(), MotionTuning()
