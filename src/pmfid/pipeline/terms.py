@@ -289,8 +289,8 @@ def recommend(
 ) -> dict[str, object]:
     """Return the keys of [model] that express the chosen forces with odds above 1, without those in `added`.
 
-    A model has one period of each kind, and directional friction contains the load. A second mass stands for the forces
-    that were chosen without it.
+    A model has one period of each kind. Directional friction contains the load, and a spring has a load of its own. A
+    second mass stands for the forces that were chosen without it.
     """
     if second is not None:
         return second.change
@@ -301,5 +301,7 @@ def recommend(
     if "directional" in (further.get("friction"), model.friction):
         further |= {"offset": False} if model.offset else {}
         further = {key: value for key, value in further.items() if key != "offset" or value is False}
+    elif further.get("spring"):
+        further.pop("offset", None)
     has = {key for key in PERIODS if getattr(model, key)}
     return {key: value for key, value in further.items() if key not in added and key not in has}
