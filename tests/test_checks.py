@@ -253,8 +253,9 @@ REMEDIES: dict[str, Callable[[Logged, str], Mended]] = {
 
 
 def mass_of(record: Record, axis: Axis) -> float:
-    """Return the mass by instrumental variables, or infinity if they do not converge."""
-    options = axis.estimator.model_copy(update={"method": "iv"})
+    """Return the mass by instrumental variables, or by the fit with a dead time; infinity without convergence."""
+    method = "iv" if axis.model.dead_time == 0 else "fit"
+    options = axis.estimator.model_copy(update={"method": method})
     try:
         with mock.patch("pmfid.diagnostics.verdict.fit_again", return_value=None):
             return float(identify(record, axis.model_copy(update={"estimator": options})).theta[0])
