@@ -15,8 +15,12 @@ Referred = list[dict[int, list[float]]]
 
 
 def looked_at(plant: Plant, refer: bool = False) -> tuple[Referred, list[float]]:
-    """Return the reference of x1 in the page and in the monitor, at the end of a record."""
-    text = StringIO()
+    """Return the reference of x1 in the page and in the monitor, after a record with `refer`, or after no sample."""
+    text, record = StringIO(), plant.folder / "run.csv"
+    if not refer:
+        header = record.read_text().partition("\n")[0]
+        record = plant.folder / "header.csv"
+        record.write_text(f"{header}\n")
     service = Service(lambda: plant, NoticeLog(text))
     found: list[tuple[Referred, list[float]]] = []
 
@@ -32,7 +36,7 @@ def looked_at(plant: Plant, refer: bool = False) -> tuple[Referred, list[float]]
         found.append((service._board.list_referred(), group.fleet.monitor(0).reference.tolist()))
 
     acting = Acting(service, text)
-    with file_as_input(plant.folder / "run.csv"):
+    with file_as_input(record):
         acting.run(*([step] if refer else []), look)
     return found[0]
 
