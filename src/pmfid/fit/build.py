@@ -131,12 +131,11 @@ def prune(search: FitSearch, likelihood: Intervals, fewest: int = 1) -> Interval
     for i in list(search.chosen):
         if len(search.chosen) <= fewest:
             break
-        kept = search.chosen, search.q, search.starts
+        kept = search.remember()
         search.choose([j for j in search.chosen if j != i])
         shorter = narrow(search) if _follows(search) else None
         if shorter is None:
-            search.choose(kept[0])
-            search.q, search.starts = kept[1], kept[2]
+            search.return_to(kept)
         else:
             likelihood = shorter
     return likelihood
@@ -161,7 +160,7 @@ def _add_wave(search: FitSearch) -> bool:
         return False
     size = search.problem.resolution * 3 if not kind else 0.3 * search.sizes.coulomb
     first = len(search.table)
-    search.table += waves(kind, 1 / wavenumber, size)
+    search.table = [*search.table, *waves(kind, 1 / wavenumber, size)]
     search.choose([*search.chosen, first, first + 1])
     return True
 

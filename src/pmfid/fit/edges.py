@@ -67,6 +67,7 @@ class EdgeSearch(FitSearch):
             (old.y[0] - new.y[0]) / plain.resolution for old, new in zip(self.plain.stretches, stretches, strict=True)
         ]
         speed = [old / new for old, new in zip(self.plain.scales(), plain.scales(), strict=True)]
+        self.starts = self.starts.copy()
         self.starts[:, 1::2] *= np.array(speed)[:, None]
         self.starts[:, 0] += first
         self.plain = plain

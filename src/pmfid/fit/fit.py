@@ -112,7 +112,7 @@ def _finish(search: FitSearch, likelihood: Intervals | None) -> Fitted:
 
 def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     complete_readings(search)
-    search.move_widths()
+    search.move_constants()
     allowed, prior = range(len(search.table)), search.prior(search.problem)
     optimum = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
     if search.reaches_bound(optimum.q):

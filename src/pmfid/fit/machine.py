@@ -156,10 +156,8 @@ def machine_of(equation: Equation) -> BodyModel:
     rows = (LOAD_MASS, STIFFNESS, DAMPING, PLAY) if equation.elastic else ()
     further = tuple(int(np.flatnonzero(lift[row])[0]) for row in rows if np.any(lift[row]))
     lowest[list(further[:2])] = -np.inf
-    pair = (equation.elastic, equation.shows_load)
-    return BodyModel(
-        names, forces, rest, lift, equation.leading, lowest, turn, elastic=pair[0], load=pair[1], further=further
-    )
+    fields = names, forces, rest, lift, equation.leading, lowest, turn
+    return BodyModel(*fields, elastic=equation.elastic, load=equation.shows_load, further=further)
 
 
 def _further_rows(equation: Equation, free: Sequence[int], shaped: Sequence[int], first: int) -> dict[str, int]:

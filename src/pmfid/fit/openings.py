@@ -28,7 +28,7 @@ class Opening:
 
     def enter(self, search: FitSearch) -> None:
         """Return the search to this state."""
-        vars(search).update(self.state)
+        search.return_to(self.state)
 
 
 def begin(search: FitSearch) -> Intervals | None:
@@ -58,7 +58,7 @@ def begin(search: FitSearch) -> Intervals | None:
         ends.append(_end(search))
     while True:
         before, leaders = best.chosen, _lead(search, ends)
-        best = _find_widths(search, leaders[0])
+        best = _find_constants(search, leaders[0])
         likelihood = _explain_any(search, [best, *leaders[1:]])
         if likelihood is None and (shorter := _forget_input(search, best)) is not best:
             best, likelihood = shorter, _explain_any(search, [shorter])
@@ -97,7 +97,7 @@ def _end(search: FitSearch, steps: int = STEPS) -> Opening:
 
 def _open(search: FitSearch, cost: float) -> Opening:
     rows = search.plain.rows
-    return Opening(rows * math.log(cost) + len(search.chosen) * math.log(rows), search.chosen, dict(vars(search)))
+    return Opening(rows * math.log(cost) + len(search.chosen) * math.log(rows), search.chosen, search.remember())
 
 
 def _lead(search: FitSearch, ends: Sequence[Opening]) -> list[Opening]:
@@ -123,11 +123,11 @@ def _add(search: FitSearch, end: Opening, row: int) -> Opening:
     return _end(search)
 
 
-def _find_widths(search: FitSearch, end: Opening) -> Opening:
-    """Return the end with the best widths of the parts of the input, which move until the cost stays."""
-    for _ in range(STEPS if any(search.table[i].with_width is not None for i in end.chosen) else 0):
+def _find_constants(search: FitSearch, end: Opening) -> Opening:
+    """Return the end with the best constants of its columns, which move until the cost stays."""
+    for _ in range(STEPS if any(search.table[i].with_constant is not None for i in end.chosen) else 0):
         end.enter(search)
-        search.move_widths()
+        search.move_constants()
         before, end = end, _end(search)
         if end.cost > before.cost - GAIN:
             return min(before, end, key=lambda one: one.cost)

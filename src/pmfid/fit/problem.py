@@ -275,7 +275,7 @@ class FitProblem:
         theta = self.theta(q) if acts is None else self.theta(q) * acts
         slopes = m.lift_at(theta) if acts is None else m.lift_at(theta) * acts
         extra = [force for one in self.candidates for force in one.forces]
-        w = m.lift.shape[0] + len(extra) + sum(one.free and one.slope is None for one in self.candidates)
+        w = m.lift.shape[0] + len(extra) + sum(one.free and one.by_constant is None for one in self.candidates)
         # rows: base, forces of the machine, further forces, constants of the machine, further constants, controller
         place = [*range(base + count), *range(base + count + len(extra), base + count + len(extra) + shapes)]
         place += range(w - m.loops, w)
@@ -290,8 +290,8 @@ class FitProblem:
             body[target] += q[k] * candidate.sd
             lift[target, k] += candidate.sd
             row += len(candidate.forces)
-            if candidate.free and candidate.slope is not None:
-                further = candidate.sd * candidate.width
+            if candidate.free and candidate.by_constant is not None:
+                further = candidate.sd * candidate.constant
                 body[row - 1], lift[row - 1, k + 1] = q[k] * (q[k + 1] - 1) * further, q[k] * further
                 lift[row - 1, k] = (q[k + 1] - 1) * further
             elif candidate.free:

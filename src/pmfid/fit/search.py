@@ -81,7 +81,7 @@ def with_columns(problem: FitProblem, candidates: Sequence[ExtraForce]) -> tuple
         columns = np.ascontiguousarray(np.vstack([stretch.drive.columns, added]))
         stretches.append(replace(stretch, drive=replace(stretch.drive, columns=columns)))
     numbers = first + np.cumsum([0, *(len(one.columns) for one in candidates)])
-    placed = [one.place_columns(int(number)) for one, number in zip(candidates, numbers, strict=False)]
+    placed = [one.place_column(int(number)) for one, number in zip(candidates, numbers, strict=False)]
     return replace(problem, stretches=tuple(stretches)), placed
 
 
@@ -160,12 +160,20 @@ class FitSearch:
             self.q[k] = self._first_size(candidate)
         self.noise = Gaussian(self.plain.stretches)
 
-    def move_widths(self) -> None:
-        """Move the widths of parts of the input to their fitted values, about which their columns are linear."""
+    def remember(self) -> dict[str, object]:
+        """Return the state. A step of the search replaces its parts, and changes none of them."""
+        return dict(vars(self))
+
+    def return_to(self, state: dict[str, object]) -> None:
+        """Return to a state of `remember`."""
+        vars(self).update(state)
+
+    def move_constants(self) -> None:
+        """Move the constants of columns to their fitted values, about which the columns are linear."""
         table, places = list(self.table), list[int]()
         for i, (k, one) in zip(self.chosen, self.problem.place_candidates(), strict=True):
-            if one.with_width is not None:
-                table[i], places = one.with_width(one.width * float(self.q[k + 1])), [*places, k + 1]
+            if one.with_constant is not None:
+                table[i], places = one.with_constant(one.constant * float(self.q[k + 1])), [*places, k + 1]
         if not places:
             return
         own = (replace(one.drive, columns=one.drive.columns[: self.columns]) for one in self.plain.stretches)
@@ -333,19 +341,21 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
     Stops and starts of the axis make the likelihood rough. Where the residuals are as small as rounding, further tries
     begin at random places around the optimum of least squares.
     """
+    before = search.remember()
     at = search.q, search.starts
     if not _may_explain(search):
-        search.q, search.starts = at
+        search.return_to(before)
         return None
     rng, likelihood = np.random.default_rng(1), narrow(search)
     for _ in range(tries if likelihood is None and is_near_rounding(search) else 0):
+        search.return_to(before)
         search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
         search.solve(Gaussian(search.plain.stretches), 10)
         likelihood = narrow(search)
         if likelihood is not None:
             return likelihood
     if likelihood is None:
-        search.q, search.starts = at
+        search.return_to(before)
     return likelihood
 
 
@@ -354,15 +364,15 @@ def narrow(search: FitSearch) -> Intervals | None:
     before, best = -math.inf, None
     beyond = max(float(np.max(np.abs(e))) for e in errors_of(search)) - 0.5
     for spread in [one for one in SPREADS if one <= max(beyond, EXPLAINED)]:
-        search.move_widths()
+        search.move_constants()
         likelihood = Intervals(search.plain.stretches, spread)
         value = -search.solve(likelihood, 15).cost
         if value <= before:
             break
-        before, best = value, (likelihood, dict(vars(search)))
+        before, best = value, (likelihood, search.remember())
     assert best is not None
     likelihood, state = best
-    vars(search).update(state)
+    search.return_to(state)
     return likelihood if likelihood.spread <= EXPLAINED else None
 
 

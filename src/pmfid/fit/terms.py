@@ -29,8 +29,8 @@ class ExtraForce:
     body's parameters. A `free` force has its constant, in units of `constant`, among the parameters. `lowest` is the
     lower bound of the size in units of `sd`. `column` makes the column of the record from its input. A `reading`
     has the period and the phase of an error of the encoder, in place of a force, and `late` means the time by which all
-    edges are late. `with_width` makes the candidate with another `width` of its part of the input, `by_width` the
-    derivative of its column by the width, and `slope` is the force of this derivative.
+    edges are late. The constant of a column is a width of the input or a time: `with_constant` makes the candidate with
+    another one, and `by_constant` makes the derivative of the column, which follows the column in the record.
     """
 
     name: str
@@ -45,20 +45,21 @@ class ExtraForce:
     column: Callable[[Floats, Floats], Floats] | None = None
     reading: tuple[float, float] | None = None
     late: bool = False
-    width: float = 0.0
-    with_width: Callable[[float], ExtraForce] | None = None
-    by_width: Callable[[Floats, Floats], Floats] | None = None
-    slope: BodyForce | None = None
+    with_constant: Callable[[float], ExtraForce] | None = None
+    by_constant: Callable[[Floats, Floats], Floats] | None = None
 
     @property
     def forces(self) -> list[BodyForce]:
-        """The force, and the derivative by its width if the width is free."""
-        return [one for one in (self.force, self.slope if self.free else None) if one is not None]
+        """The force, and its derivative by the constant of its column if the constant is free."""
+        if self.force is None:
+            return []
+        slope = [replace(self.force, column=self.force.column + 1)] if self.free and self.by_constant else []
+        return [self.force, *slope]
 
     @property
     def columns(self) -> list[Callable[[Floats, Floats], Floats]]:
-        """The makers of the columns of the force and of the derivative by its width."""
-        return [make for make in (self.column, self.by_width) if make is not None]
+        """The makers of the column of the force and of its derivative by the constant."""
+        return [make for make in (self.column, self.by_constant) if make is not None]
 
     @property
     def reads(self) -> bool:
@@ -67,7 +68,7 @@ class ExtraForce:
 
     def free_constant(self) -> ExtraForce:
         """Return the candidate with its constant among the parameters, if it has one that the record may determine."""
-        if self.slope is not None:
+        if self.by_constant is not None:
             return replace(self, free=True)
         if self.force is None or self.force.kind not in ("stribeck", "load_stribeck"):
             return self
@@ -98,12 +99,9 @@ class ExtraForce:
             return self
         return replace(self, force=replace(self.force, load=True))
 
-    def place_columns(self, first: int) -> ExtraForce:
-        """Return the candidate with the numbers of its columns, from the first one on."""
-        if self.force is None or self.column is None:
-            return self
-        slope = None if self.slope is None else replace(self.slope, column=first + 1)
-        return replace(self, force=replace(self.force, column=first), slope=slope)
+    def place_column(self, column: int) -> ExtraForce:
+        """Return the candidate with the number of its column."""
+        return self if self.force is None else replace(self, force=replace(self.force, column=column))
 
 
 @dataclass(frozen=True)
@@ -217,14 +215,15 @@ def _drift(force: BodyForce, size: float, length: float) -> ExtraForce:
         size,
         force=force,
         column=_center(fall),
-        width=length,
-        with_width=partial(_drift, force, size),
-        by_width=_center(differentiate),
-        slope=force,
+        constant=length,
+        with_constant=partial(_drift, force, size),
+        by_constant=_center(differentiate),
     )
 
 
 def _center(of_time: Callable[[Floats, Floats], Floats]) -> Callable[[Floats, Floats], Floats]:
+    """Return a column about its mean, so that the friction of the machine is the mean friction."""
+
     def column(u: Floats, t: Floats) -> Floats:
         h = of_time(u, t)
         return np.asarray(h - np.mean(h))
@@ -260,25 +259,26 @@ def saturation(s: Sizes) -> Iterator[ExtraForce]:
 
 
 def _widths(name: str, words: str, side: float, s: Sizes, widths: Sequence[float]) -> Iterator[ExtraForce]:
-    """Yield the part of the input within several widths, in units of the largest input, which is the part beyond them
-    with the other sign and another gain. `side` is the sign."""
+    """Yield the part of the input within several widths, in units of the largest input. `side` is its sign.
+
+    The part beyond a width is the part within it, with the other sign and another gain.
+    """
 
     def make(width: float) -> ExtraForce:
-        top = min(width, 1.0) * s.top_force
+        width = min(width, 1.0)
+        top = width * s.top_force
         inside = _column(lambda u: side * np.clip(u, -top, top))
         edge = _column(lambda u: side * s.top_force * np.sign(u) * (np.abs(u) > top))
-        force = BodyForce("column")
         return ExtraForce(
             name,
             words,
             AMPLIFIER,
             0.5,
-            force=force,
+            force=BodyForce("column"),
             column=inside,
-            width=width,
-            with_width=make,
-            by_width=edge,
-            slope=force,
+            constant=width,
+            with_constant=make,
+            by_constant=edge,
         )
 
     if s.levels:
