@@ -100,8 +100,10 @@ class ExtraForce:
         return replace(self, force=replace(self.force, load=True))
 
     def place_column(self, column: int) -> ExtraForce:
-        """Return the candidate with the number of its column."""
-        return self if self.force is None else replace(self, force=replace(self.force, column=column))
+        """Return the candidate with the number of the column that it makes, if it makes one."""
+        if self.force is None or self.column is None:
+            return self
+        return replace(self, force=replace(self.force, column=column))
 
 
 @dataclass(frozen=True)
