@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import shutil
 import threading
+import time
 from dataclasses import replace
 from io import StringIO
+from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -56,9 +59,24 @@ def test_the_page_answers_before_the_calibration(folder: Path, monkeypatch: pyte
     assert not service._engine.awaited
 
 
+def _kill_one() -> None:
+    """Kill the first process that begins."""
+    while not active_children():
+        time.sleep(0.01)
+    active_children()[0].kill()
+
+
+def test_a_killed_process_fails_no_calibration(folder: Path) -> None:  # noqa: F811
+    paths = [folder / "axis.toml", shutil.copy(folder / "axis.toml", folder / "second.toml")]
+    killer = threading.Thread(target=_kill_one)
+    killer.start()
+    assert all(take().dt > 0 for _, take in calibrate_all(paths, threading.Event()))
+    killer.join()
+
+
 def test_processes_calibrate_and_report_errors(folder: Path) -> None:  # noqa: F811
     (folder / "lonely.toml").write_text((folder / "axis.toml").read_text().replace("normal.csv", "nowhere.csv"))
-    found = dict(calibrate_all([folder / "axis.toml", folder / "lonely.toml"]))
+    found = dict(calibrate_all([folder / "axis.toml", folder / "lonely.toml"], threading.Event()))
     refused((r"nowhere\.csv", lambda: found[folder / "lonely.toml"]()), kind=(UsageError, OSError))
     made, expected = found[folder / "axis.toml"](), prepare(folder / "axis.toml")
     np.testing.assert_array_equal(made.setup.nominal, expected.setup.nominal)

@@ -9,6 +9,7 @@ from collections.abc import Callable, Container, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
+from threading import Event
 from time import monotonic, time
 from typing import TypeVar
 
@@ -34,7 +35,7 @@ class Configurations:
     tell: Tell
     _known: dict[Path, tuple[str, Prepared]] = field(default_factory=dict, init=False)
     _stamps: dict[Path, str] = field(default_factory=dict, init=False)
-    _stopped: bool = field(default=False, init=False)
+    _stopped: Event = field(default_factory=Event, init=False)
 
     def read(self, axes: Mapping[str, Path]) -> dict[Path, Axis]:
         """Return the content of each usable AXIS.toml.
@@ -60,11 +61,13 @@ class Configurations:
         due = [path for path in configs if path not in self._known or self._known[path][0] != stamps[path]]
         yield from ((path, self._known[path][1]) for path in configs if path not in due)
         if len(due) > 1:
-            made: Iterable[tuple[Path, Callable[[], Prepared]]] = calibrate_all(_equal_ones_last(due, stamps))
+            made: Iterable[tuple[Path, Callable[[], Prepared]]] = calibrate_all(
+                _equal_ones_last(due, stamps), self._stopped
+            )
         else:
             made = ((path, partial(self._calibrate_here, path, configs[path])) for path in due)
         for path, take in made:
-            if self._stopped:
+            if self._stopped.is_set():
                 return
             prepared = self._try(path, take, only=len(configs) == 1)
             if prepared is not None:
@@ -84,7 +87,7 @@ class Configurations:
 
     def stop(self) -> None:
         """End calibrations in other processes."""
-        self._stopped = True
+        self._stopped.set()
         stop_workers()
 
     def _try(self, path: Path, make: Callable[[], Made], only: bool) -> Made | None:
