@@ -5,10 +5,6 @@
 
 #include "pmf.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 /* Copy byte by byte, because an assignment need not copy the padding, which a checksum covers. */
 void pmf_copy(const void *from, void *to, uint32_t size);
 
@@ -182,8 +178,5 @@ PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recurs
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 #endif
 
-#ifdef __cplusplus
-}
-#endif
 
 #endif

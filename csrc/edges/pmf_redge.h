@@ -10,10 +10,6 @@
 #ifndef PMF_REDGE_H
 #define PMF_REDGE_H
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 #ifndef PMF_BODY
 #define PMF_BODY 4 /* most parameters: mass, viscous friction, Coulomb friction, offset; an export has its own */
 #endif
@@ -99,7 +95,4 @@ void pmf_redge_expect(const pmf_redge_config_t *config, pmf_redge_state_t *state
 /* Return 1 if the numbers can be a state, 0 if no sample could have made them. */
 uint32_t pmf_redge_plausible(const pmf_redge_config_t *config, const pmf_redge_state_t *state, const pmf_line_t *lines);
 
-#ifdef __cplusplus
-}
-#endif
 #endif

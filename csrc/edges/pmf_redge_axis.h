@@ -5,10 +5,6 @@
 
 #include "pmf_redge.h"
 
-#ifdef __cplusplus
-extern "C" {
-#endif
-
 typedef pmf_redge_config_t pmf_config_t;
 
 typedef struct {
@@ -32,7 +28,4 @@ const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);
 #define PMF_UNKNOWN PMF_R(1e30)
 
-#ifdef __cplusplus
-}
-#endif
 #endif
