@@ -22,6 +22,8 @@ MOST = {
     "lines of code in report and cli": 3750,
     "thresholds in src": 1095,
     "lines of csrc": 9273,
+    "defines of csrc": 408,
+    "conditionals of csrc": 211,
     "lines of tests": 40719,
     "match= in tests": 56,
     "lines of studies": 10450,
@@ -36,6 +38,11 @@ def texts_of(folder: str, suffixes: set[str] = TEXTS) -> list[str]:
 
 def count_lines(folder: str) -> int:
     return sum(text.count("\n") for text in texts_of(folder))
+
+
+def count_directives(names: str) -> int:
+    """Return the number of directives of the C preprocessor in the kernel."""
+    return sum(len(re.findall(rf"^\s*#\s*(?:{names})\b", text, re.MULTILINE)) for text in texts_of("csrc"))
 
 
 def count_code(folder: str) -> int:
@@ -74,7 +81,9 @@ def measure() -> dict[str, int]:
         "lines of code in src": count_code("src"),
         "lines of code in report and cli": count_code("src/pmfid/report") + count_code("src/pmfid/cli"),
         "thresholds in src": count_thresholds("src"),
-        "lines of csrc": 9273count_lines("csrc"),
+        "lines of csrc": count_lines("csrc"),
+        "defines of csrc": count_directives("define"),
+        "conditionals of csrc": count_directives("if|ifdef|ifndef|elif"),
         "lines of tests": count_lines("tests"),
         "match= in tests": sum(len(re.findall("match=", text)) for text in texts_of("tests", {".py"})),
         "lines of studies": count_lines("studies"),
