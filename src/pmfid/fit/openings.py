@@ -6,11 +6,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pmfid.fit.compare import MOST
 from pmfid.fit.likelihood import Intervals
 from pmfid.fit.machine import OFFSET
 from pmfid.fit.problem import PARTS
-from pmfid.fit.search import GAIN, SPEEDS, TRIES, WITHIN, FitSearch, mean_square
+from pmfid.fit.search import EXPLAINED, GAIN, SPEEDS, TRIES, WITHIN, FitSearch, mean_square, narrow_most
 
 #: Steps of least squares with a set of forces. The set that is kept has more of them.
 STEPS = 12
@@ -34,9 +33,9 @@ class Opening:
 def begin(search: FitSearch) -> Intervals | None:
     """Solve from the blind start without a further force, and with each force of the table, and keep the best end.
 
-    Steps from the plain motion do not show a force that bends the motion far. Where the best end is near rounding, one
-    more force may explain every count, and each of the others is tried in addition. The search is left at the smallest
-    set whose motion explains every count, or else at that of the lowest cost.
+    Steps from the plain motion do not show a force that bends the motion far. Where an end is near rounding, further
+    forces may explain every count. The search is left at the first set whose motion explains every count, or else at
+    that of the lowest cost.
 
     Returns the likelihood of the intervals if a motion explains every count.
     """
@@ -52,22 +51,22 @@ def begin(search: FitSearch) -> Intervals | None:
         likelihood = search.explain(TRIES if end is best else 0)
         if likelihood is not None:
             return likelihood
+    best.enter(search)
+    likelihood = _gather(search)
+    if likelihood is not None:
+        return likelihood
     ends = [best]
     for chosen in list_openings(search):
         search.restart(chosen, share)
         ends.append(_end(search))
-    while True:
-        before, leaders = best.chosen, _lead(search, ends)
-        best = _find_constants(search, leaders[0])
-        likelihood = _explain_any(search, [best, *leaders[1:]])
-        if likelihood is None and (shorter := _forget_input(search, best)) is not best:
-            best, likelihood = shorter, _explain_any(search, [shorter])
-        if likelihood is not None:
-            return likelihood
+    leaders = _lead(search, ends)
+    best = _find_constants(search, leaders[0])
+    likelihood = _explain_any(search, [best, *leaders[1:]])
+    if likelihood is None and (shorter := _forget_input(search, best)) is not best:
+        best, likelihood = shorter, _explain_any(search, [shorter])
+    if likelihood is None:
         best.enter(search)
-        if best.chosen == before or not search.explains or mean_square(search) > WITHIN or len(best.chosen) == MOST:
-            return search.explain()
-        ends = [best, *(_add(search, best, i) for i in range(len(search.table)) if i not in best.chosen)]
+    return likelihood
 
 
 def list_openings(search: FitSearch) -> list[tuple[int, ...]]:
@@ -116,13 +115,6 @@ def _forget_input(search: FitSearch, end: Opening) -> Opening:
     return _end(search) if search.forget_input() else end
 
 
-def _add(search: FitSearch, end: Opening, row: int) -> Opening:
-    """Return the end with one more force of the table."""
-    end.enter(search)
-    search.choose([*end.chosen, row])
-    return _end(search)
-
-
 def _find_constants(search: FitSearch, end: Opening) -> Opening:
     """Return the end with the best constants of its columns, which move until the cost stays."""
     for _ in range(STEPS if any(search.table[i].with_constant is not None for i in end.chosen) else 0):
@@ -135,12 +127,32 @@ def _find_constants(search: FitSearch, end: Opening) -> Opening:
 
 
 def _explain_any(search: FitSearch, ends: Sequence[Opening]) -> Intervals | None:
-    """Return the likelihood of the intervals of the first set that explains every count. The first set has more
-    tries."""
+    """Return the likelihood of the intervals of the first set that explains every count, with further forces if
+    needed. The first set has more tries."""
     for place, end in enumerate(ends):
         end.enter(search)
         search.refine()
         likelihood = search.explain(0 if place else TRIES) if mean_square(search) < WITHIN else None
+        likelihood = _gather(search) if likelihood is None else likelihood
         if likelihood is not None:
             return likelihood
+    return None
+
+
+def _gather(search: FitSearch) -> Intervals | None:
+    """Add and drop forces in the likelihood of the intervals until the motion explains every count, or no force gains.
+
+    Next to rounding, least squares hardly tells two forces apart. The few counts beyond their intervals do.
+    """
+    before, seen = search.remember(), list[list[int]]()
+    while search.explains and mean_square(search) < WITHIN and search.chosen not in seen:
+        likelihood = narrow_most(search)
+        if likelihood.spread <= EXPLAINED:
+            return likelihood
+        seen.append(search.chosen)
+        step = search.local(likelihood).best_step(search.chosen, range(len(search.table)))
+        if step is None:
+            break
+        search.choose(step)
+    search.return_to(before)
     return None

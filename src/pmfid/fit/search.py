@@ -361,6 +361,12 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
 
 def narrow(search: FitSearch) -> Intervals | None:
     """Narrow the intervals down to the counts, from a spread that all counts bear; None if that stops to pay."""
+    likelihood = narrow_most(search)
+    return likelihood if likelihood.spread <= EXPLAINED else None
+
+
+def narrow_most(search: FitSearch) -> Intervals:
+    """Narrow the intervals as long as that pays, and return the likelihood of the narrowest."""
     before, best = -math.inf, None
     beyond = max(float(np.max(np.abs(e))) for e in errors_of(search)) - 0.5
     for spread in [one for one in SPREADS if one <= max(beyond, EXPLAINED)]:
@@ -373,7 +379,7 @@ def narrow(search: FitSearch) -> Intervals | None:
     assert best is not None
     likelihood, state = best
     search.return_to(state)
-    return likelihood if likelihood.spread <= EXPLAINED else None
+    return likelihood
 
 
 def _may_explain(search: FitSearch) -> bool:
