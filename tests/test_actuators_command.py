@@ -21,6 +21,7 @@ from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.io.tables import ClockedSignals, Signal
 from pmfid.types import Floats
+from tests.refusals import refused
 from tests.test_actuators import STEP, TRUTH, make_log
 
 
@@ -121,6 +122,7 @@ def test_a_log_that_no_fit_can_use_has_one_line_with_a_remedy(
         ("shoulder.goal", "shoulder.pos", "shoulder"),
         ("action.3", "observation.state.3", "3"),
         ("cmd_left_knee [rad]", "q_left_knee [rad]", "left_knee"),
+        ("goal2", "pos2", "2"),
     ],
 )
 def test_joints_are_found_by_the_names_of_their_columns(goal: str, position: str, joint: str, tmp_path: Path) -> None:
@@ -129,6 +131,16 @@ def test_joints_are_found_by_the_names_of_their_columns(goal: str, position: str
     (log,) = read_joints(tmp_path / "log.csv", LogLayout(resolution=STEP))
     assert log.name == joint
     assert log.position == pytest.approx(t)
+
+
+@pytest.mark.parametrize(
+    ("names", "remedy"),
+    [(("t", "tau1", "pos1"), "no goals, but torques .*tau1.* pmfid identify"), (("goal", "position"), "time_s")],
+)
+def test_a_log_of_another_command_has_its_remedy(names: tuple[str, ...], remedy: str, tmp_path: Path) -> None:
+    t = np.arange(100) * 0.01
+    pl.DataFrame(dict.fromkeys(names, t)).write_csv(tmp_path / "log.csv")
+    refused((remedy, lambda: read_joints(tmp_path / "log.csv", LogLayout())))
 
 
 @pytest.mark.parametrize(("factor", "degrees"), [(math.degrees(1.0), True), (1.0, False)])
@@ -285,8 +297,10 @@ def test_two_logs_are_fitted_at_once_and_a_parameter_may_differ(tmp_path: Path) 
     for seed, gain in ((1, 8.0), (2, 16.0)):
         t, goal, position = make_log(seed, kp=gain, kd=0.0, gravity=0.0, time=5.0)
         pl.DataFrame({"t": t, "goal_1": goal, "position_1": position}).write_csv(tmp_path / f"{seed}.csv")
-    words = [tmp_path / "1.csv", tmp_path / "2.csv", "--bits", 12, "--given", "inertia=0.01", "--given", "kd=0"]
-    found = json.loads(call(*words, "--per-log", "kp", "--no-search", "--json").stdout)["joints"]["1"]
+    known = ["--bits", 12, "--given", "inertia=0.01", "--given", "kd=0", "--no-search"]
+    words = [tmp_path / "1.csv", tmp_path / "2.csv", *known]
+    assert "give --per-log kp" in call(*words).stdout
+    found = json.loads(call(*words, "--per-log", "kp", "--json").stdout)["joints"]["1"]
     assert found["logs"] == 2
     for name, gain in (("kp.1", 8.0), ("kp.2", 16.0)):
         assert found["parameters"][name]["value"] == pytest.approx(gain, rel=0.02)

@@ -183,6 +183,29 @@ class Parameters:
         return Summary(title, self.header[:columns], [row[:columns] for row in self.rows], self.lines, remarks)
 
 
+class PresentableParameters(Presentable):
+    """Base class of results that are estimates `theta` (p,) with standard errors `theta_std` (p,)."""
+
+    if TYPE_CHECKING:  # at run time, a property would be the default of a field
+
+        @property
+        def names(self) -> Sequence[str]: ...
+        @property
+        def units(self) -> Sequence[str]: ...
+        @property
+        def theta(self) -> np.ndarray: ...
+        @property
+        def theta_std(self) -> np.ndarray: ...
+
+    @property
+    def _parameters(self) -> Parameters:
+        return Parameters(self.names, self.units, self.theta, self.theta_std)
+
+    def columns(self) -> Mapping[str, object]:
+        """Return the columns of a table with one row for each parameter."""
+        return self._parameters.columns
+
+
 def remarks_of(status: Sequence[str], notes: Sequence[str] = ()) -> list[str]:
     """Return one line with the names of the status bits, if any is set, and one line for each note."""
     return [*([f"status: {', '.join(status)}"] if status else []), *(f"note: {note}" for note in notes)]

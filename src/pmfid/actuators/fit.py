@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from pmfid.actuators.values import read_parameters
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.findings import Finding, codes, sort_findings, texts
 from pmfid.fit.fit import Fitted, conclude
-from pmfid.presentation import Parameters, Presentable, Summary, plain_dict, remarks_of
+from pmfid.presentation import PresentableParameters, Summary, plain_dict, remarks_of
 from pmfid.types import Floats
 
 #: What to record instead, by the parameter that a log does not determine.
@@ -38,11 +37,12 @@ ADVICE: Mapping[str, str] = {
     "torque_limit": "command large steps",
     "ki": "command steps and wait after each of them",
 }
+PER_LOG = "give --per-log kp if the gain differed, or fit each log alone"
 MORE_TERMS = "add a term to the model, or move one joint at a time"
 
 
 @dataclass(frozen=True, repr=False)
-class ServoFit(Presentable):
+class ServoFit(PresentableParameters):
     """Parameters of a servo with standard errors.
 
     Attributes
@@ -120,18 +120,10 @@ class ServoFit(Presentable):
         """Words of the status; empty if nothing was found."""
         return codes(self.findings)
 
-    @cached_property
-    def _parameters(self) -> Parameters:
-        return Parameters(self.names, self.units, self.theta, self.theta_std)
-
     def summary(self) -> Summary:
         """Return the title, the table and the remarks of the result."""
         title = f"servo: deviation of the simulated motion {self.residual:.3g} rad (rms)"
         return self._parameters.summary(title, remarks_of(self.status, texts(self.findings)))
-
-    def columns(self) -> Mapping[str, object]:
-        """Return the columns of `to_frame`."""
-        return self._parameters.columns
 
     def to_dict(self) -> dict[str, object]:
         """Return the result as text, numbers, lists and dicts."""
@@ -319,7 +311,9 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
     if words:
         log = search.task.logs[0]
         sentence = f"the simulated motion {words}; the standard errors include it"
-        findings.append(Finding("unmodelled", sentence, advise_log(log.t, log.goal)))
+        shared = len(search.task.logs) > 1 and not search.task.per_log and "kp" in servo.unknown
+        advice = PER_LOG if shared else advise_log(log.t, log.goal)
+        findings.append(Finding("unmodelled", sentence, advice))
     unclear = [name for name in fit.open if name not in fit.added]
     hard = [name for name in unclear if name in ("inertia", "kp")]
     if hard:

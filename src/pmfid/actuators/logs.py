@@ -25,6 +25,8 @@ POSITIONS = (
 )
 #: Columns that have a word of a position, but are none.
 OTHERS = ("velocity", "vel", "speed", "effort", "torque", "current", "load", "acceleration")
+#: Words in the names of columns of torques.
+TORQUES = ("torque", "effort", "current", "tau")
 #: Columns that are 0 where the torque is off.
 SWITCHES = ("torque_enable", "torque_enabled")
 #: Registers of servos of Dynamixel and Feetech, in steps of the encoder.
@@ -84,10 +86,7 @@ def read_joints(path: Path, layout: LogLayout) -> list[JointLog]:
     positions = _find_columns(table, layout.position, POSITIONS, (*goals.values(), *OTHERS))
     joints = [joint for joint in positions if joint in goals]
     if not joints:
-        raise UsageError(
-            f"no joint has a goal and a position: the columns are {', '.join(list(table)[:30]) or 'none'}; name them, "
-            "as with --goal 'goal_*' --position 'position_*'"
-        )
+        raise UsageError(_tell_missing(table, goals))
     forces = [_find_forces(table, pattern, joints) for pattern in layout.known_force]
     own = {joint: [found[joint] for found in forces if joint in found] for joint in joints}
     return [_make_joint(robot, t, joint, (goals[joint], positions[joint]), own[joint], layout) for joint in joints]
@@ -96,12 +95,30 @@ def read_joints(path: Path, layout: LogLayout) -> list[JointLog]:
 # --- names of columns -------------------------------------------------------------------------------------------------
 
 
+def _tell_missing(table: Table, goals: Mapping[str, str]) -> str:
+    """Return what to do with a table in which no joint has a goal and a position."""
+    torques = [name for name in table if any(_cut(name, word) is not None for word in TORQUES)]
+    if torques and not goals:
+        return (
+            f"the log has no goals, but torques ({torques[0]}): write an AXIS.toml with pmfid init, and use pmfid "
+            "identify; or name the goals with --goal"
+        )
+    columns = ", ".join(list(table)[:30]) or "none"
+    return (
+        f"no joint has a goal and a position: the columns are {columns}; name them, as with --goal 'goal_*' "
+        "--position 'position_*'"
+    )
+
+
 def _find_time(table: Table) -> str:
     for word in TIMES:
         for name in table:
             if re.fullmatch(rf"(.*[/.])?{word}([\s_.]?[\[(]?(s|sec|ms|us|µs|ns)[\])]?)?", name.lower()):
                 return name
-    raise UsageError("no time column was recognised: name the column with --time")
+    raise UsageError(
+        f"no time column was recognised among {', '.join(list(table)[:30]) or 'none'}: name it with --time, or add a "
+        "column time_s"
+    )
 
 
 def _time_factor(name: str) -> float:
@@ -149,7 +166,7 @@ def _cut(name: str, word: str) -> str | None:
     """Return the name without a word and without a unit, or None if the word is not a part of it."""
     plain = re.sub(r"\s*[\[(][^\])]*[\])]$", "", name)
     plain = re.sub(r"[\s_.](rad|deg|counts|ticks)$", "", plain, flags=re.IGNORECASE)
-    found = re.search(rf"(?:^|(?<=[\s_./:-])){re.escape(word)}(?=$|[\s_./:-])", plain, re.IGNORECASE)
+    found = re.search(rf"(?:^|(?<=[\s_./:-])){re.escape(word)}(?=$|[\s_./:\d-])", plain, re.IGNORECASE)
     if found is None:
         return None
     parts = (plain[: found.start()].strip(" _./:-"), plain[found.end() :].strip(" _./:-"))

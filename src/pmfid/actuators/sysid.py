@@ -12,7 +12,6 @@ import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +26,7 @@ from pmfid.fit.findings import findings_of
 from pmfid.fit.fit import Fitted, fit
 from pmfid.fit.machine import COULOMB, MASS, OFFSET, VISCOUS, BodyForce, BodyModel, Excitation
 from pmfid.fit.problem import FitProblem, ObservedStretch
-from pmfid.presentation import Parameters, Presentable, Summary, plain_dict, remarks_of
+from pmfid.presentation import PresentableParameters, Summary, plain_dict, remarks_of
 from pmfid.types import Floats
 
 RUNS = ("slow-forward", "slow-backward", "fast-forward", "fast-backward")
@@ -53,7 +52,7 @@ class SysIdLog:
 
 
 @dataclass(frozen=True, repr=False)
-class Feedforward(Presentable):
+class Feedforward(PresentableParameters):
     """Feedforward gains of a mechanism by name, with standard errors [V and the unit of the position].
 
     `residual` is the root mean square of the simulated minus the measured position [unit].
@@ -85,18 +84,10 @@ class Feedforward(Presentable):
         found = [line for finding in self.findings for line in finding.lines]
         return [f"{self.name}: status: {', '.join(self.status) or 'none'}", *(f"  {line}" for line in found)]
 
-    @cached_property
-    def _parameters(self) -> Parameters:
-        return Parameters(self.names, self.units, self.theta, self.theta_std)
-
     def summary(self) -> Summary:
         """Return the title, the table and the remarks of the result."""
         title = f"{self.name}: deviation of the simulated motion {self.residual:.3g} (rms)"
         return self._parameters.summary(title, remarks_of(self.status, texts(self.findings)))
-
-    def columns(self) -> Mapping[str, object]:
-        """Return the columns of `to_frame`."""
-        return self._parameters.columns
 
     def to_dict(self) -> dict[str, object]:
         """Return the result as text, numbers, lists and dicts."""

@@ -21,7 +21,7 @@ from pmfid.estimators.results import Fit, Track, join_tracks
 from pmfid.estimators.runner import Runner
 from pmfid.estimators.tuning import TUNING
 from pmfid.models.drive import Drive
-from pmfid.presentation import Parameters, Presentable, Summary, remarks_of
+from pmfid.presentation import Parameters, Presentable, PresentableParameters, Summary, remarks_of
 from pmfid.status import status_names
 from pmfid.types import Floats
 
@@ -157,7 +157,7 @@ def _make_combined(estimate: Floats, covariance: Floats, a: Floats, b: Floats, l
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Posterior(Presentable):
+class Posterior(PresentableParameters):
     """An estimate combined with prior information.
 
     `names` and `units` describe the q parameters; an unknown input gain comes last. `theta` (q,) has the covariance
@@ -180,16 +180,8 @@ class Posterior(Presentable):
         """Return one parameter. Raises UnknownParameterError, a KeyError that lists the names."""
         return float(self.theta[place_of(name, self.names)])
 
-    @property
-    def _parameters(self) -> Parameters:
-        return Parameters(self.names, self.units, self.theta, self.theta_std)
-
     def summary(self) -> Summary:
         return self._parameters.summary("an estimate with prior information", remarks_of((), self.notes))
-
-    def columns(self) -> dict[str, object]:
-        """Table with a row for each parameter."""
-        return self._parameters.columns
 
     def to_dict(self) -> dict[str, object]:
         return {"parameters": self._parameters.content, "notes": list(self.notes)}

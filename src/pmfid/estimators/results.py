@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from pmfid._stage import bars
 from pmfid.errors import place_of
-from pmfid.presentation import Parameters, Presentable, Summary, plain, remarks_of
+from pmfid.presentation import Parameters, Presentable, PresentableParameters, Summary, plain, remarks_of
 from pmfid.status import Status, status_names
 
 
 @dataclass(frozen=True, repr=False)
-class Fit(Presentable):
+class Fit(PresentableParameters):
     """Result of an off-line estimate with p parameters from n used samples.
 
     Attributes
@@ -67,17 +67,9 @@ class Fit(Presentable):
         """Return one parameter. Raises UnknownParameterError, a KeyError that lists the names."""
         return float(self.theta[place_of(name, self.names)])
 
-    @property
-    def _parameters(self) -> Parameters:
-        return Parameters(self.names, self.units, self.theta, self.theta_std)
-
     def summary(self) -> Summary:
         title = f"fit of {self.samples} samples, relative error {100 * self.relative_error:.3g} %"
         return self._parameters.summary(title, remarks_of(status_names(self.status), self.notes))
-
-    def columns(self) -> dict[str, object]:
-        """Table with a row for each parameter."""
-        return self._parameters.columns
 
     def to_dict(self) -> dict[str, object]:
         """Return the result as a dict, without the residual."""
