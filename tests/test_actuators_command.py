@@ -309,19 +309,8 @@ def test_two_logs_are_fitted_at_once_and_a_parameter_may_differ(tmp_path: Path) 
 def test_terms_that_a_log_does_not_show_leave_the_others_determined(tmp_path: Path) -> None:
     t, goal, position = make_log(3, gravity=0.0, kd=0.0)
     pl.DataFrame({"t": t, "goal": goal, "position": position}).write_csv(tmp_path / "a.csv")
-    words = [
-        "--bits",
-        12,
-        "--given",
-        "kp=8",
-        "--given",
-        "kd=0",
-        "--term",
-        "load_stribeck",
-        "--term",
-        "ki",
-        "--no-search",
-    ]
+    words = ["--bits", 12, "--given", "kp=8", "--given", "kd=0", "--no-search"]
+    words += ["--term", "load_stribeck", "--term", "ki"]
     result = call(tmp_path / "a.csv", *words)
     assert (result.exit_code, result.stderr) == (0, "")
     assert "not determined" in result.stdout
