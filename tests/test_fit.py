@@ -44,14 +44,18 @@ def simulate(theta: Floats, names: list[str], parts: int = 4) -> tuple[Floats, F
     return y, S
 
 
-@pytest.mark.parametrize("names", [[], *([name] for name in FORCES)])
-def test_the_derivatives_are_those_of_the_motion(names: list[str]) -> None:
+LATE = np.array([1.07, 12.8, 0.8, 0.1, 0.5, 0.013, 0.03, 0.001, 0.01])
+
+
+@pytest.mark.parametrize(("names", "lag"), [([], 0.0), ([], 0.03), *(([name], 0.0) for name in FORCES)])
+def test_the_derivatives_are_those_of_the_motion(names: list[str], lag: float) -> None:
     """Through stops, reversals, a delay inside a sample and friction that differs by direction."""
-    theta = np.r_[1.07, 12.8, 0.8, 0.1, 0.5, 0.013, 0.0, 0.001, 0.01, np.full(len(names), 0.2)]
+    theta = np.r_[LATE, np.full(len(names), 0.2)]
+    theta[BASE - 3] = lag
     theta = np.append(theta, [0.2] * (names == ["stribeck"]))
     _, S = simulate(theta, names)
     for k in range(theta.size):
-        if k == BASE - 3:  # a lag of zero
+        if k == BASE - 3 and lag == 0:
             continue
         step = 1e-7 * max(abs(theta[k]), 1e-2)
         above, below = theta.copy(), theta.copy()
@@ -59,6 +63,12 @@ def test_the_derivatives_are_those_of_the_motion(names: list[str]) -> None:
         below[k] -= step
         quotient = (simulate(above, names)[0] - simulate(below, names)[0]) / (2 * step)
         assert np.max(np.abs(quotient - S[:, k])) < 3e-3 * np.max(np.abs(S[:, k])), (names, k)
+
+
+def test_a_lag_needs_no_parts_of_an_interval() -> None:
+    """The mean of the force in each of 16 parts leaves an error of 1.6e-6 of the travel."""
+    coarse, fine = (simulate(LATE, [], parts)[0] for parts in (1, 64))
+    assert np.max(np.abs(coarse - fine)) < 5e-7 * np.ptp(fine)
 
 
 def examine(case: Case) -> Fitted:

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.fit.machine import MASS, BodyForce, BodyModel, Excitation, simulate
+from pmfid.fit.machine import LAGGING, MASS, BodyForce, BodyModel, Excitation, simulate
 from pmfid.fit.terms import ExtraForce
 from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.types import Flags, Floats
@@ -150,8 +150,13 @@ class FitProblem:
 
     @property
     def integrates(self) -> bool:
-        """Whether a force makes the motion of a part of an interval inexact."""
-        return bool(self.machine.forces) or any(one.force is not None for one in self.candidates)
+        """Whether a force or a lag makes the motion of a part of an interval inexact."""
+        lags = bool(np.any(self.machine.lift[LAGGING] != 0)) and not self.machine.elastic
+        return (
+            lags
+            or bool(self.machine.forces)
+            or any(one.force is not None or one.base == LAGGING for one in self.candidates)
+        )
 
     def keep(self, rows: Sequence[Flags]) -> FitProblem:
         """Return the problem with some of the observations (k,) of each stretch."""
