@@ -182,7 +182,6 @@ def test_the_right_model_explains_every_count(index: int) -> None:
     [
         ("Stribeck 50 %", "Stribeck"),
         ("dead time 1", "dead time"),
-        ("asymmetry", "direction"),
         ("spring", "position"),
         ("quadratic", "quadratic"),
         ("load", "load"),
@@ -215,12 +214,9 @@ def test_a_search_ends_at_the_optimum(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_missing_counts_and_a_gap_of_the_input_cost_little() -> None:
     (case,) = make_cases(51, "right", [1])
-    counts = np.nan_to_num(case.counts, nan=0.0).astype(np.int64)
-    there, u = np.isfinite(case.counts), case.u.copy()
-    there[300:340] = False
-    u[900:950] = np.nan
-    method = MotionFit(pmfid.Drive(case.input_gain), pmfid.Encoder(case.resolution), case.dt, 0.2 / case.dt)
-    fitted = method.examine(u, counts, there)
+    counts, u = case.counts.copy(), case.u.copy()
+    counts[300:340], u[900:950] = np.nan, np.nan
+    fitted = examine(replace(case, counts=counts, u=u))
     assert len(fitted.problem.stretches) == 2
     np.testing.assert_allclose(fitted.theta, list(case.truth.values()), rtol=0.005)
 
@@ -242,9 +238,7 @@ def test_an_input_that_bends_is_one_in_all_stretches() -> None:
     (case,) = make_cases(52, "bending", [1])
     u = case.u.copy()
     u[500:520], u[1200:1230] = np.nan, np.nan
-    method = MotionFit(pmfid.Drive(case.input_gain), pmfid.Encoder(case.resolution), case.dt, 0.2 / case.dt)
-    counts = np.nan_to_num(case.counts, nan=0.0).astype(np.int64)
-    fitted = method.examine(u, counts, np.isfinite(case.counts) & np.isfinite(u))
+    fitted = examine(replace(case, u=u))
     assert any(one.name == "input_curve" for one in fitted.problem.candidates)
     assert np.mean(np.concatenate(fitted.residuals) ** 2) < 0.1
 
@@ -253,15 +247,13 @@ def test_an_input_that_bends_is_one_in_all_stretches() -> None:
     ("kind", "seed", "index", "bound"),
     [
         ("lag", 5501, 3, 2e-3),
-        ("lag", 9001, 4, 2e-3),
         ("friction drift", 3117, 1, 2e-3),
         ("quadratic", 31337, 0, 3e-5),
         ("dead time 0.3", 1, 11, 1e-3),
     ],
 )
 def test_a_force_is_found_from_the_blind_start(kind: str, seed: int, index: int, bound: float) -> None:
-    """Steps from the plain motion end 12 to 15 % off, and two parts of an interval move friction by 0.04 %. Least
-    squares sees no dead time of a hundredth of the time constant, and the mass takes it."""
+    """Steps from the plain motion end 0.04 to 15 % off. Least squares sees no dead time next to the time constant."""
     (case,) = make_cases(seed, kind, [index])
     np.testing.assert_allclose(examine(case).theta, list(case.truth.values()), rtol=bound)
 

@@ -4,7 +4,6 @@
 #include <string.h>
 
 #define MOST_PARTS 10000 /* of an interval */
-#define CUTS 32 /* of a part with a lag where the mass may stop or start */
 #define MOST_TURNS 16 /* stops within a part, after which the mass rests until the part ends */
 
 /* (1 - exp(-z)) / z, (z - 1 + exp(-z)) / z^2 and their derivatives. */
@@ -320,50 +319,37 @@ static double net_force(state *t, double x, double v, double s, double drive, in
     return t->loaded ? net - load_friction(t, v, s, T, dv) : net;
 }
 
-/* Move for h seconds from the state at a constant net force; the new state goes to (*x, *v, dx, dv). */
-static void advance(state *t, double net, double s, double h, double *x, double *v, double *dx, double *dv)
+/* Move for h seconds from the state at a net force with a first moment about its mean, which keeps the momentum; the
+ * new state goes to (*x, *v, dx, dv). */
+static void advance(state *t, double net, double moment, double s, double h, double *x, double *v, double *dx,
+                    double *dv)
 {
     const double m = t->theta[PMF_BODY_MASS], d = t->theta[PMF_BODY_VISCOUS] + s * t->theta[PMF_BODY_DIRECTIONAL];
     const double a = net / m, z = d * h / m, v0 = t->v;
     const phi f = z == t->z ? t->f : phi_of(z);
     const double hp = h * f.p1, mp = hp / m, mq = h * h * f.p2 / m;
-    const double vz = -v0 * f.e + a * h * f.q1, xz = v0 * h * f.q1 + a * h * h * f.q2;
+    const double vm = (1 - f.e) / (m * h), xm = -f.p1 / m;
+    const double vz = -v0 * f.e + a * h * f.q1 + moment / (m * h) * f.e;
+    const double xz = v0 * h * f.q1 + a * h * h * f.q2 - moment / m * f.q1;
     const double *dn = t->dn, *sx = t->dx, *sv = t->dv;
     for (int k = 0; k < t->w; k++) {
         double old = sv[k];
         dx[k] = sx[k] + old * hp + dn[k] * mq;
         dv[k] = old * f.e + dn[k] * mp;
     }
-    dx[PMF_BODY_MASS] -= a * mq + xz * z / m;
-    dv[PMF_BODY_MASS] -= a * mp + vz * z / m;
+    dx[PMF_BODY_MASS] -= a * mq + (moment * xm + xz * z) / m;
+    dv[PMF_BODY_MASS] -= a * mp + (moment * vm + vz * z) / m;
     dx[PMF_BODY_VISCOUS] += xz * h / m;
     dv[PMF_BODY_VISCOUS] += vz * h / m;
     dx[PMF_BODY_DIRECTIONAL] += xz * s * h / m;
     dv[PMF_BODY_DIRECTIONAL] += vz * s * h / m;
-    *x = t->x + v0 * hp + net * mq;
-    *v = v0 * f.e + net * mp;
+    if (moment != 0) {
+        dx[PMF_BODY_DELAY] += t->m1_delay * xm, dx[PMF_BODY_LAG] += t->m1_lag * xm;
+        dv[PMF_BODY_DELAY] += t->m1_delay * vm, dv[PMF_BODY_LAG] += t->m1_lag * vm;
+    }
+    *x = t->x + v0 * hp + net * mq + moment * xm;
+    *v = v0 * f.e + net * mp + moment * vm;
     t->z = z, t->f = f;
-}
-
-/* Add the motion by the first moment of the input's force in a part of h seconds, which keeps the momentum. */
-static void add_moment(state *t, double s, double h, double *x, double *v, double *dx, double *dv)
-{
-    const double m = t->theta[PMF_BODY_MASS], c = (t->theta[PMF_BODY_VISCOUS] + s * t->theta[PMF_BODY_DIRECTIONAL]) / m;
-    const phi f = c * h == t->z ? t->f : phi_of(c * h);
-    const double r = t->m1 * f.p1 / m, by_c = t->m1 * f.q1 * h / m;
-    const double by_mass = -(r + by_c * c) / m, by_viscous = by_c / m;
-    *x -= r;
-    *v += c * r;
-    dx[PMF_BODY_MASS] -= by_mass;
-    dv[PMF_BODY_MASS] += c * (by_mass - r / m);
-    dx[PMF_BODY_VISCOUS] -= by_viscous;
-    dv[PMF_BODY_VISCOUS] += c * by_viscous + r / m;
-    dx[PMF_BODY_DIRECTIONAL] -= s * by_viscous;
-    dv[PMF_BODY_DIRECTIONAL] += s * (c * by_viscous + r / m);
-    dx[PMF_BODY_DELAY] -= t->m1_delay * f.p1 / m;
-    dv[PMF_BODY_DELAY] += c * t->m1_delay * f.p1 / m;
-    dx[PMF_BODY_LAG] -= t->m1_lag * f.p1 / m;
-    dv[PMF_BODY_LAG] += c * t->m1_lag * f.p1 / m;
 }
 
 /* Time until the velocity is zero under a net force against the motion. */
@@ -398,7 +384,7 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
                 if (stop < left)
                     half = stop / 2;
             }
-            advance(t, net, s, half, &x, &v, t->mx, t->mv);
+            advance(t, net, 0, s, half, &x, &v, t->mx, t->mv);
             if (s * v < 0)
                 v = 0;
             if (t->loop) {
@@ -422,18 +408,14 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             return;
         }
         if (t->loop) {
-            advance(t, net, s, step, &x, &v, t->mx, t->mv);
+            advance(t, net, 0, s, step, &x, &v, t->mx, t->mv);
             carry_memories(t, step, g, g_delay, g_lag, t->x, t->v, t->dx, t->dv, x, stops ? 0 : v, t->mx, t->mv);
             swap(&t->s, &t->ms);
             swap(&t->ds, &t->dms);
             swap(&t->dx, &t->mx);
             swap(&t->dv, &t->mv);
-        } else {
-            const int whole = turn == 0 && !stops && t->m1 != 0;
-            advance(t, net, s, step, &x, &v, t->dx, t->dv);
-            if (whole)
-                add_moment(t, s, step, &x, &v, t->dx, t->dv);
-        }
+        } else
+            advance(t, net, turn || stops ? 0 : t->m1, s, step, &x, &v, t->dx, t->dv);
         t->x = x;
         t->v = v;
         left -= step;
@@ -489,19 +471,17 @@ static void move_lagging(state *t, int i, double u, double h)
     t->g_lag = t->g_lag * f.e + away * f.e * z / lag;
 }
 
-/* Move for h seconds with one input. Where the mass may stop or start under a lag, the part is cut, because the mean of
- * the force moves that instant. */
+/* Move for h seconds with one input. Where the mass may stop or start under a lag, 32 cuts of the part find the
+ * instant, because a mean of the force moves it. */
 static void move_part(state *t, int i, double h)
 {
     const double u = t->b->u[t->late], most = fmax(fabs(u), fabs(t->g)) + t->theta[PMF_BODY_COULOMB];
-    int cuts;
-    if (!(t->theta[PMF_BODY_LAG] > 0)) {
+    const int cuts = t->loop || fabs(t->v) * t->theta[PMF_BODY_MASS] > most * h ? 1 : 32;
+    if (!(t->theta[PMF_BODY_LAG] > 0))
         move(t, i, u, 0, 0, h);
-        return;
-    }
-    cuts = t->loop || fabs(t->v) * t->theta[PMF_BODY_MASS] > most * h ? 1 : CUTS;
-    for (int cut = 0; cut < cuts; cut++)
-        move_lagging(t, i, u, h / cuts);
+    else
+        for (int cut = 0; cut < cuts; cut++)
+            move_lagging(t, i, u, h / cuts);
 }
 
 /* Move through interval i, in equal parts that end where the input switches. `wait` is the time to the next switch. */
@@ -522,12 +502,10 @@ static void move_interval(state *t, int i, int parts, double *wait)
         }
 }
 
-/* Parts of interval i. */
 static int parts_of(const pmf_body *b, double lag, int i)
 {
-    const double ticks = b->tick > 0 ? ceil(b->step[i] / b->tick - 1e-6) : 1;
     if (b->tick > 0)
-        return ticks < 1 ? 1 : ticks > MOST_PARTS ? MOST_PARTS : (int)ticks;
+        return (int)fmin(fmax(ceil(b->step[i] / b->tick - 1e-6), 1), MOST_PARTS);
     return b->forces || lag > 0 ? b->parts : 1;
 }
 

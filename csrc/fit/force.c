@@ -24,8 +24,9 @@ pmf_push pmf_force_at(const pmf_force *f, double p, double x, double v, double s
     double z, w;
     switch (f->kind) {
     case PMF_FORCE_STRIBECK:
+    case PMF_FORCE_LOAD_STRIBECK:
         z = v / p;
-        w = s * exp(-z * z);
+        w = s * exp(-z * z) * (f->kind == PMF_FORCE_STRIBECK ? 1 : column);
         r.h = w;
         r.hv = -2 * z / p * w;
         r.hp = 2 * z * z / p * w;
@@ -47,11 +48,6 @@ pmf_push pmf_force_at(const pmf_force *f, double p, double x, double v, double s
         r.h = sin(z * x + f->q);
         r.hx = z * cos(z * x + f->q);
         r.hp = -r.hx * x / p;
-        if (f->kind == PMF_FORCE_RUB) {
-            r.h *= s;
-            r.hx *= s;
-            r.hp *= s;
-        }
         break;
     case PMF_FORCE_SPRING:
         r.h = x - f->q;
@@ -69,31 +65,18 @@ pmf_push pmf_force_at(const pmf_force *f, double p, double x, double v, double s
         w = z <= f->p ? 0 : z < f->q ? (z - f->p) / (f->q - f->p) : 1;
         r.h = s * (w < 1 ? 0.5 * w * (z - f->p) : z - 0.5 * (f->p + f->q));
         r.hv = w;
-        if (f->kind == PMF_FORCE_BEND_EVEN) {
-            r.h *= s;
-            r.hv *= s;
-        }
         break;
-    case PMF_FORCE_PLACE: r = table_at(f, x); break;
-    case PMF_FORCE_RUB_PLACE:
-        r = table_at(f, x);
-        r.h *= s;
-        r.hx *= s;
-        break;
-    case PMF_FORCE_LOAD: r.h = s * column; break; /* the column is the force through the gear */
-    case PMF_FORCE_LOAD_STRIBECK:
-        z = v / p;
-        w = s * column * exp(-z * z);
-        r.h = w;
-        r.hv = -2 * z / p * w;
-        r.hp = 2 * z * z / p * w;
-        break;
+    case PMF_FORCE_PLACE:
+    case PMF_FORCE_RUB_PLACE: r = table_at(f, x); break;
     case PMF_FORCE_COLUMN: r.h = column; break;
+    case PMF_FORCE_LOAD: /* the column is the force through the gear */
     case PMF_FORCE_COLUMN_FRICTION: r.h = s * column; break;
     case PMF_FORCE_COLUMN_VISCOUS:
         r.h = v * column;
         r.hv = column;
         break;
     }
+    if (f->kind == PMF_FORCE_RUB || f->kind == PMF_FORCE_RUB_PLACE || f->kind == PMF_FORCE_BEND_EVEN)
+        r.h *= s, r.hx *= s, r.hv *= s, r.hp *= s;
     return r;
 }
