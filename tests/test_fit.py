@@ -183,8 +183,6 @@ def test_the_right_model_explains_every_count(index: int) -> None:
         ("Stribeck 50 %", "Stribeck"),
         ("dead time 1", "dead time"),
         ("spring", "position"),
-        ("quadratic", "quadratic"),
-        ("load", "load"),
     ],
 )
 def test_a_force_that_the_model_lacks_is_named(kind: str, word: str) -> None:
