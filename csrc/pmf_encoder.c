@@ -9,9 +9,9 @@
 
 #include "pmf_misread.inl"
 
-#define FAST_COUNTS 2U /* counts in one sample above which the tracker is trusted */
-#define FAST_SPEED PMF_R(2.0) /* counts in one sample period above which the tracker is trusted */
-#define CLOSE 3U
+static const uint32_t FAST_COUNTS = 2U; /* counts in one sample above which the tracker is trusted */
+static const scalar_t FAST_SPEED = PMF_SCALAR(2.0); /* counts in one sample period above which the tracker is trusted */
+static const uint32_t CLOSE = 3U;
 /* Gains of the tracker and of its smoother. */
 typedef struct {
     real_t position_gain, velocity_gain, smooth_end, smooth_start;

@@ -1,7 +1,7 @@
 /* Amount and time of forgetting in the sums of a recursion. Only pmf_recursion.c includes this file.
  * SPDX-License-Identifier: Apache-2.0 */
 
-#define SATURATED 0xffffffffU
+static const uint32_t SATURATED = 0xffffffffU;
 #ifdef PMF_PARAMETERS
 #define PARAMETERS(config) PMF_PARAMETERS
 #define INSTRUMENTAL(config) PMF_INSTRUMENTAL
@@ -9,8 +9,8 @@
 #define PARAMETERS(config) ((config)->n_parameters)
 #define INSTRUMENTAL(config) ((config)->instrumental)
 #endif
-#define SPED_UP 1U
-#define SLOWED_DOWN 2U
+static const uint32_t SPED_UP = 1U;
+static const uint32_t SLOWED_DOWN = 2U;
 
 #define LARGER(a, b) PMF_IF((a) > (b), a, b)
 
@@ -62,8 +62,8 @@ PMF_SELDOM void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
     sums->squares *= factor * factor;
 }
 
-#define MOST_WEIGHT PMF_R(524288.0) /* largest number of samples in a sum, 2^19 */
-#define LONG_MEMORY PMF_SCALAR(0.999999) /* forgetting from which a sum may hold MOST_WEIGHT samples */
+static const scalar_t MOST_WEIGHT = PMF_SCALAR(524288.0); /* largest number of samples in a sum, 2^19 */
+static const scalar_t LONG_MEMORY = PMF_SCALAR(0.999999); /* forgetting from which a sum may hold MOST_WEIGHT samples */
 
 /* A sum of float32 cannot take a term below 2^-24 of its value. The weight of the past is therefore halved repeatedly.
  * Without forgetting, the memory is the last millions of samples. Only a sample with much information triggers the
@@ -103,9 +103,10 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
 
 /* The scale of information. Information from motions that were larger than recent ones is outdated. */
 
-#define HALF_MEMORIES 4U /* factor between the bits of this half memory and of the last */
-#define SOME PMF_R(0.0625) /* fraction of the encoder's squared error above which the axis moves */
-#define LITTLE PMF_SCALAR(0.25) /* fraction of `outgrown` below which the fast forgetting ends */
+static const uint32_t HALF_MEMORIES = 4U; /* factor between the bits of this half memory and of the last */
+static const scalar_t SOME =
+    PMF_SCALAR(0.0625); /* fraction of the encoder's squared error above which the axis moves */
+static const scalar_t LITTLE = PMF_SCALAR(0.25); /* fraction of `outgrown` below which the fast forgetting ends */
 
 /* Sum the squares of the acceleration in motion over this and the last half memory, in units of the encoder's error.
  * Returns whether a half memory is complete. */

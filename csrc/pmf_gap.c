@@ -1,8 +1,6 @@
 /* Lost samples: the motion restarts, and the sums of the estimate stay. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_internal.h"
 
-#define CREDIT PMF_R(10.0) /* error of the model's velocity, over its power, above which the velocity is reset */
-
 /* The counter shows the distance during the gap unless the counter wrapped. The next samples show the velocity. */
 static void begin_encoder(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, uint32_t count)
 {
@@ -35,7 +33,8 @@ void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count)
 #if PMF_WITH_AUXILIARY
     pmf_clear(state->auxiliary.jump, (uint32_t)sizeof state->auxiliary.jump);
     state->auxiliary.mismatch = PMF_R(0.0);
-    state->auxiliary.power *= CREDIT;
+    state->auxiliary.power *=
+        PMF_R(10.0); /* a larger error of the model's velocity, over its power, resets the velocity */
     state->auxiliary.trial = config->auxiliary.trial_samples;
 #endif
 }

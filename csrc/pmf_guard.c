@@ -11,11 +11,12 @@
 
 #if PMF_WITH_GUARD
 
-#define SMOOTH PMF_R(3.2) /* FIRST of pmf_outlier.c */
-#define ROUNDING PMF_R(2.0) /* second difference of counts in a steady motion */
-#define SPIKE PMF_R(8.0) /* ratio of an input to all its neighbours, above which the counts must answer */
+static const scalar_t SMOOTH = PMF_SCALAR(3.2); /* FIRST of pmf_outlier.c */
+static const scalar_t ROUNDING = PMF_SCALAR(2.0); /* second difference of counts in a steady motion */
+static const scalar_t SPIKE =
+    PMF_SCALAR(8.0); /* ratio of an input to all its neighbours, above which the counts must answer */
 #define HERE PMF_PAST
-#define FAR 0x20000000U /* counts that are further apart are wrong in any case */
+static const uint32_t FAR = 0x20000000U; /* counts that are further apart are wrong in any case */
 
 /* Return the second difference with its middle at a place. */
 static real_t signed_bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t place)
@@ -34,7 +35,7 @@ static real_t bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *
 static real_t roughness(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard, uint32_t first,
                         uint32_t last)
 {
-    real_t most = ROUNDING;
+    real_t most = PMF_ALIKE(ROUNDING);
     uint32_t place;
     for (place = first; place <= last; ++place) {
         real_t size = bend(config, guard, place);

@@ -4,8 +4,10 @@
 #define MIN_BLOCKS 8.0
 #define SKIPPED_INNOVATIONS \
     4U /* number of first innovations that are skipped, because early innovations do not show the noise */
-#define JUDGED 16U /* updates between two verdicts on the model (a power of two), half-way between two looks */
-#define NEGLIGIBLE PMF_R(1e-6) /* fraction of the target's mean square that a model may leave unexplained */
+static const uint32_t JUDGED =
+    16U; /* updates between two verdicts on the model (a power of two), half-way between two looks */
+static const scalar_t NEGLIGIBLE =
+    PMF_SCALAR(1e-6); /* fraction of the target's mean square that a model may leave unexplained */
 #define COMPENSATED(config) (PMF_WITH_NOISE != 0 && (config)->compensated != 0U)
 
 #if PMF_WITH_NOISE
@@ -159,10 +161,10 @@ PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_st
 
 #if PMF_WITH_MISREAD
 /* Part of a parameter's information that is noise, above which least squares know nothing. */
-#define MOST_NOISE PMF_R(0.9)
+static const scalar_t MOST_NOISE = PMF_SCALAR(0.9);
 /* Ratio of noise to information above which instruments know nothing: a correlation of 0.2 between instruments and
  * noise would change the parameter by as much as itself, and control through the encoder causes such a correlation. */
-#define MOST_HIDDEN PMF_R(25.0)
+static const scalar_t MOST_HIDDEN = PMF_SCALAR(25.0);
 
 /* Return the variance of an error over the variance of white innovations, 0 if it is no number. */
 PMF_INLINE real_t over_white(const pmf_estimate_t *estimate, real_t error, uint32_t i)

@@ -5,9 +5,11 @@
  * as long as the last one is usual in slow motion and counts only if it ends in a stop or a reversal. Every further
  * interval counts at once. */
 
-#define LATE_TURN PMF_R(0.3) /* error of the direction if velocities give the instant of a reversal [samples] */
-#define LATE_STOP PMF_R(0.5) /* mean part of the last interval that was at rest */
-#define HIDDEN PMF_R(1.5) /* time from a start to the first count, over the time from there to the second count */
+static const scalar_t LATE_TURN =
+    PMF_SCALAR(0.3); /* error of the direction if velocities give the instant of a reversal [samples] */
+static const scalar_t LATE_STOP = PMF_SCALAR(0.5); /* mean part of the last interval that was at rest */
+static const scalar_t HIDDEN =
+    PMF_SCALAR(1.5); /* time from a start to the first count, over the time from there to the second count */
 
 /* Write the errors of an interval. `moved` and `direction` are the reading before the interval, and `fast` means that
  * the tracker gives the instants of reversals. */

@@ -6,7 +6,7 @@
 #include "pmf_internal.h"
 
 #if PMF_STEPS
-#define RECENT PMF_R(0.99609375) /* forgetting of steps, a memory of 256 samples */
+static const scalar_t RECENT = PMF_SCALAR(0.99609375); /* forgetting of steps, a memory of 256 samples */
 
 /* Return the mean square of the step over time, in which long steps have more weight. */
 static real_t mean_square(pmf_network_state_t *state)

@@ -17,26 +17,29 @@
 #include "pmf_outlier.h"
 #include "pmf_internal.h"
 
-#define LEFT_OUT 6U /* most readings of a view that may be wrong */
-#define LEAST 4U /* fewest counts of a path: fewer than two accelerations prove nothing */
-#define ENDLESS PMF_SCALAR(1e30)
-#define BLOW PMF_SCALAR(3.0) /* factor by which leaving out one reading lowers the acceleration of a blow */
-#define FIRST PMF_SCALAR(3.2) /* above BLOW */
-#define FURTHER PMF_SCALAR(1.5) /* above (m + 3) / (m + 2), which is the same bound for each further reading */
-#define MANY 3U /* most readings left out before a fast oscillation may look smooth */
-#define SHIFT 3U
-#define LATEST 2U /* most wrong readings before a shift */
+static const uint32_t LEFT_OUT = 6U; /* most readings of a view that may be wrong */
+static const uint32_t LEAST = 4U; /* fewest counts of a path: fewer than two accelerations prove nothing */
+static const scalar_t ENDLESS = PMF_SCALAR(1e30);
+static const scalar_t BLOW =
+    PMF_SCALAR(3.0); /* factor by which leaving out one reading lowers the acceleration of a blow */
+static const scalar_t FIRST = PMF_SCALAR(3.2); /* above BLOW */
+static const scalar_t FURTHER =
+    PMF_SCALAR(1.5); /* above (m + 3) / (m + 2), which is the same bound for each further reading */
+static const uint32_t MANY = 3U; /* most readings left out before a fast oscillation may look smooth */
+static const uint32_t SHIFT = 3U;
+static const uint32_t LATEST = 2U; /* most wrong readings before a shift */
 #define DEMANDS (LEFT_OUT + SHIFT + 1U)
-#define CLEAR PMF_SCALAR(2.0) /* least ratio of a deviation to the one that the accelerations along a path explain */
-#define WILD PMF_SCALAR(6.0) /* twice BLOW: no reading or its neighbour is the reversal */
+static const scalar_t CLEAR =
+    PMF_SCALAR(2.0); /* least ratio of a deviation to the one that the accelerations along a path explain */
+static const scalar_t WILD = PMF_SCALAR(6.0); /* twice BLOW: no reading or its neighbour is the reversal */
 #define NEAR \
     PMF_SCALAR(10.0) /* accelerations within this ratio of the largest one may come from the same wrong counts */
-#define LONGEST 4U /* more wrong readings in a row have no certain replacement */
+static const uint32_t LONGEST = 4U; /* more wrong readings in a row have no certain replacement */
 #define PAST PMF_PAST
 #ifdef PMF_FLOAT32
-#define MOST PMF_SCALAR(1e9)
+static const scalar_t MOST = PMF_SCALAR(1e9);
 #else
-#define MOST PMF_SCALAR(9007199254740992.0) /* 2^53 */
+static const scalar_t MOST = PMF_SCALAR(9007199254740992.0); /* 2^53 */
 #endif
 
 /* Chosen accepted counts and readings, ascending. */

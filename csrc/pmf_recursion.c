@@ -17,9 +17,11 @@
 #include "pmf_forgetting.inl"
 #include "pmf_innovations.inl"
 
-#define POOR PMF_R(50.0) /* information below POOR times the regularisation is called poor */
-#define FREEZE PMF_R(1e-3) /* information below FREEZE times the regularisation is no longer forgotten */
-#define LEAST_CLEAN PMF_R(0.02) /* fraction of a column's information that remains without the known noise */
+static const scalar_t POOR = PMF_SCALAR(50.0); /* information below POOR times the regularisation is called poor */
+static const scalar_t FREEZE =
+    PMF_SCALAR(1e-3); /* information below FREEZE times the regularisation is no longer forgotten */
+static const scalar_t LEAST_CLEAN =
+    PMF_SCALAR(0.02); /* fraction of a column's information that remains without the known noise */
 
 /* Subtract the apparent information of the known noise. If hardly any information is left, excitation is poor, and a
  * fraction is kept so that P stays positive. Before the first estimate nothing is subtracted, because the noise may

@@ -2,7 +2,7 @@
  * SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_internal.h"
 
-#define POLYNOMIAL 0xedb88320U /* CRC-32 of ISO 3309, bits reversed */
+static const uint32_t POLYNOMIAL = 0xedb88320U; /* CRC-32 of ISO 3309, bits reversed */
 
 uint32_t pmf_crc32(uint32_t crc, const void *data, uint32_t size)
 {

@@ -3,10 +3,6 @@
 
 #include "pmf_late.inl"
 
-#define TAKE_OVER PMF_R(3.0) /* ratio of samples, or of variances, at which an estimate takes over */
-#define SHORT_BAR PMF_R(0.01) /* fraction of the mass as a small standard error */
-/* Mean square of the step over time [squared periods] above which direct methods err by percents. */
-#define BURSTS PMF_R(2.0)
 /* Status bits of the instrumental recursion that remain with the estimate of the simpler method. */
 #define KEPT_ON_FALLBACK ((uint32_t)(PMF_RESET | PMF_UNMODELLED | PMF_FEEDBACK))
 
@@ -198,6 +194,8 @@ static void weigh_instruments(const pmf_recursion_config_t *config, pmf_network_
  * estimate must also know the mass about as well as the direct estimate, or well enough. */
 static truth_t takes_over(const pmf_config_t *config, const pmf_state_t *state)
 {
+    static const scalar_t TAKE_OVER = PMF_SCALAR(3.0); /* ratio of samples, or of variances */
+    static const scalar_t SHORT_BAR = PMF_SCALAR(0.01); /* fraction of the mass as a small standard error */
     const pmf_estimate_t *own = &state->instrument.estimate, *direct = &state->direct.estimate;
     uint32_t mass = config->auxiliary.index[PMF_MASS], direct_mass = config->auxiliary.direct_index[PMF_MASS];
     real_t small = SHORT_BAR * own->theta[mass];
@@ -317,7 +315,8 @@ static whole_t estimate_step(const pmf_config_t *config, pmf_state_t *state, who
               stepped = pmf_recursion_step(&config->direct, &state->direct, state->network.column));
     status = PMF_IF(use, stepped, status);
 #if PMF_STEPS
-    if (PMF_TURNED(&config->encoder) != 0U && state->network.cubes > BURSTS * state->network.time) {
+    /* a larger mean square of the step over time [squared periods] makes direct methods err by percents */
+    if (PMF_TURNED(&config->encoder) != 0U && state->network.cubes > PMF_R(2.0) * state->network.time) {
         status |= PMF_UNMODELLED;
     }
 #endif

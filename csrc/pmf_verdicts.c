@@ -6,17 +6,17 @@
 
 #if PMF_WITH_AUXILIARY
 
-#define SURE PMF_R(9.0) /* least evidence against chance: three standard deviations */
+static const scalar_t SURE = PMF_SCALAR(9.0); /* least evidence against chance: three standard deviations */
 /* A controller answers a step of the encoder's error, which is in the change of the velocity residual. The limit is the
  * squared correlation with this change of the input and the next one: 0 in open loop, and 0.2 to 1 under control where
  * the encoder is coarse enough to move the mass. */
-#define FEEDBACK_PART PMF_R(0.2)
-#define FEEDBACK_MEMORY PMF_R(0.999)
+static const scalar_t FEEDBACK_PART = PMF_SCALAR(0.2);
+static const scalar_t FEEDBACK_MEMORY = PMF_SCALAR(0.999);
 /* The first limit is the least squared correlation of the velocity residual with the model's acceleration, and the
  * second the least lead [samples]. Half a sample of dead time gives 0.06 and 0.03 under position control, and 0.2 in
  * open loop. Chance and a right model stay below one of these limits. */
-#define LATE_PART PMF_R(0.04)
-#define LATE_BY PMF_R(0.02)
+static const scalar_t LATE_PART = PMF_SCALAR(0.04);
+static const scalar_t LATE_BY = PMF_SCALAR(0.02);
 
 PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const real_t *signal, truth_t where, real_t change)
 {

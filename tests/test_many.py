@@ -16,7 +16,7 @@ from pmfid import Status, _kernel64
 from pmfid.estimators.fleet import kept_samples
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import RECURSIVE
-from pmfid.kernel.structures import whole_words
+from pmfid.kernel.saved import fleet_layout
 from tests.conftest import cart_run
 from tests.patience import PATIENCE
 from tests.refusals import refused
@@ -353,7 +353,8 @@ def test_a_missing_count_is_named():
 
 def test_the_kernel_writes_only_where_there_is_room():
     axes, samples, p = 3, 10, 3
-    kernel = make(pmfid.BCRLS).runner.kernel.many(axes, whole_words("float64"))
+    single = make(pmfid.BCRLS).runner.kernel
+    kernel = single.many(axes, fleet_layout(single, "float64"))
     u, counts = np.zeros((axes, samples)), np.zeros((axes, samples), np.int64)
 
     def results(rows: int = axes, kept: int = 4, parameters: int = p) -> list[np.ndarray]:

@@ -7,31 +7,35 @@
 #include "pmf_redge_innovation.inl"
 #include "pmf_redge_signs.inl"
 
-#define NOT_A_STEP PMF_R(0.5) /* distance from a line [counts] from which on the edge is of another line */
-#define SURE PMF_R(0.04) /* variance of a prediction [counts^2] below which that is known */
-#define LOST_AFTER 8U /* edges that are the same whole counts away, before the place moves */
-#define ASTRAY 12U /* edges in a row that are of another line, before an alarm */
-#define NARROWEST PMF_R(0.125) /* samples: edges further from the ends of their sample are taken */
-#define CREEP PMF_R(0.02) /* counts per sample: a slower axis has edges by noise, and its instants say nothing */
-#define CHANCE PMF_R(4.0) /* standard deviations of an instant */
-#define AGAINST 6U /* edges against the simulated motion, before it is given up */
-#define AWAY PMF_R(1.5) /* counts beyond the step of the count: the simulated motion is lost */
-#define AWAY_AFTER 3U /* samples without an edge */
-#define CHECKED 32U /* edges after given parameters, from which on others may contradict these, */
-#define YOUNG 1000U /* and up to which they do, */
-#define DEPARTED PMF_R(0.4) /* if a parameter is further from the given one, relative to it */
-#define STILL_HEARD PMF_R(10.0) /* edges that the noise of the instants counts for after an alarm */
-#define DOUBT PMF_R(10.0) /* edges that show the instants' noise, at which variances are twice as large */
-#define DRIFTING PMF_R(8.0) /* edges over which such an innovation has grown */
+static const real_t NOT_A_STEP =
+    PMF_R(0.5); /* distance from a line [counts] from which on the edge is of another line */
+static const real_t SURE = PMF_R(0.04); /* variance of a prediction [counts^2] below which that is known */
+static const uint32_t LOST_AFTER = 8U; /* edges that are the same whole counts away, before the place moves */
+static const uint32_t ASTRAY = 12U; /* edges in a row that are of another line, before an alarm */
+static const real_t NARROWEST = PMF_R(0.125); /* samples: edges further from the ends of their sample are taken */
+static const real_t CREEP =
+    PMF_R(0.02); /* counts per sample: a slower axis has edges by noise, and its instants say nothing */
+static const real_t CHANCE = PMF_R(4.0); /* standard deviations of an instant */
+static const uint32_t AGAINST = 6U; /* edges against the simulated motion, before it is given up */
+static const real_t AWAY = PMF_R(1.5); /* counts beyond the step of the count: the simulated motion is lost */
+static const uint32_t AWAY_AFTER = 3U; /* samples without an edge */
+static const uint32_t CHECKED = 32U; /* edges after given parameters, from which on others may contradict these, */
+static const uint32_t YOUNG = 1000U; /* and up to which they do, */
+static const real_t DEPARTED = PMF_R(0.4); /* if a parameter is further from the given one, relative to it */
+static const real_t STILL_HEARD = PMF_R(10.0); /* edges that the noise of the instants counts for after an alarm */
+static const real_t DOUBT =
+    PMF_R(10.0); /* edges that show the instants' noise, at which variances are twice as large */
+static const real_t DRIFTING = PMF_R(8.0); /* edges over which such an innovation has grown */
 #define MOST_CHANGE 1000000 /* counts in a sample */
-#define SETTLED PMF_R(0.06) /* part of the squared errors of second order that a new reference may leave */
-#define STRAIGHT PMF_R(1.001)
-#define EXACT PMF_R(0.1) /* error of each parameter, relative to the best edge in counts: rounding */
-#define CLOCK PMF_R(1e-5) /* relative error of a time, or of a force: crystals are made to 20 ppm */
+static const real_t SETTLED =
+    PMF_R(0.06); /* part of the squared errors of second order that a new reference may leave */
+static const real_t STRAIGHT = PMF_R(1.001);
+static const real_t EXACT = PMF_R(0.1); /* error of each parameter, relative to the best edge in counts: rounding */
+static const real_t CLOCK = PMF_R(1e-5); /* relative error of a time, or of a force: crystals are made to 20 ppm */
 #define MOST_MOVES (6U * STEADY) /* moves of the reference, of which a right model needs three to six */
-#define TURN_DOUBT PMF_R(4.0) /* trend after reversals, from which on it widens the variances */
-#define UNEVEN PMF_R(6.4e-3) /* variance of the lines from which on the model is wrong [counts^2] */
-#define LATEST PMF_R(1e-4) /* time by which no capture of an edge is late: the input acts late [s] */
+static const real_t TURN_DOUBT = PMF_R(4.0); /* trend after reversals, from which on it widens the variances */
+static const real_t UNEVEN = PMF_R(6.4e-3); /* variance of the lines from which on the model is wrong [counts^2] */
+static const real_t LATEST = PMF_R(1e-4); /* time by which no capture of an edge is late: the input acts late [s] */
 
 void pmf_redge_init(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines)
 {

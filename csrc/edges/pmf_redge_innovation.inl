@@ -5,14 +5,15 @@
  * the mean of what the edges of this line had left, and its regressors are without the means of this line (random
  * effects). So a line that is off costs one edge. */
 
-#define WIDEST PMF_R(0.1) /* largest variance of the lines [counts^2] */
-#define VARIANCES PMF_R(400.0) /* edges: memory of the variance of the lines */
-#define INSTANTS PMF_R(50.0) /* edges: memory of the variance of the instants */
-#define MOST_HEARD PMF_R(1e4)
-#define LEAST_SHARE PMF_R(0.3) /* of the instants in an innovation that is too large, before their noise is known */
-#define MOST_SURPRISE PMF_R(9.0)
-#define FORGOTTEN PMF_R(1e-5) /* relative variance of a parameter, to which forgetting may increase it */
-#define SHRINK PMF_R(0.95) /* of the drift, from edge to edge without a trend */
+static const real_t WIDEST = PMF_R(0.1); /* largest variance of the lines [counts^2] */
+static const real_t VARIANCES = PMF_R(400.0); /* edges: memory of the variance of the lines */
+static const real_t INSTANTS = PMF_R(50.0); /* edges: memory of the variance of the instants */
+static const real_t MOST_HEARD = PMF_R(1e4);
+static const real_t LEAST_SHARE =
+    PMF_R(0.3); /* of the instants in an innovation that is too large, before their noise is known */
+static const real_t MOST_SURPRISE = PMF_R(9.0);
+static const real_t FORGOTTEN = PMF_R(1e-5); /* relative variance of a parameter, to which forgetting may increase it */
+static const real_t SHRINK = PMF_R(0.95); /* of the drift, from edge to edge without a trend */
 
 /* Innovation of an edge, and what it consists of. */
 typedef struct {

@@ -1,18 +1,19 @@
 /* The simulated body and its derivatives. Only pmf_redge.c includes this file. SPDX-License-Identifier: Apache-2.0 */
 
-#define PLACE 0U
-#define SPEED 1U
-#define LATENESS 2U /* minus the time by which all instants come late */
-#define FIRST 3U /* the parameters */
+static const uint32_t PLACE = 0U;
+static const uint32_t SPEED = 1U;
+static const uint32_t LATENESS = 2U; /* minus the time by which all instants come late */
+static const uint32_t FIRST = 3U; /* the parameters */
 #define CARRIED (PMF_FOLLOWED - 2) /* lateness and parameters, which go on in the next window */
-#define MASS 0U
-#define VISCOUS 1U
-#define COULOMB 2U
-#define OFFSET 3U
-#define TERMS 14U /* of the series, at most half a time constant long: below the last digit of a double */
-#define LONGEST PMF_R(0.5) /* piece of a motion [time constants] */
-#define MOST_PIECES 256U
-#define NEWTON 6U /* steps to the instant of a stop */
+static const uint32_t MASS = 0U;
+static const uint32_t VISCOUS = 1U;
+static const uint32_t COULOMB = 2U;
+static const uint32_t OFFSET = 3U;
+static const uint32_t TERMS =
+    14U; /* of the series, at most half a time constant long: below the last digit of a double */
+static const real_t LONGEST = PMF_R(0.5); /* piece of a motion [time constants] */
+static const uint32_t MOST_PIECES = 256U;
+static const uint32_t NEWTON = 6U; /* steps to the instant of a stop */
 
 /* Integrals over a piece of the decay exp(-z) at its end, relative to powers of the time of the piece. */
 typedef struct {

@@ -1,32 +1,37 @@
 /* Signs of a wrong model, or of another machine, in the innovations. Only pmf_redge.c includes this file.
  * SPDX-License-Identifier: Apache-2.0 */
 
-#define OUTLIER PMF_R(25.0) /* squared innovation over its variance of an edge by noise, */
-#define USUAL PMF_R(9.0) /* and most of the edge before */
-#define RECENT PMF_R(16.0) /* edges: memory of the surprise */
-#define COLOURED PMF_R(64.0) /* edges: memory of the covariance of successive innovations, */
-#define CORRELATED PMF_R(128.0) /* and of their correlation */
-#define BLOCK 16U /* edges */
-#define BLOCKS PMF_R(16.0) /* memory of the blocks */
-#define MOST_SIZE PMF_R(100.0) /* mean squared innovation [counts^2] that an alarm takes for true */
-#define ALARM PMF_R(6.0) /* mean squared innovation over its variance: another machine, or another model */
-#define VISIBLE PMF_R(4e-4) /* smaller mean squared innovations [counts^2] are no alarm */
-#define RECENT_EDGES 24U /* edges after an alarm before the correlation is known */
-#define MOST_RATIO PMF_R(100.0) /* squared innovation over its variance that surprise and trend take for true */
-#define CALM 8U /* edges before an alarm */
-#define TREND PMF_R(0.3) /* correlation of innovations, of an alarm */
-#define COLOUR PMF_R(0.3) /* covariance over the variance from which on the model is wrong */
-#define CORRELATION PMF_R(0.2) /* correlation from which on the model is wrong; chance makes 0.06 */
-#define CORRELATION_OF_FEW PMF_R(5.0) /* the same, of one edge */
-#define FURTHER PMF_R(3.0) /* squared moves of blocks over those by chance, from which on the model is wrong */
-#define FURTHER_OF_FEW PMF_R(8.0) /* the same, of one block */
-#define TURNS PMF_R(32.0) /* reversals: memory of the first innovations after them */
-#define TURN_OUTLIER PMF_R(16.0) /* squared innovation over its variance, above which an innovation counts less */
-#define TURN_TREND PMF_R(25.0) /* squared mean of these over its variance, from which on the model is wrong (5 sd) */
-#define TURN_SQUARES PMF_R(3.0) /* their mean square, 1 by chance, from which on the model is wrong, */
-#define TURN_SQUARES_OF_FEW PMF_R(8.0) /* and the same, of one reversal */
-#define JITTER PMF_R(1.6e-5) /* standard deviation of instants from which on the model is wrong [s], */
-#define UNEVENLY PMF_R(3e-3) /* and of places [counts] */
+static const real_t OUTLIER = PMF_R(25.0); /* squared innovation over its variance of an edge by noise, */
+static const real_t USUAL = PMF_R(9.0); /* and most of the edge before */
+static const real_t RECENT = PMF_R(16.0); /* edges: memory of the surprise */
+static const real_t COLOURED = PMF_R(64.0); /* edges: memory of the covariance of successive innovations, */
+static const real_t CORRELATED = PMF_R(128.0); /* and of their correlation */
+static const uint32_t BLOCK = 16U; /* edges */
+static const real_t BLOCKS = PMF_R(16.0); /* memory of the blocks */
+static const real_t MOST_SIZE = PMF_R(100.0); /* mean squared innovation [counts^2] that an alarm takes for true */
+static const real_t ALARM =
+    PMF_R(6.0); /* mean squared innovation over its variance: another machine, or another model */
+static const real_t VISIBLE = PMF_R(4e-4); /* smaller mean squared innovations [counts^2] are no alarm */
+static const uint32_t RECENT_EDGES = 24U; /* edges after an alarm before the correlation is known */
+static const real_t MOST_RATIO =
+    PMF_R(100.0); /* squared innovation over its variance that surprise and trend take for true */
+static const uint32_t CALM = 8U; /* edges before an alarm */
+static const real_t TREND = PMF_R(0.3); /* correlation of innovations, of an alarm */
+static const real_t COLOUR = PMF_R(0.3); /* covariance over the variance from which on the model is wrong */
+static const real_t CORRELATION = PMF_R(0.2); /* correlation from which on the model is wrong; chance makes 0.06 */
+static const real_t CORRELATION_OF_FEW = PMF_R(5.0); /* the same, of one edge */
+static const real_t FURTHER =
+    PMF_R(3.0); /* squared moves of blocks over those by chance, from which on the model is wrong */
+static const real_t FURTHER_OF_FEW = PMF_R(8.0); /* the same, of one block */
+static const real_t TURNS = PMF_R(32.0); /* reversals: memory of the first innovations after them */
+static const real_t TURN_OUTLIER =
+    PMF_R(16.0); /* squared innovation over its variance, above which an innovation counts less */
+static const real_t TURN_TREND =
+    PMF_R(25.0); /* squared mean of these over its variance, from which on the model is wrong (5 sd) */
+static const real_t TURN_SQUARES = PMF_R(3.0); /* their mean square, 1 by chance, from which on the model is wrong, */
+static const real_t TURN_SQUARES_OF_FEW = PMF_R(8.0); /* and the same, of one reversal */
+static const real_t JITTER = PMF_R(1.6e-5); /* standard deviation of instants from which on the model is wrong [s], */
+static const real_t UNEVENLY = PMF_R(3e-3); /* and of places [counts] */
 
 /* Note the first innovation after a reversal. Friction that is another at low speed moves all of these edges the same
  * way, relative to the motion. */

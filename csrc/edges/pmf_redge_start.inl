@@ -7,16 +7,18 @@
  * integral of the place - half of the friction and of the offset. The input is the instrument of the mass, since a
  * line's error is in the difference of the place. */
 
-#define WAIT PMF_R(20.0) /* samples between two edges of one way, in which a rest does little harm */
-#define SPAN PMF_R(3.0) /* samples; shorter triples have less weight */
-#define SHORTEST PMF_R(0.5) /* samples between two edges of a triple; an instant that is late counts too much then */
-#define FEWEST PMF_R(20.0) /* triples */
-#define SOME PMF_R(10.0) /* triples that show the mass */
-#define MOST_WEIGHT PMF_R(1024.0)
-#define FEWEST_WAYS 2U /* ways with a triple */
-#define UNSURE PMF_R(0.09) /* squared standard deviation of each force relative to the input, and of the mass */
-#define OVERLAP PMF_R(4.0) /* triples for one that is independent of the others */
-#define ROUNDING PMF_R(1e-4) /* of the squared target: errors of the integral of the place */
+static const real_t WAIT = PMF_R(20.0); /* samples between two edges of one way, in which a rest does little harm */
+static const real_t SPAN = PMF_R(3.0); /* samples; shorter triples have less weight */
+static const real_t SHORTEST =
+    PMF_R(0.5); /* samples between two edges of a triple; an instant that is late counts too much then */
+static const real_t FEWEST = PMF_R(20.0); /* triples */
+static const real_t SOME = PMF_R(10.0); /* triples that show the mass */
+static const real_t MOST_WEIGHT = PMF_R(1024.0);
+static const uint32_t FEWEST_WAYS = 2U; /* ways with a triple */
+static const real_t UNSURE =
+    PMF_R(0.09); /* squared standard deviation of each force relative to the input, and of the mass */
+static const real_t OVERLAP = PMF_R(4.0); /* triples for one that is independent of the others */
+static const real_t ROUNDING = PMF_R(1e-4); /* of the squared target: errors of the integral of the place */
 
 static real_t divide_twice(const pmf_mark_t *const *mark, real_t a, real_t b, real_t c)
 {

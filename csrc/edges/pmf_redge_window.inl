@@ -1,22 +1,26 @@
 /* Windows of the recursion: a reference, what its end keeps, and its beginning. Only pmf_redge.c includes this file.
  * SPDX-License-Identifier: Apache-2.0 */
 
-#define FIRST_WINDOW 24U /* edges in the first window */
-#define SHORTEST_WINDOW 12U
-#define LAST_WINDOW 0x40000000U
-#define PRIOR PMF_R(0.09) /* variance of a parameter relative to its square, from the direct start */
-#define UNSEEN PMF_R(10.0) /* of friction that a start does not see: variance relative to its square */
-#define LEAST_FRICTION PMF_R(0.02) /* least Coulomb friction of a reference, relative to the present input */
-#define ANYWHERE PMF_R(0.1) /* variance of the place at the start of a window [counts^2] */
-#define FIRST_SPREAD PMF_R(0.01) /* variance of the lines before it is known [counts^2] */
-#define FIRST_EVIDENCE PMF_R(2.0) /* lines that this variance counts for */
-#define SECOND PMF_R(3.0) /* error of the second order, relative to the product of two relative changes */
-#define LIKELY PMF_R(2.0) /* standard deviations by which a parameter may change in a window */
-#define FARTHEST PMF_R(4.0) /* move of the offset at the end of a window, relative to the constant forces */
-#define FRICTION PMF_R(0.3) /* part of the relative change of Coulomb friction that makes an error of second order */
-#define LATE PMF_R(5e-5) /* instants come late by about this time [s]; it is no alarm */
-#define STEADY 1000U /* edges that make up for a move of the reference */
-#define AGAIN 400U /* edges after an alarm in which another one means a wrong model */
+static const uint32_t FIRST_WINDOW = 24U; /* edges in the first window */
+static const uint32_t SHORTEST_WINDOW = 12U;
+static const uint32_t LAST_WINDOW = 0x40000000U;
+static const real_t PRIOR = PMF_R(0.09); /* variance of a parameter relative to its square, from the direct start */
+static const real_t UNSEEN = PMF_R(10.0); /* of friction that a start does not see: variance relative to its square */
+static const real_t LEAST_FRICTION =
+    PMF_R(0.02); /* least Coulomb friction of a reference, relative to the present input */
+static const real_t ANYWHERE = PMF_R(0.1); /* variance of the place at the start of a window [counts^2] */
+static const real_t FIRST_SPREAD = PMF_R(0.01); /* variance of the lines before it is known [counts^2] */
+static const real_t FIRST_EVIDENCE = PMF_R(2.0); /* lines that this variance counts for */
+static const real_t SECOND =
+    PMF_R(3.0); /* error of the second order, relative to the product of two relative changes */
+static const real_t LIKELY = PMF_R(2.0); /* standard deviations by which a parameter may change in a window */
+static const real_t FARTHEST =
+    PMF_R(4.0); /* move of the offset at the end of a window, relative to the constant forces */
+static const real_t FRICTION =
+    PMF_R(0.3); /* part of the relative change of Coulomb friction that makes an error of second order */
+static const real_t LATE = PMF_R(5e-5); /* instants come late by about this time [s]; it is no alarm */
+static const uint32_t STEADY = 1000U; /* edges that make up for a move of the reference */
+static const uint32_t AGAIN = 400U; /* edges after an alarm in which another one means a wrong model */
 #define MOST_UNREST (8U * AGAIN)
 
 static real_t smaller(real_t a, real_t b)

@@ -2,7 +2,7 @@
 #include "pmf_many.h"
 #include "pmf_straight.h"
 
-#define FEW_SAMPLES 8U /* with fewer samples, the change into lanes and back costs too much */
+static const uint32_t FEW_SAMPLES = 8U; /* with fewer samples, the change into lanes and back costs too much */
 
 #if defined(__x86_64__) || defined(__i386__)
 #define HAS(feature) __builtin_cpu_supports(feature)
@@ -45,6 +45,32 @@ const pmf_lanes_t *pmf_lanes_for(uint32_t way, const pmf_layout_t *layout, uint6
 {
     const pmf_lanes_t *lanes = lanes_of(way);
     return lanes != 0 && samples >= FEW_SAMPLES && layout->lane_words == lanes->words ? lanes : 0;
+}
+
+void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed)
+{
+    const unsigned char *from = (const unsigned char *)state;
+    const pmf_word_t *word = layout->word;
+    uint32_t i;
+    for (i = 0; i < layout->reals; ++i) {
+        *(scalar_t *)(void *)(packed + word[i].packed) = *(const scalar_t *)(const void *)(from + word[i].offset);
+    }
+    for (; i < layout->words; ++i) {
+        *(uint32_t *)(void *)(packed + word[i].packed) = *(const uint32_t *)(const void *)(from + word[i].offset);
+    }
+}
+
+void pmf_unpack(const pmf_layout_t *layout, const unsigned char *packed, pmf_state_t *state)
+{
+    unsigned char *to = (unsigned char *)state;
+    const pmf_word_t *word = layout->word;
+    uint32_t i;
+    for (i = 0; i < layout->reals; ++i) {
+        *(scalar_t *)(void *)(to + word[i].offset) = *(const scalar_t *)(const void *)(packed + word[i].packed);
+    }
+    for (; i < layout->words; ++i) {
+        *(uint32_t *)(void *)(to + word[i].offset) = *(const uint32_t *)(const void *)(packed + word[i].packed);
+    }
 }
 
 static real_t input_at(const pmf_rows_t *rows, uint64_t axis, uint64_t sample)

@@ -18,7 +18,8 @@ typedef struct {
 } pmf_word_t;
 #define PMF_MAX_WORDS 8192
 
-/* The words in use, reals first. */
+/* The words in use, reals first. Values that each step computes again, or that the configuration does not use, are left
+ * out. Python chooses the words, because it knows the fields. */
 typedef struct {
     uint32_t reals, words;
     uint32_t packed_size; /* bytes of a packed state */
@@ -95,10 +96,7 @@ extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 /* Return 1 if the numbers can be a configuration of this build, 0 if they would exceed the memory. */
 uint32_t pmf_fits(const pmf_config_t *config);
 uint32_t pmf_shapes_fit(const pmf_shapes_config_t *shapes);
-/* Compute the layout. For every four bytes of a pmf_state_t, `is_whole` has 1 for an integer, otherwise 0.
- * Values that each step computes again, or that are always zero, are left out. Returns 0 if the words exceed a layout.
- */
-uint32_t pmf_layout(const pmf_config_t *config, const unsigned char *is_whole, pmf_layout_t *layout);
+/* Copy the words in use of a state to a packed state. */
 void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed);
 /* Unpack a state. The unused part of the state stays, which is zero after pmf_init() or pmf_clear(). */
 void pmf_unpack(const pmf_layout_t *layout, const unsigned char *packed, pmf_state_t *state);

@@ -2,7 +2,7 @@
  * SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_block.h"
 
-#define POLYNOMIAL 0xedb88320U /* CRC-32 of ISO 3309, bits reversed, as in zlib */
+static const uint32_t POLYNOMIAL = 0xedb88320U; /* CRC-32 of ISO 3309, bits reversed, as in zlib */
 
 typedef union {
     double number;

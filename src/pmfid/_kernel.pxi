@@ -4,7 +4,7 @@ from cpython.bytes cimport PyBytes_FromStringAndSize
 from cpython.long cimport PyLong_AsUnsignedLongLongMask
 from cpython.number cimport PyNumber_Index
 from libc.stdint cimport int64_t, uint32_t, uint64_t
-from libc.string cimport memcpy
+from libc.string cimport memcpy, memset
 cimport numpy as cnp
 import numpy as np
 
@@ -120,7 +120,6 @@ cdef extern from "many/pmf_many.h":
         unsigned char *lost
     uint32_t pmf_fits(const pmf_config_t *) nogil
     uint32_t pmf_shapes_fit(const pmf_shapes_config_t *) nogil
-    uint32_t pmf_layout(const pmf_config_t *, const unsigned char *, pmf_layout_t *) nogil
     void pmf_pack(const pmf_layout_t *, const pmf_state_t *, unsigned char *) nogil
     void pmf_unpack(const pmf_layout_t *, const unsigned char *, pmf_state_t *) nogil
     uint32_t pmf_many_way() nogil
@@ -335,9 +334,9 @@ cdef class Kernel:
                     row += 1
         return blocks, lost
 
-    def many(self, Py_ssize_t axes, bytes is_whole):
-        """Return `axes` axes in the present state. `is_whole` comes from `pmfid.kernel.structures.whole_words`."""
-        return ManyKernel(self, axes, is_whole)
+    def many(self, Py_ssize_t axes, bytes layout):
+        """Return `axes` axes in the present state. `layout` comes from `pmfid.kernel.saved.fleet_layout`."""
+        return ManyKernel(self, axes, layout)
 
     def raw_config(self):
         """Return the configuration as the bytes of a `pmf_config_t` with the module's sizes."""
@@ -348,6 +347,13 @@ cdef class Kernel:
         cdef pmf_state_t state = self.state
         if kept:
             pmf_clear_computed(&self.config, &state)
+        return PyBytes_FromStringAndSize(<char *> &state, sizeof(pmf_state_t))
+
+    def kept_bytes(self):
+        """Return 1 for each byte of a state, but 0 for the values that each step computes again."""
+        cdef pmf_state_t state
+        memset(&state, 1, sizeof(pmf_state_t))
+        pmf_clear_computed(&self.config, &state)
         return PyBytes_FromStringAndSize(<char *> &state, sizeof(pmf_state_t))
 
     def set_raw_state(self, bytes state):
@@ -404,14 +410,13 @@ cdef class ManyKernel:
 
     fastest_way = pmf_many_way()
     #: The version of packed states.
-    packing = 5
+    packing = 6
 
-    def __init__(self, Kernel kernel, Py_ssize_t axes, bytes is_whole not None):
+    def __init__(self, Kernel kernel, Py_ssize_t axes, bytes layout not None):
         self.config = kernel.config
-        if 4 * len(is_whole) != sizeof(pmf_state_t):
-            raise ValueError(f"a state has {sizeof(pmf_state_t) // 4} words, got {len(is_whole)}")
-        if pmf_layout(&self.config, <const unsigned char *> is_whole, &self.layout) == 0:
+        if len(layout) > sizeof(pmf_layout_t):
             raise ValueError("a state has more words than a layout holds; raise PMF_MAX_WORDS in csrc/many/pmf_many.h")
+        memcpy(&self.layout, <const char *> layout, len(layout))
         cdef cnp.ndarray own = np.zeros(self.layout.packed_size, np.uint8)
         pmf_pack(&self.layout, &kernel.state, <unsigned char *> cnp.PyArray_DATA(own))
         self._start = own

@@ -126,7 +126,6 @@ static void read_all(const pmf_state_t *state)
 #define AXES 9U
 
 static pmf_layout_t layout;
-static unsigned char whole[sizeof(pmf_state_t) / 4U]; /* for every word 1 if the word is a whole number */
 static unsigned char *packed;
 static double result[6][AXES * PMF_MAX_PARAMETERS];
 static uint32_t statuses[AXES];
@@ -215,11 +214,7 @@ int main(int argc, char **argv)
         return 5;
     }
 #ifdef FLEET
-    (void)read_file(argv[1], "whole", whole, sizeof whole);
-    if (pmf_layout(&config, whole, &layout) == 0U) {
-        (void)fprintf(stderr, "the layout of a fleet is refused\n");
-        return 6;
-    }
+    (void)read_file(argv[1], "layout", &layout, sizeof layout);
     packed = (unsigned char *)calloc(AXES, layout.packed_size);
 #endif
     for (number = 0; number < states; ++number) {

@@ -14,8 +14,8 @@ import numpy as np
 import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.export.firmware import export_firmware
-from pmfid.kernel.saved import configuration, firmware_shape, tight_state
-from pmfid.kernel.structures import resize_structure, structures, whole_words
+from pmfid.kernel.saved import configuration, firmware_shape, fleet_layout, tight_state
+from pmfid.kernel.structures import resize_structure, structures
 from tests.firmware.build import REQUIRED
 from tests.test_many import PROCESS, PROCESSES, VARIANTS, fleet_record, make, process_record
 
@@ -63,7 +63,7 @@ def folder_of(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
     fields = [(offset, int(kind == "f")) for _, kind, offset in leaves(types["pmf_state_t"])]
     (folder / "words").write_bytes(np.array(fields, "<u4").tobytes())
     if place == "fleet":
-        (folder / "whole").write_bytes(whole_words(estimator.precision))
+        (folder / "layout").write_bytes(fleet_layout(estimator.runner.kernel, estimator.precision))
     return folder
 
 
@@ -93,9 +93,7 @@ def program(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
     if place != "export" and estimator.precision == "float32":
         options.append("-DPMF_FLOAT32")
     if place == "fleet":
-        files += [
-            str(sources / "many" / name) for name in ("pmf_layout.c", "pmf_many.c", "pmf_scores.c", "pmf_lanes.c")
-        ]
+        files += [str(sources / "many" / name) for name in ("pmf_many.c", "pmf_scores.c", "pmf_lanes.c")]
         lanes = ["-DPMF_LANE_BYTES=16", "-DPMF_HAVE_LANES_16", "-msse4.2"]
         for method in ("rls", "bcrls", "riv", "plain"):
             for name, own in (("pmf_straight", []), *([("pmf_lanes", lanes)] if method != "plain" else [])):

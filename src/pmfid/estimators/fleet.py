@@ -14,7 +14,7 @@ from pmfid.estimators.configuration import integer_counts, numbers
 from pmfid.estimators.results import Tracks
 from pmfid.estimators.runner import Runner, RunnerEstimator, processors
 from pmfid.estimators.tuning import TUNING
-from pmfid.kernel.structures import whole_words
+from pmfid.kernel.saved import fleet_layout
 from pmfid.types import Floats, Numbers
 
 N = TypeVar("N", bound=np.number)
@@ -105,7 +105,7 @@ class Fleet(Generic[E]):
         remedy = "it is the number of threads; None uses one thread for each processor"
         self.workers = processors() if workers is None else whole_number("workers", workers, 1, remedy)
         try:
-            self._kernel = first.kernel.many(self.axes, whole_words(first.precision))
+            self._kernel = first.kernel.many(self.axes, fleet_layout(first.kernel, first.precision))
         except (MemoryError, OverflowError, ValueError):
             raise UsageError(f"the states of {axes} axes do not fit into memory; process fewer at a time") from None
         self._way, self._first = self._kernel.fastest_way, self._kernel.states[:1].copy()
@@ -202,7 +202,7 @@ class Fleet(Generic[E]):
 
 def _resume_fleet(estimator: E, first: NDArray[np.uint8], axes: int, workers: int, state: bytes) -> Fleet[E]:
     runner = estimator.start()
-    single = runner.kernel.many(1, whole_words(runner.precision))
+    single = runner.kernel.many(1, fleet_layout(runner.kernel, runner.precision))
     single.set_states(first)
     single.load(runner.kernel, 0)
     fleet = Fleet(runner, axes, workers=workers)

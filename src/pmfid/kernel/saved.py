@@ -20,6 +20,7 @@ from pmfid.kernel.structures import (
     layout_number,
     resize_structure,
     structures,
+    whole_words,
 )
 
 if TYPE_CHECKING:
@@ -197,6 +198,29 @@ def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
     )
     own["guard"] = known["guard"]
     kernel.set_raw_state(own.tobytes())
+
+
+def fleet_layout(kernel: Kernel, precision: str) -> bytes:
+    """Return the `pmf_layout_t` of csrc/many/pmf_many.h: the numbers of a state that a fleet keeps, reals first.
+
+    A fleet keeps what firmware with the kernel's configuration has, without the values that each step computes again.
+    Without vectors for the configuration, `lane_words` is 0.
+    """
+    config, state = configuration(kernel, precision), structures(None, precision)["pmf_state_t"]
+    firmware = structures(shape_of(config), precision)["pmf_state_t"]
+    kept = np.frombuffer(kernel.kept_bytes(), state)[0]
+    used = np.frombuffer(resize_structure(resize_structure(kept, firmware), state).tobytes(), np.uint32) != 0
+    whole, size = np.frombuffer(whole_words(precision), np.bool_), np.dtype(precision).itemsize
+    first = whole | (np.arange(whole.size) * 4 % size == 0)  # of two words of a real, only the first counts
+    lane = np.cumsum(first) - 1
+    reals, integers = np.flatnonzero(used & first & ~whole), np.flatnonzero(used & whole)
+    words = np.concatenate([reals, integers])
+    sizes = np.repeat([size, 4], [reals.size, integers.size])
+    packed = -(-int(sizes.sum()) // 8) * 8
+    alone = config["late"]["kept"] or config["auxiliary"]["shapes"]["n"] or config["encoder"]["rate"] > 0
+    head = [reals.size, words.size, packed, 0 if alone else lane[-1] + 1]
+    rows = np.column_stack([4 * words, np.cumsum(sizes) - sizes, lane[words]])
+    return np.concatenate([head, rows.ravel()]).astype("<u4").tobytes()
 
 
 #: Envelope of a fleet's states. The checksum is the CRC-32 of the preceding words and the states.

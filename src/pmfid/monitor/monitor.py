@@ -18,7 +18,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator
 from pmfid.estimators.known import Seen, choose_naming
 from pmfid.estimators.results import Track
-from pmfid.kernel.structures import whole_words
+from pmfid.kernel.saved import fleet_layout
 from pmfid.monitor.axis import FIRST, WatchedAxis
 from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Event, FleetRows, Outlier, Settled
 from pmfid.monitor.saved import AxisStates, check_states, read, write_states
@@ -318,8 +318,11 @@ class Monitor(WatchedAxis, Presentable):
     @cached_property
     def packers(self) -> tuple[ManyKernel, ManyKernel]:
         """Kernels that pack and run many states of the estimator and of the filter."""
-        words = whole_words(self.estimator.precision)
-        return self.estimator.runner.kernel.many(1, words), self._filter.kernel.many(1, words)
+        one, other = (
+            kernel.many(1, fleet_layout(kernel, self.estimator.precision))
+            for kernel in (self.estimator.runner.kernel, self._filter.kernel)
+        )
+        return one, other
 
     def pack_state(self) -> AxisStates:
         """Return the state as arrays of one row."""
