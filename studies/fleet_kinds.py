@@ -257,7 +257,7 @@ def run(kind: Kind, axes: int, seed: int) -> Score:
         config.write_text(AXIS_TOML)
         start = time.process_time()
         try:
-            found = fleet.estimate(log, axis=config, by="machine", period=kind.period, engine=fleet.Local(1))
+            found = fleet.estimate(log, axis=config, by="machine", period=kind.period, workers=1)
         except (UsageError, NotIdentifiableError) as error:
             score.codes = str(error)
             return score

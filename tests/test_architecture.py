@@ -355,7 +355,7 @@ def test_type_checkers_see_the_same_names() -> None:
 @pytest.mark.parametrize("package", ["pmfid.design", "pmfid.fleet", "pmfid.monitor", "pmfid.simulation"])
 def test_the_doors_of_the_wings_open(package: str) -> None:
     room = import_module(package)
-    assert len(room.__all__) > 5
+    assert room.__all__
     assert set(room.__all__) <= set(dir(room))
     documented = [value for value in (getattr(room, name) for name in room.__all__) if callable(value)]
     assert all(len((value.__doc__ or "").split()) >= 3 for value in documented)

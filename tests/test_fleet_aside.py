@@ -40,7 +40,7 @@ def plain(log: pl.DataFrame, config: Path) -> History:
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Let a chunk have the rows of one axis, and list the parts whose rows are read."""
-    set_tuning(monkeypatch, "pmfid.fleet.engine", plan_rows=SAMPLES, plan_least=SAMPLES)
+    set_tuning(monkeypatch, "pmfid.fleet.files", plan_rows=SAMPLES, plan_least=SAMPLES)
     found, plainly = list[str](), Part.rows
 
     def look(part: Part, columns: SourceColumns) -> pl.LazyFrame:
@@ -75,7 +75,7 @@ def test_a_chunk_reads_its_own_rows_of_a_large_file(
         reads.extend(chunk.reads)
         return plan.read_chunk(chunk, length)
 
-    monkeypatch.setattr("pmfid.fleet.engine.read_chunk", read)
+    monkeypatch.setattr("pmfid.fleet.files.read_chunk", read)
     log.write_parquet(tmp_path / "all.parquet", row_group_size=log.height)
     found = estimated(tmp_path / "all.parquet", config)
     assert [one.many for one in reads[1:]] == [SAMPLES] * AXES

@@ -51,7 +51,7 @@ def axis(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def found(log: pl.DataFrame, axis: Path) -> History:
-    return fleet.estimate(log, axis=axis, by="machine", period="1min", segment=20.0, engine=fleet.Local(1))
+    return fleet.estimate(log, axis=axis, by="machine", period="1min", segment=20.0, workers=1)
 
 
 def test_edges_name_a_small_change_with_its_cause(found: History) -> None:

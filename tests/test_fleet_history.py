@@ -56,7 +56,7 @@ def config(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def plain(log: pl.DataFrame, config: Path) -> History:
     """Estimate from one frame in one thread."""
-    return fleet.estimate(log, axis=config, by="machine", period="1min", engine=fleet.Local(1))
+    return fleet.estimate(log, axis=config, by="machine", period="1min", workers=1)
 
 
 # --- found changes ----------------------------------------------------------------------------------------------------
@@ -108,7 +108,7 @@ def test_one_that_differs_from_its_type_is_named_and_another_type_is_not(log: pl
     few = pl.concat([log.filter(~pl.col("machine").is_in([f"axis-{k:04d}" for k in CHANGES])), heavy])
     double = pl.col("u") * pl.when(pl.col("machine") == "axis-0002").then(0.5).otherwise(1.0)
     typed = few.with_columns(double.alias("u"), pl.lit("a").alias("kind"))
-    found = fleet.estimate(typed, axis=config, by="machine", type="kind", engine=fleet.Local(1))
+    found = fleet.estimate(typed, axis=config, by="machine", type="kind", workers=1)
     assert [(row["axis"], row["kind"]) for row in found.named.iter_rows(named=True)] == [("axis-0002", "differs")]
     kind = pl.when(pl.col("machine") == "axis-0002").then(pl.lit("b")).otherwise(pl.lit("a"))
     alone = fleet.estimate(typed.with_columns(kind=kind), axis=config, by="machine", type="kind")
@@ -148,9 +148,7 @@ def test_partitions_order_and_threads_leave_the_bytes(
 ) -> None:
     (tmp_path / "data").mkdir()
     layout(log, tmp_path / "data")
-    found = fleet.estimate(
-        tmp_path / "data", axis=config, by="machine", period="1min", engine=fleet.Local(2), out=tmp_path / "out"
-    )
+    found = fleet.estimate(tmp_path / "data", axis=config, by="machine", period="1min", workers=2, out=tmp_path / "out")
     assert found.axes.equals(plain.axes)
     assert found.periods.drop("findings").equals(plain.periods.drop("findings"))
     kept = pl.read_parquet(tmp_path / "out" / "periods.parquet")
@@ -160,7 +158,7 @@ def test_partitions_order_and_threads_leave_the_bytes(
 def test_the_size_of_chunks_leaves_the_bytes(
     log: pl.DataFrame, config: Path, plain: History, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    set_tuning(monkeypatch, "pmfid.fleet.engine", plan_rows=50_000, plan_least=50_000)
+    set_tuning(monkeypatch, "pmfid.fleet.files", plan_rows=50_000, plan_least=50_000)
     set_tuning(monkeypatch, "pmfid.fleet.evaluate", segments_batch=20_000)
     shuffled = log.sample(fraction=1.0, shuffle=True, seed=2)
     assert fleet.estimate(shuffled, axis=config, by="machine", period="1min").periods.equals(plain.periods)

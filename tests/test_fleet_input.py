@@ -222,7 +222,7 @@ def test_links_are_followed_once_and_results_are_no_data(lake: History) -> None:
 @pytest.mark.parametrize(
     ("file", "code", "said"),
     [
-        ("nowhere.parquet", "unreadable", "is not visible"),
+        ("nowhere.parquet", "unreadable", "leads nowhere"),
         ("pipe.parquet", "unreadable", "is not a readable file"),
         ("\\udcff.parquet", "unreadable", "rename it"),
         ("machine=said/c.parquet", "type", "machine = said, but its column says axis-0003"),

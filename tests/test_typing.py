@@ -58,7 +58,6 @@ pmfid.RIV(drive, encoder, 1e-3, 20.0, steps="given")
 pmfid.IV(drive, encoder, 1e-3, 20.0, steps=np.full(9, 1e-3)).fit(u, y)
 pmfid.fleet.estimate("logs", axis=axis, by="machine")
 pmfid.fleet.estimate(frame.lazy(), axis=axis, by="machine").axes
-pmfid.fleet.Local()
 encoder.resolution
 """
 #: Expressions with one mistake each.
@@ -80,7 +79,7 @@ pmfid.RIV(drive, encoder, 1e-3, 20.0, steps="givn")
 pmfid.RLS(drive, encoder, 1e-3, 20.0, precision="float16")
 pmfid.export_firmware(pmfid.RLS(drive, encoder, 1e-3, 20.0), "axis", prefx="axis")
 pmfid.fleet.estimate(7, axis=axis, by="machine")
-pmfid.fleet.estimate("logs", axis=axis, by="machine", engine="sparc")
+pmfid.fleet.estimate("logs", axis=axis, by="machine", workers="two")
 pmfid.fleet.estimat
 pmfid.identifi
 Encoder(b"0.01 deg")

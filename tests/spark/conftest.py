@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import shutil
+import sys
 from collections.abc import Iterator
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
+from unittest.mock import patch
 
 import pytest
 
@@ -14,6 +16,16 @@ if TYPE_CHECKING:
     from pyspark.sql import SparkSession
 
 HERE = os.path.dirname(__file__)
+#: Only this machine can reach the session. Its Python processes have one thread each.
+SETTINGS = {
+    "spark.driver.bindAddress": "127.0.0.1",
+    "spark.driver.host": "127.0.0.1",
+    "spark.driver.memory": "1g",
+    "spark.executorEnv.POLARS_MAX_THREADS": "1",
+    "spark.sql.session.timeZone": "UTC",
+    "spark.sql.shuffle.partitions": "4",
+    "spark.ui.enabled": "false",
+}
 MISSING = (
     "PySpark is not installed: make spark"
     if find_spec("pyspark") is None
@@ -37,8 +49,10 @@ def spark() -> Iterator[SparkSession]:
     """Return a session local[2] within this process."""
     if MISSING:
         pytest.skip(MISSING)
-    from pmfid.fleet.spark import session_of
+    from pyspark.sql import SparkSession
 
-    session = session_of("local[2]", {"spark.sql.shuffle.partitions": "4", "spark.driver.memory": "1g"})
+    builder = SparkSession.builder.master("local[2]")
+    with patch.dict(os.environ, PYSPARK_PYTHON=sys.executable, SPARK_LOCAL_IP="127.0.0.1"):
+        session = builder.config(map=SETTINGS).getOrCreate()
     yield session
     session.stop()

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 import click
 
 from pmfid.cli.terminal import JSON, config_option, print_json, progress
-from pmfid.errors import NotIdentifiableError, UsageError, printable
+from pmfid.errors import NotIdentifiableError, printable
 
 if TYPE_CHECKING:
-    from pmfid.fleet.engine import Engine
     from pmfid.fleet.history import History
 
 #: Largest number of axes in a printed table.
@@ -40,16 +39,6 @@ def fleet() -> None:
     metavar="P",
     help="Time of one estimate: day, shift, run, or a duration such as 10min.",
 )
-@click.option(
-    "--engine",
-    type=click.Choice(["local", "spark"]),
-    default="local",
-    show_default=True,
-    help="Where to compute: on this machine, or on Spark.",
-)
-@click.option(
-    "--master", metavar="URL", envvar="SPARK_MASTER", help="Master of Spark, such as local[4] or spark://host:7077."
-)
 @click.option("--workers", type=int, metavar="N", help="Number of threads; default: one for each processor.")
 @click.option(
     "--segment",
@@ -71,8 +60,6 @@ def history(
     by: str,
     kind: str | None,
     period: str,
-    engine: str,
-    master: str | None,
     workers: int | None,
     segment: float | None,
     out: Path,
@@ -91,7 +78,7 @@ def history(
 
         found = estimate(
             source, axis=config, by=by, period=period, type=kind, out=out, segment=segment,
-            engine=_engine(engine, master, workers), progress=tell,
+            workers=workers, progress=tell,
         )  # fmt: skip
         write_fleet(out, found, source.name)
     if as_json:
@@ -102,17 +89,6 @@ def history(
         problems = found.problems.filter(found.problems["code"] != "type")["text"]
         reason = next(iter(problems), "the motion does not determine every parameter")
         raise NotIdentifiableError(f"no axis of {source} can be identified: {printable(reason)}")
-
-
-def _engine(name: str, master: str | None, workers: int | None) -> Engine:
-    from pmfid.fleet.engine import Local
-    from pmfid.fleet.spark import Spark
-
-    if name == Local.name:
-        return Local(workers)
-    if workers is not None:
-        raise UsageError("--workers belongs to the engine local; for Spark, give the number with --master 'local[4]'")
-    return Spark(master)
 
 
 def _print(found: History, out: Path) -> None:

@@ -9,20 +9,14 @@ from typing import TYPE_CHECKING
 from pmfid.lazy_imports import make_getattr
 
 if TYPE_CHECKING:
-    from pmfid.fleet.engine import Engine as Engine
-    from pmfid.fleet.engine import Local as Local
     from pmfid.fleet.evaluate import Work as Work
     from pmfid.fleet.history import History as History
     from pmfid.fleet.history import estimate as estimate
     from pmfid.fleet.source import SourceColumns as SourceColumns
-    from pmfid.fleet.spark import Spark as Spark
 
 _PUBLIC = {
     "SourceColumns": "source",
-    "Engine": "engine",
     "History": "history",
-    "Local": "engine",
-    "Spark": "spark",
     "Work": "evaluate",
     "estimate": "history",
 }

@@ -17,8 +17,8 @@ import polars as pl
 from pmfid.config.axis import Axis, read_axis
 from pmfid.config.keys import AxisKeys
 from pmfid.errors import UsageError, printable
-from pmfid.fleet.engine import Engine, Files, Local, Progress
 from pmfid.fleet.evaluate import Work, longest_tables
+from pmfid.fleet.files import Files, Progress
 from pmfid.fleet.plan import ROWS, SLICE, RowProblem, slice_length
 from pmfid.fleet.series import Periods, Series, period_rows, series_of, widen_errors
 from pmfid.fleet.settings import choose, make_settings
@@ -206,8 +206,7 @@ class History:
 
     `periods` has a row for each axis and period. `axes` has a row for each axis, where axes with need of attention come
     first. `problems` has the unusable rows and files, with reasons. `names` and `units` belong to the parameters.
-    `samples` is the number of samples in the estimates. `segment` is the length of one estimate [s]. `engine` is the
-    name of the engine.
+    `samples` is the number of samples in the estimates. `segment` is the length of one estimate [s].
     """
 
     periods: pl.DataFrame
@@ -218,7 +217,6 @@ class History:
     samples: int
     segment: float
     period: str
-    engine: str
 
     def to_frame(self) -> pl.DataFrame:
         return self.periods
@@ -253,30 +251,10 @@ class History:
             "samples": self.samples,
             "segment": self.segment,
             "period": self.period,
-            "engine": self.engine,
             "units": dict(zip(self.names, self.units, strict=True)),
             "attention": [plain_dict(row) for row in named.iter_rows(named=True)],
             "problems": [plain_dict(row) for row in self.problems.iter_rows(named=True)],
         }
-
-
-def data_of(data: object, columns: SourceColumns, engine: Engine | None, out: Path | None) -> Files | SparkRows:
-    """Return the object that reads the rows. Raises UsageError for an engine that cannot reach the rows."""
-    if is_spark(data):
-        from pmfid.fleet.spark import Spark, SparkRows
-
-        if engine is not None and not isinstance(engine, Spark):
-            raise UsageError(
-                f"a Spark DataFrame is processed by Spark, not by the engine {engine.name}: leave out the "
-                "engine, or give frame.toArrow() if the data fit into this machine's memory"
-            )
-        return SparkRows(data, columns)
-    if engine is not None and engine.name != Local.name and not isinstance(data, str | Path):
-        raise UsageError(
-            f"a frame in memory stays on this machine, but the engine {engine.name} would send it to "
-            "other machines: leave out the engine, or give a folder of files or a Spark DataFrame"
-        )
-    return Files(parts_of(data, out), columns, engine or Local(), out)
 
 
 def estimate(
@@ -286,7 +264,7 @@ def estimate(
     by: str,
     period: str = "day",
     type: str | None = None,
-    engine: Engine | None = None,
+    workers: int | None = None,
     out: Path | str | None = None,
     segment: float | None = None,
     tolerance: float | None = None,
@@ -299,10 +277,11 @@ def estimate(
     `axis` is the path of an AXIS.toml, or a dict with its sections. The sections name the columns of time, input and
     counts, and describe the common properties of all axes. `by` is the column, or the key of the folders, with the
     names of the axes. `period` is "day", "shift", "run" or a duration such as "10min". `type` is the column with the
-    types of the axes. Axes are compared within a type. `engine` is by default this machine, `Local()`, or the session
-    of a Spark DataFrame. `out` is a folder for the tables. `segment` is the length of one estimate [s], the unit in
-    which changes are found. The default is 60 s, or a length that fits [estimator] forgetting. `tolerance` is the
-    relative deviation that does not count, by default the tolerance of [monitor].
+    types of the axes. Axes are compared within a type. `workers` is the number of threads of this machine, by default
+    one for each processor. A Spark DataFrame is processed by its own session. `out` is a folder for the tables.
+    `segment` is the length of one estimate [s], the unit in which changes are found. The default is 60 s, or a length
+    that fits [estimator] forgetting. `tolerance` is the relative deviation that does not count, by default the
+    tolerance of [monitor].
 
     Unusable axes, times and files appear in the `problems` and in the findings of the periods. All other data are
     processed. Raises UsageError for missing columns, methods that are not recursive, and data without a moving axis.
@@ -317,12 +296,20 @@ def estimate(
     tell = progress or (lambda done: None)
     if out is not None:
         prepare_folder(out := Path(out))  # before any file is created
-    found = _estimate(own, data_of(data, columns, engine, out), periods, segment, tolerance, tell)
+    found = _estimate(own, _rows_of(data, columns, out, workers), periods, segment, tolerance, tell)
     if out is not None:
         for name in ("periods", "axes", "problems"):
             frame: pl.DataFrame = getattr(found, name)
             write_whole(out / f"{name}.parquet", frame.write_parquet)
     return found
+
+
+def _rows_of(data: object, columns: SourceColumns, out: Path | None, workers: int | None) -> Files | SparkRows:
+    if not is_spark(data):
+        return Files(parts_of(data, out), columns, out, workers)
+    from pmfid.fleet.spark import SparkRows
+
+    return SparkRows(data, columns)
 
 
 def _estimate(
@@ -339,7 +326,7 @@ def _estimate(
     names, units = settings.estimator.names, settings.estimator.units
     problems = [*survey.problems, *_several(survey.rows), *problems]
     found = summarise(rows, types, problems, names, periods, settings.segment, tolerance)
-    facts = found.samples, settings.segment, periods.name, data.engine
+    facts = found.samples, settings.segment, periods.name
     return History(found.periods, found.axes, found.problems, names, units, *facts)
 
 

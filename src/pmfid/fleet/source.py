@@ -402,7 +402,7 @@ def _stamp(path: Path) -> str:
 def _open_file(path: Path) -> pl.LazyFrame:
     if not path.exists():
         raise UsageError(
-            f"{path} is not visible to the process that reads it; give a path that every worker process can read"
+            f"{path} leads nowhere: a link is broken, or the file was removed; restore the file, or remove the link"
         )
     if "\udc80" <= max(str(path)) <= "\udcff":  # bytes that are no text
         raise UsageError("its name is not UTF-8; rename it")

@@ -1,20 +1,12 @@
-"""Spark as the engine of a history. This module needs `pmfid[spark]` and a Java runtime."""
+"""The history of a Spark DataFrame, whose rows stay in Spark."""
 
 from __future__ import annotations
 
-import os
-import pickle
 import re
-import shutil
-import sys
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, TypeVar, cast
-from unittest import mock
+from typing import TYPE_CHECKING, cast
 
 import polars as pl
 
@@ -24,104 +16,9 @@ from pmfid.fleet.plan import END, FIRST, LAST, ROWS, SLICE, START, Survey, join_
 from pmfid.fleet.source import AXIS, FRAME, TIME, TYPE, Part, SourceColumns
 from pmfid.fleet.tuning import TUNING
 
-A = TypeVar("A")
-B = TypeVar("B")
-
 if TYPE_CHECKING:
     import pyarrow as pa
-    from pyspark.sql import DataFrame, SparkSession
-
-#: Any of these variables shows that the user has set up Spark, or works in Spark. The settings of that Spark stay.
-SET_UP = ("SPARK_REMOTE", "SPARK_HOME", "SPARK_CONF_DIR", "PYSPARK_GATEWAY_PORT", "PYSPARK_SUBMIT_ARGS")
-LOOPBACK = "127.0.0.1"
-NO_PYSPARK = "the engine spark needs PySpark 4.2 or later: pip install 'pmfid[spark]'"
-NO_JAVA = (
-    "Spark needs a Java runtime, version 17 or later, and finds none: apt install "
-    "openjdk-17-jre-headless, or set JAVA_HOME"
-)
-#: Settings of a session on this machine. Only this machine can reach the session, which prints only errors.
-QUIET = {
-    "spark.driver.bindAddress": LOOPBACK,
-    "spark.driver.host": LOOPBACK,
-    "spark.ui.enabled": "false",
-    "spark.ui.showConsoleProgress": "false",
-    "spark.sql.session.timeZone": "UTC",
-    # Each Python process has one core of the machine. Without a limit the process would start a thread for every core.
-    "spark.executorEnv.POLARS_MAX_THREADS": "1",
-    "spark.executorEnv.OMP_NUM_THREADS": "1",
-    "spark.executorEnv.OPENBLAS_NUM_THREADS": "1",
-}
-
-
-def running() -> SparkSession | None:
-    """Return the running session. Raises UsageError if PySpark is missing."""
-    return _spark().getActiveSession()
-
-
-def session_of(master: str | None = None, settings: Mapping[str, str] | None = None) -> SparkSession:
-    """Return the running session, as on Databricks, or set up a new one.
-
-    A new session follows the environment or `master`. By default it is a session of this machine with all its
-    processors, which nobody else can reach. `master` has Spark's form, for example "local[2]", "spark://host:7077",
-    "yarn", or "sc://host" (Spark Connect). `settings` belong to Spark. In a running session, only some settings can
-    still change. Raises UsageError if PySpark or Java is missing, and if a session runs elsewhere than on `master`.
-    """
-    found, settings = running(), dict(settings or {})
-    if found is not None:
-        return _take_session(found, master, settings)
-    remote = (master or os.environ.get("SPARK_REMOTE", "")).startswith("sc://")
-    if not remote and not _java():
-        raise UsageError(NO_JAVA)
-    if not is_own(master):
-        builder = _spark().builder.appName("pmfid").config(map=settings)
-        place = builder if master is None else builder.remote(master) if remote else builder.master(master)
-        return place.getOrCreate()
-    options = f"-Dlog4j2.configurationFile={Path(__file__).with_name('log4j2.properties').as_uri()}"
-    builder = _spark().builder.appName("pmfid").master(master or "local[*]")
-    with _own_environment():
-        made = builder.config(map=QUIET | {"spark.driver.extraJavaOptions": options} | settings).getOrCreate()
-    warnings.filterwarnings("ignore", "PySpark does not yet fully support pandas", FutureWarning)
-    return made
-
-
-def is_own(master: str | None) -> bool:
-    """Return whether a running session is a local one that nobody has configured."""
-    return master.startswith("local") if master is not None else not any(name in os.environ for name in SET_UP)
-
-
-def _take_session(found: SparkSession, master: str | None, settings: Mapping[str, str]) -> SparkSession:
-    there = found.conf.get("spark.master", None)
-    if master is not None and there is not None and there != master:
-        raise UsageError(
-            f"a Spark session is already running on {there}; leave out the master {master}, or stop that session first"
-        )
-    for name, value in settings.items():
-        if found.conf.isModifiable(name):
-            found.conf.set(name, value)
-    return found
-
-
-def _spark() -> type[SparkSession]:
-    try:
-        from pyspark.sql import SparkSession
-    except ImportError:
-        raise UsageError(NO_PYSPARK) from None
-    found: type[SparkSession] = SparkSession
-    return found
-
-
-def _java() -> bool:
-    home = os.environ.get("JAVA_HOME")
-    return shutil.which("java", path=f"{home}/bin" if home else None) is not None
-
-
-@contextmanager
-def _own_environment() -> Iterator[None]:
-    """Let Spark start the Python of this process, and ask no name server for this machine."""
-    own = {"PYSPARK_PYTHON": sys.executable, "SPARK_LOCAL_IP": LOOPBACK}
-    with mock.patch.dict(os.environ, {name: value for name, value in own.items() if name not in os.environ}):
-        yield
-
+    from pyspark.sql import DataFrame
 
 NOT_THERE = (
     "the executors of Spark have no pmfid: install it in their Python (PYSPARK_PYTHON), or send "
@@ -141,48 +38,8 @@ def arrow_of(frame: DataFrame) -> pl.DataFrame:
         raise
 
 
-@dataclass(frozen=True)
-class Spark:
-    """The engine of a Spark cluster.
-
-    `master` is as in `session_of`. None takes the running session, or the session that the environment defines. Files
-    must be visible to all executors under the same names. A Spark DataFrame takes its own session.
-    """
-
-    name: ClassVar[str] = "spark"
-    master: str | None = None
-
-    def session(self) -> SparkSession:
-        """Return the running session, or a new one. Raises UsageError if PySpark or Java is missing."""
-        return session_of(self.master)
-
-    def map(self, work: Callable[[A], B], items: Sequence[A]) -> list[B]:
-        """Return the results, with a task for each item."""
-        from pyspark import cloudpickle
-
-        if not items:
-            return []
-        packed = [cloudpickle.dumps((work, item)) for item in items]
-
-        def task(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
-            import pyarrow
-
-            for batch in batches:
-                numbers = batch.column(0).to_pylist()
-                found = [pickle.dumps(function(item)) for function, item in (pickle.loads(packed[k]) for k in numbers)]
-                yield pyarrow.record_batch(
-                    [pyarrow.array(numbers), pyarrow.array(found, pyarrow.binary())], ["id", "found"]
-                )
-
-        session = self.session()
-        rows = session.range(0, len(items), 1, len(items)).mapInArrow(task, "id long, found binary")
-        return [pickle.loads(found) for found in arrow_of(rows).sort("id")["found"]]
-
-
 class SparkRows:
     """A DataFrame whose rows stay in Spark. Raises UsageError for missing columns."""
-
-    engine = Spark.name
 
     def __init__(self, frame: object, columns: SourceColumns) -> None:
         self._frame, self.given, self.columns = cast("DataFrame", frame), columns, columns.own

@@ -1,19 +1,18 @@
-"""Where the work of a history is done: on threads of this machine, or elsewhere."""
+"""Files and frames with the rows of a history, and the work on them by threads of this machine."""
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
-from typing import ClassVar, Protocol, TypeVar
+from typing import TypeVar
 
 import polars as pl
 
 from pmfid.errors import UsageError, whole_number
+from pmfid.estimators.runner import processors
 from pmfid.fleet.evaluate import PROBLEM, Work
 from pmfid.fleet.plan import (
     SLICE,
@@ -35,57 +34,28 @@ B = TypeVar("B")
 Progress = Callable[[float], None]
 
 
-class Engine(Protocol):
-    """The place where the work of a history is done."""
+class Files:
+    """Files, or frames in memory. `SparkRows` has the same methods for rows that stay in Spark.
 
-    name: ClassVar[str]
+    `folder` takes the rows of files that mix their axes; None takes the folder for temporary files. `workers` is the
+    number of threads, by default one for each processor. Raises UsageError for a number below 1.
+    """
 
-    def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterable[B]:
-        """Return the result of `work` for each item, in the order of the items."""
-        ...
+    def __init__(
+        self, parts: Sequence[Part], columns: SourceColumns, folder: Path | None, workers: int | None = None
+    ) -> None:
+        if workers is not None:
+            whole_number("workers", workers, 1, "it is the number of threads; None uses one for each processor")
+        self._parts, self.given, self._folder = {part.name: part for part in parts}, columns, folder
+        self._threads = workers or processors()
 
-
-@dataclass(frozen=True)
-class Local:
-    """An engine of threads on this machine. `workers` is their number, by default one for each processor."""
-
-    name: ClassVar[str] = "local"
-    workers: int | None = None
-
-    def __post_init__(self) -> None:
-        if self.workers is not None:
-            whole_number(
-                "workers", self.workers, 1, "it is the number of threads; None uses one thread for each processor"
-            )
-
-    @property
-    def threads(self) -> int:
-        there = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-        return self.workers or there or 1
-
-    def map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterable[B]:
+    def _map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
         """Yield the result of `work` for each item, in the order of the items."""
-        pool = ThreadPoolExecutor(self.threads)
+        pool = ThreadPoolExecutor(self._threads)
         try:
             yield from pool.map(work, items)
         finally:
             pool.shutdown(cancel_futures=True)
-
-
-class Files:
-    """Files, or frames in memory. `SparkRows` has the same methods for rows that stay in Spark.
-
-    `folder` takes the rows of files that mix their axes; None takes the folder for temporary files.
-    """
-
-    def __init__(self, parts: Sequence[Part], columns: SourceColumns, engine: Engine, folder: Path | None) -> None:
-        self._parts, self.given, self._engine = {part.name: part for part in parts}, columns, engine
-        self._folder = folder
-
-    @property
-    def engine(self) -> str:
-        """Name of the engine."""
-        return self._engine.name
 
     def survey(self, length: float) -> Survey:
         """Find all axes and their times. This call comes first.
@@ -95,7 +65,7 @@ class Files:
         work = partial(survey_part, columns=self.given, length=length)
         self._survey = Survey(pl.DataFrame(), ())
         try:
-            self._survey = join_surveys(list(self._engine.map(work, list(self._parts.values()))))
+            self._survey = join_surveys(list(self._map(work, list(self._parts.values()))))
         except UsageError:
             refusals = list(self._refusals())
             if not refusals:
@@ -120,13 +90,11 @@ class Files:
 
     def evaluate(self, work: Work, tell: Progress) -> pl.DataFrame:
         """Return the results of all chunks."""
-        here = isinstance(self._engine, Local)
-        share = TUNING.plan_rows // (self._engine.threads if isinstance(self._engine, Local) else 1)
-        numbered = number_chunks(self._survey.rows, max(share, TUNING.plan_least))
+        numbered = number_chunks(self._survey.rows, max(TUNING.plan_rows // self._threads, TUNING.plan_least))
         chunks = chunks_of(numbered, self._parts, self.given)
         results, done, total = [pl.DataFrame(schema=work.schema)], 0, sum(chunk.rows for chunk in chunks)
-        with sort_mixed(chunks, numbered, work.length, self._folder) if here else nullcontext(chunks) as ready:
-            for chunk, rows in zip(ready, self._engine.map(partial(_evaluate_chunk, work), ready), strict=True):
+        with sort_mixed(chunks, numbered, work.length, self._folder) as ready:
+            for chunk, rows in zip(ready, self._map(partial(_evaluate_chunk, work), ready), strict=True):
                 results.append(rows)
                 done += chunk.rows
                 tell(done / total)
