@@ -30,7 +30,7 @@ from studies.service.processes import BROKER, Service, broker, free_port, servic
 
 #: Samples of a block, and samples between the places of neighbouring axes in the motion.
 SAMPLES, APART = 25, 37
-PAGE = '\n[page]\nport = {port}\ntoken_env = "PMFID_TOKEN"\n'
+PAGE = '\n[page]\nport = {port}\ntoken = "env:PMFID_TOKEN"\n'
 #: Longest time for the processing of all sent samples [s].
 PATIENCE = 60.0
 

@@ -24,7 +24,7 @@ LOOK, GROWING = 5.0, 60.0
 PAGE = """
 [page]
 port = {port}
-token_env = "PMFID_TOKEN"
+token = "env:PMFID_TOKEN"
 """
 STATE = 'state = "state"\ncheckpoint = 10.0\nevery = 1.0'
 TOTALS = ("samples_total", "samples_dropped_total", "samples_missing_total", "dropped_rows_total", "unusable_total")

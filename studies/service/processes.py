@@ -115,7 +115,7 @@ class Service:
 
 @contextmanager
 def service(plant: Path, log: Path) -> Iterator[Service]:
-    """Run `pmfid serve` on a plant whose page has `token_env = "PMFID_TOKEN"` and a fixed port."""
+    """Run `pmfid serve` on a plant whose page has `token = "env:PMFID_TOKEN"` and a fixed port."""
     token = "0123456789abcdefghijklmn"
     port = int(re.findall(r"^port = (\d+)$", plant.read_text(), re.MULTILINE)[-1])
     environment = os.environ | {"PMFID_TOKEN": token, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}

@@ -34,7 +34,7 @@ def plant_of(folder: Path, broker: Broker) -> Path:
     page = text[text.index("[page]") : text.index("[fleets")]
     text = text.replace(page, "").replace("port = 1883", f"port = {broker.port}").replace("../plant-state", "state")
     plant = folder / "plant.toml"
-    plant.write_text(f'{text}\n[page]\nport = {free_port()}\ntoken_env = "PMFID_TOKEN"\n')
+    plant.write_text(f'{text}\n[page]\nport = {free_port()}\ntoken = "env:PMFID_TOKEN"\n')
     return plant
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from pmfid.service.tuning import TUNING
-from pmfid.service.web.board import Board, Panel, row_bytes
+from pmfid.service.web.api import Feed
+from pmfid.service.web.board import Board, Panel, Records, row_bytes
 from pmfid.stream.outcome import Counters, EstimateRows, Kindred, Notice
 from tests.service.fake_engine import FakePlant
 
@@ -171,40 +172,22 @@ def test_acknowledging_what_is_no_alarm_changes_nothing() -> None:
 
 
 def test_who_follows_gets_every_row_of_one_axis_bit_by_bit() -> None:
-    group = kindred("a", "b")
-    board = board_of(group)
-    subscription = board.follow("b")
+    group, taken = kindred("a", "b"), list[Records]()
+    counters = Counters()
+    board = Board([group], counters)
+    board.follow("b", lambda rows: taken.append(rows) or 7)  # type: ignore[func-returns-value]
     assert board.list_followed() == {"b"}
     rows = rows_of(group, [0, 1, 1, 1], [1, 1, 2, 3])
     board.rows(rows)
     board.rows(rows_of(group, [0], [2]))
-    taken, dropped = subscription.take()
-    assert taken is not None
-    assert taken["theta"].tobytes() == rows.theta[1:].tobytes()
-    assert taken["number"].tolist() == [1, 2, 3]
-    assert dropped == 0
-    assert subscription.take() == (None, 0)
-    subscription.close()
-    subscription.close()
+    assert [one["theta"].tobytes() for one in taken] == [rows.theta[1:].tobytes()]
+    assert taken[0]["number"].tolist() == [1, 2, 3]
+    assert counters.values()["pmfid_page_rows_dropped_total", ()] == 7
+    board.leave("b")
+    board.leave("b")
+    board.rows(rows)
+    assert len(taken) == 1
     assert board.list_followed() == frozenset()
-
-
-def test_who_follows_and_never_takes_costs_bounded_memory_and_is_counted() -> None:
-    group = kindred("a")
-    counters = Counters()
-    board = Board([group], counters)
-    slow, quick = board.follow("a"), board.follow("a")
-    piece = rows_of(group, [0] * 10_000, list(range(10_000)))
-    for _ in range(8):
-        board.rows(piece)
-        quick.take()
-    taken, dropped = slow.take()
-    assert taken is not None
-    assert (taken.size, dropped) == (50_000, 30_000)
-    assert counters.values()["pmfid_page_rows_dropped_total", ()] == 30_000
-    assert quick.take() == (None, 0)
-    slow.close()
-    assert board.list_followed() == {"a"}, "the other still looks"
 
 
 def test_new_groups_keep_what_is_known_of_axes_that_stay() -> None:
@@ -258,10 +241,11 @@ def test_an_engine_and_readers_in_other_threads_do_not_disturb_each_other() -> N
             try:
                 news = board.news(version)
                 version = news.version
-                subscription = board.follow("gantry-y")
+                feed = Feed()
+                board.follow("gantry-y", feed.put)
                 board.history("gantry-y")
-                subscription.take()
-                subscription.close()
+                feed.take()
+                board.leave("gantry-y")
             except Exception as error:
                 problems.append(error)
 

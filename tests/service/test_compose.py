@@ -52,7 +52,7 @@ def test_prometheus_asks_the_page_of_the_service(tmp_path: Path) -> None:
     (tmp_path / "PLANT.toml").write_text(f"{keys}\n{source}")
     page = page_config(load_plant(tmp_path / "PLANT.toml"))
     assert job["static_configs"][0]["targets"][0] in page.hosts
-    assert page.token_env == "PMFID_TOKEN"
+    assert page.token == "env:PMFID_TOKEN"
 
 
 def test_images_are_pinned_and_every_port_is_of_this_machine() -> None:

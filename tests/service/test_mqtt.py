@@ -17,7 +17,7 @@ from pydantic import Field
 from examples.gateway import Gateway
 from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
-from pmfid.service.broker import pauses, secret
+from pmfid.service.broker import pauses, read_secret
 from pmfid.service.sources.mqtt import MqttSource, MqttSourceSection
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block, Lines, Unusable
@@ -226,7 +226,7 @@ def test_tls_with_a_password_out_of_a_file(tmp_path: Path) -> None:
     safe = Broker(tmp_path, more)
     safe.start()
     engine = FakeEngine()
-    options = {"ca": "ca.pem", "user": "hall", "password_file": "secret"}
+    options = {"ca": "ca.pem", "user": "hall", "password": "file:secret"}
     hall = replace(source(engine, safe, "tls", **options), folder=tmp_path)
     thread = engine.running(hall)
     assert connected(hall), engine.problems()
@@ -234,7 +234,7 @@ def test_tls_with_a_password_out_of_a_file(tmp_path: Path) -> None:
     send(safe, "tls/a", 1, **trust)
     assert wait_for(lambda: len(engine.blocks) == 1)
     stop(hall, thread)
-    for change in ({"password_file": "wrong"}, {"ca": None, "tls": True}):
+    for change in ({"password": "file:wrong"}, {"ca": None, "tls": True}):
         engine = FakeEngine()
         hall = replace(source(engine, safe, "tls", **(options | change)), folder=tmp_path)
         thread = engine.running(hall)
@@ -266,19 +266,18 @@ def test_a_secret_that_is_not_there_is_named_and_never_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PMFID_TEST_SECRET", "s3cret")
-    assert secret("PMFID_TEST_SECRET", None, tmp_path) == "s3cret"
-    assert secret(None, None, tmp_path) is None
+    assert read_secret("env:PMFID_TEST_SECRET", tmp_path) == "s3cret"
     refused(
-        ("PMFID_TEST_OTHER is not set", lambda: secret("PMFID_TEST_OTHER", None, tmp_path)),
-        ("nowhere cannot be read", lambda: secret(None, "nowhere", tmp_path)),
+        ("PMFID_TEST_OTHER is not set", lambda: read_secret("env:PMFID_TEST_OTHER", tmp_path)),
+        ("nowhere cannot be read", lambda: read_secret("file:nowhere", tmp_path)),
     )
     (tmp_path / "open").write_text("s3cret words\n")
     (tmp_path / "open").chmod(0o644)
     with pytest.raises(UsageError, match=r"everybody on this machine can read .* chmod 600") as caught:
-        secret(None, "open", tmp_path)
+        read_secret("file:open", tmp_path)
     assert "s3cret" not in str(caught.value)
     (tmp_path / "open").chmod(0o600)
-    assert secret(None, "open", tmp_path) == "s3cret words"
+    assert read_secret("file:open", tmp_path) == "s3cret words"
 
 
 class Plant(FileSection):
@@ -294,13 +293,12 @@ class Plant(FileSection):
         ({"topics": ["{axis}/{axis}"]}, "is not a valid topic"),
         ({"topics": ["a/#/b"]}, "is not a valid topic"),
         ({"topics": ["a+"]}, "is not a valid topic"),
-        ({"user": "u", "password_env": "A", "password_file": "b"}, "keep one of them"),
-        ({"password_env": "A"}, "add the key user"),
-        ({"user": "u", "password_env": "A", "host": "broker.example"}, "unencrypted; set tls = true"),
-        ({"user": "u", "password_file": "a", "host": "192.0.2.7"}, "unencrypted; set tls = true"),
+        ({"user": "u", "password": "hidden"}, r"\[source\] password: the secret itself must not stand"),
+        ({"password": "env:A"}, "add the key user"),
+        ({"user": "u", "password": "env:A", "host": "broker.example"}, "unencrypted; set tls = true"),
+        ({"user": "u", "password": "file:a", "host": "192.0.2.7"}, "unencrypted; set tls = true"),
         ({"cert": "a"}, "belong together"),
         ({"receive_maximum": 0}, "receive_maximum"),
-        ({"password": "secret"}, "password"),
     ],
 )
 def test_a_section_that_cannot_work_is_refused(change: dict[str, object], message: str) -> None:
@@ -311,7 +309,7 @@ def test_a_section_that_cannot_work_is_refused(change: dict[str, object], messag
     "change", [{"tls": True}, {"allow_plain_password": True}, {"host": "localhost"}, {"host": "::1"}]
 )
 def test_a_password_may_go_where_nobody_else_reads_it(change: dict[str, object]) -> None:
-    section = {"kind": "mqtt", "topics": ["a"], "host": "broker.example", "user": "u", "password_env": "A"}
+    section = {"kind": "mqtt", "topics": ["a"], "host": "broker.example", "user": "u", "password": "env:A"}
     assert validate_sections(Plant, {"source": {**section, **change}}).source.user == "u"
 
 

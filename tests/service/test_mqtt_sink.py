@@ -156,7 +156,7 @@ def test_the_end_is_said() -> None:
 
 def test_secrets_come_from_the_environment_alone(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="NO_SUCH_SECRET is not set"):
-        MqttSinkSection(user="me", password_env="NO_SUCH_SECRET").make("m", Host(tmp_path))
+        MqttSinkSection(user="me", password="env:NO_SUCH_SECRET").make("m", Host(tmp_path))
 
 
 # --- with Mosquitto ---------------------------------------------------------------------------------------------------
@@ -286,7 +286,7 @@ def test_a_broker_that_refuses_says_why_and_no_secret(
     broker.start()
     monkeypatch.setenv("M_PASSWORD", "hidden-hidden")
     host = Host(tmp_path)
-    started(host, user="me", password_env="M_PASSWORD")
+    started(host, user="me", password="env:M_PASSWORD")
     assert until(lambda: host.reported)
     assert "refuses the connection: " in host.reported[0]["problem"]
     assert "hidden" not in repr(host.reported)

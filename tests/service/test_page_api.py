@@ -14,7 +14,7 @@ from pmfid.errors import UsageError
 from pmfid.monitor.events import STATES
 from pmfid.records.record import Record
 from pmfid.service.web.api import Feed, Hub, csv_of, json_line, pack_array, pack_rows
-from pmfid.service.web.board import Board
+from pmfid.service.web.board import Board, Records, row_type
 from pmfid.stream.outcome import Counters, Kindred
 from tests.service.fake_engine import DT, FakePlant, troubled
 from tests.service.loopback import Served, served, until
@@ -70,17 +70,16 @@ def test_one_axis_is_streamed_bit_by_bit(page: Served) -> None:
     with page.stream("/api/stream?axis=gantry-y") as lines:
         assert next(lines)["groups"] == []
         assert until(lambda: board.list_followed() == {"gantry-y"})
-        mine = board.follow("gantry-y")
+        mine = list[Records]()
+        put = page.page._api.hub._feeds["gantry-y"].put
+        board.follow("gantry-y", lambda rows: mine.append(rows) or put(rows))  # type: ignore[func-returns-value]
         page.plant.run(2.0)
-        rows, _ = mine.take()
-        mine.close()
         found: list[bytes] = []
         while sum(map(len, found)) < 8 * round(2.0 / DT):
             message = next(lines)
             if message["kind"] == "rows":
                 found.append(unpacked(message["theta"][0]).tobytes())
-    assert rows is not None
-    assert b"".join(found) == rows["theta"][:, 0].tobytes()
+    assert b"".join(found) == np.concatenate(mine)["theta"][:, 0].tobytes()
     assert until(lambda: board.list_followed() == frozenset()), "who left costs nothing"
 
 
@@ -213,11 +212,10 @@ def test_numbers_that_json_does_not_have_are_null_in_objects_and_exact_in_arrays
 
 
 def test_rows_of_any_layout_are_packed() -> None:
-    plant = FakePlant(2)
-    subscription = plant.board.follow("gantry-x1")
+    plant, pieces = FakePlant(2), list[Records]()
+    plant.board.follow("gantry-x1", lambda rows: pieces.append(rows) or 0)  # type: ignore[func-returns-value]
     plant.run(2)
-    rows, _ = subscription.take()
-    assert rows is not None
+    rows = np.concatenate(pieces)
     columns = pack_rows(rows[::2])
     assert unpacked(str(columns["number"])).tolist() == rows["number"][::2].tolist()
 
@@ -228,8 +226,8 @@ def test_an_input_that_is_lost_stays_so_in_the_reference() -> None:
 
 
 def test_who_reads_slowly_misses_rows_and_is_reported_how_many() -> None:
-    plant = FakePlant(2)
-    feed = Feed(plant.board.follow("gantry-x1"))
+    plant, feed = FakePlant(2), Feed()
+    plant.board.follow("gantry-x1", feed.put)
     for _ in range(100):
         plant.run(1.0)
         feed.take()
@@ -239,6 +237,14 @@ def test_who_reads_slowly_misses_rows_and_is_reported_how_many() -> None:
     assert feed.get_lines_after(feed.rows) == (0, [])
     nearly = feed.get_lines_after(feed.rows - round(1 / DT))
     assert (nearly[0], len(nearly[1])) == (0, 1)
+
+
+def test_rows_that_nobody_takes_cost_bounded_memory_and_are_counted() -> None:
+    feed, piece = Feed(), np.zeros(10_000, row_type(2))
+    assert sum(feed.put(piece) for _ in range(8)) == feed.dropped == 30_000
+    feed.put(np.zeros(5, row_type(3)))  # another configuration
+    feed.take()
+    assert (feed.rows, json.loads(feed.pieces[0][1])["dropped"]) == (5, 40_000)
 
 
 def test_two_hundred_browsers_are_written_for_once() -> None:

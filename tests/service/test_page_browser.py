@@ -468,5 +468,5 @@ def _again(plant: FakePlant, port: int) -> Any:
     from pmfid.service.web.config import PageConfig
     from pmfid.service.web.server import serve
 
-    config = PageConfig(port=port, token_env="PAGE_TOKEN")
+    config = PageConfig(port=port, token="env:PAGE_TOKEN")
     return serve(config, "hall-3", plant.board, plant.counters, plant, folder=Path.cwd())

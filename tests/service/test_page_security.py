@@ -270,19 +270,18 @@ def test_what_fails_inside_says_nothing_of_the_inside_but_to_the_log(
 
 def test_another_address_asks_for_two_decisions() -> None:
     refused(
-        ("token_file", lambda: PageConfig(address="0.0.0.0")),
-        ("hosts = ", lambda: PageConfig(address="0.0.0.0", token_env="T")),
-        ("keep one", lambda: PageConfig(token_env="A", token_file="b")),
+        ("file:page.token", lambda: PageConfig(address="0.0.0.0")),
+        ("hosts = ", lambda: PageConfig(address="0.0.0.0", token="env:T")),
     )
-    config = PageConfig(address="0.0.0.0", token_env="T", hosts=("hall.example:8127",))
+    config = PageConfig(address="0.0.0.0", token="env:T", hosts=("hall.example:8127",))
     assert not config.local
     assert PageConfig(address="::1").local
-    assert not PageConfig(address="192.0.2.7", token_env="T").local
+    assert not PageConfig(address="192.0.2.7", token="env:T").local
 
 
 def test_a_page_for_others_says_so_and_shows_no_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PAGE_TOKEN", "a-token-of-our-own-0123456789")
-    config = PageConfig(address="0.0.0.0", port=0, token_env="PAGE_TOKEN", hosts=("hall.example:8127",))
+    config = PageConfig(address="0.0.0.0", port=0, token="env:PAGE_TOKEN", hosts=("hall.example:8127",))
     page = serve(config, "hall-3", Board([], Counters()), Counters(), FakePlant(1), folder=tmp_path)
     page.stop()
     page.stop()
@@ -296,8 +295,8 @@ def test_a_page_for_others_says_so_and_shows_no_token(tmp_path: Path, monkeypatc
 def test_a_token_that_is_none_is_refused(tmp_path: Path, content: str) -> None:
     (tmp_path / "page.token").write_text(content, encoding="utf-8")
     (tmp_path / "page.token").chmod(0o600)
-    with pytest.raises(UsageError, match=r"token_file = 'page.token'") as caught:
-        load_token(PageConfig(token_file="page.token"), tmp_path)
+    with pytest.raises(UsageError, match=r"token = 'file:page.token'") as caught:
+        load_token(PageConfig(token="file:page.token"), tmp_path)
     assert not content or content not in str(caught.value)
 
 
@@ -305,8 +304,11 @@ def test_what_cannot_be_served_is_reported(page: Served, tmp_path: Path, monkeyp
     monkeypatch.delenv("NO_TOKEN", raising=False)
     taken = PageConfig(port=page.address[1])
     refused(
-        ("token_env = 'NO_TOKEN'", lambda: load_token(PageConfig(token_env="NO_TOKEN"), tmp_path)),
-        ("cannot be read", lambda: load_token(PageConfig(token_file="none"), tmp_path)),
+        (
+            "token = 'env:NO_TOKEN': the environment variable NO_TOKEN is not set",
+            lambda: load_token(PageConfig(token="env:NO_TOKEN"), tmp_path),
+        ),
+        ("cannot be read", lambda: load_token(PageConfig(token="file:none"), tmp_path)),
         (
             "choose another port",
             lambda: serve(taken, "hall-3", Board([], Counters()), Counters(), FakePlant(1), folder=tmp_path),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import http.client
 import os
+import re
 import shutil
 import signal
 import subprocess
@@ -20,6 +21,7 @@ from urllib.parse import quote, urlsplit
 import pytest
 
 from pmfid.cli.serve_lines import line
+from pmfid.service.broker import PLACE
 from pmfid.service.plant import SINKS, SOURCES, load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog, json_line
@@ -59,7 +61,7 @@ every = 0.1
 silence = 2.0
 [page]
 port = 0
-token_env = "PAGE_TOKEN"
+token = "env:PAGE_TOKEN"
 [axes.x1]
 config = "axis.toml"
 [sources.log]
@@ -69,46 +71,46 @@ axis = "x1"
 kind = "mqtt"
 port = {broker}
 user = "me"
-password_env = "BROKER_PASSWORD"
+password = "env:BROKER_PASSWORD"
 topics = ["in/#"]
 [sources.refused]
 kind = "mqtt"
 port = {broker}
 user = "me"
-password_file = "wrong.password"
+password = "file:wrong.password"
 topics = ["in/#"]
 [sinks.hook]
 kind = "webhook"
-url_env = "HOOK_URL"
-secret_env = "HOOK_SECRET"
+url = "env:HOOK_URL"
+secret = "env:HOOK_SECRET"
 events = ["alarm", "cleared", "source", "sink", "serving", "reload", "gap", "state"]
 [sinks.down]
 kind = "webhook"
-url_file = "down.url"
-secret_file = "down.secret"
+url = "file:down.url"
+secret = "file:down.secret"
 [sinks.angry]
 kind = "webhook"
 url = "http://127.0.0.1:{angry}/"
-secret_env = "ANGRY_SECRET"
+secret = "env:ANGRY_SECRET"
 [sinks.phone]
 kind = "mqtt"
 port = {broker}
 user = "me"
-password_file = "phone.password"
+password = "file:phone.password"
 [sinks.wrong]
 kind = "mqtt"
 port = {broker}
 user = "me"
-password_env = "SINK_PASSWORD"
+password = "env:SINK_PASSWORD"
 """
 
 
 def test_the_plant_has_every_key_that_names_a_secret() -> None:
     sections = {"page": PageConfig, **SOURCES, **SINKS}
-    keys = {key for made in sections.values() for key in made.model_fields if key.endswith(("_env", "_file"))}
-    stems = {key.rpartition("_")[0] for key in keys}
-    assert stems == {"token", "password", "url", "secret"}
-    assert {stem for stem in stems if f"{stem}_env" in PLANT or f"{stem}_file" in PLANT} == stems
+    fields = [pair for made in sections.values() for pair in made.model_fields.items()]
+    keys = {key for key, one in fields if PLACE in str(one.description)}
+    assert keys == {"token", "password", "url", "secret"}
+    assert keys == set(re.findall(r'(\w+) = "(?:env|file):', PLANT))
 
 
 def forms(secret: str) -> set[bytes]:

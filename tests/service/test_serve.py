@@ -81,7 +81,7 @@ def test_the_log_is_for_people(folder: Path) -> None:
     assert lines[0].startswith("serving axis: 1 axis")
     assert lines[1].startswith("page: http://127.0.0.1:")
     assert "#token=" not in lines[1]
-    assert any("[page] token_file" in line for line in lines)
+    assert any("[page] token" in line for line in lines)
     assert any("ALARM  mass +" in line for line in lines)
     assert lines[-1] == "ended"
 

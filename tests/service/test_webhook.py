@@ -37,7 +37,7 @@ def hook(folder: Path, url: str, **keys: object) -> WebhookSink:
 def test_an_alarm_is_posted_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOOK_SECRET", TOKEN)
     with web_server() as server:
-        sink = hook(tmp_path, f"{server.url}/in?a=1", secret_env="HOOK_SECRET", secret_header="X-Token")
+        sink = hook(tmp_path, f"{server.url}/in?a=1", secret="env:HOOK_SECRET", secret_header="X-Token")
         sink.put([alarm(7, std=math.inf), notice(1_700_000_000_000_000, "acknowledged", alarm=7, note='"<é>')])
     (path, headers, body), (_, others, other) = server.got
     assert path == "/in?a=1"
@@ -168,7 +168,7 @@ def test_nobody_listens_is_an_error_that_may_pass_and_tells_no_secret(tmp_path: 
     (tmp_path / "url").write_text("http://127.0.0.1:9/very-secret-path\n")
     (tmp_path / "url").chmod(0o600)
     host = Host(tmp_path)
-    outlet = queue_of(WebhookSection(url_file="url"), "hook", host)
+    outlet = queue_of(WebhookSection(url="file:url"), "hook", host)
     outlet.start()
     outlet.notice(alarm(1))
     assert until(lambda: host.reported)
@@ -215,7 +215,7 @@ def test_addresses_and_secrets_that_cannot_be_are_refused_without_being_reported
     keys = {}
     if secret is not None:
         monkeypatch.setenv("HOOK_SECRET", secret)
-        keys = {"secret_env": "HOOK_SECRET"}
+        keys = {"secret": "env:HOOK_SECRET"}
     with pytest.raises(UsageError, match=problem) as error:
         hook(tmp_path, url, **keys)
     assert "s3cret" not in str(error.value)
@@ -225,10 +225,11 @@ def test_addresses_and_secrets_that_cannot_be_are_refused_without_being_reported
 @pytest.mark.parametrize(
     ("keys", "problem"),
     [
-        ({}, "one of url, url_env and url_file"),
-        ({"url": "https://a.b", "url_env": "X"}, "one of url, url_env and url_file"),
-        ({"url": "https://a.b", "secret_env": "X", "secret_file": "x"}, "keep one of them"),
-        ({"url": "https://a.b", "secret": "in the file"}, "secret is an unknown key"),
+        ({}, "url is missing"),
+        (
+            {"url": "https://a.b", "secret": "in the file"},
+            r"\[hook\] secret: the secret itself must not stand in this file; give the place",
+        ),
         ({"url": "https://a.b", "secret_header": "A:\r\n"}, "secret_header"),
         ({"url": "https://a.b", "events": []}, "events"),
         (

@@ -128,7 +128,8 @@ def _problem(
     value = table[rest[0]] if isinstance(table, dict) else None
     origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
     hint = did_you_mean(value, _choices(error)) if isinstance(value, str) else ""
-    return f"{label} = {show_value(value)}{origin}: {message}; give {field.description}{hint}"
+    shown = f" = {show_value(value)}" if rest and field.repr else ""  # a secret is not repeated
+    return f"{label}{shown}{origin}: {message}; give {field.description}{hint}"
 
 
 def _choices(error: ErrorDetails) -> list[str]:

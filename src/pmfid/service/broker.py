@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import ipaddress
 import os
+import re
 import ssl
 import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from pmfid.config.toml_file import FileSection
 from pmfid.errors import UsageError
@@ -27,27 +28,42 @@ def is_here(host: str) -> bool:
         return host == "localhost"
 
 
-def secret(env: str | None, file: str | None, folder: Path) -> str | None:
-    """Return a password or token from the environment or from a file in `folder`, or None if neither is given.
+def is_place(text: str) -> bool:
+    """Return whether a text names the place of a secret, which is "env:NAME" or "file:NAME"."""
+    return re.fullmatch("(env|file):.+", text) is not None
+
+
+def _check_place(text: str) -> str:
+    if not is_place(text):
+        raise ValueError("the secret itself must not stand in this file")
+    return text
+
+
+Text = Annotated[str, Field(min_length=1)]
+#: The place of a secret.
+Place = Annotated[str, AfterValidator(_check_place)]
+#: Words that describe a place.
+PLACE = 'as "env:NAME" or "file:NAME"'
+
+
+def read_secret(place: str, folder: Path) -> str:
+    """Return the password or token from its place. Names of files are relative to `folder`.
 
     Raises UsageError for a missing secret, and for a file that everybody can read.
     """
-    if env is not None:
-        if env not in os.environ:
+    kind, _, name = place.partition(":")
+    if kind == "env":
+        if name not in os.environ:
             raise UsageError(
-                f"the environment variable {env} is not set; set it to the secret, or use a file for the secret"
+                f"the environment variable {name} is not set; set it to the secret, or use a file for the secret"
             )
-        return os.environ[env]
-    return None if file is None else read_secret(folder / file).rstrip("\r\n")
-
-
-def read_secret(path: Path) -> str:
-    """Return the text of a file that not everybody can read. Raises UsageError for any other file."""
+        return os.environ[name]
+    path = folder / name
     try:
         with path.open(encoding="utf-8") as stream:
             if os.name == "posix" and os.fstat(stream.fileno()).st_mode & stat.S_IROTH:
                 raise UsageError(f"everybody on this machine can read the secret in {path}; run: chmod 600 {path}")
-            return stream.read()
+            return stream.read().rstrip("\r\n")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not plain text"
         raise UsageError(
@@ -59,8 +75,6 @@ def read_secret(path: Path) -> str:
 PORT, TLS_PORT = 1883, 8883
 #: Time after which an attempt to connect is given up [s].
 _CONNECTING = 10.0
-
-Text = Annotated[str, Field(min_length=1)]
 
 
 class BrokerSection(FileSection):
@@ -74,8 +88,7 @@ class BrokerSection(FileSection):
         60, ge=5, le=65535, description="the time in s after which a connection without any data counts as lost"
     )
     user: Text | None = Field(None, description="the user name at the broker; leave it out for a broker without users")
-    password_env: Text | None = Field(None, description="the environment variable that holds the password")
-    password_file: Text | None = Field(None, description="the file that holds the password")
+    password: Place | None = Field(None, repr=False, description=f"the place of the password, {PLACE}")
     allow_plain_password: bool = Field(
         False, description="true to send the password unencrypted to another host, without TLS"
     )
@@ -103,13 +116,11 @@ class BrokerSection(FileSection):
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
-        if self.password_env and self.password_file:
-            raise ValueError("password_env and password_file are both given; keep one of them")
-        if (self.password_env or self.password_file) and not self.user:
+        if self.password and not self.user:
             raise ValueError("a password is given without a user; add the key user")
         if bool(self.cert) != bool(self.key):
             raise ValueError("cert and key belong together; give both, or neither")
-        clear = (self.password_env or self.password_file) and not (self.encrypted or is_here(self.host))
+        clear = self.password and not (self.encrypted or is_here(self.host))
         if clear and not self.allow_plain_password:
             raise ValueError(
                 f"the password would reach {self.host} unencrypted; set tls = true, or set ca to the file of "
@@ -143,7 +154,7 @@ def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges:
     )
     client.connect_timeout = _CONNECTING
     if section.user is not None:
-        client.username_pw_set(section.user, secret(section.password_env, section.password_file, folder))
+        client.username_pw_set(section.user, section.password and read_secret(section.password, folder))
     if section.encrypted:
         try:
             context = ssl.create_default_context(cafile=None if section.ca is None else str(folder / section.ca))

@@ -11,14 +11,14 @@ from hashlib import sha256
 from pathlib import Path
 from threading import Timer
 from time import monotonic
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 from urllib.parse import SplitResult, urlsplit
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field
 
 from pmfid.config.model import Name, Positive
 from pmfid.errors import UsageError, did_you_mean, printable
-from pmfid.service.broker import is_here, secret
+from pmfid.service.broker import PLACE, Place, is_here, is_place, read_secret
 from pmfid.service.context import Context, RefusedError
 from pmfid.service.sinks.plain import as_json, notice_object
 from pmfid.service.sinks.queued import SinkSection
@@ -48,8 +48,7 @@ def check_address(url: str, secret: str | None, label: str) -> SplitResult:
         )
     if parts.username is not None:
         raise UsageError(
-            f"{label}: the address contains a user name; remove the name, and put it into a header with "
-            "secret_env or secret_file"
+            f"{label}: the address contains a user name; remove the name, and put it into a header with the key secret"
         )
     if secret is not None and not (secret.isascii() and secret.isprintable() and secret):
         raise UsageError(f"{label}: the secret is empty, or is not a single line of plain text; correct it")
@@ -143,11 +142,9 @@ class WebhookSection(SinkSection):
     """[sinks.NAME] with kind = "webhook"."""
 
     kind: Literal["webhook"] = Field("webhook", description='"webhook"')
-    url: Name | None = Field(None, description='the address, for example "https://example.org/alarms"')
-    url_env: Name | None = Field(
-        None, description="the environment variable that holds the address, if the address is a secret"
+    url: Name = Field(
+        description=f'the address, for example "https://example.org/alarms"; a secret address has a place, {PLACE}'
     )
-    url_file: Name | None = Field(None, description="the file that holds the address, if the address is a secret")
     format: Literal["json", "text"] = Field(
         "json",
         description='"json" for an object with all fields, and with a sentence in the field text; "text" for this '
@@ -160,30 +157,17 @@ class WebhookSection(SinkSection):
     secret_header: Annotated[str, Field(pattern=r"^[A-Za-z0-9-]{1,100}$")] = Field(
         "Authorization", description='the name of the header that carries the secret, by default "Authorization"'
     )
-    secret_env: Name | None = Field(
-        None, description="the environment variable that holds the whole value of that header"
-    )
-    secret_file: Name | None = Field(None, description="the file that holds the whole value of that header")
+    secret: Place | None = Field(None, repr=False, description=f"the place of the whole value of that header, {PLACE}")
     timeout_s: Positive = Field(5.0, description="the time limit in s for a request and its answer, for example 5.0")
     ca: Name | None = Field(
         None, description="the file of the certificates to trust; by default the certificates of the operating system"
     )
 
-    @model_validator(mode="after")
-    def _one_address(self) -> Self:
-        if sum(one is not None for one in (self.url, self.url_env, self.url_file)) != 1:
-            raise ValueError("the address must come from exactly one of url, url_env and url_file; give only that one")
-        if self.secret_env and self.secret_file:
-            raise ValueError("secret_env and secret_file are both given; keep one of them")
-        return self
-
     def make(self, name: str, context: Context) -> WebhookSink:
         """Return the sink, not yet open. Raises UsageError for an invalid address or secret."""
         label, folder = f"[sinks.{name}]", context.folder
-        url = self.url or secret(self.url_env, self.url_file, folder)
-        if url is None:
-            raise UsageError(f"{label} url is missing; give the address, or url_env or url_file")
-        value = secret(self.secret_env, self.secret_file, folder)
+        url = read_secret(self.url, folder) if is_place(self.url) else self.url
+        value = None if self.secret is None else read_secret(self.secret, folder)
         address = check_address(url.strip(), value, label)
         headers = {"User-Agent": "pmfid"} | ({} if value is None else {self.secret_header: value})
         ca = None if self.ca is None else folder / Path(self.ca)

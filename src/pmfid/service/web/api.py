@@ -9,6 +9,7 @@ from base64 import b64encode
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Mapping
 from dataclasses import dataclass, field
+from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from pmfid.monitor.events import STATES
 from pmfid.records.record import Record
 from pmfid.service.sinks.plain import as_json
 from pmfid.service.tuning import TUNING
-from pmfid.service.web.board import Board, News, Overview, Records, Subscription
+from pmfid.service.web.board import Board, News, Overview, Records
 from pmfid.service.web.security import json_body
 from pmfid.status import ADVICE, Status
 from pmfid.stream.engine import StreamEngine
@@ -65,25 +66,35 @@ def json_line(content: Mapping[str, object]) -> bytes:
 
 @dataclass
 class Feed:
-    """The rows of one axis for all its viewers.
+    """Every row of one axis for all its viewers.
 
-    `rows` is the number of rows so far. `dropped` is the number of rows that the board could not keep. `pieces` has
+    `rows` is the number of rows so far. `dropped` is the number of rows that the page took too late. `pieces` has
     lines, each with the number of earlier rows.
     """
 
-    subscription: Subscription
     viewers: int = 0
     rows: int = 0
     dropped: int = 0
     pieces: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=TUNING.hub_pieces))
+    _waiting: deque[Records] = field(default_factory=deque, init=False)
+    _lock: Lock = field(default_factory=Lock, init=False)
+
+    def put(self, rows: Records) -> int:
+        """Take rows in the engine's thread, and return the number of older rows that are dropped for them."""
+        with self._lock:
+            self._waiting.append(rows)
+            before, excess = self.dropped, sum(piece.size for piece in self._waiting) - TUNING.board_waiting
+            while self.dropped - before < excess and len(self._waiting) > 1:
+                self.dropped += self._waiting.popleft().size
+            return self.dropped - before
 
     def take(self) -> None:
-        """Append the rows since the last call."""
-        rows, dropped = self.subscription.take()
-        self.dropped += dropped
-        if rows is not None:
-            line = json_line({"kind": "rows", "dropped": self.dropped, **pack_rows(rows)})
-            self.pieces.append((self.rows, line))
+        """Write the rows since the last call, in the page's thread."""
+        with self._lock:  # only for the swap, so that no browser delays the engine
+            pieces, self._waiting = self._waiting, deque()
+        if pieces:  # a changed configuration may have other parameters, so earlier rows are dropped
+            rows = np.concatenate([piece for piece in pieces if piece.dtype == pieces[-1].dtype])
+            self.pieces.append((self.rows, json_line({"kind": "rows", "dropped": self.dropped, **pack_rows(rows)})))
             self.rows += rows.size
 
     def get_lines_after(self, seen: int) -> tuple[int, list[bytes]]:
@@ -172,8 +183,10 @@ class Hub:
 
     async def axis(self, name: str) -> AsyncIterator[bytes]:
         """Yield the lines for one axis, with every row of the axis and all notices."""
-        feed = self._feeds.get(name) or Feed(self._board.follow(name))
-        self._feeds[name] = feed
+        if name not in self._feeds:
+            self._feeds[name] = Feed()
+            self._board.follow(name, self._feeds[name].put)
+        feed = self._feeds[name]
         feed.viewers += 1
         try:
             seen, version, turn = feed.rows, 0, 0
@@ -193,8 +206,8 @@ class Hub:
         finally:
             feed.viewers -= 1
             if not feed.viewers:
-                feed.subscription.close()
-                self._feeds.pop(name, None)
+                self._board.leave(name)
+                del self._feeds[name]
 
 
 NO_AXIS = "no axis has this name; PLANT.toml may have changed"

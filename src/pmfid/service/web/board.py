@@ -244,8 +244,7 @@ class Board:
         self._alarms = Alarms()
         self._notices: deque[tuple[int, Notice]] = deque(maxlen=TUNING.board_notices)
         self._changed: deque[tuple[int, int]] = deque(maxlen=TUNING.board_notices)  # version, and number of an alarm
-        self._subscriptions: dict[str, list[Subscription]] = {}
-        self._followed: frozenset[str] = frozenset()
+        self._followers: Mapping[str, Callable[[Records], int]] = {}
         self.arrange(groups)
 
     # --- for the engine ---
@@ -285,11 +284,10 @@ class Board:
         with self._lock:
             self._version += 1
             panel.update(rows, records, self._version)
-        for name in self._followed & panel.place.keys():
-            own = records[rows.axis == panel.place[name]]
-            for subscription in self._subscriptions.get(name, ()) if own.size else ():
-                if dropped := subscription.put(own):
-                    self._counters.add("pmfid_page_rows_dropped_total", dropped)
+        for name, put in self._followers.items():
+            own = records[rows.axis == panel.place.get(name, -1)]
+            if own.size and (dropped := put(own)):
+                self._counters.add("pmfid_page_rows_dropped_total", dropped)
 
     def notice(self, notice: Notice) -> None:
         with self._lock:
@@ -304,7 +302,7 @@ class Board:
 
     def list_followed(self) -> frozenset[str]:
         """Return the names of the axes whose rows all have a viewer."""
-        return self._followed
+        return frozenset(self._followers)
 
     # --- for the page ---
 
@@ -363,66 +361,14 @@ class Board:
             panel = self._panels[group]
             return panel.interval, panel.trend(axes)
 
-    def follow(self, axis: str) -> Subscription:
-        """Return a queue of every further row of an axis, until the queue is closed."""
-        subscription = Subscription(axis, TUNING.board_waiting, self._leave)
-        with self._lock:
-            self._subscriptions[axis] = [*self._subscriptions.get(axis, ()), subscription]
-            self._followed = frozenset(self._subscriptions)
-        return subscription
+    def follow(self, axis: str, put: Callable[[Records], int]) -> None:
+        """Give every further row of an axis to `put`, in the engine's thread, until `leave`.
 
-    def _leave(self, subscription: Subscription) -> None:
-        with self._lock:
-            rest = [one for one in self._subscriptions.get(subscription.axis, ()) if one is not subscription]
-            if rest:
-                self._subscriptions[subscription.axis] = rest
-            else:
-                self._subscriptions.pop(subscription.axis, None)
-            self._followed = frozenset(self._subscriptions)
-
-
-class Subscription:
-    """A bounded queue of every row of one axis for a viewer. A full queue drops and counts its oldest rows.
-
-    `axis` is the name of the axis. `most` is the largest number of waiting rows. `close` is called when the viewer
-    leaves.
-    """
-
-    def __init__(self, axis: str, most: int, close: Callable[[Subscription], None]) -> None:
-        self.axis, self._most, self._close = axis, most, close
-        self._pieces: deque[Records] = deque()
-        self._waiting = 0
-        self._dropped = 0
-        self._lock = Lock()
-
-    def put(self, rows: Records) -> int:
-        """Put rows into the queue, in the engine's thread, and return the number of dropped rows.
-
-        A reader never delays this call, because it holds the lock only for the swap of a list.
+        `put` returns the number of rows that it dropped.
         """
         with self._lock:
-            self._pieces.append(rows)
-            self._waiting += rows.size
-            dropped = 0
-            while self._waiting > self._most and len(self._pieces) > 1:
-                gone = self._pieces.popleft().size
-                self._waiting -= gone
-                dropped += gone
-            self._dropped += dropped
-        return dropped
+            self._followers = {**self._followers, axis: put}
 
-    def take(self) -> tuple[Records | None, int]:
-        """Return the rows since the last call, or None, and the number of rows dropped meanwhile."""
+    def leave(self, axis: str) -> None:
         with self._lock:
-            pieces, self._pieces = self._pieces, deque()
-            dropped, self._dropped, self._waiting = self._dropped, 0, 0
-        if not pieces:
-            return None, dropped
-        kinds = {piece.dtype for piece in pieces}
-        last = pieces[-1].dtype  # A changed configuration may have other parameters, so earlier rows are dropped.
-        same = [piece for piece in pieces if piece.dtype == last] if len(kinds) > 1 else list(pieces)
-        return np.concatenate(same), dropped
-
-    def close(self) -> None:
-        """End the subscription. This method may be called twice."""
-        self._close(self)
+            self._followers = {name: put for name, put in self._followers.items() if name != axis}

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 from pmfid.config.model import Name, Positive
 from pmfid.config.toml_file import FileSection
 from pmfid.errors import UsageError
-from pmfid.service.broker import is_here
+from pmfid.service.broker import PLACE, Place, is_here
 
 #: Address of the page without [page].
 HERE, PORT = "127.0.0.1", 8127
@@ -18,7 +18,7 @@ HERE, PORT = "127.0.0.1", 8127
 class PageConfig(FileSection):
     """The section [page]. Without this section the page is on `HERE` and `PORT`.
 
-    Keys that end in `_env` or `_file` name the token, which never stands in this section.
+    The key `token` names the place of the token, which never stands in this section.
     """
 
     enabled: bool = Field(True, description="false to run without a page")
@@ -29,8 +29,7 @@ class PageConfig(FileSection):
         strict=False,
         description=f'the host names that browsers use for the page, for example ["hall.example:{PORT}"]',
     )
-    token_env: Name | None = Field(None, description="the environment variable that holds the token")
-    token_file: Name | None = Field(None, description="the file that holds the token")
+    token: Place | None = Field(None, repr=False, description=f"the place of the token, {PLACE}")
     history_mb: Positive = Field(64.0, description="the memory in MB for the history of the axes, for example 64.0")
 
     @property
@@ -40,8 +39,6 @@ class PageConfig(FileSection):
 
     @model_validator(mode="after")
     def _check_access(self) -> Self:
-        if self.token_env and self.token_file:
-            raise UsageError("[page] token_env and token_file are both given; keep one of them")
         if not self.local:
             self._check_remote()
         return self
@@ -49,10 +46,10 @@ class PageConfig(FileSection):
     def _check_remote(self) -> None:
         """Check the two settings that an address for other machines needs."""
         where = f"other machines can reach [page] address = {self.address!r}"
-        if not (self.token_env or self.token_file):
+        if not self.token:
             raise UsageError(
-                f"{where}, so the page needs a token of your choice; name its file, for example token_file = "
-                '"page.token", or its environment variable in token_env'
+                f"{where}, so the page needs a token of your choice; name its file, for example token = "
+                '"file:page.token", or its environment variable, token = "env:PMFID_TOKEN"'
             )
         if self.address in ("0.0.0.0", "::", "") and not self.hosts:
             raise UsageError(

@@ -49,12 +49,11 @@ class Token:
 def load_token(config: PageConfig, folder: Path) -> Token:
     """Return the token that [page] names, or a new token. Names of files are relative to `folder`. Raises
     UsageError."""
-    variable, file = config.token_env, config.token_file
-    if variable is None and file is None:
+    if config.token is None:
         return Token(secrets.token_urlsafe(32), made=True)
-    where = f"[page] token_env = {variable!r}" if variable else f"[page] token_file = {file!r}"
+    where = f"[page] token = {config.token!r}"
     try:
-        token = os.environ.get(variable, "") if variable else read_secret(folder / str(file))
+        token = read_secret(config.token, folder)
     except UsageError as error:
         raise UsageError(f"{where}: {error}") from None
     token = token.strip()
@@ -72,7 +71,7 @@ def keep_token(token: str, folder: Path | None) -> str:
     `folder` is the folder of the checkpoints. Only the user of the service can read its file page.token.
     """
     if folder is None:
-        return "the token of this start appears only on a terminal; set your own with [page] token_file or token_env"
+        return "the token of this start appears only on a terminal; set your own with [page] token"
     path = folder / "page.token"
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -81,7 +80,7 @@ def keep_token(token: str, folder: Path | None) -> str:
         with os.fdopen(file, "w", encoding="ascii") as stream:
             stream.write(f"{token}\n")
     except OSError as error:
-        return f"{path} cannot be written: {error.strerror}; set your own token with [page] token_file"
+        return f"{path} cannot be written: {error.strerror}; set your own token with [page] token"
     return f"open the page with #token=... after its address; the file {path} contains the token of this start"
 
 
