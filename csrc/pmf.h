@@ -146,13 +146,11 @@ typedef struct {
 #endif
 } pmf_encoder_config_t;
 
-#if PMF_WITH_STEPS
 /* Covariances of the tracker for a varying step, for a variance of the counts of 1. The covariances give the gains. */
 typedef struct {
     real_t place, cross, speed; /* covariances of the last position and velocity. The first two are also gains. */
     real_t start_place, start_speed; /* covariances of the earlier velocity with the last position and velocity */
 } pmf_tracker_t;
-#endif
 
 /* Intervals without a count, which may hide a stop or a reversal. */
 typedef struct {
@@ -161,7 +159,6 @@ typedef struct {
     real_t begun; /* samples since the first count after a standstill; 0: the start is known */
 } pmf_misread_state_t;
 
-#if PMF_WITH_GUARD
 /* Guard against samples that no motion explains. */
 typedef struct {
     whole_t count[PMF_PAST + PMF_VIEW]; /* accepted counts, then counts that are not judged yet; modulo 2^32 */
@@ -170,7 +167,6 @@ typedef struct {
     whole_t zero; /* reading of the counter at count 0 */
     real_t input[PMF_VIEW]; /* inputs of the samples that are not judged yet */
 } pmf_guard_state_t;
-#endif
 
 typedef struct {
     whole_t count;
@@ -196,12 +192,9 @@ typedef struct {
 typedef struct {
     uint32_t source;
     scalar_t a, b0, b1;
-#if PMF_WITH_STEPS
     uint32_t rate; /* rule by which the stage follows a varying step */
-#endif
 } pmf_stage_t;
 
-#if PMF_WITH_STEPS
 /* Rules by which stages follow a varying step. The coefficients of a stage are those for the sample period. The step
  * ratio is now * (ratio of this step) + before * (ratio of the preceding step). The first rule belongs to stages that
  * follow no step. Lists replace a list of structures, so that compilers compute several rules at once. */
@@ -212,7 +205,6 @@ typedef struct {
     /* effects on the coefficients: constant, by the step, and by the mean square of the step over time */
     scalar_t gain[PMF_MAX_RATES], growth[PMF_MAX_RATES], square[PMF_MAX_RATES];
 } pmf_rates_t;
-#endif
 
 typedef struct {
     uint32_t node;
@@ -226,10 +218,8 @@ typedef struct {
     pmf_stage_t stage[PMF_MAX_STAGES];
     uint32_t tap_end[PMF_MAX_COLUMNS];
     pmf_tap_t tap[PMF_MAX_TAPS];
-#if PMF_WITH_STEPS
     uint32_t n_rates; /* 0: the step does not vary */
     pmf_rates_t rates;
-#endif
 #endif
 } pmf_network_config_t;
 
@@ -254,9 +244,10 @@ typedef struct {
     scalar_t regularization; /* information that is never forgotten, as a fraction of the largest so far */
     scalar_t pivot; /* smallest relative pivot for a first estimate */
     uint32_t compensated; /* 1: the noise of the columns is known */
-    scalar_t noise[PMF_MAX_NOISE][PMF_MAX_NOISE]; /* covariance of the known noise in one sample's phi phi^T */
+    scalar_t noise[PMF_MAX_PARAMETERS]
+                  [PMF_MAX_PARAMETERS]; /* covariance of the known noise in one sample's phi phi^T */
 #if PMF_WITH_PROCESS
-    scalar_t target_noise[PMF_MAX_NOISE]; /* covariance of the known noise in phi z */
+    scalar_t target_noise[PMF_MAX_PARAMETERS]; /* covariance of the known noise in phi z */
     scalar_t target_power; /* power of the known noise in z^2 */
     uint32_t constant,
         lowest; /* parameters of the output's constant and of its lowest coefficient; PMF_NO_PARAMETER: none */
@@ -273,16 +264,12 @@ typedef struct {
                           comes from larger motions */
     uint32_t growing; /* power of the sample number as the weight of early samples, whose model is poor; above 1 only
                          with shapes */
-#if PMF_WITH_MISREAD
     uint32_t n_misread; /* number of regressors with an error from misread counts */
     uint32_t misread_column; /* first column of these errors, followed by the error of the target; 0: none */
-    uint32_t misread_index[PMF_MAX_PARAMETERS]; /* parameters of these regressors */
-#endif
-#if PMF_WITH_NOISE
+    uint32_t misread_index[PMF_MAX_MISREADS]; /* parameters of these regressors */
     scalar_t unexplained; /* ratio of mean square innovation to the known noise, above which the model is wrong; 0: no
                              check */
     scalar_t check_samples; /* number of samples in a stretch of this check */
-#endif
 } pmf_recursion_config_t;
 
 typedef struct {
@@ -301,12 +288,10 @@ typedef struct {
     real_t innovation, innovation_variance;
 } pmf_estimate_t;
 
-#if PMF_WITH_NOISE
 /* Sums of squared innovations and targets; `weight` is the number of samples. */
 typedef struct {
     real_t weight, innovation, target;
 } pmf_check_t;
-#endif
 
 typedef struct {
     pmf_sums_t sums;
@@ -330,14 +315,10 @@ typedef struct {
 #if PMF_WITH_PROCESS
     real_t lift; /* effect of `lowest` on the constant of the output itself */
 #endif
-#if PMF_WITH_MISREAD
-    real_t misread[PMF_MAX_PARAMETERS]; /* sums of the sizes of errors from misread counts, over the diagonal of P */
-    real_t spread[PMF_MAX_PARAMETERS]; /* inflation without these errors */
-#endif
-#if PMF_WITH_NOISE
+    real_t misread[PMF_MAX_MISREADS]; /* sums of the sizes of errors from misread counts, over the diagonal of P */
+    real_t spread[PMF_MAX_MISREADS]; /* inflation without these errors */
     pmf_check_t check, check_before; /* checks of the model in this stretch of samples and in the last */
     whole_t unmodelled; /* last verdict of the check, as a status bit */
-#endif
 } pmf_recursion_state_t;
 
 #if PMF_MAX_SHAPES > 0
@@ -436,7 +417,6 @@ typedef struct {
 #endif
 } pmf_auxiliary_state_t;
 
-#if PMF_WITH_DEAD_TIME
 /* Values of exp(-t / lag) over a part of a sample: the end value, the integral, and the integral of t exp(-t / lag), t
  * in samples. */
 typedef struct {
@@ -458,7 +438,6 @@ typedef struct {
     real_t lagged; /* output of the lag at the end of the interval */
     whole_t at;
 } pmf_late_state_t;
-#endif
 
 typedef struct {
     uint32_t settle_samples;
@@ -512,11 +491,9 @@ void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count);
 void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples);
 /* Process one sample: `input` acts from the moment at which `count` is read. Returns the status bits. */
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
-#if PMF_WITH_STEPS
 /* Set the time since the last sample [s] before pmf_step() if the configuration has a rate. The default of the step is
  * the sample period. A step that is not positive, or longer than 100 periods, is flagged as an invalid input. */
 void pmf_set_step(const pmf_config_t *config, pmf_state_t *state, real_t step);
-#endif
 /* Write P of the estimate (n x n, row by row), with theta_cov = innovation variance times P. A borrowed estimate of
  * another parametrisation has only the diagonal. */
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);

@@ -141,7 +141,7 @@ static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary
 }
 
 #if PMF_SHAPED
-PMF_API void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal)
+void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal)
 {
     uint32_t i;
     for (i = 0; i < config->n; ++i) {
@@ -223,8 +223,8 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 /* The older input acts for a part of the interval, the newer input for the remainder. Both parts of the interval are
  * simulated exactly.
  */
-PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
-                                     const pmf_late_state_t *late, real_t *signal)
+void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                             const pmf_late_state_t *late, real_t *signal)
 {
     real_t middle = state->position + PMF_R(0.5) * PMF_SPAN(config, state) * state->velocity, pushed, moved;
     body_t body = body_of(config, state->parameter, late->older, middle);

@@ -47,54 +47,12 @@ PMF_INLINE void add_sample(pmf_sums_t *sums, real_t f, const real_t *column, uin
     sums->squares = f * f * sums->squares + PMF_R(1.0);
 }
 
-#if PMF_ENDLESS
-PMF_SELDOM void discount_sums(pmf_sums_t *sums, uint32_t p, real_t factor)
-{
-    uint32_t i, j;
-    for (i = 0; i < p; ++i) {
-        sums->right[i] *= factor;
-        for (j = 0; j < p; ++j) {
-            sums->cross[i][j] *= factor;
-            sums->square[i][j] *= factor;
-        }
-    }
-    sums->weight *= factor;
-    sums->squares *= factor * factor;
-}
-
-static const scalar_t MOST_WEIGHT = PMF_SCALAR(524288.0); /* largest number of samples in a sum, 2^19 */
-static const scalar_t LONG_MEMORY = PMF_SCALAR(0.999999); /* forgetting from which a sum may hold MOST_WEIGHT samples */
-
-/* A sum of float32 cannot take a term below 2^-24 of its value. The weight of the past is therefore halved repeatedly.
- * Without forgetting, the memory is the last millions of samples. Only a sample with much information triggers the
- * halving, because at rest the sums do not grow. */
-PMF_INLINE void make_room(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, real_t first, real_t own,
-                          uint32_t p)
-{
-    truth_t full = (state->sums.weight >= MOST_WEIGHT) & (first * first * state->sums.weight > own);
-    uint32_t i;
-    if (config->forgetting < LONG_MEMORY || !PMF_ANY(full)) {
-        return;
-    }
-    PMF_WHERE(full, &state->sums, discount_sums(&state->sums, p, PMF_R(0.5)));
-    for (i = 0; i < p; ++i) {
-        state->peak[i] *= PMF_IF(full, PMF_R(0.5), PMF_R(1.0));
-    }
-    state->weight *= PMF_IF(full, PMF_R(0.5), PMF_R(1.0));
-    state->innovation_square *= PMF_IF(full, PMF_R(0.5), PMF_R(1.0));
-}
-#endif
-
 PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column,
                            uint32_t p, uint32_t instrumental)
 {
     real_t fade = PMF_IF(state->frozen != 0U, PMF_R(1.0), PMF_ALIKE(config->forgetting));
     real_t f = PMF_IF(state->outdated != 0U, PMF_ALIKE(config->haste), memory_of(config, state, fade));
     state->outdated -= PMF_BIT(state->outdated != 0U, 1U);
-#if PMF_ENDLESS
-    make_room(config, state, column[instrumental != 0U ? p + 1U : 0U],
-              instrumental != 0U ? state->sums.square[0][0] : state->sums.cross[0][0], p);
-#endif
     add_sample(&state->sums, f, column, p, instrumental,
                state->started <= config->residual_updates); /* unused after this point */
     state->mass = fade * state->mass + (PMF_R(1.0) - fade);

@@ -8,9 +8,7 @@ static const uint32_t JUDGED =
     16U; /* updates between two verdicts on the model (a power of two), half-way between two looks */
 static const scalar_t NEGLIGIBLE =
     PMF_SCALAR(1e-6); /* fraction of the target's mean square that a model may leave unexplained */
-#define COMPENSATED(config) (PMF_WITH_NOISE != 0 && (config)->compensated != 0U)
 
-#if PMF_WITH_NOISE
 /* Sum the innovations of a stretch of samples, and keep the sums of the last stretch. */
 static void note_unexplained(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
                              real_t target)
@@ -67,7 +65,6 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
     state->unmodelled = PMF_IF(where & judged, PMF_BIT(large, PMF_UNMODELLED), state->unmodelled);
     return PMF_IF(where, state->unmodelled, PMF_W(0));
 }
-#endif
 
 PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where)
 {
@@ -159,7 +156,12 @@ PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_st
     state->block_updates = PMF_IF(where, PMF_W(0), state->block_updates);
 }
 
-#if PMF_WITH_MISREAD
+/* Return whether columns show the errors of misread counts. */
+PMF_INLINE int misreads(const pmf_recursion_config_t *config)
+{
+    return PMF_WITH_MISREAD && config->misread_column != 0U;
+}
+
 /* Part of a parameter's information that is noise, above which least squares know nothing. */
 static const scalar_t MOST_NOISE = PMF_SCALAR(0.9);
 /* Ratio of noise to information above which instruments know nothing: a correlation of 0.2 between instruments and
@@ -250,7 +252,6 @@ PMF_INLINE whole_t note_bias(const pmf_recursion_config_t *config, pmf_recursion
     add_bias(config, state, ratio, p);
     return PMF_BIT(ratio > MOST_NOISE, PMF_POOR_EXCITATION);
 }
-#endif
 
 /* Accumulate the innovations of a block. */
 PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
@@ -260,11 +261,11 @@ PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_s
     for (i = 0; i < p; ++i) {
         real_t sum = state->score[i] + zeta[i] * state->estimate.innovation;
 #if PMF_PROCESS
-        if (COMPENSATED(config)) {
+        if (config->compensated != 0U) {
             sum -= config->target_noise[i];
         }
 #endif
-        for (j = 0; j < p && COMPENSATED(config); ++j) {
+        for (j = 0; j < p && config->compensated != 0U; ++j) {
             sum += config->noise[i][j] * state->estimate.theta[j];
         }
         state->score[i] = PMF_IF(where, sum, state->score[i]);

@@ -75,10 +75,8 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 /* Numbers for float32 and for float64. */
 #ifdef PMF_FLOAT32
 #define PMF_EITHER(single, twice) PMF_R(single)
-#define PMF_ENDLESS PMF_WITH_ENDLESS
 #else
 #define PMF_EITHER(single, twice) PMF_R(twice)
-#define PMF_ENDLESS 0 /* a sum of float64 is never full */
 #endif
 #define PMF_NOT(truth) ((truth) == 0)
 #define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
@@ -121,32 +119,24 @@ static inline integer_t pmf_signed(uint32_t mask, whole_t count)
     return PMF_IF(count < half, (integer_t)count, ~(integer_t)(mask - count));
 }
 
-#if PMF_PROCESS
-/* Write the estimate of the output itself to state->lifted, after a step or another change of the estimate. */
-PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state);
-#endif
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
 /* A saved state has zeros for values that each step computes before their use. */
 void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state);
 /* The parts of a step; `signal` has PMF_SIGNALS entries. */
 PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
                                  whole_t count, real_t *signal);
-#if PMF_WITH_GUARD
 /* Take a sample, and return whether an earlier one is judged. This sample replaces `input` and `count`, and `status`
  * gets its status bits. `held` is the input before it. */
 PMF_API truth_t pmf_guard(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, real_t held, real_t *input,
                           whole_t *count, whole_t *status);
-#endif
 /* Step the auxiliary model, after the encoder's signals of the same step. */
 PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
-#if PMF_LATE
 /* Step the auxiliary model if the input changes inside the interval. */
-PMF_API void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
-                                     const pmf_late_state_t *late, real_t *signal);
-#endif
+void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
+                             const pmf_late_state_t *late, real_t *signal);
 #if PMF_SHAPED
 /* Compute the forces of a place at the measured position, after the encoder's signals of the same step. */
-PMF_API void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal);
+void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal);
 #endif
 /* The equation holds exactly for the model. The residual of the model's columns is therefore the error of the
  * discretisation, which is subtracted from the target. Regressors and target then include the effect of the parameters
@@ -170,6 +160,8 @@ PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_st
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                    const real_t *column);
 #if PMF_PROCESS
+/* Write the estimate of the output itself to state->lifted, after a step or another change of the estimate. */
+PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state);
 /* Compute the estimate for the output itself if the equation counts from the first output. */
 PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                 pmf_estimate_t *lifted);

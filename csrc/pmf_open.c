@@ -6,7 +6,7 @@
 /* Return the contribution of the columns' known noise to their products. */
 static real_t feigned(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t i, uint32_t j)
 {
-    return PMF_WITH_NOISE != 0 && config->compensated != 0U ? state->sums.weight * config->noise[i][j] : PMF_R(0.0);
+    return config->compensated != 0U ? state->sums.weight * config->noise[i][j] : PMF_R(0.0);
 }
 
 /* Multiply W, Z and v by the same factor: theta = W^-1 v stays, P grows by 1 / keep. */
@@ -124,10 +124,11 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
     pmf_clear(state->score, (uint32_t)sizeof state->score);
     for (i = 0; i < config->n_parameters; ++i) {
         state->estimate.inflation[i] = config->correlated;
-#if PMF_WITH_MISREAD
-        state->spread[i] = config->correlated;
-        state->misread[i] *= parameter == PMF_NO_PARAMETER || parameter == i ? keep : PMF_R(1.0); /* the bias stays */
-#endif
+        if (PMF_WITH_MISREAD) {
+            state->spread[i] = config->correlated;
+            state->misread[i] *=
+                parameter == PMF_NO_PARAMETER || parameter == i ? keep : PMF_R(1.0); /* the bias stays */
+        }
     }
 }
 

@@ -91,12 +91,10 @@ PMF_SELDOM uint32_t check_estimate(const pmf_estimate_t *estimate)
            not_negative(&estimate->innovation_variance, 1U);
 }
 
-#if PMF_WITH_NOISE
 PMF_SELDOM uint32_t check_check(const pmf_check_t *check)
 {
     return not_negative(&check->weight, 1U) & not_negative(&check->innovation, 1U) & not_negative(&check->target, 1U);
 }
-#endif
 
 /* Check the present and the past size of the motion. */
 PMF_SELDOM uint32_t check_scale(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
@@ -114,15 +112,11 @@ PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const 
            not_negative(state->inverse_pivot, REALS(state->inverse_pivot)) &
            within(&state->mass, 1U, PMF_R(0.0), PMF_R(1.0)) & not_negative(&state->weight, 1U) &
            not_negative(&state->innovation_square, 1U) & at_most(state->started, state->updates) &
-#if PMF_WITH_NOISE
            check_check(&state->check) & check_check(&state->check_before) & at_most(state->unmodelled, PMF_UNMODELLED) &
-#endif
 #if PMF_WITH_PROCESS
            all_finite(&state->lift, 1U) &
 #endif
-#if PMF_WITH_MISREAD
            not_negative(state->misread, REALS(state->misread)) & not_negative(state->spread, REALS(state->spread)) &
-#endif
            all_finite(state->score, REALS(state->score)) & at_most(state->blocks, PMF_BLOCK_MEMORY) &
            /* a block counts only updates without a status, and may end some updates late */
            at_most(state->block_updates, state->updates);

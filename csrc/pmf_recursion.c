@@ -101,7 +101,7 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
             }
             move[i] = PMF_IF(young, left, move[i]);
         }
-        if (COMPENSATED(config)) {
+        if (config->compensated != 0U) {
             real_t weight = PMF_IF(young, state->sums.weight, PMF_R(1.0));
 #if PMF_PROCESS
             move[i] -= weight * config->target_noise[i];
@@ -142,12 +142,10 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     whole_t status, compensated = PMF_W(0), unmodelled = PMF_W(0), hidden = PMF_W(0);
     truth_t waits = state->started == 0U, starts, looks, moves, scored, ends;
     uint32_t i, j;
-#if PMF_WITH_MISREAD
     real_t before = state->sums.weight;
-    for (i = 0; i < p && config->misread_column != 0U; ++i) {
+    for (i = 0; i < p && misreads(config); ++i) {
         state->estimate.inflation[i] = state->spread[i];
     }
-#endif
     state->estimate.innovation = column[p];
     for (i = 0; i < p; ++i) {
         state->estimate.innovation -= column[i] * state->estimate.theta[i];
@@ -162,7 +160,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
                 information[i][j] = state->sums.cross[i][j];
             }
         }
-        if (COMPENSATED(config)) {
+        if (config->compensated != 0U) {
             compensated = subtract_noise(config, state, p, information);
         }
     }
@@ -200,11 +198,9 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
         }
     }
     note_innovation(config, state, PMF_NOT(waits));
-#if PMF_WITH_NOISE
     if (config->unexplained > PMF_SCALAR(0.0)) {
         unmodelled = check_model(config, state, PMF_NOT(waits) & (state->started > SKIPPED_INNOVATIONS), column[p]);
     }
-#endif
     scored = PMF_NOT(waits) & (state->weight > PMF_R(0.0)) & (status == 0U);
     if (config->block > 0U && PMF_ANY(scored)) {
         note_score(config, state, scored, instrumental != 0U ? &column[p + 1U] : column, p);
@@ -214,8 +210,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             end_block(config, state, ends, p, instrumental, &projection);
         }
     }
-#if PMF_WITH_MISREAD
-    if (config->misread_column != 0U) {
+    if (misreads(config)) {
         for (i = 0; i < p; ++i) {
             state->spread[i] = state->estimate.inflation[i];
         }
@@ -226,7 +221,6 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
         hidden = note_bias(config, state, p, instrumental);
         hidden |= judge_mass(config, &state->estimate);
     }
-#endif
     if (instrumental != 0U) {
         status |= PMF_BIT(status != 0U, PMF_COMPENSATION_HELD);
     }

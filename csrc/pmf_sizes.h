@@ -6,7 +6,7 @@
 #define PMF_MAX_STAGES 128
 #define PMF_MAX_TAPS 160
 #define PMF_MAX_PARAMETERS 8
-#define PMF_MAX_NOISE PMF_MAX_PARAMETERS
+#define PMF_MAX_MISREADS PMF_MAX_PARAMETERS /* parameters with errors from misread counts, at least 1 */
 #define PMF_MAX_COLUMNS (5 * PMF_MAX_PARAMETERS + 4)
 #define PMF_MAX_LATE 22 /* inputs kept for a dead time, two more than its whole samples */
 #define PMF_MAX_SHAPES 6 /* number of shapes in the auxiliary model; 0 leaves shapes out */
@@ -18,9 +18,7 @@
 #define PMF_WITH_PROCESS 1 /* the output of a process, with its start and noise */
 #define PMF_WITH_DEAD_TIME 1 /* an input that acts late, or with a first-order lag */
 #define PMF_WITH_GUARD 1 /* guard against samples that no motion explains */
-#define PMF_WITH_ENDLESS 1 /* float32 with so little forgetting that sums may be full */
 #define PMF_WITH_SPLIT 1 /* signals beyond input, velocity and direction */
-#define PMF_WITH_NOISE 1 /* known covariance of the noise */
 #define PMF_WITH_MISREAD 1 /* standard errors include the late direction of coarse counts */
 #define PMF_WITH_STEPS 1 /* each sample has the time since the preceding sample */
 #define PMF_WITH_NETWORK 1 /* the network is part of the configuration; otherwise it is code */

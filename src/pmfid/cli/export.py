@@ -67,9 +67,9 @@ def export(
     name = prefix or re.sub(r"\W+", "_", axis_file.stem.lower())
     with progress("export"):
         from pmfid.config.axis import load_axis
+        from pmfid.estimators.base import longest_forgetting, memory_of
         from pmfid.estimators.recursive import RecursiveEstimator
         from pmfid.export.firmware import ParameterAlarm, export_firmware
-        from pmfid.kernel.saved import LONG_MEMORY, MOST_WEIGHT
         from pmfid.pipeline.export import check_exportable, drive_estimator, drive_samples
         from pmfid.records.record import read_record
 
@@ -81,13 +81,11 @@ def export(
         watched = [ParameterAlarm(*alarm) for alarm in alarms]
         export_firmware(estimator, out, prefix=name, record=samples, alarms=watched, blocks=blocks)
     click.echo(f"{estimator.method}, {estimator.precision}, every {estimator.dt:.9g} s: {out / name}.h")
-    if (
-        isinstance(estimator, RecursiveEstimator)
-        and estimator.precision == "float32"
-        and estimator.forgetting >= LONG_MEMORY
-    ):
-        click.echo(
-            f"float32 with forgetting = {estimator.forgetting:.9g} remembers at most the last {MOST_WEIGHT} samples "
-            f"({MOST_WEIGHT * estimator.dt:.3g} s), because larger sums would lose digits; float64 forgets nothing"
-        )
+    if isinstance(estimator, RecursiveEstimator):
+        forgetting = longest_forgetting(estimator.forgetting, estimator.precision)
+        if forgetting < estimator.forgetting:
+            click.echo(
+                f"float32 has a memory of {memory_of(forgetting, estimator.dt):.3g} s in place of that of forgetting = "
+                f"{estimator.forgetting:.9g}, because larger sums would lose digits; float64 has any memory"
+            )
     click.echo(f"the same bits? make -C {out} selftest && {out / 'selftest'}")

@@ -354,7 +354,7 @@ class Estimator:
             "first_column": first_column,
             "min_updates": math.ceil(1 / (self.cutoff * self.dt)) + 2 * parameters,
             "residual_updates": 2**32 - 1 if exact else TUNING.residual_updates,
-            "forgetting": forgetting,
+            "forgetting": longest_forgetting(forgetting, self.precision),
             "regularization": self.plant.regularization,
             "pivot": self.plant.pivot,
             "block": 2 * self.settle_samples,
@@ -387,6 +387,11 @@ def shapes_of(equation: Equation, network: Network) -> dict[str, object]:
         [network.slots.get((by_counts, *term.place), 0) for term in equation.shaped] for by_counts in (False, True)
     )
     return shape_values(equation.shapes, nodes, measured)
+
+
+def longest_forgetting(forgetting: float, precision: str) -> float:
+    """Return the forgetting factor of a kernel. A float32 sum of more samples would not take a further one."""
+    return min(forgetting, TUNING.float32_forgetting) if precision == "float32" else forgetting
 
 
 def memory_of(forgetting: float, dt: float) -> float:

@@ -117,6 +117,8 @@ class EstimatorTuning:
     edges_per_sample: float = 3.0
     edges_slow: float = 10.0
     edges_instants: int = 20
+    #: Largest forgetting factor in float32, whose sums stop growing at 2^24 samples.
+    float32_forgetting: float = 0.999999
     #: Counts of the example linear process for an input of one.
     process_counts: float = 500.0
 

@@ -26,9 +26,6 @@ from pmfid.kernel.structures import (
 if TYPE_CHECKING:
     from pmfid._kernel64 import EdgeKernel, Kernel, ManyKernel
 
-#: Smallest forgetting factor at which a float32 sum may be full, and the number of samples that such a sum holds.
-LONG_MEMORY, MOST_WEIGHT = 0.999999, 2**19
-
 
 def configuration(kernel: Kernel, precision: str) -> Structured:
     """Return the configuration of the kernel in the layout of the module."""
@@ -41,17 +38,13 @@ def shape_of(config: Structured) -> KernelSizes:
     shapes = config["auxiliary"]["shapes"]
     recursions = recursions_of(config)
     parameters = max(int(recursion["n_parameters"]) for recursion in recursions)
-    noise = any(
-        recursion["compensated"] or recursion["misread_column"] or recursion["unexplained"] > 0
-        for recursion in recursions
-    )
     process = config["encoder"]["process"] or any(np.any(recursion["target_noise"]) for recursion in recursions)
     nodes = {*network["stage"]["source"].tolist(), *network["tap"]["node"].tolist()}
     return KernelSizes(
         max_stages=max(1, int(network["n_stages"])),
         max_taps=int(network["tap_end"][int(network["n_columns"]) - 1]),
         max_parameters=parameters,
-        max_noise=parameters if noise else 1,
+        max_misreads=parameters if config["encoder"]["misread"] else 1,
         max_columns=int(network["n_columns"]),
         max_shapes=int(shapes["n"]),
         max_knots=knots_of(shapes),
@@ -61,14 +54,12 @@ def shape_of(config: Structured) -> KernelSizes:
         with_auxiliary=int(config["auxiliary"]["enabled"] or shapes["n"] > 0),
         with_process=int(process),
         with_guard=int(config["encoder"]["guard"] > 0),
-        with_endless=int(any(long_memory(recursion) for recursion in recursions)),
         with_split=int(
             bool(process)
             or config["late"]["kept"] > 0
             or place_matters(shapes)
             or any(node in split_signals(bool(config["encoder"]["turns"])) for node in nodes)
         ),
-        with_noise=int(noise),
         with_misread=int(config["encoder"]["misread"]),
         with_steps=int(config["encoder"]["rate"] > 0),
     )
@@ -93,11 +84,6 @@ def knots_of(shapes: Structured) -> int:
 def recursions_of(config: Structured) -> list[Structured]:
     """Return the recursions that a configuration uses."""
     return [config["direct"], config["instrument"]] if config["auxiliary"]["enabled"] else [config["direct"]]
-
-
-def long_memory(recursion: Structured) -> bool:
-    """Return whether a float32 recursion forgets so slowly that its sums may be full (csrc/pmf_forgetting.inl)."""
-    return recursion["forgetting"].dtype == np.float32 and bool(recursion["forgetting"] >= np.float32(LONG_MEMORY))
 
 
 def split_signals(turns: bool) -> list[int]:

@@ -51,7 +51,7 @@ class KernelSizes:
     max_stages: int
     max_taps: int
     max_parameters: int
-    max_noise: int
+    max_misreads: int
     max_columns: int
     max_shapes: int
     max_knots: int
@@ -61,9 +61,7 @@ class KernelSizes:
     with_auxiliary: int
     with_process: int
     with_guard: int
-    with_endless: int
     with_split: int
-    with_noise: int
     with_misread: int
     with_steps: int
     with_network: int = 1
