@@ -31,7 +31,6 @@ PICTURES: Mapping[str, Picture] = MappingProxyType(
         "reversed": Picture("reversed sign", 3, 4.0, 8.0),
         "exchanged": Picture("exchanged columns"),
         "velocity": Picture("velocity as position"),
-        "drift": Picture("input of another clock", 2, 57.0, 60.0),
         "stuck": Picture("stuck counter"),
         "clipped": Picture("clipped counter"),
         "saturated": Picture("saturated input"),

@@ -210,14 +210,6 @@ def _saturated(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
     return logged(run, np.clip(run.u, -limit, limit), run.counts)
 
 
-def _drift(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
-    run = run_of(seed, axes, MOTIONS[:3])
-    rows = np.arange(run.u.size)
-    total = float(rng.choice([-1, 1]) * rng.uniform(6, 25))
-    read = np.clip(np.floor(rows * (1 + total / rows.size)), 0, rows.size - 1).astype(int)
-    return logged(run, run.u[read], run.counts)
-
-
 def _held_output(seed: int, rng: Rng, axes: Mapping[str, Axis]) -> Logged:
     run = run_of(seed, axes)
     every = int(rng.integers(2, 11))
@@ -290,7 +282,6 @@ FAULTS: Mapping[str, tuple[Callable[[int, Rng, Mapping[str, Axis]], Logged], fro
         "clipped counter": (_clipped, frozenset({"clipped"})),
         "stuck counter": (_stuck, frozenset({"stuck"})),
         "saturated input": (_saturated, frozenset({"saturated"})),
-        "input of another clock": (_drift, frozenset({"drift"})),
         "output held": (_held_output, frozenset({"held_output"})),
         "input held": (_held_input, frozenset({"held_input"})),
         "unsigned input": (_unsigned, frozenset({"unsigned"})),

@@ -53,11 +53,19 @@ def test_a_short_record_whose_input_explains_it_is_not() -> None:
 # --- limits of the input ----------------------------------------------------------------------------------------------
 
 
-def test_what_the_log_cuts_off_is_distinguished_from_the_limit_of_the_drive() -> None:
-    assert found_in(faulty("saturated input", 3027)) == ("saturated",)
-    log = limited(3041)
+@pytest.mark.parametrize("log", [faulty("saturated input", 3027), limited(3041)])
+def test_an_input_at_a_limit_is_a_note_because_the_fit_judges_it(log: Logged) -> None:
     found = check_record(log.record(), log.configuration)
     assert [(one.code, one.severity) for one in found] == [("saturated", "note")]
+
+
+def test_the_fit_finds_a_log_that_cuts_off_the_input() -> None:
+    given = 3 * np.sin(0.05 * np.arange(1000)) + 2 * np.sin(0.13 * np.arange(1000))
+    counts = quantize(simulate_drive(CART, given, CART_DT).x, 2e-4)
+    settings = {"model": pmfid.Drive(CART.input_gain), "encoder": pmfid.Encoder(2e-4), "dt": CART_DT}
+    cut = pmfid.identify(np.clip(given, -3.5, 3.5), counts, **settings)  # type: ignore[call-overload]
+    assert "unmodelled" in cut.status
+    assert pmfid.identify(given, counts, **settings).status == ()  # type: ignore[call-overload]
 
 
 # --- clean logs -------------------------------------------------------------------------------------------------------

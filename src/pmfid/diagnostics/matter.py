@@ -49,7 +49,7 @@ FLAGS = {
     "saturated": "the input stays at its largest or smallest value: if the drive gave more, log a larger range",
     "held_output": "the output changes more slowly than the rows are logged: keep only the rows with a new value",
     "held_input": "the input changes only every few rows: log it at the drive's rate, unless the drive holds it",
-    "unsigned": "the input has no sign, but the axis reverses under load: log the force or current with its sign",
+    "unsigned": "the input has no sign, but the axis reverses: log the force or current with its sign",
     "command": "the input is a command, and the drive may give other torque: log the measured torque or current",
     "refused": "pmfid identify gives no estimate for this record; the finding gives the reason",
     "little_motion": "the axis moves too little or too evenly: record reversals and varying speed",
@@ -57,7 +57,6 @@ FLAGS = {
     "odd_period": "no machine moves like this at this sample period: give dt in s",
     "rate_high": "nearly all rows repeat the last count: keep every n-th row, with the mean input up to the next one",
     "uneven_clock": "the clock drifts, and the record does not show which clock is right: log the times of the samples",
-    "drift": "input and output have two different clocks: log both with one clock",
 }
 
 #: Flags of a model whose parameters may be wrong by more than their standard deviations.

@@ -32,26 +32,10 @@ class PipelineTuning:
     at_limit: float = 0.005
     inputs_piled: float = 5.0
     inputs_neighbours: int = 20
-    #: Limits of the test for missing force at a limit of the input. `inputs_certain` is the smallest size of the force
-    #: in standard deviations. `inputs_short` is the smallest relative size of the force, times the part of the
-    #: unexplained input that the force removes. `inputs_seen` is the greatest unexplained part of the input.
-    inputs_certain: float = 4.0
-    inputs_short: float = 0.008
-    inputs_seen: float = 0.2
-    #: Time constants of the filters that show the missing force [samples].
+    #: Time constants of the filters of the views [samples].
     times: tuple[float, ...] = (3.0, 10.0, 30.0, 100.0)
 
     # checks.force
-    #: Smallest part of the travel in either direction of a reversing axis. `force_widths` are widths of means that
-    #: smooth the steps of an encoder [samples].
-    force_reverses: float = 0.2
-    force_widths: tuple[int, ...] = (3, 9, 27, 81)
-    #: Greatest unexplained part of an unsigned input with the best signs. `force_better` is the greatest ratio of the
-    #: unexplained part with signs to that without signs. `force_turns` is the number of iterations in the search for
-    #: the signs.
-    force_signed: float = 0.7
-    force_better: float = 0.5
-    force_turns: int = 10
     #: Smallest correlation of a command with the output that it sets.
     force_alike: float = 0.9
 
@@ -89,14 +73,6 @@ class PipelineTuning:
     readings_distinct: float = 2.0
 
     # checks.timing
-    #: Largest shift in either direction [samples], and number of pieces of the record.
-    largest_shift: int = 30
-    timing_pieces: int = 16
-    #: Smallest length of a piece as a multiple of the largest shift.
-    timing_least: int = 2
-    #: Largest drift over the whole record in either direction, and distance between tried drifts [samples].
-    timing_furthest: float = 30.0
-    timing_step: float = 0.5
     #: Relative change of the velocity from sample to sample above which the sample period is too long. `timing_fine` is
     #: the number of counts per sample above which the encoder itself does not change the velocity by so much.
     timing_hasty: float = 0.42
@@ -116,29 +92,11 @@ class PipelineTuning:
     #: per sample.
     timing_idle: float = 0.02
     timing_plenty: float = 0.2
-    #: Time constants of the filters that show a drift [samples]. `timing_drifted` is the smallest drift [samples], and
-    #: `timing_sure` is the smallest drift in standard deviations. `timing_less` is the largest ratio of the unexplained
-    #: power with drift to the power without drift.
-    drift_times: tuple[float, float, float] = (10.0, 30.0, 100.0)
-    timing_drifted: float = 1.5
-    timing_sure: float = 4.5
-    timing_less: float = 0.95
-    #: Value of `timing_less` for the largest tried drift. The limit is stricter, because the motion of another joint
-    #: also suggests a very large drift.
-    timing_less_furthest: float = 0.5
-    #: Largest number of further corrections of a drift, and largest corrected drift as a multiple of the first drift.
-    timing_corrections: int = 3
-    timing_most: float = 1.5
-    #: Largest number of samples in a search for a drift.
-    timing_most_samples: int = 40_000
-
     # checks.view
     #: Smallest duration of a record in time constants. After slow filters, any columns explain a short record.
     view_enough: float = 60.0
     #: Smallest part of the travel in either direction if the motion has both directions.
     one_way: float = 0.05
-    #: Range of speeds in which static friction falls, relative to the usual speed.
-    view_slow: float = 0.1
     #: Spans that show the edges of a stop [samples]. `view_counts` is the smallest change of the motion at an abrupt
     #: edge [counts].
     view_spans: tuple[int, ...] = (1, 2, 4, 8, 16, 32)

@@ -14,7 +14,7 @@ from pmfid.pipeline.checks.counter import find_frozen_counts, forgotten_bits, he
 from pmfid.pipeline.checks.force import find_command, find_unsigned
 from pmfid.pipeline.checks.inputs import find_saturation, held_input
 from pmfid.pipeline.checks.readings import is_turned_by_gravity, no_inertia, no_motion, read_as
-from pmfid.pipeline.checks.timing import drifts, odd_period, too_fast, too_slow
+from pmfid.pipeline.checks.timing import odd_period, too_fast, too_slow
 from pmfid.pipeline.checks.view import CheckedLog
 from pmfid.records.joining import unbroken
 from pmfid.records.record import Record
@@ -31,7 +31,7 @@ SOON: tuple[tuple[Check, ...], ...] = (
     (held_output, find_frozen_counts, held_input, find_saturation),
     (too_slow, odd_period, jump),
 )
-LATER: tuple[tuple[Check, ...], ...] = ((drifts,), (no_inertia,))
+LATER: tuple[tuple[Check, ...], ...] = ((no_inertia,),)
 
 
 def scan_record(record: Record, axis: Axis) -> tuple[Finding, ...]:

@@ -17,55 +17,19 @@ __all__ = ["find_command", "find_unsigned"]
 
 
 def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
-    """Yield a finding if the input of a reversing axis never changes its sign.
-
-    The finding also requires that the motion explains the input with corrected signs.
-    """
+    """Yield a finding if the input of a reversing axis never changes its sign, and a load does not explain it."""
     u = log.known.u[log.part]
-    if not log.is_machine or np.min(u) * np.max(u) < 0 or np.ptp(u) == 0:
+    if not log.is_machine or log.view is None or np.min(u) * np.max(u) < 0 or np.ptp(u) == 0:
         return
-    position = log.known.counts[log.part].astype(np.float64)
-    forward = np.sum(np.maximum(np.diff(position), 0)) / max(np.sum(np.abs(np.diff(position))), 1e-300)
-    if not TUNING.force_reverses < forward < 1 - TUNING.force_reverses:
-        return
-    found = [_measure_signs(u, position, width) for width in TUNING.force_widths if u.size > 10 * width]
-    plain, signed = min(found, key=lambda pair: pair[1], default=(0.0, 1.0))
-    if signed < min(TUNING.force_signed, TUNING.force_better * plain):
+    left = log.view.unexplained * np.linalg.norm(log.view.z) / max(np.std(log.view.z) * log.view.z.size**0.5, 1e-300)
+    if not log.view.one_way and left > TUNING.readings_unseen:
         yield Finding(
             "unsigned",
-            f"the input column {log.axis.record.input!r} has no sign, but the axis reverses under load",
+            f"the input column {log.axis.record.input!r} has no sign, but the axis reverses",
             "log the force or current with its sign",
             "wrong",
-            f"With the right signs, the motion explains {100 * (1 - signed):.3g} % of the input.",
+            f"The motion leaves {100 * left:.3g} % of the changes of the input unexplained.",
         )
-
-
-def _measure_signs(u: Floats, position: Floats, width: int) -> tuple[float, float]:
-    """Return the unexplained parts of an unsigned input (n,), first as it is and then with the best signs.
-
-    Acceleration, velocity, direction and load explain the input. The best signs are the signs of the explained force.
-    All signals are means over `width` samples, which cause no delay.
-    """
-    from scipy.ndimage import uniform_filter1d  # slow to import, and only an unsigned input needs it
-
-    smooth = uniform_filter1d(uniform_filter1d(position, width), width)
-    velocity = np.gradient(smooth)
-    columns = np.column_stack([np.gradient(velocity), velocity, np.sign(velocity), np.ones(u.size)])
-    columns = uniform_filter1d(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300), width, axis=0)
-    size = float(np.linalg.norm(u - np.mean(u)))
-    left = [_fit(columns, uniform_filter1d(u, width))[1] / size]
-    for sign in (np.sign(velocity), np.sign(np.gradient(velocity))):
-        for _ in range(TUNING.force_turns):
-            force, error = _fit(columns, uniform_filter1d(sign * u, width))
-            sign = np.where(force < 0, -1.0, 1.0)
-        left.append(error / size)
-    return left[0], min(left[1:])
-
-
-def _fit(columns: Floats, z: Floats) -> tuple[Floats, float]:
-    """Return the fit (n,) of columns (n, p) to z (n,), and the norm of the residual."""
-    fit = columns @ np.linalg.lstsq(columns, z, rcond=None)[0]
-    return fit, float(np.linalg.norm(z - fit))
 
 
 def find_command(log: CheckedLog) -> Iterator[Finding]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.counter import period_of
-from pmfid.pipeline.checks.view import CheckedLog, View, view, with_friction
+from pmfid.pipeline.checks.view import CheckedLog, view
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
@@ -46,7 +45,7 @@ def _moves_in_steps(log: CheckedLog) -> bool:
 def find_saturation(log: CheckedLog) -> Iterator[Finding]:
     """Yield a finding if the input stays at its largest or smallest value.
 
-    Either the drive limits the input, or the log clips it.
+    Either the drive limits the input, or the log clips it. The fit compares both.
     """
     u = log.record.u
     if not _varies(u):
@@ -60,11 +59,7 @@ def find_saturation(log: CheckedLog) -> Iterator[Finding]:
         f"{100 * np.mean(there):.2g} % of the rows"
     )
     first = f"The first of them is row {int(np.argmax(there)) + 1}."
-    if _falls_short(log, there):
-        sentence = f"{sentence}, less than the force that moves the axis"
-        yield Finding("saturated", sentence, LARGER, detail=f"The log cuts off the force. {first}")
-    else:
-        yield Finding("saturated", sentence, f"if the drive gave more than that, {LARGER}", "note", first)
+    yield Finding("saturated", sentence, f"if the drive gave more than that, {LARGER}", "note", first)
 
 
 def note_one_level(inputs: Sequence[Floats], scaling: str) -> list[Finding]:
@@ -101,42 +96,3 @@ def _piles_up(u: Floats, limit: float) -> bool:
     neighbours = np.argsort(np.abs(values - limit))[1 : TUNING.inputs_neighbours + 1]
     at_limit = int(times[values == limit][0])
     return at_limit >= TUNING.at_limit * u.size and at_limit > TUNING.inputs_piled * float(np.mean(times[neighbours]))
-
-
-def _falls_short(log: CheckedLog, there: NDArray[np.bool_]) -> bool:
-    """Return whether the motion requires more force in the rows with a clipped input."""
-    if log.view is None or not log.is_machine:
-        return False
-    side = np.where(there, np.sign(log.force), 0.0)
-    return any(_misses_force(log, shape, time) for time in TUNING.times for shape in (side, side * _arcs(there)))
-
-
-def _arcs(there: NDArray[np.bool_]) -> Floats:
-    """Return an array (n,) with a parabola over each marked stretch of rows.
-
-    All parabolas have one curvature, and approximate a smooth signal beyond a limit.
-    """
-    edges = np.flatnonzero(np.diff(np.r_[False, there, False].astype(np.int8)))
-    first, last = (np.repeat(edges[side::2], edges[1::2] - edges[::2]) for side in (0, 1))
-    rows = np.flatnonzero(there) + 0.5
-    arcs = np.zeros(there.size)
-    arcs[there] = (rows - first) * (last - rows)
-    return arcs
-
-
-def _misses_force(log: CheckedLog, shape: Floats, time: float) -> bool:
-    """Return whether a force with the given shape (n,) is missing, after filters with the given time constant
-    [samples].
-
-    Friction that is neither viscous nor dry resembles the missing force and has its own columns.
-    """
-    counts, encoder, dt = log.known.counts[log.part], log.encoder, log.record.dt
-    seen, cut = (view(u[log.part], counts, encoder, dt, time) for u in (log.force, shape))
-    if seen is None or cut is None or not np.any(cut.z):
-        return False
-    plain = View(time, with_friction(seen), seen.z)
-    wider = View(time, np.column_stack([plain.phi, cut.z]), seen.z)
-    missing = -float(wider.theta[-1]) * float(np.mean(np.abs(shape[shape != 0]))) / float(np.max(np.abs(log.force)))
-    less = 1 - wider.unexplained / max(plain.unexplained, 1e-300)
-    large = missing * less > TUNING.inputs_short and wider.unexplained < TUNING.inputs_seen
-    return large and wider.sure(np.eye(wider.theta.size)[-1]) < -TUNING.inputs_certain

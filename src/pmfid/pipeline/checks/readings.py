@@ -11,7 +11,7 @@ from pmfid.encoder import Encoder, fine_counts
 from pmfid.estimators.stretches import liveliest
 from pmfid.findings import Finding
 from pmfid.models.drive import Drive
-from pmfid.pipeline.checks.timing import drifts, too_slow
+from pmfid.pipeline.checks.timing import too_slow
 from pmfid.pipeline.checks.view import (
     MASS,
     PLAIN,
@@ -78,9 +78,7 @@ def _other_reading(log: CheckedLog) -> Finding | None:
         else TUNING.readings_better
     )
     bound = min(better * left, velocity)
-    if exchanged < min(TUNING.readings_follows, bound) or (
-        exchanged < min(TUNING.readings_loosely, bound) and not any(drifts(log))
-    ):
+    if exchanged < min(TUNING.readings_loosely, bound):
         return _make_finding("exchanged", "input and output are exchanged", _exchange(log), exchanged)
     if log.sudden_stops or view is None or view.one_way or log.axis.record.output_kind == "velocity":
         return None
@@ -89,16 +87,12 @@ def _other_reading(log: CheckedLog) -> Finding | None:
         not is_position(log.axis.record.output)
         and velocity < TUNING.readings_loosely
         and (velocity < bound or (velocity < TUNING.readings_follows and _is_no_body(view)))
+        and not any(too_slow(log))
     )
-    if velocity < min(TUNING.readings_follows, bound, left) or (loosely and _is_in_time(log)):
+    if velocity < min(TUNING.readings_follows, bound, left) or loosely:
         mistake = f"the output column {log.axis.record.output!r} is a velocity, not a position"
         return _make_finding("velocity", mistake, RATE, velocity)
     return None
-
-
-def _is_in_time(log: CheckedLog) -> bool:
-    """Return whether input and output share a clock and the sample period suits the axis."""
-    return not (any(too_slow(log)) or any(drifts(log)))
 
 
 def is_exchanged(log: CheckedLog) -> bool:

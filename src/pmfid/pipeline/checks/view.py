@@ -22,7 +22,7 @@ from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
 from pmfid.types import Counts, Floats
 
-__all__ = ["COULOMB", "LOAD", "PARTS", "View", "best_view", "view", "with_friction"]
+__all__ = ["COULOMB", "LOAD", "PARTS", "View", "best_view", "view"]
 
 #: Number of pieces of a record for standard deviations, and smallest number of samples in a piece.
 PARTS, SHORTEST = 8, 20
@@ -148,17 +148,6 @@ def best_view(
     moved = [one for one in views if one is not None and np.any(one.z) and np.any(one.phi[:, VISCOUS])]
     seen = [one for one in moved if one.moving > lasting * one.time]
     return min(seen, key=lambda one: one.unexplained) if seen else None
-
-
-def with_friction(view: View) -> Floats:
-    """Return the columns of a view with three further friction terms (n, 7).
-
-    The further terms fall with speed, grow with the square of the speed, or depend on the direction.
-    """
-    velocity, direction = view.phi[:, VISCOUS], view.phi[:, COULOMB]
-    usual = float(np.sqrt(np.mean(velocity**2))) or 1.0
-    slow = direction * np.exp(-((velocity / (TUNING.view_slow * usual)) ** 2))
-    return np.column_stack([view.phi, slow, velocity * np.abs(velocity), np.abs(direction)])
 
 
 #: The first and the last sample of a stretch of equal counts.
