@@ -98,8 +98,8 @@ Each log is a run of a machine between 1e-5 kg m2 and 500 kg, sampled every 0.1 
 with rests, five sines or slow ramps under position control; friction of viscous and Coulomb's kind, with Stribeck's,
 quadratic, directional, uneven, cogging or a load next to it; the encoder of the machine, one 4 or one 16 times coarser.
 A fault is put into such a log as `studies/check_logs.py` says. Faults that the encoder must show (a counter that ends
-or sticks) are those of the encoder of the machine; a limit of the input cuts off 5 to 20 % of the rows. What cuts off so little that it moves nothing is a note,
-which is no fault and ends with exit code 0.
+or sticks) are those of the encoder of the machine; a limit of the input cuts off 5 to 20 % of the rows, which is a note
+before the fit. A note is no fault and ends with exit code 0.
 """
 PAGE = Page("checks", "Faults of logs", INTRODUCTION, by_name(Study("faults", tasks, work, write)), SEEDS)
 
