@@ -43,6 +43,16 @@ def test_a_short_record_whose_input_switches_between_its_rows_is_too_slow() -> N
     assert found_in(faulty("sample rate too low", 5023)) == ("rate_low",)
 
 
+@pytest.mark.parametrize("lost", [1, 3])
+def test_a_record_of_a_few_samples_in_a_row_is_refused(lost: int) -> None:
+    """The start of the fit once failed with a traceback."""
+    u, counts = np.array([9.0, -9, 9, -9, -9, 9, 9, -9, 9, 9, -9, 9]), np.arange(12) ** 2
+    u[lost::4] = np.nan
+    u[0] = 9.0
+    with pytest.raises(pmfid.PmfidError):
+        pmfid.identify(u, counts, model=pmfid.Drive(1.0), encoder=pmfid.Encoder(1e-3), dt=0.01)
+
+
 def test_a_short_record_whose_input_explains_it_is_not() -> None:
     log = clean(5023)
     record = log.record()

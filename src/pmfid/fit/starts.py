@@ -48,9 +48,12 @@ def blind_start(stretches: tuple[ObservedStretch, ...], resolution: float, turn:
 
     Raises NotIdentifiableError if the axis does not move.
     """
+    body, longest = make_first_body(turn), max((one.y.size for one in stretches), default=0)
+    if longest < 2 * len(body.names):
+        raise NotIdentifiableError(f"no part of the record has more than {longest} samples in a row; {MOVE}")
     stretch = max(stretches, key=lambda one: float(np.sum(np.abs(np.diff(one.y)))))
     windows = list(_windows(stretch, resolution))
-    problem = FitProblem(make_first_body(turn), (windows[0],), resolution)
+    problem = FitProblem(body, (windows[0],), resolution)
     force = float(np.sqrt(np.mean(windows[0].drive.u ** 2)))
     if not force > 0:
         raise NotIdentifiableError(f"the input is zero while the axis moves; {MOVE}")
@@ -89,7 +92,7 @@ def soften(stretches: tuple[ObservedStretch, ...]) -> Gaussian:
 
 def _guesses(window: ObservedStretch, force: float, further: int) -> Iterator[Floats]:
     """Yield (mass, viscous friction, Coulomb friction, load, spring, gravity) from speeds and accelerations."""
-    t, width = window.times, max(3, window.y.size // 60)
+    t, width = window.times, max(1, min(max(3, window.y.size // 60), window.y.size // 4))
     smooth = np.ones(width) / width
     v = np.gradient(np.convolve(window.y - window.y[0], smooth, "same"), t)[width:-width]
     a = np.gradient(np.convolve(v, smooth, "same"), t[width:-width])
