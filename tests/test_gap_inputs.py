@@ -10,7 +10,7 @@ from pmfid._stage import Inputs
 from pmfid.estimators.iv import RIV
 from pmfid.estimators.recursive import RLS
 from pmfid.monitor.monitor import GuessedSamples, guess, longest
-from pmfid.records.gaps import fill_gaps, is_held
+from pmfid.records.gaps import bridge_input, hold_input
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
@@ -48,24 +48,20 @@ def held(samples: int, seed: int = 0) -> tuple[Floats, Counts]:
 # --- off-line ---------------------------------------------------------------------------------------------------------
 
 
-def test_bends_of_an_input_are_not_cut_short() -> None:
-    """A line through the neighbours took 0.5 % off the input in every gap, and as much off the mass."""
-    u = waving()
-    there = kept(u.size, 0.1)
-    found = fill_gaps(u[there], np.zeros(there.sum(), np.int64), np.flatnonzero(there))[0]
-    missed, smooth = (found - wave())[~there], wave()[~there]
-    assert abs(missed @ smooth / (smooth @ smooth)) < 1e-3
-    assert np.std(missed) < 0.003
+def test_a_held_input_is_known_between_equal_values_and_no_other_is() -> None:
+    u, lost = np.repeat([1.0, -1.0, 2.0, -1.0], 25), np.nan
+    u[[0, 30, 50, 60, 61]] = lost
+    found = hold_input(u)
+    assert np.flatnonzero(np.isnan(found)).tolist() == [0, 50]  # before the record, and at a switch
+    assert found[[30, 60, 61]].tolist() == [-1.0, 2.0, 2.0]
+    smooth = np.where(np.arange(100) == 40, lost, waving(100))
+    assert bridge_input(smooth)[40] == pytest.approx(np.mean(smooth[[39, 41]]))
 
 
 def test_an_input_that_rests_now_and_then_is_not_held() -> None:
-    """The input was once taken for a held one, and each missing sample for a gap after which all filters restart."""
-    u, there = waving(3000), kept(3000, 0.01)
-    u[1000:2800] = 0.0
-    assert not is_held(u, there)
-    assert is_held(np.repeat(waving(300), 10), there)
-    line = fill_gaps(u[there], np.zeros(there.sum(), np.int64), np.flatnonzero(there))[0]
-    assert np.all(np.isfinite(line))
+    u = waving(3000)
+    u[1000:2800], u[1500], u[[400, 2801]] = 0.0, np.nan, np.nan
+    assert np.flatnonzero(np.isnan(hold_input(u))).tolist() == [400, 1500, 2801]
 
 
 # --- on-line ----------------------------------------------------------------------------------------------------------

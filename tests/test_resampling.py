@@ -181,8 +181,7 @@ def test_a_coarse_encoder_tells_instants_from_arrivals(late: float, spread: floa
     assert (found is not None and found.own is not None) == (late == 0)
 
 
-def test_many_small_gaps_of_an_uneven_clock_are_long_steps(tmp_path: Path) -> None:
-    """The filters would never settle between the gaps."""
+def test_many_small_gaps_of_an_uneven_clock_restart_the_motion(tmp_path: Path) -> None:
     rng = np.random.default_rng(8)
     steps = rng.integers(16, 25, SAMPLES)
     at = np.r_[0, np.cumsum(steps)[:-1]]
@@ -192,7 +191,7 @@ def test_many_small_gaps_of_an_uneven_clock_are_long_steps(tmp_path: Path) -> No
     for first in range(20, SAMPLES - 20, 30):
         kept[first : first + int(rng.integers(2, 5))] = False
     result = identified(tmp_path, (at * CART_DT / PARTS)[kept], u[kept], quantize(x, 8 * CART_RESOLUTION)[kept])
-    np.testing.assert_allclose(result.theta[:2], TRUTH[:2], rtol=0.02)  # the input in the gaps is not known
+    np.testing.assert_allclose(result.theta[:2], TRUTH[:2], rtol=0.01)  # a step may hide lost rows
     assert "unmodelled" in result.status
 
 

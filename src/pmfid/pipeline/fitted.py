@@ -23,10 +23,10 @@ from pmfid.fit.likelihood import Intervals
 from pmfid.fit.second_mass import SecondMass, find_second_mass, try_second_mass, widen
 from pmfid.pipeline.known import known_of, put_together
 from pmfid.pipeline.result import DriveResult
-from pmfid.records.gaps import is_held
+from pmfid.records.gaps import bridge_input
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
-from pmfid.types import Flags, Floats
+from pmfid.types import Floats
 
 #: Note on inputs that the fit treats as unknown.
 RESTARTED = "the motion restarts after each lost input that its neighbours do not determine"
@@ -121,7 +121,6 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
 
 def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, ...]]:
     """Return the method, its fit and notes. The fit uses the ages of edges if the record has ages."""
-    record = _restore_inputs(record)
     method, known = make_fit(axis, record), repair_as_configured(record, axis)
     repaired, used, remarks = known.record, known.used, tuple[str, ...]()
     warmth = record.temperature
@@ -131,14 +130,15 @@ def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, 
             return edges, *edges.examine_edges(repaired.u, repaired.counts, record.ages, used, warmth)
         except NotIdentifiableError as error:
             remarks = (f"the ages of edges are not used: {error}",)
-    unknown = _unknown_inputs(record, repaired)
+    spiky = np.isfinite(repaired.u) & (record.u != repaired.u)
     ends = np.append(known.shifted[1:], False)  # the last sample before each shift of the zero
-    if np.any(unknown | ends):
+    u = bridge_input(repaired.u)
+    if np.any(spiky | ends) or u is not repaired.u:
         with suppress(NotIdentifiableError):
-            cut = np.where(unknown | ends, np.nan, repaired.u)
+            cut = np.where(spiky | ends, np.nan, repaired.u)
             fitted = method.examine(cut, repaired.counts, used, warmth)
-            return method, fitted, (*remarks, RESTARTED) if np.any(unknown) else remarks
-    return method, method.examine(repaired.u, repaired.counts, used, warmth), remarks
+            return method, fitted, (*remarks, RESTARTED) if np.any(spiky) else remarks
+    return method, method.examine(u, repaired.counts, used, warmth), remarks
 
 
 def may_have_second_mass(axis: Axis) -> bool:
@@ -163,25 +163,6 @@ def _refuse_second_mass(record: Record, axis: Axis) -> None:
             second = find_second_mass(problem)
     if second is not None:
         raise SecondMassError(second, record.rotary)
-
-
-def _restore_inputs(record: Record) -> Record:
-    """Return the record with its measured inputs in gaps of the counts, which a simulated motion bridges."""
-    if record.inputs is None:
-        return record
-    return replace(record, u=np.where(np.isfinite(record.u), record.u, record.inputs))
-
-
-def _unknown_inputs(record: Record, repaired: Record) -> Flags:
-    """Return the samples (n,) with a replaced or interpolated input. An input that keeps its values is known between
-    two equal values."""
-    unknown = np.isfinite(repaired.u) & (record.u != repaired.u)
-    if record.there is not None:
-        measured = record.there if record.inputs is None else record.there | np.isfinite(record.inputs)
-        held = is_held(record.u, record.there) and np.isfinite(record.u)
-        between = np.r_[False, (record.u[:-2] == record.u[1:-1]) & (record.u[1:-1] == record.u[2:]), False]
-        unknown |= ~measured & np.isfinite(repaired.u) & ~(held & between)
-    return np.asarray(unknown)
 
 
 def _spread(fitted: Fitted, std: Floats) -> Floats:

@@ -356,10 +356,10 @@ class DriveResult(Result):
         """
         record, method = self.record, like(MotionFit, self.estimator)
         part = recent(self.estimator, record.u.size)
-        u = record.u if record.inputs is None else np.where(np.isfinite(record.u), record.u, record.inputs)
         steps = None if record.steps is None else SampleSteps(record.steps.before[part])
         theta, there = self.theta[: len(method.names)], np.isfinite(record.u[part])
-        return drive_run(replace(method, steps=steps), theta, u[part], record.counts[part], record.name, there)
+        there = there if record.there is None else there & record.there[part]
+        return drive_run(replace(method, steps=steps), theta, record.u[part], record.counts[part], record.name, there)
 
     @property
     def coupling(self) -> Coupling | None:

@@ -36,28 +36,26 @@ def join_records(records: Sequence[Record], place_matters: bool) -> Record:
     parts = [_settle_part(first, 0, first=True)]
     for record in records[1:]:
         parts.append(_settle_part(record, int(parts[-1][1][-1]), first=False))
-    u, counts, there, inputs = (np.concatenate(signal) for signal in zip(*parts, strict=True))
+    u, counts, there = (np.concatenate(signal) for signal in zip(*parts, strict=True))
     joined = [f"{len(records)} records make one estimate: the motion of each starts separately"]
     if any(record.ages is not None for record in records):
         joined.append("the ages of edges are not used, because there are several records")
     notes = (*joined, *dict.fromkeys(f"{record.name}: {note}" for record in records for note in record.notes))
     name = ", ".join(record.name for record in records)
-    return replace(first, u=u, counts=counts, there=there, inputs=inputs, notes=notes, name=name, own=None, ages=None)
+    return replace(first, u=u, counts=counts, there=there, notes=notes, name=name, own=None, ages=None)
 
 
-def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags, Floats]:
-    """Return the input, the counts from `start` on, a mask of the measured samples, and the measured inputs of one
-    record.
+def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags]:
+    """Return the input, the counts from `start` on, and a mask of the measured samples of one record.
 
     A gap precedes each record except the first.
     """
     there = np.ones(record.u.size, bool) if record.there is None else record.there
-    inputs = record.u if record.inputs is None else record.inputs
     counts = record.counts - record.counts[0] + (record.counts[0] if first else start)
     if first:
-        return record.u, counts, there, inputs
+        return record.u, counts, there
     gap = np.full(TUNING.gaps_apart, np.nan), np.full(TUNING.gaps_apart, start), np.zeros(TUNING.gaps_apart, bool)
-    return np.r_[gap[0], record.u], np.r_[gap[1], counts], np.r_[gap[2], there], np.r_[gap[0], inputs]
+    return np.r_[gap[0], record.u], np.r_[gap[1], counts], np.r_[gap[2], there]
 
 
 __all__ = ["unbroken"]
@@ -83,7 +81,6 @@ def unbroken(record: Record) -> Record:
         u=record.u[first:last],
         counts=record.counts[first:last],
         there=None if record.there is None else record.there[first:last],
-        inputs=None if record.inputs is None else record.inputs[first:last],
         notes=notes,
         own=None,
         ages=None,

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.config.record import NO_ENCODER, RecordConfig, Sections, conversion
 from pmfid.errors import UsageError
@@ -30,8 +29,8 @@ from pmfid.records.column_checks import (
 )
 from pmfid.records.edge_ages import Coarser, make_edge_ages, read_edge_ages
 from pmfid.records.friction_column import read_slow_column
-from pmfid.records.gaps import describe_missing, fill_gaps, is_held
-from pmfid.records.repeats import drop_stale_rows
+from pmfid.records.gaps import describe_missing, hold_input, place_samples
+from pmfid.records.repeats import miss_stale_rows
 from pmfid.records.resampling import OwnSamples, Resampled, integrate_stamps, resample_uneven
 from pmfid.records.topics import join_topics
 from pmfid.records.travel import measure_travel
@@ -109,23 +108,26 @@ def _unwrap(counts: Counts, bits: int) -> tuple[Counts, tuple[str, ...]]:
     span = 2**bits
     raw = np.diff(counts)
     steps = (raw + span // 2) % span - span // 2
-    wraps = int(np.count_nonzero(steps != raw))
-    notes = [f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)"] if wraps else []
+    notes = _describe_wraps(steps != raw)
     largest = int(np.max(np.abs(steps))) / span
     if largest > 0.25:
         notes.append(f"largest step is {largest:.0%} of the counter's range: from 50 % on, the wrap is ambiguous")
     return np.concatenate((counts[:1], counts[0] + np.cumsum(steps))), tuple(notes)
 
 
+def _describe_wraps(wrapped: Flags) -> list[str]:
+    wraps = int(np.count_nonzero(wrapped))
+    return [f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)"] if wraps else []
+
+
 @dataclass(frozen=True)
 class Record:
     """A run of a drive.
 
-    `u` (n,) is the scaled input, with NaN in gaps where the input is unknown. `counts` (n,) are the unwrapped encoder
+    `u` (n,) is the scaled input, with NaN where it is unknown. `counts` (n,) are the unwrapped encoder
     counts. `dt` is the sample period [s], and `resolution` is the unit of y per count. `notes` describe changes to the
     data. `name` is the name of the file. `rotary` says whether the output is an angle. `there` (n,) marks the measured
-    samples, or is None if all were measured. `inputs` (n,) are the measured inputs, with a count or without, and NaN
-    elsewhere, or None as `there` is. The module `gaps` gives inputs for samples that were not measured. `jitter` is
+    outputs, or is None if all were measured. Other counts lie on a straight line. `jitter` is
     the root mean square deviation of the steps of an uneven clock, relative to the period, before resampling. `own` is
     the record at the uneven instants of its clock, or None for even instants. A record at uneven instants has
     `steps`, the times between its samples. `in_counts` says whether lengths are in counts, because the travel of a
@@ -144,7 +146,6 @@ class Record:
     name: str
     rotary: bool = False
     there: Flags | None = None
-    inputs: Floats | None = None
     jitter: float = 0.0
     steps: SampleSteps | None = None
     own: Record | None = None
@@ -156,10 +157,10 @@ class Record:
 
     @property
     def measured(self) -> Record:
-        """The record in which each sample without a count or without an input is a gap."""
+        """The record in which each sample without a count is a gap."""
         if self.there is None:
             return self
-        return replace(self, u=np.where(self.there, self.u, np.nan), there=None, inputs=None)
+        return replace(self, u=np.where(self.there, self.u, np.nan), there=None)
 
     @property
     def times(self) -> Floats:
@@ -337,13 +338,11 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         ages, age_notes = read_edge_ages(table, axis.encoder, rows.rows, obstacle)
     notes += age_notes
     if rows.whole:
-        there, measured = None, None
+        there = None
     else:
-        measured, bridged = _scale_column(inputs, scale * units.u), config.output_kind != "velocity"
-        u, counts, there = fill_gaps(u, counts, rows.places, bridged=bridged, inputs=measured)
-        measured = measured if bridged else u
-        known = np.where(np.isfinite(u), u, measured)
-        notes, ages = (*notes, describe_missing(known, there)), None
+        inputs = _scale_column(inputs, scale * units.u)
+        u, counts, there = place_samples(u, counts, rows.places, inputs, config.output_kind != "velocity")
+        notes, ages = (*notes, describe_missing(u, there)), None
     return Record(
         u,
         counts,
@@ -353,7 +352,6 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
         name,
         rotary,
         there,
-        measured,
         jitter=jitter,
         own=own,
         in_counts=in_counts,
@@ -374,31 +372,8 @@ def _own_record(
     if coarse is not None:
         y = counts.astype(np.float64) * resolution if kind == "counts" else y
         counts, resolution = floor_counts(y, coarse.step, 1e-9), coarse.step
-    u, kept, steps = _span_gaps(_scale_column(own.u, u_scale), counts, steps)
-    there = own.there[kept]
-    flags, inputs = (None, None) if np.all(there) else (there, u)
-    return Record(u, counts[kept], float(steps.before[0]), resolution, (), "", False, flags, inputs, steps=steps)
-
-
-def _span_gaps(u: Floats, counts: Counts, steps: SampleSteps) -> tuple[Floats, NDArray[np.intp], SampleSteps]:
-    """Return input (m,), remaining rows (m,) and steps (m,) of samples (n,) with NaN in gaps.
-
-    A gap in which the input can be filled becomes one long step with the mean of the filled input.
-    """
-    there = np.isfinite(u)
-    if np.all(there):
-        return u, np.arange(u.size), steps
-    places = np.flatnonzero(there)
-    filled = np.full(u.size, np.nan)
-    filled[: places[-1] + 1] = fill_gaps(u[places], counts[places], places)[0]
-    if is_held(u, there):  # the instant of a jump within a gap is unknown
-        filled[~np.isin(filled, u[there])] = np.nan
-    kept = np.flatnonzero(there | np.isnan(filled))
-    time = np.cumsum(steps.before)
-    impulse = np.append(0.0, np.cumsum(np.nan_to_num(filled[:-1]) * np.diff(time)))
-    mean = np.append(np.diff(impulse[kept]) / np.diff(time[kept]), u[kept[-1]])
-    spans = np.append(np.diff(kept) > 1, False)
-    return np.where(spans, mean, u[kept]), kept, SampleSteps(np.diff(time[kept], prepend=0.0))
+    u, there = hold_input(_scale_column(own.u, u_scale)), None if np.all(own.there) else own.there
+    return Record(u, counts, float(steps.before[0]), resolution, (), "", False, there, steps=steps)
 
 
 def _resample(
@@ -419,27 +394,27 @@ def _resample(
     own = _integrate(axis, columns) if config.output_kind == "velocity" else _take_new(axis, columns, y_scale)
     if own is None:
         return given, None, ()
-    columns, stale, notes = own
-    found = resample_uneven(columns["time"], columns["input"], columns["output"], thinned=stale > 0)
+    columns, notes = own
+    found = resample_uneven(columns["time"], columns["input"], columns["output"])
     if found is None:
-        return given, None, ()
+        lost = np.isnan(columns["output"]) & ~out
+        return given | {"output": np.where(lost, np.nan, given["output"])}, None, notes
     period = (found.time[1] - found.time[0]) * time_factor(config)
     note = "the stamps scatter around an even grid like times of arrival, and the grid replaces them"
     if found.dt_error > 0:
-        notes.insert(
-            0, f"the period of the grid is known to {100 * found.dt_error:.1g} %; the intervals contain this error"
-        )
+        error = 100 * found.dt_error
+        notes = (f"the period of the grid is known to {error:.1g} %; the intervals contain this error", *notes)
     if found.jitter:
         note = f"the steps of the clock vary by {100 * found.jitter:.2g} %, around {period:.4g} s"
-    if stale:
-        part = stale / (stale + columns["time"].size)
-        note = f"{part:.0%} of the rows repeat the output of the row before and are left out: log only new values"
+    if config.output_kind == "counts":
+        apart = columns["output"] - given["output"]
+        notes = (*notes, *_describe_wraps(np.diff(apart[np.isfinite(apart)]) != 0))
     y = np.rint(found.y) if config.output_kind == "counts" else found.y
     return columns | {"time": found.time, "input": found.u, "output": y}, found, (*out_notes, note, *notes)
 
 
-def _integrate(axis: Axis, columns: dict[str, Floats]) -> tuple[dict[str, Floats], int, list[str]] | None:
-    """Return the columns with the integral of a velocity over the steps of its clock, no stale rows, and a note.
+def _integrate(axis: Axis, columns: dict[str, Floats]) -> tuple[dict[str, Floats], tuple[str, ...]] | None:
+    """Return the columns with the integral of a velocity over the steps of its clock, and a note.
 
     The result is None for an even clock.
     """
@@ -447,21 +422,20 @@ def _integrate(axis: Axis, columns: dict[str, Floats]) -> tuple[dict[str, Floats
     if travel is None:
         return None
     note = "the velocity is integrated over the steps of the clock, along lines between samples"
-    return columns | {"output": travel * time_factor(axis.record)}, 0, [note]
+    return columns | {"output": travel * time_factor(axis.record)}, (note,)
 
 
-def _take_new(axis: Axis, columns: dict[str, Floats], y_scale: float) -> tuple[dict[str, Floats], int, list[str]]:
-    """Return the columns with an unwrapped counter and without stale rows, the number of these rows, and notes."""
-    config, encoder, notes = axis.record, axis.encoder, list[str]()
+def _take_new(axis: Axis, columns: dict[str, Floats], y_scale: float) -> tuple[dict[str, Floats], tuple[str, ...]]:
+    """Return the columns with an unwrapped counter and without old outputs, and notes."""
+    config, encoder, notes = axis.record, axis.encoder, tuple[str, ...]()
     if config.output_kind == "position":
         check_position(columns["output"], axis)  # the check needs the values of the file
     if config.output_kind == "counts" and encoder.bits is not None:
-        unwrapped = unwrap_counts(columns["output"], encoder.bits)
-        apart = (unwrapped - columns["output"])[np.isfinite(unwrapped)]
-        if wraps := int(np.count_nonzero(np.diff(apart))):
-            notes.append(f"counter wrapped {wraps} time{'s' * (wraps != 1)} (undone)")
-        columns = columns | {"output": unwrapped}
-    return *drop_stale_rows(columns, 1.0 if config.output_kind == "counts" else encoder.resolution / y_scale), notes
+        columns = columns | {"output": unwrap_counts(columns["output"], encoder.bits)}
+    y, stale = miss_stale_rows(columns, 1.0 if config.output_kind == "counts" else encoder.resolution / y_scale)
+    if stale:
+        notes = (f"{stale / y.size:.0%} of the rows repeat the output of the row before: log only new values",)
+    return columns | {"output": y}, notes
 
 
 def _measure_travel(y: Floats, rows: PlacedRows, axis: Axis) -> tuple[Floats, tuple[str, ...]]:

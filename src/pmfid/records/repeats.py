@@ -10,34 +10,21 @@ from numpy.typing import NDArray
 from pmfid.records.tuning import TUNING
 from pmfid.types import Flags, Floats
 
-__all__ = ["drop_stale_rows"]
+__all__ = ["miss_stale_rows"]
 
 
-def drop_stale_rows(columns: Mapping[str, Floats], step: float) -> tuple[dict[str, Floats], int]:
-    """Remove the rows with an old output from the columns (n,) of input, output and time.
+def miss_stale_rows(columns: Mapping[str, Floats], step: float) -> tuple[Floats, int]:
+    """Return the output (n,) with NaN in rows with an old value, and their number, from columns of input, output and
+    time.
 
-    The function returns the columns and the number of removed rows. `step` is the step of the encoder in the unit of
-    the column. The function changes nothing unless all rows have numbers and the time rises. The input of a kept row is
-    its mean until the next row, so that no impulse is lost. A row at which the input jumps remains, because a mean
-    would move the jump. The output of a row with a jump comes from the cubic through the neighbouring rows.
+    `step` is the step of the encoder in the unit of the column. The function changes nothing unless all rows have
+    numbers and the time rises.
     """
-    time, u, y = columns["time"], columns["input"], columns["output"]
-    if not (all(np.all(np.isfinite(values)) for values in (u, y, time)) and np.all(np.diff(time) > 0)):
-        return dict(columns), 0
+    time, y = columns["time"], columns["output"]
+    if not (all(np.all(np.isfinite(values)) for values in columns.values()) and np.all(np.diff(time) > 0)):
+        return y, 0
     stale = find_stale_rows(time, y / step)
-    count = int(np.count_nonzero(stale))
-    if not count:
-        return dict(columns), 0
-    true, jumps = np.flatnonzero(~stale), np.abs(np.diff(u, prepend=u[0])) > TUNING.repeats_jump * np.ptp(u)
-    filled = np.flatnonzero(stale & jumps)
-    place = np.clip(np.searchsorted(true, filled) - 1, 1, true.size - 3)
-    y = y.copy()
-    y[filled] = np.rint(_cubic(time[true], y[true], place, time[filled]) / step) * step
-    kept = np.flatnonzero(~stale | jumps)
-    impulse = np.append(0.0, np.cumsum(u[:-1] * np.diff(time)))
-    mean = np.append(np.diff(impulse[kept]) / np.diff(time[kept]), u[kept[-1]])
-    alone = np.append(np.diff(kept) == 1, True)
-    return {**columns, "time": time[kept], "input": np.where(alone, u[kept], mean), "output": y[kept]}, count
+    return np.where(stale, np.nan, y), int(np.count_nonzero(stale))
 
 
 def find_stale_rows(time: Floats, y: Floats) -> Flags:

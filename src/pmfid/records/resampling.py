@@ -56,30 +56,29 @@ class OwnSamples:
     there: Flags
 
 
-def resample_uneven(time: Floats, u: Floats, y: Floats, *, thinned: bool = False) -> Resampled | None:
+def resample_uneven(time: Floats, u: Floats, y: Floats) -> Resampled | None:
     """Return the record (N,) on an even grid, or None if its clock is even except for gaps, or is no clock.
 
     A gap of more than clock_longest samples is shortened, because the motion restarts after the gap anyway. The input
     is held from stamp to stamp and averaged over each interval of the grid, so that no impulse is lost. A monotone
-    cubic interpolates the output (Fritsch and Carlson 1980). `thinned` says whether rows with an old output were left
-    out.
+    cubic interpolates the output (Fritsch and Carlson 1980).
     """
     known = np.isfinite(time) & np.isfinite(u) & np.isfinite(y)
-    if not thinned and np.all(known) and has_same_steps(time):
+    if has_same_steps(time[np.isfinite(time)]):
         return None
     timed = np.isfinite(time) & np.isfinite(u)
     measured = _drop_repeats(time[timed], u[timed], y[timed])
     stamps, u, y = _drop_repeats(time[known], u[known], y[known])
     if stamps.size < TUNING.resampling_fewest or not np.ptp(stamps) > stamps.size / TUNING.largest_number:
         return None
-    if not (thinned or _is_uneven(stamps, y)):
+    if not _is_uneven(stamps, y):
         return None
     from scipy.interpolate import PchipInterpolator
 
     steps = np.diff(stamps)
     period = _usual_step(steps)
-    longest = period * (TUNING.longest_between_repeats if thinned else TUNING.longest_step)
-    if not thinned and _are_late(stamps, y):
+    longest = period * TUNING.longest_step
+    if _are_late(stamps, y):
         return _take_even_clock(stamps, u, y)
     steps = np.minimum(steps, TUNING.clock_longest * period)
     stamps = stamps[0] + np.r_[0.0, np.cumsum(steps)]

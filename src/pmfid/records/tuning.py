@@ -71,27 +71,12 @@ class RecordTuning:
     clock_most: float = 2.0**40
 
     # gaps
-    #: Distance, in multiples of `half`, beyond which samples lie after another gap. `far_weight` is the weight of
-    #: samples after another gap.
-    gaps_near: float = 3.0
-    far_weight: float = 1e-6
-    #: Largest and smallest number of samples that are omitted to measure the error. `gaps_chunk` is the number of
-    #: missing samples that are filled together.
-    gaps_most: int = 1000
-    gaps_fewest: int = 30
-    gaps_chunk: int = 20_000
     #: Smallest part of the samples in which a held input does not change.
     gaps_held: float = 0.5
     #: Quantile of the times for which a held input keeps its values. Gaps shorter than this quantile are filled.
     gaps_shortest: float = 0.02
-    #: Possible lengths of filled gaps [samples].
-    gaps_lengths: tuple[int, ...] = (1, 2, 3, 5, 8, 12, 20, 30, 50, 100)
-    #: Largest error of the interpolated mean input over a gap, relative to the root mean square input.
-    gaps_faithful: float = 0.1
-    #: Length of gaps that are always filled if more than gaps_scattered of the samples are missing. Between scattered
-    #: gaps, no motion could restart.
-    gaps_always: int = 8
-    gaps_scattered: float = 0.02
+    #: Length of gaps that straight lines bridge where no motion can restart after each [samples].
+    gaps_bridged: int = 8
     #: Number of samples without input between two joined records.
     gaps_apart: int = 20
 
@@ -156,8 +141,6 @@ class RecordTuning:
     repeats_most: float = 0.5
     #: Smallest error of an old value [steps of the encoder]. A value with a smaller error is as good as a new value.
     repeats_off: float = 0.75
-    #: Smallest jump of the input, relative to its range.
-    repeats_jump: float = 0.2
 
     # resampling
     #: Relative deviation of steps from their median below which the steps are even.
@@ -170,9 +153,6 @@ class RecordTuning:
     resampling_plain: float = 0.99
     #: Longest step in usual steps. A longer step is a gap without interpolation.
     longest_step: float = 3.5
-    #: Longest step in usual steps after rows with an old output were left out. The limit is larger, because the input
-    #: of these rows is known.
-    longest_between_repeats: float = 8.5
     #: Part of the steps, the shortest ones, whose mean is the usual step.
     resampling_usual: float = 0.98
     #: Ratio of a record's length in median steps to its number of samples above which missing lines do not explain the

@@ -7,6 +7,7 @@ run with every identification. Checks in LATER run in `pmfid check`, and if an e
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 
 from pmfid.config.axis import Axis
 from pmfid.findings import Finding, codes, sort_findings
@@ -16,6 +17,7 @@ from pmfid.pipeline.checks.inputs import find_saturation, held_input
 from pmfid.pipeline.checks.readings import is_turned_by_gravity, no_inertia, no_motion, read_as
 from pmfid.pipeline.checks.timing import odd_period, too_fast, too_slow
 from pmfid.pipeline.checks.view import CheckedLog
+from pmfid.records.gaps import bridge_input
 from pmfid.records.joining import unbroken
 from pmfid.records.record import Record
 
@@ -36,12 +38,16 @@ LATER: tuple[tuple[Check, ...], ...] = ((no_inertia,),)
 
 def scan_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
     """Return the findings of the fast checks."""
-    return sort_findings(_run_families(CheckedLog(unbroken(record), axis), SOON))
+    return sort_findings(_run_families(_open_log(record, axis), SOON))
 
 
 def check_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
     """Return the findings of all checks."""
-    return sort_findings(_run_families(CheckedLog(unbroken(record), axis), (*SOON, *LATER)))
+    return sort_findings(_run_families(_open_log(record, axis), (*SOON, *LATER)))
+
+
+def _open_log(record: Record, axis: Axis) -> CheckedLog:
+    return CheckedLog(unbroken(replace(record, u=bridge_input(record.u))), axis)
 
 
 def _run_families(log: CheckedLog, families: tuple[tuple[Check, ...], ...]) -> Iterator[Finding]:
