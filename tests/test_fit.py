@@ -256,6 +256,13 @@ def test_a_force_is_found_from_the_blind_start(kind: str, seed: int, index: int,
     np.testing.assert_allclose(examine(case).theta, list(case.truth.values()), rtol=bound)
 
 
+def test_an_axis_that_rests_through_most_of_its_first_motion_is_no_stuck_counter() -> None:
+    (case,) = make_cases(4711, "asymmetry", [6])
+    answer = identify(case)
+    assert "stuck" not in answer.status
+    np.testing.assert_allclose(list(answer.theta.values()), list(case.truth.values()), rtol=3e-4)
+
+
 def test_a_second_mass_widens_the_interval() -> None:
     (case,) = make_cases(3117, "second mass", [2])
     answer = identify(case)

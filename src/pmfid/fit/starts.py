@@ -96,13 +96,15 @@ def _guesses(window: ObservedStretch, force: float, further: int) -> Iterator[Fl
     smooth = np.ones(width) / width
     v = np.gradient(np.convolve(window.y - window.y[0], smooth, "same"), t)[width:-width]
     a = np.gradient(np.convolve(v, smooth, "same"), t[width:-width])
-    tiny = 1e-12 * float(np.ptp(window.y)) / float(t[-1] - t[0])
-    speed, change = (
-        float(np.percentile(np.abs(v), 90)) + tiny,
-        float(np.percentile(np.abs(a), 80)) + tiny / float(t[-1]),
-    )
+    speed, change = float(np.percentile(_moving(v), 90)), float(np.percentile(_moving(a), 80))
     for mass, viscous, coulomb in product(*GUESSES):
         yield np.array([force / change * mass, force / speed * viscous, force * coulomb, 0.0, 0.0, *[0.0] * further])
+
+
+def _moving(x: Floats) -> Floats:
+    """Return the sizes of a signal (n,) that is zero at rest, without the rests."""
+    size = np.abs(x)
+    return size[size > 1e-6 * np.max(size)] if np.any(size > 0) else np.ones(1)
 
 
 def _windows(stretch: ObservedStretch, resolution: float) -> Iterator[ObservedStretch]:

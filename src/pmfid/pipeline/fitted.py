@@ -108,7 +108,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
         fit=fit,
         forces=fitted.weighed,
         second=second,
-        explained=isinstance(fitted.likelihood, Intervals) and not fitted.problem.candidates,
+        explained=isinstance(fitted.likelihood, Intervals),
         model_spread=spread,
     )
     if result.coupling is not None:
