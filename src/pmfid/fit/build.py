@@ -11,14 +11,16 @@ import numpy as np
 from pmfid.fit.compare import MOST, ODDS
 from pmfid.fit.elastic import settle_starts
 from pmfid.fit.likelihood import Gaussian, Intervals
-from pmfid.fit.machine import DELAY, LAGGING
-from pmfid.fit.search import ROUNDS, SETTLED, FitSearch, errors_of, is_near_rounding, narrow
-from pmfid.fit.solve import normal_of
+from pmfid.fit.machine import DELAY, LAGGING, BodyForce
+from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.search import GAIN, ROUNDS, SETTLED, FitSearch, errors_of, is_near_rounding, narrow
+from pmfid.fit.solve import normal_of, solve
+from pmfid.fit.starts import MOST_ROWS
 from pmfid.fit.terms import waves
 from pmfid.types import Floats
 
-#: Most steps of the comparison, and the number of wavenumbers that a record is searched for.
-MOST_STEPS, WAVENUMBERS = 12, 100
+#: Most steps of the comparison; most wavenumbers that a record is searched for, those at a time, and the likeliest.
+MOST_STEPS, WAVENUMBERS, TOGETHER, LIKELY_WAVES = 12, 500, 50, 5
 #: Pieces of a record, each with a start of its own. They judge which noise gives the better motion, and replace a
 #: record that no whole motion follows.
 PIECES = 16
@@ -62,6 +64,7 @@ def build(search: FitSearch) -> Gaussian | Intervals:
         elif not (search.waves and search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
             break
         search.solve(search.noise)
+        search.refine()
         explained = search.explain(tries=0)
         if explained is not None:
             return prune(search, explained)
@@ -126,11 +129,9 @@ def _alternatives(search: FitSearch, step: Sequence[int]) -> list[Sequence[int]]
     return [step, sorted([*(i for i in step if i not in new), *other])] if new and other else [step]
 
 
-def prune(search: FitSearch, likelihood: Intervals, fewest: int = 1) -> Intervals:
-    """Drop candidates without which the motion still explains every count, down to `fewest` candidates."""
+def prune(search: FitSearch, likelihood: Intervals) -> Intervals:
+    """Drop candidates without which the motion still explains every count."""
     for i in list(search.chosen):
-        if len(search.chosen) <= fewest:
-            break
         kept = search.remember()
         search.choose([j for j in search.chosen if j != i])
         shorter = narrow(search) if _follows(search) else None
@@ -148,42 +149,92 @@ def _follows(search: FitSearch) -> bool:
 
 
 def _add_wave(search: FitSearch) -> bool:
-    """Add the effect with a period along the travel that the residuals show best, if they show one."""
-    reach = 2 * search.sizes.travel
-    kind, wavenumber, gain = _strongest(search, np.arange(1, WAVENUMBERS + 1) / (2 * reach), search.waves)
-    step = 1 / (2 * reach)
-    for _ in range(3):
-        step /= 4
-        nearby = wavenumber + step * np.arange(-3, 4)
-        _, wavenumber, gain = _strongest(search, np.asarray(nearby[nearby > 0]), (kind,))
-    if gain < math.log(WAVENUMBERS * len(search.waves)) - 2 * ODDS:
+    """Add the effect with a period along the travel that fits best in the present noise, if the residuals show one.
+
+    Side lobes of a true period have nearly its gain, so that the strongest waves are tried.
+    """
+    strongest = _find_waves(search)
+    if strongest[0].gain < math.log(WAVENUMBERS * len(search.waves)) - 2 * ODDS:
         return False
-    size = search.problem.resolution * 3 if not kind else 0.3 * search.sizes.coulomb
-    first = len(search.table)
-    search.table = [*search.table, *waves(kind, 1 / wavenumber, size)]
-    search.choose([*search.chosen, first, first + 1])
+    before, ends = search.remember(), []
+    for wave in strongest:
+        search.return_to(before)
+        _take_wave(search, wave)
+        ends.append((search.solve(search.noise, 10).cost, search.remember()))
+    search.return_to(min(ends, key=lambda end: end[0])[1])
     return True
 
 
-def _strongest(search: FitSearch, wavenumbers: Floats, kinds: Sequence[str]) -> tuple[str, float, float]:
-    """Return kind, wavenumber [1/unit] and gain of log evidence of the strongest wave."""
-    best = ("", 0.0, -math.inf)
-    for kind in kinds:
-        size = search.problem.resolution * 3 if not kind else 0.3 * search.sizes.coulomb
-        pairs = [one for w in wavenumbers.tolist() for one in waves(kind, 1 / w, size)]
-        problem = replace(search.problem, candidates=(*search.problem.candidates, *pairs))
-        q = np.append(search.q, np.zeros(len(pairs)))
-        normal = normal_of(search.noise(problem.linearise(q, search.starts))[1], search.starts)
-        prior = search.prior(problem)
-        gains = pair_gains(normal.A + np.diag(prior), normal.g + prior * q, search.q.size)
-        top = int(np.argmax(gains))
-        if gains[top] > best[2]:
-            best = (kind, float(wavenumbers[top]), float(gains[top]))
-    return best
+@dataclass(frozen=True, eq=False)
+class Wave:
+    """A wave of a kind with its wavenumber [1/unit], the gain of log evidence, and the sizes (2,) of sine and cosine in
+    standard deviations of the prior."""
+
+    kind: str
+    wavenumber: float
+    gain: float
+    sizes: Floats
 
 
-def pair_gains(A: Floats, g: Floats, base: int) -> Floats:
-    """Return the gain (m,) of log evidence by each of m pairs of parameters after the first `base`."""
+def _find_waves(search: FitSearch) -> list[Wave]:
+    """Return the waves with the largest gains, with periods from twice the travel to two steps of the motion."""
+    found = list[Wave]()
+    steps = np.concatenate([np.abs(np.diff(one.y)) for one in search.problem.stretches])
+    count = math.ceil(2 * search.sizes.travel / np.mean(steps[steps > 0]))
+    wavenumbers = np.arange(1, min(count, WAVENUMBERS) + 1) / (4 * search.sizes.travel)
+    for kind in search.waves:
+        for some in np.array_split(wavenumbers, math.ceil(wavenumbers.size / TOGETHER)):
+            found += _weigh_waves(search, kind, some)
+    return sorted(found, key=lambda wave: -wave.gain)[:LIKELY_WAVES]
+
+
+def _weigh_waves(search: FitSearch, kind: str, wavenumbers: Floats) -> list[Wave]:
+    """Return the waves of a kind by the beginning of the record, which bounds time and memory."""
+    stretches, left = list[ObservedStretch](), MOST_ROWS
+    for one in search.noise.stretches:
+        stretches += [replace(one.part(0, min(left, one.drive.step.size)), origin=one.base)] if left > 0 else []
+        left -= one.drive.step.size
+    starts = search.starts[: len(stretches)]
+    problem = _with_waves(replace(search.problem, stretches=tuple(stretches)), search, kind, wavenumbers)
+    q = np.append(search.q, np.zeros(problem.size - search.q.size))
+    noise = replace(search.noise, stretches=stretches)
+    normal = normal_of(noise(problem.linearise(q, starts))[1], starts)
+    prior = search.prior(problem)
+    gains, steps = pair_gains(normal.A + np.diag(prior), normal.g + prior * q, search.q.size)
+    return [Wave(kind, *one) for one in zip(wavenumbers.tolist(), gains.tolist(), steps, strict=True)]
+
+
+def _take_wave(search: FitSearch, wave: Wave) -> None:
+    """Add a wave, first as a force of the measured position, and then of the simulated one with a free period."""
+    problem = _with_waves(search.problem, search, wave.kind, np.array([wave.wavenumber]))
+    q = np.append(search.q, wave.sizes)
+    optimum = solve(problem, search.noise, q, search.starts, search.prior(problem), 10, GAIN)
+    first = len(search.table)
+    search.q, search.starts = optimum.q[:-2], optimum.starts
+    search.table = [*search.table, *waves(wave.kind, 1 / wave.wavenumber, search.wave_size(wave.kind))]
+    search.choose([*search.chosen, first, first + 1])
+    places = dict(zip(search.chosen, search.problem.places, strict=True))
+    search.q[[places[first], places[first + 1]]] = optimum.q[-2:]
+
+
+def _with_waves(problem: FitProblem, search: FitSearch, kind: str, wavenumbers: Floats) -> FitProblem:
+    """Return the problem with sine and cosine for each wavenumber [1/unit]. A force acts at the measured position,
+    because that of the simulated motion may be a period away."""
+    pairs = [one for w in wavenumbers.tolist() for one in waves(kind, 1 / w, search.wave_size(kind))]
+    if kind:
+        angles = [2 * np.pi * np.outer(wavenumbers, one.middles) for one in problem.stretches]
+        columns = [np.stack([np.sin(angle), np.cos(angle)], 1).reshape(-1, angle.shape[1]) for angle in angles]
+        first = problem.stretches[0].drive.columns.shape[0]
+        stretches = [one.with_columns(rows) for one, rows in zip(problem.stretches, columns, strict=True)]
+        problem = replace(problem, stretches=tuple(stretches))
+        form = {"wave": "column", "rub": "column_friction"}[kind]
+        pairs = [replace(one, force=BodyForce(form, column=first + i)) for i, one in enumerate(pairs)]
+    return replace(problem, candidates=(*problem.candidates, *pairs))
+
+
+def pair_gains(A: Floats, g: Floats, base: int) -> tuple[Floats, Floats]:
+    """Return the gain (m,) of log evidence by each of m pairs of parameters after the first `base`, and their steps
+    (m, 2)."""
     size = np.sqrt(np.maximum(np.diag(A), 1e-200))
     A, g = A / np.outer(size, size), g / size
     solved = np.linalg.solve(A[:base, :base] + 1e-12 * np.eye(base), np.column_stack([A[:base, base:], g[:base]]))
@@ -193,4 +244,5 @@ def pair_gains(A: Floats, g: Floats, base: int) -> Floats:
     blocks = inner.reshape(m, 2, m, 2)[range(m), :, range(m), :]
     step = np.linalg.solve(blocks + 1e-9 * np.eye(2), pull.reshape(m, 2, 1))[..., 0]
     logs = np.log(np.maximum(np.linalg.det(blocks), 1e-300)) + 2 * np.log(size[base:]).reshape(m, 2).sum(axis=1)
-    return np.asarray(0.5 * np.sum(step * pull.reshape(m, 2), axis=1) - 0.5 * logs)
+    gains = 0.5 * np.sum(step * pull.reshape(m, 2), axis=1) - 0.5 * logs
+    return gains, -step / size[base:].reshape(m, 2)

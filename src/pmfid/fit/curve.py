@@ -163,7 +163,7 @@ class CurveSearch(FitSearch):
         self.refine()
         explained = self.explain()
         if explained is not None:
-            return prune(self, explained, 0)
+            return prune(self, explained)
         if first:
             return build(self)
         settle(self, WANDERING)

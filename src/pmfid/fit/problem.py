@@ -69,6 +69,17 @@ class ObservedStretch:
         """The steps (k,), negative while the axis rests."""
         return np.where(self.rest, -self.steps, self.steps)
 
+    @cached_property
+    def middles(self) -> Floats:
+        """The measured positions (n,) in the middle of each interval of the input, between the observations [unit]."""
+        ends = np.cumsum(self.drive.step)
+        return np.asarray(np.interp(ends - self.drive.step / 2, self.times, self.y))
+
+    def with_columns(self, columns: Floats) -> ObservedStretch:
+        """Return the stretch with further columns (c, n)."""
+        columns = np.ascontiguousarray(np.vstack([self.drive.columns, columns]))
+        return replace(self, drive=replace(self.drive, columns=columns))
+
     def resting(self, rest: Flags) -> ObservedStretch:
         """Return the stretch with the rests (k,) of a motion. The counts of one rest share one error of rounding, so
         that each has the variance of all together."""
@@ -245,19 +256,24 @@ class FitProblem:
     def _read(self, block: ResidualBlock, v: Floats, stretch: ObservedStretch, q: Floats) -> ResidualBlock:
         """Return a block with the errors of the encoder, which depend on the position, and the lateness of edges."""
         y = block.e * self.resolution + stretch.y
-        e, slope, J = block.e.copy(), np.ones(y.size), block.J.copy()
+        e, slope, J, at = block.e.copy(), np.ones(y.size), block.J.copy(), 0
         for k, candidate in self.place_candidates():
             if candidate.reading is not None:
-                period, phase = candidate.reading
-                angle = 2 * np.pi / period * y + phase
+                (period, phase), at = candidate.reading, k + 1 if candidate.free else at
+                period *= q[at] if candidate.free or candidate.tied else 1.0
+                angle, size = 2 * np.pi / period * y + phase, q[k] * candidate.sd
                 J[:, k] = np.sin(angle) * candidate.sd / self.resolution
                 e += q[k] * J[:, k]
-                slope += q[k] * candidate.sd * 2 * np.pi / period * np.cos(angle)
+                turning = size * 2 * np.pi / period * np.cos(angle)
+                slope += turning
+                if candidate.free or candidate.tied:
+                    J[:, at] += -turning * y / q[at] / self.resolution
             elif candidate.late:
                 J[:, k] = np.where(stretch.counted, 0.0, -v * candidate.sd / self.resolution)
                 e += q[k] * J[:, k]
         of_motion = np.ones(J.shape[1], bool)
-        of_motion[[k for k, candidate in self.place_candidates() if candidate.reads]] = False
+        for k, candidate in self.place_candidates():
+            of_motion[k : k + 1 + candidate.free] = not candidate.reads
         J[:, of_motion] *= slope[:, None]
         return ResidualBlock(e, J, block.K * slope[:, None])
 
@@ -280,7 +296,11 @@ class FitProblem:
         theta = self.theta(q) if acts is None else self.theta(q) * acts
         slopes = m.lift_at(theta) if acts is None else m.lift_at(theta) * acts
         extra = [force for one in self.candidates for force in one.forces]
-        w = m.lift.shape[0] + len(extra) + sum(one.free and one.by_constant is None for one in self.candidates)
+        w = (
+            m.lift.shape[0]
+            + len(extra)
+            + sum((one.free or one.tied) and one.by_constant is None and not one.reads for one in self.candidates)
+        )
         # rows: base, forces of the machine, further forces, constants of the machine, further constants, controller
         place = [*range(base + count), *range(base + count + len(extra), base + count + len(extra) + shapes)]
         place += range(w - m.loops, w)
@@ -301,6 +321,9 @@ class FitProblem:
                 lift[row - 1, k] = (q[k + 1] - 1) * further
             elif candidate.free:
                 body[constant], lift[constant, k + 1] = q[k + 1] * candidate.constant, candidate.constant
+                constant += 1
+            elif candidate.tied:
+                body[constant], lift[constant] = body[constant - 1], lift[constant - 1]
                 constant += 1
         return body, [*m.forces, *extra], lift
 

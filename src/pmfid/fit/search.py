@@ -18,7 +18,7 @@ from pmfid.fit.play import play_start
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.solve import Likelihood, Optimum, normal_of, solve
 from pmfid.fit.starts import blind_start, sizes_of
-from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes
+from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, free_constants
 from pmfid.fit.tuning import MOTION
 from pmfid.types import Floats
 
@@ -78,8 +78,7 @@ def with_columns(problem: FitProblem, candidates: Sequence[ExtraForce]) -> tuple
     ends = np.cumsum([one.drive.u.size for one in problem.stretches])[:-1]
     stretches = []
     for stretch, added in zip(problem.stretches, np.split(rows, ends, axis=1), strict=True):
-        columns = np.ascontiguousarray(np.vstack([stretch.drive.columns, added]))
-        stretches.append(replace(stretch, drive=replace(stretch.drive, columns=columns)))
+        stretches.append(stretch.with_columns(added))
     numbers = first + np.cumsum([0, *(len(one.columns) for one in candidates)])
     placed = [one.place_column(int(number)) for one, number in zip(candidates, numbers, strict=False)]
     return replace(problem, stretches=tuple(stretches)), placed
@@ -173,7 +172,8 @@ class FitSearch:
         table, places = list(self.table), list[int]()
         for i, (k, one) in zip(self.chosen, self.problem.place_candidates(), strict=True):
             if one.with_constant is not None:
-                table[i], places = one.with_constant(one.constant * float(self.q[k + 1])), [*places, k + 1]
+                places += [k + 1] if one.free else []
+                table[i] = one.with_constant(one.constant * float(self.q[places[-1]]))
         if not places:
             return
         own = (replace(one.drive, columns=one.drive.columns[: self.columns]) for one in self.plain.stretches)
@@ -199,7 +199,7 @@ class FitSearch:
         return float(self.first[3] + sum(self.first[4] * one.q for one in springs))
 
     def _chosen_problem(self) -> FitProblem:
-        return self.plain.with_candidates([self.table[i].free_constant() for i in self.chosen])
+        return self.plain.with_candidates([free_constants(self.table, self.chosen)[i] for i in self.chosen])
 
     def prior(self, problem: FitProblem) -> Floats:
         """Return the prior precisions (p,): those of the machine, and 1 for the size of a candidate."""
@@ -247,6 +247,10 @@ class FitSearch:
     def rate(self) -> float:
         body, _, _ = self.problem._body(self.q)
         return max(0.0, float(body[VISCOUS] / body[MASS]))
+
+    def wave_size(self, kind: str) -> float:
+        """Return the standard deviation of the size of a wave of one kind of `WAVES`."""
+        return 0.3 * self.sizes.coulomb if kind else 3 * self.problem.resolution
 
     def reaches_bound(self, q: Floats) -> bool:
         """Return whether the mass of q (p,) is at a bound, where no motion of the model follows the record."""
@@ -313,9 +317,7 @@ class FitSearch:
         """Return the quadratic log likelihood by the machine's parameters and by all candidates of the table, about
         size 0 of each candidate."""
         sizes = self._sizes()
-        every = self.plain.with_candidates(
-            [one.free_constant() if i in self.chosen else one for i, one in enumerate(self.table)]
-        )
+        every = self.plain.with_candidates(free_constants(self.table, self.chosen))
         q, at = every.start(self.plain.theta(self.q[: self.count])), np.zeros(len(self.table))
         for i, (k, candidate) in enumerate(every.place_candidates()):
             at[i] = q[k] = sizes.get(i, (0.0, 1.0))[0]

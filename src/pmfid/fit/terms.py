@@ -30,7 +30,8 @@ class ExtraForce:
     lower bound of the size in units of `sd`. `column` makes the column of the record from its input. A `reading`
     has the period and the phase of an error of the encoder, in place of a force, and `late` means the time by which all
     edges are late. The constant of a column is a width of the input or a time: `with_constant` makes the candidate with
-    another one, and `by_constant` makes the derivative of the column, which follows the column in the record.
+    another one, and `by_constant` makes the derivative of the column, which follows the column in the record. A `tied`
+    force has the constant of the candidate before: sine and cosine have one period.
     """
 
     name: str
@@ -47,6 +48,7 @@ class ExtraForce:
     late: bool = False
     with_constant: Callable[[float], ExtraForce] | None = None
     by_constant: Callable[[Floats, Floats], Floats] | None = None
+    tied: bool = False
 
     @property
     def forces(self) -> list[BodyForce]:
@@ -66,10 +68,15 @@ class ExtraForce:
         """Whether the candidate changes what is observed and not the motion."""
         return self.late or self.reading is not None
 
-    def free_constant(self) -> ExtraForce:
-        """Return the candidate with its constant among the parameters, if it has one that the record may determine."""
+    def free_constant(self, before: ExtraForce | None) -> ExtraForce:
+        """Return the candidate with its constant among the parameters, if it has one that the record may determine.
+        The constant may be that of the candidate `before`."""
         if self.by_constant is not None:
             return replace(self, free=True)
+        if self.with_constant is not None:
+            tied = before is not None and before.free and before.words == self.words
+            force = None if self.force is None else replace(self.force, free=True)
+            return replace(self, free=not tied, tied=tied, force=force)
         if self.force is None or self.force.kind not in ("stribeck", "load_stribeck"):
             return self
         return replace(self, free=True, constant=self.force.p, force=replace(self.force, free=True))
@@ -104,6 +111,14 @@ class ExtraForce:
         if self.force is None or self.column is None:
             return self
         return replace(self, force=replace(self.force, column=column))
+
+
+def free_constants(candidates: Sequence[ExtraForce], chosen: Sequence[int]) -> list[ExtraForce]:
+    """Return the candidates, the chosen ones with their constants among the parameters."""
+    freed = list[ExtraForce]()
+    for i, one in enumerate(candidates):
+        freed.append(one.free_constant(freed[-1] if freed else None) if i in chosen else one)
+    return freed
 
 
 @dataclass(frozen=True)
@@ -331,7 +346,9 @@ def waves(kind: str, period: float, size: float) -> list[ExtraForce]:
     """Return the sine and the cosine of an effect of one kind of `WAVES` with a period along the travel."""
     name, what, remedy = WAVES[kind]
     words, remedy = f"{what} that repeats every {period:.4g} of travel", remedy.format(period)
-    phases = (0.0, math.pi / 2)
-    if not kind:
-        return [ExtraForce(name, words, remedy, size, reading=(period, phase)) for phase in phases]
-    return [ExtraForce(name, words, remedy, size, force=BodyForce(kind, period, phase)) for phase in phases]
+    moves = (lambda other: waves(kind, other, size)[0], lambda other: waves(kind, other, size)[1])
+    candidates = []
+    for phase, move in zip((0.0, math.pi / 2), moves, strict=True):
+        form = {"force": BodyForce(kind, period, phase)} if kind else {"reading": (period, phase)}
+        candidates.append(ExtraForce(name, words, remedy, size, constant=period, with_constant=move, **form))
+    return candidates
