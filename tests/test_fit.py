@@ -248,10 +248,11 @@ def test_an_input_that_bends_is_one_in_all_stretches() -> None:
         ("friction drift", 3117, 1, 2e-3),
         ("quadratic", 31337, 0, 3e-5),
         ("dead time 0.3", 1, 11, 1e-3),
+        ("cogging", 777, 2, 1e-4),
     ],
 )
 def test_a_force_is_found_from_the_blind_start(kind: str, seed: int, index: int, bound: float) -> None:
-    """Steps from the plain motion end 0.04 to 15 % off. Least squares sees no dead time next to the time constant."""
+    """Steps from the plain motion end 0.04 to 67 % off. Least squares sees no dead time next to the time constant."""
     (case,) = make_cases(seed, kind, [index])
     np.testing.assert_allclose(examine(case).theta, list(case.truth.values()), rtol=bound)
 
