@@ -166,7 +166,7 @@ def _add_wave(search: FitSearch) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Wave:
+class WeighedWave:
     """A wave of a kind with its wavenumber [1/unit], the gain of log evidence, and the sizes (2,) of sine and cosine in
     standard deviations of the prior."""
 
@@ -176,9 +176,9 @@ class Wave:
     sizes: Floats
 
 
-def _find_waves(search: FitSearch) -> list[Wave]:
+def _find_waves(search: FitSearch) -> list[WeighedWave]:
     """Return the waves with the largest gains, with periods from twice the travel to two steps of the motion."""
-    found = list[Wave]()
+    found = list[WeighedWave]()
     steps = np.concatenate([np.abs(np.diff(one.y)) for one in search.problem.stretches])
     count = math.ceil(2 * search.sizes.travel / np.mean(steps[steps > 0]))
     wavenumbers = np.arange(1, min(count, WAVENUMBERS) + 1) / (4 * search.sizes.travel)
@@ -188,7 +188,7 @@ def _find_waves(search: FitSearch) -> list[Wave]:
     return sorted(found, key=lambda wave: -wave.gain)[:LIKELY_WAVES]
 
 
-def _weigh_waves(search: FitSearch, kind: str, wavenumbers: Floats) -> list[Wave]:
+def _weigh_waves(search: FitSearch, kind: str, wavenumbers: Floats) -> list[WeighedWave]:
     """Return the waves of a kind by the beginning of the record, which bounds time and memory."""
     stretches, left = list[ObservedStretch](), MOST_ROWS
     for one in search.noise.stretches:
@@ -201,10 +201,10 @@ def _weigh_waves(search: FitSearch, kind: str, wavenumbers: Floats) -> list[Wave
     normal = normal_of(noise(problem.linearise(q, starts))[1], starts)
     prior = search.prior(problem)
     gains, steps = pair_gains(normal.A + np.diag(prior), normal.g + prior * q, search.q.size)
-    return [Wave(kind, *one) for one in zip(wavenumbers.tolist(), gains.tolist(), steps, strict=True)]
+    return [WeighedWave(kind, *one) for one in zip(wavenumbers.tolist(), gains.tolist(), steps, strict=True)]
 
 
-def _take_wave(search: FitSearch, wave: Wave) -> None:
+def _take_wave(search: FitSearch, wave: WeighedWave) -> None:
     """Add a wave, first as a force of the measured position, and then of the simulated one with a free period."""
     problem = _with_waves(search.problem, search, wave.kind, np.array([wave.wavenumber]))
     q = np.append(search.q, wave.sizes)
