@@ -23,6 +23,7 @@ from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
 from pmfid.types import Counts, Floats
 from studies.monitoring.axis import INCREMENTS, changing, normal_work
 from tests.conftest import long_unless
+from tests.refusals import refused as check_refusals
 
 AXES = 4
 SECONDS = 25.0
@@ -351,6 +352,11 @@ def test_axes_come_and_go(monitor: Monitor, records: tuple[Floats, Counts]) -> N
 def test_what_does_not_fit_is_refused(monitor: Monitor, index: Any, u: Any, counts: Any, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         MonitorFleet(monitor, 2).run(index, u, counts)
+
+
+def test_ages_need_monitors_of_edges(monitor: Monitor) -> None:
+    fleet, samples = MonitorFleet(monitor, 1), np.zeros((1, 3))
+    check_refusals(("leave out ages", lambda: fleet.run([0], samples, samples.astype(int), samples)))
 
 
 def test_a_new_reference_on_demand(monitor: Monitor, records: tuple[Floats, Counts]) -> None:

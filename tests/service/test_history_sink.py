@@ -49,7 +49,7 @@ def full_at(size: int) -> Iterator[None]:
         signal.signal(signal.SIGXFSZ, ignored)
 
 
-def test_alarms_acknowledgements_and_configurations_have_tables(tmp_path: Path) -> None:
+def test_alarms_acknowledgements_and_configurations_have_views(tmp_path: Path) -> None:
     path = tmp_path / "alarms.sqlite"
     configured = notice(3, "configuration", config="cart.toml", digest="ab12")
     known = notice(4, "acknowledged", alarm=1, note="seen; DROP TABLE notices")

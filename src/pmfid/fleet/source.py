@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from inspect import signature
 from pathlib import Path
@@ -59,10 +59,6 @@ def walk_folder(folder: Path) -> tuple[list[Path], list[Path], list[Path]]:
 
 #: Folders in which Delta Lake and Iceberg list their valid files.
 DELTA, ICEBERG, METADATA = "_delta_log", "metadata", "*.metadata.json"
-#: Actions of the log that a reader of plain files may ignore. With any other action, rows of the files may be invalid,
-#: or columns have other names.
-_PLAIN = {"timestampNtz", "vacuumProtocolCheck", "v2Checkpoint"}
-_PARTITION = "partition."
 
 
 def is_delta(folder: Path) -> bool:
@@ -86,28 +82,15 @@ def check_no_table(folders: Sequence[Path]) -> None:
     )
 
 
-def delta_files(folder: Path) -> Iterator[tuple[Path, Mapping[str, str]]]:
-    """Yield the valid files of a Delta table, and the values that all rows of a file share.
+def scan_delta(folder: Path) -> pl.LazyFrame:
+    """Return the valid rows of a Delta table.
 
-    Raises UsageError without the package deltalake, for a damaged log, and for a table whose files do not contain all
-    that its log states.
+    Raises UsageError without the package deltalake, for a damaged log, and for features that Polars cannot read.
     """
     with require_extra("delta"):
         from deltalake import DeltaTable
     with readable("Delta"):
-        table = DeltaTable(str(folder))
-        protocol, actions = table.protocol(), pl.DataFrame(table.get_add_actions(flatten=True))
-    features = set(protocol.reader_features or []) - _PLAIN
-    if protocol.min_reader_version == 2 or features:
-        named = ", ".join(sorted(features)) or "columnMapping"
-        raise UsageError(
-            f"{folder}: the Delta table uses {named}, which pmfid cannot read; write the table as plain "
-            "Parquet, or without these features"
-        )
-    keys = [name for name in actions.columns if name.startswith(_PARTITION)]
-    for row in actions.select("path", *keys).sort("path").iter_rows(named=True):
-        said = {key.removeprefix(_PARTITION): str(row[key]) for key in keys if row[key] is not None}
-        yield folder / unquote(row["path"]), said
+        return pl.scan_delta(DeltaTable(str(folder)))
 
 
 #: End of an ISO 8601 time with an offset from UTC.
@@ -360,7 +343,8 @@ def _files(source: Path, out: Path | None) -> list[Part]:
     if source.is_file():
         return [_part(source, source.parent)]
     if is_delta(source):
-        return [_part(path, source, said) for path, said in delta_files(source)]
+        table = scan_delta(source)
+        return [Part(source.name, "", lambda: table)]
     folders, paths, closed = walk_folder(source)
     check_no_table(folders)
     known = {*READERS, *ENDINGS}
@@ -375,15 +359,13 @@ def _files(source: Path, out: Path | None) -> list[Part]:
     return [_part(path, source) for path in (*found, *closed)]
 
 
-def _part(path: Path, root: Path, said: Mapping[str, str] | None = None) -> Part:
-    """Return one file as a part. `said` has constants of all its rows, in addition to those in the folder names."""
+def _part(path: Path, root: Path) -> Part:
+    """Return one file as a part."""
     inside, stamp = path.relative_to(root), _stamp(path)
     pairs = (part.partition("=") for part in inside.parent.parts if "=" in part)
     constants = {unquote(key): "" if value == _NOTHING else unquote(value) for key, _, value in pairs}
-    there = path.absolute()  # an executor may have another working folder
     name = inside.as_posix().encode("utf-8", "backslashreplace").decode()  # a file name may contain any bytes
-    said = constants | dict(said or {})
-    return Part(name, stamp, lambda: _open_file(there), said, lambda: _stamp(there))
+    return Part(name, stamp, lambda: _open_file(path), constants, lambda: _stamp(path))
 
 
 def _kind(path: Path) -> str:

@@ -21,8 +21,8 @@ from pmfid.monitor.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats, Places
 
 T = TypeVar("T")
-#: Samples u, counts and ages of some axes, (k, n) each.
-Inputs = tuple[Floats, Counts, Floats]
+#: Samples u and counts of some axes, and ages if their monitors take them, (k, n) each.
+Inputs = tuple[NDArray[Any], ...]
 
 
 class MonitorFleet:
@@ -94,20 +94,28 @@ class MonitorFleet:
 
         `ages` (k, n) belong to monitors of edges: an age [s] is NaN without an edge since the last sample, and None
         means no edges. If u is not finite, the sample is lost, as in `step` of a monitor. Raises UsageError if an axis
-        does not exist or comes twice, or if the arrays do not fit.
+        does not exist or comes twice, if the arrays do not fit, or for ages that the monitors do not take.
         """
-        places, inputs, read_counts = self._check_arrays(index, u, counts)
-        nothing = np.broadcast_to(np.float64(np.nan), inputs.shape)
-        instants = nothing if ages is None else np.asarray(numbers("ages", ages), np.float64)
-        if instants.shape != inputs.shape:
-            raise UsageError(f"ages must have the shape {inputs.shape} of u, got {instants.shape}")
-        rows = FleetRows.empty(len(inputs), inputs.shape[1], len(self.names))
-        for group in slices(len(inputs), TUNING.fleet_group):
-            for time in slices(inputs.shape[1], TUNING.fleet_piece):
+        places, *inputs = self._check_arrays(index, u, counts)
+        shape = inputs[0].shape
+        if self.takes_ages:
+            inputs.append(self._check_ages(ages, shape))
+        elif ages is not None:
+            raise UsageError("these monitors compute from counts: leave out ages, or make a fleet of an EdgeMonitor")
+        rows = FleetRows.empty(shape[0], shape[1], len(self.names))
+        for group in slices(shape[0], TUNING.fleet_group):
+            for time in slices(shape[1], TUNING.fleet_piece):
                 part = group, time
-                self._run(places[group], (inputs[part], read_counts[part], instants[part]), rows, part)
+                self._run(places[group], tuple(array[part] for array in inputs), rows, part)
         rows.events.sort(key=lambda one: one[:2])
         return rows
+
+    @staticmethod
+    def _check_ages(ages: ArrayLike | None, shape: tuple[int, ...]) -> Floats:
+        found = np.full(shape, np.nan) if ages is None else np.asarray(numbers("ages", ages), np.float64)
+        if found.shape != shape:
+            raise UsageError(f"ages must have the shape {shape} of u, got {found.shape}")
+        return found
 
     def _run(self, index: Places, inputs: Inputs, rows: FleetRows, part: tuple[slice, slice]) -> None:
         """Run a piece of a group of axes. The quiet axes run together, all other axes one by one."""
@@ -115,7 +123,7 @@ class MonitorFleet:
         if quiet.all():
             quiet = self._run_quiet(index, inputs, rows, part, np.arange(index.size))
         elif quiet.any():
-            some = inputs[0][quiet], inputs[1][quiet], inputs[2][quiet]
+            some = tuple(array[quiet] for array in inputs)
             quiet[quiet] = self._run_quiet(index[quiet], some, rows, part, np.flatnonzero(quiet))
         for k in np.flatnonzero(~quiet).tolist():
             single = self._with(int(index[k]), partial(_run_one, inputs=[array[k] for array in inputs]))
@@ -133,10 +141,10 @@ class MonitorFleet:
         own = rows.part(group)
         if own.status.shape != shape:  # only some axes of the group, or some samples
             found = FleetRows.empty(shape[0], shape[1], len(self.names))
-            kept = self._quiet.run(self._all, index, *inputs, found)
+            kept = self._quiet.run(self._all, index, found, *inputs)
             rows.take(found, group.start + at, time, kept)
         else:
-            kept = self._quiet.run(self._all, index, *inputs, own)
+            kept = self._quiet.run(self._all, index, own, *inputs)
             rows.tell(own, group.start + at, time, kept)
         return np.asarray(kept)
 

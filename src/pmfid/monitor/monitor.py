@@ -200,11 +200,10 @@ class Monitor(WatchedAxis, Presentable):
         estimator = construct_estimator(type(self.estimator), configuration_of(self.estimator))
         return Monitor(estimator, self.calibration, copy(self.watch), self.known)
 
-    def run(self, u: ArrayLike, counts: ArrayLike, ages: ArrayLike | None = None) -> FleetRows:
+    def run(self, u: ArrayLike, counts: ArrayLike) -> FleetRows:
         """Take many samples u, counts (n,) at once, and return the rows of a fleet of one axis.
 
-        The results have the bits of `step` in a loop. `ages` have no effect. Raises UsageError if the arrays do not
-        fit.
+        The results have the bits of `step` in a loop. Raises UsageError if the arrays do not fit.
         """
         inputs, read_counts = check_arrays(u, counts)
         rows = FleetRows.empty(1, inputs.size, len(self.names))

@@ -35,7 +35,7 @@ class Quiet:
         """Return which of these axes can run here, (k,)."""
         return self._calm[every.watched.state[index]]
 
-    def run(self, every: AxisStates, index: Places, u: Floats, counts: Counts, ages: Floats, rows: FleetRows) -> Flags:
+    def run(self, every: AxisStates, index: Places, rows: FleetRows, u: Floats, counts: Counts) -> Flags:
         """Run a piece u, counts (k, n) of the axes `index` (k,), and return whether each axis stayed quiet, (k,).
 
         Only the states and rows of axes that stayed quiet change. Consecutive axes are computed in place.

@@ -25,7 +25,7 @@ class QuietEdges:
         calm = np.isin(every.state[index], (_STARTING, _WATCHING, _CANNOT_TELL))
         return np.asarray(np.isfinite(u).all(axis=1) & calm)
 
-    def run(self, every: EdgeStates, index: Places, u: Floats, counts: Counts, ages: Floats, rows: FleetRows) -> Flags:
+    def run(self, every: EdgeStates, index: Places, rows: FleetRows, u: Floats, counts: Counts, ages: Floats) -> Flags:
         """Run a piece u, counts, ages (k, n) of the axes `index` (k,), and return whether each axis stayed quiet, (k,).
 
         Only the states of axes that stayed quiet change.

@@ -1,7 +1,4 @@
-"""The assignment of axes to groups at the start, after a restart, and after a change of PLANT.toml.
-
-This module also keeps the history of configurations, which is part of a checkpoint and goes to the sinks.
-"""
+"""The assignment of axes to groups at the start, after a restart, and after a change of PLANT.toml."""
 
 from __future__ import annotations
 
@@ -10,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from threading import Event
-from time import monotonic, time
+from time import monotonic
 from typing import TypeVar
 
 from pmfid.config.axis import Axis, load_axis
@@ -157,24 +154,13 @@ def arrange_groups(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: 
     return made, fresh
 
 
-def remember(engine: StreamEngine) -> None:
-    """Append new configurations to the history, with the time."""
-    known = {entry["digest"] for entry in engine.history[-TUNING.arrangement_recent :]}
-    for group in engine.groups:
-        if group.prepared.digest not in known:
-            entry = {"wall": time(), "config": group.kindred.config, "digest": group.prepared.digest}
-            nominal = dict(zip(group.kindred.names, group.kindred.nominal.tolist(), strict=True))
-            engine.history.append({**entry, "nominal": nominal})
-    del engine.history[: -TUNING.arrangement_most]
-
-
 def tell_configurations(engine: StreamEngine, reported: Container[str] = ()) -> None:
     """Report the present configurations, except those `reported`, to the sinks.
 
-    A sink keeps a configuration that differs from the last one.
+    The history of the service shows a configuration that differs from the last one.
     """
-    present = {group.prepared.digest for group in engine.groups}
-    for entry in engine.history:
-        if entry["digest"] in present and entry["digest"] not in reported:
-            content = {key: entry[key] for key in ("config", "digest", "nominal")}
+    for group in engine.groups:
+        if (digest := group.prepared.digest) not in reported:
+            nominal = dict(zip(group.kindred.names, group.kindred.nominal.tolist(), strict=True))
+            content = {"config": group.kindred.config, "digest": digest, "nominal": nominal}
             engine.notices.publish_own("", {"event": "configuration", **content})

@@ -21,7 +21,7 @@ from pmfid.config.axis import Axis
 from pmfid.errors import PmfidError, UsageError
 from pmfid.pipeline.monitored.stream import catch_signals
 from pmfid.records.record import Record, read_record
-from pmfid.service.arrangement import Configurations, arrange_groups, remember, tell_configurations
+from pmfid.service.arrangement import Configurations, arrange_groups, tell_configurations
 from pmfid.service.context import Context
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.plant import Plant, page_config
@@ -207,7 +207,6 @@ class Service:
         """Assign the axes to groups, including the given groups, and return the names of axes without a history."""
         made, fresh = arrange_groups(groups, self._axes, self._pace)
         self._engine.set_groups(made)
-        remember(self._engine)
         seats = [seat for group in self._engine.groups for seat in group.seats]
         referred = {seat.name: seat.referred for seat in seats if seat.referred is not None}
         self._board.arrange([group.kindred for group in self._engine.groups], referred)

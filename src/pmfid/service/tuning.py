@@ -12,9 +12,6 @@ class ServiceTuning:
     # arrangement
     #: Time between two reports on the progress of a calibration [s].
     arrangement_progress: float = 10.0
-    #: Number of last configurations that are compared with new ones, and number of kept configurations.
-    arrangement_recent: int = 100
-    arrangement_most: int = 1000
 
     # board.board
     #: Number of kept notices, and number of rows that wait for a viewer.

@@ -80,7 +80,6 @@ def draft(engine: StreamEngine) -> Draft:
         {
             "wall": time.time(),
             "numbered": engine.numbered,
-            "history": engine.history,
             "alarms": [vars(alarm) for alarm in engine.notices.alarms.all()],
             "unwritten": {
                 sink: [[notice.axis, notice.number, notice.wall, notice.what] for notice in some]
@@ -160,14 +159,13 @@ class Snapshot:
 
     wall: float
     numbered: int
-    history: list[dict[str, Any]]
     alarms: list[AlarmRecord]
     unwritten: dict[str, list[Notice]]
     groups: list[Saved]
 
     def restore(self, engine: StreamEngine) -> None:
         """Restore the part of the engine outside its groups."""
-        engine.history, engine.numbered = self.history, self.numbered
+        engine.numbered = self.numbered
         engine.notices.restore(self.alarms)
         engine.silence.restore(self.alarms)
 
@@ -194,8 +192,7 @@ def read_snapshot(body: bytes) -> Snapshot:
         ]
         alarms = [AlarmRecord(**alarm) for alarm in raw["alarms"]]
         unwritten = {sink: [Notice(*entry) for entry in some] for sink, some in raw["unwritten"].items()}
-        history = list(raw["history"])
-        return Snapshot(float(raw["wall"]), int(raw["numbered"]), history, alarms, unwritten, groups)
+        return Snapshot(float(raw["wall"]), int(raw["numbered"]), alarms, unwritten, groups)
     except (KeyError, TypeError, AttributeError, IndexError, struct.error, RecursionError) as error:
         raise ValueError(f"this version of pmfid cannot read it as a checkpoint: {error!r}") from None
 

@@ -126,10 +126,9 @@ class StreamEngine:
     `outlets` receive rows and notices. `followed` returns the names of the axes whose rows are all given out. `groups`
     has all axes. `unwritten` returns the alarms that sinks do not have yet, by the name of the sink.
 
-    `history` has the configurations and the
-    times at which they began. `numbered` is the last number given to an axis. `beat` is `time.monotonic()` of the last
-    tick. `changes` counts the changes to the content of a checkpoint. If `urgent` is set, a checkpoint is due soon,
-    because no source repeats a command. `waiting` is true while no source may deliver, so that silence means nothing.
+    `numbered` is the last number given to an axis. `beat` is `time.monotonic()` of the last tick. `changes` counts the
+    changes to the content of a checkpoint. If `urgent` is set, a checkpoint is due soon, because no source repeats a
+    command. `waiting` is true while no source may deliver, so that silence means nothing.
     """
 
     counters: Counters
@@ -139,7 +138,6 @@ class StreamEngine:
     keeper: Keeper = field(default_factory=_Forgetful)
     unwritten: Callable[[], dict[str, list[Notice]]] = dict
     groups: list[Group] = field(default_factory=list, init=False)
-    history: list[dict[str, Any]] = field(default_factory=list, init=False)
     numbered: int = field(default=0, init=False)
     beat: float = field(default=0.0, init=False)
     changes: int = field(default=0, init=False)

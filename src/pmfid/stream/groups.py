@@ -319,7 +319,7 @@ class Group:
 
     def run(self, index: NDArray[np.int64], u: Floats, counts: Counts, ages: Floats | None) -> FleetRows:
         """Step the next n samples u, counts, ages (k, n) of the axes `index` (k,)."""
-        return self.fleet.run(index, u, counts, ages)
+        return self.fleet.run(index, u, counts, ages if self.fleet.takes_ages else None)
 
     def add(self, names: Iterable[str]) -> None:
         """Add axes without a history."""

@@ -16,7 +16,7 @@ from pmfid.stream.tuning import TUNING
 #: Name of the file in the folder `[service] state`.
 FILE = "pmfid.sqlite"
 #: Version of the tables, and the number that marks such a file ("pmfd"). The file contains both.
-VERSION, APPLICATION = 3, 0x706D6664
+VERSION, APPLICATION = 4, 0x706D6664
 
 SCHEMA = """
 CREATE TABLE checkpoint (sequence INTEGER NOT NULL, checksum INTEGER NOT NULL);
@@ -31,38 +31,34 @@ CREATE TABLE notices (
     UNIQUE (number, axis, what)
 );
 CREATE INDEX notices_of_axis ON notices (axis, event, id);
-CREATE TABLE alarms (
-    id INTEGER PRIMARY KEY REFERENCES notices (id),
-    number INTEGER NOT NULL,
-    axis TEXT NOT NULL,
-    wall REAL NOT NULL,
-    time REAL,                -- [s] by the clock of the axis
-    changed_at REAL,
-    parameter TEXT,
-    direction TEXT,
-    change REAL,
-    std REAL,
-    unit TEXT,
-    relative REAL,
-    statistic REAL,
-    threshold REAL
-);
-CREATE INDEX alarms_by_number ON alarms (number);
-CREATE TABLE acknowledgements (
-    id INTEGER PRIMARY KEY REFERENCES notices (id),
-    alarm INTEGER REFERENCES alarms (id),  -- NULL where that alarm is not in this file
-    axis TEXT NOT NULL,
-    wall REAL NOT NULL,
-    note TEXT NOT NULL
-);
-CREATE TABLE configurations (
-    id INTEGER PRIMARY KEY REFERENCES notices (id),
-    axis TEXT NOT NULL,
-    wall REAL NOT NULL,
-    config TEXT,
-    digest TEXT,
-    what TEXT NOT NULL
-);
+CREATE VIEW alarms AS SELECT
+    id, number, axis, wall,
+    json_extract(what, '$.time') AS time,  -- [s] by the clock of the axis
+    json_extract(what, '$.changed_at') AS changed_at,
+    json_extract(what, '$.parameter') AS parameter,
+    json_extract(what, '$.direction') AS direction,
+    json_extract(what, '$.change') AS change,
+    json_extract(what, '$.std') AS std,
+    json_extract(what, '$.unit') AS unit,
+    json_extract(what, '$.relative') AS relative,
+    json_extract(what, '$.statistic') AS statistic,
+    json_extract(what, '$.threshold') AS threshold
+FROM notices WHERE event = 'alarm';
+CREATE VIEW acknowledgements AS SELECT
+    id,
+    -- The newest alarm of the number, because a service that lost its state counts from 1 again.
+    (SELECT max(alarm.id) FROM notices AS alarm WHERE alarm.event = 'alarm' AND alarm.axis = known.axis
+        AND alarm.id < known.id
+        AND alarm.number = coalesce(json_extract(known.what, '$.alarm'), json_extract(known.what, '$.number'))
+    ) AS alarm,
+    axis, wall, coalesce(json_extract(what, '$.note'), '') AS note
+FROM notices AS known WHERE event = 'acknowledged';
+CREATE VIEW configurations AS SELECT id, axis, wall, config, digest, what FROM (
+    SELECT *, lag(digest) OVER (PARTITION BY config, axis ORDER BY id) AS before FROM (
+        SELECT *, json_extract(what, '$.config') AS config, json_extract(what, '$.digest') AS digest
+        FROM notices WHERE event = 'configuration'
+    ) WHERE digest IS NOT NULL
+) WHERE digest IS NOT before;
 """
 
 Event = dict[str, Any]
