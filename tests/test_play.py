@@ -35,8 +35,8 @@ def body() -> Floats:
 
 
 def test_the_motion_is_that_of_an_independent_integrator() -> None:
-    truth = simulate_two_masses(TwoMasses(*PAIR, gap=GAP), INPUT, STEP, np.array([0.0, 0.0, 3e-5, 0.0]), 100)
-    assert np.max(np.abs(simulate(body())[0] - truth[:, 0])) < 1e-3 * np.ptp(truth[:, 0])
+    truth = simulate_two_masses(TwoMasses(*PAIR, gap=GAP), INPUT, STEP, np.array([0.0, 0.0, 3e-5, 0.0]), 20)
+    assert np.max(np.abs(simulate(body())[0] - truth[:, 0])) < 1e-7 * np.ptp(truth[:, 0])
 
 
 def test_the_derivatives_are_those_of_the_motion() -> None:
@@ -49,9 +49,9 @@ def test_the_derivatives_are_those_of_the_motion() -> None:
         assert np.max(np.abs(quotient - slopes[:, index])) < 1e-3 * np.max(np.abs(quotient)), index
 
 
-def record(gap: float, seed: int = 3) -> tuple[Floats, Counts]:
+def record(gap: float, seed: int = 4) -> tuple[Floats, Counts]:
     u = np.random.default_rng(seed).uniform(-1, 1, 100).repeat(12)
-    y = simulate_two_masses(TwoMasses(*PAIR, gap=gap), u[:-1], STEP, np.zeros(4), 60)[:, 0]
+    y = simulate_two_masses(TwoMasses(*PAIR, gap=gap), u[:-1], STEP, np.zeros(4), 20)[:, 0]
     return u, np.floor(y / RESOLUTION + 0.4).astype(np.int64)
 
 
@@ -64,11 +64,10 @@ def identify(gap: float, **model: object) -> pmfid.Result:
 def test_the_gap_is_found_within_a_part_of_a_count() -> None:
     result = identify(GAP, body="two-mass", play=True)
     assert result.names[-3:] == ("stiffness", "damping", "play")
-    assert result["play"] == pytest.approx(GAP, abs=0.5 * RESOLUTION)
-    assert result["motor_mass"] == pytest.approx(0.5, rel=0.02)
-    assert result["load_mass"] == pytest.approx(0.4, rel=0.02)
-    assert result.interval_95 is not None
-    assert result.interval_95[-1, 0] <= GAP <= result.interval_95[-1, 1]
+    assert result["play"] == pytest.approx(GAP, abs=0.05 * RESOLUTION)
+    low, high = result.interval_95.T
+    assert np.all((low <= (*PAIR, GAP)) & ((*PAIR, GAP) <= high))
+    assert high[-1] - low[-1] < 0.5 * RESOLUTION
 
 
 def test_a_rigid_axis_names_the_gap_and_the_search_for_terms_adds_it() -> None:
@@ -83,7 +82,7 @@ def test_a_rigid_axis_names_the_gap_and_the_search_for_terms_adds_it() -> None:
 
 def test_a_stiff_axis_has_no_gap() -> None:
     rigid = np.array([0.9, 0.8, 0.2, 0, 0, 0, 0, 0, 0])
-    u = record(GAP)[0]
+    u = record(GAP, 3)[0]
     row = np.arange(u.size, dtype=np.int32)
     y = run([], np.full(u.size - 1, STEP), u[:-1], row, np.zeros((0, u.size - 1)), rigid, 2, False)[0]
     counts = np.floor(y / RESOLUTION + 0.4).astype(np.int64)

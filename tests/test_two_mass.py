@@ -96,9 +96,10 @@ def test_both_masses_and_the_spring_are_found(result: pmfid.Result) -> None:
     assert result.names == (*names, "load_coulomb_friction", "stiffness", "damping")
     truth = np.array(PAIRS[0])
     part = np.abs(result.theta / truth - 1)
-    assert np.all(part[[0, 3, 6]] < 0.005), part
-    assert np.all(part < 0.05), part
+    assert np.all(part[[0, 3, 6]] < 2e-4), part
+    assert np.all(part < 0.02), part
     assert np.sum((result.interval_95[:, 0] <= truth) & (truth <= result.interval_95[:, 1])) >= 7
+    assert np.all(np.ptp(result.interval_95, axis=1)[[0, 3, 6]] < 5e-4 * truth[[0, 3, 6]])
 
 
 def test_the_motion_of_another_record_follows(result: pmfid.Result) -> None:

@@ -1,8 +1,8 @@
-"""Motion of two masses on a spring by the classical Runge-Kutta method, with stops and starts located inside a step.
+"""Motion of two masses on a spring by the classical Runge-Kutta method, with located stops, starts and contacts.
 
 m v' = f - p - d v - F sign(v),   m2 v2' = p - d2 v2 - F2 sign(v2),   p = k (x - x2) + c (v - v2)
 
-With a gap, p acts beyond half of it, and the twist counts from there.
+With a gap, p acts while the masses touch, beyond half of it, and the twist counts from there.
 """
 
 from __future__ import annotations
@@ -29,23 +29,27 @@ class TwoMasses:
     damping: float
     gap: float = 0.0
 
-    def pull(self, state: Floats, force: float) -> tuple[float, float]:
-        """Return the forces on both masses by input and spring."""
+    def side(self, state: Floats) -> int:
+        """Return the side of the gap that touches, 0 within the gap, and 1 without a gap."""
         twist = state[0] - state[2]
-        beyond = twist - min(max(twist, -self.gap / 2), self.gap / 2)
-        touches = beyond != 0 or self.gap == 0
-        spring = self.stiffness * beyond + self.damping * (state[1] - state[3]) * touches
+        return 1 if self.gap == 0 or twist > self.gap / 2 else -1 if twist < -self.gap / 2 else 0
+
+    def pull(self, state: Floats, force: float, side: int | None = None) -> tuple[float, float]:
+        """Return the forces on both masses by input and spring."""
+        side = self.side(state) if side is None else side
+        beyond = state[0] - state[2] - side * self.gap / 2
+        spring = (self.stiffness * beyond + self.damping * (state[1] - state[3])) * abs(side)
         return force - spring, spring
 
     def directions(self, state: Floats, force: float) -> list[int]:
-        """Return the direction of each mass, 0 at rest."""
+        """Return the direction of each mass, 0 at rest, and the side of the gap that touches."""
         found = []
         for v, pull, hold in zip(state[1::2], self.pull(state, force), (self.coulomb, self.load_coulomb), strict=True):
             found.append(int(np.sign(v)) if v != 0 else int(np.sign(pull)) if abs(pull) > hold else 0)
-        return found
+        return [*found, self.side(state)]
 
     def rates(self, state: Floats, force: float, way: list[int]) -> Floats:
-        motor, load = self.pull(state, force)
+        motor, load = self.pull(state, force, way[2])
         first = (motor - self.viscous * state[1] - way[0] * self.coulomb) / self.mass if way[0] else 0.0
         second = (load - self.load_viscous * state[3] - way[1] * self.load_coulomb) / self.load if way[1] else 0.0
         return np.array([state[1], first, state[3], second])
@@ -58,29 +62,32 @@ class TwoMasses:
         return np.asarray(state + h / 6 * (a + 2 * b + 2 * c + d))
 
     def margin(self, state: Floats, force: float, way: list[int], k: int) -> float:
-        """Return what is left before mass k stops or starts, negative beyond that."""
+        """Return what is left before mass k stops or starts, or the contact changes (k = 2), negative beyond that."""
+        if k == 2:
+            twist = state[0] - state[2]
+            return float(way[2] * twist - self.gap / 2 if way[2] else self.gap / 2 - abs(twist))
         if way[k]:
             return float(way[k] * state[2 * k + 1])
-        return (self.coulomb, self.load_coulomb)[k] - abs(self.pull(state, force)[k])
+        return (self.coulomb, self.load_coulomb)[k] - abs(self.pull(state, force, way[2])[k])
 
     def advance(self, state: Floats, force: float, h: float) -> Floats:
         """Return the state after h seconds, through at most a few stops and starts."""
         way = self.directions(state, force)
         for _ in range(6):
             end = self.step(state, force, way, h)
-            turned = [k for k in (0, 1) if self.margin(end, force, way, k) < 0]
+            turned = [k for k in range(3 if self.gap else 2) if self.margin(end, force, way, k) < 0]
             if not turned or h <= 0:
                 return end
             ends = [self.find_turn(state, force, way, h, k) for k in turned]
             first, k = min(zip(ends, turned, strict=True))
             state, h = self.step(state, force, way, first), h - first
-            if way[k]:
+            if k < 2 and way[k]:
                 state[2 * k + 1] = 0.0
             way = self.directions(state, force)
         return state
 
     def find_turn(self, state: Floats, force: float, way: list[int], h: float, k: int) -> float:
-        """Return the time just after mass k stops or starts, by bisection."""
+        """Return the time just after mass k stops or starts, or the contact changes, by bisection."""
         low, high = 0.0, h
         for _ in range(30):
             middle = (low + high) / 2

@@ -19,7 +19,7 @@ from pmfid.actuators.bounded import cut_below
 from pmfid.actuators.search import ServoSearch
 from pmfid.actuators.ticks import measure_ticks
 from pmfid.actuators.tuning import TUNING
-from pmfid.fit.search import inverse
+from pmfid.fit.solve import inverse
 from pmfid.types import Floats
 
 

@@ -18,8 +18,7 @@ from pmfid.actuators.search import ServoSearch
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.machine import DELAY, BodyForce
 from pmfid.fit.problem import ObservedStretch, ResidualBlock
-from pmfid.fit.search import inverse
-from pmfid.fit.solve import normal_of
+from pmfid.fit.solve import inverse, normal_of
 from pmfid.types import Floats
 
 

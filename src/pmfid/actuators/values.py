@@ -16,7 +16,7 @@ from pmfid.actuators.ticks import measure_ticks
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.fit import Fitted, sandwich
 from pmfid.fit.problem import ResidualBlock
-from pmfid.fit.search import inverse
+from pmfid.fit.solve import inverse
 from pmfid.types import Floats
 
 

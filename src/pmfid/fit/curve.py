@@ -22,8 +22,8 @@ from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.machine import COULOMB, DIRECTIONAL, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.openings import begin
 from pmfid.fit.problem import FitProblem
-from pmfid.fit.search import ROUNDS, TRIES, WANDERING, FitSearch, explain, inverse
-from pmfid.fit.solve import normal_of
+from pmfid.fit.search import ROUNDS, TRIES, WANDERING, FitSearch, explain
+from pmfid.fit.solve import inverse, normal_of
 from pmfid.types import Floats
 
 #: Ends of the bends in parts of the highest speed.

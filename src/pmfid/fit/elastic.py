@@ -29,8 +29,8 @@ from pmfid.fit.machine import (
 )
 from pmfid.fit.problem import FitProblem, ObservedStretch, ResidualBlock
 from pmfid.fit.solve import START, Likelihood, Optimum, normal_of, solve
-from pmfid.fit.starts import make_first_body, soften
-from pmfid.fit.tuning import TUNING
+from pmfid.fit.starts import soften
+from pmfid.fit.tuning import PLAY_TUNING, TUNING
 from pmfid.types import Floats
 
 #: Parameters of the first fits, in the order of `driven_guesses`.
@@ -54,8 +54,9 @@ def elastic_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProb
     prior = prior_of(plain, force)
     best = _follow_guesses(plain, prior, bound)
     if best is None or (math.isinf(bound) and best.cost > TUNING.rounded * stretch.y.size):
-        ends = [_follow_scan(plain, prior, guess), *([best] if best is not None else [])]
-        best = min(ends, key=lambda end: end.cost)
+        parts = (PLAY_TUNING.part * float(np.mean(stretch.steps)), PLAY_TUNING.parts)
+        end = follow(plain, list(_scan(plain, guess)), prior, parts, bound)
+        best = end if best is None or end.cost < best.cost else best
     return plain, best
 
 
@@ -119,10 +120,6 @@ def follow(
         if best.cost < enough or best.cost > bound:
             return best
     assert best is not None
-    for number in (TUNING.joined, TUNING.joined**2):
-        best = restart(plain, best, prior, number)
-        if best.cost < enough:
-            break
     return best
 
 
@@ -138,13 +135,12 @@ def liveliest(problem: FitProblem) -> tuple[ObservedStretch, float]:
     return stretch, force
 
 
-def restart(plain: FitProblem, end: Optimum, prior: Floats, parts: float) -> Optimum:
-    """Return the better of a fit of the whole stretch and another one from parts of it, for stops make the likelihood
-    rough."""
-    length = float(plain.stretches[0].times[-1]) / parts
+def rejoin(plain: FitProblem, q: Floats, prior: Floats, parts: float) -> Optimum:
+    """Return the fit of the whole record from a number of parts of it, which become longer, for stops and contacts make
+    the likelihood rough."""
+    length = sum(float(one.times[-1]) for one in plain.stretches) / parts
     problem = plain.cut(count_parts(plain, length))
-    tried = join(plain, problem, settle(problem, end.q, problem.first_starts(), prior, 20), length, prior)
-    return min(tried, end, key=lambda one: one.cost)
+    return join(plain, problem, settle(problem, q, problem.first_starts(), prior, 20), length, prior)
 
 
 def prior_of(plain: FitProblem, force: float) -> Floats:
@@ -161,8 +157,8 @@ def _period(plain: FitProblem, q: Floats) -> float:
 
 
 def count_parts(problem: FitProblem, length: float) -> int:
-    """Return the number of parts of about a length [s] in the only stretch."""
-    return max(1, int(float(problem.stretches[0].times[-1]) / length))
+    """Return the number of parts of about a length [s]."""
+    return max(1, int(sum(float(one.times[-1]) for one in problem.stretches) / length))
 
 
 def settle(problem: FitProblem, q: Floats, starts: Floats, prior: Floats, steps: int) -> Optimum:
@@ -172,7 +168,7 @@ def settle(problem: FitProblem, q: Floats, starts: Floats, prior: Floats, steps:
 
 def join(plain: FitProblem, problem: FitProblem, end: Optimum, length: float, prior: Floats) -> Optimum:
     """Return the fit of the whole stretch from that of its parts of a length [s], which become longer."""
-    while len(problem.stretches) > 1:
+    while len(problem.stretches) > len(plain.stretches):
         known = dict(zip((one.first for one in problem.stretches), end.starts, strict=True))
         length *= TUNING.joined
         problem = plain.cut(count_parts(plain, length))
@@ -230,34 +226,6 @@ def _smooth(column: Floats, kernel: Floats) -> Floats:
     return column
 
 
-def _follow_scan(plain: FitProblem, prior: Floats, guess: tuple[float, float, float]) -> Optimum:
-    """Return the best fit of the whole stretch from a scan of a window, which then grows."""
-    (stretch,) = plain.stretches
-    at = _stiffest(plain, guess)
-    problem = replace(plain, stretches=(stretch.cut(*at),))
-    like, first = soften(problem.stretches), problem.first_starts()
-    kept = [solve(problem, like, q, first, prior, 3, 0.1) for q in _scan(plain, guess)]
-    for count, steps in ((6, 12), (3, 20)):
-        kept = [solve(problem, like, one.q, one.starts, prior, steps, 0.1) for one in _best(kept, count)]
-    end = float(stretch.times[-1])
-    while problem.stretches[0].y.size < stretch.y.size:
-        length = 2 * (at[1] - at[0])
-        begin = max(0.0, min(at[0], end - length))
-        moved, at = begin < at[0], (begin, begin + length)
-        problem = replace(plain, stretches=(stretch.cut(*at) if length < end else stretch,))
-        like, first = soften(problem.stretches), problem.first_starts()
-        starts = [settle_starts(problem, like, one.q, first) if moved else one.starts for one in kept]
-        kept = [solve(problem, like, one.q, at, prior, 20, 0.1) for one, at in zip(kept, starts, strict=True)]
-        kept = _best(kept, 3)
-    return kept[0]
-
-
-def _best(ends: Sequence[Optimum], count: int) -> list[Optimum]:
-    """Return the best optima whose masses and stiffness differ."""
-    ends = sorted(ends, key=lambda end: end.cost)
-    return [ends[i] for i in distinct([end.q[[0, 4, 7]] for end in ends], 0.01)[:count]]
-
-
 def _scan(plain: FitProblem, guess: tuple[float, float, float]) -> Iterator[Floats]:
     """Yield starts q (p,) over resonances and shares of the load."""
     (low, high), (mass, viscous, coulomb) = plain.rate, guess
@@ -267,21 +235,3 @@ def _scan(plain: FitProblem, guess: tuple[float, float, float]) -> Iterator[Floa
         motor, load = mass * (1 - share), mass * share
         spring = (reduced * rate**2, 2 * TUNING.ratio * rate * reduced)
         yield _start(plain, np.array([motor, viscous / 2, coulomb / 2, 0.0, load, viscous / 2, coulomb / 2, *spring]))
-
-
-def _stiffest(plain: FitProblem, guess: tuple[float, float, float]) -> tuple[float, float]:
-    """Return begin and end [s] of the window that a rigid body follows worst."""
-    (stretch,) = plain.stretches
-    step, end = float(np.mean(stretch.steps)), float(stretch.times[-1])
-    length = min(end, max(min(TUNING.seconds, TUNING.most * step), TUNING.fewest * step))
-    worst, at = -1.0, 0.0
-    for begin in np.linspace(0.0, end - length, max(1, min(TUNING.windows, round(end / length)))).tolist():
-        window = stretch.cut(begin, begin + length)
-        rigid = FitProblem(make_first_body(0.0), (window,), plain.resolution)
-        if np.sum(np.abs(np.diff(window.y))) < 10 * plain.resolution:
-            continue
-        q = rigid.start(np.array([*guess, 0.0, 0.0]))
-        like = soften(rigid.stretches)
-        cost = solve(rigid, like, q, rigid.first_starts(), 1e-12 * np.ones(5), 5, 1.0).cost / window.y.size
-        worst, at = max((worst, at), (cost, begin))
-    return at, at + length

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -14,10 +13,11 @@ from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.openings import begin
 from pmfid.fit.posterior import allowed_region
-from pmfid.fit.problem import FitProblem, ResidualBlock
-from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch, inverse
-from pmfid.fit.solve import START, Normal, Optimum, normal_of, solve
+from pmfid.fit.problem import FitProblem
+from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch
+from pmfid.fit.solve import Normal, Optimum, inverse, normal_of, solve
 from pmfid.fit.weighing import WeighedForce, weigh
+from pmfid.fit.within import covariance_of, stack
 from pmfid.types import Floats
 
 #: Blocks of a record whose scores are compared with the information.
@@ -222,14 +222,11 @@ def estimate_variance(A: Floats, normal: Normal, rows: Floats) -> Floats:
 
 
 def _estimate_in_region(search: FitSearch, optimum: Optimum) -> tuple[Floats, Floats]:
-    e, J = _stack(search.problem.linearise(optimum.q, optimum.starts))
-    prior = np.append(search.prior(search.problem), np.tile(START[: optimum.starts.shape[1]], len(optimum.starts)))
-    wide = inverse(12.0 * J.T @ J + np.diag(prior))
+    e, J = stack(search.problem.linearise(optimum.q, optimum.starts))
+    wide = covariance_of(J, search.prior(search.problem), optimum.starts)
     beyond = max(0.0, float(np.max(np.abs(e))) - 0.5)
     bound = 0.5 + 2 * beyond + 1e-5 + _integration_errors(search.problem, optimum, e)
-    e, J, bound = (
-        np.concatenate(pair) for pair in zip((e, J, bound), _lowest_rows(search, optimum, wide), strict=True)
-    )
+    e, J, bound = (np.concatenate(pair) for pair in zip((e, J, bound), _bound_rows(search, optimum, wide), strict=True))
     mean, inner = allowed_region(e, J, bound, wide, np.random.default_rng(1))
     count, p = search.count, optimum.q.size
     if not np.all(np.diag(inner)[:count] < 100 * np.diag(wide)[:count]):
@@ -237,14 +234,16 @@ def _estimate_in_region(search: FitSearch, optimum: Optimum) -> tuple[Floats, Fl
     return search.problem.theta(optimum.q + mean[:p]), inner[:count, :count]
 
 
-def _lowest_rows(search: FitSearch, optimum: Optimum, wide: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return residuals, derivatives and bounds of one row for each parameter with a lowest value. The other end of its
-    interval is out of reach."""
-    lowest = search.plain.machine.lowest
+def _bound_rows(search: FitSearch, optimum: Optimum, wide: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return residuals, derivatives and bounds of one row for each parameter with a lowest value, and for each start
+    state of two masses, whose motion is far from linear. The other end of a parameter's interval is out of reach."""
+    lowest, size = search.plain.machine.lowest, np.sqrt(np.diag(wide))
     at = np.flatnonzero(np.isfinite(lowest))
     above = np.maximum(optimum.q[at] - lowest[at], 0.0)
-    reach = above + 1e3 * np.sqrt(np.diag(wide)[at])
-    return above - reach, np.eye(len(wide))[at], reach
+    reach = above + 1e3 * size[at]
+    starts = np.arange(optimum.q.size, size.size if search.plain.machine.elastic else optimum.q.size)
+    e, bound = np.append(above - reach, 0 * size[starts]), np.append(reach, 3 * size[starts])
+    return e, np.eye(size.size)[np.append(at, starts)], bound
 
 
 def _integration_errors(problem: FitProblem, optimum: Optimum, e: Floats) -> Floats:
@@ -252,13 +251,5 @@ def _integration_errors(problem: FitProblem, optimum: Optimum, e: Floats) -> Flo
     interval, which is three quarters of them (Richardson 1911)."""
     if not problem.integrates:
         return np.zeros(e.size)
-    finer = _stack(replace(problem, parts=2 * problem.parts).linearise(optimum.q, optimum.starts))[0]
+    finer = stack(replace(problem, parts=2 * problem.parts).linearise(optimum.q, optimum.starts))[0]
     return np.asarray(np.abs(finer - e) / 0.75)
-
-
-def _stack(blocks: Sequence[ResidualBlock]) -> tuple[Floats, Floats]:
-    """Return the residuals (n,) of all blocks, and their derivatives (n, p + 2 m) by parameters and m start states."""
-    from scipy.linalg import block_diag
-
-    J = np.concatenate([block.J for block in blocks])
-    return np.concatenate([block.e for block in blocks]), np.column_stack([J, block_diag(*[b.K for b in blocks])])

@@ -145,7 +145,12 @@ def _gather(search: FitSearch) -> Intervals | None:
     Next to rounding, least squares hardly tells two forces apart. The few counts beyond their intervals do.
     """
     before, seen = search.remember(), list[list[int]]()
-    while search.explains and mean_square(search) < WITHIN and search.chosen not in seen:
+    while (
+        search.explains
+        and not search.plain.machine.elastic
+        and mean_square(search) < WITHIN
+        and search.chosen not in seen
+    ):
         likelihood = narrow_most(search)
         if likelihood.spread <= EXPLAINED:
             return likelihood

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pmfid.fit.solve import root_of
 from pmfid.types import Floats
 
 #: Steps of the last of four runs for up to five parameters; more parameters have more steps. The error of a standard
@@ -29,7 +30,7 @@ def allowed_region(
     mean = np.zeros(p)
     for run in range(4):
         steps = STEPS * max(5, p) // 5 >> 3 - run
-        root = _root(covariance)
+        root = root_of(covariance)
         reach = np.sqrt(np.sum((J @ root) ** 2, axis=1))
         bound = np.maximum(bound, np.abs(e + J @ d) + 1e-9)
         near = bound - np.abs(e + J @ d) < 8.0 * reach
@@ -37,13 +38,6 @@ def allowed_region(
         d, kept = path[-1], path[steps // 5 :]
         mean, covariance = np.mean(kept, axis=0), np.atleast_2d(np.cov(kept.T)) + 1e-3 * covariance * (run < 3)
     return mean, covariance
-
-
-def _root(covariance: Floats) -> Floats:
-    """Return a matrix R (p, p) with R R' = covariance, up to 1e-9 of each variance."""
-    size = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    values, vectors = np.linalg.eigh(covariance / np.outer(size, size))
-    return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 1e-9)))
 
 
 def _walk(d: Floats, e: Floats, J: Floats, bound: Floats, ways: Floats, rng: np.random.Generator) -> Floats:

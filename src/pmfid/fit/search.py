@@ -11,15 +11,16 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import ODDS, Quadratic
-from pmfid.fit.elastic import elastic_start
+from pmfid.fit.elastic import elastic_start, rejoin
 from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
 from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.play import play_start
 from pmfid.fit.problem import FitProblem
-from pmfid.fit.solve import Likelihood, Optimum, normal_of, solve
+from pmfid.fit.solve import Likelihood, Optimum, inverse, normal_of, scale_matrix, solve
 from pmfid.fit.starts import blind_start, sizes_of
 from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, free_constants
-from pmfid.fit.tuning import MOTION
+from pmfid.fit.tuning import MOTION, TUNING
+from pmfid.fit.within import reach_counts
 from pmfid.types import Floats
 
 #: Spreads of a white error in addition to rounding [counts], in falling order.
@@ -269,11 +270,8 @@ class FitSearch:
 
     @property
     def explains(self) -> bool:
-        """Whether a motion that explains every count ends the search.
-
-        Two masses stop and start so often that the likelihood of their intervals is too rough.
-        """
-        return not self.plain.machine.elastic
+        """Whether a motion that explains every count ends the search."""
+        return True
 
     def explain(self, tries: int = TRIES) -> Intervals | None:
         """Return the likelihood of the intervals if a motion explains every count."""
@@ -341,7 +339,7 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
     """Return the likelihood of the intervals if a motion explains every count, and move the search to its optimum.
 
     Stops and starts of the axis make the likelihood rough. Where the residuals are as small as rounding, further tries
-    begin at random places around the optimum of least squares.
+    begin at random places around the optimum of least squares, and those of two masses from ever shorter parts.
     """
     before = search.remember()
     at = search.q, search.starts
@@ -349,9 +347,13 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
         search.return_to(before)
         return None
     rng, likelihood = np.random.default_rng(1), narrow(search)
-    for _ in range(tries if likelihood is None and is_near_rounding(search) else 0):
+    for number in range(tries if likelihood is None and is_near_rounding(search) else 0):
         search.return_to(before)
-        search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
+        if search.plain.machine.elastic:
+            end = rejoin(search.problem, search.q, search.prior(search.problem), TUNING.rejoined[number])
+            search.q, search.starts = end.q, end.starts
+        else:
+            search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
         search.solve(Gaussian(search.plain.stretches), 10)
         likelihood = narrow(search)
         if likelihood is not None:
@@ -363,8 +365,8 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
 
 def narrow(search: FitSearch) -> Intervals | None:
     """Narrow the intervals down to the counts, from a spread that all counts bear; None if that stops to pay."""
-    likelihood = narrow_most(search)
-    return likelihood if likelihood.spread <= EXPLAINED else None
+    likelihood = _enter_counts(search) if search.plain.machine.elastic else narrow_most(search)
+    return likelihood if likelihood is not None and likelihood.spread <= EXPLAINED else None
 
 
 def narrow_most(search: FitSearch) -> Intervals:
@@ -382,6 +384,17 @@ def narrow_most(search: FitSearch) -> Intervals:
     likelihood, state = best
     search.return_to(state)
     return likelihood
+
+
+def _enter_counts(search: FitSearch) -> Intervals | None:
+    """Move two masses into every count, whose intervals are too rough to descend; None if they do not get there."""
+    if not all(np.all(one.counted) for one in search.plain.stretches):
+        return None
+    inside = reach_counts(search.problem, search.q, search.starts, search.prior(search.problem), EXPLAINED)
+    if inside is None:
+        return None
+    search.q, search.starts = inside
+    return Intervals(search.plain.stretches, EXPLAINED)
 
 
 def _may_explain(search: FitSearch) -> bool:
@@ -405,9 +418,9 @@ def _nearby(search: FitSearch, q: Floats, starts: Floats, rng: np.random.Generat
     noise = Gaussian(search.plain.stretches)
     normal = normal_of(noise(search.problem.linearise(q, starts))[1], starts)
     A = normal.A + np.diag(search.prior(search.problem))
-    values, vectors = np.linalg.eigh(_scale_matrix(A)[0])
+    values, vectors = np.linalg.eigh(scale_matrix(A)[0])
     step = vectors @ (rng.standard_normal(q.size) / np.sqrt(np.maximum(values, 1e-6)))
-    return search.problem.clip_to_bounds(q + NEARBY * step / _scale_matrix(A)[1])
+    return search.problem.clip_to_bounds(q + NEARBY * step / scale_matrix(A)[1])
 
 
 def _nearby_starts(search: FitSearch, rng: np.random.Generator) -> Floats:
@@ -416,20 +429,6 @@ def _nearby_starts(search: FitSearch, rng: np.random.Generator) -> Floats:
     starts[:, 0] += 0.3 * rng.standard_normal(len(starts))
     starts[:, 1] += (0.3 + 0.3 * np.abs(starts[:, 1])) * rng.standard_normal(len(starts))
     return starts
-
-
-def inverse(A: Floats) -> Floats:
-    """Return the inverse of an information matrix, with a large variance where it has no information."""
-    scaled, size = _scale_matrix(A)
-    values, vectors = np.linalg.eigh(scaled)
-    scaled = (vectors / np.maximum(values, 1e-12)) @ vectors.T
-    return np.asarray(scaled / np.outer(size, size))
-
-
-def _scale_matrix(A: Floats) -> tuple[Floats, Floats]:
-    """Return a matrix with a unit diagonal, and the roots of the diagonal."""
-    size = np.sqrt(np.maximum(np.diag(A), 1e-200))
-    return A / np.outer(size, size), size
 
 
 def _check_followed(search: FitSearch, noise: Gaussian) -> None:

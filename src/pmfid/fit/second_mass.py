@@ -17,8 +17,8 @@ from pmfid.fit.likelihood import ROUNDING, Gaussian, noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
 from pmfid.fit.play import play_start
 from pmfid.fit.problem import FitProblem, ObservedStretch, ResidualBlock
-from pmfid.fit.search import inverse, with_columns
-from pmfid.fit.solve import Optimum, solve
+from pmfid.fit.search import with_columns
+from pmfid.fit.solve import Optimum, inverse, solve
 from pmfid.fit.starts import soften
 from pmfid.fit.tuning import TUNING
 from pmfid.types import Floats

@@ -146,3 +146,24 @@ def find_step(A: Floats, g: Floats, damping: float) -> Floats:
         return np.asarray(-np.linalg.solve(scaled, g / size) / size)
     except np.linalg.LinAlgError:
         return np.zeros_like(g)
+
+
+def inverse(A: Floats) -> Floats:
+    """Return the inverse of an information matrix, with a large variance where it has no information."""
+    scaled, size = scale_matrix(A)
+    values, vectors = np.linalg.eigh(scaled)
+    scaled = (vectors / np.maximum(values, 1e-12)) @ vectors.T
+    return np.asarray(scaled / np.outer(size, size))
+
+
+def root_of(covariance: Floats) -> Floats:
+    """Return a matrix R (p, p) with R R' = covariance, up to 1e-9 of each variance."""
+    scaled, size = scale_matrix(covariance)
+    values, vectors = np.linalg.eigh(scaled)
+    return np.asarray(size[:, None] * vectors * np.sqrt(np.maximum(values, 1e-9)))
+
+
+def scale_matrix(A: Floats) -> tuple[Floats, Floats]:
+    """Return a matrix with a unit diagonal, and the roots of the diagonal."""
+    size = np.sqrt(np.maximum(np.diag(A), 1e-200))
+    return A / np.outer(size, size), size

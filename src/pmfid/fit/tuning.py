@@ -34,6 +34,8 @@ class ElasticTuning:
     shortest: float = 40.0
     parts: int = 40
     joined: float = 6.0
+    #: Parts of the record that a motion next to rounding starts again from.
+    rejoined: tuple[int, ...] = (36, 72, 144)
     #: Resonances of the scan by fits: lowest [Hz], highest [1/step], number per octave, shares of the load in the
     #: inertia, and damping ratio.
     lowest: float = 2.0
@@ -41,11 +43,6 @@ class ElasticTuning:
     per_octave: int = 3
     shares: tuple[float, ...] = (0.3, 0.75)
     ratio: float = 0.05
-    #: Length of the first window [s], and in steps: at least, at most; windows that a rigid body is fitted to.
-    seconds: float = 1.0
-    fewest: int = 300
-    most: int = 1500
-    windows: int = 10
     #: Cost of an observation in the softened likelihood that rounding explains: 1/18, and a little more.
     rounded: float = 0.065
     #: Largest distance of a mass from the first guess, as a logarithm.
@@ -53,10 +50,11 @@ class ElasticTuning:
     #: Widths of the smoothing of the first guesses, as a part of the record.
     widths: tuple[float, ...] = (0.002, 0.005, 0.01, 0.02, 0.05)
 
-    #: Trial of a second mass where one mass does not explain the record: most samples, which bound its time, the
-    #: parameters and start values in addition, and the largest standard error of the logarithms of masses and
+    #: Trial of a second mass where one mass does not explain the record: most samples, which bound its time, and
+    #: fewest; parameters and start values in addition; and the largest standard error of the logarithms of masses and
     #: stiffness. Beyond it, the record shows no resonance.
     trial: int = 3000
+    fewest: int = 300
     further: int = 7
     vague: float = 0.3
 
@@ -75,7 +73,7 @@ class PlayTuning:
     narrowest: float = 0.01
     #: Bounds of the contact's rate [1/step].
     rates: tuple[float, float] = (0.1, 3.0)
-    #: Length [steps] and number of the parts that a start follows.
+    #: Length [steps] and number of the parts that a start of a scan follows.
     part: int = 100
     parts: int = 20
 
@@ -91,4 +89,16 @@ class MotionTuning:
     lags: float = 10.0
 
 
-TUNING, PLAY_TUNING, MOTION = ElasticTuning(), PlayTuning(), MotionTuning()
+@dataclass(frozen=True)
+class WithinTuning:
+    """Steps of `fit.within`: most rounds, which settle in two to six; longest step along each direction in standard
+    errors; distance from the bounds of a count that a step aims at [counts]; cost of a count beyond its bound, far more
+    than that of any step inside (exact penalty)."""
+
+    rounds: int = 8
+    longest: float = 3.0
+    margin: float = 5e-4
+    penalty: float = 1e4
+
+
+TUNING, PLAY_TUNING, MOTION, WITHIN = ElasticTuning(), PlayTuning(), MotionTuning(), WithinTuning()

@@ -1,0 +1,76 @@
+"""The shortest way to a motion within every count, for bodies whose likelihood is too rough to descend."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pmfid.fit.problem import FitProblem, ResidualBlock
+from pmfid.fit.solve import START, inverse, root_of
+from pmfid.fit.tuning import WITHIN
+from pmfid.types import Floats
+
+
+def reach_counts(
+    problem: FitProblem, q: Floats, starts: Floats, prior: Floats, beyond: float
+) -> tuple[Floats, Floats] | None:
+    """Return parameters (p,) and start states (m, s) near the given ones whose motion is at most `beyond` [counts]
+    outside of each count, or None.
+
+    Each round solves a linear program: the step of least sum of absolute values, in standard errors of least squares,
+    after which the linearised motion is within every count. Stops, starts and contacts bend the true motion, so that a
+    step is halved until the motion comes nearer.
+    """
+    e, J = stack(problem.linearise(q, starts))
+    for _ in range(WITHIN.rounds):
+        outside = float(np.max(np.abs(e))) - 0.5
+        if outside <= beyond:
+            return q, starts
+        step = _shortest_step(e, J, covariance_of(J, prior, starts))
+        for part in (1.0, 0.5, 0.25, 0.125):
+            next_q = problem.clip_to_bounds(q + part * step[: q.size])
+            next_starts = starts + part * step[q.size :].reshape(starts.shape)
+            e, J = stack(problem.linearise(next_q, next_starts))
+            if np.max(np.abs(e)) - 0.5 < outside:
+                break
+        else:
+            return None
+        q, starts = next_q, next_starts
+    return None
+
+
+def _shortest_step(e: Floats, J: Floats, covariance: Floats) -> Floats:
+    """Return the step (p,) for residuals e (n,) and their derivatives J (n, p), zero if the program fails."""
+    from scipy.optimize import linprog
+
+    root = root_of(covariance)
+    rows = J @ root
+    near = np.abs(e) + WITHIN.longest * np.sqrt(np.sum(rows**2, axis=1)) > 0.5 - WITHIN.margin
+    rows, e, p = rows[near] * np.sign(e[near])[:, None], np.abs(e[near]), J.shape[1]
+    sides = np.column_stack([rows, -rows, -np.ones(e.size)])
+    bounds = [(0.0, WITHIN.longest)] * (2 * p) + [(0.0, None)]
+    program = linprog(
+        np.append(np.ones(2 * p), WITHIN.penalty), sides, 0.5 - WITHIN.margin - e, bounds=bounds, method="highs"
+    )
+    return np.zeros(p) if program.x is None else np.asarray(root @ (program.x[:p] - program.x[p : 2 * p]))
+
+
+def start_precision(starts: Floats) -> Floats:
+    """Return the precisions (m s,) of the start states (m, s). A second mass whose start no count shows stays within a
+    count of it, because its motion is far from linear."""
+    weak = START[: starts.shape[1]]
+    return np.tile(np.maximum(weak, 1.0) if weak.size > 2 else weak, len(starts))
+
+
+def covariance_of(J: Floats, prior: Floats, starts: Floats) -> Floats:
+    """Return the covariance of least squares of the parameters and start states, for derivatives J (n, p) of counts."""
+    return inverse(12.0 * J.T @ J + np.diag(np.append(prior, start_precision(starts))))
+
+
+def stack(blocks: Sequence[ResidualBlock]) -> tuple[Floats, Floats]:
+    """Return the residuals (n,) of all blocks, and their derivatives (n, p + s m) by parameters and m start states."""
+    from scipy.linalg import block_diag
+
+    J = np.concatenate([block.J for block in blocks])
+    return np.concatenate([block.e for block in blocks]), np.column_stack([J, block_diag(*[b.K for b in blocks])])
