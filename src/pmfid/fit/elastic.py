@@ -120,6 +120,10 @@ def follow(
         if best.cost < enough or best.cost > bound:
             return best
     assert best is not None
+    for number in TUNING.rejoined:
+        before, best = best, min(rejoin(plain, best.q, prior, number), best, key=lambda one: one.cost)
+        if best.cost < enough or best.cost > max(before.cost / 2, plain.rows):  # a whole count, and hardly better
+            break
     return best
 
 
