@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from studies.service.machines import write_plant
-from studies.service.processes import Service, Use, broker, free_port, service, use_of
+from studies.service.processes import Service, Use, broker, free_port, service, use_of, wait_until
 
 #: Seconds between two looks, and seconds at the beginning in which memory still grows.
 LOOK, GROWING = 5.0, 60.0
@@ -82,6 +82,7 @@ def measure(axes: int, seconds: float) -> Run:
 
 
 def _watched(served: Service, broker_pid: int, port: int, axes: int, seconds: float) -> Run:
+    wait_until(lambda: served.total("pmfid_axes") >= axes, served.process)  # a service drops what comes before
     command = [sys.executable, "-m", "studies.service.machines", "--port", str(port)]
     command += ["--axes", str(axes), "--seconds", str(seconds)]
     pids = {"service": served.process.pid, "broker": broker_pid}

@@ -67,7 +67,7 @@ def broker(folder: Path, limits: str = BROKER) -> Iterator[tuple[int, int]]:
     (folder / "mosquitto.conf").write_text(limits.format(port=port))
     process = subprocess.Popen([program, "-c", folder / "mosquitto.conf"], stderr=subprocess.DEVNULL)
     try:
-        _until(lambda: _listens(port), process)
+        wait_until(lambda: _listens(port), process)
         yield port, process.pid
     finally:
         process.terminate()
@@ -79,7 +79,7 @@ def _listens(port: int) -> bool:
         return one.connect_ex(("127.0.0.1", port)) == 0
 
 
-def _until(there: object, process: subprocess.Popen[bytes]) -> None:
+def wait_until(there: object, process: subprocess.Popen[bytes]) -> None:
     begin = time.monotonic()
     while not there():  # type: ignore[operator]
         if process.poll() is not None or time.monotonic() > begin + STARTING:
@@ -123,7 +123,7 @@ def service(plant: Path, log: Path) -> Iterator[Service]:
         command = [str(Path(sys.executable).with_name("pmfid")), "serve", str(plant), "--json"]
         process = subprocess.Popen(command, stdout=out, stderr=out, env=environment)
     try:
-        _until(lambda: _listens(port), process)
+        wait_until(lambda: _listens(port), process)
         yield Service(process, port, token)
     finally:
         process.terminate()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Iterator
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -30,8 +29,8 @@ from pmfid.monitor.events import (
     StateChange,
     Watch,
 )
-from pmfid.monitor.saved import IMPLAUSIBLE, MOST, read, row_type_of, write_states
-from pmfid.monitor.scores import RowArrays
+from pmfid.monitor.rows import RowArrays
+from pmfid.monitor.saved import IMPLAUSIBLE, MOST, read, write_states
 from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
@@ -55,20 +54,8 @@ class EdgeStates(RowArrays):
     recursion: NDArray[np.uint8]
 
     @property
-    def axes(self) -> int:
-        return len(self.state)
-
-    @property
     def samples(self) -> NDArray[np.int64]:
         return self.whole[:, SAMPLES]
-
-    def arrays(self) -> Iterator[NDArray[np.generic]]:
-        """Yield all arrays."""
-        return (array for _, array in self.parts())
-
-    def row_type(self) -> np.dtype[np.void]:
-        """Return the data type of one axis."""
-        return row_type_of(self.parts())
 
     def are_possible(self) -> bool:
         """Return whether samples can have made these numbers, except the parameters and those of the recursion."""

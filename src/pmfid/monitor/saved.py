@@ -7,9 +7,9 @@ numbers must be finite. The kernels check their own states.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,8 +20,9 @@ from pmfid.errors import UsageError
 from pmfid.kernel.structures import layout_number
 from pmfid.monitor.axis import Watching
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS
-from pmfid.monitor.scores import Disturbed, RowArrays, Sampled, Scoring, Watched
-from pmfid.types import Floats, Places
+from pmfid.monitor.rows import RowArrays
+from pmfid.monitor.scores import Disturbed, Sampled, Scoring, Watched
+from pmfid.types import Floats
 
 #: Header of the saved states. `layout` is the checksum of a row's layout, `config` the configuration's number,
 #: `checksum` the CRC-32 of all other bytes.
@@ -45,26 +46,11 @@ IMPLAUSIBLE = (
 )
 
 
-class StateRows(Protocol):
-    """The saved states of some axes, as arrays with a row for each axis."""
-
-    @property
-    def axes(self) -> int: ...
-    @property
-    def samples(self) -> NDArray[np.int64]: ...
-    def arrays(self) -> Iterator[NDArray[np.generic]]: ...
-    def row_type(self) -> np.dtype[np.void]: ...
-    def take_rows(self, index: Places | slice) -> Self: ...
-    def put(self, index: Places | slice, other: Self) -> None: ...
-    def repeat_rows(self, times: int) -> Self: ...
-    def join_rows(self, other: Self) -> Self: ...
-
-
-Rows = TypeVar("Rows", bound=StateRows)
+Rows = TypeVar("Rows", bound=RowArrays)
 
 
 @dataclass
-class AxisStates:
+class AxisStates(RowArrays):
     """The states of some axes."""
 
     sampled: Sampled
@@ -72,59 +58,18 @@ class AxisStates:
     disturbed: Disturbed
 
     @property
-    def axes(self) -> int:
-        return len(self.watched.state)
-
-    @property
     def samples(self) -> NDArray[np.int64]:
         return self.sampled.samples
 
-    @property
-    def _parts(self) -> tuple[RowArrays, RowArrays, RowArrays]:
-        return self.sampled, self.watched, self.disturbed
 
-    def arrays(self) -> Iterator[NDArray[np.generic]]:
-        """Yield all arrays that are saved."""
-        for part in self._parts:
-            yield from (array for _, array in part.parts(saved_only=True))
-
-    def row_type(self) -> np.dtype[np.void]:
-        """Return the data type of one axis."""
-        return row_type_of(one for part in self._parts for one in part.parts(saved_only=True))
-
-    def take_rows(self, index: Places | slice) -> AxisStates:
-        """Return some axes, as copies for an array of numbers and as views for a slice."""
-        return AxisStates(self.sampled.take_rows(index), self.watched.take_rows(index), self.disturbed.take_rows(index))
-
-    def put(self, index: Places | slice, other: AxisStates) -> None:
-        """Overwrite the states of some axes."""
-        for part, rows in zip(self._parts, (other.sampled, other.watched, other.disturbed), strict=True):
-            part.put(index, rows)
-
-    def repeat_rows(self, times: int) -> AxisStates:
-        """Return the states with each axis repeated `times` times."""
-        again = self.sampled.repeat_rows(times), self.watched.repeat_rows(times)
-        return AxisStates(*again, self.disturbed.repeat_rows(times))
-
-    def join_rows(self, other: AxisStates) -> AxisStates:
-        """Return the states of these axes, followed by the states of `other`."""
-        parts = self.sampled.join_rows(other.sampled), self.watched.join_rows(other.watched)
-        return AxisStates(*parts, self.disturbed.join_rows(other.disturbed))
-
-
-def row_type_of(named: Iterable[tuple[str, NDArray[np.generic]]]) -> np.dtype[np.void]:
-    """Return the data type of one axis in arrays with names."""
-    return np.dtype([(f"{k} {name}", array.dtype, array.shape[1:]) for k, (name, array) in enumerate(named)])
-
-
-def write_states(saved: StateRows, config: int) -> bytes:
+def write_states(saved: RowArrays, config: int) -> bytes:
     """Return the bytes of all axes. `config` is the checksum of the configuration."""
     return b"".join(seal_parts(make_parts(saved, config)))
 
 
-def make_parts(saved: StateRows, config: int) -> list[memoryview]:
+def make_parts(saved: RowArrays, config: int) -> list[memoryview]:
     """Return the saved bytes in parts, without the checksum. All parts but the first are the arrays themselves."""
-    parts = [np.ascontiguousarray(array).reshape(-1).view(np.uint8).data for array in saved.arrays()]
+    parts = [np.ascontiguousarray(array).reshape(-1).view(np.uint8).data for _, array in saved.list_saved()]
     return [memoryview(_head(saved, config, saved.axes).tobytes()), *parts]
 
 
@@ -146,7 +91,7 @@ def read(data: bytes, like: Rows, config: int) -> Rows:
     if not isinstance(data, bytes | bytearray | memoryview):
         raise UsageError(f"a state must be the bytes from get_state, got {type(data).__name__}")
     data = bytes(data)
-    row, place = like.row_type().itemsize, HEAD.itemsize
+    row, place = like.row_type.itemsize, HEAD.itemsize
     if len(data) < place or (len(data) - place) % row or len(data) > place + row * MOST_AXES:
         raise UsageError(FOREIGN)
     head, axes = np.frombuffer(data[:place], HEAD)[0], (len(data) - place) // row
@@ -155,15 +100,15 @@ def read(data: bytes, like: Rows, config: int) -> Rows:
     if head.tobytes()[:-4] != _head(like, config, axes).tobytes()[:-4]:
         raise UsageError(FOREIGN)
     found = like.take_rows(slice(0, 1)).repeat_rows(axes)
-    for array in found.arrays():
+    for _, array in found.list_saved():
         array[:] = np.frombuffer(data, array.dtype, array.size, place).reshape(array.shape)
         place += array.nbytes
     return found
 
 
-def _head(saved: StateRows, config: int, axes: int) -> NDArray[np.void]:
+def _head(saved: RowArrays, config: int, axes: int) -> NDArray[np.void]:
     head = np.zeros((), HEAD)
-    row = saved.row_type()
+    row = saved.row_type
     head["magic"], head["version"], head["config"] = MAGIC, VERSION, config
     head["layout"], head["axes"], head["size"] = layout_number(row), axes, row.itemsize
     return head
@@ -185,7 +130,7 @@ def check_states(judge: Judge, saved: AxisStates) -> AxisStates:
     """Return the states with their derived arrays. Raises UsageError for numbers that no sample could have made."""
     sampled, watched = saved.sampled, saved.watched
     references = np.unique(watched.theta, axis=0)
-    fine = all(np.all(np.isfinite(array)) for array in saved.arrays() if array.dtype.kind == "f")
+    fine = all(np.all(np.isfinite(array)) for _, array in saved.list_saved() if array.dtype.kind == "f")
     fine = fine and _counts_fit(judge, saved) and all(judge.plausible(theta) for theta in references)
     for many, states in zip(judge.packers, (sampled.estimator, sampled.filter), strict=True):
         many.hold(states)

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, fields
-from functools import cache
-from typing import TYPE_CHECKING, Self
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid._stage import ALONE, CHANGED, FRESH, KNOWN, LOST, POWER, SAME, SAMPLES, USUAL, Norms, put_rows, waiting_after
+from pmfid._stage import ALONE, CHANGED, FRESH, KNOWN, LOST, POWER, SAME, SAMPLES, USUAL, Norms, waiting_after
 from pmfid.estimators.auxiliary import make_auxiliary_kernel
 from pmfid.estimators.base import Estimator
 from pmfid.kernel.saved import take_guard
+from pmfid.monitor.rows import DERIVED, RowArrays
 from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
-from pmfid.types import Floats, Places
+from pmfid.types import Floats
 
 if TYPE_CHECKING:
     from pmfid._kernel64 import Kernel
@@ -221,51 +221,6 @@ def make_scale(blocks: Blocks) -> Scale:
     unscaled = Scale(inverse, np.ones(len(inverse)), np.ones(len(inverse)))
     x, w = unscaled.standardise(blocks)
     return Scale(inverse, w.mean(axis=0), np.sqrt((x**2).mean(axis=0)))
-
-
-#: Metadata of arrays that are derived from others and are not saved.
-DERIVED = {"saved": False}
-
-
-class RowArrays:
-    """Arrays with one row for each axis."""
-
-    __dataclass_fields__: dict[str, object]
-
-    def parts(self, saved_only: bool = False) -> Iterator[tuple[str, NDArray[np.generic]]]:
-        """Return the arrays by name."""
-        return ((name, getattr(self, name)) for name in _names(type(self), saved_only))  # type: ignore[arg-type]  # a class has a hash
-
-    def take_rows(self, index: Places | slice) -> Self:
-        """Return some rows, as copies for an array of numbers and as views for a slice."""
-        if isinstance(index, slice):
-            return type(self)(**{name: part[index] for name, part in self.parts()})
-        return type(self)(**{name: part.take(index, axis=0) for name, part in self.parts()})
-
-    def put(self, index: Places | slice, rows: Self) -> None:
-        """Overwrite some rows."""
-        for name, part in self.parts():
-            if isinstance(index, slice):
-                part[index] = getattr(rows, name)
-            else:
-                put_rows(part, index, getattr(rows, name))
-
-    def copy_rows(self) -> Self:
-        """Return a copy of all rows."""
-        return type(self)(**{name: part.copy() for name, part in self.parts()})
-
-    def repeat_rows(self, times: int) -> Self:
-        """Return the rows, each repeated `times` times."""
-        return type(self)(**{name: np.repeat(part, times, axis=0) for name, part in self.parts()})
-
-    def join_rows(self, other: Self) -> Self:
-        """Return these rows, followed by the rows of `other`."""
-        return type(self)(**{name: np.concatenate([part, getattr(other, name)]) for name, part in self.parts()})
-
-
-@cache
-def _names(kind: type[RowArrays], saved_only: bool) -> tuple[str, ...]:
-    return tuple(one.name for one in fields(kind) if one.metadata.get("saved", True) or not saved_only)  # type: ignore[arg-type]
 
 
 @dataclass

@@ -10,7 +10,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.monitor.scores import RowArrays
+from pmfid.monitor.rows import RowArrays
 from pmfid.stream.delivery import Block
 from pmfid.stream.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
