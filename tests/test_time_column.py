@@ -218,7 +218,7 @@ def test_a_velocity_on_an_uneven_clock_gives_the_travel_of_its_position(steps: t
     travel = [(record.counts - record.counts[0]) * record.resolution for record in (place, speed)]
     np.testing.assert_allclose(travel[1], travel[0], atol=2e-3)
     np.testing.assert_allclose(speed.u, place.u)
-    assert speed.own is not None
+    assert speed.steps is not None
 
 
 @pytest.mark.filterwarnings("error")

@@ -71,11 +71,12 @@ def export(
         from pmfid.estimators.recursive import RecursiveEstimator
         from pmfid.export.firmware import ParameterAlarm, export_firmware
         from pmfid.pipeline.export import check_exportable, drive_estimator, drive_samples
+        from pmfid.records.joining import make_even
         from pmfid.records.record import read_record
 
         axis = load_axis(axis_file, given | ({"encoder.guard": False} if no_guard else {}))
         check_exportable(axis)
-        data = None if record is None else read_record(record, axis)
+        data = None if record is None else make_even(read_record(record, axis))
         estimator = drive_estimator(axis, data, dt, steps)
         samples = None if data is None else drive_samples(estimator, data)
         watched = [ParameterAlarm(*alarm) for alarm in alarms]

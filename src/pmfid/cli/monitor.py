@@ -75,6 +75,7 @@ def monitor(
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.monitored.setup import check_monitored, set_up_record
         from pmfid.pipeline.monitored.stream import Stop
+        from pmfid.records.joining import make_even
         from pmfid.records.record import read_record
 
         axis = load_axis(config, {f"monitor.{key}": value for key, value in options.items()})
@@ -83,7 +84,7 @@ def monitor(
         _check_places(
             out, report, [*inputs, config.parent / axis.monitor.reference] if axis.monitor.reference else inputs
         )
-        data = None if piped else read_record(record, axis)
+        data = None if piped else make_even(read_record(record, axis))
         setup = set_up_record(axis, config.parent, data, tell_part)
     with Stop().handling() as stop:
         run, history, sink = _run(setup, axis, data, out, stop, tell, report is not None)

@@ -22,6 +22,7 @@ from pmfid.io.tables import Table
 from pmfid.pipeline.drives import make_estimator, match_kind
 from pmfid.pipeline.edges import make_edge_estimator, takes_edges
 from pmfid.pipeline.known import finds_gain
+from pmfid.records.joining import make_even
 from pmfid.records.record import Record, record_of
 from pmfid.status import Status
 
@@ -67,7 +68,7 @@ def forgetting_of(segment: float, dt: float) -> float:
 def record_at(table: Table, axis: Axis) -> Record:
     """Return the record of a piece, whose time is in s. Raises UsageError for a piece that is no record."""
     own = axis.record.model_copy(update={"time_unit": "s", "dt": None})
-    record = record_of(table, axis.model_copy(update={"record": own}))
+    record = make_even(record_of(table, axis.model_copy(update={"record": own})))
     if record.there is not None and record.there.mean() < 1 - TUNING.most_missing:
         raise UsageError(
             f"even at the most suitable sample period, {record.dt:.6g} s, {1 - record.there.mean():.0%} "

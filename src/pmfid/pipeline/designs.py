@@ -22,6 +22,7 @@ from pmfid.design.solver import solve
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
 from pmfid.pipeline.tuning import TUNING
+from pmfid.records.joining import make_even
 from pmfid.records.record import read_record
 
 __all__ = ["Spec", "load_spec", "make_problem"]
@@ -311,5 +312,5 @@ def read_run(spec: Spec, path: Path) -> DesignedRun:
         model=ModelConfig(input_gain=spec.drive.input_gain),
         estimator=EstimatorConfig(cutoff=1.0),
     )
-    record = read_record(path, axis)
+    record = make_even(read_record(path, axis))
     return DesignedRun(record.u, np.asarray(record.counts * record.resolution, float), record.dt)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -45,7 +45,7 @@ from pmfid.pipeline.result import DriveResult
 from pmfid.pipeline.stored import Stored
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.edge_ages import Coarser
-from pmfid.records.joining import join_records
+from pmfid.records.joining import join_records, make_even
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record, read_record, record_of
 from pmfid.status import Status, status_findings
@@ -114,14 +114,13 @@ class Drives(Kind[Record]):
         return record_of(table, axis)
 
     def name_and_samples(self, data: Record) -> tuple[str, int]:
-        rows = data if data.own is None else data.own  # an estimate uses the record at its own instants
-        return data.name, int(rows.u.size)
+        return data.name, int(data.u.size)
 
     def prepare_axis(self, data: Record, axis: Axis) -> Axis:
         axis = match_kind(data, axis)
         if axis.estimator.cutoff is not None or data.counts.size == 0:
             return axis
-        known = repair_as_configured(data, axis).record.measured
+        known = repair_as_configured(make_even(data), axis).record.measured
         either = [set_gain(axis, 1.0), set_gain(axis, -1.0)] if finds_gain(axis) else [axis]
         models = [one.model.make() for one in either]
         encoder, forgetting = axis.encoder.make_encoder(data.resolution), axis.estimator.forgetting
@@ -134,7 +133,7 @@ class Drives(Kind[Record]):
 
     def check(self, data: Record, axis: Axis) -> None:
         axis = set_any_gain(axis)
-        mistake = check_direction(repair_as_configured(data, axis).record, axis)
+        mistake = check_direction(repair_as_configured(make_even(data), axis).record, axis)
         if mistake:
             raise UsageError(mistake)
 
@@ -145,7 +144,7 @@ class Drives(Kind[Record]):
         return checks.check_record(data, axis) or repair_as_configured(data, axis).findings
 
     def estimate(self, data: Record, axis: Axis, progress: Progress | None = None) -> DriveResult:
-        data = take_own_instants(data, axis)
+        _check_steps(data, axis)
         known = repair_as_configured(data, axis)
         if uses_fit(axis):
             result = try_both_signs(axis, lambda own: identify_by_fit(data, own, axis))
@@ -159,9 +158,8 @@ class Drives(Kind[Record]):
         return result.with_findings(*known.findings, *_clock_findings(data), *note_one_level([data.u], scaling))
 
     def free_runs(self, data: Record, axis: Axis, theta: Floats) -> list[FreeRun]:
-        record = data if data.own is None else data.own
-        known, axis = repair_as_configured(record, axis), match_kind(data, axis)
-        run = drive_run(make_fit(axis, record), theta, known.record.u, known.record.counts, data.name, known.used)
+        known, axis = repair_as_configured(data, axis), match_kind(data, axis)
+        run = drive_run(make_fit(axis, data), theta, known.record.u, known.record.counts, data.name, known.used)
         return [replace(run, notes=(*filter(None, (known.sentence,)), *run.notes))]
 
     def check_known(self, stored: Stored, data: Record, axis: Axis) -> None:
@@ -223,24 +221,22 @@ def match_kind(record: Record, axis: Axis) -> Axis:
     return axis.model_copy(update={"model": axis.model.model_copy(update={"axis": "rotary"})})
 
 
-def take_own_instants(record: Record, axis: Axis) -> Record:
-    """Return the record at its own instants if its clock is uneven.
-
-    Raises UsageError for a method or model that needs even samples.
-    """
-    if record.own is None or uses_fit(axis):
-        return record if record.own is None else record.own
-    estimator = _construct(set_any_gain(axis), record)
-    known = isinstance(estimator, RecursiveEstimator) and (axis.estimator.given or axis.estimator.prior)
-    with suppress(UsageError):
-        if not known:
-            _construct(set_any_gain(axis), record.own)
-            return record.own
-    raise UsageError(
-        f"the steps of the clock vary by {record.jitter:.0%}, and {estimator.method} with these settings needs even "
-        'samples; set [estimator] method = "auto" without forgetting, which takes each step as it was, or log at a '
-        "fixed rate"
-    )
+def _check_steps(record: Record, axis: Axis) -> None:
+    """Raise UsageError for a method or model that needs even samples if the record has others."""
+    if record.steps is None or uses_fit(axis):
+        return
+    estimator = _construct(set_any_gain(axis), replace(record, steps=None))
+    known = isinstance(estimator, RecursiveEstimator) and bool(axis.estimator.given or axis.estimator.prior)
+    try:
+        _construct(set_any_gain(axis), record)
+    except UsageError:
+        known = True
+    if known:
+        raise UsageError(
+            f"the steps of the clock vary by {record.jitter:.0%}, and {estimator.method} with these settings needs "
+            'even samples; set [estimator] method = "auto" without forgetting, which takes each step as it was, or log '
+            "at a fixed rate"
+        )
 
 
 def make_estimator(axis: Axis, record: Record) -> Estimator:
@@ -339,8 +335,8 @@ def _estimate(estimator: Estimator, record: Record, axis: Axis, progress: Progre
 
 
 def _clock_findings(record: Record) -> tuple[Finding, ...]:
-    """Return a finding on a clock that drifts, whose record was resampled to even samples."""
-    if not record.jitter or record.steps is not None:
+    """Return a finding on a clock that drifts."""
+    if not record.drifts:
         return ()
     varies = f"the steps of the clock vary by {record.jitter:.0%}"
     sentence = f"{varies} and drift, and the record does not show which clock is right"

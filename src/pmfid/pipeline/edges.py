@@ -22,6 +22,7 @@ from pmfid.monitor.edges import EdgeMonitor
 from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.tuning import TUNING
+from pmfid.records.joining import make_even
 from pmfid.records.record import Record, read_record
 from pmfid.status import Status
 from pmfid.types import Floats
@@ -107,7 +108,7 @@ def set_up_edges(axis: Axis, folder: Path, record: Record | None) -> EdgeSetup:
     not give the parameters.
     """
     config = axis.monitor
-    normal = None if config.reference is None else read_record(folder / config.reference, axis)
+    normal = None if config.reference is None else make_even(read_record(folder / config.reference, axis))
     source = record or normal
     if source is None or (normal is None and config.nominal is None):
         raise UsageError(

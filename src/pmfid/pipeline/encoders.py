@@ -28,7 +28,7 @@ from pmfid.pipeline.known import check_numbers_known
 from pmfid.pipeline.result import DriveResult
 from pmfid.pipeline.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict
-from pmfid.records.joining import unbroken
+from pmfid.records.joining import make_even, unbroken
 from pmfid.records.record import Record
 from pmfid.types import Counts, Floats
 
@@ -134,7 +134,7 @@ def compare_encoders(
             "the wanted uncertainty must be above 0 and below 100 %, and the error of the lines below 50 %"
         )
     check_numbers_known(axis, "a comparison of encoders")
-    record = replace(unbroken(record), own=None, ages=None)
+    record = replace(unbroken(make_even(record)), ages=None)
     axis = kind.settle_axis(record, axis)
     result = kind.estimate(record, axis)
     names = result.names

@@ -18,7 +18,7 @@ from pmfid.diagnostics.free_run import FreeRun
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.findings import MOVE, Finding, codes, sort_findings
 from pmfid.fit.compare import NORMAL_95
-from pmfid.pipeline.drives import Drives, take_own_instants
+from pmfid.pipeline.drives import Drives
 from pmfid.pipeline.identify import describe_refusal, identify, kind_of
 from pmfid.pipeline.kinds import Records, parameters_of
 from pmfid.pipeline.known import set_stored_gain
@@ -98,7 +98,6 @@ def run_selftest(
     names, units = parameters_of(axis.model.make())
     theta = stored.theta(axis.model.kind, names, units)
     kind.check_known(stored, data, axis)
-    data = replace(take_own_instants(data, axis), own=None)
     own = kind.free_runs(data, axis, theta)[0]
     rng, noise = np.random.default_rng(seed), measure_noise(own, data.resolution)
     found, refused, deviations = list[Result](), 0, list[float]()

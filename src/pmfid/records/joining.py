@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.errors import UsageError
+from pmfid.estimators.sample_steps import SampleSteps
 from pmfid.records.record import Record
 from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
@@ -36,29 +37,32 @@ def join_records(records: Sequence[Record], place_matters: bool) -> Record:
     parts = [_settle_part(first, 0, first=True)]
     for record in records[1:]:
         parts.append(_settle_part(record, int(parts[-1][1][-1]), first=False))
-    u, counts, there = (np.concatenate(signal) for signal in zip(*parts, strict=True))
+    u, counts, there, before = (np.concatenate(signal) for signal in zip(*parts, strict=True))
+    steps = SampleSteps(before) if any(record.steps for record in records) else None
     joined = [f"{len(records)} records make one estimate: the motion of each starts separately"]
     if any(record.ages is not None for record in records):
         joined.append("the ages of edges are not used, because there are several records")
     notes = (*joined, *dict.fromkeys(f"{record.name}: {note}" for record in records for note in record.notes))
     name = ", ".join(record.name for record in records)
-    return replace(first, u=u, counts=counts, there=there, notes=notes, name=name, own=None, ages=None)
+    return replace(first, u=u, counts=counts, there=there, notes=notes, name=name, steps=steps, ages=None)
 
 
-def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags]:
-    """Return the input, the counts from `start` on, and a mask of the measured samples of one record.
+def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Counts, Flags, Floats]:
+    """Return the input, the counts from `start` on, a mask of the measured samples, and the steps of one record.
 
     A gap precedes each record except the first.
     """
     there = np.ones(record.u.size, bool) if record.there is None else record.there
+    before = np.full(record.u.size, record.dt) if record.steps is None else record.steps.before
     counts = record.counts - record.counts[0] + (record.counts[0] if first else start)
     if first:
-        return record.u, counts, there
+        return record.u, counts, there, before
     gap = np.full(TUNING.gaps_apart, np.nan), np.full(TUNING.gaps_apart, start), np.zeros(TUNING.gaps_apart, bool)
-    return np.r_[gap[0], record.u], np.r_[gap[1], counts], np.r_[gap[2], there]
+    later = np.full(TUNING.gaps_apart, record.dt)
+    return np.r_[gap[0], record.u], np.r_[gap[1], counts], np.r_[gap[2], there], np.r_[later, before]
 
 
-__all__ = ["unbroken"]
+__all__ = ["make_even", "unbroken"]
 
 
 def unbroken(record: Record) -> Record:
@@ -82,6 +86,25 @@ def unbroken(record: Record) -> Record:
         counts=record.counts[first:last],
         there=None if record.there is None else record.there[first:last],
         notes=notes,
-        own=None,
+        steps=None if record.steps is None else record.steps.part(first, last),
         ages=None,
     )
+
+
+def make_even(record: Record) -> Record:
+    """Return the record at even instants, for methods that need them, with the counts on lines between the samples.
+
+    The input is its mean over each interval, so that no impulse is lost. A gap remains a gap.
+    """
+    if record.steps is None:
+        return record
+    times, first = record.times, record.counts[0]
+    grid = np.arange(int(times[-1] / record.dt) + 1) * record.dt
+    counts = np.rint(np.interp(grid, times, record.counts - first)).astype(np.int64) + first
+    impulse = np.append(0.0, np.cumsum(np.nan_to_num(record.u[:-1]) * np.diff(times)))
+    u = np.diff(np.interp(np.append(grid, grid[-1] + record.dt), times, impulse)) / record.dt
+    row = np.searchsorted(times, grid, side="right") - 1
+    u = np.where(np.isfinite(record.u[row]) & np.isfinite(record.u[np.minimum(row + 1, times.size - 1)]), u, np.nan)
+    u[-1] = record.u[row[-1]]
+    there = None if record.there is None else record.there[row] & np.isfinite(u)
+    return replace(record, u=u, counts=counts, there=there, steps=None, ages=None, temperature=None)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmfid.config.record import NO_ENCODER, RecordConfig, Sections, conversion
 from pmfid.errors import UsageError
@@ -16,7 +17,7 @@ from pmfid.io.csv_text import Stated
 from pmfid.io.reading import read_table
 from pmfid.io.tables import ClockedSignals, Table, column, from_array, lookup, notes_of, times, whole_name
 from pmfid.linear.experiment import Experiment
-from pmfid.records.clock import PlacedRows, named_unit, place_rows, time_factor
+from pmfid.records.clock import PlacedRows, named_unit, place_rows, sample_period, time_factor
 from pmfid.records.column_checks import (
     check_counts,
     check_lengths,
@@ -30,8 +31,8 @@ from pmfid.records.column_checks import (
 from pmfid.records.edge_ages import Coarser, make_edge_ages, read_edge_ages
 from pmfid.records.friction_column import read_slow_column
 from pmfid.records.gaps import describe_missing, hold_input, place_samples
+from pmfid.records.instants import Instants, find_instants, integrate_stamps
 from pmfid.records.repeats import miss_stale_rows
-from pmfid.records.resampling import OwnSamples, Resampled, integrate_stamps, resample_uneven
 from pmfid.records.topics import join_topics
 from pmfid.records.travel import measure_travel
 from pmfid.records.tuning import TUNING
@@ -127,11 +128,10 @@ class Record:
     `u` (n,) is the scaled input, with NaN where it is unknown. `counts` (n,) are the unwrapped encoder
     counts. `dt` is the sample period [s], and `resolution` is the unit of y per count. `notes` describe changes to the
     data. `name` is the name of the file. `rotary` says whether the output is an angle. `there` (n,) marks the measured
-    outputs, or is None if all were measured. Other counts lie on a straight line. `jitter` is
-    the root mean square deviation of the steps of an uneven clock, relative to the period, before resampling. `own` is
-    the record at the uneven instants of its clock, or None for even instants. A record at uneven instants has
-    `steps`, the times between its samples. `in_counts` says whether lengths are in counts, because the travel of a
-    count is unknown.
+    outputs, or is None if all were measured. Other counts lie on a straight line. A record of an uneven clock has
+    `steps`, the times between its samples, and its `jitter` is their root mean square deviation relative to the period.
+    `drifts` says whether the period of the clock changes. `in_counts` says whether lengths are in counts, because the
+    travel of a count is unknown.
     `ages` (n,) is the time from the last edge of the encoder to the sample [s], NaN without an edge, or None.
     `dt_error` is the relative standard error of the sample period, if the stamps scatter around an even grid.
     `input_unit` is the unit of u, or empty if neither column nor gain has one. `temperature` (n,) is the column that
@@ -148,7 +148,7 @@ class Record:
     there: Flags | None = None
     jitter: float = 0.0
     steps: SampleSteps | None = None
-    own: Record | None = None
+    drifts: bool = False
     in_counts: bool = False
     ages: Floats | None = None
     dt_error: float = 0.0
@@ -285,105 +285,108 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     warmth = axis.record.friction_temperature
     slow = None if warmth is None else read_slow_column(table, "friction_temperature", warmth, columns)
     columns, topic_notes = join_topics(columns)
-    if config.output_kind == "counts":  # resampling rounds the counts of an uneven clock
+    if config.output_kind == "counts":
         check_counts(columns, config)
     check_step_unit(axis, columns["output"])
     mask = None if config.mask is None else column(table, "mask", whole_name(table, config.mask))
-    columns, found, clock_notes = _resample(axis, columns, units.y, mask)
+    columns, found, clock_notes = _find_clock(axis, columns, units.y, mask)
+    notes = notes_of(table) + topic_notes + units.notes + scale_notes + clock_notes
+    u_scale = scale * units.u
     if found is not None:  # the rows to leave out are gaps now
         config, mask = config.model_copy(update={"mask": None, "exclude": ()}), None
-    rows, inputs, row_notes = _rows(config, columns, mask)
-    jitter, dt_error = (0.0, rows.dt_error) if found is None else (found.jitter, found.dt_error)
-    if rows.rows.size < len(columns["input"]):  # without missing rows, a copy is needless
-        columns = {key: values[rows.rows] for key, values in columns.items()}
-    stamps = columns.pop("time", rows.rows.astype(np.float64))
-    stamps = rows.place_stamps(stamps)
-    y = _scale_column(columns["output"], units.y, "the unit of the output")
-    travel, motion_notes = (y, ()) if found is not None else _measure_travel(y, rows, axis)
-    counts, count_notes = counts_of(travel, axis)
-    resolution = axis.encoder.resolution
-    fine = None
-    if coarse is not None:
-        # Without a position, y is computed from the counts, so that no position is floored twice.
-        fine = travel if config.output_kind != "counts" else counts.astype(np.float64) * resolution
-        counts, resolution = floor_counts(fine, coarse.step, 1e-9), coarse.step
-        count_notes += (f"the position is quantised again with a step of {coarse.step:g}",)
-    in_counts = config.output_kind == "counts" and resolution == 1
-    if in_counts:
-        count_notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
-    notes = (
-        notes_of(table) + topic_notes + units.notes + scale_notes + clock_notes + row_notes + motion_notes + count_notes
-    )
-    u = _scale_column(columns["input"], scale * units.u)
-    rotary = units.kind == "rotary"
-    own = None
-    if found is not None and found.own is not None:
-        before = found.own.before * (rows.dt / found.own.before[0])
-        own = _own_record(found.own, SampleSteps(before), scale * units.u, units.y, coarse, axis)
-        own = replace(own, notes=notes, name=name, rotary=rotary, in_counts=in_counts, input_unit=units.input_unit)
-        own_stamps = stamps[0] + own.times * (found.own.before[0] / rows.dt)
-        own = replace(own, temperature=None if slow is None else slow.interpolate(own_stamps))
-    obstacle = (
-        "the steps of the clock vary"
-        if found is not None
-        else "rows are missing"
-        if not rows.whole
-        else "the position is quantised again"
-        if coarse is not None and not coarse.edges
-        else ""
-    )
-    if fine is not None and coarse is not None and coarse.edges:
-        ages, age_notes = make_edge_ages(fine, rows.dt, coarse, axis.encoder.tick, obstacle)
+    if found is None or found.even:
+        record, stamps, rows, fine = _place_on_grid(config, axis, columns, mask, found, (u_scale, units.y), coarse)
     else:
-        ages, age_notes = read_edge_ages(table, axis.encoder, rows.rows, obstacle)
-    notes += age_notes
-    if rows.whole:
-        there = None
+        record, fine = _take_uneven(found, axis, (u_scale, units.y), coarse)
+        stamps, rows = found.time, np.arange(record.u.size)
+    lost = "" if record.there is None else "rows are missing"
+    obstacle = lost if found is None else "the steps of the clock vary"
+    if coarse is not None and coarse.edges and fine is not None:
+        ages, age_notes = make_edge_ages(fine, record.dt, coarse, axis.encoder.tick, obstacle)
     else:
-        inputs = _scale_column(inputs, scale * units.u)
-        u, counts, there = place_samples(u, counts, rows.places, inputs, config.output_kind != "velocity")
-        notes, ages = (*notes, describe_missing(u, there)), None
-    return Record(
-        u,
-        counts,
-        rows.dt,
-        resolution,
-        notes,
-        name,
-        rotary,
-        there,
-        jitter=jitter,
-        own=own,
-        in_counts=in_counts,
+        obstacle = obstacle or ("the position is quantised again" if coarse is not None else "")
+        ages, age_notes = read_edge_ages(table, axis.encoder, rows, obstacle)
+    return replace(
+        record,
+        notes=notes + record.notes + age_notes,
+        name=name,
+        rotary=units.kind == "rotary",
         ages=ages,
-        dt_error=dt_error,
         input_unit=units.input_unit,
         temperature=None if slow is None else slow.interpolate(stamps),
     )
 
 
-def _own_record(
-    own: OwnSamples, steps: SampleSteps, u_scale: float, y_scale: float, coarse: Coarser | None, axis: Axis
-) -> Record:
-    """Return the record at its own instants. `u_scale` and `y_scale` are the factors of input and output."""
-    kind, resolution = axis.record.output_kind, axis.encoder.resolution
-    y = _scale_column(np.rint(own.y) if kind == "counts" else own.y, y_scale, "the unit of the output")
-    counts = counts_of(y, axis)[0]
+def _place_on_grid(
+    config: RecordConfig,
+    axis: Axis,
+    columns: dict[str, Floats],
+    mask: Floats | None,
+    clock: Instants | None,
+    scales: tuple[float, float],
+    coarse: Coarser | None,
+) -> tuple[Record, Floats, NDArray[np.intp], Floats | None]:
+    """Return the record of an even clock, the stamps (n,) of its samples, the used rows, and the position before a
+    coarser encoder.
+
+    `scales` are the factors of input and output. `clock` is the even clock of late stamps.
+    """
+    rows, inputs, row_notes = _rows(config, columns, mask)
+    if rows.rows.size < len(columns["input"]):  # without missing rows, a copy is needless
+        columns = {key: values[rows.rows] for key, values in columns.items()}
+    stamps = rows.place_stamps(columns.get("time", rows.rows.astype(np.float64)))
+    y = _scale_column(columns["output"], scales[1], "the unit of the output")
+    travel, motion_notes = (y, ()) if clock is not None else _measure_travel(y, rows, axis)
+    record, fine = _count(_scale_column(columns["input"], scales[0]), travel, rows.dt, axis, coarse)
+    notes = row_notes + motion_notes + record.notes
+    if not rows.whole:
+        inputs, bridged = _scale_column(inputs, scales[0]), config.output_kind != "velocity"
+        u, counts, there = place_samples(record.u, record.counts, rows.places, inputs, bridged)
+        notes = (*notes, describe_missing(u, there))
+        record = replace(record, u=u, counts=counts, there=there)
+    record = replace(record, notes=notes, dt_error=rows.dt_error)
+    if clock is not None:
+        record = replace(record, jitter=clock.jitter, drifts=clock.drifts, dt_error=clock.dt_error)
+    return record, stamps, rows.rows, fine
+
+
+def _take_uneven(
+    found: Instants, axis: Axis, scales: tuple[float, float], coarse: Coarser | None
+) -> tuple[Record, Floats | None]:
+    """Return the record at uneven instants, and the position before a coarser encoder. `scales` are the factors of
+    input and output.
+    """
+    dt, notes = sample_period(found.period * np.arange(found.u.size) + found.time[0], axis.record)
+    y = _scale_column(found.y, scales[1], "the unit of the output")
+    record, fine = _count(hold_input(_scale_column(found.u, scales[0])), y, dt, axis, coarse)
+    steps = SampleSteps(np.append(dt, np.diff(found.time) * (dt / found.period)))
+    there = None if np.all(found.there) else found.there
+    notes += record.notes if there is None else (*record.notes, describe_missing(record.u, there))
+    return replace(record, there=there, notes=notes, steps=steps, jitter=found.jitter, drifts=found.drifts), fine
+
+
+def _count(u: Floats, travel: Floats, dt: float, axis: Axis, coarse: Coarser | None) -> tuple[Record, Floats | None]:
+    """Return the record of an input u (n,) and a travel (n,), and the position (n,) before a coarser encoder."""
+    (counts, notes), resolution, fine = counts_of(travel, axis), axis.encoder.resolution, None
     if coarse is not None:
-        y = counts.astype(np.float64) * resolution if kind == "counts" else y
-        counts, resolution = floor_counts(y, coarse.step, 1e-9), coarse.step
-    u, there = hold_input(_scale_column(own.u, u_scale)), None if np.all(own.there) else own.there
-    return Record(u, counts, float(steps.before[0]), resolution, (), "", False, there, steps=steps)
+        # Without a position, y is computed from the counts, so that no position is floored twice.
+        fine = travel if axis.record.output_kind != "counts" else counts.astype(np.float64) * resolution
+        counts, resolution = floor_counts(fine, coarse.step, 1e-9), coarse.step
+        notes += (f"the position is quantised again with a step of {coarse.step:g}",)
+    in_counts = axis.record.output_kind == "counts" and resolution == 1
+    if in_counts:
+        notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
+    return Record(u, counts, dt, resolution, notes, "", in_counts=in_counts), fine
 
 
-def _resample(
+def _find_clock(
     axis: Axis, columns: dict[str, Floats], y_scale: float, mask: Floats | None
-) -> tuple[dict[str, Floats], Resampled | None, tuple[str, ...]]:
-    """Return the columns of an uneven clock on an even grid, the resampled data, and notes.
+) -> tuple[dict[str, Floats], Instants | None, tuple[str, ...]]:
+    """Return the columns on an even clock, the samples of uneven stamps, and notes.
 
-    The resampled data are None for an even clock. `y_scale` is the factor of the output. Rows that `mask` (n,) or
-    [record] exclude leave out become gaps. The velocity of an uneven clock is integrated over its own steps. A record
-    keeps its clock if its output has a range.
+    The samples are None for even stamps. `y_scale` is the factor of the output. Rows that `mask` (n,) or [record]
+    exclude leave out become gaps. The velocity of an uneven clock is integrated over its own steps. A record keeps its
+    clock if its output has a range.
     """
     given, config, encoder = columns, axis.record, axis.encoder
     if "time" not in columns or encoder.range is not None:
@@ -395,22 +398,23 @@ def _resample(
     if own is None:
         return given, None, ()
     columns, notes = own
-    found = resample_uneven(columns["time"], columns["input"], columns["output"])
+    found = find_instants(columns["time"], columns["input"], columns["output"])
     if found is None:
         lost = np.isnan(columns["output"]) & ~out
         return given | {"output": np.where(lost, np.nan, given["output"])}, None, notes
-    period = (found.time[1] - found.time[0]) * time_factor(config)
     note = "the stamps scatter around an even grid like times of arrival, and the grid replaces them"
     if found.dt_error > 0:
         error = 100 * found.dt_error
         notes = (f"the period of the grid is known to {error:.1g} %; the intervals contain this error", *notes)
     if found.jitter:
+        period = found.period * time_factor(config)
         note = f"the steps of the clock vary by {100 * found.jitter:.2g} %, around {period:.4g} s"
     if config.output_kind == "counts":
         apart = columns["output"] - given["output"]
         notes = (*notes, *_describe_wraps(np.diff(apart[np.isfinite(apart)]) != 0))
-    y = np.rint(found.y) if config.output_kind == "counts" else found.y
-    return columns | {"time": found.time, "input": found.u, "output": y}, found, (*out_notes, note, *notes)
+        found = replace(found, y=np.rint(found.y))
+    columns = columns | {"time": found.time, "input": found.u, "output": found.y}
+    return columns, found, (*out_notes, note, *notes)
 
 
 def _integrate(axis: Axis, columns: dict[str, Floats]) -> tuple[dict[str, Floats], tuple[str, ...]] | None:

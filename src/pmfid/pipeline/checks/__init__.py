@@ -18,7 +18,7 @@ from pmfid.pipeline.checks.readings import is_turned_by_gravity, no_inertia, no_
 from pmfid.pipeline.checks.timing import odd_period, too_fast, too_slow
 from pmfid.pipeline.checks.view import CheckedLog
 from pmfid.records.gaps import bridge_input
-from pmfid.records.joining import unbroken
+from pmfid.records.joining import make_even, unbroken
 from pmfid.records.record import Record
 
 __all__ = ["LATER", "SOON", "Check", "check_record", "scan_record"]
@@ -47,6 +47,7 @@ def check_record(record: Record, axis: Axis) -> tuple[Finding, ...]:
 
 
 def _open_log(record: Record, axis: Axis) -> CheckedLog:
+    record = make_even(record)
     return CheckedLog(unbroken(replace(record, u=bridge_input(record.u))), axis)
 
 

@@ -33,6 +33,7 @@ from pmfid.pipeline.edges import EdgeSetup, describe_monitor, set_up_edges, take
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.known import finds_gain, known_of, set_gain, try_both_signs
 from pmfid.pipeline.tuning import TUNING
+from pmfid.records.joining import make_even
 from pmfid.records.record import Record, read_record
 from pmfid.types import Floats
 
@@ -200,7 +201,7 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     """
     config, notes = axis.monitor, list[str]()
     check_monitored(axis)
-    normal = None if config.reference is None else read_record(folder / config.reference, axis)
+    normal = None if config.reference is None else make_even(read_record(folder / config.reference, axis))
     source = normal or record
     if source is None or (normal is None and config.nominal is None):
         raise UsageError(

@@ -9,11 +9,13 @@ import polars as pl
 import pytest
 
 from pmfid.config.axis import Axis, load_axis
+from pmfid.estimators.sample_steps import SampleSteps
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.result import DriveResult
 from pmfid.records.clock import slope_below
-from pmfid.records.record import record_of
-from pmfid.records.resampling import resample_uneven
+from pmfid.records.instants import find_instants
+from pmfid.records.joining import make_even
+from pmfid.records.record import Record, record_of
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.types import Counts, Floats
 from tests.refusals import refused
@@ -101,7 +103,7 @@ def test_rows_of_an_uneven_clock_are_left_out(tmp_path: Path, key: str) -> None:
     )
     axis = load_axis(tmp_path / "axis.toml")
     record = kind_of(axis).read([tmp_path / "run.csv"], axis)
-    assert record.own is not None
+    assert record.steps is not None
     result = identify(record, axis)
     assert np.all(np.abs(result.theta - TRUTH) < 3.5 * result.theta_std)
     assert any("230 rows are left out" in note for note in result.notes)
@@ -144,28 +146,30 @@ def test_no_estimate_comes_from_resampled_samples(tmp_path: Path, method: str, m
     assert "uneven_clock" not in found.status
 
 
-def test_no_impulse_is_lost_and_a_gap_stays_a_gap() -> None:
+def test_even_samples_lose_no_impulse_and_a_gap_stays_a_gap() -> None:
     rng = np.random.default_rng(2)
     steps = rng.uniform(0.5, 1.5, 400)
     steps[200] = 20.0
     time, u = np.r_[0.0, np.cumsum(steps)], rng.standard_normal(401)
-    found = resample_uneven(time, u, np.sin(0.05 * time))
+    found = find_instants(time, u, np.sin(0.05 * time))
     assert found is not None
-    gap = np.isnan(found.y)
-    assert np.count_nonzero(gap) == pytest.approx(20, abs=1)
-    before = found.time < time[200] - 2
-    period = found.time[1] - found.time[0]
-    last = found.time[before][-1] + period
-    whole = np.interp(last, time, np.r_[0.0, np.cumsum(u[:-1] * steps)])
-    assert np.sum(found.u[before]) * period == pytest.approx(whole)
-    np.testing.assert_allclose(found.y[~gap], np.sin(0.05 * found.time[~gap]), atol=2e-3)
+    assert np.count_nonzero(~found.there) == np.count_nonzero(np.isnan(found.u)) == pytest.approx(20, abs=1)
+    before = SampleSteps(np.append(found.period, np.diff(found.time)))
+    record = Record(found.u, np.rint(1e4 * found.y).astype(np.int64), found.period, 1e-4, (), "run", steps=before)
+    even = make_even(record)
+    assert np.count_nonzero(np.isnan(even.u)) == pytest.approx(20, abs=1)
+    rows = int((time[200] - 2) / even.dt)
+    whole = np.interp(rows * even.dt, time, np.r_[0.0, np.cumsum(u[:-1] * steps)])
+    assert np.sum(even.u[:rows]) * even.dt == pytest.approx(whole)
+    seen = np.isfinite(even.u)
+    np.testing.assert_allclose(1e-4 * even.counts[seen], np.sin(0.05 * even.times[seen]), atol=2e-3)
 
 
 @pytest.mark.parametrize("far", [1e6, 1e15])
 def test_a_stamp_that_is_far_off_fills_no_memory(far: float) -> None:
     time = np.cumsum(np.random.default_rng(3).uniform(0.5, 1.5, 400))
     time[200:] += far
-    found = resample_uneven(time, np.ones(400), np.sin(0.05 * np.arange(400)))
+    found = find_instants(time, np.ones(400), np.sin(0.05 * np.arange(400)))
     assert found is not None
     assert found.time.size < 2000
 
@@ -177,8 +181,8 @@ def test_a_coarse_encoder_tells_instants_from_arrivals(late: float, spread: floa
     time = np.arange(3000) + spread * rng.uniform(-1, 1, 3000)
     counts = np.floor(60 * np.sin(0.05 * time) + 0.3)
     stamps = np.sort(time + late * np.abs(rng.standard_normal(3000)))
-    found = resample_uneven(stamps, np.ones(3000), counts)
-    assert (found is not None and found.own is not None) == (late == 0)
+    found = find_instants(stamps, np.ones(3000), counts)
+    assert (found is not None and not found.even) == (late == 0)
 
 
 def test_many_small_gaps_of_an_uneven_clock_restart_the_motion(tmp_path: Path) -> None:
@@ -223,13 +227,13 @@ def test_samples_that_arrive_at_once_are_samples_of_an_even_clock() -> None:
     u, y = rng.standard_normal(n), 100 * np.sin(0.2 * k + np.sin(0.01 * k))
     stamps = np.sort(k + 2 * np.abs(rng.standard_normal(n)))
     stamps[[401, 402, 900]] = stamps[[400, 400, 899]]
-    found = resample_uneven(stamps, u, y)
+    found = find_instants(stamps, u, y)
     assert found is not None
     assert not found.jitter
     np.testing.assert_array_equal(found.u, u)
     assert np.diff(found.time).mean() == pytest.approx(1.0, rel=1e-3)
     y[401], u[401] = y[400], u[400]  # a row that was written twice
-    twice = resample_uneven(stamps, u, y)
+    twice = find_instants(stamps, u, y)
     assert twice is not None
     assert twice.u.size == n - 1
 

@@ -1,7 +1,6 @@
-"""Records of an uneven clock on an even grid.
+"""The instants of samples with uneven time stamps.
 
-If the stamps are the instants of the samples, the record is resampled. If an even clock samples before late stamps, the
-samples remain unchanged.
+The stamps are the instants of the samples, or the times at which samples of an even clock arrived.
 """
 
 from __future__ import annotations
@@ -26,42 +25,32 @@ from pmfid.types import Flags, Floats
 
 
 @dataclass(frozen=True)
-class Resampled:
-    """Columns (m,) on an even grid, for time in the stamps' unit, input and output, with NaN in gaps.
+class Instants:
+    """Samples (n,) at their instants, with time in the unit of the stamps, input and output.
 
-    `jitter` is the root mean square deviation of the steps, relative to the period. If only the stamps are uneven,
-    `jitter` is 0. `own` holds the samples before resampling, or None if the samples are even or the clock drifts.
-    `dt_error` is the relative standard error of the period of late stamps.
+    `period` is the usual step. Rows that fill a gap have no input (NaN), and an output on a line. `there` (n,) marks
+    the measured outputs. If an even clock samples before late stamps, `even` is true, and the times are those of the
+    clock. `jitter` is the root mean square deviation of the steps, relative to the period, and 0 for an even clock.
+    `drifts` says whether the halves of the record differ in the period. `dt_error` is the relative standard error of
+    the period of an even clock.
     """
 
     time: Floats
     u: Floats
     y: Floats
+    there: Flags
+    period: float
     jitter: float
-    own: OwnSamples | None = None
+    drifts: bool
+    even: bool = False
     dt_error: float = 0.0
 
 
-@dataclass(frozen=True)
-class OwnSamples:
-    """Samples (n,) at their own instants.
+def find_instants(time: Floats, u: Floats, y: Floats) -> Instants | None:
+    """Return the samples at the instants of an uneven clock, or None if the clock is even except for gaps, or is no
+    clock.
 
-    `before` is the time since the previous sample in the unit of the stamps, and one period for the first sample. In
-    the rows that fill a gap, the input is NaN and the output follows a line. `there` (n,) marks the measured outputs.
-    """
-
-    before: Floats
-    u: Floats
-    y: Floats
-    there: Flags
-
-
-def resample_uneven(time: Floats, u: Floats, y: Floats) -> Resampled | None:
-    """Return the record (N,) on an even grid, or None if its clock is even except for gaps, or is no clock.
-
-    A gap of more than clock_longest samples is shortened, because the motion restarts after the gap anyway. The input
-    is held from stamp to stamp and averaged over each interval of the grid, so that no impulse is lost. A monotone
-    cubic interpolates the output (Fritsch and Carlson 1980).
+    A gap of more than clock_longest samples is shortened, because the motion restarts after the gap anyway.
     """
     known = np.isfinite(time) & np.isfinite(u) & np.isfinite(y)
     if has_same_steps(time[np.isfinite(time)]):
@@ -73,26 +62,9 @@ def resample_uneven(time: Floats, u: Floats, y: Floats) -> Resampled | None:
         return None
     if not _is_uneven(stamps, y):
         return None
-    from scipy.interpolate import PchipInterpolator
-
-    steps = np.diff(stamps)
-    period = _usual_step(steps)
-    longest = period * TUNING.longest_step
     if _are_late(stamps, y):
         return _take_even_clock(stamps, u, y)
-    steps = np.minimum(steps, TUNING.clock_longest * period)
-    stamps = stamps[0] + np.r_[0.0, np.cumsum(steps)]
-    grid = stamps[0] + period * np.arange(int((stamps[-1] - stamps[0]) / period) + 1)
-    after = np.clip(np.searchsorted(stamps, grid, side="right"), 1, stamps.size - 1)
-    gap = (steps > longest)[after - 1] & (grid != stamps[after - 1])
-    impulse = np.r_[0.0, np.cumsum(u[:-1] * steps)]
-    ends = np.r_[grid, grid[-1] + period]
-    total = np.interp(ends, stamps, impulse) + u[-1] * np.maximum(ends - stamps[-1], 0.0)
-    position = PchipInterpolator(stamps, y)(grid)
-    within = steps[steps <= longest]
-    apart = float(np.sqrt(np.mean((within / period - 1) ** 2)))
-    own = None if _drifts(within) else _fill_own(*measured, period, longest)
-    return Resampled(grid, np.where(gap, np.nan, np.diff(total) / period), np.where(gap, np.nan, position), apart, own)
+    return _fill_gaps(*measured, _usual_step(np.diff(stamps)))
 
 
 def integrate_stamps(time: Floats, velocity: Floats, u: Floats) -> Floats | None:
@@ -121,25 +93,32 @@ def _drifts(steps: Floats) -> bool:
     return bool(abs(first - last) > TUNING.resampling_same_period * float(np.mean(steps)) + chance)
 
 
-def _fill_own(stamps: Floats, u: Floats, y: Floats, period: float, longest: float) -> OwnSamples:
+def _fill_gaps(stamps: Floats, u: Floats, y: Floats, period: float) -> Instants:
     """Return the samples without those that another sample follows at once, and with even rows in the gaps.
 
-    An output y (n,) may be NaN. `longest` is the longest step that is not a gap.
+    An output y (n,) may be NaN.
     """
     kept = np.append(np.diff(stamps) > TUNING.resampling_at_once * period, True)
     stamps, u, y = stamps[kept], u[kept], y[kept]
     steps = np.minimum(np.diff(stamps), TUNING.clock_longest * period)
     stamps, there = stamps[0] + np.append(0.0, np.cumsum(steps)), np.isfinite(y)
-    rows = np.where(steps > longest, np.rint(steps / period).astype(np.intp), 1)
+    within = steps[steps <= TUNING.longest_step * period]
+    rows = np.where(steps > TUNING.longest_step * period, np.rint(steps / period).astype(np.intp), 1)
     source = np.repeat(np.arange(stamps.size), np.append(rows, 1))
     first = np.diff(source, prepend=-1) > 0
-    before = np.append(period, np.repeat(steps / rows, rows))
-    places = stamps[0] + np.append(0.0, np.cumsum(before[1:]))
-    travel = np.interp(places, stamps[there], y[there])
-    return OwnSamples(before, np.where(first, u[source], np.nan), travel, first & there[source])
+    time = stamps[0] + np.append(0.0, np.cumsum(np.repeat(steps / rows, rows)))
+    return Instants(
+        time,
+        np.where(first, u[source], np.nan),
+        np.interp(time, stamps[there], y[there]),
+        first & there[source],
+        period,
+        float(np.sqrt(np.mean((within / period - 1) ** 2))),
+        _drifts(within),
+    )
 
 
-def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:
+def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Instants:
     """Return even samples (n,) whose stamps are late. The result has a jitter if the halves of the record differ in
     the period.
     """
@@ -148,12 +127,10 @@ def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Resampled:
     period *= 1 + slope_below((stamps - start - period * k) / period)
     half = stamps.size // 2
     halves = [line_through(k[part], stamps[part])[0] for part in (slice(half), slice(half, None))]
-    jitter = (
-        float(np.std(np.diff(stamps)) / period)
-        if abs(halves[0] - halves[1]) > TUNING.resampling_same_period * period
-        else 0.0
-    )
-    return Resampled(start + period * k, u, y, jitter, dt_error=period_error(stamps, k))
+    drifts = abs(halves[0] - halves[1]) > TUNING.resampling_same_period * period
+    jitter = float(np.std(np.diff(stamps)) / period) if drifts else 0.0
+    there, error = np.ones(k.size, bool), period_error(stamps, k)
+    return Instants(start + period * k, u, y, there, period, jitter, drifts, even=True, dt_error=error)
 
 
 def _usual_step(steps: Floats) -> float:
