@@ -20,7 +20,8 @@ class TrueServo:
 
     The gain `kd` acts on differences of the counts, `kd_true` on the true velocity, and `kd_filtered` on the
     differences after a lag of `velocity_filter`. The friction `load_stribeck` times the transmitted torque falls off
-    with the square of the velocity over `stribeck_speed`.
+    with the square of the velocity over `stribeck_speed`. `motor_friction` and `motor_stribeck` are the same times the
+    motor's torque, from which `back_emf` takes its part of the velocity beyond the limit.
 
     Some effects are in the table of terms: `asymmetry` is a part of the viscous friction, `ripple` a part of the
     Coulomb friction that turns with the position `waves` times a turn, and `cogging` a torque that does so. `root` is
@@ -57,6 +58,9 @@ class TrueServo:
     cogging: float = 0.0
     waves: float = 1.0
     root: float = 0.0
+    motor_friction: float = 0.0
+    motor_stribeck: float = 0.0
+    back_emf: float = 0.0
     bristle: float = 0.0
     backlash: float = 0.0
     deadzone: float = 0.0
@@ -114,15 +118,16 @@ def simulate_servos(servos: Sequence[TrueServo], t: Floats | Sequence[Floats], g
         wanted = np.copysign(np.maximum(np.abs(wanted) - own["deadzone"], 0.0), wanted)
         torque = np.where(tick, np.clip(wanted, -most, most), torque)
         before, wave = np.where(tick, seen, before), np.sin(own["waves"] * x)
-        load = own["gravity"] * np.sin(x)
-        transmitted = np.abs(torque + load)  # the gearbox has the motor on one side
+        load, motor = own["gravity"] * np.sin(x), torque - own["back_emf"] * v
+        transmitted = np.abs(motor + load)  # the gearbox has the motor on one side
         dry = own["coulomb"] * (1 + own["ripple"] * wave) * (1 + own["warming"] * math.exp(-k * STEP / 3.0))
-        force = torque - load - own["cogging"] * wave - own["asymmetry"] * own["viscous"] * speed
+        force = motor - load - own["cogging"] * wave - own["asymmetry"] * own["viscous"] * speed
         force = force + 0.5 * own["inertia"] * own["swing"] * np.sin(x) * v * v
         force = force - np.where(soft, dry * slip / bristle, 0.0)
         friction = np.where(soft, 0.0, dry) + own["load_friction"] * transmitted + own["root"] * np.sqrt(speed)
         falling = np.exp(-np.square(speed / own["stribeck_speed"]))
         friction = friction + (own["stribeck"] + own["load_stribeck"] * transmitted) * falling
+        friction = friction + (own["motor_friction"] + own["motor_stribeck"] * falling) * np.abs(motor)
         rate = np.maximum(own["viscous"] / inertia * STEP, 1e-12)
         gain = -np.expm1(-rate) / rate * STEP / inertia
         moved, stop = np.exp(-rate) * v + gain * force, gain * friction

@@ -81,9 +81,10 @@ def test_derivatives_are_those_of_the_simulated_motion() -> None:
     constants = {"wave": 2 * math.pi, "stribeck": 0.5, "load_stribeck": 0.4, "loop_filtered": 4e-3}
     free = {"stribeck", "load_stribeck", "loop_filtered"}
     forces = [(KINDS[name], 0, name in free, np.zeros(1), constants.get(name, 0.0), 0.0, False) for name in names]
+    forces += [(KINDS[name], 0, False, np.zeros(1), 0.0, 1.0, False) for name in ("load", "column_viscous")]
     base = [0.01, 0.15, 0.1, 0.1, 0.01, 0.0137, 0.0, 0.1, 0.2]
-    values = np.array([*base, 1.0, 0.08, 0.1, 0.05, 0.05, 0.06, 3.0, 0.5, 0.4, 4e-3, 9.0, 3.0, 2.3e-3])
-    rows, columns = np.arange(301, dtype=np.int32), np.zeros((0, 300))
+    values = np.array([*base, 1.0, 0.08, 0.1, 0.05, 0.05, 0.06, 3.0, 0.1, 0.04, 0.5, 0.4, 4e-3, 9.0, 3.0, 2.3e-3])
+    rows, columns = np.arange(301, dtype=np.int32), np.ones((1, 300))
 
     def move(theta: Floats, slopes: bool = False) -> tuple[Floats, Floats]:
         y, _, S, _ = run(forces, np.diff(t), goal[:-1].copy(), rows, columns, theta, 1, slopes, 2e-4)
@@ -116,7 +117,10 @@ def check_estimates(fit: ServoFit, within: float, **changes: float) -> None:
             assert abs(value - truth[name]) < 4 * std, name
 
 
-@pytest.mark.parametrize("more", [{}, {"load_friction": 0.2}, {"torque_limit": 1.5}, {"gravity": 1.3}])
+DRAG = {"back_emf": 0.1, "torque_limit": 1.5, "gravity": 1.3}
+
+
+@pytest.mark.parametrize("more", [{}, {"load_friction": 0.2}, {**DRAG, "motor_friction": 0.3}, {"gravity": 1.3}])
 def test_the_simulated_loop_is_that_of_small_steps(more: dict[str, float]) -> None:
     t = np.arange(0.0, 2.0, 0.01)
     goal = 0.5 * np.sign(np.sin(3 * t)) + 0.2 * np.sin(11 * t)
@@ -149,6 +153,16 @@ def test_a_known_force_gives_the_gain() -> None:
     for name, value in zip(fit.raw_names, fit.theta.tolist(), strict=True):  # the force has errors of its own
         assert value == pytest.approx(TRUTH[name], rel=0.01), name
     refused(("the known force is zero", lambda: fit_servo(Servo(STEP), t, goal, position, force=0 * force)))
+
+
+def test_friction_by_the_motors_torque_and_a_limit_by_the_voltage_are_found() -> None:
+    known = {"inertia": 0.0172, "viscous": 0.03, "coulomb": 0.02, "kp": 14.0, "delay": 0.004, "torque_limit": 4.0}
+    known |= {"gravity": 1.47, "gravity_angle": 0.0, "back_emf": 0.5, "motor_friction": 0.3, "motor_stribeck": 0.15}
+    t, goal = np.arange(0.0, 6.0, 0.012), np.sin(np.arange(0.0, 6.0, 0.012) ** 2)
+    y = simulate_servo(Servo(STEP, {**known, "motor_stribeck_speed": 2.0}), np.empty(0), t, goal, 0.0)
+    fit = fit_servo(Servo(STEP, {"gravity": 1.47}), t, goal, STEP * np.rint(y / STEP))
+    assert abs(fit.theta[0] - 0.0172) < min(3 * fit.theta_std[0], 0.05 * 0.0172)
+    assert "motor_friction" in fit.added
 
 
 def test_without_any_torque_all_torques_are_multiples_of_the_gain() -> None:
@@ -309,7 +323,7 @@ def test_logs_of_one_servo_share_their_parameters() -> None:
 
 def test_rows_with_the_torque_off_are_a_free_motion() -> None:
     """The swing shows inertia, friction and gravity alone, so that the gain is known by the gravity."""
-    t, goal, position = make_log(seed=1, kd=0.0, off=5.0)
+    t, goal, position = make_log(seed=1, kd=0.0, off=5.0 + TRUTH["delay"])  # as late as a goal
     on = (t < 5.0).astype(float)
     servo = Servo(STEP, {"kd": 0.0, "gravity": 1.3, "gravity_angle": 0.0})
     fit = fit_servo(servo, t, goal, position, on=on, search=False)
@@ -335,18 +349,15 @@ def test_rows_may_be_missing() -> None:
     check_estimates(fit, 0.2, gravity=0.0)
 
 
-@pytest.mark.parametrize(
-    ("changed", "words"),
-    [
-        (lambda t, g, y: (t, g[:-1], y), "equally long"),
-        (lambda t, g, y: (t[:30], g[:30], y[:30]), "too few"),
-        (lambda t, g, y: (t, np.where(t < 1, np.nan, g), y), "goal is not finite in row 0"),
-        (lambda t, g, y: (t[::-1], g, y), "does not rise after row 0"),
-    ],
-)
-def test_arrays_that_no_fit_can_use_are_refused(changed, words: str) -> None:  # type: ignore[no-untyped-def]
-    t = np.arange(200) * 0.01
-    refused((words, lambda: fit_servo(Servo(STEP), *changed(t, np.sin(t), np.sin(t)))))
+def test_arrays_that_no_fit_can_use_are_refused() -> None:
+    t, servo = np.arange(200) * 0.01, Servo(STEP)
+    y: Floats = np.sin(t)
+    refused(
+        ("equally long", lambda: fit_servo(servo, t, y[:-1], y)),
+        ("too few", lambda: fit_servo(servo, t[:30], y[:30], y[:30])),
+        ("goal is not finite in row 0", lambda: fit_servo(servo, t, np.where(t < 1, np.nan, y), y)),
+        ("does not rise after row 0", lambda: fit_servo(servo, t[::-1], y, y)),
+    )
 
 
 def test_a_motion_that_does_not_follow_the_command_is_refused() -> None:
@@ -358,17 +369,13 @@ def test_a_motion_that_does_not_follow_the_command_is_refused() -> None:
     )
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ({"resolution": 0.0}, "resolution must be positive"),
-        ({"resolution": STEP, "given": {"kq": 1.0}}, "did you mean 'kp'"),
-        ({"resolution": STEP, "given": {"kp": -1.0}}, "kp must be finite and positive"),
-        ({"resolution": STEP, "terms": ["friction"]}, "unknown parameter 'friction'"),
-    ],
-)
-def test_a_servo_of_impossible_values_is_refused(arguments: dict, words: str) -> None:  # type: ignore[type-arg]
-    refused((words, lambda: Servo(**arguments)))
+def test_a_servo_of_impossible_values_is_refused() -> None:
+    refused(
+        ("resolution must be positive", lambda: Servo(0.0)),
+        ("did you mean 'kp'", lambda: Servo(STEP, {"kq": 1.0})),
+        ("kp must be finite and positive", lambda: Servo(STEP, {"kp": -1.0})),
+        ("unknown parameter 'friction'", lambda: Servo(STEP, terms=["friction"])),
+    )
 
 
 def test_a_position_that_scatters_by_more_than_rounding_is_flagged() -> None:

@@ -33,7 +33,7 @@ typedef struct {
     const pmf_body *b;
     const double *theta, *size; /* parameters, and sizes of the forces among them */
     double *p; /* (forces) constants, from the parameters if free */
-    int w, late, i; /* number of derivatives; index of the present input; of the present interval */
+    int w, late; /* number of derivatives; index of the present input */
     double z; /* argument of `f`, which most parts share */
     phi f;
     double x, v, g; /* position, velocity, force of the input after its lag */
@@ -44,7 +44,7 @@ typedef struct {
     const double *loop; /* parameters of the controller */
     int loaded; /* whether a friction is in proportion to the load */
     double *s, *ms, *ds, *dms; /* (1 + forces) memories of the controller; (1 + forces, w) derivatives */
-    double *dq, *dT; /* (w) derivatives of the controller's force; of the force through the gear */
+    double *dq, *dT; /* (w) derivatives of the controller's force; of the load */
 } state;
 
 static int is_load_friction(const pmf_force *f)
@@ -71,28 +71,24 @@ static double column_at(const state *t, const pmf_force *f, int i)
                : t->b->column[(long)f->column * t->b->n + i];
 }
 
-/* Sum of the forces at (x, v) in direction s, with a force T through the gear. */
-static double sum_forces(const state *t, double x, double v, double s, int i, double T)
+/* Sum of the forces at velocity v in direction s, under a drive that has the constant load already. */
+static double sum_forces(const state *t, double v, double s, int i, double drive)
 {
-    double sum = 0;
+    double sum = 0, load = t->theta[PMF_BODY_OFFSET], motor = drive + load;
+    for (int j = 0; t->loaded && j < t->b->forces; j++) {
+        const pmf_force *f = t->b->force + j;
+        if (is_load(f))
+            load += t->size[j] * pmf_force_at(f, t->p[j], t->x, 0, 1, column_at(t, f, i)).h;
+        else if (f->kind == PMF_FORCE_COLUMN_VISCOUS)
+            motor -= t->size[j] * v * column_at(t, f, i);
+    }
     for (int j = 0; j < t->b->forces; j++) {
         const pmf_force *f = t->b->force + j;
+        const double column = is_load_friction(f) ? fabs(motor + (1 - f->q) * load) : column_at(t, f, i);
         if (t->size[j] != 0 && !in_loop(f))
-            sum += t->size[j] * pmf_force_at(f, t->p[j], x, v, s, is_load_friction(f) ? fabs(T) : column_at(t, f, i)).h;
+            sum += t->size[j] * pmf_force_at(f, t->p[j], t->x, v, s, column).h;
     }
     return sum;
-}
-
-/* Force through the gear under `drive`, which has the constant load already: drive + twice that + loads. */
-static double gear_force(const state *t, double drive, int i)
-{
-    double T = drive + 2 * t->theta[PMF_BODY_OFFSET];
-    if (!t->loaded)
-        return 0;
-    for (int j = 0; j < t->b->forces; j++)
-        if (is_load(t->b->force + j))
-            T += t->size[j] * pmf_force_at(t->b->force + j, t->p[j], t->x, 0, 1, column_at(t, t->b->force + j, i)).h;
-    return T;
 }
 
 /* The controller ----------------------------------------------------------------------------------------------- */
@@ -120,30 +116,33 @@ static double free_force(const state *t, double x, double v, double g, const dou
     return sum;
 }
 
-static double limit(const state *t, double force, int i)
+/* Whether the controller acts. A switch of it is as late as the goals. */
+static int is_on(const state *t)
 {
-    const double most = t->loop[PMF_LOOP_LIMIT];
-    if (t->b->on && t->b->on[i] == 0)
-        return 0;
+    return !(t->b->on && t->b->on[t->late] == 0);
+}
+
+static double limit(const state *t, double force)
+{
+    const double most = is_on(t) ? t->loop[PMF_LOOP_LIMIT] : 0;
     return force > most ? most : force < -most ? -most : force;
 }
 
 /* Drive at the present state: the input, or the controller's force with the input as goal. */
-static double drive_now(const state *t, double g, int i)
+static double drive_now(const state *t, double g)
 {
-    const double offset = t->theta[PMF_BODY_OFFSET];
-    return (t->loop ? limit(t, free_force(t, t->x, t->v, g, t->s), i) : g) - offset;
+    return (t->loop ? limit(t, free_force(t, t->x, t->v, g, t->s)) : g) - t->theta[PMF_BODY_OFFSET];
 }
 
 /* Force of the controller at (x, v) with memories s, and its derivatives dq (w). */
-static double loop_force(state *t, double x, double v, double g, double g_delay, double g_lag, int i, const double *dx,
+static double loop_force(state *t, double x, double v, double g, double g_delay, double g_lag, const double *dx,
                          const double *dv, const double *s, const double *ds)
 {
-    const double kp = t->loop[PMF_LOOP_GAIN], D = loop_delay(t), u = free_force(t, x, v, g, s), used = limit(t, u, i);
+    const double kp = t->loop[PMF_LOOP_GAIN], D = loop_delay(t), u = free_force(t, x, v, g, s), used = limit(t, u);
     const int at = (int)(t->loop - t->theta);
     double *dq = t->dq;
     memset(dq, 0, t->w * sizeof *dq);
-    if (t->b->on && t->b->on[i] == 0)
+    if (!is_on(t))
         return 0;
     if (used != u) {
         dq[at + PMF_LOOP_LIMIT] = used > 0 ? 1 : -1;
@@ -202,7 +201,7 @@ static void carry_memories(state *t, double h, double g, double g_delay, double 
             ms[1 + j] = carry_lag(t, t->p[j], 1, f->unknown ? shape : -1, h, s[1 + j], 2 * s[0] - v0, 2 * ms[0] - v1,
                                   own, da, db, out);
         } else if (f->kind == PMF_LOOP_INTEGRAL) { /* minus the integral of the error */
-            const int on = !(t->b->on && t->b->on[t->i] == 0);
+            const int on = is_on(t);
             const double half = h / 2;
             ms[1 + j] = on ? s[1 + j] + half * (x0 + x1 - D * (s[0] + ms[0]) - 2 * g) : 0;
             for (int k = 0; k < w; k++)
@@ -240,36 +239,37 @@ static void rest(state *t, double h, double g, double g_delay, double g_lag)
 /* Net force at rest: what remains of `drive` beyond friction, with its direction in *s; 0 if the mass rests. */
 static double start_force(const state *t, double drive, int i, double *s)
 {
-    const double F = t->theta[PMF_BODY_COULOMB], T = gear_force(t, drive, i);
-    double ahead = drive - F - sum_forces(t, t->x, 0, 1, i, T), back = drive + F - sum_forces(t, t->x, 0, -1, i, T);
+    const double F = t->theta[PMF_BODY_COULOMB];
+    double ahead = drive - F - sum_forces(t, 0, 1, i, drive), back = drive + F - sum_forces(t, 0, -1, i, drive);
     *s = ahead > 0 ? 1 : -1;
     if (ahead > 0 && back < 0)
         return *s = drive >= 0 ? 1 : -1, drive >= 0 ? ahead : back;
     return ahead > 0 ? ahead : back < 0 ? back : 0;
 }
 
-/* Friction in proportion to the force T through the gear, with derivatives dT (w). Its derivatives leave dn (w). */
-static double load_friction(state *t, double v, double s, double T, const double *dv)
+/* Friction under motor and load, with derivatives dq (w, if there is a controller) and dT (w). Its own leave dn (w). */
+static double load_friction(state *t, double v, double s, double motor, double load, const double *dv)
 {
-    double sum = 0, by_T = 0, by_v = 0, *dn = t->dn;
+    double sum = 0, by_motor = 0, by_load = 0, by_v = 0, *dn = t->dn;
     int shape = PMF_BODY_BASE + t->b->forces;
     t->dT[PMF_BODY_OFFSET] += 1;
     for (int j = 0; j < t->b->forces; j++) {
         const pmf_force *f = t->b->force + j;
         if (is_load_friction(f)) {
+            const double T = motor + (1 - f->q) * load, a = t->size[j];
             const pmf_push r = pmf_force_at(f, t->p[j], 0, v, s, 1);
-            const double a = t->size[j];
             sum += a * r.h * fabs(T);
             dn[PMF_BODY_BASE + j] -= r.h * fabs(T);
             if (f->unknown)
                 dn[shape] -= a * r.hp * fabs(T);
-            by_T += T > 0 ? a * r.h : -a * r.h;
+            by_motor += T > 0 ? a * r.h : -a * r.h;
+            by_load += (1 - f->q) * (T > 0 ? a * r.h : -a * r.h);
             by_v += a * r.hv * fabs(T);
         }
         shape += f->unknown;
     }
     for (int k = 0; k < t->w; k++)
-        dn[k] -= by_T * t->dT[k] + by_v * dv[k];
+        dn[k] -= (t->loop ? by_motor * t->dq[k] : 0) + by_load * t->dT[k] + by_v * dv[k];
     return sum;
 }
 
@@ -278,15 +278,15 @@ static double load_friction(state *t, double v, double s, double T, const double
 static double net_force(state *t, double x, double v, double s, double drive, int i, const double *dx, const double *dv)
 {
     const pmf_body *b = t->b;
-    double net = drive - s * t->theta[PMF_BODY_COULOMB], T = drive + 2 * t->theta[PMF_BODY_OFFSET], gx = 0, gv = 0;
-    double *dn = t->dn, *dT = t->dT;
+    double net = drive - s * t->theta[PMF_BODY_COULOMB], load = t->theta[PMF_BODY_OFFSET], gx = 0, gv = 0;
+    double motor = drive + load, *dn = t->dn, *dT = t->dT;
     int shape = PMF_BODY_BASE + b->forces;
     if (t->loop)
         memcpy(dn, t->dq, t->w * sizeof *dn);
     else
         memset(dn, 0, t->w * sizeof *dn);
     if (t->loaded)
-        memcpy(dT, dn, t->w * sizeof *dT);
+        memset(dT, 0, t->w * sizeof *dT);
     for (int j = 0; j < b->forces; j++) {
         const pmf_force *f = b->force + j;
         const int own = shape;
@@ -302,8 +302,13 @@ static double net_force(state *t, double x, double v, double s, double drive, in
         net -= a * r.h;
         gx += a * r.hx;
         gv += a * r.hv;
+        if (t->loaded && f->kind == PMF_FORCE_COLUMN_VISCOUS) {
+            motor -= a * r.h;
+            for (int k = 0; t->loop && k < t->w; k++)
+                t->dq[k] -= a * r.hv * dv[k] + (k == PMF_BODY_BASE + j ? r.h : 0);
+        }
         if (t->loaded && is_load(f)) {
-            T += a * r.h;
+            load += a * r.h;
             dT[PMF_BODY_BASE + j] += r.h;
             if (f->unknown)
                 dT[own] += a * r.hp;
@@ -316,7 +321,7 @@ static double net_force(state *t, double x, double v, double s, double drive, in
             dn[k] -= gx * dx[k] + gv * dv[k];
     dn[PMF_BODY_COULOMB] -= s;
     dn[PMF_BODY_OFFSET] -= 1;
-    return t->loaded ? net - load_friction(t, v, s, T, dv) : net;
+    return t->loaded ? net - load_friction(t, v, s, motor, load, dv) : net;
 }
 
 /* Move for h seconds from the state at a net force with a first moment about its mean, which keeps the momentum; the
@@ -365,9 +370,8 @@ static double time_to_stop(const state *t, double net, double s)
 /* Move for `left` seconds in sample i. The input is g, with derivatives by delay and lag. */
 static void move(state *t, int i, double g, double g_delay, double g_lag, double left)
 {
-    t->i = i;
     for (int turn = 0; left > 0; turn++) {
-        double s = t->v > 0 ? 1 : -1, drive = drive_now(t, g, i), net, step = left, x, v;
+        double s = t->v > 0 ? 1 : -1, drive = drive_now(t, g), net, step = left, x, v;
         const double offset = t->theta[PMF_BODY_OFFSET];
         int stops = 0;
         if (t->v == 0 && (turn > MOST_TURNS || start_force(t, drive, i, &s) == 0)) {
@@ -375,7 +379,7 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             return;
         }
         if (t->loop)
-            loop_force(t, t->x, t->v, g, g_delay, g_lag, i, t->dx, t->dv, t->s, t->ds);
+            loop_force(t, t->x, t->v, g, g_delay, g_lag, t->dx, t->dv, t->s, t->ds);
         net = net_force(t, t->x, t->v, s, drive, i, t->dx, t->dv);
         if (t->b->forces || t->loop) { /* forces in the middle of the part */
             double half = left / 2;
@@ -389,7 +393,7 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
                 v = 0;
             if (t->loop) {
                 carry_memories(t, half, g, g_delay, g_lag, t->x, t->v, t->dx, t->dv, x, v, t->mx, t->mv);
-                drive = loop_force(t, x, v, g, g_delay, g_lag, i, t->mx, t->mv, t->ms, t->dms) - offset;
+                drive = loop_force(t, x, v, g, g_delay, g_lag, t->mx, t->mv, t->ms, t->dms) - offset;
             }
             net = net_force(t, x, v, s, drive, i, t->mx, t->mv);
         }
@@ -420,18 +424,20 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
         t->v = v;
         left -= step;
         if (stops) { /* a stop moves in time: derivatives of the velocity scale with the acceleration */
-            double side, after = (t->v = 0, start_force(t, drive_now(t, g, i), i, &side)), ratio = after / net;
+            double side, after = (t->v = 0, start_force(t, drive_now(t, g), i, &side)), ratio = after / net;
             for (int k = 0; k < t->w; k++)
                 t->dv[k] *= ratio;
         }
     }
 }
 
-/* The input switches to `next`: derivatives by the delay, and by a lag of zero, which is a delay to first order. */
-static void switch_input(state *t, int i, double before, double next)
+/* The input switches: derivatives by the delay, and by a lag of zero, which is a delay to first order. */
+static void switch_input(state *t, int i)
 {
-    const double lag = t->theta[PMF_BODY_LAG], m = t->theta[PMF_BODY_MASS];
-    double s, change = before - next, old, new;
+    const double lag = t->theta[PMF_BODY_LAG], m = t->theta[PMF_BODY_MASS], *u = t->b->u + t->late;
+    const double change = u[0] - u[1], old = drive_now(t, u[0]);
+    double s = t->v > 0 ? 1 : -1, new, by;
+    t->late++;
     if (lag > 0) {
         t->g_delay += change / lag;
         return;
@@ -439,19 +445,13 @@ static void switch_input(state *t, int i, double before, double next)
     for (int j = 0; j < t->b->forces; j++)
         if (t->b->force[j].kind == PMF_LOOP_INTEGRAL)
             t->ds[(size_t)(1 + j) * t->w + PMF_BODY_DELAY] -= change;
-    old = drive_now(t, before, i);
-    new = drive_now(t, next, i);
+    new = drive_now(t, u[1]);
     if (t->v == 0)
-        change = start_force(t, old, i, &s) - start_force(t, new, i, &s);
-    else {
-        s = t->v > 0 ? 1 : -1;
-        change = old - new;
-        if (t->loaded)
-            change -= sum_forces(t, t->x, t->v, s, i, gear_force(t, old, i)) -
-                      sum_forces(t, t->x, t->v, s, i, gear_force(t, new, i));
-    }
-    t->dv[PMF_BODY_DELAY] += change / m;
-    t->dv[PMF_BODY_LAG] += change / m;
+        by = start_force(t, old, i, &s) - start_force(t, new, i, &s);
+    else
+        by = old - new - (t->loaded ? sum_forces(t, t->v, s, i, old) - sum_forces(t, t->v, s, i, new) : 0);
+    t->dv[PMF_BODY_DELAY] += by / m;
+    t->dv[PMF_BODY_LAG] += by / m;
 }
 
 /* Move for h seconds with one input, whose force approaches it. */
@@ -491,8 +491,7 @@ static void move_interval(state *t, int i, int parts, double *wait)
     for (int part = 0; part < parts; part++)
         for (double left = h; left > small;) {
             while (*wait <= small && t->late + 1 < t->b->n) {
-                switch_input(t, i, t->b->u[t->late], t->b->u[t->late + 1]);
-                t->late++;
+                switch_input(t, i);
                 *wait += t->b->step[t->late];
             }
             double step = *wait < left && t->late + 1 < t->b->n ? *wait : left;

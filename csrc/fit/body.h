@@ -48,8 +48,8 @@ enum {
     PMF_FORCE_RUB_PLACE, /* s times a table over x */
     PMF_FORCE_COLUMN, /* a column of the record, for example a measured force */
     PMF_FORCE_COLUMN_FRICTION, /* s times a column, for example a temperature */
-    PMF_FORCE_COLUMN_VISCOUS, /* v times a column */
-    PMF_FORCE_LOAD, /* s |T|, T: force through the gear, which is that of the motor plus all loads */
+    PMF_FORCE_COLUMN_VISCOUS, /* v times a column; with a controller, the drag of its motor */
+    PMF_FORCE_LOAD, /* s |T|, T: force through the gear: that of the motor with its drag, and 1 - q of all loads */
     PMF_FORCE_LOAD_STRIBECK, /* s |T| exp(-(v/p)^2) */
     /* forces of the loop, which a controller has within its limit */
     PMF_LOOP_VELOCITY, /* the velocity of y */

@@ -34,7 +34,19 @@ LOOP_PLACES = {"kp": -LOOP, "torque_limit": 1 - LOOP, "loop_delay": 2 - LOOP}
 #: The first of these that is unknown is the one whose logarithm the fit estimates.
 LEADS = ("inertia", "kp", "viscous", "coulomb")
 #: Name of the constant of each force that has one.
-CONSTANTS = {"stribeck": "stribeck_speed", "load_stribeck": "load_stribeck_speed", "kd": "velocity_filter"}
+CONSTANTS = {
+    **{name: f"{name}_speed" for name in ("stribeck", "load_stribeck", "motor_stribeck")},
+    "kd": "velocity_filter",
+}
+#: Kind and constants of each friction.
+FRICTIONS = {
+    "stribeck": ("stribeck", 1.0, 0.0),
+    "load_friction": ("load", 0.0, 0.0),
+    "motor_friction": ("load", 0.0, 1.0),
+    "quadratic": ("power", 2.0, 1.0),
+    "load_stribeck": ("load_stribeck", 1.0, 0.0),
+    "motor_stribeck": ("load_stribeck", 1.0, 1.0),
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,11 +152,7 @@ def _list_forces(servo: Servo) -> list[tuple[str, BodyForce]]:
     forces: list[tuple[str, BodyForce]] = []
     if servo.has("gravity"):
         forces += [("gravity", BodyForce("wave", TURN)), ("cosine", BodyForce("wave", TURN, math.pi / 2))]
-    for name, kind, p in (("stribeck", "stribeck", 1.0), ("load_friction", "load", 0.0), ("quadratic", "power", 2.0)):
-        if servo.has(name):
-            forces.append((name, _force(servo, name, kind, p)))
-    if servo.has("load_stribeck"):
-        forces.append(("load_stribeck", _force(servo, "load_stribeck", "load_stribeck", 1.0)))
+    forces += [(name, _force(servo, name, *kind)) for name, kind in FRICTIONS.items() if servo.has(name)]
     if servo.has("kd"):
         forces.append(("kd", _force(servo, "kd", "loop_filtered") if servo.filters else BodyForce("loop_velocity")))
     if servo.has("ki"):
@@ -156,9 +164,9 @@ def _list_forces(servo: Servo) -> list[tuple[str, BodyForce]]:
     return forces
 
 
-def _force(servo: Servo, name: str, kind: str, p: float = 1.0) -> BodyForce:
+def _force(servo: Servo, name: str, kind: str, p: float = 1.0, q: float = 0.0) -> BodyForce:
     constant = CONSTANTS.get(name, "")
-    return BodyForce(kind, servo.given.get(constant, p), 1.0, free=constant in servo.unknown)
+    return BodyForce(kind, servo.given.get(constant, p), q, free=constant in servo.unknown)
 
 
 def excite(t: Floats, goal: Floats, tick: float, force: Floats | None = None, on: Floats | None = None) -> Excitation:

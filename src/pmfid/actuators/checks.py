@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -19,7 +18,7 @@ def check_joint(log: JointLog, others: Sequence[JointLog]) -> None:
 
     `others` are all joints of the log, on one clock. A joint that hardly moves passes, for a fit says so.
     """
-    log = _cut_free(log)
+    log = log if log.on is None else log.cut(log.on > 0)
     if log.t.size < TUNING.least_checked or min(np.ptp(log.goal), np.ptp(log.position)) < 3 * log.resolution:
         return
     own = correlate(log.t, log.goal, log.position)
@@ -38,14 +37,6 @@ def check_joint(log: JointLog, others: Sequence[JointLog]) -> None:
     if own < 0:
         raise UsageError("the position moves against the goal: reverse the sign of one column")
     _check_units(log)
-
-
-def _cut_free(log: JointLog) -> JointLog:
-    """Return the rows with the torque on."""
-    if log.on is None:
-        return log
-    on = log.on > 0
-    return replace(log, t=log.t[on], goal=log.goal[on], position=log.position[on])
 
 
 def correlate(t: Floats, goal: Floats, position: Floats) -> float:

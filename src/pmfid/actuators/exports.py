@@ -241,16 +241,23 @@ def _translate(own: _Axle, keys: Mapping[str, str]) -> dict[str, object]:
 
 
 def _make_bam(own: _Axle) -> dict[str, object]:
-    """Return the parameters of BAM's model m1 to m4. The motor's kt and R are not visible in a log of positions.
+    """Return the parameters of BAM's model m1 to m5. The motor's kt and R are not visible in a log of positions.
 
-    BAM adds the inertia of its pendulum itself.
+    BAM adds the inertia of its pendulum itself. Its model m5 has the friction of motor and load apart.
     """
-    falls = "stribeck" in own.values or "load_stribeck" in own.values
-    loads = "load_friction" in own.values or "load_stribeck" in own.values
+    frictions = ("stribeck", "load_stribeck", "motor_stribeck")
+    falls = any(name in own.values for name in frictions)
+    loads = any(name in own.values for name in ("load_friction", *frictions[1:]))
     model = {(False, False): "m1", (True, False): "m2", (False, True): "m3", (True, True): "m4"}[falls, loads]
-    speed = own.values.get("stribeck_speed", own.values.get("load_stribeck_speed"))
+    speed = next((own.get(f"{name}_speed") for name in frictions if f"{name}_speed" in own.values), None)
     curve = {"alpha": 2.0, **({} if speed is None else {"dtheta_stribeck": speed})} if falls else {}
     found = _translate(own, BAM)
+    if "motor_friction" in own.values or "motor_stribeck" in own.values:
+        model = "m5"
+        for end, kind in (("", "friction"), ("_stribeck", "stribeck")):
+            load = own.get(f"load_{kind}")
+            found[f"load_friction_external{end}"] = load
+            found[f"load_friction_motor{end}"] = load + own.get(f"motor_{kind}")
     pendulum = float(own.stated.get("pendulum", 0.0))
     if "inertia" in own.values:
         found["armature"] = own.get("inertia") - pendulum

@@ -34,6 +34,8 @@ ADVICE: Mapping[str, str] = {
     "gravity_angle": "let the joint turn through a large angle about the horizontal",
     "load_friction": "move a load up and down",
     "load_stribeck": "move a load up and down slowly",
+    "motor_friction": "move a load up and down",
+    "motor_stribeck": "move a load up and down slowly",
     "torque_limit": "command large steps",
     "ki": "command steps and wait after each of them",
 }
@@ -239,10 +241,7 @@ def fit_logs(servo: Servo, logs: Sequence[JointLog], per_log: Sequence[str] = ()
 def _cut_long(log: JointLog) -> JointLog:
     """Return the first part of a long log, because more would only take more time."""
     last = int(np.searchsorted(log.t, log.t[0] + TUNING.longest, side="right"))
-    if last == log.t.size:
-        return log
-    force, on = (None if own is None else own[:last] for own in (log.force, log.on))
-    return replace(log, t=log.t[:last], goal=log.goal[:last], position=log.position[:last], force=force, on=on)
+    return log if last == log.t.size else log.cut(slice(last))
 
 
 def _check(servo: Servo, log: JointLog) -> None:

@@ -14,7 +14,7 @@ from pmfid.actuators.formats import RobotTable, read_robot_table
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import UsageError
 from pmfid.io.tables import Table, column, times
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
 
 #: Words in the names of columns. A longer word comes before a shorter one that it contains.
 TIMES = ("timestamp", "time", "stamp", "t")
@@ -54,6 +54,11 @@ class JointLog:
     force: Floats | None = None
     on: Floats | None = None
     stated: Mapping[str, str | float] = field(default_factory=dict)
+
+    def cut(self, rows: slice | Flags) -> JointLog:
+        """Return some rows."""
+        force, on = (None if own is None else own[rows] for own in (self.force, self.on))
+        return replace(self, t=self.t[rows], goal=self.goal[rows], position=self.position[rows], force=force, on=on)
 
 
 @dataclass(frozen=True)

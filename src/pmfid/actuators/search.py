@@ -20,7 +20,7 @@ from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.machine import COULOMB, DELAY, VISCOUS
 from pmfid.fit.problem import CONSTANT, FitProblem, ObservedStretch
-from pmfid.fit.search import FitSearch, errors_of
+from pmfid.fit.search import SETTLED, FitSearch, errors_of
 from pmfid.fit.solve import Likelihood
 from pmfid.fit.terms import Sizes
 from pmfid.types import Floats
@@ -85,12 +85,10 @@ def _stretches(log: JointLog, names: Sequence[str], number: int, tick: float) ->
     for first, last in zip([0, *breaks], [*breaks, log.t.size], strict=True):
         if last - first < 10:
             continue
-        part = slice(first, last)
-        force, on = (None if own is None else own[part] for own in (log.force, log.on))
-        drive = excite(log.t[part], log.goal[part], tick, force, on)
-        flags = np.ones(last - first, bool)
+        part, flags = log.cut(slice(first, last)), np.ones(last - first, bool)
+        drive = excite(part.t, part.goal, tick, part.force, part.on)
         found.append(
-            ObservedStretch(drive, log.position[part], np.full(last - first, 1 / 12), flags, ~flags, first, None, acts)
+            ObservedStretch(drive, part.position, np.full(last - first, 1 / 12), flags, ~flags, first, None, acts)
         )
     return found
 
@@ -163,6 +161,14 @@ class ServoSearch(FitSearch):
 
     def _gain(self, problem: FitProblem, q: Floats) -> float:
         return float(problem._body(q, problem.stretches[0].acts)[0][-problem.machine.loops])
+
+    def reaches_bound(self, q: Floats) -> bool:
+        """Return whether the inertia is at its upper bound, where no motion follows."""
+        return bool(self.plain.mass[1] - q[self.plain.machine.lead] < SETTLED)
+
+    def is_lost(self, q: Floats) -> bool:
+        """Return whether the inertia is at its lower bound, where the log shows none of it."""
+        return bool(q[self.plain.machine.lead] - self.plain.mass[0] < SETTLED)
 
     @property
     def explains(self) -> bool:

@@ -36,6 +36,9 @@ UNITS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "velocity_filter": ("s", "s"),
         "load_stribeck": ("1", "1"),
         "load_stribeck_speed": ("rad/s", "rad/s"),
+        "motor_friction": ("1", "1"),
+        "motor_stribeck": ("1", "1"),
+        "motor_stribeck_speed": ("rad/s", "rad/s"),
     }
 )
 #: Parameters of every servo. All others are terms, which a servo has only if they are named or given.
@@ -46,6 +49,7 @@ PARTNERS: Mapping[str, str] = MappingProxyType(
         "stribeck": "stribeck_speed",
         "gravity": "gravity_angle",
         "load_stribeck": "load_stribeck_speed",
+        "motor_stribeck": "motor_stribeck_speed",
         "kd": "velocity_filter",
     }
 )
@@ -64,8 +68,9 @@ class Servo:
     The torque is kp (goal - position) - kd velocity + ki (integral of goal - position) within +-torque_limit, with the
     goal of `delay` ago. The position in the loop is that of `loop_delay` ago, and its velocity passes a lag of
     `velocity_filter`. Friction is coulomb + stribeck exp(-(velocity/stribeck_speed)^2), and the same of load_friction
-    and load_stribeck times the torque through the gear. `back_emf` is the part of the viscous friction that a servo has
-    only while its torque is on.
+    and load_stribeck times the torque through the gear, which is that of the motor and the load. motor_friction and
+    motor_stribeck are the same in proportion to the motor's torque alone. `back_emf` is the drag of the motor while its
+    torque is on: it acts beyond the limit, and the gear transmits it.
 
     Attributes
     ----------

@@ -23,7 +23,7 @@ from pmfid.fit.solve import Optimum, solve
 from pmfid.types import Floats
 
 #: Terms that each have starts of their own, because the motion with them is far from that without.
-EXTRAS = ((), ("torque_limit",), ("ki",), ("torque_limit", "ki"), ("load_friction",))
+EXTRAS = ((), ("torque_limit",), ("ki",), ("torque_limit", "ki"), ("load_friction",), ("motor_friction",))
 #: Factors of all torques from which the best servo starts again where a known torque, such as gravity, gives the scale.
 SCALES = (0.25, 0.5, 2.0, 4.0)
 #: Effects that repeat along the travel, which are sought in whole logs.
@@ -42,7 +42,9 @@ def find_search(task: ServoTask, search: bool) -> ServoSearch:
     best = choose_lag(_extend(_drop_limit(best), 2 * TUNING.angle))
     if search:
         best = _free_periods(_build_waves(best))
-    return _extend(_drop_limit(best), TUNING.angle)
+    best = _extend(_drop_limit(best), TUNING.angle)
+    free = _drop_limit(copy(best), always=True)
+    return best if free.task is best.task else max((best, free), key=_settled_value)
 
 
 def _build_waves(search: ServoSearch) -> ServoSearch:
@@ -99,20 +101,26 @@ def _build_waves_first(search: ServoSearch) -> ServoSearch:
     return other
 
 
-def _drop_limit(search: ServoSearch) -> ServoSearch:
-    """Return the search without a limit of the torque that nobody named and that never acts."""
-    if "torque_limit" not in search.task.extra or limited_part(search.problem, search.q, search.starts) > 0:
+def _drop_limit(search: ServoSearch, always: bool = False) -> ServoSearch:
+    """Return the search without a limit of the torque that nobody named and that never acts, or without any such."""
+    if "torque_limit" not in search.task.extra:
         return search
-    place = search.plain.machine.names.index("torque_limit")
-    task = replace(search.task, extra=tuple(name for name in search.task.extra if name != "torque_limit"))
-    problem = replace(search.plain, machine=task.body())
-    kept = np.arange(len(search.plain.machine.names)) != place
-    acts = [replace(one, acts=None if one.acts is None else one.acts[kept]) for one in problem.stretches]
-    noise, q = search.noise, np.delete(search.q, place)
-    search.task = task
-    search.take(replace(problem, stretches=tuple(acts)), q, search.starts, search.chosen)
+    if not always and limited_part(search.problem, search.q, search.starts) > 0:
+        return search
+    noise = search.noise
+    search.task, problem, q = _leave_out(search, "torque_limit")
+    search.take(problem, q, search.starts, search.chosen)
     search.noise = replace(noise, stretches=search.plain.stretches)
     return search
+
+
+def _leave_out(search: ServoSearch, name: str) -> tuple[ServoTask, FitProblem, Floats]:
+    """Return task, problem and coordinates without an extra parameter of the model."""
+    place = search.plain.machine.names.index(name)
+    task = replace(search.task, extra=tuple(one for one in search.task.extra if one != name))
+    kept = np.arange(search.count) != place
+    parts = (replace(one, acts=None if one.acts is None else one.acts[kept]) for one in search.plain.stretches)
+    return task, replace(search.plain, machine=task.body(), stretches=tuple(parts)), np.delete(search.q, place)
 
 
 def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
@@ -138,12 +146,9 @@ def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
 
 def _move_to_terms(at: ServoSearch, name: str) -> ServoSearch:
     """Return the search with a parameter of the model as a term of the table, which has odds and may go again."""
-    place = at.plain.machine.names.index(name)
-    size, task = float(at.q[place]), replace(at.task, extra=tuple(one for one in at.task.extra if one != name))
-    kept = np.arange(at.count) != place
-    parts = tuple(replace(one, acts=None if one.acts is None else one.acts[kept]) for one in at.plain.stretches)
-    plain = replace(at.plain, machine=task.body(), stretches=parts)
-    other = ServoSearch(task, plain, np.delete(at.q[: at.count], place), at.starts, search=True)
+    size = float(at.q[at.plain.machine.names.index(name)])
+    task, plain, q = _leave_out(at, name)
+    other = ServoSearch(task, plain, q[: len(plain.machine.names)], at.starts, search=True)
     term = next(i for i, one in enumerate(other.table) if one.name == name)
     other.choose([*other.chosen, term])
     other.q[other.problem.places[other.chosen.index(term)]] = size / other.table[term].sd
@@ -292,6 +297,9 @@ class ServoDraw:
             "load_friction": _draw_positive(rng, 0.01, 0.3),
             "load_stribeck": _draw_positive(rng, 0.01, 0.3),
             "load_stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
+            "motor_friction": _draw_positive(rng, 0.01, 0.3),
+            "motor_stribeck": _draw_positive(rng, 0.01, 0.3),
+            "motor_stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
             "quadratic": inertia * _draw_positive(rng, 0.01, 1.0),
         }
         return np.array([drawn.get(name.partition(".")[0], 0.0) for name in self.names])

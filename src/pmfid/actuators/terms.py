@@ -12,7 +12,7 @@ from pmfid.fit.terms import ExtraForce, Sizes
 
 #: Log odds of terms that most servos have, or hardly any. The gear rubs under load in every published model of one, and
 #: friction that grows with the root of the speed is in none.
-COMMON_ODDS = {"load_friction": 0.0, "root_friction": 4 * ODDS}
+COMMON_ODDS = {"load_friction": 0.0, "motor_friction": 0.0, "root_friction": 4 * ODDS}
 #: The part of the viscous friction that the loop makes. Every servo without a named kd has this term, because no motion
 #: below the limit of the torque shows it: it hides a part of the inertia, its size times the age of its velocity.
 LOOP_FRICTION = "loop_friction"
@@ -44,6 +44,8 @@ def _loads(s: Sizes) -> Iterator[ExtraForce]:
 def _loop(servo: Servo, gain: float, s: Sizes) -> Iterator[ExtraForce]:
     force = BodyForce("loop_filtered", 0.5 * servo.loop_period)
     yield _row(LOOP_FRICTION, "a derivative gain", 0.5 * s.viscous, force=force, lowest=0.0)
+    force = BodyForce("column_viscous")
+    yield _row("back_emf", "a back-EMF", 0.5 * s.viscous, force=force, lowest=0.0)
     yield _row("ki", "an integral gain", 3.0 * gain, force=BodyForce("loop_integral"), lowest=0.0)
 
 
@@ -51,11 +53,13 @@ def _frictions(s: Sizes) -> Iterator[ExtraForce]:
     for share in (0.02, 0.06, 0.2):
         force = BodyForce("stribeck", share * s.speed)
         yield _row("stribeck", "Stribeck friction", 0.4 * s.coulomb, force=force, lowest=0.0)
-    yield _row("load_friction", "friction in proportion to the load", 0.1, force=BodyForce("load"), lowest=0.0)
-    for share in (0.02, 0.06, 0.2):
-        force = BodyForce("load_stribeck", share * s.speed)
-        words = "Stribeck friction in proportion to the load"
-        yield _row("load_stribeck", words, 0.1, force=force, lowest=0.0)
+    for q, name, words in ((0.0, "load", "the load"), (1.0, "motor", "the motor's torque")):
+        force = BodyForce("load", q=q)
+        yield _row(f"{name}_friction", f"friction in proportion to {words}", 0.1, force=force, lowest=0.0)
+        for share in (0.02, 0.06, 0.2):
+            force = BodyForce("load_stribeck", share * s.speed, q)
+            words_ = f"Stribeck friction in proportion to {words}"
+            yield _row(f"{name}_stribeck", words_, 0.1, force=force, lowest=0.0)
     force = BodyForce("power", 2.0, 1.0)
     yield _row("quadratic", "quadratic friction", 0.3 * s.viscous / s.speed, force=force, lowest=0.0)
     words, force = "friction that grows with the root of the speed", BodyForce("power", 0.5, 1.0)

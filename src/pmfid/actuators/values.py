@@ -38,6 +38,8 @@ class ParameterReader:
         asked = self.search.task.servo.unknown
         if "gravity" in asked and "gravity_angle" in asked:
             found |= _polar(found["gravity"], found["gravity_angle"])
+        elif "gravity_angle" in asked:
+            found["gravity_angle"] = math.remainder(found["gravity_angle"], math.tau)
         return found
 
     def _read_machine(self, q: Floats) -> dict[str, float]:
@@ -107,6 +109,8 @@ def read_parameters(
     std = _widen(search, gradient, _spread(gradient, covariance))
     more = {"delay": search.task.servo.loop_period / math.sqrt(12)}  # a goal waits for the next tick of the loop
     more["coulomb"] = _measure_rests(search, fitted) if "coulomb" in found else 0.0
+    if search.is_lost(fitted.solution.q):
+        more[search.plain.machine.names[search.plain.machine.lead]] = math.inf
     std = np.hypot(std, [more.get(name, 0.0) for name in names])
     std = np.where(np.isfinite(std) & (std > 0), std, np.inf)
     return names, theta, np.maximum(std, TUNING.least_error * np.abs(theta))
