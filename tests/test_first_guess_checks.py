@@ -53,10 +53,3 @@ def test_a_coarse_slow_motion_is_not_sampled_too_slowly(step: float) -> None:
     run = simulate("open", 4)
     position = np.round(np.floor(run["position"][::10] / step) * step, 4)
     assert list(too_slow(log_of(run["force"][::10], position, 0.01, "position", 1e-4, ("u", "y")))) == []
-
-
-def test_columns_of_two_machines_are_not_called_an_excitation_too_small() -> None:
-    one, other = simulate("open", 4), simulate("open", 5)
-    found = findings(log_of(one["force"][::10], other["position"][::10], 0.01, "position", 1e-4, ("u", "y")))
-    assert "so these columns may not be input and output of one axis" in found["little_motion"].sentence
-    assert "check both columns" in found["little_motion"].remedy

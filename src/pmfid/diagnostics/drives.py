@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.estimators.base import Estimator
-from pmfid.findings import Finding
 from pmfid.types import Counts
 
 #: Remedy for a jump of the counts.
@@ -50,13 +46,6 @@ def _motion(counts: Counts, change: Counts) -> Counts:
         return change
     across = np.abs(counts[2:] - counts[:-2])
     return np.asarray(np.r_[np.minimum(np.minimum(change[:-1], change[1:]), across), change[-1:]])
-
-
-def find_count_jump(estimator: Estimator, counts: NDArray[np.int64]) -> Iterator[Finding]:
-    """Yield a finding on a jump of the counts, unless a limit of the speed rejects jumps."""
-    sentence = count_jump(counts) if estimator.encoder.max_speed is None else ""
-    if sentence:
-        yield Finding("count_jump", sentence, JUMP_REMEDY, "wrong")
 
 
 def recent(estimator: Estimator, samples: int) -> slice:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid.diagnostics.drives import NOISE_REMEDY, NOISE_SEEN, find_count_jump, recent
+from pmfid.diagnostics.drives import NOISE_REMEDY, NOISE_SEEN, recent
 from pmfid.diagnostics.matter import Matter, matter_of, sizes, weigh_findings
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
@@ -52,8 +52,7 @@ def verdict(estimator: Estimator, u: Floats, counts: Counts, theta: Floats, std:
     `tolerance` is the negligible relative error of a parameter. With forgetting, the last three memories are judged.
     """
     p = len(estimator.equation.names)
-    spread, judged, fitted = np.full(theta.size, np.nan), [*find_count_jump(estimator, counts)], None
-    judged += _check_sizes(estimator, theta, std)
+    spread, judged, fitted = np.full(theta.size, np.nan), [*_check_sizes(estimator, theta, std)], None
     if not estimator.equation.without_simulation:
         try:
             fitted = fit_again(estimator, u, counts)

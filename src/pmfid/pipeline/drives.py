@@ -137,9 +137,6 @@ class Drives(Kind[Record]):
         if mistake:
             raise UsageError(mistake)
 
-    def scan_record(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
-        return checks.scan_record(data, axis)
-
     def check_record(self, data: Record, axis: Axis) -> tuple[Finding, ...]:
         return checks.check_record(data, axis) or repair_as_configured(data, axis).findings
 

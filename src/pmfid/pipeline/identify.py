@@ -20,8 +20,6 @@ from pmfid.pipeline.processes import Processes
 from pmfid.pipeline.result import DriveResult, Result
 from pmfid.records.record import Record
 
-#: Flags of results that a mistake in the columns may explain. The flags justify slow checks of the log.
-SUSPICIOUS = {"implausible", "uncertain", "count_jump", "fallback", "not_followed", "unmodelled"}
 KINDS: dict[str, Kind[Records]] = {
     # each kind receives only records that it has read itself
     "drive": cast("Kind[Records]", Drives()),
@@ -56,8 +54,7 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
         result = kind.estimate(data, axis, progress)
     except NotIdentifiableError as error:
         raise _name_speed(explain_error(error, kind.check_record(data, axis)), data, axis) from error
-    suspicious = bool(SUSPICIOUS & set(result.status))
-    log = kind.check_record(data, axis) if suspicious else kind.scan_record(data, axis)
+    log = kind.check_record(data, axis)
     if isinstance(result, DriveResult) and result.explained:  # the motion itself stops there
         log = tuple(one for one in log if one.code not in OF_STOPS)
     return result.with_findings(*log, *make_notes("cutoff", describe_choices(given, axis)))

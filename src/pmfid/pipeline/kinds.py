@@ -91,13 +91,9 @@ class Kind(ABC, Generic[Data]):
     def check_on_line(self, axis: Axis) -> None:
         """Raise UsageError for settings that a drive cannot follow sample by sample."""
 
-    def scan_record(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
-        """Return possible mistakes in the log that fast checks find."""
-        return ()
-
     def check_record(self, data: Data, axis: Axis) -> tuple[Finding, ...]:
-        """Return possible mistakes in the log that all checks find."""
-        return self.scan_record(data, axis)
+        """Return possible mistakes in the log."""
+        return ()
 
 
 def parameters_of(model: Model) -> tuple[tuple[str, ...], tuple[str, ...]]:

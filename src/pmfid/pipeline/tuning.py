@@ -24,9 +24,6 @@ class PipelineTuning:
     #: Relative width of a level of a measured input, and largest part of the rows between the levels.
     one_level: float = 0.1
     one_level_rows: float = 0.02
-    #: Largest ratio of the part that held inputs leave unexplained to the part that straight lines leave, if the drive
-    #: holds its input. The ratio is 0.03 to 0.78 for held inputs, and at least 0.96 for inputs that change in between.
-    inputs_held: float = 0.9
     #: Smallest part of the record at a limit. `inputs_piled` is the smallest ratio of rows at the limit to rows at one
     #: of the `inputs_neighbours` nearest values.
     at_limit: float = 0.005
@@ -69,8 +66,6 @@ class PipelineTuning:
     readings_turned: float = 1.0
     #: Smallest travel from one end to the other [counts].
     readings_fewest: int = 8
-    #: Smallest mass in standard deviations.
-    readings_distinct: float = 2.0
 
     # checks.timing
     #: Relative change of the velocity from sample to sample above which the sample period is too long. `timing_fine` is
@@ -81,17 +76,11 @@ class PipelineTuning:
     #: sample period is also beyond the periods of usual logs.
     timing_slowest: float = 1.0
     timing_fastest: float = 1e-4
-    #: Limits for records that are too short for filters. `timing_rather` is the relative change of the velocity.
-    #: `timing_astray` is the part of the change that the logged input does not explain. `timing_counts` is the smallest
-    #: standard deviation of the change [counts]. `timing_rows` is the smallest number of rows.
-    timing_rather: float = 0.25
-    timing_astray: float = 0.5
-    timing_counts: float = 10.0
-    timing_rows: int = 12
     #: Counts per sample below which most samples carry no information. `timing_plenty` is a sufficient number of counts
     #: per sample.
     timing_idle: float = 0.02
     timing_plenty: float = 0.2
+
     # checks.view
     #: Smallest duration of a record in time constants. After slow filters, any columns explain a short record.
     view_enough: float = 60.0
@@ -115,11 +104,6 @@ class PipelineTuning:
     view_missed: float = 4.0
     #: Smallest part of the rows outside of stops in which the counts change. In a column of steps, fewer rows change.
     view_moving: float = 0.05
-    #: Force that moves an axis from rest, as a multiple of the friction. `view_late` is the allowed delay [samples],
-    #: and `view_far` is the smallest motion by the force [counts].
-    view_held: float = 2.2
-    view_late: int = 5
-    view_far: float = 8.0
     #: Largest number of examined stops. The longest stops come first.
     view_most: int = 1000
     #: Largest number of filtered samples. The filters run over the samples with the most motion.

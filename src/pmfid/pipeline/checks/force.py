@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pmfid.findings import Finding, Severity
+from pmfid.pipeline.checks.readings import is_exchanged
 from pmfid.pipeline.checks.view import CheckedLog
 from pmfid.pipeline.guess.relations import compare
 from pmfid.pipeline.guess.roles import evidence_of, is_commanded
@@ -22,7 +23,7 @@ def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
     if not log.is_machine or log.view is None or np.min(u) * np.max(u) < 0 or np.ptp(u) == 0:
         return
     left = log.view.unexplained * np.linalg.norm(log.view.z) / max(np.std(log.view.z) * log.view.z.size**0.5, 1e-300)
-    if not log.view.one_way and left > TUNING.readings_unseen:
+    if not log.view.one_way and left > TUNING.readings_unseen and not is_exchanged(log):
         yield Finding(
             "unsigned",
             f"the input column {log.axis.record.input!r} has no sign, but the axis reverses",

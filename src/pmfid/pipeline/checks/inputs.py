@@ -8,7 +8,7 @@ import numpy as np
 
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.counter import period_of
-from pmfid.pipeline.checks.view import CheckedLog, view
+from pmfid.pipeline.checks.view import CheckedLog
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
@@ -18,28 +18,16 @@ LARGER = "log the force or current with a larger range, or record a smaller moti
 
 
 def held_input(log: CheckedLog) -> Iterator[Finding]:
-    """Yield a finding if the input is logged only every few samples. The motion may show that the drive holds it."""
+    """Yield a finding if the input is logged only every few samples. If the model explains the motion, it is a note."""
     u = log.record.u
     every = period_of(np.flatnonzero(np.diff(u))) if _varies(u) else 1
-    if every > 1 and not _moves_in_steps(log):
+    if every > 1:
         yield Finding(
             "held_input",
             f"the input column {log.axis.record.input!r} changes only at every {every}th row",
             "log the input at the drive's rate, unless the drive holds it for these rows",
             detail="If the drive gets new inputs more often, the log misses a part of the force.",
         )
-
-
-def _moves_in_steps(log: CheckedLog) -> bool:
-    """Return whether the held input explains the motion clearly better than straight lines between its values."""
-    if log.view is None or not log.is_machine:
-        return False
-    rows = np.append(0, np.flatnonzero(np.diff(log.force)) + 1)
-    lines = np.interp(np.arange(log.force.size), rows, log.force[rows])
-    part, time = log.part, log.view.time
-    other = view(lines[part], log.known.counts[part], log.encoder, log.record.dt, time)
-    same = view(log.force[part], log.known.counts[part], log.encoder, log.record.dt, time)
-    return same is not None and other is not None and same.unexplained < TUNING.inputs_held * other.unexplained
 
 
 def find_saturation(log: CheckedLog) -> Iterator[Finding]:

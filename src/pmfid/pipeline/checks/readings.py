@@ -212,20 +212,3 @@ def no_motion(log: CheckedLog) -> Iterator[Finding]:
             "record a longer stroke, or use a finer encoder",
             "wrong",
         )
-
-
-def no_inertia(log: CheckedLog) -> Iterator[Finding]:
-    """Yield a finding if the acceleration of the axis does not follow the input."""
-    view = log.view if log.is_machine else None
-    if view is None or abs(view.sure(np.eye(view.theta.size)[MASS])) >= TUNING.readings_distinct:
-        return
-    if view.unexplained < TUNING.readings_unseen:
-        sentence = "the acceleration does not follow the input, so the excitation is too small"
-        yield Finding("little_motion", sentence, "record reversals and varying speed")
-        return
-    yield Finding(
-        "little_motion",
-        f"the motion of {log.axis.record.output!r} explains {100 * (1 - view.unexplained):.3g} % of "
-        f"{log.axis.record.input!r}, so these columns may not be input and output of one axis",
-        "check both columns; if they are right, record reversals and varying speed",
-    )

@@ -25,7 +25,7 @@ def too_slow(log: CheckedLog) -> Iterator[Finding]:
     if float(np.median(moving)) < TUNING.timing_fine * step_of(log.known.counts.astype(np.float64))[0]:
         return
     jumps = hasty(change)
-    if not (jumps > TUNING.timing_hasty or (jumps > TUNING.timing_rather and _misses_input(log))):
+    if not jumps > TUNING.timing_hasty:
         return
     yield Finding(
         "rate_low",
@@ -33,22 +33,6 @@ def too_slow(log: CheckedLog) -> Iterator[Finding]:
         f"make a new record at a sample period of at most {log.record.dt / 10 / min(jumps, 2):.1g} s",
         detail=f"With a sample period of {log.record.dt:g} s the record misses most of the motion.",
     )
-
-
-def _misses_input(log: CheckedLog) -> bool:
-    """Return whether the logged input fails to explain the changes of velocity in a short record."""
-    change, u = np.diff(log.known.counts).astype(np.float64), log.known.u
-    turn, velocity = np.diff(change), (change[1:] + change[:-1]) / 2
-    if (
-        log.view is not None
-        or not log.is_machine
-        or turn.size < TUNING.timing_rows
-        or np.std(turn) < TUNING.timing_counts
-    ):
-        return False
-    causes = np.column_stack([u[:-2], u[1:-1], velocity, np.sign(velocity), np.ones(turn.size)])
-    left = turn - causes @ np.linalg.lstsq(causes, turn, rcond=None)[0]
-    return bool(np.linalg.norm(left) > TUNING.timing_astray * np.linalg.norm(turn - turn.mean()))
 
 
 def too_fast(log: CheckedLog) -> Iterator[Finding]:

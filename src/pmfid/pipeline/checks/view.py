@@ -206,40 +206,6 @@ def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
     return {stop for stop, yes in zip(stops, both | dead, strict=True) if yes}
 
 
-def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: float, resolution: float) -> set[Stop]:
-    """Return the stops during which the input `force` (n,) would have moved the axis.
-
-    `view` holds the filtered rows from `offset` on.
-    """
-    rows = np.arange(view.z.size) + offset
-    memory = round(3 * view.time)
-    resting = np.zeros(force.size, dtype=bool)
-    for first, last in stops:
-        resting[first : last + memory] = True
-    keep = ~resting[rows]
-    if np.mean(keep) < TUNING.view_moving:
-        return set()
-    theta = solve_least_squares(view.phi[keep], view.z[keep])
-    if not (theta[MASS] > 0 and theta[COULOMB] >= 0):
-        return set()
-    return {stop for stop in stops if _moves(force[stop[0] : stop[1]], theta, dt) > TUNING.view_far * resolution}
-
-
-def _moves(force: Floats, theta: Floats, dt: float) -> float:
-    """Return the least distance by which a force (n,) moves a plant with parameters theta from rest."""
-    load = theta[3] if theta.size > 3 else 0.0
-    moved = 0.0
-    for sign in (1.0, -1.0):
-        above = sign * (force - load) - TUNING.view_held * theta[COULOMB]
-        breaks = np.flatnonzero(np.diff(np.r_[0, above > 0, 0]))
-        for first, last in zip(breaks[::2].tolist(), breaks[1::2].tolist(), strict=True):
-            time = dt * max(0, last - first - TUNING.view_late)
-            push = float(np.mean(above[first:last]))
-            fastest = push / max(float(theta[VISCOUS]), 1e-300) if theta[VISCOUS] > 0 else np.inf
-            moved = max(moved, min(push / float(theta[MASS]) * time**2 / 2, fastest * time))
-    return moved
-
-
 def _widen_marks(marked: NDArray[np.bool_], span: int) -> NDArray[np.bool_]:
     """Mark also the neighbours of the marked samples (n,), within `span` samples on either side."""
     return np.asarray(np.convolve(marked, np.ones(2 * span + 1), mode="same") > 0.5)
@@ -325,12 +291,7 @@ class CheckedLog:
         if self.elastic:
             return []  # a motor that friction holds stops suddenly, because its load moves on
         stops = long_stops(counts)
-        found = sudden(counts, stops) if stops else set()
-        if stops and not found and self.view is not None and self.is_machine and not self.place_matters:
-            offset = self.part.stop - self.view.z.size
-            inside = [stop for stop in stops if stop[1] < self.part.stop]
-            found = held_back(self.force, inside, self.view, offset, self.record.dt, self.record.resolution)
-        return sorted(found)
+        return sorted(sudden(counts, stops)) if stops else []
 
 
 def hasty(change: Counts | Floats) -> float:
