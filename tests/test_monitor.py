@@ -220,6 +220,24 @@ def test_two_changes_are_reported_one_after_the_other(calibration: Calibration) 
     assert [alarm.change > 0 for alarm in alarms] == [True, True, False]
 
 
+@pytest.mark.parametrize(("name", "total"), [("mass", 0.12), ("coulomb_friction", -0.15)])
+def test_a_slow_change_is_one_alarm_with_a_rate(calibration: Calibration, name: str, total: float) -> None:
+    """A step after it is another alarm."""
+    value, seconds = getattr(CART, name), 450.0
+    times = [20.0 + seconds * k / 100 for k in range(1, 101)]
+    slow = [(at, replace(CART, **{name: value * (1 + total * k / 100)})) for k, at in enumerate(times, 1)]
+    step = 550.0, replace(CART, **{name: value * (1 + 2 * total)})
+    events = run(calibration, Schedule(((0.0, CART), *slow, step)), Watch(), 640.0)
+    alarms = [event for event in events if isinstance(event, Alarm)]
+    assert [(one.parameter, one.change > 0, one.time > 550.0) for one in alarms] == [
+        (name, total > 0, False),
+        (name, total > 0, True),
+    ]
+    rates = [event.rate for event in events if isinstance(event, Settled) and event.rate is not None]
+    assert len(rates) >= 2
+    assert np.median(rates) == pytest.approx(3600 * total / seconds, rel=0.3)
+
+
 def test_within_the_tolerance_there_is_no_alarm(calibration: Calibration) -> None:
     small = Schedule(((0.0, CART), (10.0, replace(CART, mass=1.03 * CART.mass))))
     assert not [e for e in run(calibration, small, Watch(tolerance=0.05)) if isinstance(e, Alarm)]

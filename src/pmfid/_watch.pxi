@@ -56,6 +56,7 @@ cdef struct Own:
     double *statistic
     double *opening
     double *detection
+    double *line
     const int64_t *wait
     const double *sigma
     const double *tolerance
@@ -98,6 +99,7 @@ cdef inline double _count(const Plan *plan, const Own *own, const double *unit) 
     cdef double x[MOST]
     cdef double w[MOST]
     cdef Py_ssize_t p = plan.p, i
+    cdef double place = own.units[0] + 1
     cdef const double *score = unit
     cdef const double *square = unit + p + p * p
     cdef double weight
@@ -113,6 +115,9 @@ cdef inline double _count(const Plan *plan, const Own *own, const double *unit) 
     else:
         _expect(&plan.units, square, w)
     own.statistic[0] = _detect(&plan.detector, x, w, own.tolerance, own.detection)
+    for i in range(p):  # sums for a line through zero at the reference
+        own.line[i] += place * x[i]
+        own.line[p + i] += place * place * w[i]
     own.units[0] += 1
     return _information(&plan.units, square) if plan.work else _mean(w, p)
 
@@ -141,7 +146,7 @@ cdef inline Own _of(const Plan *plan, const Own *all, int64_t axis) noexcept nog
     own.begun, own.statistic, own.wait = all.begun + axis, all.statistic + axis, all.wait + axis
     own.opening, own.sigma = all.opening + axis * plan.width, all.sigma + axis * plan.p
     own.tolerance = all.tolerance + axis * plan.p
-    own.detection = all.detection + axis * _detection_size(plan)
+    own.detection, own.line = all.detection + axis * _detection_size(plan), all.line + axis * 2 * plan.p
     return own
 
 
@@ -175,7 +180,8 @@ cdef inline Before _before(const Plan *plan, const Own *own, double *room) noexc
     kept.members, kept.units, kept.opened = own.members[0], own.units[0], own.opened[0]
     kept.begun, kept.statistic = own.begun[0], own.statistic[0]
     memcpy(room, own.opening, plan.width * sizeof(double))
-    memcpy(room + plan.width, own.detection, _detection_size(plan) * sizeof(double))
+    memcpy(room + plan.width, own.line, 2 * plan.p * sizeof(double))
+    memcpy(room + plan.width + 2 * plan.p, own.detection, _detection_size(plan) * sizeof(double))
     return kept
 
 
@@ -184,7 +190,8 @@ cdef inline void _take_back(const Plan *plan, const Own *own, const Before *kept
     own.members[0], own.units[0], own.opened[0] = kept.members, kept.units, kept.opened
     own.begun[0], own.statistic[0] = kept.begun, kept.statistic
     memcpy(own.opening, room, plan.width * sizeof(double))
-    memcpy(own.detection, room + plan.width, _detection_size(plan) * sizeof(double))
+    memcpy(own.line, room + plan.width, 2 * plan.p * sizeof(double))
+    memcpy(own.detection, room + plan.width + 2 * plan.p, _detection_size(plan) * sizeof(double))
 
 
 #: Samples of an axis in one piece: its blocks, the status of all samples, and the index of the first block's last
@@ -256,6 +263,7 @@ cdef class Watcher:
         own.statistic = <double *> _table(watched.statistic, np.float64, (n,))
         own.opening = <double *> _table(watched.opening, np.float64, (n, self.plan.width))
         own.detection = <double *> _table(watched.detection, np.float64, (n, self.detection.rows, p))
+        own.line = <double *> _table(watched.line, np.float64, (n, 2, p))
         own.wait = <int64_t *> _table(watched.wait, np.int64, (n,))
         own.sigma, own.tolerance = <double *> _table(watched.sigma, np.float64, (n, p)), <double *> _table(watched.tolerance, np.float64, (n, p))
         return own
@@ -329,7 +337,7 @@ cdef class Watcher:
         wanted, reason = np.zeros((k, most), np.uint8), np.zeros((k, most), np.uint8)
         cdef uint8_t *states = <uint8_t *> _table(wanted, np.uint8, (k, most))
         cdef uint8_t *reasons = <uint8_t *> _table(reason, np.uint8, (k, most))
-        crossed, room = np.zeros(k, np.bool_), np.empty(self.plan.width + _detection_size(&self.plan))
+        crossed, room = np.zeros(k, np.bool_), np.empty(self.plan.width + 2 * self.plan.p + _detection_size(&self.plan))
         cdef uint8_t *over = <uint8_t *> _table(crossed, np.bool_, (k,))
         cdef double *kept = <double *> _table(room, np.float64, room.shape)
         _check(size > 0 and _fit(index, len(watched.state)) and _fit(filled, size) and (k == 0 or (filled.max() + n) // size <= most))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pmfid.monitor.events import describe_rate
 from pmfid.pipeline.monitored.run import Notice
 
 
@@ -48,7 +49,7 @@ def _change(event: Notice) -> str:
 
 def _describe_reference(event: Notice) -> str:
     values = (_value(name, found) for name, found in event["parameters"].items())
-    return f"{event['time']:.2f} s  now {', '.join(values)}"
+    return f"{event['time']:.2f} s  now {', '.join(values)}{describe_rate(event.get('rate'))}"
 
 
 def _value(name: str, found: Notice) -> str:

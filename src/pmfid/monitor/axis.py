@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.cause import Cause, ChangeEvidence, explain, new_gain, start_of
-from pmfid.monitor.detector import make_detection, start_detection
+from pmfid.monitor.detector import EDGE, make_detection, start_detection
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Alarm, Event, Settled, StateChange, Watch
 from pmfid.monitor.scores import Blocks, Disturbed, Scale, ScoreFilter, Scoring, Watched, start_blocks
 from pmfid.monitor.tuning import TUNING
@@ -92,7 +93,7 @@ class Watching:
         self.derive(own)
         own.waiting[:] = own.wait
         own.silence[:] = own.members[:] = own.units[:] = 0
-        own.opened[:] = own.opening[:] = own.begun[:] = own.statistic[:] = 0.0
+        own.opened[:] = own.opening[:] = own.begun[:] = own.statistic[:] = own.line[:] = 0.0
         self.restart(own)
 
     def restart(self, own: Watched) -> None:
@@ -248,10 +249,25 @@ class WatchedAxis:
         if ends or cause.size <= self.watch.tolerance:
             self.watching.restart(self._own)
             return self._enter(WATCHING, "the deviation is within the tolerance")
-        alarm = self._make_alarm(cause)
-        self._rest.refined[0] = 0  # the information since the suspicion counts for the new model
-        self._rest.by_gain[0] = cause.names == (INPUT_GAIN,)
-        return [alarm, *self._enter(SETTLING, f"measuring the new {' and '.join(cause.names)}")]
+        alarm, rest = self._make_alarm(cause), self._rest
+        rest.refined[0] = 0  # the information since the suspicion counts for the new model
+        rest.by_gain[0] = cause.names == (INPUT_GAIN,)
+        known, rest.cause[0] = rest.cause[0], crc32(f"{alarm.parameter} {alarm.change > 0}".encode())
+        slow = known == rest.cause[0] and self._is_slow()
+        way = cause.deviation / self._own.sigma[0] ** 2
+        rest.slow[0] = alarm.relative * way / (way @ cause.deviation) if slow else 0.0
+        reason = f"measuring the new {' and '.join(cause.names)}"
+        return [*([] if slow else [alarm]), *self._enter(SETTLING, reason)]
+
+    def _is_slow(self) -> bool:
+        """Return whether a line since the reference explains the units better than a step among the last units."""
+        own, p = self._own, self.reference.size
+        units, _ = self._rest.recent(0, int(own.units[0]))
+        x, w = self.watching.rescale(own.sigma[0]).standardise(Blocks.from_rows(units, p))
+        sums, known = (np.cumsum(part[::-1], axis=0) for part in (x, w))
+        edge = EDGE * float(own.units[0]) ** 2
+        line = own.line[0, 0] ** 2 / (own.line[0, 1] + edge)
+        return bool(np.max(line) > np.max(sums**2 / (known + EDGE)))
 
     def _make_alarm(self, cause: Cause) -> Alarm:
         units, begun = self._rest.recent(0, int(self._own.units[0]))
@@ -308,7 +324,13 @@ class WatchedAxis:
         before, _ = self._add_known(self._rest.before[0].copy(), std)
         if self.known is not None and self.known.find_gain:
             self._rest.gain[0] = float(now[-1]) / self.estimator.equation.input_gain
-        return [Settled(self._time, now, errors, before, self._gain(theta, std)), *self._enter(WATCHING, "")]
+        change, elapsed = (
+            float(self._rest.slow[0] @ (theta - self._rest.before[0])),
+            self._time - float(self._rest.since[0]),
+        )
+        rate, self._rest.since[0] = 3600 * change / elapsed if change else None, self._time
+        event = Settled(self._time, now, errors, before, self._gain(theta, std), rate)
+        return [event, *self._enter(WATCHING, "")]
 
     def _gain(self, theta: Floats, std: Floats) -> tuple[float, float, float] | None:
         """Return the new gain, its standard deviation and the previous gain after an alarm on the input gain, else

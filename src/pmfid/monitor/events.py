@@ -200,6 +200,9 @@ class Settled:
     gain
         New gain, its standard deviation and the previous gain after an alarm on the input gain, otherwise None. After
         such an alarm, theta refers to the previous gain.
+    rate
+        Relative change per hour of the parameter in the last alarm, while its slow change goes on without a further
+        alarm; otherwise None.
 
     Examples
     --------
@@ -215,6 +218,7 @@ class Settled:
     std: Floats
     before: Floats
     gain: tuple[float, float, float] | None = None
+    rate: float | None = None
 
 
 @dataclass(frozen=True)
@@ -265,6 +269,14 @@ class Outlier:
 
 
 Event = Alarm | Settled | StateChange | Outlier
+
+
+def describe_rate(rate: float | None) -> str:
+    """Return the words for a relative change per hour that goes on, or an empty text for None."""
+    if rate is None:
+        return ""
+    unit, hours = ("a day", 24) if abs(rate) < 0.01 else ("an hour", 1)
+    return f"; it keeps changing by about {100 * hours * rate:+.2g} % {unit}"
 
 
 @dataclass(frozen=True)

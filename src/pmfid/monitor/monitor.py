@@ -295,6 +295,7 @@ class Monitor(WatchedAxis, Presentable):
             )
         before, std = self.reference, np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
         self._refer(wanted)
+        self._rest.since[0] = self._time
         events: list[Event] = [Settled(self._time, *self._add_known(wanted, std), self._add_known(before, std)[0])]
         busy = self.state in (SUSPICIOUS, SETTLING)
         return [*events, *(self._enter(WATCHING, "a new reference was given") if busy else [])]

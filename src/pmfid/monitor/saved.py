@@ -27,7 +27,7 @@ from pmfid.types import Floats
 #: Header of the saved states. `layout` is the checksum of a row's layout, `config` the configuration's number,
 #: `checksum` the CRC-32 of all other bytes.
 HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
-MAGIC, VERSION = 0x4D464D50, 1  # "PMFM"
+MAGIC, VERSION = 0x4D464D50, 2  # "PMFM"
 #: Largest number of axes of a fleet. A header with a larger number is refused.
 MOST_AXES = 2**24
 #: Largest number of samples and blocks in a state.
@@ -162,5 +162,6 @@ def _counts_fit(judge: Judge, saved: AxisStates) -> bool:
         rest.by_gain <= 1,
         ~uneasy | (watched.units > 0) | (rest.refined == 1),
         (watched.opened >= 0) & (rest.gathered >= 0),
+        watched.line[:, 1] >= 0,
     ]
     return all(np.all(condition) for condition in conditions)

@@ -277,8 +277,9 @@ class Watched(RowArrays):
     `theta` (n, p) is the reference, `state` the number in `STATES`. `waiting` is the number of blocks that do not
     count. `silence` is the number of blocks since the last one with information. The open unit has the information
     `opened`, the sum `opening` (n, width), the blocks `members` and the time `begun`. `detection` is the state of the
-    detector, and `units` the number of units with this reference. `wait`, `sigma` and `tolerance` are derived from the
-    reference.
+    detector, and `units` the number of units with this reference. `line` (n, 2, p) has the sums of a line through zero:
+    over all units with this reference, their number times x, and its square times w. `wait`, `sigma` and `tolerance`
+    are derived from the reference.
     """
 
     theta: Floats
@@ -292,6 +293,7 @@ class Watched(RowArrays):
     detection: Floats
     statistic: Floats
     units: NDArray[np.int64]
+    line: Floats
     wait: NDArray[np.int64] = field(metadata=DERIVED)
     sigma: Floats = field(metadata=DERIVED)
     tolerance: Floats = field(metadata=DERIVED)
@@ -312,6 +314,7 @@ class Watched(RowArrays):
             detection=np.zeros((axes, detection, p)),
             statistic=none.copy(),
             units=nowhere.copy(),
+            line=np.zeros((axes, 2, p)),
             wait=nowhere.copy(),
             sigma=vector.copy(),
             tolerance=vector.copy(),
@@ -326,7 +329,10 @@ class Disturbed(RowArrays):
     is the information since the suspicion or the alarm. `suspected` is the number of units since the suspicion, and
     `crossed` the statistic at the suspicion. `refined` is true if the estimate is already the model. `before` (n, p) is
     the reference before the change. `settled` (n, width) is the sum of the blocks relative to this model. `gain` is the
-    input gain over the gain of the estimator. `by_gain` is true after an alarm on the input gain.
+    input gain over the gain of the estimator. `by_gain` is true after an alarm on the input gain. `cause` identifies
+    parameter and direction of the last alarm, or is 0. `since` is the time of the reference [s]. `slow` (n, p) times a
+    change of the parameters is the relative change of the last alarm's cause, while this change goes on slowly;
+    otherwise `slow` is 0.
     """
 
     units: Floats
@@ -339,6 +345,9 @@ class Disturbed(RowArrays):
     settled: Floats
     gain: Floats
     by_gain: NDArray[np.uint8]
+    cause: NDArray[np.int64]
+    since: Floats
+    slow: Floats
 
     @classmethod
     def empty(cls, axes: int, p: int) -> Disturbed:
@@ -355,6 +364,9 @@ class Disturbed(RowArrays):
             np.zeros((axes, width)),
             np.ones(axes),
             np.zeros(axes, np.uint8),
+            np.zeros(axes, np.int64),
+            np.zeros(axes),
+            np.zeros((axes, p)),
         )
 
     def recent(self, axis: int, units: int) -> tuple[Floats, Floats]:

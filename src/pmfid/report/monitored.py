@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 from pathlib import Path
 
 import numpy as np
@@ -255,9 +256,10 @@ def _verdict(setup: Setup | EdgeSetup, run: MonitoredRun) -> Section:
 
 
 def _alarm_rows(run: MonitoredRun, alarm: Notice) -> list[list[str]]:
-    """Return a row for each change of an alarm, with its value if it settled before the next alarm."""
+    """Return a row for each change of an alarm, with its last value before the next alarm."""
     later = [event for event in run.events if event["event"] in ("settled", "alarm") and event["time"] > alarm["time"]]
-    settled = later[0]["parameters"] if later and later[0]["event"] == "settled" else {}
+    before = list(takewhile(lambda event: event["event"] == "settled", later))
+    settled = before[-1]["parameters"] if before else {}
     others = alarm.get("others", "").replace("_", " ")
     return [
         [

@@ -142,10 +142,12 @@ class Alarms:
         return [self._all[alarm.number]]
 
     def _settle(self, notice: Notice) -> list[AlarmRecord]:
-        """Settle the alarms of the axis that have no new values yet."""
-        new_values = {"time": notice.what.get("time"), "parameters": notice.what.get("parameters", {})}
-        of_axis = [alarm for alarm in self._all.values() if alarm.axis == notice.axis]
-        open_ones = [alarm for alarm in of_axis if alarm.settled is None and "silent" not in alarm.what]
+        """Settle the alarms of the axis that have no new values yet, and the last alarm again if its change goes on."""
+        what = notice.what
+        new_values = {"time": what.get("time"), "parameters": what.get("parameters", {}), "rate": what.get("rate")}
+        own = [one for one in self._all.values() if one.axis == notice.axis and "silent" not in one.what]
+        last = own[-1:] if what.get("rate") else []
+        open_ones = [alarm for alarm in own if alarm.settled is None or alarm in last]
         for alarm in open_ones:
             self._all[alarm.number] = replace(alarm, settled=new_values)
         return [self._all[alarm.number] for alarm in open_ones]

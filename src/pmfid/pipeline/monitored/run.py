@@ -174,7 +174,8 @@ def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> No
     if isinstance(event, StateChange):
         return {"event": "state", "time": event.time + shift, "state": event.state, "reason": event.reason}
     if isinstance(event, Settled):
-        return {"event": "settled", "time": event.time + shift, "parameters": _format_settled(event, names)}
+        rate = {} if event.rate is None else {"rate": event.rate}
+        return {"event": "settled", "time": event.time + shift, "parameters": _format_settled(event, names), **rate}
     if isinstance(event, Outlier):
         return {"event": "outlier", "time": event.time + shift, "signal": event.signal}
     return {

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from pmfid.monitor.events import describe_rate
 from pmfid.stream.outcome import Notice
 
 Fields = Mapping[str, Any]
@@ -43,7 +44,8 @@ def _describe_end(what: Fields) -> str:
 
 def _describe_values(what: Fields) -> str:
     values = what.get("parameters", {}).items()
-    return "now " + ", ".join(f"{_write_words(name)} {found['value']:.4g}" for name, found in values)
+    words = ", ".join(f"{_write_words(name)} {found['value']:.4g}" for name, found in values)
+    return f"now {words}{describe_rate(what.get('rate'))}"
 
 
 def _describe_acknowledgement(what: Fields) -> str:

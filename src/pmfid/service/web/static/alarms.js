@@ -23,25 +23,16 @@ function changeOf(change) {
 }
 
 // How urgent an alarm is: its size against the tolerance, and whether the parameter keeps changing.
-export function urgencyOf(alarm, alarms) {
-  const alike = [...alarms].filter((one) => one.axis === alarm.axis && one.parameter === alarm.parameter && one.direction === alarm.direction);
-  alike.sort((a, b) => a.number - b.number);
-  const before = alike.filter((one) => one.number <= alarm.number);
+export function urgencyOf(alarm) {
   const size = alarm.tolerance > 0 ? [`The change is ${number(Math.abs(alarm.relative) / alarm.tolerance, 2)} times the tolerance of ${percent(alarm.tolerance).replace("+", "")}.`] : [];
-  if (alike.length > before.length) return [...size, "It has changed further since: see the later alarm."].join(" ");
-  if (before.length > 1) return [...size, courseOf(before)].join(" ");
-  const since = alarm.settled ? "So far it is one step." : "The new value is not known yet.";
-  return [...size, since].join(" ");
+  const course = alarm.settled?.rate ? `${rateOf(alarm.settled.rate)}.` : alarm.settled ? "So far it is one step." : "The new value is not known yet.";
+  return [...size, course].join(" ");
 }
 
-// How fast a parameter changes, from its alarms in one direction.
-function courseOf(alike) {
-  const seconds = alike.at(-1).wall - alike[0].wall;
-  const total = alike.reduce((product, one) => product * (1 + one.relative), 1) - 1;
-  const later = alike.slice(1).reduce((product, one) => product * (1 + one.relative), 1) - 1;
-  const [unit, length] = [["day", 86400], ["hour", 3600], ["minute", 60]].find(([, known]) => seconds >= known) ?? [];
-  const rate = unit ? `, and after the first alarm about ${percent((length * later) / seconds)} a${unit === "hour" ? "n" : ""} ${unit}` : "";
-  return `It keeps changing: ${alike.length} alarms since ${wall(alike[0].wall)}, ${percent(total)} in all${rate}.`;
+// The words for a relative change per hour that goes on.
+export function rateOf(rate) {
+  const [unit, hours] = Math.abs(rate) < 0.01 ? ["a day", 24] : ["an hour", 1];
+  return `It keeps changing by about ${percent(hours * rate)} ${unit}`;
 }
 
 export const sinceOf = (alarm) => (alarm.silent ? "" : `This change began at ${moment(alarm.changed_at)}. `) + `The service noticed it at ${wall(alarm.wall)}.`;
@@ -59,7 +50,7 @@ function settledOf(alarm) {
   return settled.length ? `Now ${settled.join(", ")}.` : null;
 }
 
-export function alarmCard(alarm, alarms, withAxis = true) {
+export function alarmCard(alarm, withAxis = true) {
   const known = !isOpen(alarm);
   const settled = settledOf(alarm);
   const button = el(
@@ -82,7 +73,7 @@ export function alarmCard(alarm, alarms, withAxis = true) {
         el("strong", {}, causeOf(alarm)),
       ),
       known || !alarm.advice ? null : el("p", {}, `What to do: ${alarm.advice}`),
-      known || alarm.silent ? null : el("p", {}, `How urgent: ${urgencyOf(alarm, alarms)}`),
+      known || alarm.silent ? null : el("p", {}, `How urgent: ${urgencyOf(alarm)}`),
       el("p", { class: "fine" }, sinceOf(alarm), settled ? ` ${settled}` : ""),
       alarm.silent ? null : el("p", { class: "fine" }, sureOf(alarm)),
       alarm.cleared === null ? null : el("p", { class: "fine" }, `back since ${wall(alarm.cleared)}`),

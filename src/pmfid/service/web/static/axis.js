@@ -307,12 +307,12 @@ export class AxisView {
 
   showAlarms() {
     const own = [...this.plant.alarms.values()].filter((alarm) => alarm.axis === this.axis).reverse();
-    const key = own.map((alarm) => [alarm.number, alarm.acknowledged, alarm.cleared, alarm.settled ? 1 : 0]).join() + this.plant.notices.length;
+    const key = own.map((alarm) => [alarm.number, alarm.acknowledged, alarm.cleared, alarm.settled?.time]).join() + this.plant.notices.length;
     if (key === this.alarmsSeen) return;
     this.alarmsSeen = key;
     const known = own.filter((alarm) => !isOpen(alarm));
-    this.open.replaceChildren(...own.filter(isOpen).map((alarm) => alarmCard(alarm, own, false)));
-    this.known.replaceChildren(...(known.length ? known.map((alarm) => alarmCard(alarm, own, false)) : [el("li", { class: "fine" }, own.length ? "the open alarms are above" : "none so far")]));
+    this.open.replaceChildren(...own.filter(isOpen).map((alarm) => alarmCard(alarm, false)));
+    this.known.replaceChildren(...(known.length ? known.map((alarm) => alarmCard(alarm, false)) : [el("li", { class: "fine" }, own.length ? "the open alarms are above" : "none so far")]));
     this.putFirst(own.find((alarm) => isOpen(alarm) && !alarm.silent)?.parameter);
     const happened = this.plant.notices.filter((notice) => notice.axis === this.axis).slice(-60).reverse();
     this.log.replaceChildren(...(happened.length ? happened.map(noticeLine) : [el("li", { class: "fine" }, "nothing so far")]));

@@ -138,11 +138,11 @@ export class Overview {
   showAlarms() {
     const open = this.plant.openAlarms();
     this.alarms.hidden = open.length === 0;
-    const seen = open.map((alarm) => [alarm.number, alarm.settled ? 1 : 0]).join() + this.allAlarms;
+    const seen = open.map((alarm) => [alarm.number, alarm.settled?.time]).join() + this.allAlarms;
     if (seen === this.seen) return;
     this.seen = seen;
     const shown = this.allAlarms ? open.slice(0, 200) : open.slice(0, CARDS);
-    this.cards.replaceChildren(...shown.map((alarm) => alarmCard(alarm, this.plant.alarms.values())));
+    this.cards.replaceChildren(...shown.map((alarm) => alarmCard(alarm)));
     this.more.hidden = open.length <= CARDS;
     say(this.more, this.allAlarms ? "Show only the latest alarms" : `Show all ${open.length} alarms`);
   }
