@@ -152,6 +152,15 @@ def test_an_alarm_is_reported_once_acknowledged_and_settled() -> None:
     assert [alarm.number for alarm in board.news(seen).alarms] == [7]
 
 
+def test_a_change_that_goes_on_settles_its_alarm_again() -> None:
+    board = board_of(kindred("a"))
+    board.notice(alarm(1))
+    for number, rate in ((2, None), (3, 0.5), (4, None)):
+        rates = {} if rate is None else {"rate": rate}
+        board.notice(Notice("a", number, 9.0, {"event": "settled", "time": float(number), "parameters": {}, **rates}))
+    assert board.news().alarms[0].settled == {"time": 3.0, "parameters": {}, "rate": 0.5}
+
+
 def test_of_too_many_alarms_the_known_ones_go_first() -> None:
     board = board_of(kindred("a"))
     for number in range(1, 2001):
