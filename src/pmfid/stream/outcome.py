@@ -144,7 +144,7 @@ class Alarms:
     def _settle(self, notice: Notice) -> list[AlarmRecord]:
         """Settle the alarms of the axis that have no new values yet, and the last alarm again if its change goes on."""
         what = notice.what
-        new_values = {key: what[key] for key in ("time", "parameters", "rate") if key in what}
+        new_values: dict[str, Any] = {key: what[key] for key in ("time", "parameters", "rate") if key in what}
         own = [one for one in self._all.values() if one.axis == notice.axis and "silent" not in one.what]
         last = own[-1:] if what.get("rate") else []
         open_ones = [alarm for alarm in own if alarm.settled is None or alarm in last]
