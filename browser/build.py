@@ -44,21 +44,9 @@ FLAGS = ["-ffp-contract=off", "-fPIC", "-DNDEBUG", "-DNPY_NO_DEPRECATED_API=NPY_
 TARGET = ["--target=wasm32-unknown-emscripten", "-D__wasi__"]  # the headers of wasi-libc ask for the second
 HEADERS = "/usr/include/wasm32-wasi"
 KERNEL = (
-    *(
-        "encoder",
-        "auxiliary",
-        "verdicts",
-        "linear",
-        "network",
-        "recursion",
-        "step",
-        "gap",
-        "open",
-        "state",
-        "plausible",
-    ),
-    *("alarm", "edges/pmf_redge", "many/pmf_fits", "many/pmf_layout", "many/pmf_many", "many/pmf_scores"),
-    "many/pmf_motions",
+    *("encoder", "guard", "outlier", "auxiliary", "verdicts", "network", "recursion", "instrument", "estimate", "step"),
+    *("gap", "open", "state", "plausible", "alarm", "edges/pmf_redge", "edges/pmf_redge_plausible"),
+    *("many/pmf_fits", "many/pmf_many", "many/pmf_scores"),
 )
 
 

@@ -213,8 +213,9 @@ typedef struct {
 
 /* Columns are sums of taps: regressors, then the target, then the instruments if there are any. */
 typedef struct {
-    uint32_t n_stages, n_columns;
+    uint32_t n_columns;
 #if PMF_WITH_NETWORK
+    uint32_t n_stages;
     pmf_stage_t stage[PMF_MAX_STAGES];
     uint32_t tap_end[PMF_MAX_COLUMNS];
     pmf_tap_t tap[PMF_MAX_TAPS];
@@ -246,13 +247,11 @@ typedef struct {
     uint32_t compensated; /* 1: the noise of the columns is known */
     scalar_t noise[PMF_MAX_PARAMETERS]
                   [PMF_MAX_PARAMETERS]; /* covariance of the known noise in one sample's phi phi^T */
-#if PMF_WITH_PROCESS
     scalar_t target_noise[PMF_MAX_PARAMETERS]; /* covariance of the known noise in phi z */
     scalar_t target_power; /* power of the known noise in z^2 */
     uint32_t constant,
         lowest; /* parameters of the output's constant and of its lowest coefficient; PMF_NO_PARAMETER: none */
     scalar_t lift; /* shift of the constant for the first count, as a multiple of `lowest` */
-#endif
     uint32_t block; /* updates in a block with correlated errors. The spread of blocks scales P. */
     scalar_t correlated; /* number of updates with equal errors, assumed until blocks exist */
     uint32_t half_memory; /* half memory, counted in looks at the motion; 0: nothing is forgotten */
@@ -377,9 +376,7 @@ typedef struct {
     scalar_t lag_memory; /* forgetting of the comparison that shows a model ahead of the plant, per sample */
     scalar_t lag_samples; /* samples that count as one in the comparison of the lag, because the filters correlate
                              neighbours */
-#if PMF_WITH_STEPS
     uint32_t steps; /* 1: the step varies */
-#endif
 #if PMF_MAX_SHAPES > 0
     pmf_shapes_config_t shapes;
 #endif
@@ -412,9 +409,7 @@ typedef struct {
     pmf_lag_t lag;
     whole_t late; /* last verdict on a model ahead of the plant, as a status bit */
     whole_t turn; /* counter of the samples between two steps of the copy */
-#if PMF_WITH_STEPS
-    real_t step; /* length of the simulated interval [s] */
-#endif
+    real_t step; /* length of the simulated interval [s] if the step varies */
 } pmf_auxiliary_state_t;
 
 /* Values of exp(-t / lag) over a part of a sample: the end value, the integral, and the integral of t exp(-t / lag), t

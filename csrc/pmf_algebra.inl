@@ -1,21 +1,6 @@
 /* Small symmetric matrices: factors, triangular systems, projections. Only pmf_recursion.c includes this file.
  * SPDX-License-Identifier: Apache-2.0 */
 
-/* The loops unroll only if the number of parameters is a constant. */
-#if defined(PMF_PARAMETERS) && !defined(PMF_STRAIGHT)
-#define PMF_INLINE static
-#elif defined(__GNUC__)
-#define PMF_INLINE static inline __attribute__((always_inline))
-#else
-#define PMF_INLINE static inline
-#endif
-/* Lanes have no separate functions, because a call would move their vectors to memory and back. */
-#if defined(__GNUC__) && !defined(PMF_LANES)
-#define PMF_APART static __attribute__((noinline))
-#else
-#define PMF_APART PMF_INLINE
-#endif
-
 #define N PMF_MAX_PARAMETERS
 #define PIVOT_FLOOR PMF_EITHER(1e-6, 1e-14)
 #define TINY PMF_EITHER(1e-30, 1e-200)

@@ -10,8 +10,6 @@
 
 #include "pmf_shapes.inl"
 
-#if PMF_WITH_AUXILIARY
-
 #define NEWTON_TURNS 3
 
 /* A spring acts with its force in the middle of the interval. */
@@ -141,13 +139,14 @@ static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary
 }
 
 #if PMF_SHAPED
-void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal)
+void pmf_shapes_measured(const pmf_config_t *config, real_t *signal)
 {
+    const pmf_shapes_config_t *shapes = &config->auxiliary.shapes;
     uint32_t i;
-    for (i = 0; i < config->n; ++i) {
-        const pmf_shape_t *shape = &config->shape[i];
+    for (i = 0; i < shapes->n; ++i) {
+        const pmf_shape_t *shape = &shapes->shape[i];
         if (shape->measured != 0U) {
-            signal[shape->measured] = shape_value(config, shape, signal[PMF_LATE_POSITION]) *
+            signal[shape->measured] = shape_value(shapes, shape, signal[PMF_LATE_POSITION]) *
                                       signal[shape->resists != 0U ? PMF_DIRECTION : PMF_MOVING];
         }
     }
@@ -338,4 +337,3 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
     }
     state->running = PMF_IF(where, PMF_W(1), state->running);
 }
-#endif

@@ -206,6 +206,28 @@ static real_t late_turn(const pmf_encoder_state_t *state, real_t direction, real
     turn *= PMF_R(3.0) * state->ratio_before * state->moving;
     return velocity < PMF_R(0.0) ? -turn : turn;
 }
+
+/* Set ratio, ticks and gains for the step of this interval. */
+static void follow_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t *ratio, uint32_t *ticks,
+                        gains_t *gains, whole_t *status)
+{
+    if (PMF_STEPPED(config->rate > PMF_R(0.0))) {
+        *ratio = ratio_of(state, status);
+        *ticks = ticks_of(*ratio);
+        set_gains(config, &state->tracker, *ratio, gains);
+    }
+}
+
+static void emit_turn(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state, real_t *signal)
+{
+    (void)config; /* an export has the answer as a constant */
+    if (PMF_TURNED(config) != 0U) {
+        signal[PMF_TURN] = late_turn(state, signal[PMF_DIRECTION], state->velocity);
+    }
+}
+#else
+#define follow_step(config, state, ratio, ticks, gains, status) ((void)(ticks))
+#define emit_turn(config, state, signal) ((void)(signal))
 #endif
 
 PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state,
@@ -220,13 +242,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
     uint32_t ticks = 1U; /* the last step in the unit of pauses */
     gains_t gains;
     keep_gains(config, &gains);
-#if PMF_STEPS
-    if (PMF_STEPPED(config->rate > PMF_R(0.0))) {
-        ratio = ratio_of(state, &status);
-        ticks = ticks_of(ratio);
-        set_gains(config, &state->tracker, ratio, &gains);
-    }
-#endif
+    follow_step(config, state, &ratio, &ticks, &gains, &status);
     state->count = count;
     fast = next_fast(config, state, counts, ticks);
     /* Position of the axis within the new count, in counts. A count stands for the middle of its interval. */
@@ -236,11 +252,7 @@ PMF_FOR_SIZE PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config
 
     emit_interval(config, state,
                   state->moving * late_direction(&gains, state, innovation, fast, state->velocity_before), signal);
-#if PMF_STEPS
-    if (PMF_TURNED(config) != 0U) {
-        signal[PMF_TURN] = late_turn(state, signal[PMF_DIRECTION], state->velocity);
-    }
-#endif
+    emit_turn(config, state, signal);
     signal[PMF_VELOCITY] = config->velocity_per_count * changed / ratio;
 
     track(&gains, state, innovation, predicted);

@@ -27,16 +27,12 @@ void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count)
     pmf_clear(&state->network, (uint32_t)sizeof state->network);
     state->settle = config->settle_samples;
     state->hold = 0U;
-#if PMF_WITH_GUARD
-    pmf_clear(&state->guard, (uint32_t)sizeof state->guard);
-#endif
-#if PMF_WITH_AUXILIARY
-    pmf_clear(state->auxiliary.jump, (uint32_t)sizeof state->auxiliary.jump);
-    state->auxiliary.mismatch = PMF_R(0.0);
-    state->auxiliary.power *=
-        PMF_R(10.0); /* a larger error of the model's velocity, over its power, resets the velocity */
-    state->auxiliary.trial = config->auxiliary.trial_samples;
-#endif
+    if (PMF_GUARDED(config)) {
+        pmf_guard_gap(state);
+    }
+    if (PMF_MODELLED(config)) {
+        pmf_instrument_gap(config, state);
+    }
 }
 
 void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples)
@@ -44,4 +40,11 @@ void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples)
     samples = samples < config->settle_samples ? samples : config->settle_samples;
     samples += config->encoder.guard != 0U ? PMF_AHEAD : 0U; /* the samples that the guard holds back come first */
     state->hold = samples > state->hold ? samples : state->hold;
+}
+
+void pmf_rebase(pmf_state_t *state, uint32_t count)
+{
+    if (PMF_WITH_GUARD == 0 || pmf_guard_rebase(state, count) == 0U) {
+        state->encoder.count = count;
+    }
 }

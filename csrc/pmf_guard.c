@@ -9,8 +9,6 @@
 #include "pmf_outlier.h"
 #include "pmf_internal.h"
 
-#if PMF_WITH_GUARD
-
 static const scalar_t SMOOTH = PMF_SCALAR(3.2); /* FIRST of pmf_outlier.c */
 static const scalar_t ROUNDING = PMF_SCALAR(2.0); /* second difference of counts in a steady motion */
 static const scalar_t SPIKE =
@@ -224,8 +222,10 @@ static void shift(pmf_guard_state_t *guard)
     guard->past += PMF_BIT(guard->past < PMF_PAST, 1U);
 }
 
-PMF_FOR_SIZE PMF_API truth_t pmf_guard(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, real_t held,
-                                       real_t *input, whole_t *count, whole_t *status)
+/* Take a sample, and return whether an earlier one is judged. This sample replaces `input` and `count`, and `status`
+ * gets its status bits. `held` is the input before it. */
+PMF_FOR_SIZE static truth_t take_sample(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, real_t held,
+                                        real_t *input, whole_t *count, whole_t *status)
 {
     truth_t ready;
     push(guard, *input, *count);
@@ -241,4 +241,39 @@ PMF_FOR_SIZE PMF_API truth_t pmf_guard(const pmf_encoder_config_t *config, pmf_g
     return ready;
 }
 
+PMF_API truth_t pmf_guard_sample(const pmf_config_t *config, pmf_state_t *state, real_t *input, whole_t *count,
+                                 whole_t *guarded)
+{
+    truth_t ready = take_sample(&config->encoder, &state->guard, state->encoder.input, input, count, guarded), unsure;
+    unsure = (*guarded & PMF_SETTLING) != 0U;
+    if (PMF_ANY(unsure)) {
+        state->hold = PMF_IF(unsure, PMF_W(config->settle_samples), state->hold);
+    }
+    return ready;
+}
+
+#if PMF_WHOLE /* for one axis */
+void pmf_guard_gap(pmf_state_t *state)
+{
+    pmf_clear(&state->guard, (uint32_t)sizeof state->guard);
+}
+
+uint32_t pmf_guard_rebase(pmf_state_t *state, uint32_t count)
+{
+    pmf_guard_state_t *guard = &state->guard;
+    if (guard->readings > 0U) {
+        guard->zero = count - guard->count[PMF_PAST + guard->readings - 1U];
+    }
+    return guard->readings;
+}
+
+uint32_t pmf_guard_plausible(const pmf_state_t *state)
+{
+    const pmf_guard_state_t *guard = &state->guard;
+    uint32_t i, fine = guard->past <= PMF_PAST && guard->readings <= PMF_AHEAD ? 1U : 0U;
+    for (i = 0; i < PMF_VIEW; ++i) {
+        fine &= PMF_SIZE(guard->input[i]) <= PMF_R(2.0) * PMF_LARGEST_INPUT ? 1U : 0U;
+    }
+    return fine;
+}
 #endif

@@ -44,13 +44,11 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
     if (!PMF_ANY(judged)) {
         return PMF_IF(where, state->unmodelled, PMF_W(0));
     }
-#if PMF_PROCESS
     explained = PMF_ALIKE(config->target_power);
-#endif
     for (i = 0; i < PARAMETERS(config); ++i) {
-#if PMF_PROCESS
-        explained -= PMF_SCALAR(2.0) * theta[i] * config->target_noise[i];
-#endif
+        if (PMF_PROCESS) {
+            explained -= PMF_SCALAR(2.0) * theta[i] * config->target_noise[i];
+        }
         for (j = 0; j < PARAMETERS(config); ++j) {
             explained += theta[i] * config->noise[i][j] * theta[j];
         }
@@ -80,7 +78,6 @@ PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recurs
     }
 }
 
-#if PMF_PROCESS
 /* Return the variance of the constant plus `lift` times the lowest coefficient, over the variance of the innovations.
  * The variance is a sum of squares here, because entries of P would give it as a small difference. */
 PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recursion_state_t *state)
@@ -91,14 +88,13 @@ PMF_SELDOM real_t lifted_factor(const pmf_recursion_config_t *config, pmf_recurs
         x[i] = PMF_R(0.0);
     }
     x[config->constant] = PMF_R(1.0);
-    x[config->lowest] = state->lift;
+    x[config->lowest] = PMF_LIFT(state);
     forward(PARAMETERS(config), state->factor, x);
     for (i = 0; i < PARAMETERS(config); ++i) {
         sum += x[i] * x[i] * state->inverse_pivot[i];
     }
     return PMF_IF(sum - sum == PMF_R(0.0), sum, PMF_UNKNOWN);
 }
-#endif
 
 /* Compare the spread of theta by blocks of innovations to the spread by white innovations (batch means). With weights
  * w, the covariance of theta is P (sum w^2) S P, where S is the long-run covariance of the scores. White innovations
@@ -116,12 +112,10 @@ static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state
     for (i = 0; i < PARAMETERS(config); ++i) {
         real_t white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
         real_t *inflation = &state->estimate.inflation[i], change;
-#if PMF_PROCESS
-        if (i == config->constant) { /* the constant in the form that the user reads */
+        if (PMF_PROCESS && i == config->constant) { /* the constant in the form that the user reads */
             white = lifted_factor(config, state) * state->estimate.innovation_variance;
-            move[i] += state->lift * move[config->lowest];
+            move[i] += PMF_LIFT(state) * move[config->lowest];
         }
-#endif
         change = move[i] * move[i] * share / white - PMF_IF(few, PMF_ALIKE(config->correlated), *inflation);
         /* infinite values and NaN would stay for ever */
         *inflation = PMF_IF(where & (change - change == PMF_R(0.0)), *inflation + change / blocks, *inflation);
@@ -260,11 +254,9 @@ PMF_INLINE void note_score(const pmf_recursion_config_t *config, pmf_recursion_s
     uint32_t i, j;
     for (i = 0; i < p; ++i) {
         real_t sum = state->score[i] + zeta[i] * state->estimate.innovation;
-#if PMF_PROCESS
-        if (config->compensated != 0U) {
+        if (PMF_PROCESS && config->compensated != 0U) {
             sum -= config->target_noise[i];
         }
-#endif
         for (j = 0; j < p && config->compensated != 0U; ++j) {
             sum += config->noise[i][j] * state->estimate.theta[j];
         }

@@ -5,9 +5,6 @@
 
 #include "pmf.h"
 
-/* Copy byte by byte, because an assignment need not copy the padding, which a checksum covers. */
-void pmf_copy(const void *from, void *to, uint32_t size);
-
 /* Choices that depend on the data, for one axis; many/pmf_lanes.h defines them for several axes at once. */
 #ifndef PMF_LANES
 typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
@@ -28,6 +25,7 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_LANE(x, lane) (*((void)(lane), &(x)))
 #define PMF_ANY(truth) ((truth) != 0)
 #define PMF_ALL(truth) ((truth) != 0)
+#define PMF_APART static PMF_ATTRIBUTE((noinline))
 /* Do `action`, which changes only `object` (a pointer), if the truth holds. */
 #define PMF_WHERE(truth, object, action) \
     do {                                 \
@@ -46,9 +44,12 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #ifdef PMF_WITH_MODEL /* straight steps are for one method of a drive */
 #define PMF_PROCESS 0
 #define PMF_MODELLED(config) PMF_WITH_MODEL
-#else
+#elif PMF_WITH_AUXILIARY
 #define PMF_PROCESS PMF_WITH_PROCESS
 #define PMF_MODELLED(config) ((config)->auxiliary.enabled != 0U)
+#else
+#define PMF_PROCESS PMF_WITH_PROCESS
+#define PMF_MODELLED(config) 0
 #endif
 #ifndef PMF_SPLIT /* otherwise no column has the signals beyond input, velocity and direction */
 #define PMF_SPLIT PMF_WITH_SPLIT
@@ -68,7 +69,9 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #if PMF_STEPS
 #define PMF_SAMPLE(config) (PMF_STEPPED((config)->rate > PMF_R(0.0)) ? (uint32_t)PMF_TICKS : 1U)
 #define PMF_SPAN(config, state) (PMF_STEPPED((config)->steps != 0U) ? (state)->step : (config)->dt)
+#define PMF_SPACED(config) PMF_STEPPED((config)->encoder.rate > PMF_R(0.0)) /* whether the step varies */
 #else
+#define PMF_SPACED(config) 0
 #define PMF_SAMPLE(config) 1U
 #define PMF_SPAN(config, state) ((config)->dt)
 #endif
@@ -81,18 +84,21 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_NOT(truth) ((truth) == 0)
 #define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
 
-/* Rarely used code is compiled for size. */
 #if defined(__GNUC__)
-#define PMF_SELDOM __attribute__((cold, noinline)) static
+#define PMF_ATTRIBUTE(words) __attribute__(words)
 #else
-#define PMF_SELDOM static
+#define PMF_ATTRIBUTE(words)
 #endif
-
-/* Code with branches, but without long loops. Small code is then also fast on a microcontroller. */
-#if defined(PMF_PARAMETERS) && defined(__GNUC__) && !defined(PMF_STRAIGHT)
-#define PMF_FOR_SIZE __attribute__((cold))
+/* Rarely used code is compiled for size. */
+#define PMF_SELDOM PMF_ATTRIBUTE((cold, noinline)) static
+/* Firmware has code with branches, but without long loops. Small code is then also fast on a microcontroller. Elsewhere
+ * loops over a constant number of parameters unroll. */
+#if defined(PMF_PARAMETERS) && !defined(PMF_STRAIGHT)
+#define PMF_FOR_SIZE PMF_ATTRIBUTE((cold))
+#define PMF_INLINE static
 #else
 #define PMF_FOR_SIZE
+#define PMF_INLINE static inline PMF_ATTRIBUTE((always_inline))
 #endif
 
 #ifdef PMF_WITH_EDGES
@@ -119,25 +125,79 @@ static inline integer_t pmf_signed(uint32_t mask, whole_t count)
     return PMF_IF(count < half, (integer_t)count, ~(integer_t)(mask - count));
 }
 
+/* Parts of configuration and state that some exports leave out. Code for an absent part is never reached. */
+#if PMF_WITH_GUARD
+#define PMF_GUARDED(config) ((config)->encoder.guard != 0U)
+#else
+#define PMF_GUARDED(config) 0
+#endif
+#if PMF_WITH_PROCESS
+#define PMF_LIFTED(state) (&(state)->lifted)
+#define PMF_LIFT(recursion) ((recursion)->lift)
+#else
+#define PMF_LIFTED(state) (&(state)->direct.estimate)
+#define PMF_LIFT(recursion) PMF_R(0.0)
+#endif
+/* Return whether the equation counts from the first output, so that `lifted` is the estimate for the output itself. */
+#define PMF_LIFTS(config) (PMF_PROCESS && (config)->direct.constant != PMF_NO_PARAMETER)
+#if PMF_WITH_DEAD_TIME
+#define PMF_KEPT(config) ((config)->late.kept)
+#else
+#define PMF_KEPT(config) 0U
+#endif
+#if PMF_MAX_SHAPES > 0
+#define PMF_SHAPES(config) ((config)->auxiliary.shapes.n)
+#else
+#define PMF_SHAPES(config) 0U
+#endif
+
+/* Write P of a recursion (n x n, row by row). */
 void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t *p);
 /* A saved state has zeros for values that each step computes before their use. */
 void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state);
 /* The parts of a step; `signal` has PMF_SIGNALS entries. */
 PMF_API whole_t pmf_encoder_step(const pmf_encoder_config_t *config, pmf_encoder_state_t *state, real_t input,
                                  whole_t count, real_t *signal);
-/* Take a sample, and return whether an earlier one is judged. This sample replaces `input` and `count`, and `status`
- * gets its status bits. `held` is the input before it. */
-PMF_API truth_t pmf_guard(const pmf_encoder_config_t *config, pmf_guard_state_t *guard, real_t held, real_t *input,
-                          whole_t *count, whole_t *status);
+/* Replace a sample by the one that the guard has judged, and return whether there is one. `guarded` gets its status
+ * bits. The recursion waits until the filters have forgotten a count that may be wrong. */
+PMF_API truth_t pmf_guard_sample(const pmf_config_t *config, pmf_state_t *state, real_t *input, whole_t *count,
+                                 whole_t *guarded);
+/* Clear the guard before a motion after lost samples. */
+void pmf_guard_gap(pmf_state_t *state);
+/* Set the reading of the counter at the last sample. Returns 0 if the guard holds no sample. */
+uint32_t pmf_guard_rebase(pmf_state_t *state, uint32_t count);
+/* Return 1 if the numbers can be those of a guard. */
+uint32_t pmf_guard_plausible(const pmf_state_t *state);
 /* Step the auxiliary model, after the encoder's signals of the same step. */
 PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state, real_t *signal);
 /* Step the auxiliary model if the input changes inside the interval. */
 void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                              const pmf_late_state_t *late, real_t *signal);
-#if PMF_SHAPED
 /* Compute the forces of a place at the measured position, after the encoder's signals of the same step. */
-void pmf_shapes_measured(const pmf_shapes_config_t *config, real_t *signal);
-#endif
+void pmf_shapes_measured(const pmf_config_t *config, real_t *signal);
+/* Begin at rest, also after an overflow. */
+PMF_API void pmf_instrument_restart(const pmf_config_t *config, pmf_state_t *state);
+/* Step the auxiliary model if it has parameters. */
+PMF_API void pmf_instrument_simulate(const pmf_config_t *config, pmf_state_t *state);
+/* Correct the columns of this sample, see pmf_auxiliary_correct(). */
+PMF_API void pmf_instrument_correct(const pmf_config_t *config, pmf_state_t *state);
+/* Half-way through the settling the model takes the measured velocity at once, instead of approaching it with its own
+ * time constant. */
+PMF_API void pmf_instrument_settle(const pmf_config_t *config, pmf_state_t *state, truth_t settling);
+/* Use instrumental variables if the auxiliary model follows the plant, otherwise the direct estimate. Returns the
+ * status of the estimate. */
+PMF_API whole_t pmf_instrument_step(const pmf_config_t *config, pmf_state_t *state, whole_t direct_status,
+                                    truth_t settled);
+PMF_API uint32_t pmf_instrument_parameters(const pmf_config_t *config);
+const pmf_estimate_t *pmf_instrument_estimate(const pmf_state_t *state);
+void pmf_instrument_covariance(const pmf_config_t *config, const pmf_state_t *state, real_t *p);
+void pmf_instrument_gap(const pmf_config_t *config, pmf_state_t *state);
+/* Open the memory of the instrumental estimate. Returns the parameter of the direct estimate that belongs to the same
+ * quantity. Without one, all parameters are opened. */
+uint32_t pmf_instrument_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root);
+/* Open the memory of a recursion, see pmf_open(). */
+void pmf_recursion_open(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t parameter,
+                        real_t root);
 /* The equation holds exactly for the model. The residual of the model's columns is therefore the error of the
  * discretisation, which is subtracted from the target. Regressors and target then include the effect of the parameters
  * on the model's stops and reversals. `first` is the column of the first regressor. */
@@ -159,13 +219,8 @@ PMF_API void pmf_auxiliary_follow(const pmf_auxiliary_config_t *config, pmf_auxi
 PMF_API void pmf_network_step(const pmf_network_config_t *config, pmf_network_state_t *state);
 PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
                                    const real_t *column);
-#if PMF_PROCESS
 /* Write the estimate of the output itself to state->lifted, after a step or another change of the estimate. */
 PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state);
-/* Compute the estimate for the output itself if the equation counts from the first output. */
-PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
-                                pmf_estimate_t *lifted);
-#endif
 /* Run encoder, auxiliary model and network only, for batch methods. The columns are in state->network.column. */
 PMF_API whole_t pmf_filter(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 #endif

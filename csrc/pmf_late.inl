@@ -31,22 +31,31 @@ static void lag_input(const pmf_decay_t *decay, pmf_late_state_t *late)
 }
 
 /* Delay the input after the encoder. All signals of the encoder belong to the interval before the last. */
-static void delay_input(const pmf_late_config_t *config, pmf_state_t *state)
+static void delay_input(const pmf_config_t *config, pmf_state_t *state)
 {
     pmf_late_state_t *late = &state->late;
     real_t *signal = state->network.node, mean;
-    uint32_t kept = config->kept;
+    uint32_t kept = config->late.kept;
+    if (kept == 0U) {
+        return;
+    }
     late->at = late->at == 0U ? kept - 1U : late->at - 1U;
     late->past[late->at] = signal[PMF_LATE_INPUT];
     late->older = late->past[(late->at + kept - 1U) % kept];
     late->newer = late->past[(late->at + kept - 2U) % kept];
-    late->part = config->part;
-    if (config->lags != 0U) {
-        lag_input(config->decay, late);
+    late->part = config->late.part;
+    if (config->late.lags != 0U) {
+        lag_input(config->late.decay, late);
     }
     mean = late->newer + late->part * (late->older - late->newer);
     signal[PMF_LATE_INPUT] = mean;
     signal[PMF_INPUT] = signal[PMF_MOVING] * mean;
 }
 
+#else
+static void delay_input(const pmf_config_t *config, const pmf_state_t *state)
+{
+    (void)config;
+    (void)state;
+}
 #endif

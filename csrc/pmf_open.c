@@ -90,17 +90,15 @@ static void hold_estimate(const pmf_recursion_config_t *config, pmf_recursion_st
             real_t own = config->instrumental == 0U && j > i ? state->sums.cross[j][i] : state->sums.cross[i][j];
             right += (own - feigned(config, state, i, j)) * state->estimate.theta[j];
         }
-#if PMF_WITH_PROCESS
         if (config->compensated != 0U) {
             right += state->sums.weight * config->target_noise[i];
         }
-#endif
         state->sums.right[i] = right;
     }
 }
 
-static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t parameter,
-                           real_t root)
+void pmf_recursion_open(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, uint32_t parameter,
+                        real_t root)
 {
     real_t keep = root * root;
     uint32_t i;
@@ -132,33 +130,13 @@ static void open_recursion(const pmf_recursion_config_t *config, pmf_recursion_s
     }
 }
 
-#if PMF_WITH_AUXILIARY
-/* Return the parameter of the direct estimate that belongs to a parameter of the instrumental estimate. Without one,
- * all parameters are opened. */
-static uint32_t direct_part(const pmf_auxiliary_config_t *config, uint32_t parameter)
-{
-    uint32_t role;
-    for (role = 0; role < PMF_ROLES; ++role) {
-        if (parameter != PMF_NO_PARAMETER && config->index[role] == parameter) {
-            return config->direct_index[role];
-        }
-    }
-    return PMF_NO_PARAMETER;
-}
-#endif
-
 void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root)
 {
-#if PMF_WITH_AUXILIARY
-    if (config->auxiliary.enabled != 0U) {
-        open_recursion(&config->instrument, &state->instrument, parameter, root);
-        parameter = direct_part(&config->auxiliary, parameter);
+    if (PMF_MODELLED(config)) {
+        parameter = pmf_instrument_open(config, state, parameter, root);
     }
-#endif
-    open_recursion(&config->direct, &state->direct, parameter, root);
-#if PMF_WITH_PROCESS
-    if (config->direct.constant != PMF_NO_PARAMETER) {
+    pmf_recursion_open(&config->direct, &state->direct, parameter, root);
+    if (PMF_LIFTS(config)) {
         pmf_lift(config, state);
     }
-#endif
 }

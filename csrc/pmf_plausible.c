@@ -39,14 +39,6 @@ PMF_SELDOM uint32_t at_most(uint32_t number, uint32_t most)
     return number <= most ? 1U : 0U;
 }
 
-#if PMF_WITH_GUARD
-PMF_SELDOM uint32_t check_guard(const pmf_guard_state_t *guard)
-{
-    return at_most(guard->past, PMF_PAST) & at_most(guard->readings, PMF_AHEAD) &
-           within(guard->input, PMF_VIEW, PMF_R(-2.0) * PMF_LARGEST_INPUT, PMF_R(2.0) * PMF_LARGEST_INPUT);
-}
-#endif
-
 PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_encoder_state_t *state)
 {
     return at_most(state->idle, config->standstill_samples) &
@@ -59,14 +51,7 @@ PMF_SELDOM uint32_t check_encoder(const pmf_encoder_config_t *config, const pmf_
            within(&state->direction, 1U, PMF_R(-1.0), PMF_R(1.0)) & within(&state->moving, 1U, PMF_R(0.0), PMF_R(1.0)) &
            within(&state->input, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) &
            within(&state->input_before, 1U, -PMF_LARGEST_INPUT, PMF_LARGEST_INPUT) &
-           all_finite(&state->mean_velocity, 1U)
-#if PMF_WITH_STEPS
-           & within(&state->ratio, 1U, PMF_R(0.0), PMF_MOST_RATIO) &
-           within(&state->ratio_before, 1U, PMF_R(0.0), PMF_MOST_RATIO) &
-           all_finite((const real_t *)(const void *)&state->tracker, REALS(state->tracker)) &
-           not_negative(&state->tracker.place, 1U) & not_negative(&state->tracker.speed, 1U)
-#endif
-           & within(&state->misread.pause, 1U, PMF_R(0.0), MOST_COUNTS) &
+           all_finite(&state->mean_velocity, 1U) & within(&state->misread.pause, 1U, PMF_R(0.0), MOST_COUNTS) &
            within(&state->misread.usual, 1U, PMF_R(0.0), MOST_COUNTS) &
            within(&state->misread.held, 1U, PMF_R(0.0), MOST_COUNTS) &
            within(&state->misread.begun, 1U, PMF_R(0.0), MOST_COUNTS) & all_finite(&state->misread.held_input, 1U);
@@ -107,17 +92,16 @@ PMF_SELDOM uint32_t check_scale(const pmf_recursion_config_t *config, const pmf_
 
 PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state)
 {
+    real_t lift = PMF_LIFT(state);
     return check_sums(config, &state->sums) & check_estimate(&state->estimate) & check_scale(config, state) &
            all_finite(&state->factor[0][0], REALS(state->factor)) &
            not_negative(state->inverse_pivot, REALS(state->inverse_pivot)) &
            within(&state->mass, 1U, PMF_R(0.0), PMF_R(1.0)) & not_negative(&state->weight, 1U) &
            not_negative(&state->innovation_square, 1U) & at_most(state->started, state->updates) &
            check_check(&state->check) & check_check(&state->check_before) & at_most(state->unmodelled, PMF_UNMODELLED) &
-#if PMF_WITH_PROCESS
-           all_finite(&state->lift, 1U) &
-#endif
-           not_negative(state->misread, REALS(state->misread)) & not_negative(state->spread, REALS(state->spread)) &
-           all_finite(state->score, REALS(state->score)) & at_most(state->blocks, PMF_BLOCK_MEMORY) &
+           all_finite(&lift, 1U) & not_negative(state->misread, REALS(state->misread)) &
+           not_negative(state->spread, REALS(state->spread)) & all_finite(state->score, REALS(state->score)) &
+           at_most(state->blocks, PMF_BLOCK_MEMORY) &
            /* a block counts only updates without a status, and may end some updates late */
            at_most(state->block_updates, state->updates);
 }
@@ -132,40 +116,43 @@ PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const 
            all_finite(&state->lack, 1U) & all_finite(&state->change, 1U) & all_finite(&state->cross, 1U) &
            all_finite(&state->after, 1U) & not_negative(&state->chance, 1U) & not_negative(&state->bends, 1U) &
            not_negative(&state->changes, 1U) & at_most(state->feedback, PMF_FEEDBACK) &
-#if PMF_WITH_STEPS
-           not_negative(&state->step, 1U) &
-#endif
            all_finite((const real_t *)(const void *)&state->lag, REALS(state->lag)) &
-           at_most(state->late, PMF_DEAD_TIME);
+           at_most(state->late, PMF_DEAD_TIME) & not_negative(&state->step, 1U);
 }
 #endif
 
-uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
+/* Check the parts that some exports leave out. */
+PMF_SELDOM uint32_t check_parts(const pmf_config_t *config, const pmf_state_t *state)
 {
-    uint32_t settle = config->settle_samples, fine;
-    settle = config->first_samples > settle ? config->first_samples : settle;
-    fine = at_most(state->status, PMF_STATUS_BITS) & at_most(state->settle, settle) &
-           at_most(state->hold, settle + PMF_AHEAD) &
-#if PMF_WITH_GUARD
-           check_guard(&state->guard) &
-#endif
-           check_encoder(&config->encoder, &state->encoder) &
-           all_finite((const real_t *)(const void *)&state->network, REALS(state->network)) &
+    uint32_t fine = PMF_WITH_GUARD != 0 ? pmf_guard_plausible(state) : 1U;
+    (void)config;
 #if PMF_WITH_STEPS
-           not_negative(&state->network.time, 1U) &
+    fine &= within(&state->encoder.ratio, 1U, PMF_R(0.0), PMF_MOST_RATIO) &
+            within(&state->encoder.ratio_before, 1U, PMF_R(0.0), PMF_MOST_RATIO) &
+            all_finite((const real_t *)(const void *)&state->encoder.tracker, REALS(state->encoder.tracker)) &
+            not_negative(&state->encoder.tracker.place, 1U) & not_negative(&state->encoder.tracker.speed, 1U) &
+            not_negative(&state->network.time, 1U);
 #endif
-#if PMF_WITH_PROCESS
-           check_estimate(&state->lifted) &
-#endif
-           check_recursion(&config->direct, &state->direct);
-#if PMF_WITH_AUXILIARY
 #if PMF_WITH_DEAD_TIME
     fine &= all_finite(state->late.past, REALS(state->late.past)) & all_finite(&state->late.older, 1U) &
             all_finite(&state->late.newer, 1U) & within(&state->late.part, 1U, PMF_R(0.0), PMF_R(1.0)) &
-            ((state->late.at == 0U) | (state->late.at < config->late.kept)) & all_finite(&state->late.lagged, 1U);
+            all_finite(&state->late.lagged, 1U) &
+            (state->late.at == 0U || state->late.at < config->late.kept ? 1U : 0U);
 #endif
-    fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed);
-    fine &= check_recursion(&config->instrument, &state->instrument);
+#if PMF_WITH_AUXILIARY
+    fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed) &
+            check_recursion(&config->instrument, &state->instrument);
 #endif
     return fine;
+}
+
+uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state)
+{
+    uint32_t settle = config->settle_samples;
+    settle = config->first_samples > settle ? config->first_samples : settle;
+    return at_most(state->status, PMF_STATUS_BITS) & at_most(state->settle, settle) &
+           at_most(state->hold, settle + PMF_AHEAD) & check_encoder(&config->encoder, &state->encoder) &
+           all_finite((const real_t *)(const void *)&state->network, REALS(state->network)) &
+           check_estimate(PMF_LIFTED(state)) & check_recursion(&config->direct, &state->direct) &
+           check_parts(config, state);
 }

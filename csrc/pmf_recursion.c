@@ -103,9 +103,9 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
         }
         if (config->compensated != 0U) {
             real_t weight = PMF_IF(young, state->sums.weight, PMF_R(1.0));
-#if PMF_PROCESS
-            move[i] -= weight * config->target_noise[i];
-#endif
+            if (PMF_PROCESS) {
+                move[i] -= weight * config->target_noise[i];
+            }
             for (j = 0; j < p; ++j) {
                 move[i] += weight * config->noise[i][j] * state->estimate.theta[j];
             }
@@ -113,24 +113,25 @@ PMF_INLINE void residual(const pmf_recursion_config_t *config, const pmf_recursi
     }
 }
 
-#if PMF_PROCESS
-PMF_API void pmf_recursion_lift(const pmf_recursion_config_t *config, pmf_recursion_state_t *state,
-                                pmf_estimate_t *lifted)
+#if PMF_WITH_PROCESS
+PMF_API void pmf_lift(const pmf_config_t *config, pmf_state_t *state)
 {
-    const pmf_estimate_t *estimate = &state->estimate;
-    real_t constant;
+    const pmf_recursion_config_t *recursion = &config->direct;
+    const pmf_estimate_t *estimate = &state->direct.estimate;
+    pmf_estimate_t *lifted = PMF_LIFTED(state);
+    real_t constant =
+        estimate->theta[recursion->constant] + PMF_LIFT(&state->direct) * estimate->theta[recursion->lowest];
     uint32_t i;
-    for (i = 0; i < PARAMETERS(config); ++i) {
+    for (i = 0; i < PARAMETERS(recursion); ++i) {
         lifted->theta[i] = estimate->theta[i];
         lifted->variance_factor[i] = estimate->variance_factor[i];
         lifted->inflation[i] = estimate->inflation[i];
     }
     lifted->innovation = estimate->innovation;
     lifted->innovation_variance = estimate->innovation_variance;
-    constant = estimate->theta[config->constant] + state->lift * estimate->theta[config->lowest];
-    lifted->theta[config->constant] =
-        PMF_IF(constant - constant == PMF_R(0.0), constant, estimate->theta[config->constant]);
-    lifted->variance_factor[config->constant] = lifted_factor(config, state);
+    lifted->theta[recursion->constant] =
+        PMF_IF(constant - constant == PMF_R(0.0), constant, estimate->theta[recursion->constant]);
+    lifted->variance_factor[recursion->constant] = lifted_factor(recursion, &state->direct);
 }
 #endif
 
@@ -143,7 +144,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     truth_t waits = state->started == 0U, starts, looks, moves, scored, ends;
     uint32_t i, j;
     real_t before = state->sums.weight;
-    for (i = 0; i < p && misreads(config); ++i) {
+    for (i = 0; i < p && misreads(config) != 0; ++i) {
         state->estimate.inflation[i] = state->spread[i];
     }
     state->estimate.innovation = column[p];
@@ -210,7 +211,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             end_block(config, state, ends, p, instrumental, &projection);
         }
     }
-    if (misreads(config)) {
+    if (misreads(config) != 0) {
         for (i = 0; i < p; ++i) {
             state->spread[i] = state->estimate.inflation[i];
         }
@@ -305,30 +306,3 @@ PMF_API whole_t pmf_recursion_step(const pmf_recursion_config_t *config, pmf_rec
     PMF_WHERE((status & PMF_RESET) != 0U, state, restart(state, theta, p));
     return status;
 }
-
-#if PMF_WHOLE /* for one axis */
-void pmf_recursion_covariance(const pmf_recursion_config_t *config, const pmf_recursion_state_t *recursion, real_t *p)
-{
-    uint32_t n = config->n_parameters, i, j, k, column;
-    for (column = 0; column < n; ++column) {
-        real_t x[N];
-        for (i = 0; i < n; ++i) {
-            x[i] = i == column ? PMF_R(1.0) : PMF_R(0.0);
-            for (k = 0; k < i; ++k) {
-                x[i] -= recursion->factor[i][k] * x[k];
-            }
-        }
-        for (i = 0; i < n; ++i) {
-            x[i] *= recursion->inverse_pivot[i];
-        }
-        for (j = n; j-- > 0U;) {
-            for (k = j + 1U; k < n; ++k) {
-                x[j] -= recursion->factor[k][j] * x[k];
-            }
-        }
-        for (i = 0; i < n; ++i) { /* the copied lower half makes the matrix symmetric to the last bit */
-            p[i * n + column] = i >= column ? x[i] : p[column * n + i];
-        }
-    }
-}
-#endif

@@ -6,8 +6,6 @@
  * motion. The mean over the speeds is exact for a constant acceleration. A friction that falls within a fraction of a
  * sample's speed change therefore needs no smaller steps. */
 
-#if PMF_WITH_AUXILIARY
-
 typedef struct {
     real_t mass, force; /* input force without the constant load */
     real_t viscous[2], coulomb[2]; /* forward, backward */
@@ -243,6 +241,4 @@ static truth_t is_positive(const pmf_auxiliary_config_t *config, uint32_t role)
 #define body_at_rest(config, state, plain, phase) (*(plain))
 #define move_shaped(config, state, plain, forward, backward, phase, signal) ((void)(state), (void)(signal))
 #define clear_shapes(config, where, signal) ((void)(signal))
-#endif
-
 #endif

@@ -18,6 +18,18 @@ uint32_t pmf_crc32(uint32_t crc, const void *data, uint32_t size)
     return ~crc;
 }
 
+/* Copy byte by byte, because an assignment need not copy the padding, which a checksum covers. */
+static void copy(const void *from, void *to, uint32_t size)
+{
+    const unsigned char *source = (const unsigned char *)from;
+    volatile unsigned char *target =
+        (volatile unsigned char *)to; /* without volatile, compilers call memcpy of the C library */
+    uint32_t i;
+    for (i = 0; i < size; ++i) {
+        target[i] = source[i];
+    }
+}
+
 static uint32_t checksum(const pmf_saved_t *saved)
 {
     uint32_t head[5];
@@ -32,51 +44,17 @@ static uint32_t checksum(const pmf_saved_t *saved)
 #ifdef PMF_WITH_EDGES
 #define pmf_clear_computed(config, state) ((void)(config)) /* nothing: the next step needs every value */
 #else
-#if PMF_WITH_NETWORK
-/* Return whether all stages compute their nodes from nodes of the same step. */
-static uint32_t computes_nodes(const pmf_network_config_t *network)
-{
-    uint32_t i;
-    for (i = 0; i < network->n_stages; ++i) {
-        if (network->stage[i].source >= PMF_SIGNALS + i) {
-            return 0U;
-        }
-    }
-#if PMF_WITH_STEPS
-    return network->n_rates == 0U;
-#else
-    return 1U;
-#endif
-}
-#elif PMF_WITH_STEPS
-#define computes_nodes(network) 0U
-#else
-#define STAGE(k, from, a, b0, b1) &((from) < PMF_SIGNALS + (k))
-#define RISE(k, from, a, b0) STAGE(k, from, a, b0, b0)
-#define DELAY(k, from) STAGE(k, from, 0, 0, 1)
-#define computes_nodes(network) (1U PMF_STAGES(STAGE, RISE, DELAY))
-#endif
-
 void pmf_clear_computed(const pmf_config_t *config, pmf_state_t *state)
 {
     real_t *node = state->network.node;
-    uint32_t keeps = 0U, models = 0U, size = (uint32_t)sizeof *node;
+    uint32_t nodes = PMF_MODELLED(config) ? (uint32_t)PMF_AUXILIARY : (uint32_t)PMF_SIGNALS; /* the axis may rest */
     (void)config; /* an export may have its values as constants */
     pmf_clear(state->network.column, (uint32_t)sizeof state->network.column);
-    if (computes_nodes(&config->network) != 0U) {
-        pmf_clear(&node[PMF_SIGNALS], PMF_MAX_STAGES * size);
+    if (PMF_SHAPES(config) == 0U && !PMF_SPACED(config)) { /* all stages compute their nodes from those of the step */
+        pmf_clear(&node[PMF_SIGNALS], PMF_MAX_STAGES * (uint32_t)sizeof *node);
     }
-#if PMF_WITH_PROCESS
-    keeps |= config->encoder.process;
-#endif
-#if PMF_WITH_DEAD_TIME
-    keeps |= config->late.kept;
-#endif
-#if PMF_WITH_AUXILIARY
-    models = config->auxiliary.enabled; /* the axis may rest */
-#endif
-    if (keeps == 0U) {
-        pmf_clear(node, (models != 0U ? (uint32_t)PMF_AUXILIARY : (uint32_t)PMF_SIGNALS) * size);
+    if (config->encoder.process == 0U && PMF_KEPT(config) == 0U) {
+        pmf_clear(node, nodes * (uint32_t)sizeof *node);
     }
 }
 #endif
@@ -88,7 +66,7 @@ void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t 
     saved->layout = PMF_LAYOUT;
     saved->size = (uint32_t)sizeof *saved;
     saved->config = PMF_CONFIG;
-    pmf_copy(state, &saved->state, (uint32_t)sizeof *state);
+    copy(state, &saved->state, (uint32_t)sizeof *state);
     pmf_clear_computed(config, &saved->state);
     saved->checksum = checksum(saved);
 }
@@ -110,7 +88,7 @@ uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_stat
     if (pmf_plausible(config, &saved->state) == 0U) {
         return PMF_IMPLAUSIBLE_STATE;
     }
-    pmf_copy(&saved->state, state, (uint32_t)sizeof *state);
+    copy(&saved->state, state, (uint32_t)sizeof *state);
     return PMF_LOADED;
 }
 

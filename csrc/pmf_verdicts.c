@@ -4,8 +4,6 @@
  * Both verdicts are correlations of known values, sample by sample, and each gives one bit of the status. */
 #include "pmf_internal.h"
 
-#if PMF_WITH_AUXILIARY
-
 static const scalar_t SURE = PMF_SCALAR(9.0); /* least evidence against chance: three standard deviations */
 /* A controller answers a step of the encoder's error, which is in the change of the velocity residual. The limit is the
  * squared correlation with this change of the input and the next one: 0 in open loop, and 0.2 to 1 under control where
@@ -72,5 +70,3 @@ PMF_API whole_t pmf_auxiliary_late(const pmf_auxiliary_config_t *config, pmf_aux
     }
     return state->late;
 }
-
-#endif

@@ -1,5 +1,7 @@
 /* The axis of an export with edges. SPDX-License-Identifier: Apache-2.0 */
-#include "pmf_bytes.h"
+#include "pmf_internal.h"
+
+#include "pmf_bytes.inl"
 
 void pmf_init(const pmf_config_t *config, pmf_state_t *state)
 {

@@ -14,6 +14,8 @@
 
 #ifdef PMF_STRAIGHT
 #include "pmf_method.h"
+#else
+#define PMF_NETWORK_FILE "../pmf_network.c"
 #endif
 #include "../pmf_sizes.h"
 
@@ -22,9 +24,10 @@
 #include "../pmf_encoder.c"
 #include "../pmf_guard.c"
 #include "pmf_scores.h"
-#include "../pmf_network.c"
+#include PMF_NETWORK_FILE
 #include "../pmf_recursion.c"
 #include "../pmf_step.c"
+#include "../pmf_instrument.c"
 
 #define TILE 32U /* number of samples that are moved into lanes at a time */
 
@@ -191,15 +194,7 @@ static uint64_t run(const pmf_config_t *config, const pmf_layout_t *layout, cons
     return first;
 }
 
-#if PMF_LANE_BYTES == 64
-#define PMF_LANES_NAME pmf_lanes_64
-#elif PMF_LANE_BYTES == 32
-#define PMF_LANES_NAME pmf_lanes_32
-#else
-#define PMF_LANES_NAME pmf_lanes_16
-#endif
-#define JOINED(name, method) name##_##method
-#define JOIN(name, method) JOINED(name, method)
+#define PMF_LANES_NAME JOIN(pmf_lanes, PMF_LANE_BYTES)
 
 #ifdef PMF_STRAIGHT
 uint64_t JOIN(PMF_LANES_NAME, PMF_STRAIGHT)(const pmf_config_t *config, const pmf_layout_t *layout,

@@ -41,6 +41,8 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
 #define PMF_SIZE(x) ((real_t)((truth_t)(x) & ~(truth_t)PMF_R(-0.0)))
 #define PMF_READ(table, index) pmf_read(table, index)
 #define PMF_WIDTH PMF_LANES
+/* Lanes have no separate functions, because a call would move their vectors to memory and back. */
+#define PMF_APART static inline __attribute__((always_inline))
 #define PMF_LANE(x, lane) ((x)[lane])
 #define PMF_ANY(truth) pmf_any(truth)
 #define PMF_ALL(truth) (!pmf_any(~(truth)))

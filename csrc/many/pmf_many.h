@@ -8,6 +8,10 @@
 
 #include "../pmf_internal.h"
 
+/* A name and the number of bytes or the method for which code is compiled. */
+#define JOINED(name, kind) name##_##kind
+#define JOIN(name, kind) JOINED(name, kind)
+
 /* Ways to compute axes: one after the other, or in vectors of 16, 32 (AVX2) or 64 bytes (AVX-512). */
 enum { PMF_ONE_BY_ONE = 0, PMF_LANES_16, PMF_LANES_32, PMF_LANES_64, PMF_WAYS };
 

@@ -40,7 +40,10 @@
     PREFILTERED(STAGE)                         \
     SIMULATED(STAGE) DIRECT(COLUMN, TAP) INSTRUMENTS(COLUMN) BY_MODEL(COLUMN, TAP) OF_MODEL(COLUMN, TAP) CHECKED(COLUMN)
 #endif
-#if METHOD != METHOD_plain
+#if METHOD == METHOD_plain
+#define PMF_NETWORK_FILE "../pmf_network.c"
+#else
+#define PMF_NETWORK_FILE "pmf_network_known.inl"
 #define PMF_PARAMETERS 3U
 #define PMF_INSTRUMENTAL (METHOD != METHOD_rls)
 #define PMF_WITH_MODEL (METHOD == METHOD_riv)

@@ -7,9 +7,10 @@
 #include "../pmf_verdicts.c"
 #include "../pmf_encoder.c"
 #include "../pmf_guard.c"
-#include "../pmf_network.c"
+#include PMF_NETWORK_FILE
 #include "../pmf_recursion.c"
 #include "../pmf_step.c"
+#include "../pmf_instrument.c"
 
 #include "pmf_straight.h"
 
@@ -58,9 +59,6 @@ static uint32_t has_method(const pmf_config_t *config)
     return 1U;
 }
 #endif
-
-#define JOINED(name, method) name##_##method
-#define JOIN(name, method) JOINED(name, method)
 
 uint32_t JOIN(pmf_step, PMF_STRAIGHT)(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count)
 {

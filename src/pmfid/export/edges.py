@@ -22,7 +22,7 @@ from pmfid.kernel.structures import EDGE_HEADERS, Structures, header, layout_num
 COPIED = (
     "pmf.h",
     "pmf_internal.h",
-    "pmf_bytes.h",
+    "pmf_bytes.inl",
     "pmf_state.c",
     "pmf_alarm.c",
     "edges/*.[ch]",

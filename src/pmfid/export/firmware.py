@@ -103,7 +103,7 @@ FILES = {
     "library.json.j2": "library.json",
     "library.properties.j2": "library.properties",
 }
-COPIED = ("*.c", "*.h", "*.inl", "LICENSE")
+COPIED = ("*.c", "*.h", "*.inl", "code/*.c", "LICENSE")
 #: Sources that send samples to `pmfid serve`.
 BLOCKS = ("wire/pmf_block.c", "wire/pmf_block.h")
 
@@ -169,9 +169,8 @@ def export_firmware(
         files = {edges.INSTEAD.get(name, name): file for name, file in FILES.items()} | edges.FURTHER
     names = {template: file.replace("NAME", prefix) for template, file in files.items()}
     patterns = [*(edges.COPIED if over_edges else COPIED), *(BLOCKS if blocks else ())]
-    copied = sorted(
-        {path for pattern in patterns for path in source_files(pattern)} - {source_folder() / "pmf_sizes.h"}
-    )
+    absent = {"pmf_sizes.h"} if isinstance(estimator, REdge) else absent_files(estimator)
+    copied = sorted({path for pattern in patterns for path in source_files(pattern) if path.name not in absent})
     _check_folder(folder, prefix, {*names.values(), *(path.name for path in copied)})
     texts = _render(
         files,
@@ -194,6 +193,17 @@ def source_files(pattern: str) -> list[Path]:
     """Return files of the kernel, or the licence, which a checkout has one folder above."""
     found = list(source_folder().glob(pattern))
     return found or list(source_folder().parent.glob(pattern))
+
+
+def absent_files(estimator: RecursiveEstimator) -> set[str]:
+    """Return the sources of the parts that the kernel of an estimator does not need."""
+    shape = shape_of(configuration(estimator.runner.kernel, estimator.precision))
+    absent = {"pmf_sizes.h", "pmf_network.c", "pmf_network_code.c" if shape.with_steps else "pmf_network_steps.c"}
+    if not shape.with_auxiliary:
+        absent |= {"pmf_auxiliary.c", "pmf_shapes.inl", "pmf_verdicts.c", "pmf_instrument.c"}
+    if not shape.with_guard:
+        absent |= {"pmf_guard.c", "pmf_outlier.c"}
+    return absent
 
 
 def _check_folder(folder: Path, prefix: str, files: set[str]) -> None:
