@@ -21,7 +21,7 @@ MOST = {
     "lines of code in src": 39900,
     "lines of code in report and cli": 3750,
     "thresholds in src": 1095,
-    "lines of csrc": 8997,
+    "lines of csrc": 8991,
     "defines of csrc": 262,
     "conditionals of csrc": 115,
     "lines of tests": 40719,
