@@ -74,7 +74,8 @@ class ServoTask:
         """Return the logs as a problem, with a start state after each gap."""
         body = self.body()
         stretches = tuple(one for k, log in enumerate(self.logs) for one in _stretches(log, body.names, k, tick))
-        return FitProblem(body, stretches, self.servo.resolution)
+        least = TUNING.least_armature * self.load if "inertia" in body.names else 0.0
+        return FitProblem(body, stretches, self.servo.resolution, mass=(math.log(least) if least else -np.inf, np.inf))
 
 
 def _stretches(log: JointLog, names: Sequence[str], number: int, tick: float) -> list[ObservedStretch]:
@@ -114,7 +115,9 @@ class ServoSearch(FitSearch):
     def __init__(self, task: ServoTask, problem: FitProblem, q: Floats, starts: Floats, search: bool) -> None:
         self.task = task
         lead = problem.machine.lead
-        self.plain = replace(problem, mass=(q[lead] - TUNING.far, q[lead] + TUNING.far))
+        bounds = max(problem.mass[0], q[lead] - TUNING.far), q[lead] + TUNING.far
+        self.plain = replace(problem, mass=bounds)
+        self.columns = problem.stretches[0].drive.columns.shape[0]
         self.sizes = _sizes_of(task, problem, q, starts)
         self.table = table_of(task.model, self._gain(problem, q), self.sizes) if search else []
         if task.servo.known_force:

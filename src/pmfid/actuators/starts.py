@@ -41,7 +41,7 @@ def find_search(task: ServoTask, search: bool) -> ServoSearch:
         build(best)
     best = choose_lag(_extend(_drop_limit(best), 2 * TUNING.angle))
     if search:
-        best = _free_periods(_build_waves(best))
+        best = _build_waves(best)
     best = _extend(_drop_limit(best), TUNING.angle)
     free = _drop_limit(copy(best), always=True)
     return best if free.task is best.task else max((best, free), key=_settled_value)
@@ -57,32 +57,6 @@ def _build_waves(search: ServoSearch) -> ServoSearch:
         other = max((other, _build_waves_first(search)), key=lambda one: one.value())
     bounds = np.array(other.plain.mass)
     return search if np.min(np.abs(other.q[other.plain.machine.lead] - bounds)) < SETTLED else other
-
-
-def _free_periods(search: ServoSearch) -> ServoSearch:
-    """Return the search with the period of each wave among the parameters, which a short travel hardly determines.
-
-    The sine takes the phase of the wave, and the cosine is left with the error of the phase.
-    """
-    other, sizes, turned = copy(search), search._sizes(), dict[int, float]()
-    other.table = list(search.table)
-    for i in search.chosen:
-        force = other.table[i].force
-        if force is None or force.kind not in WAVES or other.table[i].name == "gravity" or i in turned:
-            continue
-        size, pair = sizes[i][0], i + 1 in search.chosen and force.q == 0
-        if pair:
-            phase = math.atan2(sizes[i + 1][0] * math.copysign(1.0, size), abs(size))
-            size = math.copysign(math.hypot(size, sizes[i + 1][0]), size)
-            force, cosine = replace(force, q=phase), replace(force, q=phase + math.pi / 2)
-            other.table[i + 1] = replace(other.table[i + 1], force=cosine)
-            turned[i + 1] = 0.0
-        turned[i] = size
-        other.table[i] = replace(other.table[i], free=True, constant=force.p, force=replace(force, free=True))
-    other.choose(search.chosen)
-    for i, (k, _) in zip(other.chosen, other.problem.place_candidates(), strict=True):
-        other.q[k] = turned.get(i, other.q[k])
-    return other
 
 
 def _build_waves_first(search: ServoSearch) -> ServoSearch:

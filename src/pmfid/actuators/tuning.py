@@ -51,8 +51,10 @@ class ActuatorTuning:
     angle: float = 0.1
     #: A gap [s] after which the goal in between is unknown, so that the motion starts again.
     gap: float = 0.25
-    #: Largest distance of the inertia from its start, as a logarithm.
+    #: Largest distance of the inertia from its start, as a logarithm, and least armature over the known load, below
+    #: which it matters as little as a hundredth of the inertia.
     far: float = 5.0
+    least_armature: float = 0.01
     #: Standard deviation of the lag of the velocity in the loop [s].
     filter: float = 3e-3
     # lags
