@@ -136,7 +136,7 @@ class Faulty:
 
 def queue_of(section: SinkSection, name: str, host: Host, limits: QueueLimits | None = None) -> Queued:
     """Return the queue of a section's sink, not yet started."""
-    return Queued(section.make(name, host), host.counters, host.tell, limits)  # type: ignore[arg-type]
+    return Queued(section.make(name, host), host.counters, host.tell, limits or section.limits)  # type: ignore[arg-type]
 
 
 def until(true: Callable[[], object], seconds: float = PATIENCE) -> bool:

@@ -7,6 +7,7 @@ import math
 import re
 import ssl
 import subprocess
+import time
 from functools import partial
 from pathlib import Path
 from shutil import which
@@ -91,16 +92,16 @@ def test_after_its_queue_only_the_events_that_are_wanted_go_out(tmp_path: Path) 
 def test_each_alarm_goes_out_once_whatever_fails_between(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.01)
     host = Host(tmp_path)
-    # the second alarm is tried three times, the third is refused because of its content
-    with web_server(200, 500, 503, 200, 422, 422, 200) as server:
+    # the second alarm is tried three times, the third is refused because of its content, once
+    with web_server(200, 500, 503, 200, 422, 200) as server:
         outlet = queue_of(WebhookSection(url=server.url), "hook", host)
         for number in (1, 2, 3, 4, 5):
             outlet.notice(alarm(number))
         outlet.start()
-        assert until(lambda: len(server.got) == 8)
+        assert until(lambda: len(server.got) == 7)
         assert outlet.close(PATIENCE)
     numbers = [json.loads(body)["number"] for _, _, body in server.got]
-    assert numbers == [1, 2, 2, 2, 3, 3, 4, 5]
+    assert numbers == [1, 2, 2, 2, 3, 4, 5]
     assert host.count("pmfid_refused_total", sink="hook") == 1
     assert [reported.get("problem") for reported in host.reported] == [
         "the server refuses the message with HTTP status 500",
@@ -141,8 +142,9 @@ def test_a_server_that_never_ends_its_answer_costs_bounded_time(tmp_path: Path, 
 def test_an_answer_with_an_endless_page_has_said_all_at_its_start(tmp_path: Path) -> None:
     with bad_server(b"HTTP/1.1 200 OK\r\nContent-Length: 9999999\r\n\r\nxx", 0.02) as port:
         sink = hook(tmp_path, f"http://127.0.0.1:{port}", timeout_s=2.0)
+        begun = time.monotonic()
         sink.put([alarm(1), alarm(2)])
-        assert len(sink._delivered) == 2
+        assert time.monotonic() - begun < 2.0
 
 
 def test_a_server_that_never_answers_costs_the_service_nothing(tmp_path: Path) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import re
-import time
 from collections.abc import Iterable
 
 from prometheus_client import CollectorRegistry, ProcessCollector, generate_latest
@@ -52,9 +50,6 @@ HELP: dict[str, str] = {
     "pmfid_unusable_total": "Data that arrived and are no samples, by reason.",
 }
 
-#: Import time of this module, in place of the process start on systems that do not report it.
-_LOADED = time.time()
-
 
 def exposition(counters: Counters) -> str:
     """Return all counters and the figures of the process, with a HELP and a TYPE line for each family.
@@ -63,7 +58,7 @@ def exposition(counters: Counters) -> str:
     """
     registry = CollectorRegistry()
     registry.register(_Counted(counters))
-    registry.register(_Process(registry=None))
+    ProcessCollector(registry=registry)
     return generate_latest(registry).decode()
 
 
@@ -83,21 +78,6 @@ class _Counted(Collector):
             texts = {_legal(label): text.encode("utf-8", "replace").decode() for label, text in labels}
             families[name].add_sample(name, texts, value)
         return families.values()
-
-
-class _Process(ProcessCollector):
-    """Metrics of the process, with its threads. A system without /proc reports only the CPU time."""
-
-    def collect(self) -> Iterable[Metric]:
-        found = list(super().collect())
-        if not any(metric.name == "process_cpu_seconds" for metric in found):
-            found.append(CounterMetricFamily("process_cpu_seconds", "CPU time in seconds.", time.process_time()))
-            found.append(GaugeMetricFamily("process_start_time_seconds", "Start of the process, since 1970.", _LOADED))
-        try:
-            threads = len(os.listdir("/proc/self/task"))
-        except OSError:
-            return found
-        return [*found, GaugeMetricFamily("process_threads", "Threads of the process.", threads)]
 
 
 def _legal(name: str) -> str:

@@ -216,7 +216,8 @@ class Service:
         tell, find = self._engine.tell, self._find_axis
         context = Context(plant.service.name, plant.folder, self.counters, tell, find)
         self._sinks = [
-            Queued(section.make(name, context), self.counters, tell) for name, section in plant.sinks.items()
+            Queued(section.make(name, context), self.counters, tell, section.limits)
+            for name, section in plant.sinks.items()
         ]
         if plant.state is not None:
             self._sinks.append(Queued(HistorySink(plant.state / FILE), self.counters, tell))

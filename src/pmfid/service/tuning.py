@@ -78,10 +78,6 @@ class ServiceTuning:
     #: Largest number of different problems with refused outcomes that are reported.
     most_refusals: int = 10
 
-    # sinks.webhook
-    #: Number of notices remembered as delivered while earlier notices are tried again.
-    webhook_remembered: int = 2048
-
     # sources.stdin
     #: Time without a byte after which the source looks whether the service ends [s].
     stdin_look: float = 0.2

@@ -6,7 +6,7 @@ import time
 from collections import deque
 from collections.abc import Iterable, Sequence
 from threading import Condition, Event, Thread
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -318,7 +318,9 @@ class Queued:
 
 
 class SinkSection(FileSection):
-    """[sinks.NAME] of any kind."""
+    """[sinks.NAME] of any kind. `limits` belong to the queue of the sink."""
+
+    limits: ClassVar[QueueLimits] = QueueLimits()
 
     def make(self, name: str, context: Context) -> Sink:
         """Return the sink, not yet open.

@@ -11,7 +11,7 @@ from hashlib import sha256
 from pathlib import Path
 from threading import Timer
 from time import monotonic
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 from urllib.parse import SplitResult, urlsplit
 
 from pydantic import AfterValidator, Field
@@ -21,9 +21,8 @@ from pmfid.errors import UsageError, did_you_mean, printable
 from pmfid.service.broker import PLACE, Place, is_here, is_place, read_secret
 from pmfid.service.context import Context, RefusedError
 from pmfid.service.sinks.plain import as_json, notice_object
-from pmfid.service.sinks.queued import SinkSection
+from pmfid.service.sinks.queued import QueueLimits, SinkSection
 from pmfid.service.sinks.sentences import sentence
-from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 
 #: Answers to the content of a request, which another attempt would not change.
@@ -141,6 +140,7 @@ def _check_events(events: tuple[str, ...]) -> tuple[str, ...]:
 class WebhookSection(SinkSection):
     """[sinks.NAME] with kind = "webhook"."""
 
+    limits: ClassVar[QueueLimits] = QueueLimits(take=1)
     kind: Literal["webhook"] = Field("webhook", description='"webhook"')
     url: Name = Field(
         description=f'the address, for example "https://example.org/alarms"; a secret address has a place, {PLACE}'
@@ -176,7 +176,7 @@ class WebhookSection(SinkSection):
 
 
 class WebhookSink:
-    """A sink that sends each notice once during the life of this process.
+    """A sink that sends notices, which its queue gives it one by one, so that an error repeats no other notice.
 
     A notice that repeats after a restart is sent again with its old `Idempotency-Key`.
     """
@@ -186,7 +186,6 @@ class WebhookSink:
     def __init__(self, name: str, service: str, poster: Poster, as_json: bool, events: frozenset[str] | None) -> None:
         self.name, self.events = name, events
         self._service, self._poster, self._json = service, poster, as_json
-        self._delivered: dict[str, None] = {}
 
     def open(self) -> None:
         pass
@@ -202,15 +201,10 @@ class WebhookSink:
 
     def _send(self, notice: Notice) -> None:
         key = sha256(as_json([self._service, notice.axis, notice.number, notice.what]).encode()).hexdigest()[:32]
-        if key in self._delivered:
-            return
         text = sentence(notice)
         body = as_json({"service": self._service, **notice_object(notice), "text": text}) if self._json else text
         kind = "application/json" if self._json else "text/plain; charset=utf-8"
         self._poster.post(printable(body).encode(), {"Content-Type": kind, "Idempotency-Key": key})
-        self._delivered[key] = None
-        while len(self._delivered) > TUNING.webhook_remembered:
-            del self._delivered[next(iter(self._delivered))]
 
     def close(self) -> None:
         pass
