@@ -29,7 +29,6 @@ FLAGS = {
     ),
     "biased": "this method has an error beyond its standard error on this record; the note gives a better value",
     "std_too_small": "the standard error does not contain the error of the method itself; the note gives its size",
-    "not_followed": "the simulated motion does not follow the record: the model, a sign or a column is wrong",
     "prior_contradicted": (
         "prior information and record are at least three standard deviations apart: correct the prior, or the "
         "record's columns and units"

@@ -260,11 +260,9 @@ def _construct(axis: Axis, record: Record) -> Estimator:
 
 
 def _check_known(result: DriveResult) -> None:
-    """Raise NotIdentifiableError for a mass below its standard deviation, or for a simulated motion unlike the
-    measured motion.
-    """
+    """Raise NotIdentifiableError for a mass below its standard deviation, or for parameters that explain nothing."""
     _check_sizes(result.estimator, result.theta, result.theta_std, advise(result.findings))
-    if "not_followed" in result.status or not np.isfinite(result.relative_error):
+    if not np.isfinite(result.relative_error):
         raise NotIdentifiableError(advise(result.findings))
 
 

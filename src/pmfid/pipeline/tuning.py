@@ -41,27 +41,16 @@ class PipelineTuning:
     #: that another reading leaves unexplained to the part that the given reading leaves.
     readings_follows: float = 0.15
     readings_better: float = 0.3
-    #: Greatest unexplained part for a reading with friction that no model explains. The reading requires a common
-    #: clock, because an integral also follows an input with another clock.
-    readings_loosely: float = 0.3
-    #: Unexplained part of the input below which a reading with a significant mass is accepted at once.
-    readings_clearly: float = 0.001
     #: Number of standard deviations above which a sign is certain. `readings_likely` is the number above which a sign
     #: is likely.
     readings_certain: float = 4.5
     readings_likely: float = 3.0
     #: Unexplained part above which a record says nothing about a sign.
     readings_unseen: float = 0.5
-    #: Smallest time in which a mass reaches its speed [samples]. `readings_alike` is the factor by which a velocity may
-    #: leave more of the input unexplained, if the record shows no mass.
+    #: Smallest time in which a mass reaches its speed [samples].
     readings_samples: float = 1.5
-    readings_alike: float = 2.0
     #: Smallest duration of the motion in a reading, in time constants of the filters.
     readings_lasting: float = 10.0
-    #: Relative change of the velocity from row to row. Above `readings_rough` a column is no position, and below
-    #: `readings_smooth` the input may be a position.
-    readings_rough: float = 0.6
-    readings_smooth: float = 0.1
     #: Smallest travel that shows gravity [rad]. A spring explains a shorter travel equally well.
     readings_turned: float = 1.0
     #: Smallest travel from one end to the other [counts].
@@ -92,20 +81,15 @@ class PipelineTuning:
     view_counts: int = 6
     #: Smallest ratio of the change of the motion at an abrupt stop to the largest change elsewhere.
     view_abrupt: float = 2.5
-    #: Factor that raises the limit for a stop that the axis leaves slowly or never. If the record has view_several
-    #: stops, the change at such a stop must also exceed view_abrupt times the median of all stops.
-    view_dead: float = 2.0
-    view_several: int = 3
-    #: Smallest part of the record outside of stops that allows a comparison of a stop with other rows.
-    view_apart: float = 0.2
     #: Smallest number of samples in a stop, and smallest number of counts that the usual speed would bring during the
     #: stop.
     shortest_stop: int = 5
     view_missed: float = 4.0
-    #: Smallest part of the rows outside of stops in which the counts change. In a column of steps, fewer rows change.
-    view_moving: float = 0.05
-    #: Largest number of examined stops. The longest stops come first.
-    view_most: int = 1000
+    #: Force that moves an axis from rest, as a multiple of the friction. `view_late` is the allowed delay [samples],
+    #: and `view_far` is the smallest motion by the force [counts].
+    view_held: float = 2.2
+    view_late: int = 5
+    view_far: float = 8.0
     #: Largest number of filtered samples. The filters run over the samples with the most motion.
     view_most_samples: int = 8000
 

@@ -11,7 +11,6 @@ from pmfid.encoder import Encoder, fine_counts
 from pmfid.estimators.stretches import liveliest
 from pmfid.findings import Finding
 from pmfid.models.drive import Drive
-from pmfid.pipeline.checks.timing import too_slow
 from pmfid.pipeline.checks.view import (
     MASS,
     PLAIN,
@@ -19,7 +18,6 @@ from pmfid.pipeline.checks.view import (
     CheckedLog,
     View,
     best_view,
-    hasty,
 )
 from pmfid.pipeline.guess.roles import is_position
 from pmfid.pipeline.known import set_any_gain
@@ -69,27 +67,13 @@ def _other_reading(log: CheckedLog) -> Finding | None:
     view = log.closest_view
     heavy = view is not None and _has_inertia(view, log.record.dt) and _is_one_body(view)
     left = _measure_rest(view)
-    if heavy and left < TUNING.readings_clearly:
-        return None
     velocity, exchanged = _measure_rest(_velocity(log)), _measure_rest(_view_exchanged(log))
-    better = (
-        TUNING.readings_alike
-        if hasty(log.change) > TUNING.readings_rough > TUNING.readings_smooth > hasty(np.diff(log.record.u))
-        else TUNING.readings_better
-    )
-    bound = min(better * left, velocity)
-    if exchanged < min(TUNING.readings_loosely, bound):
+    if exchanged < min(TUNING.readings_follows, TUNING.readings_better * left, velocity):
         return _make_finding("exchanged", "input and output are exchanged", _exchange(log), exchanged)
     if log.sudden_stops or view is None or view.one_way or log.axis.record.output_kind == "velocity":
         return None
-    bound = left * (TUNING.readings_better if heavy else 1.0 if _is_one_body(view) else TUNING.readings_alike)
-    loosely = (
-        not is_position(log.axis.record.output)
-        and velocity < TUNING.readings_loosely
-        and (velocity < bound or (velocity < TUNING.readings_follows and _is_no_body(view)))
-        and not any(too_slow(log))
-    )
-    if velocity < min(TUNING.readings_follows, bound, left) or loosely:
+    named = is_position(log.axis.record.output)
+    if velocity < min(TUNING.readings_follows, left * (TUNING.readings_better if heavy or named else 1.0)):
         mistake = f"the output column {log.axis.record.output!r} is a velocity, not a position"
         return _make_finding("velocity", mistake, RATE, velocity)
     return None
@@ -131,12 +115,6 @@ def _is_one_body(view: View) -> bool:
     """Return whether mass and friction power have equal signs, if both are significant."""
     mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
     return mass * work > 0 or abs(work) < TUNING.readings_likely
-
-
-def _is_no_body(view: View) -> bool:
-    """Return whether the mass and the power of friction have significant and opposite signs."""
-    mass, work = view.sure(np.eye(view.theta.size)[MASS]), view.sure(view.friction_work)
-    return mass * work < 0 and min(abs(mass), abs(work)) > TUNING.readings_likely
 
 
 def _measure_rest(view: View | None) -> float:

@@ -164,18 +164,11 @@ def long_stops(counts: Counts) -> list[Stop]:
         return []
     least = max(float(TUNING.shortest_stop), TUNING.view_missed / max(counts_per_sample(counts), 1e-9))
     pairs = zip((moving + 1).tolist(), [*moving[1:].tolist(), counts.size - 1], strict=True)
-    stops = [(first, last) for first, last in pairs if last - first >= least]
-    resting = sum(last - first for first, last in stops)
-    if resting > (1 - TUNING.view_moving) * counts.size:
-        return []
-    return sorted(sorted(stops, key=lambda stop: stop[0] - stop[1])[: TUNING.view_most])
+    return [(first, last) for first, last in pairs if last - first >= least]
 
 
 def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
-    """Return the stops that begin in full motion and end in motion.
-
-    The function also returns stops whose start is too sudden for a real motion.
-    """
+    """Return the stops that begin in full motion and end in motion."""
     edges = (counts == counts.min()) | (counts == counts.max())
     edges[[edge for stop in stops for edge in stop]] = True
     found = set[Stop]()
@@ -185,7 +178,7 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
         turn = np.zeros(counts.size)
         turn[span:-span] = np.abs(counts[2 * span :] - 2 * counts[span:-span] + counts[: -2 * span])
         apart = ~_widen_marks(edges, span)
-        if np.mean(apart) < TUNING.view_apart:
+        if not np.any(apart):
             break
         long_ones = [stop for stop in stops if stop[1] - stop[0] >= span]
         found |= _abrupt(turn, long_ones, float(np.max(turn[apart])))
@@ -199,11 +192,41 @@ def _abrupt(turn: Floats, stops: list[Stop], elsewhere: float) -> set[Stop]:
     # A counter that catches up jumps to its true value. After a jump of the counter, the larger edge of a stop says
     # more than the smaller edge.
     both = (np.sqrt(begins * ends) >= limit) & (np.minimum(begins, ends) > elsewhere + 1)
-    usual = float(np.median(begins)) if begins.size else 0.0
-    dead = (begins >= TUNING.view_dead * limit) & (
-        begins >= TUNING.view_abrupt * (usual + 1) if begins.size >= TUNING.view_several else True
-    )
-    return {stop for stop, yes in zip(stops, both | dead, strict=True) if yes}
+    return {stop for stop, yes in zip(stops, both, strict=True) if yes}
+
+
+def held_back(force: Floats, stops: list[Stop], view: View, offset: int, dt: float, resolution: float) -> set[Stop]:
+    """Return the stops during which the input `force` (n,) would have moved the axis.
+
+    `view` holds the filtered rows from `offset` on.
+    """
+    rows = np.arange(view.z.size) + offset
+    memory = round(3 * view.time)
+    resting = np.zeros(force.size, dtype=bool)
+    for first, last in stops:
+        resting[first : last + memory] = True
+    keep = ~resting[rows]
+    if np.count_nonzero(keep) < PARTS * SHORTEST:
+        return set()
+    theta = solve_least_squares(view.phi[keep], view.z[keep])
+    if not (theta[MASS] > 0 and theta[COULOMB] >= 0):
+        return set()
+    return {stop for stop in stops if _moves(force[stop[0] : stop[1]], theta, dt) > TUNING.view_far * resolution}
+
+
+def _moves(force: Floats, theta: Floats, dt: float) -> float:
+    """Return the least distance by which a force (n,) moves a plant with parameters theta from rest."""
+    load = theta[3] if theta.size > 3 else 0.0
+    moved = 0.0
+    for sign in (1.0, -1.0):
+        above = sign * (force - load) - TUNING.view_held * theta[COULOMB]
+        breaks = np.flatnonzero(np.diff(np.r_[0, above > 0, 0]))
+        for first, last in zip(breaks[::2].tolist(), breaks[1::2].tolist(), strict=True):
+            time = dt * max(0, last - first - TUNING.view_late)
+            push = float(np.mean(above[first:last]))
+            fastest = push / max(float(theta[VISCOUS]), 1e-300) if theta[VISCOUS] > 0 else np.inf
+            moved = max(moved, min(push / float(theta[MASS]) * time**2 / 2, fastest * time))
+    return moved
 
 
 def _widen_marks(marked: NDArray[np.bool_], span: int) -> NDArray[np.bool_]:
@@ -291,7 +314,12 @@ class CheckedLog:
         if self.elastic:
             return []  # a motor that friction holds stops suddenly, because its load moves on
         stops = long_stops(counts)
-        return sorted(sudden(counts, stops)) if stops else []
+        found = sudden(counts, stops) if stops else set()
+        if stops and not found and self.view is not None and self.is_machine and not self.place_matters:
+            offset = self.part.stop - self.view.z.size
+            inside = [stop for stop in stops if stop[1] < self.part.stop]
+            found = held_back(self.force, inside, self.view, offset, self.record.dt, self.record.resolution)
+        return sorted(found)
 
 
 def hasty(change: Counts | Floats) -> float:
