@@ -122,6 +122,17 @@ def test_a_gap_is_no_suspicion_and_hides_no_change(factor: float) -> None:
     assert (suspected, monitor.state) == (factor > 1, "watching")
 
 
+def test_a_slow_change_is_one_alarm_with_a_rate() -> None:
+    """Each sound estimate has a part of the change, so that only the reference shows it. A step is another alarm."""
+    slow = [(20.0 + 1.5 * k, replace(CART, mass=(1 + 0.002 * k) * CART.mass)) for k in range(101)]
+    step = 200.0, replace(CART, mass=1.5 * CART.mass)
+    events = watch(make_monitor(), cart_edges(Schedule(((0.0, CART), *slow, step)), 5, 230.0))
+    alarms = [event for event in events if isinstance(event, Alarm)]
+    assert [(one.parameter, one.time > 200.0) for one in alarms] == [("mass", False), ("mass", True)]
+    rates = [event.rate for event in events if isinstance(event, Settled) and event.rate is not None]
+    assert np.median(rates) == pytest.approx(0.2 * 3600 / 150, rel=0.3)
+
+
 def test_a_change_within_the_tolerance_is_none() -> None:
     monitor = make_monitor(tolerance=0.05)
     events = watch(monitor, changed_run("mass", 1.03))

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-import zlib
 from copy import copy
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,16 +40,18 @@ from pmfid.types import Flags, Floats
 class EdgeStates(RowArrays):
     """The states of some axes with edge times.
 
-    `state` (k,) is the number of the state, and `armed` (k,) is true if a suspicion is possible. `whole` (k, 4) has the
-    samples so far, the samples since the last edge and since the last suspicion or alarm, and the last counts.
-    `statistic` is (k,). `values` (k, 3, p) has the reference, the one before, and the last sound estimate. `recursion`
-    (k, bytes) is the state of the estimator.
+    `state` (k,) is the number of the state, and `armed` (k,) is true if a suspicion is possible. `whole` (k, 7) has the
+    samples so far, the samples since the last edge and since the last suspicion or alarm, the last counts, the samples
+    at the reference, parameter and direction of the last alarm as a number, and 1 while its slow change goes on.
+    `statistic` is (k,). `rate` (k,) is the relative change per hour of a slow change, or 0. `values` (k, 3, p) has the
+    reference, the one before, and the last sound estimate. `recursion` (k, bytes) is the state of the estimator.
     """
 
     state: NDArray[np.uint8]
     armed: Flags
     whole: NDArray[np.int64]
     statistic: Floats
+    rate: Floats
     values: Floats
     recursion: NDArray[np.uint8]
 
@@ -59,13 +61,13 @@ class EdgeStates(RowArrays):
 
     def are_possible(self) -> bool:
         """Return whether samples can have made these numbers, except the parameters and those of the recursion."""
-        fine = np.all(np.isfinite(self.statistic))
-        counted = self.whole[:, :COUNTS]
+        fine = np.all(np.isfinite(self.statistic) & np.isfinite(self.rate))
+        counted = np.delete(self.whole, COUNTS, axis=1)
         return bool(fine and np.all(self.state < len(STATES)) and np.all((counted >= 0) & (counted <= MOST)))
 
 
 #: Columns of `EdgeStates.whole`.
-SAMPLES, SILENT, SINCE, COUNTS = range(4)
+SAMPLES, SILENT, SINCE, COUNTS, REFERRED, CAUSE, GOES_ON = range(7)
 #: Rows of `EdgeStates.values`.
 REFERENCE, BEFORE, BASE = range(3)
 
@@ -129,6 +131,7 @@ class EdgeMonitor:
         self.state, self.samples, self.statistic = STARTING, 0, 0.0
         self._before = self._base = self.reference
         self._silent, self._since, self._counts, self._armed = 0, 0, 0, False
+        self._referred, self._cause, self._goes_on, self._rate = 0, 0, False, 0.0
 
     def _quantile(self) -> float:
         """Return the standard errors that chance exceeds once in the mean time between false alarms."""
@@ -247,7 +250,8 @@ class EdgeMonitor:
         """Return an alarm if the changes that explain the estimate are beyond the tolerance and chance.
 
         A change that is certainly within the tolerance ends the suspicion without an alarm. Until the recursion moves
-        its reference, the estimate has errors of second order, which can hide the cause.
+        its reference, the estimate has errors of second order, which can hide the cause. A slow change shows only
+        against the reference, because each sound estimate has a part of it.
         """
         evidence = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov))
         moved, tolerance = evidence.theta - self._base, self.watch.tolerance
@@ -260,20 +264,33 @@ class EdgeMonitor:
         late = self._since >= TUNING.edge_confirmed * self.patience
         self.statistic = max((abs(one.relative) - tolerance) / one.relative_std for one in sure.changes)
         if self.statistic > self.threshold and (late or not cause.near):
-            return self._alarm(cause)
+            return self._alarm(cause, slow=cause.size < TUNING.edge_slow * float(np.max(np.abs(relative))))
+        if late and np.any(np.abs(relative) - error > tolerance):
+            slow = explain(evidence, self.reference, self.estimator.equation, tolerance)
+            self.statistic = max((abs(one.relative) - tolerance) / one.relative_std for one in slow.changes)
+            return self._alarm(slow, slow=True)
         if np.all(np.abs(relative) + error < tolerance) or (late and error.max() < TUNING.edge_known):
             self._base = evidence.theta
             return self._enter(WATCHING, "the deviation is within the tolerance")
         return []
 
-    def _alarm(self, cause: Cause) -> list[Event]:
+    def _alarm(self, cause: Cause, slow: bool = False) -> list[Event]:
         begun, self._before = self._time - self._since * self.estimator.dt, self.reference.copy()
         # the estimate may still have errors of second order
         changes = tuple(replace(one, std=math.hypot(one.std, one.relative * one.change)) for one in cause.changes)
         numbers = self.statistic, self.threshold
         alarm = Alarm(self._time, begun, changes, *numbers, cause.others, self.watch.tolerance)
         self._since = 0
-        return [alarm, *self._enter(SETTLING, f"measuring the new {' and '.join(cause.names)}")]
+        number = crc32(f"{alarm.parameter} {alarm.change > 0}".encode())
+        rate = 3600 * alarm.relative / ((self.samples - self._referred) * self.estimator.dt)
+        # After a pause, the mean rate is lower. A step is larger than the rate explains.
+        pace = rate / self._rate if number == self._cause and self._rate else 0.0
+        self._goes_on = pace > TUNING.edge_slow and (slow or pace < 1 / TUNING.edge_slow)
+        self._cause, self._rate = number, rate if slow or self._goes_on else 0.0
+        return [
+            *([] if self._goes_on else [alarm]),
+            *self._enter(SETTLING, f"measuring the new {' and '.join(cause.names)}"),
+        ]
 
     def _settle(self, estimate: Estimate) -> list[Event]:
         """Make the estimate the reference, once it is sure."""
@@ -281,8 +298,10 @@ class EdgeMonitor:
         sure = bool(np.all(self.threshold * std < 0.5 * self.watch.tolerance * self._sizes_of(theta)))
         if self._since < self.patience or not (sure or self._since >= TUNING.edge_settled * self.patience):
             return []
-        self.reference = self._base = self._bound(theta)
-        return [Settled(self._time, theta, std, self._before), *self._enter(WATCHING, "")]
+        self.reference, self._referred = self._bound(theta), self.samples
+        self._base = self.reference
+        rate = self._rate if self._goes_on else None
+        return [Settled(self._time, theta, std, self._before, rate=rate), *self._enter(WATCHING, "")]
 
     def _enter(self, state: str, reason: str) -> list[Event]:
         if state == self.state:
@@ -306,6 +325,7 @@ class EdgeMonitor:
             )
         std = np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
         before, self.reference, self._base = self.reference, wanted, wanted
+        self._referred = self.samples
         busy = self.state in (SUSPICIOUS, SETTLING)
         changes = self._enter(WATCHING, "a new reference was given") if busy else []
         return [Settled(self._time, wanted, std, before), *changes]
@@ -329,15 +349,17 @@ class EdgeMonitor:
     @property
     def configuration_number(self) -> int:
         """Checksum of the configuration."""
-        return zlib.crc32(repr((self.estimator, self.watch)).encode())
+        return crc32(repr((self.estimator, self.watch)).encode())
 
     def pack_state(self) -> EdgeStates:
         """Return the state as arrays of one row."""
+        numbers = self.samples, self._silent, self._since, self._counts
         return EdgeStates(
             np.array([STATES.index(self.state)], np.uint8),
             np.array([self._armed]),
-            np.array([[self.samples, self._silent, self._since, self._counts]], np.int64),
+            np.array([[*numbers, self._referred, self._cause, self._goes_on]], np.int64),
             np.array([self.statistic]),
+            np.array([self._rate]),
             np.stack([self.reference, self._before, self._base])[None],
             np.frombuffer(self.estimator.kernel.raw_state(), np.uint8)[None],
         )
@@ -346,8 +368,9 @@ class EdgeMonitor:
         """Continue from the state of an axis, whose numbers are possible."""
         self.estimator.kernel.set_raw_state(saved.recursion[axis].tobytes())
         self.state, self._armed = STATES[saved.state[axis]], bool(saved.armed[axis])
-        self.samples, self._silent, self._since, self._counts = saved.whole[axis].tolist()
-        self.statistic = float(saved.statistic[axis])
+        self.samples, self._silent, self._since, self._counts, *rest = saved.whole[axis].tolist()
+        self._referred, self._cause, self._goes_on = rest[0], rest[1], bool(rest[2])
+        self.statistic, self._rate = float(saved.statistic[axis]), float(saved.rate[axis])
         self.reference, self._before, self._base = saved.values[axis].copy()
 
     def check_states(self, saved: EdgeStates) -> EdgeStates:

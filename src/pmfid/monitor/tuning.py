@@ -40,6 +40,9 @@ class MonitorTuning:
     #: Times in units of `silent_time`: until a cause is named without this, and until an unsure value is the reference.
     edge_confirmed: int = 2
     edge_settled: int = 10
+    #: A change is slow if less than this part of the deviation is new. It goes on if its rate is at least this part of
+    #: its last rate.
+    edge_slow: float = 0.5
 
     # calibration
     #: Lengths of compared sums [blocks]. The longest is the window of the detectors.
