@@ -338,10 +338,10 @@ def test_registers_of_servos_are_steps_with_a_sign_bit(encode: Callable[[Floats]
     """As radians, the range was 650 times too large, and a negative step a jump of five turns."""
     t, goal, position = make_log(gravity=0.0, kd=0.0)
     steps = {"Goal_Position": np.round(goal / STEP), "Present_Position": np.round(position / STEP)}
-    path = tmp_path / "registers.csv"
+    steps, path = {**steps, "Torque Enable": 1.0 * (t < 5)}, tmp_path / "registers.csv"
     pl.DataFrame({"time": t, **{name: encode(values).astype(int) for name, values in steps.items()}}).write_csv(path)
     (log,) = read_joints(path, LogLayout())
-    assert log.resolution == pytest.approx(math.tau / 4096)
+    assert (log.resolution, np.sum(log.on)) == (pytest.approx(math.tau / 4096), 500)
     assert log.position == pytest.approx(steps["Present_Position"] * math.tau / 4096)
     assert log.goal == pytest.approx(steps["Goal_Position"] * math.tau / 4096)
 

@@ -208,7 +208,8 @@ def _make_joint(
     label = f"joint {joint}" if joint else "the joint"
     values = [column(robot.columns, what, name) for what, name in zip(("goal", "position"), names, strict=True)]
     forces = [column(robot.columns, "known_force", name) for name in known]
-    switch = next((column(robot.columns, "torque", name) for name in SWITCHES if name in robot.columns), None)
+    words = {re.sub(r"\W", "_", name).lower(): name for name in robot.columns}
+    switch = next((column(robot.columns, "torque", words[name]) for name in SWITCHES if name in words), None)
     if any(own.size != t.size for own in (*values, *forces)):
         raise UsageError(f"{label}: the columns of time, goal and position differ in length: export one table")
     there = (np.abs([t, *values, *forces]) < TUNING.largest_number).all(axis=0)
