@@ -153,6 +153,12 @@ def test_cogging_is_no_second_mass(period: float) -> None:
     assert find_second_mass(fit.problem(u, np.floor(y / resolution + 0.4).astype(np.int64))) is None
 
 
+def test_the_trial_of_a_second_mass_ends_at_short_parts_that_leave_a_count(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("pmfid.fit.elastic.join", None)
+    (case,) = make_cases(91, "backlash", [3])
+    assert "two_mass" not in identify(case).status
+
+
 def test_one_mass_that_leaves_rounding_has_no_trial_of_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
     """The trial could only fail, and took six of seven seconds."""
     monkeypatch.setattr("pmfid.fit.second_mass.elastic_start", None)

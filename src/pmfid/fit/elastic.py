@@ -106,15 +106,18 @@ def follow(
     number. It ends where the first fit costs more than a `bound`.
 
     Parts with start states of their own (Bock 1983) keep wrong parameters near the record.
+    Raises NotIdentifiableError if there is a bound, and even the parts leave more than a count.
     """
     (length, most), enough = parts, TUNING.rounded * plain.rows
     problem = plain.cut(count_parts(plain, length))
     problem = replace(problem, stretches=problem.stretches[:: math.ceil(len(problem.stretches) / most)])
-    first = problem.first_starts()
-    ends = sorted((settle(problem, q, first, prior, 4) for q in points), key=lambda end: end.cost)
+    first, like = problem.first_starts(), soften(problem.stretches)
+    ends = sorted((solve(problem, like, q, first, prior, 4, 0.1) for q in points), key=lambda end: end.cost)
     ends = [settle(problem, end.q, end.starts, prior, 12) for end in ends[: TUNING.kept]]
-    best: Optimum | None = None
-    for end in sorted(ends, key=lambda end: end.cost)[:2]:
+    ends, best = sorted(ends, key=lambda end: end.cost), None
+    if ends[0].cost > problem.rows and math.isfinite(bound):  # a whole count even where each part has its own start
+        raise NotIdentifiableError("two masses do not follow")
+    for end in ends[:2]:
         tried = join(plain, problem, end, length, prior)
         best = tried if best is None or tried.cost < best.cost else best
         if best.cost < enough or best.cost > bound:
