@@ -67,7 +67,7 @@ def test_the_gap_is_found_within_a_part_of_a_count() -> None:
 
 
 def test_a_rigid_axis_names_the_gap_and_the_search_for_terms_adds_it() -> None:
-    u, counts = record(GAP)
+    u, counts = record(GAP, 10)
     found = search_terms(u, counts, model=pmfid.Drive(1.0), dt=STEP, encoder=pmfid.Encoder(RESOLUTION))
     assert found.added == {"body": "two-mass", "play": True}
     assert found.result["play"] == pytest.approx(GAP, abs=0.5 * RESOLUTION)
