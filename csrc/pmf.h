@@ -88,8 +88,6 @@ enum {
     PMF_STIFFNESS,
     PMF_BODY_ROLES /* followed by a coefficient for each shape */
 };
-#define PMF_ROLES (7 + PMF_MAX_SHAPES)
-#define PMF_NO_PARAMETER 0xffU
 
 /* Status bits of a step. The Python enumeration `Status` has the same values, with advice. */
 enum {
@@ -114,18 +112,25 @@ enum {
     PMF_DISTORTED = PMF_UNMODELLED | PMF_FEEDBACK | PMF_DEAD_TIME
 };
 
-/* Number of samples after a count that the guard waits for. With the guard, status and estimate lag the last sample by
- * this number. */
-#define PMF_AHEAD 8U
-#define PMF_VIEW (PMF_AHEAD + 1U) /* the judged sample and those after it */
-#define PMF_PAST 5U /* accepted counts: three accelerations, which show an oscillation of four samples or more */
+/* Samples that the guard sees. With the guard, status and estimate lag the last sample by PMF_AHEAD samples. */
+enum {
+    PMF_AHEAD = 8, /* samples after the judged one */
+    PMF_VIEW = 9, /* the judged sample and those after it */
+    PMF_PAST = 5 /* accepted counts: three accelerations, which show an oscillation of four samples or more */
+};
 
 /* If the step varies, pauses are counted in ticks, which are fractions of a sample period. */
 enum { PMF_TICKS = 16 };
 
+#define PMF_UNKNOWN PMF_R(1e30) /* variance of a parameter without an estimate */
+
 #ifdef PMF_WITH_EDGES /* the recursion over edges takes the place of encoder, network and recursion */
 #include "pmf_redge_axis.h"
 #else
+
+/* Number of roles, and the index of a role without a parameter. */
+#define PMF_ROLES (7 + PMF_MAX_SHAPES)
+enum { PMF_NO_PARAMETER = 0xff };
 
 typedef struct {
     scalar_t velocity_per_count; /* resolution / dt */
@@ -501,15 +506,13 @@ void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter
 /* Return the variance of an estimated parameter, corrected for coloured innovations. Before the first estimate the
  * variance is PMF_UNKNOWN. */
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);
-#define PMF_UNKNOWN PMF_R(1e30)
 /* Return the number of parameters of the estimate. */
 PMF_API uint32_t pmf_parameters(const pmf_config_t *config);
 #endif
 
 /* A saved state for a restart after a loss of power, with the identity of its configuration. Python's `get_state` gives
  * the same bytes. */
-#define PMF_STATE_MAGIC 0x53464d50U /* "PMFS" */
-#define PMF_STATE_VERSION 1U
+enum { PMF_STATE_MAGIC = 0x53464d50 /* "PMFS" */, PMF_STATE_VERSION = 1 };
 
 typedef struct {
     uint32_t magic, version;
@@ -546,7 +549,6 @@ typedef struct {
     uint32_t wait;
 } pmf_alarm_state_t;
 
-#define PMF_LEAST_VARIANCE PMF_R(1e-30)
 /* Return 1 if the parameter is above nominal, -1 if below, 0 without an alarm. */
 int32_t pmf_alarm_step(const pmf_alarm_config_t *alarm, pmf_alarm_state_t *sums, const pmf_config_t *config,
                        const pmf_state_t *state);

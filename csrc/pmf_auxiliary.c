@@ -10,8 +10,6 @@
 
 #include "pmf_shapes.inl"
 
-#define NEWTON_TURNS 3
-
 /* A spring acts with its force in the middle of the interval. */
 static body_t body_of(const pmf_auxiliary_config_t *config, const real_t *parameter, real_t input, real_t middle)
 {
@@ -32,7 +30,7 @@ static real_t stop_time(real_t z, real_t speed, real_t target)
     real_t q = speed / (speed - target); /* 1 - exp(-z t) at the stop, with a target of the opposite sign */
     real_t x = PMF_R(2.0) * q / (PMF_R(2.0) - q);
     uint32_t i;
-    for (i = 0; i < NEWTON_TURNS; ++i) {
+    for (i = 0; i < 3U; ++i) {
         real_t f =
             q * (PMF_R(120.0) + x * (PMF_R(60.0) + x * (PMF_R(12.0) + x))) - x * (PMF_R(120.0) + PMF_R(2.0) * x * x);
         real_t slope = q * (PMF_R(60.0) + x * (PMF_R(24.0) + PMF_R(3.0) * x)) - PMF_R(120.0) - PMF_R(6.0) * x * x;

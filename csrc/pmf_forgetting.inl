@@ -12,8 +12,6 @@ static const uint32_t SATURATED = 0xffffffffU;
 static const uint32_t SPED_UP = 1U;
 static const uint32_t SLOWED_DOWN = 2U;
 
-#define LARGER(a, b) PMF_IF((a) > (b), a, b)
-
 /* If a model follows the estimate, the first samples come from a poor model. Until the memory is full, the weight of a
  * sample is proportional to its number, so that early errors fade with the square of time. */
 PMF_INLINE real_t memory_of(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, real_t weight)

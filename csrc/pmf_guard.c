@@ -13,7 +13,6 @@ static const scalar_t SMOOTH = PMF_SCALAR(3.2); /* FIRST of pmf_outlier.c */
 static const scalar_t ROUNDING = PMF_SCALAR(2.0); /* second difference of counts in a steady motion */
 static const scalar_t SPIKE =
     PMF_SCALAR(8.0); /* ratio of an input to all its neighbours, above which the counts must answer */
-#define HERE PMF_PAST
 static const uint32_t FAR = 0x20000000U; /* counts that are further apart are wrong in any case */
 
 /* Return the second difference with its middle at a place. */
@@ -52,16 +51,17 @@ static real_t beyond_rounding(real_t size)
 static truth_t is_slow(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
 {
     uint32_t mask = config->count_mask;
-    real_t size = PMF_SIZE(PMF_TO_REAL(pmf_signed(mask, (guard->count[HERE] - guard->count[HERE - 1U]) & mask)));
+    real_t size =
+        PMF_SIZE(PMF_TO_REAL(pmf_signed(mask, (guard->count[PMF_PAST] - guard->count[PMF_PAST - 1U]) & mask)));
     return size <= PMF_ALIKE((scalar_t)config->max_change);
 }
 
 /* Return the least second difference just after the judged count and its neighbour, or 0 if it changes its sign. */
 static real_t lasting_bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
 {
-    real_t least = signed_bend(config, guard, HERE + 2U), most = least;
+    real_t least = signed_bend(config, guard, PMF_PAST + 2U), most = least;
     uint32_t place;
-    for (place = HERE + 3U; place <= HERE + 4U; ++place) {
+    for (place = PMF_PAST + 3U; place <= PMF_PAST + 4U; ++place) {
         real_t here = signed_bend(config, guard, place);
         least = PMF_IF(here < least, here, least);
         most = PMF_IF(here > most, here, most);
@@ -75,7 +75,7 @@ static real_t lasting_bend(const pmf_encoder_config_t *config, const pmf_guard_s
 static truth_t is_smooth(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
 {
     truth_t known = guard->past == PMF_PAST, plain;
-    real_t size = bend(config, guard, HERE - 1U), past, limit, lasting;
+    real_t size = bend(config, guard, PMF_PAST - 1U), past, limit, lasting;
     if (config->max_change != 0U) {
         known = known & is_slow(config, guard);
     }
@@ -83,17 +83,17 @@ static truth_t is_smooth(const pmf_encoder_config_t *config, const pmf_guard_sta
     if (PMF_ALL(plain)) {
         return plain;
     }
-    past = roughness(config, guard, 1U, HERE - 2U);
+    past = roughness(config, guard, 1U, PMF_PAST - 2U);
     plain = known & (size <= past);
     if (PMF_ALL(plain)) {
         return plain;
     }
-    limit = roughness(config, guard, HERE + PMF_AHEAD - 3U, HERE + PMF_AHEAD - 1U);
+    limit = roughness(config, guard, PMF_PAST + PMF_AHEAD - 3U, PMF_PAST + PMF_AHEAD - 1U);
     limit = beyond_rounding(PMF_IF(past < limit, past, limit));
     lasting = beyond_rounding(lasting_bend(config, guard));
     limit = PMF_IF(lasting > limit, lasting, limit);
     limit = SMOOTH * PMF_IF(limit > PMF_R(1.0), limit, PMF_R(1.0));
-    return plain | (known & (beyond_rounding(roughness(config, guard, HERE - 1U, HERE + 1U)) <= limit));
+    return plain | (known & (beyond_rounding(roughness(config, guard, PMF_PAST - 1U, PMF_PAST + 1U)) <= limit));
 }
 
 /* Gather the view of a lane. Counts modulo mask + 1 are those next to a steady motion. */
@@ -101,13 +101,13 @@ PMF_SELDOM void gather(const pmf_encoder_config_t *config, const pmf_guard_state
                        pmf_view_t *view)
 {
     uint32_t mask = config->count_mask, i, past = (uint32_t)PMF_LANE(guard->past, lane);
-    uint32_t base = (uint32_t)PMF_LANE(guard->count[past > 0U ? HERE - 1U : HERE], lane), steady = 0U;
+    uint32_t base = (uint32_t)PMF_LANE(guard->count[past > 0U ? PMF_PAST - 1U : PMF_PAST], lane), steady = 0U;
     if (past >= 2U) {
-        uint32_t change = (base - (uint32_t)PMF_LANE(guard->count[HERE - 2U], lane)) & mask;
+        uint32_t change = (base - (uint32_t)PMF_LANE(guard->count[PMF_PAST - 2U], lane)) & mask;
         steady = change <= mask >> 1 ? change : change - mask - 1U;
     }
     for (i = 0; i < PMF_PAST + PMF_VIEW; ++i) {
-        uint32_t expected = steady * (i - (HERE - 1U)); /* modulo 2^32 */
+        uint32_t expected = steady * (i - (PMF_PAST - 1U)); /* modulo 2^32 */
         uint32_t apart = ((uint32_t)PMF_LANE(guard->count[i], lane) - base - expected) & mask, size;
         apart = (apart <= mask >> 1 ? apart : apart - mask - 1U) + expected;
         size = apart <= 0x7fffffffU ? apart : ~apart;
@@ -133,15 +133,15 @@ PMF_SELDOM uint32_t judge_lane(const pmf_encoder_config_t *config, pmf_guard_sta
     if (verdict.verdict == PMF_READING_FITS) {
         return verdict.unsure * (uint32_t)PMF_SETTLING;
     }
-    base = (uint32_t)PMF_LANE(guard->count[view.past > 0U ? HERE - 1U : HERE], lane);
+    base = (uint32_t)PMF_LANE(guard->count[view.past > 0U ? PMF_PAST - 1U : PMF_PAST], lane);
     if (verdict.verdict == PMF_ZERO_MOVED) {
         uint32_t moved = (uint32_t)PMF_LANE(guard->count[verdict.first], lane) - (base + (uint32_t)verdict.end);
-        for (i = HERE; i < PMF_PAST + PMF_VIEW; ++i) {
+        for (i = PMF_PAST; i < PMF_PAST + PMF_VIEW; ++i) {
             PMF_LANE(guard->count[i], lane) = (uint32_t)PMF_LANE(guard->count[i], lane) - moved;
         }
         PMF_LANE(guard->zero, lane) = (uint32_t)PMF_LANE(guard->zero, lane) + moved;
     }
-    PMF_LANE(guard->count[HERE], lane) = base + (uint32_t)verdict.count;
+    PMF_LANE(guard->count[PMF_PAST], lane) = base + (uint32_t)verdict.count;
     return (uint32_t)PMF_COUNT_JUMP | verdict.unsure * (uint32_t)PMF_SETTLING;
 }
 
@@ -175,10 +175,10 @@ static whole_t judge_input(const pmf_encoder_config_t *config, pmf_guard_state_t
         most = PMF_IF((next > most) & (next <= PMF_LARGEST_INPUT), next, most);
     }
     spike = spike & (size > SPIKE * most);
-    answer = roughness(config, guard, HERE, HERE + 1U);
-    other = roughness(config, guard, HERE + 2U, HERE + PMF_AHEAD - 1U);
+    answer = roughness(config, guard, PMF_PAST, PMF_PAST + 1U);
+    other = roughness(config, guard, PMF_PAST + 2U, PMF_PAST + PMF_AHEAD - 1U);
     answer = PMF_IF(answer > other, answer, PMF_R(0.0));
-    other = roughness(config, guard, 1U, HERE - 1U);
+    other = roughness(config, guard, 1U, PMF_PAST - 1U);
     spike = spike & PMF_NOT((guard->past == PMF_PAST) & (answer > other));
     guard->input[0] = PMF_IF(spike, held, guard->input[0]);
     return PMF_BIT(spike, PMF_INVALID_INPUT);
@@ -192,11 +192,11 @@ static void push(pmf_guard_state_t *guard, real_t input, whole_t count)
     count = (count - guard->zero) & 0xffffffffU;
     if (PMF_ALL(guard->readings == PMF_AHEAD)) {
         guard->input[PMF_AHEAD] = input;
-        guard->count[HERE + PMF_AHEAD] = count;
+        guard->count[PMF_PAST + PMF_AHEAD] = count;
     } else {
         for (i = 0; i < PMF_VIEW; ++i) {
             guard->input[i] = PMF_IF(guard->readings == i, input, guard->input[i]);
-            guard->count[HERE + i] = PMF_IF(guard->readings == i, count, guard->count[HERE + i]);
+            guard->count[PMF_PAST + i] = PMF_IF(guard->readings == i, count, guard->count[PMF_PAST + i]);
         }
     }
     guard->readings += 1U;
@@ -235,7 +235,7 @@ PMF_FOR_SIZE static truth_t take_sample(const pmf_encoder_config_t *config, pmf_
         *status = judge_counts(config, guard, ready);
         *status |= judge_input(config, guard, ready, held);
         *input = guard->input[0];
-        *count = guard->count[HERE] & 0xffffffffU;
+        *count = guard->count[PMF_PAST] & 0xffffffffU;
         PMF_WHERE(ready, guard, shift(guard));
     }
     return ready;

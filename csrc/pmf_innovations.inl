@@ -1,9 +1,9 @@
 /* Statistics of innovations: their variance, the inflation of standard errors by their colour, and the check of the
  * model. Only pmf_recursion.c includes this file. SPDX-License-Identifier: Apache-2.0 */
 
-#define MIN_BLOCKS 8.0
-#define SKIPPED_INNOVATIONS \
-    4U /* number of first innovations that are skipped, because early innovations do not show the noise */
+static const uint32_t MIN_BLOCKS = 8U;
+static const uint32_t SKIPPED_INNOVATIONS =
+    4U; /* number of first innovations that are skipped, because early innovations do not show the noise */
 static const uint32_t JUDGED =
     16U; /* updates between two verdicts on the model (a power of two), half-way between two looks */
 static const scalar_t NEGLIGIBLE =
@@ -104,11 +104,11 @@ static void note_block(const pmf_recursion_config_t *config, pmf_recursion_state
                        real_t move[N])
 {
     real_t share = state->sums.squares / PMF_TO_REAL(state->block_updates);
-    truth_t few = state->blocks < (uint32_t)MIN_BLOCKS;
+    truth_t few = state->blocks < MIN_BLOCKS;
     real_t blocks;
     uint32_t i;
     state->blocks += PMF_BIT(where & (state->blocks < PMF_BLOCK_MEMORY), 1U);
-    blocks = PMF_IF(few, PMF_R(MIN_BLOCKS), PMF_TO_REAL(state->blocks));
+    blocks = PMF_IF(few, PMF_ALIKE((scalar_t)MIN_BLOCKS), PMF_TO_REAL(state->blocks));
     for (i = 0; i < PARAMETERS(config); ++i) {
         real_t white = state->estimate.variance_factor[i] * state->estimate.innovation_variance;
         real_t *inflation = &state->estimate.inflation[i], change;

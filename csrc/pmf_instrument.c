@@ -3,7 +3,7 @@
 #include "pmf_internal.h"
 
 /* Status bits of the instrumental recursion that remain with the estimate of the simpler method. */
-#define KEPT_ON_FALLBACK ((uint32_t)(PMF_RESET | PMF_UNMODELLED | PMF_FEEDBACK))
+static const uint32_t KEPT_ON_FALLBACK = ((uint32_t)(PMF_RESET | PMF_UNMODELLED | PMF_FEEDBACK));
 
 PMF_API void pmf_instrument_restart(const pmf_config_t *config, pmf_state_t *state)
 {

@@ -11,7 +11,6 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_W(x) ((uint32_t)(x))
 #define PMF_ALIKE(x) (x)
 #define PMF_TO_REAL(x) ((real_t)(x))
-#define PMF_TO_INTEGER(x) ((integer_t)(x))
 #define PMF_IF(truth, yes, no) ((truth) ? (yes) : (no))
 #if !defined(__GNUC__) /* the size of -0 has no effect */
 #define PMF_SIZE(x) ((x) < PMF_R(0.0) ? -(x) : (x))
@@ -20,7 +19,6 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #else
 #define PMF_SIZE(x) __builtin_fabs(x)
 #endif
-#define PMF_READ(table, index) ((table)[index])
 #define PMF_WIDTH 1U /* axes, and the value of one of them */
 #define PMF_LANE(x, lane) (*((void)(lane), &(x)))
 #define PMF_ANY(truth) ((truth) != 0)
@@ -106,16 +104,17 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #else
 #define PMF_STATUS(state) ((state)->status)
 
-#define PMF_FOLLOWED 4U /* samples between two steps of the slow copy, a power of two */
-
-/* Limits of the values in a state. */
-#define PMF_FAST_SAMPLES 3U /* samples that count as fast after two or more counts in one sample */
-#define PMF_BLOCK_MEMORY 100U /* memory of the statistics, in blocks of innovations */
-#define PMF_LEAST_RATIO PMF_R(1e-6) /* least ratio of a step to the sample period */
-#define PMF_MOST_RATIO PMF_R(100.0)
-#define PMF_LONGEST 4U /* largest ratio of a step to the sample period, above which the step is a gap */
-#define PMF_LOOK 4U /* updates between two looks at the size of the motion, because no column changes much faster */
-#define PMF_SWING_BITS 15U /* bits of the looks in this half memory and the last */
+/* Periods, and limits of the values in a state. */
+enum pmf_limits {
+    PMF_FOLLOWED = 4, /* samples between two steps of the slow copy, a power of two */
+    PMF_FAST_SAMPLES = 3, /* samples that count as fast after two or more counts in one sample */
+    PMF_BLOCK_MEMORY = 100, /* memory of the statistics, in blocks of innovations */
+    PMF_LONGEST = 4, /* largest ratio of a step to the sample period, above which the step is a gap */
+    PMF_LOOK = 4, /* updates between two looks at the size of the motion, because no column changes much faster */
+    PMF_SWING_BITS = 15 /* bits of the looks in this half memory and the last */
+};
+static const scalar_t PMF_LEAST_RATIO = PMF_SCALAR(1e-6); /* least ratio of a step to the sample period */
+static const scalar_t PMF_MOST_RATIO = PMF_SCALAR(100.0);
 #define PMF_LARGEST_INPUT PMF_EITHER(1e15, 1e100)
 
 /* Return a count modulo mask + 1 with its sign. */

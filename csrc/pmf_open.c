@@ -1,7 +1,7 @@
 /* Open the memory of an estimate, so that P grows and theta stays. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_internal.h"
 
-#define FAINT PMF_EITHER(1e-6, 1e-14) /* fraction of a number, slightly more than its rounding */
+static const real_t FAINT = PMF_EITHER(1e-6, 1e-14); /* fraction of a number, slightly more than its rounding */
 
 /* Return the contribution of the columns' known noise to their products. */
 static real_t feigned(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t i, uint32_t j)

@@ -17,7 +17,7 @@
 #include "pmf_outlier.h"
 #include "pmf_internal.h"
 
-static const uint32_t LEFT_OUT = 6U; /* most readings of a view that may be wrong */
+enum pmf_left_out { LEFT_OUT = 6 }; /* most readings of a view that may be wrong */
 static const uint32_t LEAST = 4U; /* fewest counts of a path: fewer than two accelerations prove nothing */
 static const scalar_t ENDLESS = PMF_SCALAR(1e30);
 static const scalar_t BLOW =
@@ -26,16 +26,15 @@ static const scalar_t FIRST = PMF_SCALAR(3.2); /* above BLOW */
 static const scalar_t FURTHER =
     PMF_SCALAR(1.5); /* above (m + 3) / (m + 2), which is the same bound for each further reading */
 static const uint32_t MANY = 3U; /* most readings left out before a fast oscillation may look smooth */
-static const uint32_t SHIFT = 3U;
+enum pmf_shift { SHIFT = 3 };
 static const uint32_t LATEST = 2U; /* most wrong readings before a shift */
-#define DEMANDS (LEFT_OUT + SHIFT + 1U)
+enum pmf_demands { DEMANDS = LEFT_OUT + SHIFT + 1 };
 static const scalar_t CLEAR =
     PMF_SCALAR(2.0); /* least ratio of a deviation to the one that the accelerations along a path explain */
 static const scalar_t WILD = PMF_SCALAR(6.0); /* twice BLOW: no reading or its neighbour is the reversal */
-#define NEAR \
-    PMF_SCALAR(10.0) /* accelerations within this ratio of the largest one may come from the same wrong counts */
+static const scalar_t NEAR =
+    PMF_SCALAR(10.0); /* accelerations within this ratio of the largest one may come from the same wrong counts */
 static const uint32_t LONGEST = 4U; /* more wrong readings in a row have no certain replacement */
-#define PAST PMF_PAST
 #ifdef PMF_FLOAT32
 static const scalar_t MOST = PMF_SCALAR(1e9);
 #else
@@ -122,7 +121,7 @@ PMF_SELDOM scalar_t price(const pmf_view_t *view, const path_t *path, scalar_t m
         return ENDLESS;
     }
     if (n < 3U) {
-        int from_rest = view->past < 2U && end > PAST - view->past + 1U;
+        int from_rest = view->past < 2U && end > PMF_PAST - view->past + 1U;
         return from_rest ? larger(most, size_of(speed(view, start, end))) : most;
     }
     return larger(most, acceleration(view, path->place[n - 3U - apart], path->place[n - 2U - apart], start, end));
@@ -146,8 +145,8 @@ PMF_SELDOM void choose(const pmf_view_t *view, uint32_t place, path_t *path, sca
 {
     path->place[path->chosen] = (uint8_t)place;
     path->chosen += 1U;
-    path->past += place < PAST ? 1U : 0U;
-    most[path->chosen] = place >= PAST && path->past < 2U && path->past < view->past
+    path->past += place < PMF_PAST ? 1U : 0U;
+    most[path->chosen] = place >= PMF_PAST && path->past < 2U && path->past < view->past
                              ? ENDLESS
                              : price(view, path, most[path->chosen - 1U]);
 }
@@ -156,7 +155,7 @@ PMF_SELDOM void choose(const pmf_view_t *view, uint32_t place, path_t *path, sca
 static uint32_t take_back(path_t *path)
 {
     path->chosen -= 1U;
-    path->past -= path->place[path->chosen] < PAST ? 1U : 0U;
+    path->past -= path->place[path->chosen] < PMF_PAST ? 1U : 0U;
     return path->place[path->chosen] + 1U;
 }
 
@@ -167,7 +166,7 @@ PMF_SELDOM void choose_all(const pmf_view_t *view, path_t *best)
     uint32_t place;
     best->chosen = best->past = best->moved = 0U;
     most[0] = view->step;
-    for (place = PAST - view->past; place < PAST + view->readings; ++place) {
+    for (place = PMF_PAST - view->past; place < PMF_PAST + view->readings; ++place) {
         choose(view, place, best, most);
     }
     best->most = best->cost = most[best->chosen];
@@ -194,7 +193,8 @@ PMF_SELDOM void search(const pmf_view_t *view, uint32_t places, uint32_t moved, 
 {
     scalar_t most[PMF_PAST + PMF_VIEW + 1U], factor[DEMANDS];
     path_t path;
-    uint32_t begin = PAST - view->past, end = PAST + view->readings, next = begin, shift = moved != 0U ? SHIFT : 0U;
+    uint32_t begin = PMF_PAST - view->past, end = PMF_PAST + view->readings, next = begin,
+             shift = moved != 0U ? SHIFT : 0U;
     demand(doubt, factor);
     path.chosen = path.past = 0U;
     path.moved = moved;
@@ -202,7 +202,7 @@ PMF_SELDOM void search(const pmf_view_t *view, uint32_t places, uint32_t moved, 
     for (;;) {
         uint32_t skipped = next - begin - path.chosen + shift, left_out = end - begin - path.chosen - 1U + shift;
         if (next < end && skipped <= LEFT_OUT + shift &&
-            (moved == 0U || path.past < path.chosen || next <= PAST + LATEST)) {
+            (moved == 0U || path.past < path.chosen || next <= PMF_PAST + LATEST)) {
             choose(view, next, &path, most);
             next += 1U;
             if (left_out != 0U && left_out <= LEFT_OUT + shift && path.chosen >= path.past + 2U + moved &&
@@ -238,9 +238,9 @@ PMF_SELDOM pmf_relative_t rounded(scalar_t x)
 PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t *verdict)
 {
     uint32_t first = path->place[path->past], second = path->place[path->past + 1U], last, before_last;
-    scalar_t after = view->time[first] - view->time[PAST], before, explained, slope, apart;
+    scalar_t after = view->time[first] - view->time[PMF_PAST], before, explained, slope, apart;
     pmf_relative_t end = view->count[first], count;
-    if (first == PAST && path->moved == 0U) {
+    if (first == PMF_PAST && path->moved == 0U) {
         return 0;
     }
     if (path->past == 0U) {
@@ -248,7 +248,7 @@ PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t
         count = end - rounded(after * speed(view, first, second));
     } else {
         last = path->place[path->past - 1U];
-        before = view->time[PAST] - view->time[last];
+        before = view->time[PMF_PAST] - view->time[last];
         explained = PMF_SCALAR(0.5) * path->most * before * after;
         if (path->moved != 0U) {
             before_last = path->place[path->past - 2U];
@@ -260,7 +260,7 @@ PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t
         count = view->count[last] + rounded(slope * before);
     }
     apart = path->moved != 0U ? (scalar_t)view->count[first] - (scalar_t)end
-                              : (scalar_t)view->count[PAST] - (scalar_t)count;
+                              : (scalar_t)view->count[PMF_PAST] - (scalar_t)count;
     if (size_of(apart) <= view->step + CLEAR * explained) {
         return 0;
     }
@@ -268,7 +268,7 @@ PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t
     verdict->count = count;
     verdict->first = first;
     verdict->end = end;
-    verdict->unsure = first > PAST + LONGEST;
+    verdict->unsure = first > PMF_PAST + LONGEST;
     return 1;
 }
 
@@ -279,7 +279,7 @@ PMF_SELDOM int was_wrong(const pmf_view_t *view, const path_t *path)
     uint32_t i, place;
     for (i = 0; i < path->past; ++i) {
         uint32_t from = path->place[i], to = path->place[i + 1U];
-        for (place = from + 1U; place < to && place < PAST; ++place) {
+        for (place = from + 1U; place < to && place < PMF_PAST; ++place) {
             scalar_t before = view->time[place] - view->time[from], after = view->time[to] - view->time[place];
             scalar_t apart = travel(view, from, place) - before * speed(view, from, to);
             if (size_of(apart) > view->step + CLEAR * PMF_SCALAR(0.5) * path->most * before * after) {
@@ -339,9 +339,9 @@ PMF_SELDOM int turns_around(const pmf_view_t *view, const path_t *path)
 /* The motion continues with its last speed. */
 PMF_SELDOM void continue_motion(const pmf_view_t *view, pmf_verdict_t *verdict)
 {
-    scalar_t time = view->time[PAST] - view->time[PAST - 1U];
+    scalar_t time = view->time[PMF_PAST] - view->time[PMF_PAST - 1U];
     verdict->verdict = PMF_READING_WRONG;
-    verdict->count = view->count[PAST - 1U] + rounded(time * speed(view, PAST - 2U, PAST - 1U));
+    verdict->count = view->count[PMF_PAST - 1U] + rounded(time * speed(view, PMF_PAST - 2U, PMF_PAST - 1U));
 }
 
 /* Return the least acceleration just after the judged reading and its neighbour, or 0 if it changes its sign. */
@@ -349,7 +349,7 @@ PMF_SELDOM scalar_t lasting_acceleration(const pmf_view_t *view)
 {
     scalar_t least = ENDLESS, most = -ENDLESS;
     uint32_t i;
-    for (i = PAST + 2U; i <= PAST + 4U; ++i) {
+    for (i = PMF_PAST + 2U; i <= PMF_PAST + 4U; ++i) {
         scalar_t here = signed_acceleration(view, i - 1U, i, i, i + 1U);
         least = here < least ? here : least;
         most = larger(most, here);
@@ -360,15 +360,15 @@ PMF_SELDOM scalar_t lasting_acceleration(const pmf_view_t *view)
 int pmf_is_smooth(const pmf_view_t *view)
 {
     scalar_t past, ahead, here;
-    if (view->past < PAST || view->readings < PMF_VIEW || is_too_fast(view, PAST - 1U, PAST) != 0) {
+    if (view->past < PMF_PAST || view->readings < PMF_VIEW || is_too_fast(view, PMF_PAST - 1U, PMF_PAST) != 0) {
         return 0;
     }
-    past = roughness(view, 1U, PAST - 2U);
-    if (acceleration(view, PAST - 2U, PAST - 1U, PAST - 1U, PAST) <= past) {
+    past = roughness(view, 1U, PMF_PAST - 2U);
+    if (acceleration(view, PMF_PAST - 2U, PMF_PAST - 1U, PMF_PAST - 1U, PMF_PAST) <= past) {
         return 1;
     }
-    ahead = roughness(view, PAST + PMF_AHEAD - 3U, PAST + PMF_AHEAD - 1U);
-    here = roughness(view, PAST - 1U, PAST + 1U);
+    ahead = roughness(view, PMF_PAST + PMF_AHEAD - 3U, PMF_PAST + PMF_AHEAD - 1U);
+    here = roughness(view, PMF_PAST - 1U, PMF_PAST + 1U);
     return here <= FIRST * larger(past < ahead ? past : ahead, lasting_acceleration(view));
 }
 
@@ -377,8 +377,8 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
     pmf_verdict_t other;
     path_t best;
     verdict->verdict = PMF_READING_FITS;
-    verdict->count = view->count[PAST];
-    verdict->first = PAST;
+    verdict->count = view->count[PMF_PAST];
+    verdict->first = PMF_PAST;
     verdict->end = 0;
     verdict->unsure = 0U;
     if (view->past + view->readings <= LEAST) {
@@ -390,12 +390,12 @@ void pmf_judge(const pmf_view_t *view, pmf_verdict_t *verdict)
         follow_best(view, 0U, &best, verdict);
         verdict->unsure |= verdict->verdict == PMF_READING_FITS ? 1U : 0U;
     }
-    if (view->past >= 3U && best.most > WILD * roughness(view, PAST - view->past + 1U, PAST - 2U) &&
+    if (view->past >= 3U && best.most > WILD * roughness(view, PMF_PAST - view->past + 1U, PMF_PAST - 2U) &&
         turns_around(view, &best) != 0) {
         verdict->unsure = 1U;
         continue_motion(view, verdict);
     }
-    if (verdict->verdict == PMF_READING_FITS && view->past >= 2U && is_too_fast(view, PAST - 1U, PAST)) {
+    if (verdict->verdict == PMF_READING_FITS && view->past >= 2U && is_too_fast(view, PMF_PAST - 1U, PMF_PAST)) {
         continue_motion(view, verdict); /* no path is slow enough */
     }
 }

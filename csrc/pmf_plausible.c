@@ -7,7 +7,7 @@
  * write outside its memory, block the estimator, or hold NaN. */
 #include "pmf_internal.h"
 
-#define LARGEST PMF_EITHER(3.402823466e38, 1.7976931348623157e308)
+static const real_t LARGEST = PMF_EITHER(3.402823466e38, 1.7976931348623157e308);
 static const real_t MOST_COUNTS = PMF_R(1e15); /* limit of the tracker, far beyond a counter of 32 bits */
 #define REALS(member) \
     ((uint32_t)(sizeof(member) / (sizeof(real_t)))) /* number of reals in an array, or in a structure of reals */

@@ -52,7 +52,7 @@ PMF_INLINE void regularise(const pmf_recursion_config_t *config, pmf_recursion_s
     state->frozen = PMF_W(1);
     for (i = 0; i < p; ++i) {
         real_t now = information[i][i];
-        state->peak[i] = LARGER(now, state->peak[i]);
+        state->peak[i] = PMF_IF(now > state->peak[i], now, state->peak[i]);
         state->frozen &= PMF_BIT(PMF_NOT(now > FREEZE * config->regularization * state->peak[i]), 1U);
         information[i][i] = now + state->mass * config->regularization * state->peak[i];
     }

@@ -41,7 +41,7 @@ static real_t knots_from_first(const pmf_shape_t *shape, real_t at)
 
 static integer_t knot_before(const pmf_shape_t *shape, real_t x)
 {
-    integer_t i = PMF_TO_INTEGER(x), last = PMF_TO_INTEGER(PMF_ALIKE((scalar_t)shape->intervals)) - 1;
+    integer_t i = (integer_t)x, last = (integer_t)shape->intervals - 1;
     return PMF_IF(i < last, i, last);
 }
 
@@ -52,7 +52,7 @@ static real_t wave_value(const pmf_shape_t *shape, real_t at)
     real_t x = (at - shape->start) * shape->knots_per_unit, s;
     truth_t near = (x < MOST_PERIODS) & (x > -MOST_PERIODS);
     x = PMF_IF(near, x, PMF_R(0.0)); /* NaN counts as the start */
-    x -= PMF_TO_REAL(PMF_TO_INTEGER(x));
+    x -= PMF_TO_REAL((integer_t)x);
     x = PMF_IF(x > PMF_R(0.5), x - PMF_R(1.0), PMF_IF(x < PMF_R(-0.5), x + PMF_R(1.0), x));
     x = PMF_IF(x > PMF_R(0.25), PMF_R(0.5) - x, PMF_IF(x < PMF_R(-0.25), PMF_R(-0.5) - x, x));
     s = x * x;
@@ -68,8 +68,8 @@ static real_t value_in_table(const pmf_shapes_config_t *config, const pmf_shape_
     real_t x = knots_from_first(shape, at);
     integer_t i = knot_before(shape, x);
     const scalar_t *knot = &config->knot[shape->first];
-    real_t low = PMF_READ(knot, i);
-    return low + (x - PMF_TO_REAL(i)) * (PMF_READ(knot + 1, i) - low);
+    real_t low = knot[i];
+    return low + (x - PMF_TO_REAL(i)) * (knot[i + 1] - low);
 }
 
 static real_t shape_value(const pmf_shapes_config_t *config, const pmf_shape_t *shape, real_t at)
@@ -84,8 +84,8 @@ static real_t shape_integral(const pmf_shapes_config_t *config, const pmf_shape_
     integer_t i = knot_before(shape, x);
     const scalar_t *knot = &config->knot[shape->first];
     part = x - PMF_TO_REAL(i);
-    low = PMF_READ(knot, i);
-    return PMF_READ(&config->sum[shape->first], i) + part * (low + PMF_R(0.5) * part * (PMF_READ(knot + 1, i) - low)) +
+    low = knot[i];
+    return config->sum[shape->first + (uint32_t)i] + part * (low + PMF_R(0.5) * part * (knot[i + 1] - low)) +
            ((at - shape->start) * shape->knots_per_unit - x) * knot[shape->intervals];
 }
 

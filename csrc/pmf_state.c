@@ -92,9 +92,9 @@ uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_stat
     return PMF_LOADED;
 }
 
-#define SMALL PMF_EITHER(0x1p-13, 0x1p-28)
-#define LARGE PMF_EITHER(0x1p30, 0x1p60)
-#define LEAST_NORMAL PMF_EITHER(0x1p-126, 0x1p-1022)
+static const real_t SMALL = PMF_EITHER(0x1p-13, 0x1p-28);
+static const real_t LARGE = PMF_EITHER(0x1p30, 0x1p60);
+static const real_t LEAST_NORMAL = PMF_EITHER(0x1p-126, 0x1p-1022);
 
 /* The values are volatile, so that the target and not the compiler computes the results. */
 uint32_t pmf_arithmetic(void)

@@ -137,7 +137,7 @@ SLOW_TO_IMPORT = {
 
 COMPILER = shutil.which("cc")
 C_WARNINGS = ["-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion"]
-C_FLAGS = ["-std=c99", *C_WARNINGS, "-ffp-contract=off", "-fsyntax-only"]
+C_FLAGS = ["-std=c99", "-Wvla", *C_WARNINGS, "-ffp-contract=off", "-fsyntax-only"]
 
 
 # --- imports point down -----------------------------------------------------------------------------------------------

@@ -26,13 +26,13 @@ static const real_t STILL_HEARD = PMF_R(10.0); /* edges that the noise of the in
 static const real_t DOUBT =
     PMF_R(10.0); /* edges that show the instants' noise, at which variances are twice as large */
 static const real_t DRIFTING = PMF_R(8.0); /* edges over which such an innovation has grown */
-#define MOST_CHANGE 1000000 /* counts in a sample */
+static const int32_t MOST_CHANGE = 1000000; /* counts in a sample */
 static const real_t SETTLED =
     PMF_R(0.06); /* part of the squared errors of second order that a new reference may leave */
 static const real_t STRAIGHT = PMF_R(1.001);
 static const real_t EXACT = PMF_R(0.1); /* error of each parameter, relative to the best edge in counts: rounding */
 static const real_t CLOCK = PMF_R(1e-5); /* relative error of a time, or of a force: crystals are made to 20 ppm */
-#define MOST_MOVES (6U * STEADY) /* moves of the reference, of which a right model needs three to six */
+static const uint32_t MOST_MOVES = 6000U; /* moves of the reference, of which a right model needs three to six */
 static const real_t TURN_DOUBT = PMF_R(4.0); /* trend after reversals, from which on it widens the variances */
 static const real_t UNEVEN = PMF_R(6.4e-3); /* variance of the lines from which on the model is wrong [counts^2] */
 static const real_t LATEST = PMF_R(1e-4); /* time by which no capture of an edge is late: the input acts late [s] */
@@ -277,7 +277,7 @@ static uint32_t is_sound(const pmf_redge_config_t *config, const pmf_redge_state
 {
     real_t sum = state->place + state->velocity + state->spread + state->scatter;
     uint32_t i, sound = 1U;
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
         sum += state->change[i] + state->place_by[i] + state->velocity_by[i];
         sound &= i >= FIRST + config->parameters || state->covariance[i][i] > PMF_R(0.0) ? 1U : 0U;
     }

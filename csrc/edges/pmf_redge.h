@@ -13,8 +13,10 @@
 #ifndef PMF_BODY
 #define PMF_BODY 4 /* most parameters: mass, viscous friction, Coulomb friction, offset; an export has its own */
 #endif
-#define PMF_FOLLOWED (3 + PMF_BODY) /* place and velocity at the start of the window, lateness, and the body */
-#define PMF_MARKS 17 /* edges of one way that are kept for the start */
+enum pmf_edge_sizes {
+    PMF_EDGE_UNKNOWNS = 3 + PMF_BODY, /* place and velocity at the start of the window, lateness, and the body */
+    PMF_MARKS = 17 /* edges of one way that are kept for the start */
+};
 
 /* The fields of the configuration do not change. `lines` is the number of lines that repeat, 0 if none does. */
 typedef struct {
@@ -32,7 +34,7 @@ typedef struct {
 /* Running sums of one line: its error, and what the unknowns change. The place changes by as much as its unknown, so
  * by[0] is the weight of the sums. The caller owns `lines` of them. */
 typedef struct {
-    real_t sum, by[PMF_FOLLOWED];
+    real_t sum, by[PMF_EDGE_UNKNOWNS];
 } pmf_line_t;
 
 /* An edge of the present way: time [s], line, double integral of the input and integral of the place since its start.
@@ -56,11 +58,12 @@ typedef struct {
 typedef struct {
     real_t place, velocity; /* of the reference: counts beyond the line of the present count, counts/s */
     real_t place_rest, velocity_rest; /* what the last digits do not hold */
-    real_t place_by[PMF_FOLLOWED], velocity_by[PMF_FOLLOWED];
-    real_t stops_by[PMF_FOLLOWED]; /* half of the second derivatives of the place by the stops */
+    real_t place_by[PMF_EDGE_UNKNOWNS], velocity_by[PMF_EDGE_UNKNOWNS];
+    real_t stops_by[PMF_EDGE_UNKNOWNS]; /* half of the second derivatives of the place by the stops */
     real_t reference[PMF_BODY]; /* per count of position, as a force per count/s^2 and count/s */
-    real_t change[PMF_FOLLOWED], covariance[PMF_FOLLOWED][PMF_FOLLOWED]; /* parameters relative to the reference */
-    real_t opened[PMF_FOLLOWED]; /* variances at the start of the window */
+    real_t change[PMF_EDGE_UNKNOWNS],
+        covariance[PMF_EDGE_UNKNOWNS][PMF_EDGE_UNKNOWNS]; /* parameters relative to the reference */
+    real_t opened[PMF_EDGE_UNKNOWNS]; /* variances at the start of the window */
     real_t late; /* time by which all instants come late [s] */
     real_t drift; /* variance that the place gains per second, of a wrong model [counts^2/s] */
     real_t spread, scatter; /* variance of the lines [counts^2]; variance of the instants over that of a tick */

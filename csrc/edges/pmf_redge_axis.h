@@ -26,6 +26,5 @@ uint32_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, 
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
 /* Return the variance of an estimated parameter, PMF_UNKNOWN before the first estimate. */
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);
-#define PMF_UNKNOWN PMF_R(1e30)
 
 #endif

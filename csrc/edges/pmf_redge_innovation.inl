@@ -17,7 +17,8 @@ static const real_t SHRINK = PMF_R(0.95); /* of the drift, from edge to edge wit
 
 /* Innovation of an edge, and what it consists of. */
 typedef struct {
-    real_t value, variance, noise, instant, from_line, from_motion, regressor[PMF_FOLLOWED], gain[PMF_FOLLOWED];
+    real_t value, variance, noise, instant, from_line, from_motion, regressor[PMF_EDGE_UNKNOWNS],
+        gain[PMF_EDGE_UNKNOWNS];
 } pmf_edge_t;
 
 /* Return the squared error of the second order in the prediction of an edge, for parameters that may be off by their
@@ -28,7 +29,7 @@ static real_t second_order(const pmf_redge_state_t *state, real_t changed)
     uint32_t i;
     stops = state->stops_by[SPEED] *
             (changed * state->change[SPEED] * state->change[SPEED] + state->covariance[SPEED][SPEED]);
-    for (i = FIRST; i < PMF_FOLLOWED; ++i) {
+    for (i = FIRST; i < PMF_EDGE_UNKNOWNS; ++i) {
         real_t moved = changed * state->change[i] * state->change[i] + state->covariance[i][i];
         stops += state->stops_by[i] * moved;
         most = larger(most, moved * state->place_by[i] * state->place_by[i]);
@@ -44,19 +45,19 @@ static void compare(const pmf_redge_config_t *config, const pmf_redge_state_t *s
     real_t velocity = state->velocity + predict(state->velocity_by, state->change), weight;
     uint32_t i;
     edge->from_line = state->spread;
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
         edge->regressor[i] = state->place_by[i];
     }
     if (line != 0) {
         weight = line->by[PLACE] + state->scatter / state->spread;
         edge->from_line = state->scatter / weight;
-        for (i = 0; i < PMF_FOLLOWED; ++i) {
+        for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
             edge->regressor[i] -= line->by[i] / weight;
         }
         distance -= line->sum / weight;
     }
     edge->value = distance - predict(edge->regressor, state->change);
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
         edge->gain[i] = predict(state->covariance[i], edge->regressor);
     }
     edge->from_motion = predict(edge->gain, edge->regressor);
@@ -70,7 +71,7 @@ static void compare(const pmf_redge_config_t *config, const pmf_redge_state_t *s
 static void learn(const pmf_redge_config_t *config, pmf_redge_state_t *state, const pmf_edge_t *edge)
 {
     uint32_t i, j;
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
         real_t gain = edge->gain[i] / edge->variance, move = gain * edge->value;
         state->change[i] += move;
         if (i >= FIRST) {
@@ -103,8 +104,8 @@ static void scale_noise(pmf_redge_state_t *state, real_t ratio, real_t share)
     gain = larger(share / state->heard, share / INSTANTS);
     factor = PMF_R(1.0) + gain * (ratio - PMF_R(1.0));
     state->scatter = larger(before * factor, PMF_R(1.0));
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
-        for (j = 0; j < PMF_FOLLOWED; ++j) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
+        for (j = 0; j < PMF_EDGE_UNKNOWNS; ++j) {
             state->covariance[i][j] *= state->scatter / before;
         }
         state->opened[i] *= state->scatter / before;
@@ -122,7 +123,7 @@ static void learn_line(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     if (line != 0) {
         weight = state->scatter / edge->instant;
         line->sum += distance * weight;
-        for (i = 0; i < PMF_FOLLOWED; ++i) {
+        for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
             line->by[i] += state->place_by[i] * weight;
         }
         weight = line->by[PLACE] + state->scatter / state->spread;
@@ -154,15 +155,15 @@ static uint32_t is_forgotten(const pmf_redge_state_t *state, uint32_t i)
 static void forget(const pmf_redge_config_t *config, pmf_redge_state_t *state)
 {
     real_t time = smaller(state->since, WAIT * config->dt), growth;
-    uint32_t i, j, forgotten[PMF_FOLLOWED];
+    uint32_t i, j, forgotten[PMF_EDGE_UNKNOWNS];
     if (config->memory > PMF_R(0.0)) {
         growth = PMF_R(1.0) + time / config->memory;
-        for (i = 0; i < PMF_FOLLOWED; ++i) {
+        for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
             forgotten[i] = is_forgotten(state, i);
             state->opened[i] *= i == SPEED || forgotten[i] != 0U ? growth * growth : PMF_R(1.0);
         }
-        for (i = 0; i < PMF_FOLLOWED; ++i) {
-            for (j = 0; j < PMF_FOLLOWED; ++j) {
+        for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
+            for (j = 0; j < PMF_EDGE_UNKNOWNS; ++j) {
                 state->covariance[i][j] *= forgotten[i] != 0U && forgotten[j] != 0U ? growth : PMF_R(1.0);
             }
         }

@@ -4,7 +4,7 @@ static const uint32_t PLACE = 0U;
 static const uint32_t SPEED = 1U;
 static const uint32_t LATENESS = 2U; /* minus the time by which all instants come late */
 static const uint32_t FIRST = 3U; /* the parameters */
-#define CARRIED (PMF_FOLLOWED - 2) /* lateness and parameters, which go on in the next window */
+enum pmf_carried { CARRIED = PMF_EDGE_UNKNOWNS - 2 }; /* lateness and parameters, which go on in the next window */
 static const uint32_t MASS = 0U;
 static const uint32_t VISCOUS = 1U;
 static const uint32_t COULOMB = 2U;
@@ -123,7 +123,7 @@ static void move_piece(pmf_redge_state_t *state, real_t acceleration, real_t tim
     by_velocity[OFFSET] = -unit_of(at, OFFSET) / at[MASS] * once;
     by_place[OFFSET] = -unit_of(at, OFFSET) / at[MASS] * twice;
 #endif
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
         state->place_by[i] += once * state->velocity_by[i];
         state->velocity_by[i] *= decay.kept;
         if (i >= FIRST) {
@@ -144,7 +144,7 @@ static void stop_body(pmf_redge_state_t *state, real_t force, real_t way)
     uint32_t i;
     braking = absolute(force - way * state->reference[COULOMB]) / state->reference[MASS];
     state->velocity = state->velocity_rest = PMF_R(0.0);
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
         state->stops_by[i] +=
             PMF_R(0.5) * (PMF_R(1.0) - kept) * state->velocity_by[i] * state->velocity_by[i] / braking;
         state->velocity_by[i] *= kept;

@@ -19,7 +19,7 @@ static uint32_t are_sizes(const pmf_redge_state_t *state)
 {
     uint32_t i, fine = state->drift >= PMF_R(0.0) && state->spread >= PMF_R(0.0) ? 1U : 0U;
     fine &= state->scatter >= PMF_R(0.0) && state->heard >= PMF_R(0.0) && state->evidence >= PMF_R(0.0) ? 1U : 0U;
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
         fine &= state->covariance[i][i] >= PMF_R(0.0) && state->opened[i] >= PMF_R(0.0) ? 1U : 0U;
     }
     for (i = 0; i < PMF_BODY; ++i) {

@@ -21,7 +21,7 @@ static const real_t FRICTION =
 static const real_t LATE = PMF_R(5e-5); /* instants come late by about this time [s]; it is no alarm */
 static const uint32_t STEADY = 1000U; /* edges that make up for a move of the reference */
 static const uint32_t AGAIN = 400U; /* edges after an alarm in which another one means a wrong model */
-#define MOST_UNREST (8U * AGAIN)
+static const uint32_t MOST_UNREST = 3200U; /* eight times AGAIN */
 
 static real_t smaller(real_t a, real_t b)
 {
@@ -47,7 +47,7 @@ static real_t predict(const real_t *by, const real_t *change)
 {
     real_t sum = PMF_R(0.0);
     uint32_t i;
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
         sum += by[i] * change[i];
     }
     return sum;
@@ -58,7 +58,7 @@ static real_t variance_along(const pmf_redge_state_t *state, const real_t *by)
 {
     real_t sum = PMF_R(0.0);
     uint32_t i;
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
         sum += by[i] * predict(state->covariance[i], by);
     }
     return sum;
@@ -74,7 +74,7 @@ static void forget_lines(const pmf_redge_config_t *config, pmf_line_t *lines)
     uint32_t i, j;
     for (i = 0; i < config->lines; ++i) {
         lines[i].sum = PMF_R(0.0);
-        for (j = 0; j < PMF_FOLLOWED; ++j) {
+        for (j = 0; j < PMF_EDGE_UNKNOWNS; ++j) {
             lines[i].by[j] = PMF_R(0.0);
         }
     }
@@ -84,7 +84,7 @@ static void forget_lines(const pmf_redge_config_t *config, pmf_line_t *lines)
 static void begin_window(pmf_redge_state_t *state)
 {
     uint32_t i;
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
         state->change[i] = PMF_R(0.0);
         state->opened[i] = state->covariance[i][i];
         state->stops_by[i] = PMF_R(0.0);
@@ -117,8 +117,8 @@ static void give_up(pmf_redge_state_t *state)
 static void open_prior(const pmf_redge_config_t *config, pmf_redge_state_t *state, real_t velocity)
 {
     uint32_t i, j;
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
-        for (j = 0; j < PMF_FOLLOWED; ++j) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
+        for (j = 0; j < PMF_EDGE_UNKNOWNS; ++j) {
             state->covariance[i][j] = PMF_R(0.0);
         }
         state->covariance[i][i] = state->opened[i] = i < FIRST + config->parameters ? PRIOR : PMF_R(0.0);
@@ -207,7 +207,7 @@ static void admit_bend(pmf_redge_state_t *state)
 {
     real_t bend = SECOND * bend_of(state);
     uint32_t i;
-    for (i = FIRST; i < PMF_FOLLOWED; ++i) {
+    for (i = FIRST; i < PMF_EDGE_UNKNOWNS; ++i) {
         real_t error = bend * state->change[i];
         state->covariance[i][i] += error * error;
     }
@@ -241,10 +241,10 @@ static void move_reference(pmf_redge_state_t *state, real_t *ratio)
 /* End the window: its information on the parameters stays, and the reference moves to the estimate. */
 static void end_window(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines)
 {
-    real_t doubt = contradiction_of(config, state), with_velocity[PMF_FOLLOWED], ratio[CARRIED], own;
+    real_t doubt = contradiction_of(config, state), with_velocity[PMF_EDGE_UNKNOWNS], ratio[CARRIED], own;
     uint32_t i, j;
     admit_bend(state);
-    for (i = 0; i < PMF_FOLLOWED; ++i) {
+    for (i = 0; i < PMF_EDGE_UNKNOWNS; ++i) {
         with_velocity[i] = predict(state->covariance[i], state->velocity_by);
     }
     own = predict(with_velocity, state->velocity_by);

@@ -3,8 +3,8 @@
 #include <math.h>
 #include <string.h>
 
-#define MOST_PARTS 10000 /* of an interval */
-#define MOST_TURNS 16 /* stops within a part, after which the mass rests until the part ends */
+enum { MOST_PARTS = 10000 }; /* of an interval */
+enum { MOST_TURNS = 16 }; /* stops within a part, after which the mass rests until the part ends */
 
 /* (1 - exp(-z)) / z, (z - 1 + exp(-z)) / z^2 and their derivatives. */
 typedef struct {
@@ -93,7 +93,7 @@ static double sum_forces(const state *t, double v, double s, int i, double drive
 
 /* The controller ----------------------------------------------------------------------------------------------- */
 
-#define LEAST_DELAY 2e-5 /* [s] of a loop, so that its derivatives exist */
+static const double LEAST_DELAY = 2e-5; /* [s] of a loop, so that its derivatives exist */
 
 static double loop_delay(const state *t)
 {

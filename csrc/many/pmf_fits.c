@@ -5,7 +5,7 @@
  * available memory, whatever program filled the structure. An exported configuration has passed the check. */
 #include "pmf_many.h"
 
-#define NODES (PMF_SIGNALS + PMF_MAX_STAGES)
+enum { NODES = PMF_SIGNALS + PMF_MAX_STAGES };
 
 static uint32_t network_fits(const pmf_network_config_t *network)
 {

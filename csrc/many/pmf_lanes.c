@@ -6,17 +6,9 @@
 #ifndef PMF_LANE_BYTES
 #define PMF_LANE_BYTES 16
 #endif
-#ifdef PMF_FLOAT32
-#define PMF_LANES (PMF_LANE_BYTES / 4)
-#else
-#define PMF_LANES (PMF_LANE_BYTES / 8)
-#endif
+#define PMF_LANES (PMF_LANE_BYTES / (uint32_t)sizeof(scalar_t))
 
-#ifdef PMF_STRAIGHT
 #include "pmf_method.h"
-#else
-#define PMF_NETWORK_FILE "../pmf_network.c"
-#endif
 #include "../pmf_sizes.h"
 
 #include "../pmf_auxiliary.c"
@@ -29,7 +21,7 @@
 #include "../pmf_step.c"
 #include "../pmf_instrument.c"
 
-#define TILE 32U /* number of samples that are moved into lanes at a time */
+enum { TILE = 32 }; /* number of samples that are moved into lanes at a time */
 
 typedef scalar_t lane_real_t __attribute__((may_alias));
 typedef lane_whole_t lane_word_t __attribute__((may_alias));
@@ -210,7 +202,7 @@ static pmf_rows_t table_of(const void *start, uint64_t samples)
     return rows;
 }
 
-#define WIDTH (PMF_MAX_PARAMETERS * (1 + 2 * PMF_MAX_PARAMETERS))
+enum { WIDTH = PMF_MAX_PARAMETERS * (1 + 2 * PMF_MAX_PARAMETERS) };
 
 typedef int64_t sum_truth_t __attribute__((vector_size(PMF_LANES * 8)));
 

@@ -32,14 +32,12 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
 #define PMF_W(x) ((whole_t){0} + (x))
 /* All integers that become real fit 32 bits, for which processors have a conversion. */
 #define PMF_TO_REAL(x) __builtin_convertvector(__builtin_convertvector((x), narrow_t), real_t)
-#define PMF_TO_INTEGER(x) __builtin_convertvector(__builtin_convertvector((x), narrow_t), integer_t)
 
 #define PMF_TYPE(yes, no) __typeof__((yes) - (no))
 #define PMF_BITS(type, x) ((truth_t)((x) - (type){0}))
 #define PMF_IF(truth, yes, no) \
     ((PMF_TYPE(yes, no))((PMF_BITS(PMF_TYPE(yes, no), yes) & (truth)) | (PMF_BITS(PMF_TYPE(yes, no), no) & ~(truth))))
 #define PMF_SIZE(x) ((real_t)((truth_t)(x) & ~(truth_t)PMF_R(-0.0)))
-#define PMF_READ(table, index) pmf_read(table, index)
 #define PMF_WIDTH PMF_LANES
 /* Lanes have no separate functions, because a call would move their vectors to memory and back. */
 #define PMF_APART static inline __attribute__((always_inline))
@@ -79,22 +77,6 @@ static inline int pmf_any(truth_t truth)
         any |= truth[i];
     }
     return any != 0;
-#endif
-}
-
-/* Return an element of a table for each lane. */
-static inline __attribute__((unused)) real_t pmf_read(const scalar_t *table, integer_t index)
-{
-#if defined(__AVX512F__) && !defined(PMF_FLOAT32)
-    typedef long long index_t __attribute__((vector_size(PMF_LANE_BYTES)));
-    return __builtin_ia32_gatherdiv8df((real_t){0}, table, (index_t)index, (unsigned char)255, 8);
-#else
-    real_t found;
-    uint32_t i;
-    for (i = 0; i < PMF_LANES; ++i) {
-        found[i] = table[index[i]];
-    }
-    return found;
 #endif
 }
 

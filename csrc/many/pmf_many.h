@@ -8,9 +8,6 @@
 
 #include "../pmf_internal.h"
 
-/* A name and the number of bytes or the method for which code is compiled. */
-#define JOINED(name, kind) name##_##kind
-#define JOIN(name, kind) JOINED(name, kind)
 
 /* Ways to compute axes: one after the other, or in vectors of 16, 32 (AVX2) or 64 bytes (AVX-512). */
 enum { PMF_ONE_BY_ONE = 0, PMF_LANES_16, PMF_LANES_32, PMF_LANES_64, PMF_WAYS };
@@ -20,7 +17,7 @@ enum { PMF_ONE_BY_ONE = 0, PMF_LANES_16, PMF_LANES_32, PMF_LANES_64, PMF_WAYS };
 typedef struct {
     uint32_t offset, packed, lane;
 } pmf_word_t;
-#define PMF_MAX_WORDS 8192
+enum { PMF_MAX_WORDS = 8192 };
 
 /* The words in use, reals first. Values that each step computes again, or that the configuration does not use, are left
  * out. Python chooses the words, because it knows the fields. */

@@ -12,8 +12,10 @@
 extern "C" {
 #endif
 
-#define PMF_BLOCK_SAMPLES 1024U /* largest number of samples in a block */
-#define PMF_BLOCK_NAME 64U /* largest number of bytes in a name */
+enum pmf_block_limits {
+    PMF_BLOCK_SAMPLES = 1024, /* largest number of samples in a block */
+    PMF_BLOCK_NAME = 64 /* largest number of bytes in a name */
+};
 /* Size of a block in bytes, without and with the ages of edges. */
 #define PMF_BLOCK_SIZE(letters, samples) (44U + ((((uint32_t)(letters)) + 7U) & ~7U) + 8U * (uint32_t)(samples))
 #define PMF_BLOCK_EDGES_SIZE(letters, samples) (PMF_BLOCK_SIZE(letters, samples) + 4U * (uint32_t)(samples))

@@ -5,14 +5,14 @@ from libc.math cimport INFINITY, NAN, sqrt
 cdef extern from "edges/pmf_redge.h":
     enum:
         PMF_BODY
-        PMF_FOLLOWED
+        PMF_EDGE_UNKNOWNS
     ctypedef struct pmf_redge_config_t:
         real_t dt, resolution, input_gain, tick, memory, finest
         uint32_t lines, sign, parameters
     ctypedef struct pmf_line_t:
         real_t sum
     ctypedef struct pmf_redge_state_t:
-        real_t covariance[PMF_FOLLOWED][PMF_FOLLOWED]
+        real_t covariance[PMF_EDGE_UNKNOWNS][PMF_EDGE_UNKNOWNS]
         real_t theta[PMF_BODY]
         real_t variance[PMF_BODY]
         real_t innovation
@@ -107,7 +107,7 @@ cdef class EdgeKernel:
 
     cdef double _covariance(self, Py_ssize_t i, Py_ssize_t j) noexcept:
         """Return the covariance of two parameters, with their widened variances."""
-        cdef Py_ssize_t first = PMF_FOLLOWED - PMF_BODY
+        cdef Py_ssize_t first = PMF_EDGE_UNKNOWNS - PMF_BODY
         cdef double own = self.state.covariance[first + i][first + i], other = self.state.covariance[first + j][first + j]
         if i == j:
             return self.state.variance[i]

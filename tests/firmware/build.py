@@ -13,7 +13,7 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 REQUIRED = ("-std=c99", "-ffp-contract=off")
-WARNINGS = ("-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion")
+WARNINGS = ("-Wall", "-Wextra", "-Wvla", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion")
 SEMIHOSTING = "-semihosting-config"
 
 

@@ -161,7 +161,7 @@ def constants_in(text: str, known: Mapping[str, int]) -> dict[str, int]:
     for name, expression in re.findall(r"^#define (PMF_\w+) +(\S.*)$", text, re.MULTILINE):
         with suppress(ValueError):  # a macro of the arithmetic is not an integer
             constants.setdefault(name, value(expression, constants))
-    for body in re.findall(r"\benum \{(.*?)\}", text, re.DOTALL):
+    for body in re.findall(r"\benum (?:\w+ )?\{(.*?)\}", text, re.DOTALL):
         following = 0
         for entry in filter(None, (part.strip() for part in body.split(","))):
             name, _, expression = (part.strip() for part in entry.partition("="))
