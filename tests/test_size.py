@@ -21,7 +21,7 @@ MOST = {
     "lines of code in src": 39900,
     "lines of code in report and cli": 3750,
     "thresholds in src": 1095,
-    "lines of csrc": 8962,
+    "lines of csrc": 8960,
     "defines of csrc": 199,
     "conditionals of csrc": 112,
     "lines of tests": 40719,

@@ -18,26 +18,24 @@
 #define PREFILTERED(STAGE) STAGE(9, 33) STAGE(10, 34) STAGE(11, 33) STAGE(12, 36)
 #define INSTRUMENTS(COLUMN) COLUMN(4, 7, 35) COLUMN(5, 8, 37) COLUMN(6, 9, 31)
 
+/* clang-format off */
 #if METHOD == METHOD_rls
 #define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP) \
-    MEASURED(STAGE, DELAY)                     \
-    STAGE(9, 11) STAGE(10, 34) STAGE(11, 10) STAGE(12, 36) DIRECT(COLUMN, TAP) COLUMN(4, 7, 35) COLUMN(5, 8, 37)
+    MEASURED(STAGE, DELAY) STAGE(9, 11) STAGE(10, 34) STAGE(11, 10) STAGE(12, 36) \
+    DIRECT(COLUMN, TAP) COLUMN(4, 7, 35) COLUMN(5, 8, 37)
 #elif METHOD == METHOD_bcrls
-#define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP)                                                                        \
-    MEASURED(STAGE, DELAY)                                                                                            \
-    PREFILTERED(STAGE)                                                                                                \
-    STAGE(13, 11) STAGE(14, 38) STAGE(15, 10) STAGE(16, 40) DIRECT(COLUMN, TAP) INSTRUMENTS(COLUMN) COLUMN(7, 10, 39) \
-        COLUMN(8, 11, 41)
+#define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP) \
+    MEASURED(STAGE, DELAY) PREFILTERED(STAGE) STAGE(13, 11) STAGE(14, 38) STAGE(15, 10) STAGE(16, 40) \
+    DIRECT(COLUMN, TAP) INSTRUMENTS(COLUMN) COLUMN(7, 10, 39) COLUMN(8, 11, 41)
 #elif METHOD == METHOD_riv
-#define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP)                                                                       \
-    MEASURED(STAGE, DELAY)                                                                                           \
-    PREFILTERED(STAGE)                                                                                               \
-    STAGE(13, 10)                                                                                                    \
-    STAGE(14, 38) STAGE(15, 8) STAGE(16, 40) STAGE(17, 9) STAGE(18, 42) STAGE(19, 20) STAGE(20, 44)                  \
-        DIRECT(COLUMN, TAP) INSTRUMENTS(COLUMN) COLUMN(7, 10, 27) TAP(7, 11, 28) COLUMN(8, 12, 28) COLUMN(9, 13, 39) \
-            COLUMN(10, 14, 41) COLUMN(11, 15, 42) TAP(11, 16, 43) COLUMN(12, 17, 43) COLUMN(13, 18, 39)              \
-                COLUMN(14, 19, 28) COLUMN(15, 20, 43) COLUMN(16, 21, 45)
+#define PMF_NETWORK(STAGE, DELAY, COLUMN, TAP) \
+    MEASURED(STAGE, DELAY) PREFILTERED(STAGE) STAGE(13, 10) STAGE(14, 38) STAGE(15, 8) STAGE(16, 40) \
+    STAGE(17, 9) STAGE(18, 42) STAGE(19, 20) STAGE(20, 44) DIRECT(COLUMN, TAP) INSTRUMENTS(COLUMN) \
+    COLUMN(7, 10, 27) TAP(7, 11, 28) COLUMN(8, 12, 28) COLUMN(9, 13, 39) COLUMN(10, 14, 41) \
+    COLUMN(11, 15, 42) TAP(11, 16, 43) COLUMN(12, 17, 43) COLUMN(13, 18, 39) \
+    COLUMN(14, 19, 28) COLUMN(15, 20, 43) COLUMN(16, 21, 45)
 #endif
+/* clang-format on */
 #if METHOD == 0
 #define PMF_NETWORK_FILE "../pmf_network.c"
 #else
