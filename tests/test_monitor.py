@@ -238,6 +238,17 @@ def test_a_slow_change_is_one_alarm_with_a_rate(calibration: Calibration, name: 
     assert np.median(rates) == pytest.approx(3600 * total / seconds, rel=0.3)
 
 
+def test_a_slow_change_after_a_step_or_a_pause_is_another_alarm(calibration: Calibration) -> None:
+    def slow(begin: float, first: float) -> list[tuple[float, Any]]:
+        factors = [first * (1 + 0.0006 * k) for k in range(1, 101)]
+        return [(begin + 2.0 * k, replace(CART, mass=one * CART.mass)) for k, one in enumerate(factors, 1)]
+
+    step = 20.0, replace(CART, mass=1.1 * CART.mass)
+    events = run(calibration, Schedule(((0.0, CART), step, *slow(40.0, 1.1), *slow(600.0, 1.166))), Watch(), 820.0)
+    times = [event.time for event in events if isinstance(event, Alarm)]
+    assert np.searchsorted([40.0, 300.0], times).tolist() == [0, 1, 2]
+
+
 def test_within_the_tolerance_there_is_no_alarm(calibration: Calibration) -> None:
     small = Schedule(((0.0, CART), (10.0, replace(CART, mass=1.03 * CART.mass))))
     assert not [e for e in run(calibration, small, Watch(tolerance=0.05)) if isinstance(e, Alarm)]

@@ -252,12 +252,29 @@ class WatchedAxis:
         alarm, rest = self._make_alarm(cause), self._rest
         rest.refined[0] = 0  # the information since the suspicion counts for the new model
         rest.by_gain[0] = cause.names == (INPUT_GAIN,)
-        known, rest.cause[0] = rest.cause[0], crc32(f"{alarm.parameter} {alarm.change > 0}".encode())
-        slow = known == rest.cause[0] and self._is_slow()
+        goes_on = self._note_course(alarm, cause.deviation)
         way = cause.deviation / self._own.sigma[0] ** 2
-        rest.slow[0] = alarm.relative * way / (way @ cause.deviation) if slow else 0.0
+        rest.slow[0] = alarm.relative * way / (way @ cause.deviation) if goes_on else 0.0
         reason = f"measuring the new {' and '.join(cause.names)}"
-        return [*([] if slow else [alarm]), *self._enter(SETTLING, reason)]
+        return [*([] if goes_on else [alarm]), *self._enter(SETTLING, reason)]
+
+    def _note_course(self, alarm: Alarm, deviation: Floats) -> bool:
+        """Note whether a change is slow, and return whether it continues the slow change of the last alarm.
+
+        After a pause, the mean rate is much lower, and the change is another one. If the last alarm did not look slow,
+        its deviation must have grown before it for as long as this rate says.
+        """
+        own, rest = self._own, self._rest
+        slow, units, i = self._is_slow(), float(own.units[0]), int(np.argmax(np.abs(deviation / own.sigma[0])))
+        cause = crc32(f"{alarm.parameter} {alarm.change > 0}".encode())
+        rate = 3600 * alarm.relative / (self._time - float(rest.since[0]))
+        least = TUNING.axis_pace * abs(float(rest.rate[0]))
+        same = abs(rate) > least if least else float(rest.grown[0]) > TUNING.axis_pace * units / 2
+        goes_on = slow and cause == rest.cause[0] and same
+        total, square = own.line[0, :, i]
+        rest.grown[0] = units**2 * total * own.sigma[0, i] / (3 * square * deviation[i]) if square > 0 else 0.0
+        rest.cause[0], rest.rate[0] = cause, rate if slow else 0.0
+        return bool(goes_on)
 
     def _is_slow(self) -> bool:
         """Return whether a line since the reference explains the units better than a step among the last units."""

@@ -332,7 +332,8 @@ class Disturbed(RowArrays):
     input gain over the gain of the estimator. `by_gain` is true after an alarm on the input gain. `cause` identifies
     parameter and direction of the last alarm, or is 0. `since` is the time of the reference [s]. `slow` (n, p) times a
     change of the parameters is the relative change of the last alarm's cause, while this change goes on slowly;
-    otherwise `slow` is 0.
+    otherwise `slow` is 0. `rate` is the relative change per hour at the last alarm if it was slow, otherwise 0.
+    `grown` is the number of units that had the deviation of the last alarm before it, by the line.
     """
 
     units: Floats
@@ -348,6 +349,8 @@ class Disturbed(RowArrays):
     cause: NDArray[np.int64]
     since: Floats
     slow: Floats
+    rate: Floats
+    grown: Floats
 
     @classmethod
     def empty(cls, axes: int, p: int) -> Disturbed:
@@ -367,6 +370,8 @@ class Disturbed(RowArrays):
             np.zeros(axes, np.int64),
             np.zeros(axes),
             np.zeros((axes, p)),
+            np.zeros(axes),
+            np.zeros(axes),
         )
 
     def recent(self, axis: int, units: int) -> tuple[Floats, Floats]:

@@ -27,6 +27,8 @@ class MonitorTuning:
     most_information: float = 1.5
     #: Share of the earlier information that the estimator keeps at the first suspicion.
     axis_keep: float = 0.003
+    #: Part of the expected rate, or of the expected time of growth, from which a slow change goes on.
+    axis_pace: float = 0.5
 
     # edges
     #: Least number of tests that a false alarm comes in, and factor on standard errors of a doubtful estimate.
