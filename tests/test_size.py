@@ -17,16 +17,16 @@ NO_CODE = {
 }
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 67800,
-    "lines of code in src": 39900,
-    "lines of code in report and cli": 3750,
-    "thresholds in src": 1095,
+    "lines of src": 67120,
+    "lines of code in src": 39450,
+    "lines of code in report and cli": 3580,
+    "thresholds in src": 1045,
     "lines of csrc": 8960,
     "defines of csrc": 199,
     "conditionals of csrc": 112,
-    "lines of tests": 40719,
-    "match= in tests": 56,
-    "lines of studies": 10450,
+    "lines of tests": 40690,
+    "match= in tests": 54,
+    "lines of studies": 10410,
 }
 
 
