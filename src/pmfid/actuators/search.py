@@ -115,7 +115,8 @@ class ServoSearch(FitSearch):
     def __init__(self, task: ServoTask, problem: FitProblem, q: Floats, starts: Floats, search: bool) -> None:
         self.task = task
         lead = problem.machine.lead
-        bounds = max(problem.mass[0], q[lead] - TUNING.far), q[lead] + TUNING.far
+        load = problem.mass[0] - math.log(TUNING.least_armature)
+        bounds = max(problem.mass[0], q[lead] - TUNING.far), max(load, q[lead]) + TUNING.far
         self.plain = replace(problem, mass=bounds)
         self.columns = problem.stretches[0].drive.columns.shape[0]
         self.sizes = _sizes_of(task, problem, q, starts)
