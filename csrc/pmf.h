@@ -478,35 +478,36 @@ typedef struct {
 #endif
 } pmf_state_t;
 
+/* Begin at rest, without an estimate. In all functions a count is a reading of the counter, 0 to 2^32 - 1, of which
+ * only the lowest bits count, and the input has its unit of the configuration. */
 PMF_API void pmf_init(const pmf_config_t *config, pmf_state_t *state);
 /* Set the reading of the counter at the last sample. Estimate and filters stay. */
 void pmf_rebase(pmf_state_t *state, uint32_t count);
 /* Report lost samples before pmf_step() of the next sample, which reads `count`. Filters and model restart with the
- * motion after the gap. The sums of the estimate stay. A few lost samples are better replaced by straight lines and
- * stepped through.
- */
+ * motion after the gap. The sums of the estimate stay. Straight lines replace a few lost samples better. */
 void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count);
 /* Report that the last sample was a guess. The recursion skips `samples` samples, or more in slow motion, at most the
  * settling time. The filters continue. */
 void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples);
-/* Process one sample: `input` acts from the moment at which `count` is read. Returns the status bits. */
+/* Process one sample: `input` acts from the moment at which `count` is read. Returns the status bits, 0 to
+ * PMF_STATUS_BITS. An input that is NaN, or larger than 1e15 (float32) or 1e100, is flagged and replaced. */
 PMF_API whole_t pmf_step(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count);
 /* Set the time since the last sample [s] before pmf_step() if the configuration has a rate. The default of the step is
  * the sample period. A step that is not positive, or longer than 100 periods, is flagged as an invalid input. */
 void pmf_set_step(const pmf_config_t *config, pmf_state_t *state, real_t step);
-/* Write P of the estimate (n x n, row by row), with theta_cov = innovation variance times P. A borrowed estimate of
- * another parametrisation has only the diagonal. */
+/* Write P of the estimate to n x n numbers, row by row, n = pmf_parameters(). The covariance of theta is the innovation
+ * variance times P. A borrowed estimate of another parametrisation has only the diagonal. */
 void pmf_covariance_factor(const pmf_config_t *config, const pmf_state_t *state, real_t *p);
-/* Return the estimate of the last step. */
+/* Return the estimate of the last step: theta [unit of each parameter] and its statistics. */
 const pmf_estimate_t *pmf_estimate(const pmf_config_t *config, const pmf_state_t *state);
 /* Open the memory after a change of the plant. The information on one parameter, or on all with PMF_NO_PARAMETER, is
  * multiplied by root^2, 0 < root <= 1. Estimate, filters and auxiliary model stay. The inflation of standard errors
  * restarts, also with root = 1. */
 void pmf_open(const pmf_config_t *config, pmf_state_t *state, uint32_t parameter, real_t root);
-/* Return the variance of an estimated parameter, corrected for coloured innovations. Before the first estimate the
- * variance is PMF_UNKNOWN. */
+/* Return the variance of parameter 0 to pmf_parameters() - 1 [squared unit], corrected for coloured innovations, from 0
+ * to PMF_UNKNOWN, which stands for no estimate. */
 real_t pmf_variance(const pmf_config_t *config, const pmf_state_t *state, uint32_t parameter);
-/* Return the number of parameters of the estimate. */
+/* Return the number of parameters of the estimate, 1 to PMF_MAX_PARAMETERS. */
 PMF_API uint32_t pmf_parameters(const pmf_config_t *config);
 #endif
 
@@ -525,23 +526,23 @@ typedef struct {
 
 enum { PMF_LOADED = 0, PMF_NOT_A_STATE, PMF_DAMAGED_STATE, PMF_OTHER_VERSION, PMF_OTHER_CONFIG, PMF_IMPLAUSIBLE_STATE };
 
+/* Write a state with its identity and checksum. */
 void pmf_save(const pmf_config_t *config, const pmf_state_t *state, pmf_saved_t *saved);
 /* Load a saved state. Returns PMF_LOADED, or the reason of a failure, which leaves the state unchanged. */
 uint32_t pmf_load(const pmf_config_t *config, const pmf_saved_t *saved, pmf_state_t *state);
 /* Return 1 if the numbers can be a state, 0 if no sample could have made them, whatever their checksum. */
 uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state);
-/* Return the CRC-32 of ISO 3309 (Ethernet, zlib); `crc` is the CRC of the preceding data, 0 at the start. */
+/* Return the CRC-32 of ISO 3309 (Ethernet, zlib) of `size` bytes after data with the CRC `crc`, 0 at the start. */
 uint32_t pmf_crc32(uint32_t crc, const void *data, uint32_t size);
 
-/* An alarm on a parameter of the estimate, after every step. The sums of the alarm are not part of the state. Clear the
- * sums at the start.
+/* An alarm on a parameter of the estimate, after every step. Its sums are not part of the state. Clear them at first.
  */
 typedef struct {
-    uint32_t parameter;
+    uint32_t parameter; /* 0 to pmf_parameters() - 1 */
     uint32_t interval; /* samples between two estimates that count */
-    real_t nominal;
-    real_t shift; /* size of the change to be noticed, > 0 */
-    real_t threshold; /* threshold of the logarithm of the likelihood ratio */
+    real_t nominal; /* value in normal work [unit of the parameter] */
+    real_t shift; /* size of the change to be noticed, > 0 [unit of the parameter] */
+    real_t threshold; /* threshold of the logarithm of the likelihood ratio, > 0 */
 } pmf_alarm_config_t;
 
 typedef struct {
@@ -555,9 +556,10 @@ int32_t pmf_alarm_step(const pmf_alarm_config_t *alarm, pmf_alarm_state_t *sums,
 
 /* Effects of compiler options on this build's arithmetic, as bits. With 0 the results have the bits of Python. */
 enum { PMF_CONTRACTED = 1, PMF_REARRANGED = 2, PMF_NO_NAN = 4, PMF_FLUSHED = 8 };
+/* Return these bits. */
 uint32_t pmf_arithmetic(void);
 
-/* Clear memory byte by byte, so that padding is zero and two states can be compared. */
+/* Clear `size` bytes of memory one by one, so that padding is zero and two states can be compared. */
 PMF_API void pmf_clear(void *memory, uint32_t size);
 
 #ifdef __cplusplus

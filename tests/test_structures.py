@@ -8,7 +8,7 @@ import pytest
 
 from pmfid.estimators.auxiliary import FOLLOWED
 from pmfid.estimators.recursive import LOOK
-from pmfid.kernel.structures import constants_of, header, structures, value, whole_words
+from pmfid.kernel.structures import constants_of, header, source_folder, structures, value, whole_words
 from tests.refusals import refused
 
 
@@ -79,3 +79,10 @@ def test_firmware_needs_none_of_the_inner_names() -> None:
     assert re.findall(r'#include "(.*?)"', header("pmf.h")) == ["pmf_sizes.h", "many/pmf_lanes.h", "pmf_redge_axis.h"]
     assert "pmf_recursion_step" not in header("pmf.h")
     assert "pmf_recursion_step" in header("pmf_internal.h")
+
+
+def test_every_function_of_the_interface_has_a_comment() -> None:
+    text = (source_folder() / "pmf.h").read_text(encoding="ascii")
+    functions = list(re.finditer(r"^(?:PMF_API )?(?:const )?\w+ \*?(pmf_\w+)\(", text, re.MULTILINE))
+    assert len(functions) > 10
+    assert [found[1] for found in functions if not text[: found.start()].rstrip().endswith("*/")] == []

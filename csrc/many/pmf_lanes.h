@@ -22,6 +22,7 @@ typedef lane_whole_t whole_t __attribute__((vector_size(PMF_LANE_BYTES)));
 typedef lane_integer_t integer_t __attribute__((vector_size(PMF_LANE_BYTES)));
 typedef integer_t truth_t;
 typedef truth_t word_t __attribute__((may_alias)); /* any vector of a structure */
+typedef long long words_t __attribute__((vector_size(PMF_LANE_BYTES)));
 typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
 
 #define PMF_API static __attribute__((unused))
@@ -60,16 +61,10 @@ typedef int32_t narrow_t __attribute__((vector_size(PMF_LANES * 4)));
  * but reading it would take a fifth of the compiler's time. */
 static inline int pmf_any(truth_t truth)
 {
-#if defined(__SSE4_1__)
-    typedef long long words_t __attribute__((vector_size(PMF_LANE_BYTES)));
-    words_t words = (words_t)truth;
-#endif
 #if defined(__AVX512F__)
-    return __builtin_ia32_cmpq512_mask(words, (words_t){0}, 4 /* not equal */, 255) != 0;
+    return __builtin_ia32_cmpq512_mask((words_t)truth, (words_t){0}, 4 /* not equal */, 255) != 0;
 #elif defined(__AVX2__)
-    return !__builtin_ia32_ptestz256(words, words);
-#elif defined(__SSE4_1__)
-    return !__builtin_ia32_ptestz128(words, words);
+    return !__builtin_ia32_ptestz256((words_t)truth, (words_t)truth);
 #else
     lane_integer_t any = 0;
     uint32_t i;
