@@ -106,7 +106,8 @@ def follow(
     number. It ends where the first fit costs more than a `bound`.
 
     Parts with start states of their own (Bock 1983) keep wrong parameters near the record.
-    Raises NotIdentifiableError if there is a bound, and even the parts leave more than a count.
+    Raises NotIdentifiableError if there is a bound, and even the parts leave more than a count. A few guesses, which
+    may be far away, still follow the whole stretch.
     """
     (length, most), enough = parts, TUNING.rounded * plain.rows
     problem = plain.cut(count_parts(plain, length))
@@ -115,7 +116,7 @@ def follow(
     ends = sorted((solve(problem, like, q, first, prior, 4, 0.1) for q in points), key=lambda end: end.cost)
     ends = [settle(problem, end.q, end.starts, prior, 12) for end in ends[: TUNING.kept]]
     ends, best = sorted(ends, key=lambda end: end.cost), None
-    if ends[0].cost > problem.rows and math.isfinite(bound):  # a whole count even where each part has its own start
+    if ends[0].cost > problem.rows and len(points) > TUNING.followed and math.isfinite(bound):
         raise NotIdentifiableError("two masses do not follow")
     for end in ends[:2]:
         tried = join(plain, problem, end, length, prior)

@@ -114,7 +114,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
     if result.coupling is not None:
         result = result.with_findings(*make_notes("coupling", result.coupling.lines))
     if known is None:
-        _check_mass(result)
+        _check_mass(result, record.rotary)
         return result
     return put_together(result, known, axis, known.combine(fit, spread))
 
@@ -182,10 +182,12 @@ def _matter(fitted: Fitted, names: tuple[str, ...], size: Floats, tolerance: flo
     return Matter(names[worst], float(part[worst]), beyond)
 
 
-def _check_mass(result: DriveResult) -> None:
+def _check_mass(result: DriveResult, rotary: bool) -> None:
     leading = result.estimator.equation.leading
     mass, std = result.theta[leading], result.theta_std[leading]
     if not std < mass:
+        if result.second is not None:
+            raise SecondMassError(result.second, rotary)
         raise NotIdentifiableError(
             f"{result.names[leading]} comes out as {mass:.3g} with a standard deviation of {std:.2g}. Advice: {MOVE}"
         )
