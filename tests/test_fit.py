@@ -15,7 +15,7 @@ from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian, interval_terms
 from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import FitProblem, ResidualBlock
-from pmfid.fit.solve import solve
+from pmfid.fit.solve import inverse, solve
 from pmfid.types import Floats
 from studies.referee.cases import Case, make_cases
 from studies.referee.judge import identify
@@ -274,3 +274,9 @@ def test_a_second_mass_widens_the_interval() -> None:
 def test_an_axis_at_rest_is_refused() -> None:
     method = MotionFit(pmfid.Drive(1.0), pmfid.Encoder(1e-4), 0.01, 20.0)
     refused(("does not move", lambda: method.fit(INPUT, np.zeros(STEPS, np.int64))), kind=pmfid.NotIdentifiableError)
+
+
+def test_a_motion_beyond_the_range_of_numbers_is_refused() -> None:
+    """A clipped counter once ended with eigenvalues that did not converge."""
+    lost = np.full((2, 2), np.nan)
+    refused(("exceeds the range of numbers", lambda: inverse(lost)), kind=pmfid.NotIdentifiableError)

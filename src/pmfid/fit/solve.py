@@ -8,6 +8,8 @@ from typing import Protocol
 
 import numpy as np
 
+from pmfid.errors import NotIdentifiableError
+from pmfid.findings import MOVE
 from pmfid.fit.problem import FitProblem, ResidualBlock
 from pmfid.types import Floats
 
@@ -149,8 +151,13 @@ def find_step(A: Floats, g: Floats, damping: float) -> Floats:
 
 
 def inverse(A: Floats) -> Floats:
-    """Return the inverse of an information matrix, with a large variance where it has no information."""
+    """Return the inverse of an information matrix, with a large variance where it has no information.
+
+    Raises NotIdentifiableError for a matrix of a motion beyond the range of numbers.
+    """
     scaled, size = scale_matrix(A)
+    if not np.all(np.isfinite(scaled)):
+        raise NotIdentifiableError(f"the motion of the model exceeds the range of numbers; {MOVE}")
     values, vectors = np.linalg.eigh(scaled)
     scaled = (vectors / np.maximum(values, 1e-12)) @ vectors.T
     return np.asarray(scaled / np.outer(size, size))

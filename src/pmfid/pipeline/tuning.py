@@ -159,10 +159,8 @@ class PipelineTuning:
     #: of the input unexplained than noise does, so that the power of the rows counts for no more than two rows.
     pairs_motion: float = 2.0
     pairs_least: float = 0.02
-    #: Weights of a relation that no input and output have, and of a joint that seems to move against its torque because
-    #: other joints drive it.
+    #: Weight of a relation that no input and output have.
     pairs_relation: float = 10.0
-    pairs_turned: float = 1.4
     #: Difference of scores beyond which another pair does not matter. `pairs_sure` is the probability from which on a
     #: pair is written without a doubt, and `pairs_explained` the smallest explained part.
     pairs_negligible: float = 6.0
@@ -173,17 +171,13 @@ class PipelineTuning:
     #: Smallest travel of a joint, relative to the largest travel of any joint.
     least_travel: float = 0.05
     #: Greatest ratio of the part of the input that a pendulum leaves unexplained to the part that a plain drive leaves.
-    #: `hanging_likely` is the smallest gravity in standard deviations. A pendulum without gravity costs little, because
-    #: its gravity is then estimated as zero.
+    #: A pendulum without gravity costs little, because its gravity is then estimated as zero.
     hanging_better: float = 0.8
-    hanging_likely: float = 2.5
     #: Largest travel of a pendulum whose angle has no unit [rad]. A column with a larger travel is not the angle of a
     #: pendulum.
     most_turned: float = 1000.0
     #: Smallest mass of a reading in standard deviations.
     columns_significant: float = 4.5
-    #: Factor that increases the unexplained part for a reading that contradicts the column's name.
-    columns_against: float = 3.0
 
     # guess.relations
     #: Largest difference of two sensors of one quantity, relative to their standard deviation.

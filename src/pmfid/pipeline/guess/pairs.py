@@ -219,7 +219,7 @@ def _try_pair(columns: Mapping[str, Floats], u: str, y: str, dt: float) -> Pair 
     left, gravity = _cost(view), False
     if kind != "velocity" and (hanging := _view_pendulum(columns[u], columns[y], unit, dt, view.unexplained)):
         left, gravity = hanging.unexplained if role in MOTION else _cost(hanging), True
-    load = view.shows_load(TUNING.hanging_better, TUNING.hanging_likely) and not gravity
+    load = view.shows_load(TUNING.hanging_better, TUNING.readings_likely) and not gravity
     kind = kind if kind == "velocity" else _whole(y, columns[y], kind)
     pair = Pair(u, y, kind, is_turned(view), max(0.0, 1 - left), gravity=gravity, load=load, against=against)
     return _weigh(pair, left)
@@ -229,7 +229,6 @@ def _weigh(pair: Pair, left: float) -> Pair:
     """Return a pair with the evidence of its motion, where `left` is the part of the input that is not explained."""
     score = -TUNING.pairs_motion * float(np.log(max(left, TUNING.pairs_least)))
     score -= TUNING.pairs_relation * bool(pair.against)
-    score -= TUNING.pairs_turned * (pair.turned and bool(number_of(pair.input)))
     return replace(pair, score=score)
 
 
@@ -242,12 +241,8 @@ def _pure_mass(view: View) -> str:
 
 
 def _cost_of_kind(role: Role, kind: str, view: View) -> float:
-    """Return the unexplained part of a reading. A reading that contradicts the column's name must explain far more,
-    and the mass of one that agrees with the name need not be significant.
-    """
-    if kind == role:
-        return view.unexplained
-    return _cost(view) * (TUNING.columns_against if role else 1.0)
+    """Return the unexplained part of a reading. The mass of one that agrees with the name need not be significant."""
+    return view.unexplained if kind == role else _cost(view)
 
 
 def _view_pendulum(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> View | None:
@@ -268,9 +263,7 @@ def _view_pendulum(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: fl
     hanging, sprung = (best_view(u[part], counts[part], encoder, dt, model=form) for form in forms)
     if hanging is None or hanging.unexplained > TUNING.hanging_better * plain:
         return None
-    sure = max(abs(hanging.sure(row)) for row in np.eye(hanging.theta.size)[-2:])
-    better = sprung is None or hanging.unexplained < sprung.unexplained
-    return hanging if sure > TUNING.hanging_likely and better else None
+    return hanging if sprung is None or hanging.unexplained < sprung.unexplained else None
 
 
 def _kinds(evidence: NameEvidence, unit: Unit | None) -> tuple[str, ...]:
