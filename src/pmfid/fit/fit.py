@@ -98,12 +98,12 @@ def fit(problem: FitProblem) -> Fitted:
 
 
 def _fit_once(problem: FitProblem) -> Fitted:
-    return _finish(*_begin(problem))
+    return _finish(*_begin(problem, whole=True))
 
 
-def _begin(problem: FitProblem) -> tuple[FitSearch, Intervals | None]:
+def _begin(problem: FitProblem, whole: bool = False) -> tuple[FitSearch, Intervals | None]:
     search = FitSearch(problem)
-    return search, begin(search)
+    return search, begin(search, whole)
 
 
 def _finish(search: FitSearch, likelihood: Intervals | None) -> Fitted:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,10 @@ SHARES: dict[tuple[str, int], dict[int, float]] = {
 }
 
 
+#: Forces of the position, and those whose sign is that of the velocity in addition.
+AT_POSITION, RUBS = ("spring", "wave", "place"), ("rub", "rub_place")
+
+
 @dataclass(frozen=True, eq=False)
 class BodyForce:
     """A force of given form: one of `KINDS`, with the constants p and q, a table, or the number of a column. A free
@@ -45,6 +49,18 @@ class BodyForce:
     column: int = 0
     free: bool = False
     load: bool = False
+
+    def hold(self, column: int) -> BodyForce:
+        """Return the force as a column of the record, with its values at the measured positions."""
+        return replace(self, kind="column" if self.kind in AT_POSITION else "column_friction", column=column)
+
+    def at(self, x: Floats) -> Floats:
+        """Return a force of the position at x (n,), in one direction of motion."""
+        if self.kind == "spring":
+            return x - self.q
+        if self.kind in ("wave", "rub"):
+            return np.asarray(np.sin(2 * np.pi / self.p * x + self.q))
+        return np.interp(x, self.p + self.q * np.arange(self.table.size), self.table)
 
     def pack(self) -> tuple[int, int, bool, Floats, float, float, bool]:
         return KINDS[self.kind], self.column, self.free, self.table, self.p, self.q, self.load

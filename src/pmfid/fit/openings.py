@@ -6,10 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pmfid.fit.likelihood import Intervals
+from pmfid.errors import NotIdentifiableError
+from pmfid.fit.likelihood import ROUNDING, Intervals
 from pmfid.fit.machine import OFFSET
 from pmfid.fit.problem import PARTS
-from pmfid.fit.search import EXPLAINED, GAIN, SPEEDS, TRIES, WITHIN, FitSearch, mean_square, narrow_most
+from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, SPEEDS, TRIES, WITHIN, FitSearch, mean_square, narrow_most
 
 #: Steps of least squares with a set of forces. The set that is kept has more of them.
 STEPS = 12
@@ -19,18 +20,40 @@ LIKELY = 3
 
 @dataclass(frozen=True, eq=False)
 class Opening:
-    """The end of least squares with a set of forces: cost by Schwarz (1978), set, and the state of the search."""
+    """The end of least squares with a set of forces, and the state of the search.
+
+    `cost` is minus the log likelihood, and `held` that with forces at the measured positions. Below `rounding`, a motion
+    is near rounding.
+    """
 
     cost: float
+    held: float
+    rounding: float
+    rows: int
     chosen: list[int]
     state: dict[str, object]
+
+    @property
+    def order(self) -> float:
+        """The cost by Schwarz (1978), with forces at the measured positions if that is lower."""
+        return self.rows * math.log(min(self.cost, self.held)) + len(self.chosen) * math.log(self.rows)
+
+    @property
+    def lost(self) -> bool:
+        """Whether forces of the position push the motion away, and none does at the measured positions."""
+        return self.held < self.cost and self.cost > self.rounding
+
+    @property
+    def near(self) -> bool:
+        """Whether the motion with forces at the measured positions is near rounding."""
+        return self.held < self.rounding
 
     def enter(self, search: FitSearch) -> None:
         """Return the search to this state."""
         search.return_to(self.state)
 
 
-def begin(search: FitSearch) -> Intervals | None:
+def begin(search: FitSearch, whole: bool = False) -> Intervals | None:
     """Solve from the blind start without a further force, and with each force of the table, and keep the best end.
 
     Steps from the plain motion do not show a force that bends the motion far. Where an end is near rounding, further
@@ -38,16 +61,20 @@ def begin(search: FitSearch) -> Intervals | None:
     that of the lowest cost.
 
     Returns the likelihood of the intervals if a motion explains every count.
+
+    Raises NotIdentifiableError if forces of the position push a motion away from a `whole` record.
     """
     free = any(force.free for force in search.plain.machine.forces)
     plain = []
     for share in SPEEDS if free else SPEEDS[:1]:
         search.restart((), share)
         plain.append((_end(search, 3 * STEPS), share))
-    best, share = min(plain, key=lambda pair: pair[0].cost)
+    best, share = min(plain, key=lambda pair: pair[0].order)
+    _check_lost(best, whole and best.near)
     for end in (best, *(end for end, _ in plain if end is not best)):
         end.enter(search)
-        search.refine()
+        if not end.lost:
+            search.refine()
         likelihood = search.explain(TRIES if end is best else 0)
         if likelihood is not None:
             return likelihood
@@ -58,8 +85,9 @@ def begin(search: FitSearch) -> Intervals | None:
     ends = [best]
     for chosen in list_openings(search):
         search.restart(chosen, share)
-        ends.append(_end(search))
+        ends.append(_end(search, held=best.lost))
     leaders = _lead(search, ends)
+    _check_lost(leaders[0], whole)
     best = _find_constants(search, leaders[0])
     likelihood = _explain_any(search, [best, *leaders[1:]])
     if likelihood is None and (shorter := _forget_input(search, best)) is not best:
@@ -85,28 +113,39 @@ def list_openings(search: FitSearch) -> list[tuple[int, ...]]:
     return [one for one in ((*loads, *springs), *paired, *alone) if one]
 
 
-def _end(search: FitSearch, steps: int = STEPS) -> Opening:
-    """Return the end of least squares. Forces are held over at least half of an interval, which saves time."""
+def _end(search: FitSearch, steps: int = STEPS, held: bool = False) -> Opening:
+    """Return the end of least squares. Forces are held over at least half of an interval, which saves time. Only
+    `held`, forces of the position stay at the measured positions."""
     fine = search.problem
     search.problem = replace(fine, parts=min(PARTS, fine.parts))
-    cost = search.solve(search.noise, steps).cost
+    at_measured = search.approach(steps)
+    cost = at_measured if held and math.isfinite(at_measured) else search.solve(search.noise, steps).cost
     search.problem = fine
-    return _open(search, cost)
+    return _open(search, cost, at_measured)
 
 
-def _open(search: FitSearch, cost: float) -> Opening:
+def _check_lost(end: Opening, whole: bool) -> None:
+    """Raise NotIdentifiableError if forces of the position push the motion away from a `whole` record."""
+    if whole and end.lost:
+        raise NotIdentifiableError(f"forces of the position push the motion away from the record; {FOLLOW}")
+
+
+def _open(search: FitSearch, cost: float, held: float = math.inf) -> Opening:
     rows = search.plain.rows
-    return Opening(rows * math.log(cost) + len(search.chosen) * math.log(rows), search.chosen, search.remember())
+    return Opening(cost, held, rows * WITHIN / (2 * ROUNDING), rows, search.chosen, search.remember())
 
 
 def _lead(search: FitSearch, ends: Sequence[Opening]) -> list[Opening]:
     """Return the likeliest ends by their costs, after more steps of a motion that is as fine as needed."""
     leaders = []
-    for end in sorted(ends, key=lambda end: end.cost)[:LIKELY]:
+    for end in sorted(ends, key=lambda end: end.order)[:LIKELY]:
         end.enter(search)
-        search.refine()
-        leaders.append(_open(search, search.solve(search.noise, STEPS).cost))
-    return sorted(leaders, key=lambda end: end.cost)
+        after = _open(search, search.solve(search.noise, STEPS).cost, end.held)
+        if not after.lost:
+            search.refine()
+            after = _open(search, search.solve(search.noise, STEPS).cost)
+        leaders.append(after)
+    return sorted(leaders, key=lambda end: end.order)
 
 
 def _forget_input(search: FitSearch, end: Opening) -> Opening:
@@ -121,8 +160,8 @@ def _find_constants(search: FitSearch, end: Opening) -> Opening:
         end.enter(search)
         search.move_constants()
         before, end = end, _end(search)
-        if end.cost > before.cost - GAIN:
-            return min(before, end, key=lambda one: one.cost)
+        if end.order > before.order - GAIN:
+            return min(before, end, key=lambda one: one.order)
     return end
 
 

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.fit.machine import LAGGING, MASS, BodyForce, BodyModel, Excitation, simulate
+from pmfid.fit.machine import AT_POSITION, LAGGING, MASS, RUBS, BodyForce, BodyModel, Excitation, simulate
 from pmfid.fit.terms import ExtraForce
 from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.types import Flags, Floats
@@ -195,6 +195,24 @@ class FitProblem:
 
     def with_candidates(self, candidates: Sequence[ExtraForce]) -> FitProblem:
         return replace(self, candidates=tuple(candidates))
+
+    def hold(self) -> FitProblem:
+        """Return the problem with forces of the position at the measured positions. An error of the motion does not
+        change such a force, so that the search ends near the optimum from far away."""
+        own = [force for force in self.machine.forces if force.kind in (*AT_POSITION, *RUBS)]
+        further = [one.force for one in self.candidates if one.force is not None and not (one.free or one.tied)]
+        forces = [*own, *(force for force in further if force.kind in (*AT_POSITION, *RUBS))]
+        if not forces or self.machine.elastic:
+            return self
+        first = self.stretches[0].drive.columns.shape[0]
+        held = {id(force): force.hold(first + k) for k, force in enumerate(forces)}
+        stretches = [one.with_columns(np.array([force.at(one.middles) for force in forces])) for one in self.stretches]
+        return replace(
+            self,
+            machine=replace(self.machine, forces=tuple(held.get(id(force), force) for force in self.machine.forces)),
+            candidates=tuple(replace(one, force=held.get(id(one.force), one.force)) for one in self.candidates),
+            stretches=tuple(stretches),
+        )
 
     def clip_to_bounds(self, q: Floats) -> Floats:
         """Return q (p,) within the bounds of the parameters."""

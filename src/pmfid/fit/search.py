@@ -215,6 +215,15 @@ class FitSearch:
         self.q, self.starts, self.solution = optimum.q, optimum.starts, optimum
         return optimum
 
+    def approach(self, steps: int) -> float:
+        """Solve with forces of the position at the measured positions, and return the cost; infinite without any."""
+        held = self.problem.hold()
+        if held is self.problem:
+            return math.inf
+        optimum = solve(held, self.noise, self.q, self.starts, self.prior(held), steps, GAIN)
+        self.q, self.starts = optimum.q, optimum.starts
+        return optimum.cost
+
     def refine(self) -> None:
         """Double the parts of an interval until the error of the simulated motion moves no parameter by much of its
         standard error."""
