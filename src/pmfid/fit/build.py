@@ -55,14 +55,18 @@ def build(search: FitSearch) -> Gaussian | Intervals:
     """
     kinds, seen = settle_either(search), list[list[int]]()
     for _ in range(0 if search.reaches_bound(search.q) else MOST_STEPS):
+        local = search.local(search.noise)
+        step = local.best_step(search.chosen, range(len(search.table)))
+        least = 0.0 if step is None else local.evidence(step)[0] - local.evidence(search.chosen)[0]
+        # a wave gains less and less after forces that mimic it, and a search costs as much as several steps
+        waved = step is None or not seen
         seen.append(sorted(search.chosen))
-        step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
         if step in seen:
             break
-        if step is not None:
+        if not (waved and _add_wave(search, least)):
+            if step is None:
+                break
             search.choose_best(_alternatives(search, step))
-        elif not (search.waves and search.noise.wanders and len(search.chosen) < MOST and _add_wave(search)):
-            break
         search.solve(search.noise)
         search.refine()
         explained = search.explain(tries=0)
@@ -148,13 +152,16 @@ def _follows(search: FitSearch) -> bool:
     return is_near_rounding(search)
 
 
-def _add_wave(search: FitSearch) -> bool:
-    """Add the effect with a period along the travel that fits best in the present noise, if the residuals show one.
+def _add_wave(search: FitSearch, least: float) -> bool:
+    """Add the effect with a period along the travel that fits best in the present noise, if its evidence gains more than
+    the `least`.
 
     Side lobes of a true period have nearly its gain, so that the strongest waves are tried.
     """
+    if not (search.waves and search.noise.wanders and len(search.chosen) < MOST):
+        return False
     strongest = _find_waves(search)
-    if strongest[0].gain < math.log(WAVENUMBERS * len(search.waves)) - 2 * ODDS:
+    if strongest[0].gain < math.log(WAVENUMBERS * len(search.waves)) - 2 * ODDS + least:
         return False
     before, ends = search.remember(), []
     for wave in strongest:
