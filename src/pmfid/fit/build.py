@@ -13,7 +13,7 @@ from pmfid.fit.elastic import settle_starts
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.machine import DELAY, LAGGING, BodyForce
 from pmfid.fit.problem import FitProblem, ObservedStretch
-from pmfid.fit.search import GAIN, ROUNDS, SETTLED, FitSearch, errors_of, is_near_rounding, narrow
+from pmfid.fit.search import GAIN, ROUNDS, SETTLED, WITHIN, FitSearch, errors_of, is_near_rounding, mean_square, narrow
 from pmfid.fit.solve import normal_of, solve
 from pmfid.fit.starts import MOST_ROWS
 from pmfid.fit.terms import waves
@@ -68,7 +68,8 @@ def build(search: FitSearch) -> Gaussian | Intervals:
                 break
             search.choose_best(_alternatives(search, step))
         search.solve(search.noise)
-        search.refine()
+        if mean_square(search) < WITHIN:
+            search.refine()
         explained = search.explain(tries=0)
         if explained is not None:
             return prune(search, explained)
@@ -163,13 +164,14 @@ def _add_wave(search: FitSearch, least: float) -> bool:
     strongest = _find_waves(search)
     if strongest[0].gain < math.log(WAVENUMBERS * len(search.waves)) - 2 * ODDS + least:
         return False
-    before, ends = search.remember(), []
+    without, before, ends = search.solve(search.noise, 3).cost, search.remember(), []
     for wave in strongest:
         search.return_to(before)
         _take_wave(search, wave)
         ends.append((search.solve(search.noise, 10).cost, search.remember()))
-    search.return_to(min(ends, key=lambda end: end[0])[1])
-    return True
+    cost, state = min(ends, key=lambda end: end[0])
+    search.return_to(state if cost < without else before)
+    return cost < without
 
 
 @dataclass(frozen=True, eq=False)
