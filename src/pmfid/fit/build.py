@@ -154,7 +154,7 @@ def _follows(search: FitSearch) -> bool:
 
 
 def _add_wave(search: FitSearch, least: float) -> bool:
-    """Add the effect with a period along the travel that fits best in the present noise, if its evidence gains more than
+    """Add the effect with a period along the travel that fits best in the present noise, if it gains more evidence than
     the `least`.
 
     Side lobes of a true period have nearly its gain, so that the strongest waves are tried.

@@ -22,8 +22,8 @@ LIKELY = 3
 class Opening:
     """The end of least squares with a set of forces, and the state of the search.
 
-    `cost` is minus the log likelihood, and `held` that with forces at the measured positions. Below `rounding`, a motion
-    is near rounding.
+    `cost` is minus the log likelihood, and `held` that with forces at the measured positions. A motion is near rounding
+    below `rounding`.
     """
 
     cost: float
