@@ -58,8 +58,7 @@ def build(search: FitSearch) -> Gaussian | Intervals:
         local = search.local(search.noise)
         step = local.best_step(search.chosen, range(len(search.table)))
         least = 0.0 if step is None else local.evidence(step)[0] - local.evidence(search.chosen)[0]
-        # a wave gains less and less after forces that mimic it, and a search costs as much as several steps
-        waved = step is None or not seen
+        waved = step is None or not seen  # forces that mimic a wave leave less and less of it
         seen.append(sorted(search.chosen))
         if step in seen:
             break
@@ -176,8 +175,7 @@ def _add_wave(search: FitSearch, least: float) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class WeighedWave:
-    """A wave of a kind with its wavenumber [1/unit], the gain of log evidence, and the sizes (2,) of sine and cosine in
-    standard deviations of the prior."""
+    """A wave of a kind: wavenumber [1/unit], gain of log evidence, and sizes (2,) of sine and cosine in prior sds."""
 
     kind: str
     wavenumber: float

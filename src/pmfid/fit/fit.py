@@ -88,17 +88,13 @@ def fit(problem: FitProblem) -> Fitted:
     """
     fitted = None
     with suppress(NotIdentifiableError):
-        fitted = _fit_once(problem)
+        fitted = _finish(*_begin(problem, whole=True))
         if fitted.follows and not (isinstance(fitted.likelihood, Gaussian) and fitted.pushes):
             return fitted
     search, likelihood = _begin(problem.cut(PIECES))
     if likelihood is None and fitted is not None and fitted.follows:
         return fitted
     return replace(_finish(search, likelihood), uncut=problem)
-
-
-def _fit_once(problem: FitProblem) -> Fitted:
-    return _finish(*_begin(problem, whole=True))
 
 
 def _begin(problem: FitProblem, whole: bool = False) -> tuple[FitSearch, Intervals | None]:

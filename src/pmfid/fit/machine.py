@@ -54,7 +54,7 @@ class BodyForce:
         """Return the force as a column of the record, with its values at the measured positions."""
         return replace(self, kind="column" if self.kind in AT_POSITION else "column_friction", column=column)
 
-    def at(self, x: Floats) -> Floats:
+    def evaluate(self, x: Floats) -> Floats:
         """Return a force of the position at x (n,), in one direction of motion."""
         if self.kind == "spring":
             return x - self.q

@@ -22,8 +22,8 @@ LIKELY = 3
 class Opening:
     """The end of least squares with a set of forces, and the state of the search.
 
-    `cost` is minus the log likelihood, and `held` that with forces at the measured positions. A motion is near rounding
-    below `rounding`.
+    `cost` is minus the log likelihood, `held` that with forces at the measured positions, and `rounding` that of a motion
+    near rounding.
     """
 
     cost: float
@@ -43,11 +43,6 @@ class Opening:
         """Whether forces of the position push the motion away, and none does at the measured positions."""
         return self.held < self.cost and self.cost > self.rounding
 
-    @property
-    def near(self) -> bool:
-        """Whether the motion with forces at the measured positions is near rounding."""
-        return self.held < self.rounding
-
     def enter(self, search: FitSearch) -> None:
         """Return the search to this state."""
         search.return_to(self.state)
@@ -58,9 +53,7 @@ def begin(search: FitSearch, whole: bool = False) -> Intervals | None:
 
     Steps from the plain motion do not show a force that bends the motion far. Where an end is near rounding, further
     forces may explain every count. The search is left at the first set whose motion explains every count, or else at
-    that of the lowest cost.
-
-    Returns the likelihood of the intervals if a motion explains every count.
+    that of the lowest cost. Returns the likelihood of the intervals if a motion explains every count.
 
     Raises NotIdentifiableError if forces of the position push a motion away from a `whole` record.
     """
@@ -70,16 +63,8 @@ def begin(search: FitSearch, whole: bool = False) -> Intervals | None:
         search.restart((), share)
         plain.append((_end(search, 3 * STEPS), share))
     best, share = min(plain, key=lambda pair: pair[0].order)
-    _check_lost(best, whole and best.near)
-    for end in (best, *(end for end, _ in plain if end is not best)):
-        end.enter(search)
-        if not end.lost:
-            search.refine()
-        likelihood = search.explain(TRIES if end is best else 0)
-        if likelihood is not None:
-            return likelihood
-    best.enter(search)
-    likelihood = _gather(search)
+    _check_lost(best, whole and best.held < best.rounding)
+    likelihood = _explain_any(search, [best, *(end for end, _ in plain if end is not best)])
     if likelihood is not None:
         return likelihood
     ends = [best]
@@ -170,8 +155,9 @@ def _explain_any(search: FitSearch, ends: Sequence[Opening]) -> Intervals | None
     needed. The first set has more tries."""
     for place, end in enumerate(ends):
         end.enter(search)
-        search.refine()
-        likelihood = search.explain(0 if place else TRIES) if mean_square(search) < WITHIN else None
+        if not end.lost:
+            search.refine()
+        likelihood = search.explain(0 if place else TRIES)
         likelihood = _gather(search) if likelihood is None else likelihood
         if likelihood is not None:
             return likelihood

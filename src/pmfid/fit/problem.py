@@ -206,7 +206,9 @@ class FitProblem:
             return self
         first = self.stretches[0].drive.columns.shape[0]
         held = {id(force): force.hold(first + k) for k, force in enumerate(forces)}
-        stretches = [one.with_columns(np.array([force.at(one.middles) for force in forces])) for one in self.stretches]
+        stretches = [
+            one.with_columns(np.array([force.evaluate(one.middles) for force in forces])) for one in self.stretches
+        ]
         return replace(
             self,
             machine=replace(self.machine, forces=tuple(held.get(id(force), force) for force in self.machine.forces)),

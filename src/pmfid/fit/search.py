@@ -275,7 +275,14 @@ class FitSearch:
     def check_followed(self, noise: Gaussian) -> None:
         """Raise NotIdentifiableError if a motion without any input, but with a disturbance, explains the record as
         well."""
-        _check_followed(self, noise)
+        still = [(one.y[0] - one.y) / self.plain.resolution for one in self.plain.stretches]
+        alone = noise_of(noise.stretches, still, self.rate)
+        errors = errors_of(self)
+        likely = max(one.evidence(errors)[0] for one in (noise, noise_of(noise.stretches, errors, self.rate)))
+        gain = likely - alone.evidence(still)[0]
+        free = np.count_nonzero(self.prior(self.problem) == 0)
+        if not gain > (free + len(self.chosen)) * math.log(self.plain.rows):
+            raise NotIdentifiableError(f"the motion does not follow the input; {FOLLOW}")
 
     @property
     def explains(self) -> bool:
@@ -438,15 +445,3 @@ def _nearby_starts(search: FitSearch, rng: np.random.Generator) -> Floats:
     starts[:, 0] += 0.3 * rng.standard_normal(len(starts))
     starts[:, 1] += (0.3 + 0.3 * np.abs(starts[:, 1])) * rng.standard_normal(len(starts))
     return starts
-
-
-def _check_followed(search: FitSearch, noise: Gaussian) -> None:
-    """Raise NotIdentifiableError if a motion without any input, but with a disturbance, explains the record as well."""
-    still = [(one.y[0] - one.y) / search.plain.resolution for one in search.plain.stretches]
-    alone = noise_of(noise.stretches, still, search.rate)
-    errors = errors_of(search)
-    likely = max(one.evidence(errors)[0] for one in (noise, noise_of(noise.stretches, errors, search.rate)))
-    gain = likely - alone.evidence(still)[0]
-    free = np.count_nonzero(search.prior(search.problem) == 0)
-    if not gain > (free + len(search.chosen)) * math.log(search.plain.rows):
-        raise NotIdentifiableError(f"the motion does not follow the input; {FOLLOW}")
