@@ -22,7 +22,7 @@ LIKELY = 3
 class Opening:
     """The end of least squares with a set of forces, and the state of the search.
 
-    `cost` is minus the log likelihood, `held` that with forces at the measured positions, and `rounding` that of a motion
+    `cost` is minus the log likelihood, `held` that with forces at the measured positions, `rounding` that of a motion
     near rounding.
     """
 
