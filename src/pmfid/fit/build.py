@@ -55,17 +55,11 @@ def build(search: FitSearch) -> Gaussian | Intervals:
     """
     kinds, seen = settle_either(search), list[list[int]]()
     for _ in range(0 if search.reaches_bound(search.q) else MOST_STEPS):
-        local = search.local(search.noise)
-        step = local.best_step(search.chosen, range(len(search.table)))
-        least = 0.0 if step is None else local.evidence(step)[0] - local.evidence(search.chosen)[0]
+        step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
         waved = step is None or not seen  # forces that mimic a wave leave less and less of it
         seen.append(sorted(search.chosen))
-        if step in seen:
+        if step in seen or not _take_better(search, step, waved):
             break
-        if not (waved and _add_wave(search, least)):
-            if step is None:
-                break
-            search.choose_best(_alternatives(search, step))
         search.solve(search.noise)
         if mean_square(search) < WITHIN:
             search.refine()
@@ -152,25 +146,32 @@ def _follows(search: FitSearch) -> bool:
     return is_near_rounding(search)
 
 
-def _add_wave(search: FitSearch, least: float) -> bool:
-    """Add the effect with a period along the travel that fits best in the present noise, if it gains more evidence than
-    the `least`.
+def _take_better(search: FitSearch, step: Sequence[int] | None, waved: bool) -> bool:
+    """Take a set of forces or add a wave, whichever fits better in the present noise, and return whether one does."""
+    before, ends = search.remember(), list[tuple[float, dict[str, object]]]()
+    if step is not None:
+        search.choose_best(_alternatives(search, step))
+        ends.append((search.solve(search.noise, 10).cost - ODDS, search.remember()))
+        search.return_to(before)
+    if waved and search.waves and search.noise.wanders and len(search.chosen) < MOST:
+        ends += _try_waves(search)
+    search.return_to(min(ends, key=lambda end: end[0])[1] if ends else before)
+    return bool(ends)
+
+
+def _try_waves(search: FitSearch) -> list[tuple[float, dict[str, object]]]:
+    """Return costs and states with effects that have a period along the travel, if the residuals show one.
 
     Side lobes of a true period have nearly its gain, so that the strongest waves are tried.
     """
-    if not (search.waves and search.noise.wanders and len(search.chosen) < MOST):
-        return False
-    strongest = _find_waves(search)
-    if strongest[0].gain < math.log(WAVENUMBERS * len(search.waves)) - 2 * ODDS + least:
-        return False
+    least = math.log(WAVENUMBERS * len(search.waves)) - 2 * ODDS
     without, before, ends = search.solve(search.noise, 3).cost, search.remember(), []
-    for wave in strongest:
-        search.return_to(before)
-        _take_wave(search, wave)
-        ends.append((search.solve(search.noise, 10).cost, search.remember()))
-    cost, state = min(ends, key=lambda end: end[0])
-    search.return_to(state if cost < without else before)
-    return cost < without
+    for wave in _find_waves(search):
+        if wave.gain > least:
+            search.return_to(before)
+            _take_wave(search, wave)
+            ends.append((search.solve(search.noise, 10).cost + least, search.remember()))
+    return [end for end in ends if end[0] < without]
 
 
 @dataclass(frozen=True, eq=False)
