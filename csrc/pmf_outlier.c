@@ -194,7 +194,7 @@ PMF_SELDOM void search(const pmf_view_t *view, uint32_t places, uint32_t moved, 
     scalar_t most[PMF_PAST + PMF_VIEW + 1U], factor[DEMANDS];
     path_t path;
     uint32_t begin = PMF_PAST - view->past, end = PMF_PAST + view->readings, next = begin,
-             shift = moved != 0U ? SHIFT : 0U;
+             shift = moved != 0U ? (uint32_t)SHIFT : 0U;
     demand(doubt, factor);
     path.chosen = path.past = 0U;
     path.moved = moved;

@@ -22,6 +22,7 @@ from pmfid.report.design import criteria_table, recommendation, std_table
 from pmfid.simulation import CART, CART_DT, simulate_drive
 from pmfid.types import Counts, Floats
 from tests.conftest import cart_run
+from tests.refusals import refused
 
 STEP = 22.75e-6
 RUN = cart_run(1, samples=1000)
@@ -79,9 +80,10 @@ def test_a_drive_that_holds_its_input_has_no_remedy(u: Floats) -> None:
     assert logged(u, u) == ()
 
 
-@pytest.mark.parametrize(("true", "rows"), [(SMOOTH, 10), (RANDOM, 5)])
-def test_an_input_between_the_logged_values_is_found(true: Floats, rows: int) -> None:
-    assert "held_input" in logged(true, hold(true, rows))
+def test_an_input_between_the_logged_values_is_found() -> None:
+    assert "held_input" in logged(SMOOTH, hold(SMOOTH, 10))
+    sentence = "log the input at the drive's rate"
+    refused((sentence, lambda: logged(RANDOM, hold(RANDOM, 5))), kind=pmfid.NotIdentifiableError)
 
 
 T = np.arange(500) * 0.02

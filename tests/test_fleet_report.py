@@ -39,7 +39,7 @@ def history(axes: int, deviation: float) -> History:
     periods = [{"axis": f"a{k}", "period": 0.0} | period for k in range(axes)]
     problems = {"axis": pl.String, "file": pl.String, "code": pl.String, "times": pl.Int64, "from": pl.Float64}
     nothing = pl.DataFrame(schema=problems | {"text": pl.String})
-    facts = (("mass",), ("kg",), 900, 60.0, "day", "local")
+    facts = (("mass",), ("kg",), 900, 60.0, "day")
     return History(pl.DataFrame(periods), pl.DataFrame(rows), nothing, *facts)
 
 

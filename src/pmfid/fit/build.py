@@ -132,18 +132,13 @@ def prune(search: FitSearch, likelihood: Intervals) -> Intervals:
     for i in list(search.chosen):
         kept = search.remember()
         search.choose([j for j in search.chosen if j != i])
-        shorter = narrow(search) if _follows(search) else None
+        search.solve(Gaussian(search.plain.stretches), 10)
+        shorter = narrow(search) if is_near_rounding(search) else None
         if shorter is None:
             search.return_to(kept)
         else:
             likelihood = shorter
     return likelihood
-
-
-def _follows(search: FitSearch) -> bool:
-    """Return whether least squares ends near rounding."""
-    search.solve(Gaussian(search.plain.stretches), 10)
-    return is_near_rounding(search)
 
 
 def _take_better(search: FitSearch, step: Sequence[int] | None, waved: bool) -> bool:

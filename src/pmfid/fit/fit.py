@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,7 +10,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.fit.build import PIECES, build, complete_readings, prune
 from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.likelihood import Gaussian, Intervals
-from pmfid.fit.openings import begin
+from pmfid.fit.openings import LostMotionError, begin
 from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch
@@ -86,15 +85,22 @@ def fit(problem: FitProblem) -> Fitted:
 
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
-    fitted = None
-    with suppress(NotIdentifiableError):
+    fitted, lost = None, False
+    try:
         fitted = _finish(*_begin(problem, whole=True))
         if fitted.follows and not (isinstance(fitted.likelihood, Gaussian) and fitted.pushes):
             return fitted
-    search, likelihood = _begin(problem.cut(PIECES))
-    if likelihood is None and fitted is not None and fitted.follows:
-        return fitted
-    return replace(_finish(search, likelihood), uncut=problem)
+    except NotIdentifiableError as error:
+        lost = isinstance(error, LostMotionError)
+    try:
+        search, likelihood = _begin(problem.cut(PIECES))
+        if likelihood is None and fitted is not None and fitted.follows:
+            return fitted
+        return replace(_finish(search, likelihood), uncut=problem)
+    except NotIdentifiableError:
+        if not lost:
+            raise
+        return _finish(*_begin(problem))
 
 
 def _begin(problem: FitProblem, whole: bool = False) -> tuple[FitSearch, Intervals | None]:

@@ -18,6 +18,10 @@ STEPS = 12
 LIKELY = 3
 
 
+class LostMotionError(NotIdentifiableError):
+    """Forces of the position push the motion away from the record, and shorter stretches may follow it."""
+
+
 @dataclass(frozen=True, eq=False)
 class Opening:
     """The end of least squares with a set of forces, and the state of the search.
@@ -55,7 +59,7 @@ def begin(search: FitSearch, whole: bool = False) -> Intervals | None:
     forces may explain every count. The search is left at the first set whose motion explains every count, or else at
     that of the lowest cost. Returns the likelihood of the intervals if a motion explains every count.
 
-    Raises NotIdentifiableError if forces of the position push a motion away from a `whole` record.
+    Raises LostMotionError if forces of the position push a motion away from a `whole` record.
     """
     free = any(force.free for force in search.plain.machine.forces)
     plain = []
@@ -110,9 +114,8 @@ def _end(search: FitSearch, steps: int = STEPS, held: bool = False) -> Opening:
 
 
 def _check_lost(end: Opening, whole: bool) -> None:
-    """Raise NotIdentifiableError if forces of the position push the motion away from a `whole` record."""
     if whole and end.lost:
-        raise NotIdentifiableError(f"forces of the position push the motion away from the record; {FOLLOW}")
+        raise LostMotionError(f"forces of the position push the motion away from the record; {FOLLOW}")
 
 
 def _open(search: FitSearch, cost: float, held: float = math.inf) -> Opening:

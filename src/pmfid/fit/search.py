@@ -359,7 +359,9 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
     """
     before = search.remember()
     at = search.q, search.starts
-    if not _may_explain(search):
+    if mean_square(search) > WITHIN:
+        search.solve(Gaussian(search.plain.stretches), 10)
+    if mean_square(search) > WITHIN:
         search.return_to(before)
         return None
     rng, likelihood = np.random.default_rng(1), narrow(search)
@@ -411,13 +413,6 @@ def _enter_counts(search: FitSearch) -> Intervals | None:
         return None
     search.q, search.starts = inside
     return Intervals(search.plain.stretches, EXPLAINED)
-
-
-def _may_explain(search: FitSearch) -> bool:
-    """Return whether a motion near the present one may explain every count."""
-    if mean_square(search) > WITHIN:
-        search.solve(Gaussian(search.plain.stretches), 10)
-    return mean_square(search) < WITHIN
 
 
 def mean_square(search: FitSearch) -> float:

@@ -129,7 +129,7 @@ def _examine(record: Record, axis: Axis) -> tuple[MotionFit, Fitted, tuple[str, 
         try:
             return edges, *edges.examine_edges(repaired.u, repaired.counts, record.ages, used, warmth)
         except NotIdentifiableError as error:
-            remarks = (f"the ages of edges are not used: {error}",)
+            remarks = (f"the ages of edges are not used: {str(error).partition('; ')[0]}",)
     spiky = np.isfinite(repaired.u) & (record.u != repaired.u)
     ends = np.append(known.shifted[1:], False)  # the last sample before each shift of the zero
     u = bridge_input(repaired.u)

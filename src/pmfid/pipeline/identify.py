@@ -88,7 +88,7 @@ def explain_error(error: NotIdentifiableError, findings: tuple[Finding, ...]) ->
     """
     if isinstance(error, SecondMassError):
         return error
-    causes = [finding for finding in findings if finding.severity != "note" and finding.code not in OF_LOG]
+    causes = [finding for finding in findings if finding.severity != "note"]
     return NotIdentifiableError(causes[0].text) if causes else error
 
 
