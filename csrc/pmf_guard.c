@@ -101,7 +101,7 @@ PMF_SELDOM void gather(const pmf_encoder_config_t *config, const pmf_guard_state
                        pmf_view_t *view)
 {
     uint32_t mask = config->count_mask, i, past = (uint32_t)PMF_LANE(guard->past, lane);
-    uint32_t base = (uint32_t)PMF_LANE(guard->count[past > 0U ? PMF_PAST - 1U : PMF_PAST], lane), steady = 0U;
+    uint32_t base = (uint32_t)PMF_LANE(guard->count[past > 0U ? PMF_PAST - 1U : (uint32_t)PMF_PAST], lane), steady = 0U;
     if (past >= 2U) {
         uint32_t change = (base - (uint32_t)PMF_LANE(guard->count[PMF_PAST - 2U], lane)) & mask;
         steady = change <= mask >> 1 ? change : change - mask - 1U;
@@ -133,7 +133,7 @@ PMF_SELDOM uint32_t judge_lane(const pmf_encoder_config_t *config, pmf_guard_sta
     if (verdict.verdict == PMF_READING_FITS) {
         return verdict.unsure * (uint32_t)PMF_SETTLING;
     }
-    base = (uint32_t)PMF_LANE(guard->count[view.past > 0U ? PMF_PAST - 1U : PMF_PAST], lane);
+    base = (uint32_t)PMF_LANE(guard->count[view.past > 0U ? PMF_PAST - 1U : (uint32_t)PMF_PAST], lane);
     if (verdict.verdict == PMF_ZERO_MOVED) {
         uint32_t moved = (uint32_t)PMF_LANE(guard->count[verdict.first], lane) - (base + (uint32_t)verdict.end);
         for (i = PMF_PAST; i < PMF_PAST + PMF_VIEW; ++i) {
