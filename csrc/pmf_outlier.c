@@ -28,7 +28,7 @@ static const scalar_t FURTHER =
 static const uint32_t MANY = 3U; /* most readings left out before a fast oscillation may look smooth */
 enum pmf_shift { SHIFT = 3 };
 static const uint32_t LATEST = 2U; /* most wrong readings before a shift */
-enum pmf_demands { DEMANDS = LEFT_OUT + SHIFT + 1 };
+enum pmf_demands { DEMANDS = (int)LEFT_OUT + (int)SHIFT + 1 };
 static const scalar_t CLEAR =
     PMF_SCALAR(2.0); /* least ratio of a deviation to the one that the accelerations along a path explain */
 static const scalar_t WILD = PMF_SCALAR(6.0); /* twice BLOW: no reading or its neighbour is the reversal */
