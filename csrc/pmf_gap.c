@@ -38,8 +38,7 @@ void pmf_gap(const pmf_config_t *config, pmf_state_t *state, uint32_t count)
 void pmf_doubt(const pmf_config_t *config, pmf_state_t *state, uint32_t samples)
 {
     samples = samples < config->settle_samples ? samples : config->settle_samples;
-    samples +=
-        config->encoder.guard != 0U ? (uint32_t)PMF_AHEAD : 0U; /* the samples that the guard holds back come first */
+    samples += config->encoder.guard != 0U ? (uint32_t)PMF_AHEAD : 0U; /* first come those that the guard holds */
     state->hold = samples > state->hold ? samples : state->hold;
 }
 
