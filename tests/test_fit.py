@@ -267,7 +267,7 @@ def test_an_axis_that_rests_through_most_of_its_first_motion_is_no_stuck_counter
 def test_forces_at_the_measured_positions_follow_the_record() -> None:
     (case,) = make_cases(4711, "gravity", [7])
     fitted = examine(case)
-    held = fitted.problem.hold()
+    held = fitted.problem.hold_position()
     assert {one.force.kind for one in held.candidates if one.name == "gravity" and one.force} == {"column"}
     assert all(np.mean(block.e**2) < 0.15 for block in held.linearise(fitted.solution.q, fitted.solution.starts))
 

@@ -11,7 +11,7 @@ import numpy as np
 from pmfid.fit.compare import MOST, ODDS
 from pmfid.fit.elastic import settle_starts
 from pmfid.fit.likelihood import Gaussian, Intervals
-from pmfid.fit.machine import DELAY, LAGGING, BodyForce
+from pmfid.fit.machine import DELAY, LAGGING
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.search import GAIN, ROUNDS, SETTLED, WITHIN, FitSearch, errors_of, is_near_rounding, mean_square, narrow
 from pmfid.fit.solve import normal_of, solve
@@ -56,9 +56,9 @@ def build(search: FitSearch) -> Gaussian | Intervals:
     kinds, seen = settle_either(search), list[list[int]]()
     for _ in range(0 if search.reaches_bound(search.q) else MOST_STEPS):
         step = search.local(search.noise).best_step(search.chosen, range(len(search.table)))
-        waved = step is None or not seen  # forces that mimic a wave leave less and less of it
+        with_waves = step is None or not seen  # forces that mimic a wave leave less and less of it
         seen.append(sorted(search.chosen))
-        if step in seen or not _take_better(search, step, waved):
+        if step in seen or not _take_better(search, step, with_waves):
             break
         search.solve(search.noise)
         if mean_square(search) < WITHIN:
@@ -141,14 +141,14 @@ def prune(search: FitSearch, likelihood: Intervals) -> Intervals:
     return likelihood
 
 
-def _take_better(search: FitSearch, step: Sequence[int] | None, waved: bool) -> bool:
+def _take_better(search: FitSearch, step: Sequence[int] | None, with_waves: bool) -> bool:
     """Take a set of forces or add a wave, whichever fits better in the present noise, and return whether one does."""
     before, ends = search.remember(), list[tuple[float, dict[str, object]]]()
     if step is not None:
         search.choose_best(_alternatives(search, step))
         ends.append((search.solve(search.noise, 10).cost - ODDS, search.remember()))
         search.return_to(before)
-    if waved and search.waves and search.noise.wanders and len(search.chosen) < MOST:
+    if with_waves and search.waves and search.noise.wanders and len(search.chosen) < MOST:
         ends += _try_waves(search)
     search.return_to(min(ends, key=lambda end: end[0])[1] if ends else before)
     return bool(ends)
@@ -224,15 +224,9 @@ def _with_waves(problem: FitProblem, search: FitSearch, kind: str, wavenumbers: 
     """Return the problem with sine and cosine for each wavenumber [1/unit]. A force acts at the measured position,
     because that of the simulated motion may be a period away."""
     pairs = [one for w in wavenumbers.tolist() for one in waves(kind, 1 / w, search.wave_size(kind))]
-    if kind:
-        angles = [2 * np.pi * np.outer(wavenumbers, one.middles) for one in problem.stretches]
-        columns = [np.stack([np.sin(angle), np.cos(angle)], 1).reshape(-1, angle.shape[1]) for angle in angles]
-        first = problem.stretches[0].drive.columns.shape[0]
-        stretches = [one.with_columns(rows) for one, rows in zip(problem.stretches, columns, strict=True)]
-        problem = replace(problem, stretches=tuple(stretches))
-        form = {"wave": "column", "rub": "column_friction"}[kind]
-        pairs = [replace(one, force=BodyForce(form, column=first + i)) for i, one in enumerate(pairs)]
-    return replace(problem, candidates=(*problem.candidates, *pairs))
+    problem = problem.with_candidates([*problem.candidates, *pairs])
+    forces = [one.force for one in pairs if one.force is not None]
+    return problem.hold(forces) if forces else problem
 
 
 def pair_gains(A: Floats, g: Floats, base: int) -> tuple[Floats, Floats]:

@@ -196,14 +196,15 @@ class FitProblem:
     def with_candidates(self, candidates: Sequence[ExtraForce]) -> FitProblem:
         return replace(self, candidates=tuple(candidates))
 
-    def hold(self) -> FitProblem:
-        """Return the problem with forces of the position at the measured positions. An error of the motion does not
+    def hold_position(self) -> FitProblem:
+        """Return the problem with all forces of the position at the measured positions. An error of the motion does not
         change such a force, so that the search ends near the optimum from far away."""
-        own = [force for force in self.machine.forces if force.kind in (*AT_POSITION, *RUBS)]
-        further = [one.force for one in self.candidates if one.force is not None and not (one.free or one.tied)]
-        forces = [*own, *(force for force in further if force.kind in (*AT_POSITION, *RUBS))]
-        if not forces or self.machine.elastic:
-            return self
+        candidates = [one.force for one in self.candidates if one.force is not None and not (one.free or one.tied)]
+        forces = [force for force in (*self.machine.forces, *candidates) if force.kind in (*AT_POSITION, *RUBS)]
+        return self if self.machine.elastic or not forces else self.hold(forces)
+
+    def hold(self, forces: Sequence[BodyForce]) -> FitProblem:
+        """Return the problem with some forces of the position at the measured positions, as columns of the record."""
         first = self.stretches[0].drive.columns.shape[0]
         held = {id(force): force.hold(first + k) for k, force in enumerate(forces)}
         stretches = [

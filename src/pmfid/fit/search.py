@@ -200,7 +200,8 @@ class FitSearch:
         return float(self.first[3] + sum(self.first[4] * one.q for one in springs))
 
     def _chosen_problem(self) -> FitProblem:
-        return self.plain.with_candidates([free_constants(self.table, self.chosen)[i] for i in self.chosen])
+        candidates = free_constants(self.table, self.chosen)
+        return self.plain.with_candidates([candidates[i] for i in self.chosen])
 
     def prior(self, problem: FitProblem) -> Floats:
         """Return the prior precisions (p,): those of the machine, and 1 for the size of a candidate."""
@@ -217,7 +218,7 @@ class FitSearch:
 
     def approach(self, steps: int) -> float:
         """Solve with forces of the position at the measured positions, and return the cost; infinite without any."""
-        held = self.problem.hold()
+        held = self.problem.hold_position()
         if held is self.problem:
             return math.inf
         optimum = solve(held, self.noise, self.q, self.starts, self.prior(held), steps, GAIN)

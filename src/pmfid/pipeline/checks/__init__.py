@@ -1,7 +1,7 @@
 """Checks of a log, which report its mistakes before an estimate and with every estimate.
 
 A check takes a `CheckedLog` and yields findings. Each group of checks has its own file. The checks say what the fit
-cannot know: columns, units, clocks and counters. The fit says what the model lacks.
+cannot know: columns, units, clocks and counters. The fit names the effects that are unmodelled.
 """
 
 from __future__ import annotations
