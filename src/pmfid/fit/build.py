@@ -181,14 +181,14 @@ class WeighedWave:
 
 def _find_waves(search: FitSearch) -> list[WeighedWave]:
     """Return the waves with the largest gains, with periods from twice the travel to two steps of the motion."""
-    found = list[WeighedWave]()
+    weighed = list[WeighedWave]()
     steps = np.concatenate([np.abs(np.diff(one.y)) for one in search.problem.stretches])
     count = math.ceil(2 * search.sizes.travel / np.mean(steps[steps > 0]))
     wavenumbers = np.arange(1, min(count, WAVENUMBERS) + 1) / (4 * search.sizes.travel)
     for kind in search.waves:
-        for some in np.array_split(wavenumbers, math.ceil(wavenumbers.size / TOGETHER)):
-            found += _weigh_waves(search, kind, some)
-    return sorted(found, key=lambda wave: -wave.gain)[:LIKELY_WAVES]
+        for chunk in np.array_split(wavenumbers, math.ceil(wavenumbers.size / TOGETHER)):
+            weighed += _weigh_waves(search, kind, chunk)
+    return sorted(weighed, key=lambda wave: -wave.gain)[:LIKELY_WAVES]
 
 
 def _weigh_waves(search: FitSearch, kind: str, wavenumbers: Floats) -> list[WeighedWave]:

@@ -112,10 +112,10 @@ class MonitorFleet:
 
     @staticmethod
     def _check_ages(ages: ArrayLike | None, shape: tuple[int, ...]) -> Floats:
-        found = np.full(shape, np.nan) if ages is None else np.asarray(numbers("ages", ages), np.float64)
-        if found.shape != shape:
-            raise UsageError(f"ages must have the shape {shape} of u, got {found.shape}")
-        return found
+        checked = np.full(shape, np.nan) if ages is None else np.asarray(numbers("ages", ages), np.float64)
+        if checked.shape != shape:
+            raise UsageError(f"ages must have the shape {shape} of u, got {checked.shape}")
+        return checked
 
     def _run(self, index: Places, inputs: Inputs, rows: FleetRows, part: tuple[slice, slice]) -> None:
         """Run a piece of a group of axes. The quiet axes run together, all other axes one by one."""
