@@ -101,4 +101,4 @@ class WithinTuning:
     penalty: float = 1e4
 
 
-TUNING, PLAY_TUNING, MOTION, WITHIN = ElasticTuning(), PlayTuning(), MotionTuning(), WithinTuning()
+TUNING, PLAY_TUNING, MOTION, WITHIN_TUNING = ElasticTuning(), PlayTuning(), MotionTuning(), WithinTuning()

@@ -8,7 +8,7 @@ import numpy as np
 
 from pmfid.fit.problem import FitProblem, ResidualBlock
 from pmfid.fit.solve import START, inverse, root_of
-from pmfid.fit.tuning import WITHIN
+from pmfid.fit.tuning import WITHIN_TUNING
 from pmfid.types import Floats
 
 
@@ -23,7 +23,7 @@ def reach_counts(
     step is halved until the motion comes nearer.
     """
     e, J = stack(problem.linearise(q, starts))
-    for _ in range(WITHIN.rounds):
+    for _ in range(WITHIN_TUNING.rounds):
         outside = float(np.max(np.abs(e))) - 0.5
         if outside <= beyond:
             return q, starts
@@ -46,12 +46,16 @@ def _shortest_step(e: Floats, J: Floats, covariance: Floats) -> Floats:
 
     root = root_of(covariance)
     rows = J @ root
-    near = np.abs(e) + WITHIN.longest * np.sqrt(np.sum(rows**2, axis=1)) > 0.5 - WITHIN.margin
+    near = np.abs(e) + WITHIN_TUNING.longest * np.sqrt(np.sum(rows**2, axis=1)) > 0.5 - WITHIN_TUNING.margin
     rows, e, p = rows[near] * np.sign(e[near])[:, None], np.abs(e[near]), J.shape[1]
     sides = np.column_stack([rows, -rows, -np.ones(e.size)])
-    bounds = [(0.0, WITHIN.longest)] * (2 * p) + [(0.0, None)]
+    bounds = [(0.0, WITHIN_TUNING.longest)] * (2 * p) + [(0.0, None)]
     program = linprog(
-        np.append(np.ones(2 * p), WITHIN.penalty), sides, 0.5 - WITHIN.margin - e, bounds=bounds, method="highs"
+        np.append(np.ones(2 * p), WITHIN_TUNING.penalty),
+        sides,
+        0.5 - WITHIN_TUNING.margin - e,
+        bounds=bounds,
+        method="highs",
     )
     return np.zeros(p) if program.x is None else np.asarray(root @ (program.x[:p] - program.x[p : 2 * p]))
 
