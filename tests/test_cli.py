@@ -163,8 +163,6 @@ def test_record_that_is_missing_or_a_folder_or_lacks_a_column(tmp_path: Path, ca
         (("--set", "estimator.cutoff=fast"), "[estimator] cutoff = 'fast' (given as an option)"),
         (("--set", "estimator.cutof=1"), "did you mean 'cutoff'"),
         (("--set", "cutoff=1"), "is not SECTION.KEY=VALUE"),
-        (("--quantize", "1e-6"), "quantize = 1e-06"),
-        (("--quantize", "nan"), "quantize = nan"),
     ],
 )
 def test_option_out_of_range(cart: Cart, options: tuple[str, ...], said: str) -> None:
@@ -221,10 +219,10 @@ def test_out_where_one_file_cannot_be_written(tmp_path: Path, cart: Cart, name: 
 # --- records that cannot identify the parameters --------------------------------------------------------------------
 
 
-def moved(u: np.ndarray) -> pl.DataFrame:
-    """Simulate the cart under the input u [V], (n,)."""
+def moved(u: np.ndarray, step: float = CART_RESOLUTION) -> pl.DataFrame:
+    """Simulate the cart under the input u [V], (n,), with an encoder of `step` m."""
     motion = simulate_drive(Schedule(((0.0, CART),)), u, CART_DT)
-    counts = quantize(motion.x, CART_RESOLUTION, phase=1e-6)
+    counts = quantize(motion.x, step, phase=1e-6)
     return pl.DataFrame({"t": motion.t, "u": u, "counts": counts})
 
 
@@ -244,8 +242,8 @@ def test_input_of_zero_while_the_axis_moves(tmp_path: Path, cart: Cart, method: 
     assert "the input is zero while the axis moves" in text
 
 
-def constant_from(start: int) -> pl.DataFrame:
-    return moved(np.where(np.arange(3000) < start, 0.0, 3.0))
+def constant_from(start: int, step: float) -> pl.DataFrame:
+    return moved(np.where(np.arange(3000) < start, 0.0, 3.0), step)
 
 
 #: Records of which no method may make a good result.
@@ -277,7 +275,8 @@ def test_constant_input_with_a_coarse_encoder_is_never_silently_wrong(
     tmp_path: Path, method: str, step: str, start: int
 ) -> None:
     """The input starts at once, or after a second."""
-    never_silently_wrong(run(written(tmp_path, constant_from(start)), "--json", "--method", method, "--quantize", step))
+    record = written(tmp_path, constant_from(start, float(step)))
+    never_silently_wrong(run(record, "--json", "--method", method, "--set", f"encoder.resolution={step}"))
 
 
 def never_silently_wrong(result: Result) -> None:
@@ -342,10 +341,9 @@ def test_the_json_object_has_its_keys_and_types(cart: Cart) -> None:
 
 
 def test_options_go_before_the_configuration(cart: Cart) -> None:
-    options = ("--method", "ls", "--set", "estimator.cutoff=30", "--set", "estimator.order=3", "--quantize", "91e-6")
+    options = ("--method", "ls", "--set", "estimator.cutoff=30", "--set", "estimator.order=3")
     printed = good(cart.csv, *options)
     assert printed["method"] == "ls"
-    assert "the position is quantised again with a step of 9.1e-05" in printed["notes"]
     assert values(printed)["mass"] != values(good(cart.csv, "--method", "ls"))["mass"]
     doubled = good(cart.csv, "--set", f"encoder.resolution={2 * CART_RESOLUTION!s}")
     assert values(doubled)["mass"] == pytest.approx(CART.mass / 2, rel=0.02)

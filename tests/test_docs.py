@@ -178,4 +178,4 @@ def test_the_reference_has_each_public_name_and_each_command() -> None:
     assert sorted(re.findall(r"^   (\w+)$", page, re.MULTILINE)) == sorted(pmfid.__all__)
     commands = "".join(describe_commands(program, "pmfid"))
     assert {"## pmfid identify", "## pmfid fleet history"} <= set(commands.splitlines())
-    assert "| `--quantize STEP` |" in commands
+    assert "| `--set KEY=VALUE` |" in commands

@@ -15,8 +15,8 @@ pytestmark = needs_emps
 
 AXIS = Path(__file__).parents[1] / "examples" / "emps.toml"
 MASS, VISCOUS_FRICTION, COULOMB_FRICTION, OFFSET = 95.11, 203.5, 20.39, -3.16
-HALF_MILLIMETRE = ("--quantize", "5e-4", "--set", "estimator.cutoff=100", "--set", "estimator.order=2")
-MILLIMETRE = ("--quantize", "1e-3", "--set", "estimator.cutoff=100", "--set", "estimator.order=2")
+HALF_MILLIMETRE = ("--set", "encoder.resolution=5e-4", "--set", "estimator.cutoff=100", "--set", "estimator.order=2")
+MILLIMETRE = ("--set", "encoder.resolution=1e-3", "--set", "estimator.cutoff=100", "--set", "estimator.order=2")
 
 
 def identified(*options: str, judged: bool = True) -> dict[str, float]:

@@ -1,19 +1,15 @@
-"""What if the encoder were another one: `pmfid identify --edges` and `pmfid encoder`."""
+"""What if the encoder were another one: `pmfid encoder`."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner, Result
 
-from pmfid.cli.main import main
 from pmfid.config.axis import load_axis
 from pmfid.pipeline.encoders import EncoderChoice, compare_encoders
-from pmfid.records.edge_ages import Coarser
 from pmfid.records.joining import join_records
 from pmfid.records.record import read_record
 from pmfid.simulation import CART, prbs, simulate_drive
@@ -46,28 +42,9 @@ def fine(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def run(fine: Path, command: str, *options: str) -> Result:
-    return CliRunner().invoke(main, [command, str(fine / "run.csv"), "--config", str(fine / "axis.toml"), *options])
-
-
-def test_edges_of_a_coarse_encoder_give_what_its_counts_cannot(fine: Path) -> None:
-    """A step of 20 mm is a hundredth of the travel."""
-    found = {}
-    for option in ("--edges", "--quantize"):
-        result = run(fine, "identify", option, "0.02", "--json")
-        assert result.exit_code == 0, result.output
-        found[option] = json.loads(result.stdout.splitlines()[-1])
-    assert found["--edges"]["method"] == "edges"
-    mass = {option: one["parameters"]["mass"] for option, one in found.items()}
-    assert mass["--edges"]["value"] == pytest.approx(CART.mass, rel=1e-4)
-    assert mass["--edges"]["std"] < 0.1 * mass["--quantize"]["std"]
-
-
 def test_records_that_are_joined_have_no_ages(fine: Path) -> None:
-    axis = load_axis(fine / "axis.toml")
-    record = read_record(fine / "run.csv", axis, Coarser(0.01, edges=True))
-    assert record.ages is not None
-    assert record.ages.shape == record.u.shape
+    record = read_record(fine / "run.csv", load_axis(fine / "axis.toml"))
+    record = replace(record, ages=np.full(record.u.shape, 1e-4))
     joined = join_records([record, record], place_matters=False)
     assert joined.ages is None
     assert "the ages of edges are not used, because there are several records" in joined.notes
@@ -102,18 +79,7 @@ def test_increments_name_the_encoders_of_a_rotary_axis() -> None:
     assert found.plot().axes[0].get_xlabel() == "increments per turn"
 
 
-def test_wrong_use_of_edges(fine: Path, tmp_path: Path) -> None:
-    own = tmp_path / "axis.toml"
-    own.write_text(AXIS.replace("resolution", 'edge_age = "t"\nresolution'))
-    for options, message in (
-        (("--edges", "0.01", "--quantize", "0.01"), "give only one of them"),
-        (("--edges", "0.01", "--method", "iv"), "drop --method iv"),
-        (("--edges", "1e-9"), "give a larger step"),
-        (("--edges", "0.01", "--config", str(own)), "drop [encoder] edge_age"),
-    ):
-        result = run(fine, "identify", *options)
-        assert result.exit_code == 2
-        assert message in result.stderr
+def test_wrong_use(fine: Path) -> None:
     axis = load_axis(fine / "axis.toml")
     record = read_record(fine / "run.csv", axis)
     short = replace(record, u=record.u[:1500], counts=record.counts[:1500])

@@ -311,7 +311,6 @@ def test_wrong_use(records):
         (("--method", "fit"), "does not suit a transfer function"),
         (("--set", "model.m=3"), "m must be a whole number"),
         (("--set", "model.n=9"), "n must be a whole number"),
-        (("--quantize", "0.1"), "quantize and edges need a drive"),
         ((records[1], "--method", "ls"), "one evenly spaced record"),
     ):
         assert said in run("identify", records[0], "--config", str(CONFIG), *arguments, code=2)

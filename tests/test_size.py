@@ -17,16 +17,16 @@ NO_CODE = {
 }
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 67120,
-    "lines of code in src": 39450,
-    "lines of code in report and cli": 3580,
-    "thresholds in src": 1045,
+    "lines of src": 67038,
+    "lines of code in src": 39383,
+    "lines of code in report and cli": 3545,
+    "thresholds in src": 1039,
     "lines of csrc": 8957,
     "defines of csrc": 199,
     "conditionals of csrc": 110,
-    "lines of tests": 40690,
+    "lines of tests": 40630,
     "match= in tests": 54,
-    "lines of studies": 10410,
+    "lines of studies": 10399,
 }
 
 

@@ -35,7 +35,7 @@ from pmfid.cli.terminal import (
 )
 from pmfid.cli.terms import terms
 from pmfid.cli.validate import validate
-from pmfid.errors import INTERRUPTED, PmfidError, UsageError
+from pmfid.errors import INTERRUPTED, PmfidError
 from pmfid.estimators import METHODS
 from pmfid.io import SPOKEN
 
@@ -105,18 +105,6 @@ def _open_closed_streams() -> None:
     "recursive: rls, bcrls, riv. For a transfer function: srivc, rls, bcrls.",
 )
 @SET
-@click.option(
-    "--quantize",
-    type=float,
-    metavar="STEP",
-    help="Round the position down to this coarser step first, as a cheaper encoder would.",
-)
-@click.option(
-    "--edges",
-    type=float,
-    metavar="STEP",
-    help="Like --quantize, and also use the times of the coarser encoder's edges, as a timer in the drive gives them.",
-)
 @folder_option(
     "Write report.html and result.json into this folder, for a recursive method on a drive also track.parquet; with "
     "--method all, compare.html."
@@ -127,33 +115,23 @@ def identify(
     config: Path,
     method: str | None,
     changes: tuple[str, ...],
-    quantize: float | None,
-    edges: float | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
     """Identify the parameters of a record."""
-    if quantize is not None and edges is not None:
-        raise UsageError("--quantize and --edges both give the step of a coarser encoder: give only one of them")
-    if edges is not None and method not in (None, "auto"):
-        raise UsageError(f"--edges has its own method: drop --method {method}")
     given = read_changes(changes)
     if method == EVERY:
-        _compare(records, config, given, quantize, out, as_json)
+        _compare(records, config, given, out, as_json)
         return
-    given |= {"estimator.method": "auto" if edges is not None else method}
+    given |= {"estimator.method": method}
     with progress("identify") as tell:
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.guess.axis_file import find_to_do
         from pmfid.pipeline.identify import identify as run
         from pmfid.pipeline.identify import kind_of
-        from pmfid.records.edge_ages import Coarser
 
         axis = load_axis(config, given)
-        if edges is not None and (axis.encoder.edge_age or axis.encoder.lines):
-            raise UsageError("--edges calculates the edges of a coarser encoder: drop [encoder] edge_age and lines")
-        coarse = Coarser(edges, True) if edges is not None else None if quantize is None else Coarser(quantize)
-        result = run(kind_of(axis).read(records, axis, coarse), axis, tell).with_findings(*find_to_do(config))
+        result = run(kind_of(axis).read(records, axis), axis, tell).with_findings(*find_to_do(config))
         if out is not None:
             from pmfid.report.result import write_result
 
@@ -170,7 +148,6 @@ def _compare(
     records: tuple[Path, ...],
     config: Path,
     changes: dict[str, object],
-    quantize: float | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
@@ -178,11 +155,9 @@ def _compare(
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.identify import compare as run
         from pmfid.pipeline.identify import kind_of
-        from pmfid.records.edge_ages import Coarser
 
         axis = load_axis(config, changes)
-        coarse = None if quantize is None else Coarser(quantize)
-        comparison = run(kind_of(axis).read(records, axis, coarse), axis, tell)
+        comparison = run(kind_of(axis).read(records, axis), axis, tell)
         if out is not None:
             from pmfid.report.comparison import write_comparison
 

@@ -44,7 +44,6 @@ from pmfid.pipeline.known import finds_gain, known_of, put_together, set_any_gai
 from pmfid.pipeline.result import DriveResult
 from pmfid.pipeline.stored import Stored
 from pmfid.pipeline.tuning import TUNING
-from pmfid.records.edge_ages import Coarser
 from pmfid.records.joining import join_records, make_even
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record, read_record, record_of
@@ -106,9 +105,9 @@ class Drives(Kind[Record]):
 
     on_line: ClassVar[str] = "riv"
 
-    def read(self, paths: Sequence[Path], axis: Axis, coarse: Coarser | None = None) -> Record:
+    def read(self, paths: Sequence[Path], axis: Axis) -> Record:
         place_matters = axis.model.make().equation.place_matters
-        return join_records([read_record(path, axis, coarse) for path in paths], place_matters)
+        return join_records([read_record(path, axis) for path in paths], place_matters)
 
     def read_table(self, table: Table, axis: Axis) -> Record:
         return record_of(table, axis)

@@ -21,7 +21,6 @@ from pmfid.linear.experiment import Experiment
 from pmfid.models.drive import Model
 from pmfid.pipeline.result import Result
 from pmfid.pipeline.stored import Stored
-from pmfid.records.edge_ages import Coarser
 from pmfid.records.record import Record
 from pmfid.types import Floats
 
@@ -43,7 +42,7 @@ class Kind(ABC, Generic[Data]):
     on_line: ClassVar[str]
 
     @abstractmethod
-    def read(self, paths: Sequence[Path], axis: Axis, coarse: Coarser | None = None) -> Data:
+    def read(self, paths: Sequence[Path], axis: Axis) -> Data:
         """Read the records at `paths`. Raises UsageError for files without such records, or for too many files."""
 
     @abstractmethod

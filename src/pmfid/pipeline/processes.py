@@ -32,7 +32,6 @@ from pmfid.pipeline.checks.inputs import note_one_level
 from pmfid.pipeline.kinds import Kind, Progress, method_of, settings
 from pmfid.pipeline.result import ProcessResult, delay_of, expects_unstable
 from pmfid.pipeline.stored import Stored
-from pmfid.records.edge_ages import Coarser
 from pmfid.records.record import experiment_of, read_experiment
 from pmfid.status import Status, status_findings
 from pmfid.types import Floats
@@ -52,11 +51,7 @@ class Processes(Kind[Sequence[Experiment]]):
                 'sample, which is not known yet; set hold = "zoh"'
             )
 
-    def read(self, paths: Sequence[Path], axis: Axis, coarse: Coarser | None = None) -> list[Experiment]:
-        if coarse is not None:
-            raise UsageError(
-                "quantize and edges need a drive; for a transfer function, round the column of the record down"
-            )
+    def read(self, paths: Sequence[Path], axis: Axis) -> list[Experiment]:
         return [read_experiment(path, axis) for path in paths]
 
     def read_table(self, table: Table, axis: Axis) -> Sequence[Experiment]:

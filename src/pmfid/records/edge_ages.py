@@ -1,44 +1,17 @@
-"""Ages of the last edge of the encoder: from a column, or made for a coarser encoder."""
+"""Ages of the last edge of the encoder, from a column."""
 
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.config.record import EncoderConfig
-from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.errors import UsageError
 from pmfid.io.tables import Table, column, whole_name
 from pmfid.records.clock import UNITS, named_unit
 from pmfid.types import Floats
-
-
-@dataclass(frozen=True)
-class Coarser:
-    """A coarser encoder in place of the recorded one: its step in unit of y, and whether it has edge times."""
-
-    step: float
-    edges: bool = False
-
-
-def make_edge_ages(
-    y: Floats, dt: float, coarse: Coarser, tick: float, obstacle: str
-) -> tuple[Floats | None, tuple[str, ...]]:
-    """Return the ages (n,) [s] of the edges that a coarser encoder sees on positions y (n,), and notes for people.
-
-    Between the samples, the position is a cubic. `tick` is the period of the timer [s]. The ages are None if an
-    `obstacle` prevents their use.
-    """
-    if obstacle:
-        return None, (f"no edges are calculated, because {obstacle}",)
-    path = Trajectory.sample(y, dt)
-    lines = Lattice(coarse.step, 1e-9 * coarse.step, np.zeros(1))
-    ages = read_edge_times(path, lines, tick=tick)[1]
-    return ages, (f"the record has {np.count_nonzero(np.isfinite(ages))} edges of steps of {coarse.step:g}",)
-
 
 #: End of the name of a column of ages in ticks of the timer, as "age_ticks" or "age [ticks]".
 _TICKS = re.compile(r"(?:^|[\s_.,:/(\[-])ticks?[)\]]?$", re.IGNORECASE)

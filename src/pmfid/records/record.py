@@ -28,7 +28,7 @@ from pmfid.records.column_checks import (
     left_out,
     round_counts,
 )
-from pmfid.records.edge_ages import Coarser, make_edge_ages, read_edge_ages
+from pmfid.records.edge_ages import read_edge_ages
 from pmfid.records.friction_column import read_slow_column
 from pmfid.records.gaps import describe_missing, hold_input, place_samples
 from pmfid.records.instants import Instants, find_instants, integrate_stamps
@@ -210,21 +210,14 @@ def travel_of(counts: Floats, axis: Axis) -> Floats:
     return _scale_column(unwrap_counts(counts, axis.encoder.bits) + 0.5, step, "[encoder] resolution")
 
 
-def read_record(path: Path, axis: Axis, coarse: Coarser | None = None) -> Record:
+def read_record(path: Path, axis: Axis) -> Record:
     """Read the record that `axis.record` describes from a file of one of the `formats`.
 
-    A `coarse` encoder quantises the position again (floor quantiser, mean error -step/2). Raises UsageError with the
-    file, the column, the first bad row and the remedy. A constant input or a record without motion is not an error.
+    Raises UsageError with the file, the column, the first bad row and the remedy. A constant input or a record without
+    motion is not an error.
     """
-    resolution = axis.encoder.resolution
-    # The negated comparison also rejects NaN.
-    if coarse is not None and not resolution * (1 - 1e-9) <= coarse.step < np.inf:
-        raise UsageError(
-            f"{'edges' if coarse.edges else 'quantize'} = {coarse.step:g} must be positive, finite and not finer than "
-            f"[encoder] resolution = {resolution:g}; give a larger step"
-        )
     try:
-        return _build(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, coarse, path.name)
+        return _build(read_table(path, Stated(axis.record.separator, axis.record.decimal)), axis, path.name)
     except UsageError as error:
         # The message has one line, even if names in a damaged file have several.
         raise UsageError(f"{path}: {' '.join(str(error).split())}") from None
@@ -232,7 +225,7 @@ def read_record(path: Path, axis: Axis, coarse: Coarser | None = None) -> Record
 
 def record_of(table: Table, axis: Axis, name: str = "record") -> Record:
     """Return the record in a table of columns that `axis.record` names. Raises UsageError as `read_record` does."""
-    return _build(table, axis, None, name)
+    return _build(table, axis, name)
 
 
 def _columns(config: RecordConfig, table: Table) -> tuple[RecordConfig, Table, dict[str, Floats]]:
@@ -273,7 +266,7 @@ def _stated_factor(config: RecordConfig) -> float:
     return time_factor(config)
 
 
-def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Record:
+def _build(table: Table, axis: Axis, name: str) -> Record:
     config, table, columns = _columns(axis.record.model_copy(update={"reference": None}), table)
     keys = {"input": config.input, "output": config.output, "time": config.time}
     check_lengths(columns, keys)
@@ -295,17 +288,13 @@ def _build(table: Table, axis: Axis, coarse: Coarser | None, name: str) -> Recor
     if found is not None:  # the rows to leave out are gaps now
         config, mask = config.model_copy(update={"mask": None, "exclude": ()}), None
     if found is None or found.even:
-        record, stamps, rows, fine = _place_on_grid(config, axis, columns, mask, found, (u_scale, units.y), coarse)
+        record, stamps, rows = _place_on_grid(config, axis, columns, mask, found, (u_scale, units.y))
     else:
-        record, fine = _take_uneven(found, axis, (u_scale, units.y), coarse)
+        record = _take_uneven(found, axis, (u_scale, units.y))
         stamps, rows = found.time, np.arange(record.u.size)
     lost = "" if record.there is None else "rows are missing"
     obstacle = lost if found is None else "the steps of the clock vary"
-    if coarse is not None and coarse.edges and fine is not None:
-        ages, age_notes = make_edge_ages(fine, record.dt, coarse, axis.encoder.tick, obstacle)
-    else:
-        obstacle = obstacle or ("the position is quantised again" if coarse is not None else "")
-        ages, age_notes = read_edge_ages(table, axis.encoder, rows, obstacle)
+    ages, age_notes = read_edge_ages(table, axis.encoder, rows, obstacle)
     return replace(
         record,
         notes=notes + record.notes + age_notes,
@@ -324,10 +313,8 @@ def _place_on_grid(
     mask: Floats | None,
     clock: Instants | None,
     scales: tuple[float, float],
-    coarse: Coarser | None,
-) -> tuple[Record, Floats, NDArray[np.intp], Floats | None]:
-    """Return the record of an even clock, the stamps (n,) of its samples, the used rows, and the position before a
-    coarser encoder.
+) -> tuple[Record, Floats, NDArray[np.intp]]:
+    """Return the record of an even clock, the stamps (n,) of its samples, and the used rows.
 
     `scales` are the factors of input and output. `clock` is the even clock of late stamps.
     """
@@ -337,7 +324,7 @@ def _place_on_grid(
     stamps = rows.place_stamps(columns.get("time", rows.rows.astype(np.float64)))
     y = _scale_column(columns["output"], scales[1], "the unit of the output")
     travel, motion_notes = (y, ()) if clock is not None else _measure_travel(y, rows, axis)
-    record, fine = _count(_scale_column(columns["input"], scales[0]), travel, rows.dt, axis, coarse)
+    record = _count(_scale_column(columns["input"], scales[0]), travel, rows.dt, axis)
     notes = row_notes + motion_notes + record.notes
     if not rows.whole:
         inputs, bridged = _scale_column(inputs, scales[0]), config.output_kind != "velocity"
@@ -347,36 +334,27 @@ def _place_on_grid(
     record = replace(record, notes=notes, dt_error=rows.dt_error)
     if clock is not None:
         record = replace(record, jitter=clock.jitter, drifts=clock.drifts, dt_error=clock.dt_error)
-    return record, stamps, rows.rows, fine
+    return record, stamps, rows.rows
 
 
-def _take_uneven(
-    found: Instants, axis: Axis, scales: tuple[float, float], coarse: Coarser | None
-) -> tuple[Record, Floats | None]:
-    """Return the record at uneven instants, and the position before a coarser encoder. `scales` are the factors of
-    input and output.
-    """
+def _take_uneven(found: Instants, axis: Axis, scales: tuple[float, float]) -> Record:
+    """Return the record at uneven instants. `scales` are the factors of input and output."""
     dt, notes = sample_period(found.period * np.arange(found.u.size) + found.time[0], axis.record)
     y = _scale_column(found.y, scales[1], "the unit of the output")
-    record, fine = _count(hold_input(_scale_column(found.u, scales[0])), y, dt, axis, coarse)
+    record = _count(hold_input(_scale_column(found.u, scales[0])), y, dt, axis)
     steps = SampleSteps(np.append(dt, np.diff(found.time) * (dt / found.period)))
     there = None if np.all(found.there) else found.there
     notes += record.notes if there is None else (*record.notes, describe_missing(record.u, there))
-    return replace(record, there=there, notes=notes, steps=steps, jitter=found.jitter, drifts=found.drifts), fine
+    return replace(record, there=there, notes=notes, steps=steps, jitter=found.jitter, drifts=found.drifts)
 
 
-def _count(u: Floats, travel: Floats, dt: float, axis: Axis, coarse: Coarser | None) -> tuple[Record, Floats | None]:
-    """Return the record of an input u (n,) and a travel (n,), and the position (n,) before a coarser encoder."""
-    (counts, notes), resolution, fine = counts_of(travel, axis), axis.encoder.resolution, None
-    if coarse is not None:
-        # Without a position, y is computed from the counts, so that no position is floored twice.
-        fine = travel if axis.record.output_kind != "counts" else counts.astype(np.float64) * resolution
-        counts, resolution = floor_counts(fine, coarse.step, 1e-9), coarse.step
-        notes += (f"the position is quantised again with a step of {coarse.step:g}",)
+def _count(u: Floats, travel: Floats, dt: float, axis: Axis) -> Record:
+    """Return the record of an input u (n,) and a travel (n,)."""
+    (counts, notes), resolution = counts_of(travel, axis), axis.encoder.resolution
     in_counts = axis.record.output_kind == "counts" and resolution == 1
     if in_counts:
         notes += ("resolution is 1: lengths are in counts; give the travel of a count in [encoder]",)
-    return Record(u, counts, dt, resolution, notes, "", in_counts=in_counts), fine
+    return Record(u, counts, dt, resolution, notes, "", in_counts=in_counts)
 
 
 def _find_clock(
