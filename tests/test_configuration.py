@@ -26,7 +26,7 @@ def made(method: str) -> pmfid.RLS:
 
 
 def config_of(method: str) -> np.ndarray[Any, Any]:
-    return configuration_of(made(method).runner.kernel, "float64").copy()
+    return configuration_of(made(method).kernel, "float64").copy()
 
 
 def grown(place: str) -> np.dtype[Any]:
@@ -119,7 +119,7 @@ def test_nodes_that_are_not_there_are_refused(rows: str, field: str) -> None:
 
 @pytest.mark.parametrize("method", ["RLS", "RIV"])
 def test_a_kernel_from_the_bytes_of_another_gives_its_bits(method: str) -> None:
-    one = made(method).runner.kernel
+    one = made(method).kernel
     other = _kernel64.Kernel(one.raw_config())
     u, counts = np.sin(np.arange(300) / 9), (np.arange(300) ** 2 // 50).astype(np.int64)
     for mine, its in zip(one.run(u, counts), other.run(u, counts), strict=True):
@@ -135,4 +135,4 @@ def test_the_status_has_the_numbers_of_the_header() -> None:
 def test_what_lies_between_the_fields_is_zero() -> None:
     """Otherwise equal configurations would have different checksums, and a fleet would refuse its own states."""
     config = config_of("RLS")
-    assert resize_structure(config, config.dtype).tobytes() == made("RLS").runner.kernel.raw_config()
+    assert resize_structure(config, config.dtype).tobytes() == made("RLS").kernel.raw_config()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid import IV, RIV, Drive, Encoder, MotionFit, Status
+from pmfid import IV, RIV, Drive, Encoder, Fleet, MotionFit, Status
 from pmfid.kernel.structures import constants_of
 from pmfid.models import equation
 from pmfid.models.equation import Equation, Term
@@ -156,7 +156,7 @@ def test_saved_states_go_on_with_the_same_bits_and_hold_the_inputs_that_are_stil
 def test_many_axes_have_the_bits_of_one() -> None:
     runs = [prbs("cart", late) for late in (0.0, 0.7, 1.3)]
     u, counts = np.array([run.u for run in runs]), np.array([run.counts for run in runs])
-    many = made(RIV, "cart", 0.007).run_many(u, counts)
+    many = Fleet(made(RIV, "cart", 0.007), 3).run(u, counts)
     for i, run in enumerate(runs):
         alone = made(RIV, "cart", 0.007).run(run.u, run.counts)
         np.testing.assert_array_equal(np.asarray(many.theta)[i, -1], alone.theta[-1])

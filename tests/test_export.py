@@ -513,7 +513,7 @@ def test_a_flipped_bit_is_refused(precision: str) -> None:
 
 def test_the_header_is_read_as_the_compiler_lays_it_out() -> None:
     for precision in PRECISIONS:
-        kernel, types = make(pmfid.RIV, precision).runner.kernel, structures(None, precision)
+        kernel, types = make(pmfid.RIV, precision).kernel, structures(None, precision)
         assert types["pmf_config_t"].itemsize == len(kernel.raw_config())
         assert types["pmf_state_t"].itemsize == len(kernel.raw_state())
         config = configuration(kernel, precision)

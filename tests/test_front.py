@@ -75,7 +75,7 @@ def test_a_wrong_name_lists_the_right_ones() -> None:
     fit = pmfid.LS(*arguments).fit(run.u, run.counts)
     estimator = pmfid.RLS(*arguments)
     track = estimator.run(run.u, run.counts)
-    tracks = estimator.run_many(run.u, run.counts[None, :])
+    tracks = pmfid.Fleet(estimator, 1).run(run.u, run.counts[None, :])
     for result in (fit, track, tracks, estimator.estimate, pmfid.RLS(*arguments, precision="float32").estimate):
         with pytest.raises(KeyError) as caught:
             result["Mass"]

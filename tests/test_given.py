@@ -334,9 +334,9 @@ def test_step_by_step_is_the_same_as_the_run() -> None:
     front = pmfid.RIV(pmfid.Drive(5.0), pmfid.Encoder(record.resolution), axis.dt, 80.0, forgetting=0.999)
     belt = pmfid.Known(front, given={"mass": axis.drive.mass}, prior={"coulomb_friction": (15, 5)}, find_gain=True)
     track = belt.run(front.start(), record.u, record.counts)
-    runner = front.start()
+    single = front.start()
     for u, counts in zip(record.u.tolist(), record.counts.tolist(), strict=True):
-        estimate = runner.step(u, counts)
+        estimate = single.step(u, counts)
     last = belt.combine(estimate)
     assert track.theta[-1] == pytest.approx(last.theta, rel=1e-9)
     assert track.theta_std[-1] == pytest.approx(last.theta_std, rel=1e-6)

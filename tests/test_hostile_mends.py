@@ -127,7 +127,7 @@ def test_more_than_anybody_waits_for_is_refused(tmp_path: Path) -> None:
 def test_a_foreign_state_has_no_negative_variance() -> None:
     """A foreign state may be no sum of squares: the variance once became negative."""
     estimator = used("rls", "float32")
-    parameters = int(configuration(estimator.runner.kernel, "float32")["direct"]["n_parameters"])
+    parameters = int(configuration(estimator.kernel, "float32")["direct"]["n_parameters"])
     for element in range(1, parameters * parameters):
         estimator.set_state(forged(estimator, "direct.sums.cross", 1e9, element))
         track = estimator.run(np.tile([3.0, -3.0], 30), np.arange(60))

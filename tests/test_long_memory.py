@@ -36,12 +36,12 @@ def after_millions(cls: type[RecursiveEstimator], precision: str) -> RecursiveEs
     run = cart_run(3, samples=SAMPLES, increments=1024)
     estimator = cls(pmfid.Drive(2.0), run.encoder, 0.01, 30.0, precision=precision)
     estimator.run(run.u, run.counts)
-    state = np.frombuffer(estimator.runner.kernel.raw_state(), structures(None, precision)["pmf_state_t"]).copy()
+    state = np.frombuffer(estimator.kernel.raw_state(), structures(None, precision)["pmf_state_t"]).copy()
     sums = state[0]["direct"]
     for part in (sums["sums"]["cross"], sums["sums"]["square"], sums["sums"]["right"], sums["peak"]):
         part *= REPEATED
     state[0]["direct"]["sums"]["weight"] *= REPEATED
-    estimator.runner.kernel.set_raw_state(state.tobytes())
+    estimator.kernel.set_raw_state(state.tobytes())
     return estimator
 
 

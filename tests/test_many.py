@@ -209,8 +209,10 @@ def test_counters_wrap(bits, precision):
 @pytest.mark.parametrize("axes", [1, 2, 3, 4, 5, 8, 9, 16, 17])
 def test_any_number_of_axes(axes):
     u, counts = fleet_record()
-    whole = make(pmfid.BCRLS).run_many(u, counts)
-    assert_equal_tracks(make(pmfid.BCRLS).run_many(u[:axes], counts[:axes]).axis(axes - 1), whole.axis(axes - 1))
+    whole = pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u, counts)
+    assert_equal_tracks(
+        pmfid.Fleet(make(pmfid.BCRLS), axes).run(u[:axes], counts[:axes]).axis(axes - 1), whole.axis(axes - 1)
+    )
 
 
 @pytest.mark.parametrize("cuts", [[300], [1, 2, 5, 40, 41, 650]])
@@ -219,7 +221,7 @@ def test_a_split_run_is_the_whole_run(cuts):
     fleet = pmfid.Fleet(make(pmfid.RIV), AXES)
     for part in np.split(np.arange(SAMPLES), cuts):
         last = fleet.run(u[:, part], counts[:, part])
-    assert_equal_tracks(last, make(pmfid.RIV).run_many(u, counts))
+    assert_equal_tracks(last, pmfid.Fleet(make(pmfid.RIV), AXES).run(u, counts))
 
 
 def test_threads_change_nothing():
@@ -231,11 +233,11 @@ def test_threads_change_nothing():
 
 def test_every_so_many_and_the_last_are_kept():
     u, counts = fleet_record()
-    whole = make(pmfid.BCRLS).run_many(u, counts, every=1)
-    some = make(pmfid.BCRLS).run_many(u, counts, every=300)
+    whole = pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u, counts, every=1)
+    some = pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u, counts, every=300)
     assert some.samples.tolist() == [299, 599, 699]
     for every, kept in ((np.float32(300), [299, 599, 699]), (10**30, [699])):
-        assert make(pmfid.BCRLS).run_many(u, counts, every=every).samples.tolist() == kept
+        assert pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u, counts, every=every).samples.tolist() == kept
     assert np.array_equal(some.theta, whole.theta[:, [299, 599, 699]])
     assert np.array_equal(some["mass"], some.theta[:, :, 0])
     assert np.array_equal(some.theta_std[3], whole.axis(3).theta_std[[299, 599, 699]])
@@ -246,7 +248,7 @@ def test_every_so_many_and_the_last_are_kept():
 def test_tables_are_read_in_place_in_any_order():
     u, counts = fleet_record()
     u = np.clip(u, -1e30, 1e30).astype(np.float32).astype(float)
-    reference = make(pmfid.BCRLS).run_many(u, counts)
+    reference = pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u, counts)
     small = counts.astype(np.int32)
     for table, numbers in [
         (u.astype(np.float32), small),
@@ -254,9 +256,9 @@ def test_tables_are_read_in_place_in_any_order():
         (u.tolist(), counts.astype(float)),
         (u[::-1][::-1], counts.astype(">i8")),
     ]:
-        assert_equal_tracks(make(pmfid.BCRLS).run_many(table, numbers), reference)
-    same = make(pmfid.BCRLS).run_many(u[0], counts)
-    assert_equal_tracks(same, make(pmfid.BCRLS).run_many(np.tile(u[0], (AXES, 1)), counts))
+        assert_equal_tracks(pmfid.Fleet(make(pmfid.BCRLS), AXES).run(table, numbers), reference)
+    same = pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u[0], counts)
+    assert_equal_tracks(same, pmfid.Fleet(make(pmfid.BCRLS), AXES).run(np.tile(u[0], (AXES, 1)), counts))
 
 
 def test_a_fleet_starts_from_the_present_state_and_leaves_it():
@@ -274,7 +276,7 @@ def test_a_fleet_starts_from_the_present_state_and_leaves_it():
 
 def test_states_are_saved_and_single_axes_taken_out():
     u, counts = fleet_record()
-    whole = make(pmfid.RIV).run_many(u, counts)
+    whole = pmfid.Fleet(make(pmfid.RIV), AXES).run(u, counts)
     fleet = pmfid.Fleet(make(pmfid.RIV), AXES)
     fleet.run(u[:, :400], counts[:, :400])
     other = pmfid.Fleet(make(pmfid.RIV), AXES)
@@ -291,7 +293,7 @@ def test_a_fleet_says_what_it_is():
 
 
 def test_no_samples_give_no_estimates():
-    tracks = make(pmfid.BCRLS).run_many(np.zeros((3, 0)), np.zeros((3, 0), int), every=2)
+    tracks = pmfid.Fleet(make(pmfid.BCRLS), 3).run(np.zeros((3, 0)), np.zeros((3, 0), int), every=2)
     assert tracks.theta.shape == (3, 0, 3)
     assert tracks.samples.size == 0
 
@@ -302,7 +304,7 @@ def test_what_does_not_fit_is_refused():
     refused(
         (r"counts must be \(21, n\)", lambda: fleet.run(u[:20], counts[:20])),
         ("u the same, or", lambda: fleet.run(u[:, 1:], counts)),
-        ("one row for each axis", lambda: make(pmfid.BCRLS).run_many(u[0], counts[0])),
+        ("one row for each axis", lambda: pmfid.Fleet(make(pmfid.BCRLS), 1).run(u[0], counts[0])),
         ("integers", lambda: fleet.run(u, counts + 0.5)),
         *(
             ("every must be a whole number of at least 1", lambda x=x: fleet.run(u, counts, every=x))
@@ -328,10 +330,7 @@ def test_tables_that_are_no_numbers_are_refused():
     estimator, fleet = make(pmfid.BCRLS), pmfid.Fleet(make(pmfid.BCRLS), 2)
     for wrong in (None, [[1, 2], [3]], "a", [["a", "b"], ["c", "d"]], [[1j, 2], [3, 4]]):
         refused(
-            (
-                "counts must be an array of real numbers",
-                lambda wrong=wrong: estimator.run_many(np.zeros((2, 2)), wrong),
-            ),
+            ("counts must be an array of real numbers", lambda wrong=wrong: fleet.run(np.zeros((2, 2)), wrong)),
             ("u must be an array of real numbers", lambda wrong=wrong: fleet.run(wrong, np.zeros((2, 2), int))),
             ("u must be an array of real numbers", lambda wrong=wrong: estimator.run(wrong, np.zeros(2, int))),
         )
@@ -347,13 +346,16 @@ def test_a_missing_count_is_named():
             "NaN or infinite in 1 places, first at index 2: replace a missing count",
             lambda: estimator.run(np.zeros(4), [0.0, 1.0, np.nan, 2.0]),
         ),
-        ("first at index 1, 0: replace", lambda: estimator.run_many(np.zeros((2, 2)), [[0.0, 1.0], [np.nan, np.inf]])),
+        (
+            "first at index 1, 0: replace",
+            lambda: pmfid.Fleet(estimator, 2).run(np.zeros((2, 2)), [[0.0, 1.0], [np.nan, np.inf]]),
+        ),
     )
 
 
 def test_the_kernel_writes_only_where_there_is_room():
     axes, samples, p = 3, 10, 3
-    single = make(pmfid.BCRLS).runner.kernel
+    single = make(pmfid.BCRLS).kernel
     kernel = single.many(axes, fleet_layout(single, "float64"))
     u, counts = np.zeros((axes, samples)), np.zeros((axes, samples), np.int64)
 
@@ -388,7 +390,7 @@ def test_lanes_compile_without_a_warning(size, precision):
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_a_gap_of_one_axis_is_that_of_its_runner(precision):
+def test_a_gap_of_one_axis_is_that_of_a_single_one(precision):
     """The gap has no effect on other axes, and the counter may have wrapped in the gap."""
     u, counts = fleet_record()
     estimator = make(pmfid.RIV, precision)

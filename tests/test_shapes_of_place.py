@@ -73,7 +73,7 @@ def test_a_fleet_has_the_bits_of_one_axis(precision: str) -> None:
     run = run_of("cogging", 3, 1500)
     model = replace(MODELS["cogging"], stribeck=0.3, quadratic=True)
     estimator = pmfid.RIV(model, pmfid.Encoder(STEP), DT, CUTOFF, forgetting=0.999, precision=precision)
-    tracks = estimator.run_many(np.tile(run.u, (3, 1)), np.tile(run.counts, (3, 1)))
+    tracks = pmfid.Fleet(estimator, 3).run(np.tile(run.u, (3, 1)), np.tile(run.counts, (3, 1)))
     alone = estimator.run(run.u, run.counts)
     for axis in range(3):
         np.testing.assert_array_equal(tracks.theta[axis, -1], alone.theta[-1])

@@ -48,7 +48,7 @@ def used(name: str, precision: str) -> RecursiveEstimator:
 
 def forged(estimator: RecursiveEstimator, field: str, value: float, element: int = 0) -> bytes:
     """Return the state with one number changed, and with the right checksum."""
-    types = structures(shape_of(configuration(estimator.runner.kernel, estimator.precision)), estimator.precision)
+    types = structures(shape_of(configuration(estimator.kernel, estimator.precision)), estimator.precision)
     data = bytearray(estimator.get_state())
     start = types["pmf_saved_t"].fields["state"][1]  # type: ignore[index]
     places = [(kind, start + at) for name, kind, at in leaves(types["pmf_state_t"]) if name == field]
@@ -61,7 +61,7 @@ def forged(estimator: RecursiveEstimator, field: str, value: float, element: int
 
 
 def fields(estimator: RecursiveEstimator) -> Iterator[tuple[str, str]]:
-    types = structures(shape_of(configuration(estimator.runner.kernel, estimator.precision)), estimator.precision)
+    types = structures(shape_of(configuration(estimator.kernel, estimator.precision)), estimator.precision)
     yield from dict.fromkeys((name, kind) for name, kind, _ in leaves(types["pmf_state_t"]))
 
 

@@ -29,7 +29,7 @@ def test_bits_are_those_of_the_general_step(cls, model, precision, forgetting):
     found = []
     for straight in (True, False):
         estimator = cls(model, run.encoder, CART_DT, 50.0, forgetting=forgetting, precision=precision)
-        kernel = estimator.runner.kernel
+        kernel = estimator.kernel
         kernel.straight = straight
         assert kernel.straight == straight
         tracks, last = kernel.run(u, counts), kernel.step(1.0, int(counts[-1]))
@@ -41,7 +41,7 @@ def test_bits_are_those_of_the_general_step(cls, model, precision, forgetting):
 @pytest.mark.parametrize("cls", METHODS)
 def test_few_configurations_take_the_general_step(cls, drive):
     def is_straight(model=drive, **options):
-        return cls(model, pmfid.Encoder(1e-5), CART_DT, 50.0, **options).runner.kernel.straight
+        return cls(model, pmfid.Encoder(1e-5), CART_DT, 50.0, **options).kernel.straight
 
     assert is_straight()
     assert is_straight(pmfid.Drive(2.0, offset=True))

@@ -20,11 +20,12 @@ SETTINGS = (DRIVE, ENCODER, 0.005, 40.0)
 
 
 class Hidden(pmfid.RLS):
-    """An estimator whose copies share the runner."""
+    """An estimator whose copies share the state."""
 
     def __copy__(self):
         other = replace(self)
-        object.__setattr__(other, "runner", self.runner)
+        object.__setattr__(other, "kernel", self.kernel)
+        object.__setattr__(other, "step", self.kernel.step)
         return other
 
 
@@ -137,7 +138,7 @@ class Jumpy(pmfid.RLS):
 
     def set_state(self, state):
         super().set_state(state)
-        self.runner.open_memory(0.5)
+        self.open_memory(0.5)
 
 
 class Silent(pmfid.RLS):
@@ -174,10 +175,10 @@ class Particular(pmfid.RLS):
 
 
 class Shared(pmfid.RLS):
-    """An estimator whose runners are all the same object."""
+    """An estimator that starts as the same object."""
 
     def start(self, state=None):
-        return self.__dict__.get("runner") or super().start(state)
+        return self
 
 
 class Rough(pmfid.RLS):
@@ -209,7 +210,7 @@ BROKEN = {
     Drifting: "copies_fit_alike: copy.copy fits",
     Rounding: "counts_are_integers: a count of 7.9",
     Particular: "equality_is_of_the_configuration: samples",
-    Shared: "the_kernels_own: the estimator moves with a runner",
+    Shared: "the_kernels_own: the estimator moves with another one",
     Rough: "precisions_agree: float32",
 }
 

@@ -13,7 +13,6 @@ import pytest
 
 import pmfid
 import pmfid.testing
-from pmfid.estimators.runner import Runner
 from pmfid.monitor.monitor import Monitor
 
 
@@ -30,7 +29,7 @@ def functions_of(package: str) -> list[object]:
 
 
 DOORS = [getattr(pmfid, name) for name in pmfid.__all__]
-DOORS += [Runner, Monitor, pmfid.testing.check_estimator, pmfid.testing.checks_of]
+DOORS += [Monitor, pmfid.testing.check_estimator, pmfid.testing.checks_of]
 ROOMS = [thing for room in ("records", "pipeline", "diagnostics") for thing in functions_of(f"pmfid.{room}")]
 
 

@@ -22,7 +22,7 @@ runs = [
     for k, load in enumerate(loads.tolist())
 ]
 riv = pmfid.RIV(pmfid.Drive(CART.input_gain), pmfid.Encoder(runs[0].resolution), runs[0].dt, 33.0)
-tracks = riv.run_many([run.motion.u for run in runs], [run.counts for run in runs])
+tracks = pmfid.Fleet(riv, len(runs)).run([run.motion.u for run in runs], [run.counts for run in runs])
 mass = tracks["mass"][:, -1]
 print(f"heaviest axes: {sorted(np.argsort(mass)[-3:].tolist())}; median error {np.median(np.abs(mass - loads)):.4f} kg")
 

@@ -70,7 +70,7 @@ def constants(config: Structured, prefix: str = "") -> Iterator[tuple[str, str]]
 
 def rows() -> Iterator[tuple[str, str, str]]:
     for name, estimator in estimators().items():
-        kernel = estimator.runner.kernel
+        kernel = estimator.kernel
         yield from ((name, *row) for row in constants(configuration(kernel, estimator.precision)))
 
 

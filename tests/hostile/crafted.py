@@ -50,20 +50,20 @@ def estimators() -> Iterator[tuple[str, RecursiveEstimator]]:
 
 def folder_of(estimator: RecursiveEstimator, place: str, folder: Path) -> Path:
     """Write the configuration, the state and its fields for a build with the module's sizes or an export's sizes."""
-    config, precision = configuration(estimator.runner.kernel, estimator.precision), estimator.precision
+    config, precision = configuration(estimator.kernel, estimator.precision), estimator.precision
     shape = firmware_shape(config) if place == "export" else None
     types = structures(shape, precision)
     if shape is None:
-        state = np.frombuffer(estimator.runner.kernel.raw_state(), types["pmf_state_t"])[0]
+        state = np.frombuffer(estimator.kernel.raw_state(), types["pmf_state_t"])[0]
     else:
-        state = tight_state(estimator.runner.kernel, precision, shape)
+        state = tight_state(estimator.kernel, precision, shape)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "config").write_bytes(resize_structure(config, types["pmf_config_t"]).tobytes())
     (folder / "state").write_bytes(state.tobytes())
     fields = [(offset, int(kind == "f")) for _, kind, offset in leaves(types["pmf_state_t"])]
     (folder / "words").write_bytes(np.array(fields, "<u4").tobytes())
     if place == "fleet":
-        (folder / "layout").write_bytes(fleet_layout(estimator.runner.kernel, estimator.precision))
+        (folder / "layout").write_bytes(fleet_layout(estimator.kernel, estimator.precision))
     return folder
 
 

@@ -2,25 +2,31 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.configuration import integer_counts, numbers
+from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Tracks
-from pmfid.estimators.runner import Runner, RunnerEstimator, processors
 from pmfid.estimators.tuning import TUNING
-from pmfid.kernel.saved import fleet_layout
+from pmfid.kernel.saved import fleet_layout, load_fleet, save_fleet
 from pmfid.types import Floats, Numbers
 
 N = TypeVar("N", bound=np.number)
-E = TypeVar("E", bound=RunnerEstimator)
+E = TypeVar("E", bound=RecursiveEstimator)
 #: Arrays of theta, the diagonal of P, its inflation, the innovation, its variance, and the status.
 Results = tuple[Floats, Floats, Floats, Floats, Floats, NDArray[np.uint32]]
+
+
+def processors() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _tables(u: ArrayLike, counts: ArrayLike, axes: int) -> tuple[NDArray[np.floating], NDArray[np.integer]]:
@@ -66,7 +72,7 @@ class Fleet(Generic[E]):
 
     Parameters
     ----------
-    estimator : recursive estimator or Runner
+    estimator : recursive estimator
         All axes start from the present state of the estimator, which does not change.
     axes : int
         Number of axes, >= 1.
@@ -90,33 +96,27 @@ class Fleet(Generic[E]):
     array([1.07, 1.07])
     """
 
-    def __init__(self, estimator: E | Runner[E], axes: int, *, workers: int | None = None) -> None:
-        first = getattr(estimator, "runner", estimator)
-        if not isinstance(first, Runner):
+    def __init__(self, estimator: E, axes: int, *, workers: int | None = None) -> None:
+        if not isinstance(estimator, RecursiveEstimator):
             what = getattr(estimator, "method", type(estimator).__name__)
             raise UsageError(f"a fleet runs sample by sample, and {what} does not; use rls, bcrls or riv")
-        self._source: Runner[E] = first  # the configuration remains available if this runner continues
-        if first.spaced:
+        if estimator.steps is not None:
             raise UsageError(
                 "many axes at once need evenly spaced samples: run each axis on its own, or make the "
                 "estimator without the argument steps"
             )
+        self.estimator: E = estimator
         self.axes = whole_number("axes", axes, 1, "it is the number of machines")
         remedy = "it is the number of threads; None uses one thread for each processor"
         self.workers = processors() if workers is None else whole_number("workers", workers, 1, remedy)
         try:
-            self._kernel = first.kernel.many(self.axes, fleet_layout(first.kernel, first.precision))
+            self._kernel = estimator.kernel.many(self.axes, fleet_layout(estimator.kernel, estimator.precision))
         except (MemoryError, OverflowError, ValueError):
             raise UsageError(f"the states of {axes} axes do not fit into memory; process fewer at a time") from None
         self._way, self._first = self._kernel.fastest_way, self._kernel.states[:1].copy()
 
     def __reduce__(self) -> tuple[object, ...]:
         return _resume_fleet, (self.estimator, self._first, self.axes, self.workers, self.get_state())
-
-    @property
-    def estimator(self) -> E:
-        """New estimator with the configuration of the fleet."""
-        return self._source.estimator
 
     def __repr__(self) -> str:
         return f"Fleet({self.estimator!r}, {self.axes}, workers={self.workers})"
@@ -130,36 +130,35 @@ class Fleet(Generic[E]):
         the counts are no integers, or the memory does not hold the kept estimates.
         """
         u_table, counts_table = _tables(u, counts, self.axes)
-        n, names = counts_table.shape[1], self._source.names
+        n, names = counts_table.shape[1], self.estimator.names
         if every is not None:
             every = min(whole_number("every", every, 1, "None keeps only the last estimate"), max(1, n))
         samples = kept_samples(n, every)
         results = _room(self.axes, samples.size, len(names))
         if samples.size:
             self._run_all(u_table, counts_table, every or 0, results)
-        return Tracks(names, self._source.units, *results, samples)
+        return Tracks(names, self.estimator.units, *results, samples)
 
     def _run_all(self, u: NDArray[np.floating], counts: NDArray[np.integer], every: int, results: Results) -> None:
         def run(piece: range) -> None:
             self._kernel.run(u, counts, piece.start, piece.stop, every, results, self._way)
 
-        if self.workers == 1 or counts.size < TUNING.runner_small:
+        if self.workers == 1 or counts.size < TUNING.fleet_small:
             run(range(self.axes))
             return
         with ThreadPoolExecutor(self.workers) as pool:
             list(pool.map(run, self._pieces()))
 
     def _pieces(self) -> Iterator[range]:
-        size = -(-self.axes // (self.workers * TUNING.runner_pieces))
-        size = -(-size // TUNING.runner_group) * TUNING.runner_group
+        size = -(-self.axes // (self.workers * TUNING.fleet_pieces))
+        size = -(-size // TUNING.fleet_group) * TUNING.fleet_group
         return (range(start, min(start + size, self.axes)) for start in range(0, self.axes, size))
 
     def axis(self, index: int) -> E:
         """Return a new estimator of the same configuration in the state of one axis."""
-        single: Any = self.estimator
-        self._kernel.load(single.runner.kernel, self._place(index))
-        found: E = single
-        return found
+        single = self.estimator.start()
+        self._kernel.load(single.kernel, self._place(index))
+        return single
 
     def gap(self, index: int, counts: int) -> None:
         """Report a gap in the samples of one axis; `counts` are those of its next sample.
@@ -185,9 +184,7 @@ class Fleet(Generic[E]):
 
         `set_state` of a fleet with the same configuration and number of axes continues from these states.
         """
-        from pmfid.kernel.saved import save_fleet
-
-        return save_fleet(self._kernel, self._source.precision)
+        return save_fleet(self._kernel, self.estimator.precision)
 
     def set_state(self, state: bytes) -> None:
         """Continue from saved states.
@@ -195,16 +192,14 @@ class Fleet(Generic[E]):
         Raises UsageError, without any change of the fleet, if the states are damaged or impossible, or have another
         configuration or number of axes.
         """
-        from pmfid.kernel.saved import load_fleet
-
-        load_fleet(self._kernel, self._source.precision, state)
+        load_fleet(self._kernel, self.estimator.precision, state)
 
 
 def _resume_fleet(estimator: E, first: NDArray[np.uint8], axes: int, workers: int, state: bytes) -> Fleet[E]:
-    runner = estimator.start()
-    single = runner.kernel.many(1, fleet_layout(runner.kernel, runner.precision))
+    begun = estimator.start()
+    single = begun.kernel.many(1, fleet_layout(begun.kernel, begun.precision))
     single.set_states(first)
-    single.load(runner.kernel, 0)
-    fleet = Fleet(runner, axes, workers=workers)
+    single.load(begun.kernel, 0)
+    fleet = Fleet(begun, axes, workers=workers)
     fleet.set_state(state)
     return fleet

@@ -18,7 +18,6 @@ from pmfid.estimators.configuration import check_arrays, like
 from pmfid.estimators.facts import INPUT_GAIN, check_known, forces_of
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Fit, Track, join_tracks
-from pmfid.estimators.runner import Runner
 from pmfid.estimators.tuning import TUNING
 from pmfid.models.drive import Drive
 from pmfid.presentation import Parameters, Presentable, PresentableParameters, Summary, remarks_of
@@ -374,13 +373,13 @@ class Known:
         errors[unknown], theta[unknown] = np.inf, 0.0
         return track.with_bars(self.names, self.units, theta, errors)
 
-    def run(self, runner: RecursiveEstimator | Runner[RecursiveEstimator], u: ArrayLike, counts: ArrayLike) -> Track:
-        """Run the samples u and counts (n,) through a runner, as `Runner.run` does, and return the combined track."""
+    def run(self, estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -> Track:
+        """Run the samples u and counts (n,) through a recursive estimator, and return the combined track."""
         u, counts = check_arrays(u, counts)
         parts = []
         for start in range(0, max(1, u.size), TUNING.known_piece):
-            part = runner.run(u[start : start + TUNING.known_piece], counts[start : start + TUNING.known_piece])
-            parts.append(self.track(part, runner.estimate))
+            part = estimator.run(u[start : start + TUNING.known_piece], counts[start : start + TUNING.known_piece])
+            parts.append(self.track(part, estimator.estimate))
         return join_tracks(parts)
 
 

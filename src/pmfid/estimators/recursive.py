@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
-from numbers import Real
+from numbers import Integral, Real
 from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
@@ -16,14 +16,14 @@ from pmfid._stage import first_order, products
 from pmfid.elementary import cos_sin, exp, geometric, power
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator, memory_of
-from pmfid.estimators.configuration import configuration_of, construct_estimator, integer_counts
-from pmfid.estimators.fleet import Fleet
+from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator
 from pmfid.estimators.least_squares import level_of
-from pmfid.estimators.results import Track, Tracks
-from pmfid.estimators.runner import Runner
+from pmfid.estimators.results import Track
+from pmfid.estimators.sample_steps import check_steps
 from pmfid.estimators.tuning import TUNING
 from pmfid.filters.columns import ColumnBuilder
 from pmfid.filters.network import LATE_POSITION, SPLIT_FORWARD, VELOCITY, Network, Taps
+from pmfid.kernel.saved import load_state, save_state
 from pmfid.kernel.structures import constants_of
 from pmfid.types import Floats
 
@@ -138,14 +138,13 @@ class RecursiveEstimator(Estimator):
     A small part of the largest information is never forgotten, and theta is held once only this part is left
     (Levenberg-Marquardt, Ljung and Soderstrom 1983). Nothing therefore winds up without excitation.
 
-    The configuration is frozen and alone decides equality and hash. A `Runner` holds the state that samples change, and
-    `start()` makes as many runners as needed. The attribute `runner` is the estimator's own runner. `step`, `run`,
-    `reset` and similar methods call `runner`. A copy by `copy`, `pickle` or a process pool has its own runner, which
-    continues from the same state. `dataclasses.replace` starts without samples.
+    The configuration is frozen and alone decides equality and hash. The `kernel` holds the state that samples change.
+    A copy by `copy`, `pickle` or a process pool continues from the same state with the same bits, and shares nothing
+    with the original. `start()` and `dataclasses.replace` return estimators without samples.
     """
 
     forgetting: float = field(default=1.0, kw_only=True)
-    runner: Runner[Self] = field(init=False, repr=False, compare=False)
+    kernel: Kernel = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -154,9 +153,10 @@ class RecursiveEstimator(Estimator):
                 f"forgetting must be in (0, 1], got {self.forgetting!r}; for a memory of T seconds use 1 - dt/T"
             )
         self._check_room()
-        object.__setattr__(self, "runner", self.start())
+        object.__setattr__(self, "kernel", self._allocate_kernel())
+        self.kernel.names = self.names
         if type(self).step is RecursiveEstimator.step:  # an instance attribute saves a look-up in Python at each call
-            object.__setattr__(self, "step", self.runner.kernel.step)
+            object.__setattr__(self, "step", self.kernel.step)
 
     def _check_room(self) -> None:
         most, model = self.kernel_class.max_parameters, self.model
@@ -206,13 +206,13 @@ class RecursiveEstimator(Estimator):
             config["outgrown"] = TUNING.recursive_outgrown * LOOK
         return config
 
-    def start(self, state: bytes | None = None) -> Runner[Self]:
-        """Return an independent runner that starts without samples or from a saved state. Raises UsageError for a state
-        of another configuration."""
-        runner = Runner(self, self._allocate_kernel())
+    def start(self, state: bytes | None = None) -> Self:
+        """Return an independent estimator with the same configuration, without samples or from a saved state. Raises
+        UsageError for a state of another configuration."""
+        started = construct_estimator(type(self), configuration_of(self))
         if state is not None:
-            runner.set_state(state)
-        return runner
+            started.set_state(state)
+        return started
 
     def _allocate_kernel(self) -> Kernel:
         try:
@@ -224,40 +224,70 @@ class RecursiveEstimator(Estimator):
         return _resume_estimator, (type(self), configuration_of(self), self.get_state())
 
     def step(self, u: float, counts: int, dt: float | None = None) -> Estimate:
-        """Process one sample with `Runner.step` and return the estimate."""
-        return self.runner.step(u, counts, dt)
+        """Process one sample and return the estimate.
+
+        `u` is the input from now on, and `counts` is the present count. `dt` is the time since the last sample [s] for
+        an estimator with `steps`; None takes the sample period. The estimate has theta (p,), theta_cov (p, p),
+        theta_std (p,), innovation, innovation_variance and status. The status flags a non-finite value, which never
+        enters the estimate. Raises TypeError for a count that is no integer.
+        """
+        return self.kernel.step(u, counts, dt)
 
     def run(self, u: ArrayLike, counts: ArrayLike, steps: ArrayLike | None = None) -> Track:
-        """Process many samples from the present state with `Runner.run`."""
-        return self.runner.run(u, counts, steps)
+        """Process samples u and counts (n,) from the present state, with the same bits as `step` in a loop.
 
-    def run_many(self, u: ArrayLike, counts: ArrayLike, *, every: int | None = None) -> Tracks:
-        """Run many axes at once, each from the present state, which does not change.
-
-        u is (axes, n), or (n,) for the same input on all axes; counts are (axes, n). The result has the last estimate
-        of each axis, or one estimate for every `every` samples and the last. Each axis has the bits of `run`. A `Fleet`
-        can continue with further samples. Raises UsageError like `Fleet.run`.
+        `steps` (n,) are the times between consecutive samples [s], for an estimator with `steps`. Raises UsageError if
+        the arrays differ in length, if the counts are no integers, or if `steps` does not suit the estimator.
         """
-        table = integer_counts(counts)
-        return Fleet(self, max(1, table.shape[0]) if table.ndim else 1).run(u, table, every=every)
+        u, counts = check_arrays(u, counts)
+        return Track(self.names, self.units, *self.kernel.run(u, counts, self._steps_of(steps, u.size)))
+
+    def _steps_of(self, steps: ArrayLike | None, samples: int) -> Floats | None:
+        asked = self.steps is not None
+        found = None if steps is None else check_steps(steps)
+        if asked != (found is not None) or (found is not None and found.size != samples):
+            raise UsageError(
+                'steps (n,) belong to an estimator that is made with steps="given": give one step for each '
+                "sample, or leave steps out for any other estimator"
+            )
+        return found
 
     @property
     def estimate(self) -> Estimate:
         """The present `Estimate`."""
-        return self.runner.estimate
+        return self.kernel.estimate()
 
     def open_memory(self, keep: float, parameter: str | None = None) -> None:
-        """Forget old samples after a change of the plant, with `Runner.open_memory`."""
-        self.runner.open_memory(keep, parameter)
+        """Reduce the weight of the gathered information to the part `keep` in (0, 1], after a change of the plant.
+
+        `parameter` is the name of the changed parameter. The information on the other parameters, given its value,
+        stays. None reduces all information. The estimate stays and its variance grows (covariance reset in information
+        form, Goodwin and Sin 1984). Filters and auxiliary model continue. Raises UsageError for an invalid `keep` or an
+        unknown parameter.
+        """
+        if not isinstance(keep, Real) or not 0 < keep <= 1:
+            raise UsageError(f"keep must be in (0, 1], got {keep!r}; with 0.001 new samples dominate at once")
+        if parameter is not None and parameter not in self.names:
+            raise UsageError(f"parameter must be one of {list(self.names)} or None, got {parameter!r}")
+        self.kernel.open(keep, -1 if parameter is None else self.names.index(parameter))
 
     def rebase(self, counts: int) -> None:
-        """Follow a counter that was set to another value, with `Runner.rebase`."""
-        self.runner.rebase(counts)
+        """Follow a counter that was set to another value, as in a homing.
+
+        `counts` is the new counter's value for the last sample. The estimate stays. Without `rebase`, the estimator
+        flags the jump and loses one sample of motion (`Encoder.guard`).
+        """
+        self.kernel.rebase(counts)
 
     def gap(self, counts: int) -> None:
-        """Restart the filters after lost samples, with `Runner.gap`. Raises UsageError for a linear process."""
+        """Restart filters and auxiliary model after lost samples, from the next sample with these counts.
+
+        The information stays. For a gap of few samples, a linear interpolation of input and counts is better. If the
+        input may have leapt in the gap, call `doubt` first. Raises TypeError for counts that are no integer, and
+        UsageError for a linear process.
+        """
         self.check_gaps()
-        self.runner.gap(counts)
+        self.kernel.gap(counts)
 
     def check_gaps(self) -> None:
         """Raise UsageError for a linear process, because its output continues predictably only without gaps."""
@@ -268,20 +298,32 @@ class RecursiveEstimator(Estimator):
             )
 
     def doubt(self, samples: int) -> None:
-        """Mark the next samples as guesses, with `Runner.doubt`."""
-        self.runner.doubt(samples)
+        """Mark the next `samples` samples as guesses, from which nothing is learnt.
+
+        `doubt` suits a gap in which the input switched. In slow motion the estimator skips some further samples, at
+        most the settling time of the filters, with the status `SETTLING`. Filters and auxiliary model continue. Raises
+        UsageError for a negative or fractional number.
+        """
+        if isinstance(samples, bool) or not isinstance(samples, Integral) or not samples >= 0:
+            raise UsageError(f"samples must be a whole number of at least 0, got {samples!r}")
+        self.kernel.doubt(min(int(samples), 2**31))
 
     def reset(self) -> None:
         """Forget all samples."""
-        self.runner.reset()
+        self.kernel.reset()
 
     def get_state(self) -> bytes:
-        """Return the whole state as bytes, from which Python or firmware can continue, with `Runner.get_state`."""
-        return self.runner.get_state()
+        """Return the whole state as bytes, with a version and checksums. `set_state` of an estimator with the same
+        configuration continues from this state, and so does exported firmware."""
+        return save_state(self.kernel, self.precision)
 
     def set_state(self, state: bytes) -> None:
-        """Continue from a saved state, with `Runner.set_state`."""
-        self.runner.set_state(state)
+        """Continue from a saved state.
+
+        Raises UsageError, without a change of the estimator, for a damaged state and for a state of another
+        configuration. Numbers that no sample could have made are refused even with a correct checksum.
+        """
+        load_state(self.kernel, self.precision, state)
 
 
 def _resume_estimator(

@@ -135,14 +135,14 @@ class EstimatorTuning:
     #: Information above this multiple of the last memory's information counts as that of larger motions.
     recursive_outgrown: int = 3
 
-    # runner
+    # fleet
     #: The number of axes that a thread takes at once is a multiple of this number, the size of the kernel's largest
     #: vector.
-    runner_group: int = 16
+    fleet_group: int = 16
     #: Pieces of work for each thread. Smaller pieces shorten the wait for the last thread.
-    runner_pieces: int = 4
+    fleet_pieces: int = 4
     #: Less work than this [axes times samples] is not worth a second thread.
-    runner_small: int = 20_000
+    fleet_small: int = 20_000
 
     # srivc
     #: Largest relative difference of two sample periods that count as equal.

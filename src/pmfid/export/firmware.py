@@ -197,7 +197,7 @@ def source_files(pattern: str) -> list[Path]:
 
 def absent_files(estimator: RecursiveEstimator) -> set[str]:
     """Return the sources of the parts that the kernel of an estimator does not need."""
-    shape = shape_of(configuration(estimator.runner.kernel, estimator.precision))
+    shape = shape_of(configuration(estimator.kernel, estimator.precision))
     absent = {"pmf_sizes.h", "pmf_network.c", "pmf_network_code.c" if shape.with_steps else "pmf_network_steps.c"}
     if not shape.with_auxiliary:
         absent |= {"pmf_auxiliary.c", "pmf_shapes.inl", "pmf_verdicts.c", "pmf_instrument.c"}

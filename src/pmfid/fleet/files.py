@@ -12,7 +12,7 @@ from typing import TypeVar
 import polars as pl
 
 from pmfid.errors import UsageError, whole_number
-from pmfid.estimators.runner import processors
+from pmfid.estimators.fleet import processors
 from pmfid.fleet.evaluate import PROBLEM, Work
 from pmfid.fleet.plan import (
     SLICE,

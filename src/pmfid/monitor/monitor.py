@@ -221,7 +221,7 @@ class Monitor(WatchedAxis, Presentable):
         """
         before = self.samples - self.estimator.delay
         own, part = self._inputs.run(u, counts), slice(start, start + u.size)
-        track = Track(self.estimator.names, self.estimator.units, *self.estimator.runner.kernel.run(u, own))
+        track = Track(self.estimator.names, self.estimator.units, *self.estimator.kernel.run(u, own))
         blocks, disturbed = self._filter.rows(u, own)
         result = track if self.known is None else self.apply_known(self.estimator.estimate)
         rows.theta[0, part], rows.std[0, part] = result.theta, result.theta_std
@@ -305,7 +305,7 @@ class Monitor(WatchedAxis, Presentable):
         """Checksum of the configuration."""
         calibration, estimator = self.calibration, self.estimator
         reference, _ = reference_kernel(self._front, calibration.theta.tolist())
-        number = zlib.crc32(reference.raw_config(), zlib.crc32(estimator.runner.kernel.raw_config()))
+        number = zlib.crc32(reference.raw_config(), zlib.crc32(estimator.kernel.raw_config()))
         known = self.known and (dict(self.known.given), dict(self.known.prior), self.known.find_gain)
         texts = estimator.names, self.watch, self.threshold, known, calibration.left_out
         number = zlib.crc32(repr(texts).encode(), number)
@@ -320,13 +320,13 @@ class Monitor(WatchedAxis, Presentable):
         """Kernels that pack and run many states of the estimator and of the filter."""
         one, other = (
             kernel.many(1, fleet_layout(kernel, self.estimator.precision))
-            for kernel in (self.estimator.runner.kernel, self._filter.kernel)
+            for kernel in (self.estimator.kernel, self._filter.kernel)
         )
         return one, other
 
     def pack_state(self) -> AxisStates:
         """Return the state as arrays of one row."""
-        kernels = self.estimator.runner.kernel, self._filter.kernel
+        kernels = self.estimator.kernel, self._filter.kernel
         estimator, filtered = (_pack_kernel(many, kernel) for many, kernel in zip(self.packers, kernels, strict=True))
         whole, real = self._inputs.numbers
         flagged, now = np.array([self._flagged], np.uint32), self._filter
@@ -343,7 +343,7 @@ class Monitor(WatchedAxis, Presentable):
             self._filter = ScoreFilter(self._front, self.reference, left_out=self.calibration.left_out)
         self._inputs.numbers, self._flagged = (sampled.whole[axis], sampled.real[axis]), int(sampled.flagged[axis])
         self._filter.sums[:], self._filter.progress[:] = sampled.sums[row], sampled.progress[row]
-        kernels = self.estimator.runner.kernel, self._filter.kernel
+        kernels = self.estimator.kernel, self._filter.kernel
         for many, kernel, states in zip(self.packers, kernels, (sampled.estimator, sampled.filter), strict=True):
             many.hold(states[row])
             many.load(kernel, 0)

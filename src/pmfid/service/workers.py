@@ -13,7 +13,7 @@ from pathlib import Path
 from queue import SimpleQueue
 from threading import Event, Thread
 
-from pmfid.estimators.runner import processors
+from pmfid.estimators.fleet import processors
 from pmfid.service.tuning import TUNING
 from pmfid.stream.groups import Prepared, prepare
 

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from pmfid._estimate import Estimate
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
+from pmfid.estimators.fleet import Fleet
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Fit
 from pmfid.status import Status
@@ -148,17 +149,17 @@ def precisions_agree(case: Case) -> None:
 
 
 def the_kernels_own(case: Case) -> None:
-    """Check the class of a kernel estimator's estimate, its independent runners, and its axes side by side."""
+    """Check the class of an estimate, independent estimators with one configuration, and axes side by side."""
     estimator = _run_some(case)
     if not isinstance(estimator, RecursiveEstimator):
         return
     require(isinstance(estimator.estimate, Estimate), "the estimate is no pmfid.Estimate")
     before, (u, counts) = estimator.get_state(), _later(case)
-    runner = estimator.start(before)
-    moved, many = _bits(runner, u, counts), estimator.run_many(u, counts[None])
-    require(estimator.get_state() == before, "the estimator moves with a runner or a fleet")
-    require(np.array_equal(many.theta[0, -1], runner.estimate.theta), "a fleet has other bits")
-    require(_bits(estimator, u, counts) == moved, "a runner has other bits")
+    other = estimator.start(before)
+    moved, many = _bits(other, u, counts), Fleet(estimator, 1, workers=1).run(u, counts[None])
+    require(estimator.get_state() == before, "the estimator moves with another one or a fleet")
+    require(np.array_equal(many.theta[0, -1], other.estimate.theta), "a fleet has other bits")
+    require(_bits(estimator, u, counts) == moved, "an estimator from a saved state has other bits")
 
 
 def _run_some(case: Case) -> OnLine:
