@@ -17,8 +17,8 @@ NO_CODE = {
 }
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 67038,
-    "lines of code in src": 39383,
+    "lines of src": 66892,
+    "lines of code in src": 39307,
     "lines of code in report and cli": 3545,
     "thresholds in src": 1039,
     "lines of csrc": 8957,
