@@ -24,8 +24,7 @@ class Hidden(pmfid.RLS):
 
     def __copy__(self):
         other = replace(self)
-        object.__setattr__(other, "kernel", self.kernel)
-        object.__setattr__(other, "step", self.kernel.step)
+        other.__dict__.update(kernel=self.kernel, step=self.kernel.step)
         return other
 
 
