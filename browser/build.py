@@ -46,7 +46,7 @@ HEADERS = "/usr/include/wasm32-wasi"
 KERNEL = (
     *("encoder", "guard", "outlier", "auxiliary", "verdicts", "network", "recursion", "instrument", "estimate", "step"),
     *("gap", "open", "state", "plausible", "alarm", "edges/pmf_redge", "edges/pmf_redge_plausible"),
-    *("many/pmf_fits", "many/pmf_many", "many/pmf_scores"),
+    *("many/pmf_many", "many/pmf_scores"),
 )
 
 

@@ -17,15 +17,15 @@ NO_CODE = {
 }
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66892,
+    "lines of src": 66875,
     "lines of code in src": 39307,
     "lines of code in report and cli": 3545,
     "thresholds in src": 1039,
-    "lines of csrc": 8957,
-    "defines of csrc": 199,
-    "conditionals of csrc": 110,
-    "lines of tests": 28205,
-    "match= in tests": 27,
+    "lines of csrc": 8673,
+    "defines of csrc": 196,
+    "conditionals of csrc": 108,
+    "lines of tests": 40593,
+    "match= in tests": 54,
     "lines of studies": 10399,
 }
 

@@ -15,7 +15,7 @@
 #include "../pmf_verdicts.c"
 #include "../pmf_encoder.c"
 #include "../pmf_guard.c"
-#include "pmf_scores.h"
+#include "pmf_many.h"
 #include PMF_NETWORK_FILE
 #include "../pmf_recursion.c"
 #include "../pmf_step.c"
@@ -195,128 +195,10 @@ uint64_t JOIN(PMF_LANES_NAME, PMF_STRAIGHT)(const pmf_config_t *config, const pm
     return run(config, layout, many, first, end, packed);
 }
 #else
-/* Return a table without gaps. */
-static pmf_rows_t table_of(const void *start, uint64_t samples)
-{
-    pmf_rows_t rows = {(const unsigned char *)start, 8 * (int64_t)samples, 8, 8U};
-    return rows;
-}
-
-enum { WIDTH = PMF_MAX_PARAMETERS * (1 + 2 * PMF_MAX_PARAMETERS) };
-
-typedef int64_t sum_truth_t __attribute__((vector_size(PMF_LANES * 8)));
-
-/* The current blocks of the axes of a group. */
-typedef struct {
-    pmf_sum_t theta[PMF_MAX_PARAMETERS], sums[WIDTH];
-} scores_t;
-
-static void load_scores(const pmf_scored_t *many, uint32_t p, uint64_t first, uint32_t axes, scores_t *scores)
-{
-    uint32_t width = p * (1U + 2U * p), lane, i;
-    for (lane = 0; lane < PMF_LANES; ++lane) {
-        uint64_t axis = first + axis_of(lane, axes);
-        for (i = 0; i < p; ++i) {
-            scores->theta[i][lane] = many->theta[axis * p + i];
-        }
-        for (i = 0; i < width; ++i) {
-            scores->sums[i][lane] = many->sums[axis * width + i];
-        }
-    }
-}
-
-/* Add samples to the sums of the axes for which the truth holds. */
-static void add_samples(uint32_t p, truth_t where, const real_t *phi, scores_t *scores)
-{
-    pmf_sum_t kept[WIDTH];
-    sum_truth_t wide = __builtin_convertvector(where, sum_truth_t);
-    uint32_t width = p * (1U + 2U * p), i;
-    if (PMF_ALL(where)) {
-        pmf_add_sample(p, scores->theta, phi, scores->sums);
-    } else if (PMF_ANY(where)) {
-        for (i = 0; i < width; ++i) {
-            kept[i] = scores->sums[i];
-        }
-        pmf_add_sample(p, scores->theta, phi, scores->sums);
-        for (i = 0; i < width; ++i) {
-            scores->sums[i] = (pmf_sum_t)(((sum_truth_t)scores->sums[i] & wide) | ((sum_truth_t)kept[i] & ~wide));
-        }
-    }
-}
-
-static void take_sums(uint32_t width, const scores_t *scores, uint32_t lane, double *sums)
-{
-    uint32_t i;
-    for (i = 0; i < width; ++i) {
-        sums[i] = scores->sums[i][lane];
-    }
-}
-
-static void end_block_of(const pmf_scoring_t *scoring, const pmf_scored_t *many, uint32_t *progress, uint32_t lane,
-                         uint64_t row, scores_t *scores)
-{
-    uint32_t width = scoring->parameters * (1U + 2U * scoring->parameters), i;
-    double sums[WIDTH];
-    take_sums(width, scores, lane, sums);
-    many->lost[row] = (unsigned char)pmf_end_block(scoring, sums, progress, many->blocks + row * width);
-    for (i = 0; i < width; ++i) {
-        scores->sums[i][lane] = sums[i];
-    }
-}
-
-static void score_group(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
-                        const pmf_scored_t *many, uint64_t first, uint32_t axes, unsigned char *packed,
-                        pmf_state_t *state)
-{
-    pmf_rows_t input = table_of(many->input, many->samples), counts = table_of(many->counts, many->samples);
-    uint32_t p = scoring->parameters, width = p * (1U + 2U * p), lane, k;
-    uint64_t sample, row[PMF_LANES] = {0};
-    scores_t scores;
-    tile_t tile;
-    load(layout, axes, packed, state);
-    load_scores(many, p, first, axes, &scores);
-    for (sample = 0; sample < many->samples; sample += TILE) {
-        uint32_t samples = many->samples - sample < TILE ? (uint32_t)(many->samples - sample) : TILE;
-        for (lane = 0; lane < PMF_LANES; ++lane) {
-            take_inputs(&input, first + axis_of(lane, axes), sample, samples, (lane_real_t *)tile.input + lane);
-            take_counts(&counts, first + axis_of(lane, axes), sample, samples, (lane_word_t *)tile.count + lane);
-        }
-        for (k = 0; k < samples; ++k) {
-            whole_t status = pmf_filter(config, state, tile.input[k], tile.count[k]);
-            add_samples(p, (status & scoring->left_out) == 0U, &state->network.column[scoring->first], &scores);
-            for (lane = 0; lane < axes; ++lane) {
-                uint32_t *progress = many->progress + 2U * (first + lane);
-                if (pmf_count_sample(scoring, (uint32_t)status[lane], progress) != 0U) {
-                    end_block_of(scoring, many, progress, lane, (first + lane) * many->kept + row[lane], &scores);
-                    ++row[lane];
-                }
-            }
-        }
-    }
-    for (lane = 0; lane < axes; ++lane) {
-        take_sums(width, &scores, lane, many->sums + (first + lane) * width);
-    }
-    store(layout, axes, state, packed);
-}
-
-static uint64_t score(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
-                      const pmf_scored_t *many, uint64_t end, unsigned char *packed)
-{
-    pmf_state_t state;
-    uint64_t first = 0U;
-    uint32_t axes;
-    pmf_clear(&state, (uint32_t)sizeof state);
-    for (; (axes = group_of(end - first)) != 0U; first += axes) {
-        score_group(config, layout, scoring, many, first, axes, packed + first * layout->packed_size, &state);
-    }
-    return first;
-}
-
 pmf_lanes_run_t JOIN(PMF_LANES_NAME, rls), JOIN(PMF_LANES_NAME, bcrls), JOIN(PMF_LANES_NAME, riv);
 const pmf_lanes_t PMF_LANES_NAME = {
     PMF_LANES,
     sizeof(pmf_state_t) / PMF_LANE_BYTES,
     {run, JOIN(PMF_LANES_NAME, rls), JOIN(PMF_LANES_NAME, bcrls), JOIN(PMF_LANES_NAME, riv)},
-    score,
 };
 #endif

@@ -41,7 +41,8 @@ uint32_t pmf_many_way(void)
     return way;
 }
 
-const pmf_lanes_t *pmf_lanes_for(uint32_t way, const pmf_layout_t *layout, uint64_t samples)
+/* Return null if the build or the processor does not have the way, or if the way is slower for the few samples. */
+static const pmf_lanes_t *lanes_for(uint32_t way, const pmf_layout_t *layout, uint64_t samples)
 {
     const pmf_lanes_t *lanes = lanes_of(way);
     return lanes != 0 && samples >= FEW_SAMPLES && layout->lane_words == lanes->words ? lanes : 0;
@@ -140,7 +141,7 @@ static void run_one(const pmf_config_t *config, const pmf_many_t *many, pmf_step
 void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
                   uint64_t end, unsigned char *packed)
 {
-    const pmf_lanes_t *lanes = pmf_lanes_for(many->way, layout, many->samples);
+    const pmf_lanes_t *lanes = lanes_for(many->way, layout, many->samples);
     uint64_t axis = lanes != 0 ? lanes->run[pmf_method_of(config)](config, layout, many, first, end, packed) : first;
     pmf_stepper_t *step = pmf_fastest_step(config);
     pmf_state_t state;

@@ -59,7 +59,6 @@ typedef struct {
 typedef struct {
     const double *input, *theta;
     const int64_t *counts;
-    uint32_t way;
     uint64_t samples;
     double *sums; /* sums of the current block */
     uint32_t *progress; /* numbers of samples and of disturbed samples in the current block */
@@ -75,28 +74,14 @@ enum { PMF_GENERAL = 0, PMF_RLS, PMF_BCRLS, PMF_RIV, PMF_METHODS };
  * after the last group, because the remaining axes are too few for a group. */
 typedef uint64_t pmf_lanes_run_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many,
                                  uint64_t first, uint64_t end, unsigned char *packed);
-/* Compute the block scores of the axes 0 to `end` in groups. */
-typedef uint64_t pmf_lanes_score_t(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
-                                   const pmf_scored_t *many, uint64_t end, unsigned char *packed);
 typedef struct {
     uint32_t lanes, words; /* vectors in a state */
     pmf_lanes_run_t *run[PMF_METHODS]; /* by pmf_method_of() */
-    pmf_lanes_score_t *score;
 } pmf_lanes_t;
-/* Return null if the build or the processor does not have the way, or if the way is slower for the few samples. */
-const pmf_lanes_t *pmf_lanes_for(uint32_t way, const pmf_layout_t *layout, uint64_t samples);
-
-/* Count a sample of an axis. Returns 1 if the block of the axis is complete. */
-uint32_t pmf_count_sample(const pmf_scoring_t *scoring, uint32_t status, uint32_t *progress);
-/* Write the block and begin the next one. Returns 1 if all samples of the block were disturbed. */
-uint32_t pmf_end_block(const pmf_scoring_t *scoring, double *sums, uint32_t *progress, double *block);
 
 extern const pmf_lanes_t pmf_lanes_16, pmf_lanes_32, pmf_lanes_64;
 
 #ifndef PMF_LANES
-/* Return 1 if the numbers can be a configuration of this build, 0 if they would exceed the memory. */
-uint32_t pmf_fits(const pmf_config_t *config);
-uint32_t pmf_shapes_fit(const pmf_shapes_config_t *shapes);
 /* Copy the words in use of a state to a packed state. */
 void pmf_pack(const pmf_layout_t *layout, const pmf_state_t *state, unsigned char *packed);
 /* Unpack a state. The unused part of the state stays, which is zero after pmf_init() or pmf_clear(). */
@@ -106,9 +91,9 @@ uint32_t pmf_many_way(void);
 /* Run the axes `first` to `end` through all samples. `packed` holds the states of all axes. */
 void pmf_many_run(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_many_t *many, uint64_t first,
                   uint64_t end, unsigned char *packed);
-/* Process one sample of an axis. Returns 1 if the block of the axis is complete. */
-uint32_t pmf_score(const pmf_config_t *config, const pmf_scoring_t *scoring, pmf_state_t *state, scalar_t input,
-                   uint32_t count, const double *theta, double *sums, uint32_t *progress);
+/* Compute the scores of all samples of the axis `axis`, 0 for a single one, from its state. */
+void pmf_score_axis(const pmf_config_t *config, const pmf_scoring_t *scoring, const pmf_scored_t *many, uint64_t axis,
+                    pmf_state_t *state);
 /* Process all samples of all axes, whose states are in `packed`. */
 void pmf_many_scores(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
                      const pmf_scored_t *many, uint64_t axes, unsigned char *packed);

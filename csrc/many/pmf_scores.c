@@ -3,29 +3,39 @@
  *
  * The sums are double for any type of the kernel's numbers. Each sum has a fixed order, so that the bits of an axis do
  * not depend on other axes. */
-#include "pmf_scores.h"
+#include "pmf_straight.h"
 
-uint32_t pmf_count_sample(const pmf_scoring_t *scoring, uint32_t status, uint32_t *progress)
+/* Return the number of sums in a block of p parameters. */
+static uint32_t width_of(uint32_t p)
 {
-    progress[1] += (status & scoring->disturbed) != 0U ? 1U : 0U;
-    progress[0] += 1U;
-    return progress[0] >= scoring->size ? 1U : 0U;
+    return p * (1U + 2U * p);
 }
 
-uint32_t pmf_score(const pmf_config_t *config, const pmf_scoring_t *scoring, pmf_state_t *state, scalar_t input,
-                   uint32_t count, const double *theta, double *sums, uint32_t *progress)
+/* Add a sample to the sums of zeta e, zeta phi^T and zeta zeta^T. z and zeta follow phi in memory. */
+static void add_sample(uint32_t p, const double *theta, const scalar_t *phi, double *sums)
 {
-    uint32_t status = pmf_filter(config, state, input, count);
-    if ((status & scoring->left_out) == 0U) {
-        pmf_add_sample(scoring->parameters, theta, &state->network.column[scoring->first], sums);
+    const scalar_t *zeta = phi + p + 1U;
+    double *cross = sums + p, *square = cross + p * p, told = (double)phi[0] * theta[0], error;
+    uint32_t i, j;
+    for (i = 1; i < p; ++i) {
+        told += (double)phi[i] * theta[i];
     }
-    return pmf_count_sample(scoring, status, progress);
+    error = (double)phi[p] - told;
+    for (i = 0; i < p; ++i) {
+        double own = (double)zeta[i];
+        sums[i] += own * error;
+        for (j = 0; j < p; ++j) {
+            cross[i * p + j] += own * (double)phi[j];
+            square[i * p + j] += own * (double)zeta[j];
+        }
+    }
 }
 
-uint32_t pmf_end_block(const pmf_scoring_t *scoring, double *sums, uint32_t *progress, double *block)
+/* Write the block and begin the next one. Returns 1 if all samples of the block were disturbed. */
+static unsigned char end_block(const pmf_scoring_t *scoring, double *sums, uint32_t *progress, double *block)
 {
-    uint32_t width = scoring->parameters * (1U + 2U * scoring->parameters), i;
-    uint32_t lost = progress[1] >= scoring->size ? 1U : 0U;
+    uint32_t width = width_of(scoring->parameters), i;
+    unsigned char lost = progress[1] >= scoring->size ? 1U : 0U;
     for (i = 0; i < width; ++i) {
         block[i] = sums[i];
         sums[i] = 0.0;
@@ -34,18 +44,22 @@ uint32_t pmf_end_block(const pmf_scoring_t *scoring, double *sums, uint32_t *pro
     return lost;
 }
 
-static void score_alone(const pmf_config_t *config, const pmf_scoring_t *scoring, const pmf_scored_t *many,
-                        uint64_t axis, pmf_state_t *state)
+void pmf_score_axis(const pmf_config_t *config, const pmf_scoring_t *scoring, const pmf_scored_t *many, uint64_t axis,
+                    pmf_state_t *state)
 {
-    uint64_t sample, row = axis * many->kept, width = scoring->parameters * (1U + 2U * scoring->parameters);
-    const double *theta = many->theta + axis * scoring->parameters;
+    pmf_stepper_t *filter = pmf_fastest_filter(config);
+    uint32_t p = scoring->parameters, width = width_of(p), *progress = many->progress + 2U * axis;
+    uint64_t at = axis * many->samples, end = at + many->samples, row = axis * many->kept;
     double *sums = many->sums + axis * width;
-    uint32_t *progress = many->progress + 2U * axis;
-    for (sample = 0; sample < many->samples; ++sample) {
-        uint64_t at = axis * many->samples + sample;
-        if (pmf_score(config, scoring, state, (scalar_t)many->input[at], (uint32_t)(uint64_t)many->counts[at], theta,
-                      sums, progress) != 0U) {
-            many->lost[row] = (unsigned char)pmf_end_block(scoring, sums, progress, many->blocks + row * width);
+    for (; at < end; ++at) {
+        uint32_t status = filter(config, state, (scalar_t)many->input[at], (uint32_t)(uint64_t)many->counts[at]);
+        if ((status & scoring->left_out) == 0U) {
+            add_sample(p, many->theta + axis * p, &state->network.column[scoring->first], sums);
+        }
+        progress[0] += 1U;
+        progress[1] += (status & scoring->disturbed) != 0U ? 1U : 0U;
+        if (progress[0] >= scoring->size) {
+            many->lost[row] = end_block(scoring, sums, progress, many->blocks + row * width);
             ++row;
         }
     }
@@ -54,16 +68,12 @@ static void score_alone(const pmf_config_t *config, const pmf_scoring_t *scoring
 void pmf_many_scores(const pmf_config_t *config, const pmf_layout_t *layout, const pmf_scoring_t *scoring,
                      const pmf_scored_t *many, uint64_t axes, unsigned char *packed)
 {
-    const pmf_lanes_t *lanes = pmf_lanes_for(many->way, layout, many->samples);
-    uint64_t axis = lanes != 0 ? lanes->score(config, layout, scoring, many, axes, packed) : 0U;
+    uint64_t axis;
     pmf_state_t state;
-    if (axis < axes) { /* clearing a state takes as long as some samples */
-        pmf_clear(&state, (uint32_t)sizeof state);
-    }
-    for (; axis < axes; ++axis) {
-        unsigned char *own = packed + axis * layout->packed_size;
-        pmf_unpack(layout, own, &state);
-        score_alone(config, scoring, many, axis, &state);
-        pmf_pack(layout, &state, own);
+    pmf_clear(&state, (uint32_t)sizeof state);
+    for (axis = 0; axis < axes; ++axis, packed += layout->packed_size) {
+        pmf_unpack(layout, packed, &state);
+        pmf_score_axis(config, scoring, many, axis, &state);
+        pmf_pack(layout, &state, packed);
     }
 }

@@ -35,15 +35,9 @@ cdef extern from "pmf_internal.h":
         uint32_t n_columns
     ctypedef struct pmf_network_state_t:
         real_t column[PMF_MAX_COLUMNS]
-    ctypedef struct pmf_shape_t:
-        uint32_t node
-    ctypedef struct pmf_shapes_config_t:
-        uint32_t n
-        pmf_shape_t shape[PMF_MAX_SHAPES]
     ctypedef struct pmf_auxiliary_config_t:
         real_t dt, input_gain
-        uint32_t steps, enabled
-        pmf_shapes_config_t shapes
+        uint32_t enabled
     ctypedef struct pmf_auxiliary_state_t:
         real_t parameter[PMF_ROLES]
         real_t velocity, position, step
@@ -111,23 +105,18 @@ cdef extern from "many/pmf_many.h":
         const double *input
         const double *theta
         const int64_t *counts
-        uint32_t way
         uint64_t samples
         double *sums
         uint32_t *progress
         uint64_t kept
         double *blocks
         unsigned char *lost
-    uint32_t pmf_fits(const pmf_config_t *) nogil
-    uint32_t pmf_shapes_fit(const pmf_shapes_config_t *) nogil
     void pmf_pack(const pmf_layout_t *, const pmf_state_t *, unsigned char *) nogil
     void pmf_unpack(const pmf_layout_t *, const unsigned char *, pmf_state_t *) nogil
     uint32_t pmf_many_way() nogil
     void pmf_many_run(const pmf_config_t *, const pmf_layout_t *, const pmf_many_t *, uint64_t, uint64_t,
                       unsigned char *) nogil
-    uint32_t pmf_score(const pmf_config_t *, const pmf_scoring_t *, pmf_state_t *, real_t, uint32_t, const double *,
-                       double *, uint32_t *) nogil
-    uint32_t pmf_end_block(const pmf_scoring_t *, double *, uint32_t *, double *) nogil
+    void pmf_score_axis(const pmf_config_t *, const pmf_scoring_t *, const pmf_scored_t *, uint64_t, pmf_state_t *) nogil
     void pmf_many_scores(const pmf_config_t *, const pmf_layout_t *, const pmf_scoring_t *, const pmf_scored_t *,
                          uint64_t, unsigned char *) nogil
 
@@ -151,8 +140,8 @@ cdef class Kernel:
     """A configured kernel with its state.
 
     `config` is a `pmf_config_t` of the module's sizes as bytes. `pmfid.kernel.configuration` and `raw_config` make this
-    argument. `names` are the names of the parameters. Raises ValueError for a wrong number of bytes, and for numbers
-    that exceed the kernel's memory.
+    argument, and check that the kernel has room. `names` are the names of the parameters. Raises ValueError for a wrong
+    number of bytes.
     """
 
     cdef pmf_config_t config
@@ -164,14 +153,10 @@ cdef class Kernel:
     max_parameters = PMF_MAX_PARAMETERS
 
     def __init__(self, bytes config not None):
-        cdef pmf_config_t taken
         self.names = ()
         if len(config) != sizeof(pmf_config_t):
             raise ValueError(f"a configuration has {sizeof(pmf_config_t)} bytes, got {len(config)}")
-        memcpy(&taken, <const char *> config, sizeof(pmf_config_t))
-        if pmf_fits(&taken) == 0:
-            raise ValueError("these numbers are no configuration: one of them would lead beyond the kernel's memory")
-        memcpy(&self.config, &taken, sizeof(pmf_config_t))
+        memcpy(&self.config, <const char *> config, sizeof(pmf_config_t))
         self._step = pmf_fastest_step(&self.config)
         pmf_init(&self.config, &self.state)
 
@@ -320,18 +305,18 @@ cdef class Kernel:
               cnp.ndarray[uint32_t, mode="c"] progress not None):
         """Sum scores in blocks for one axis. `ManyKernel.score` documents the arguments."""
         cdef pmf_scoring_t numbers
+        cdef pmf_scored_t many
         _set_scoring(&numbers, scoring, self.config.network.n_columns)
-        cdef Py_ssize_t n = u.shape[0], p = numbers.parameters, width = p + 2 * p * p, k, row = 0
+        cdef Py_ssize_t n = u.shape[0], p = numbers.parameters, width = p + 2 * p * p
         _check_blocks(&numbers, progress, (counts.shape[0], theta.shape[0], sums.shape[0], progress.shape[0]), (n, p, width, 2))
         cdef Py_ssize_t kept = (progress[0] + n) // numbers.size
         cdef cnp.ndarray[double, ndim=2, mode="c"] blocks = np.empty((kept, width))
         cdef cnp.ndarray[unsigned char, mode="c"] lost = np.empty(kept, np.uint8)
+        many.input, many.counts, many.theta = <double *> _numbers(u), <int64_t *> _numbers(counts), <double *> _numbers(theta)
+        many.sums, many.progress, many.samples = <double *> _numbers(sums), <uint32_t *> _numbers(progress), n
+        many.kept, many.blocks, many.lost = kept, <double *> _numbers(blocks), <unsigned char *> _numbers(lost)
         with nogil:
-            for k in range(n):
-                if pmf_score(&self.config, &numbers, &self.state, <real_t> u[k], <uint32_t> counts[k], &theta[0],
-                             &sums[0], &progress[0]):
-                    lost[row] = pmf_end_block(&numbers, &sums[0], &progress[0], &blocks[row, 0])
-                    row += 1
+            pmf_score_axis(&self.config, &numbers, &many, 0, &self.state)
         return blocks, lost
 
     def many(self, Py_ssize_t axes, bytes layout):
@@ -487,14 +472,14 @@ cdef class ManyKernel:
     def score(self, cnp.ndarray[double, ndim=2, mode="c"] u not None, cnp.ndarray[int64_t, ndim=2, mode="c"] counts not None,
               scoring, cnp.ndarray[double, ndim=2, mode="c"] theta not None,
               cnp.ndarray[double, ndim=2, mode="c"] sums not None,
-              cnp.ndarray[uint32_t, ndim=2, mode="c"] progress not None, way=None):
+              cnp.ndarray[uint32_t, ndim=2, mode="c"] progress not None):
         """Run encoder and filters on u, counts (axes, n), and sum scores in blocks.
 
         `scoring` holds the first column, the number p of parameters, the samples of a block, the status of samples to
         leave out, and the status of disturbed samples. `theta` is (axes, p). `sums` (axes, p + 2 p^2) and `progress`
-        (axes, 2) hold each unfinished block and are updated. `way` defaults to the fastest. Returns the complete blocks
-        (axes, most, p + 2 p^2), and whether all samples of a block were disturbed (axes, most). The call releases the
-        interpreter. Raises ValueError for arrays of other shapes.
+        (axes, 2) hold each unfinished block and are updated. Returns the complete blocks (axes, most, p + 2 p^2), and
+        whether all samples of a block were disturbed (axes, most). The call releases the interpreter. Raises ValueError
+        for arrays of other shapes.
         """
         cdef pmf_scoring_t numbers
         cdef pmf_scored_t many
@@ -508,7 +493,6 @@ cdef class ManyKernel:
         cdef cnp.ndarray[unsigned char, ndim=2, mode="c"] lost = np.zeros((axes, kept), np.uint8)
         many.input, many.counts, many.theta = <double *> _numbers(u), <int64_t *> _numbers(counts), <double *> _numbers(theta)
         many.sums, many.progress, many.samples = <double *> _numbers(sums), <uint32_t *> _numbers(progress), n
-        many.way = self.fastest_way if way is None else way
         many.kept, many.blocks, many.lost = kept, <double *> _numbers(blocks), <unsigned char *> _numbers(lost)
         with nogil:
             pmf_many_scores(&self.config, &self.layout, &numbers, &many, axes, <unsigned char *> cnp.PyArray_DATA(states))

@@ -68,7 +68,6 @@ class ManyKernel:
         theta: NDArray[np.float64],
         sums: NDArray[np.float64],
         progress: NDArray[np.uint32],
-        way: int | None = None,
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]: ...
     def run(
         self,
