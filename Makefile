@@ -6,8 +6,8 @@ SPARK_TOOLS = openjdk-17-jre-headless
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.inl')
 
-.PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core test-lowest test-newest coverage spark kills broker-kills service-faults soak check format bench \
-    bench-compare study paper hostile firmware browser test-browser docs docs-pictures firmware-tools service-tools spark-tools golden images clean
+.PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core test-lowest test-newest coverage spark kills service-faults soak check format bench \
+    bench-compare study paper firmware browser test-browser docs docs-pictures firmware-tools service-tools spark-tools golden images clean
 
 # The versions of requirements-dev.txt, whose hashes pip verifies, then pmfid. An edit of Python counts at once, an edit
 # of C after `make`. pmfid is compiled to bytecode here, because some environments forbid later compilation.
@@ -162,7 +162,7 @@ test-long: .venv/tools firmware-tools service-tools
 # The core's tests with the hard dependencies alone. Excluded are tests of the upper layers (service, fleets, design),
 # tests of results from all layers, and tests of extras (formats, frames).
 ABOVE = $(wildcard tests/test_fleet_*.py tests/test_design_*.py tests/test_hostile*.py) $(addprefix tests/, service spark) \
-    $(patsubst %,tests/test_%.py,formats frames logs_study openings presentation reproduce unpacked)
+    $(patsubst %,tests/test_%.py,formats frames openings presentation reproduce unpacked)
 build/core/bin/pytest: build/pins.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	$(PYTHON) -m venv build/core
 	build/core/bin/pip install --quiet --no-deps --require-hashes -r requirements-build.txt
@@ -202,13 +202,6 @@ KILLS ?= 1000
 kills: .venv/tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.kill_campaign --kills $(KILLS)
 
-# Kill the broker of a connected service, and at times the service.
-BROKER_KILLS ?= 50
-SERVICE_KILLS ?= 20
-broker-kills: .venv/tools service-tools
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.broker_campaign \
-	--kills $(BROKER_KILLS) --service-kills $(SERVICE_KILLS)
-
 # Study of the service with faulty messages, disks, browsers and processes. It needs a broker, and root for disks.
 service-faults: .venv/tools service-tools
 	mkdir -p results/images
@@ -221,7 +214,7 @@ check: .venv/tools
 	.venv/bin/clang-format --dry-run --Werror $(KERNEL)
 	.venv/bin/ruff check .
 	.venv/bin/mypy
-	.venv/bin/python -m pytest -q $(STRUCTURE)
+	$(PYTEST) -q $(STRUCTURE)
 
 format: .venv/tools
 	.venv/bin/ruff format .
@@ -274,11 +267,6 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.fleet_history --out results/fleet_history.md
 	.venv/bin/python -m studies.servo_grid --out results/actuators.md
 	.venv/bin/python -m studies.growth --out docs/benchmarks.md --samples 100000000 --axes 1000000
-	.venv/bin/python -m tests.hostile.study --out results/hostile.md
-
-# Attack states under the sanitizers, openings, names in exports, calls and pipes for up to an hour.
-hostile: .venv/tools
-	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.hostile.campaign $(PARTS)
 
 # Results of every method on fixed records, whose diff shows a change of numbers.
 golden: .venv/installed

@@ -108,6 +108,13 @@ def unjudged() -> AbstractContextManager[object]:
     return mock.patch("pmfid.diagnostics.verdict.fit_again", return_value=None)
 
 
+@pytest.fixture(scope="module")
+def without_judgement() -> Iterator[None]:
+    """Switch off the judgement of estimates for a file of tests that ask for no status."""
+    with unjudged():
+        yield
+
+
 @pytest.fixture(scope="session")
 def plant_place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with axis.toml and its reference record, written once."""

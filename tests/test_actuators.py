@@ -3,29 +3,20 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pmfid._body import BASE, KINDS, run
 from pmfid.actuators import JointLog, Servo, ServoFit, fit_logs, fit_servo, simulate_servo
-from pmfid.actuators.body import body_of, excite
-from pmfid.actuators.bounded import cut_below
-from pmfid.actuators.logs import LogLayout, read_joints
-from pmfid.actuators.ticks import run_ticks, split_loop
 from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.errors import NotIdentifiableError
-from pmfid.fit.machine import simulate
-from pmfid.fit.problem import ObservedStretch
 from pmfid.types import Floats
-from studies.servo_grid import draw_case, draw_goal
 from studies.servo_truth import TrueServo, simulate_servos
+from tests.conftest import long_unless
 from tests.refusals import refused
 
 STEP = 2 * math.pi / 4096
-ROBOTS = Path(__file__).parents[2] / "shared" / "data" / "robots"
 #: inertia, viscous, coulomb, kp, kd, gravity, torque_limit, delay of a servo on a pendulum.
 TRUTH = {"inertia": 0.01, "viscous": 0.06, "coulomb": 0.05, "kp": 8.0, "kd": 0.02, "gravity": 1.3, "delay": 0.01}
 TRUTH |= {"torque_limit": 1e9, "off": 1e9}
@@ -120,7 +111,10 @@ def check_estimates(fit: ServoFit, within: float, **changes: float) -> None:
 DRAG = {"back_emf": 0.1, "torque_limit": 1.5, "gravity": 1.3}
 
 
-@pytest.mark.parametrize("more", [{}, {"load_friction": 0.2}, {**DRAG, "motor_friction": 0.3}, {"gravity": 1.3}])
+@pytest.mark.parametrize(
+    "more",
+    long_unless(lambda more: "motor_friction" in more, [{}, {"load_friction": 0.2}, {**DRAG, "motor_friction": 0.3}]),
+)
 def test_the_simulated_loop_is_that_of_small_steps(more: dict[str, float]) -> None:
     t = np.arange(0.0, 2.0, 0.01)
     goal = 0.5 * np.sign(np.sin(3 * t)) + 0.2 * np.sin(11 * t)
@@ -138,13 +132,6 @@ def test_a_servo_with_a_known_gain_shows_inertia_friction_gravity_and_delay() ->
     assert fit.residual < 1.2 * STEP / math.sqrt(12)
 
 
-def test_known_gravity_gives_the_gain_at_an_unknown_angle() -> None:
-    fit = fit_servo(Servo(STEP, given={"gravity": 1.3, "kd": 0.02}), *make_log(seed=2), search=False)
-    check_estimates(fit, 0.02)
-    assert abs(fit.theta[fit.raw_names.index("gravity_angle")]) < 0.01
-    assert fit.theta[fit.raw_names.index("kp")] == pytest.approx(8.0, rel=0.02)
-
-
 def test_a_known_force_gives_the_gain() -> None:
     t, goal, position = make_log(seed=2, kd=0.0)
     force = TRUTH["gravity"] * np.sin(position)
@@ -155,7 +142,7 @@ def test_a_known_force_gives_the_gain() -> None:
     refused(("the known force is zero", lambda: fit_servo(Servo(STEP), t, goal, position, force=0 * force)))
 
 
-@pytest.mark.parametrize("slow", [False, True])
+@pytest.mark.parametrize("slow", [False, pytest.param(True, marks=pytest.mark.long)])
 def test_friction_by_the_motors_torque_and_a_limit_by_the_voltage_are_found(slow: bool) -> None:
     known = {"inertia": 0.0172, "viscous": 0.03, "coulomb": 0.02, "kp": 14.0, "delay": 0.004, "torque_limit": 4.0}
     known |= {"gravity": 1.47, "gravity_angle": 0.0, "back_emf": 0.5, "motor_friction": 0.3, "motor_stribeck": 0.15}
@@ -166,21 +153,6 @@ def test_friction_by_the_motors_torque_and_a_limit_by_the_voltage_are_found(slow
     fit = fit_logs(Servo(STEP, {"gravity": 1.47}), [log])
     assert abs(fit.theta[0] - 0.0172) < min(3 * fit.theta_std[0], (0.5 if slow else 0.05) * 0.0172)
     assert "motor_friction" in fit.added or slow
-
-
-def test_without_any_torque_all_torques_are_multiples_of_the_gain() -> None:
-    fit = fit_servo(Servo(STEP, given={"kd": 0.0}), *make_log(seed=3, gravity=0.0, kd=0.0), search=False)
-    assert fit.names[:3] == ("inertia/kp", "viscous/kp", "coulomb/kp")
-    assert fit.units[:3] == ("s2", "s", "rad")
-    assert fit.theta[0] == pytest.approx(0.01 / 8.0, rel=0.01)
-    assert "relative" in [finding.code for finding in fit.findings]
-
-
-def test_a_limit_that_the_model_lacks_is_found() -> None:
-    fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), *make_log(seed=4, gravity=0.0, torque_limit=1.5))
-    assert "torque_limit" in fit.added
-    assert 0.02 < fit.limited < 0.6
-    check_estimates(fit, 0.02, torque_limit=1.5)
 
 
 def test_gravity_that_the_model_lacks_is_found() -> None:
@@ -201,56 +173,7 @@ def simulate_law(seed: int, rate: int = 100, **law: float) -> tuple[Floats, Floa
     return t, goal, simulate_servos([true], t, [goal])[0]
 
 
-def test_an_integral_gain_is_found_within_five_percent() -> None:
-    fit = fit_servo(Servo(STEP, {"kp": 8.0, "kd": 0.0}), *simulate_law(1, ki=24.0))
-    assert "ki" in fit.added
-    assert fit.theta[fit.raw_names.index("ki")] == pytest.approx(24.0, rel=0.05)
-
-
-def test_the_inertia_of_a_servo_with_a_filtered_velocity_is_within_its_bar() -> None:
-    """Without the filter the inertia would be the gain times its lag too small, 6 %."""
-    fit = fit_servo(Servo(STEP, {"kp": 8.0}), *simulate_law(2, kd_filtered=0.15, velocity_filter=3e-3))
-    assert abs(fit.theta[0] - 0.01) < 3 * fit.theta_std[0]
-    assert fit.theta_std[0] < 0.1 * 0.01
-
-
-def test_counts_in_a_derivative_gain_do_not_loosen_the_friction_of_the_table() -> None:
-    """Each count is a pulse of torque of twice the Coulomb friction. Without the ticks, kp was 16 % low, 4 bars."""
-    t, rng = np.arange(0.0, 8.0, 0.01), np.random.default_rng(3)
-    goal = np.where(t < 4, rng.uniform(-0.7, 0.7, 21)[(t / 0.4).astype(int)], 0.4 * np.sin(5 * t))
-    truth = TrueServo(2e-3, 0.026, 0.035, 1.5, 0.009, 2 * math.pi / 1024, kd=0.0175, ki=4.5, gravity=0.1)
-    truth = replace(truth, load_friction=0.13)
-    position = simulate_servos([truth], t, [goal])[0]
-    fit = fit_servo(Servo(truth.resolution, {"gravity": 0.1}), t, goal, position)
-    for name in ("inertia", "coulomb", "kp", "ki", "load_friction"):
-        place = fit.raw_names.index(name)
-        assert abs(fit.theta[place] - getattr(truth, name)) < 3 * fit.theta_std[place], name
-        assert fit.theta_std[place] < 0.2 * fit.theta[place], name
-
-
-def test_the_period_of_a_cogging_longer_than_the_travel_is_uncertain() -> None:
-    """With the period of the scan, the gain was 3 % high, 16 bars."""
-    t, case = np.arange(0.0, 10.0, 0.002), draw_case(16, 41, wrong=False)
-    goal = draw_goal(t, np.random.default_rng([16, 41, 53, 0]))
-    fit = fit_servo(case.servo, t, goal, simulate_servos([case.truth], t, [goal])[0])
-    place = fit.raw_names.index("kp")
-    assert abs(fit.theta[place] - case.truth.kp) < 3 * fit.theta_std[place]
-    assert fit.theta_std[place] < 0.03 * case.truth.kp
-
-
-def test_a_known_load_and_a_cogging_joint_have_starts_of_their_own() -> None:
-    """The first one ended in a gain of 239 % with a bar of 8 %, the second one in gravity and Stribeck friction."""
-    t, numbers = np.arange(0.0, 10.0, 0.005), (25, 38)
-    cases = [draw_case(number, 31, wrong=False) for number in numbers]
-    goals = [draw_goal(t, np.random.default_rng([number, 31, 53, 0])) for number in numbers]
-    positions = simulate_servos([case.truth for case in cases], t, goals)
-    load, cogging = (fit_servo(case.servo, t, goal, y) for case, goal, y in zip(cases, goals, positions, strict=True))
-    assert load.theta[load.raw_names.index("kp")] == pytest.approx(cases[0].truth.kp, rel=0.02)
-    assert cogging.theta[0] == pytest.approx(cases[1].truth.inertia, rel=0.01)
-    assert "cogging" in cogging.added
-    assert load.status == cogging.status == ()
-
-
+@pytest.mark.long
 @pytest.mark.parametrize("law", [{"deadzone": 0.02}, {"backlash": 2 * STEP}])
 def test_a_law_that_no_term_has_is_doubted(law: dict[str, float]) -> None:
     """The motion deviates by half a count. With an empty status, the frictions were 6 and 12 bars off."""
@@ -258,51 +181,7 @@ def test_a_law_that_no_term_has_is_doubted(law: dict[str, float]) -> None:
     assert "unmodelled" in fit.status
 
 
-def test_ticks_of_a_fine_encoder_leave_the_motion_of_the_body() -> None:
-    t = np.arange(200) * 0.01
-    goal = 0.5 * np.sign(np.sin(4 * t))
-    servo = Servo(1e-7, {"kp": 8.0, "kd": 0.0, "inertia": 0.01, "viscous": 0.3, "coulomb": 0.05, "delay": 0.012})
-    body = body_of(servo)
-    drive = excite(t, goal, 1e-3)
-    flags = np.ones(t.size, bool)
-    stretch = ObservedStretch(drive, goal, np.ones(t.size), flags, ~flags)
-    smooth, _, _ = simulate(drive, body.forces, body.rest, 2, slopes=False)
-    ticked = run_ticks(stretch, split_loop(body.rest, body.forces), 1e-3, 1e-7, 2)
-    assert np.max(np.abs(ticked - smooth)) < 1e-3
-    assert np.max(np.abs(smooth)) > 0.4
-
-
-def test_a_normal_distribution_without_its_negative_part() -> None:
-    mean, covariance = np.array([-0.3, 1.0]), np.array([[1.0, -0.6], [-0.6, 1.0]])
-    drawn = np.random.default_rng(0).multivariate_normal(mean, covariance, 400_000)
-    kept = drawn[drawn[:, 0] > 0]
-    value, centre, inner = cut_below(mean, covariance, np.array([0.0, -np.inf]))
-    assert value == pytest.approx(math.log(len(kept) / len(drawn)), abs=0.01)
-    assert centre == pytest.approx(kept.mean(axis=0), abs=0.01)
-    assert inner == pytest.approx(np.cov(kept.T), abs=0.01)
-
-
-def test_friction_that_grows_with_the_root_of_the_speed_is_no_coulomb_friction() -> None:
-    """Without the term, the Coulomb friction was 63 % high, 29 bars, with an empty status."""
-    fit = fit_servo(Servo(STEP, {"kp": 8.0, "kd": 0.0}), *simulate_law(2, root=0.05))
-    assert "root_friction" in fit.added
-    for name, truth in (("inertia", 0.01), ("viscous", 0.2), ("coulomb", 0.05)):
-        place = fit.raw_names.index(name)
-        assert abs(fit.theta[place] - truth) < 3 * fit.theta_std[place], name
-        assert fit.theta_std[place] < 0.3 * truth, name
-
-
-def test_four_logs_of_a_motor_in_one_call() -> None:
-    """The published inertia is 0.0251 kg m2, of the motor and its pendulum."""
-    paths = sorted(ROBOTS.glob("bam_feetech*.json"))
-    if not paths:
-        pytest.skip("the shared logs of robots are absent")
-    logs = [log for path in paths for log in read_joints(path, LogLayout())]
-    fit = fit_logs(Servo(logs[0].resolution, logs[0].given), logs)
-    assert fit.theta[0] == pytest.approx(0.0251, rel=0.02)
-    assert fit.theta_std[0] < 0.02 * 0.0251
-
-
+@pytest.mark.long
 @pytest.mark.parametrize("friction", [0.1, 0.0])
 def test_a_damped_joint_has_bars_that_hold_its_load_friction(friction: float) -> None:
     fit = fit_servo(Servo(STEP, {"kp": 8.0, "kd": 0.0}), *simulate_law(3, load_friction=friction))
@@ -324,34 +203,6 @@ def test_logs_of_one_servo_share_their_parameters() -> None:
     refused(("gravity cannot differ by log", lambda: fit_logs(servo, logs, ["gravity"])))
 
 
-def test_rows_with_the_torque_off_are_a_free_motion() -> None:
-    """The swing shows inertia, friction and gravity alone, so that the gain is known by the gravity."""
-    t, goal, position = make_log(seed=1, kd=0.0, off=5.0 + TRUTH["delay"])  # as late as a goal
-    on = (t < 5.0).astype(float)
-    servo = Servo(STEP, {"kd": 0.0, "gravity": 1.3, "gravity_angle": 0.0})
-    fit = fit_servo(servo, t, goal, position, on=on, search=False)
-    assert fit.theta[0] == pytest.approx(0.01, rel=0.005)
-    assert fit.theta_std[0] < 0.01 * 0.01
-    assert fit.theta[fit.raw_names.index("viscous")] == pytest.approx(0.06, rel=0.02)
-    assert fit.theta[fit.raw_names.index("kp")] == pytest.approx(8.0, rel=0.02)
-    assert abs(fit.theta[fit.raw_names.index("back_emf")]) < 3 * fit.theta_std[fit.raw_names.index("back_emf")] + 1e-9
-
-
-def test_only_the_first_part_of_a_long_log_is_used(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(ActuatorTuning, "longest", 4.0)
-    fit = fit_servo(Servo(STEP, {"kp": 8.0, "kd": 0.0}), *make_log(seed=3, gravity=0.0, kd=0.0), search=False)
-    assert fit.simulated[0].size == 401
-    assert any("first 4 s" in finding.sentence for finding in fit.findings)
-
-
-def test_rows_may_be_missing() -> None:
-    t, goal, position = make_log(seed=6, gravity=0.0)
-    keep = np.random.default_rng(0).random(t.size) > 0.1
-    keep |= np.append(False, np.diff(goal) != 0)  # a command that nobody logged cannot be simulated
-    fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), t[keep], goal[keep], position[keep], search=False)
-    check_estimates(fit, 0.2, gravity=0.0)
-
-
 def test_arrays_that_no_fit_can_use_are_refused() -> None:
     t, servo = np.arange(200) * 0.01, Servo(STEP)
     y: Floats = np.sin(t)
@@ -370,29 +221,3 @@ def test_a_motion_that_does_not_follow_the_command_is_refused() -> None:
         ("hardly moves", lambda: fit_servo(Servo(STEP), t, goal, 0 * position)),
         kind=NotIdentifiableError,
     )
-
-
-def test_a_servo_of_impossible_values_is_refused() -> None:
-    refused(
-        ("resolution must be positive", lambda: Servo(0.0)),
-        ("did you mean 'kp'", lambda: Servo(STEP, {"kq": 1.0})),
-        ("kp must be finite and positive", lambda: Servo(STEP, {"kp": -1.0})),
-        ("unknown parameter 'friction'", lambda: Servo(STEP, terms=["friction"])),
-    )
-
-
-def test_a_position_that_scatters_by_more_than_rounding_is_flagged() -> None:
-    t, goal, position = make_log(seed=7, gravity=0.0)
-    scatter = STEP * np.random.default_rng(7).integers(-2, 3, t.size)
-    fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), t, goal, position + scatter, search=False)
-    assert fit.status == ("unmodelled",)
-    check_estimates(fit, 0.05, gravity=0.0)
-
-
-def test_a_friction_may_rise_with_the_speed() -> None:
-    servo = Servo(STEP, {"kp": 8.0, "stribeck": -0.01, "stribeck_speed": 1.0})
-    t = np.arange(0.0, 1.0, 0.01)
-    slow = simulate_servo(servo, np.array([0.01, 0.06, 0.05, 0.01]), t, t, 0.0)
-    plain = simulate_servo(replace(servo, given={"kp": 8.0}), np.array([0.01, 0.06, 0.05, 0.01]), t, t, 0.0)
-    assert slow[-1] > plain[-1]
-    refused(("load_friction must be", lambda: Servo(STEP, {"load_friction": -0.1})))

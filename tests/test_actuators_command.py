@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,15 +12,12 @@ import polars as pl
 import pytest
 from click.testing import CliRunner, Result
 
-from pmfid.actuators.checks import check_joint
-from pmfid.actuators.joints import format_pair
-from pmfid.actuators.logs import JointLog, LogLayout, find_step, read_joints
+from pmfid.actuators.logs import LogLayout, read_joints
 from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.io.tables import ClockedSignals, Signal
 from pmfid.types import Floats
-from tests.refusals import refused
 from tests.test_actuators import STEP, TRUTH, make_log
 
 
@@ -63,17 +59,6 @@ def test_every_joint_of_a_log_has_an_estimate_or_a_reason(arm: Path, tmp_path: P
     assert "hardly moves" in page
 
 
-def test_a_known_force_is_of_the_joint_that_its_pattern_names(tmp_path: Path) -> None:
-    t, goal, position = make_log(seed=2, kd=0.0)
-    columns = {"t": t, "goal_1": goal, "position_1": position, "gravity_1": TRUTH["gravity"] * np.sin(position)}
-    pl.DataFrame({**columns, "goal_2": 0 * t, "position_2": 0 * t}).write_csv(tmp_path / "arm.csv")
-    words = (tmp_path / "arm.csv", "--bits", 12, "--given", "kd=0", "--no-search", "--json")
-    found = json.loads(call(*words, "--known-force", "gravity_*").stdout)["joints"]["1"]["parameters"]["kp"]
-    assert found["value"] == pytest.approx(TRUTH["kp"], rel=0.02)
-    refused = call(*words, "--known-force", "gravity_1")
-    assert (refused.exit_code, "put a star" in refused.stderr) == (2, True)
-
-
 def test_the_terminal_shows_one_table_and_the_status_of_each_joint(arm: Path) -> None:
     result = call(arm, "--bits", 12, "--no-search")
     assert result.exit_code == 0
@@ -81,17 +66,6 @@ def test_the_terminal_shows_one_table_and_the_status_of_each_joint(arm: Path) ->
     assert "1: status: none" in result.stdout
     assert "2: status: refused: the servo hardly moves" in result.stdout
     assert "give kp, a known inertia, or gravity" in result.stdout
-
-
-@pytest.mark.parametrize("value", [1e308, -1e200, 1e17, np.inf])
-def test_a_damaged_position_is_left_out(value: float, tmp_path: Path) -> None:
-    t, goal, position = make_log(seed=2, kd=0.0)
-    whole = position.copy()
-    position[t.size // 2] = value
-    pl.DataFrame({"t": t, "goal_1": goal, "position_1": position}).write_csv(tmp_path / "arm.csv")
-    (log,) = read_joints(tmp_path / "arm.csv", LogLayout(resolution=STEP))
-    assert log.position.tolist() == np.delete(whole, t.size // 2).tolist()
-    assert "1 rows without a number are left out" in log.notes
 
 
 @pytest.mark.parametrize(
@@ -113,55 +87,6 @@ def test_a_log_that_no_fit_can_use_has_one_line_with_a_remedy(
     result = call(arm, *words)
     assert (result.exit_code, result.stderr.count("\n")) == (code, 1)
     assert message in result.stderr
-
-
-@pytest.mark.parametrize(
-    ("goal", "position", "joint"),
-    [
-        ("goal_position", "position", "joint"),
-        ("shoulder.goal", "shoulder.pos", "shoulder"),
-        ("action.3", "observation.state.3", "3"),
-        ("cmd_left_knee [rad]", "q_left_knee [rad]", "left_knee"),
-        ("goal2", "pos2", "2"),
-    ],
-)
-def test_joints_are_found_by_the_names_of_their_columns(goal: str, position: str, joint: str, tmp_path: Path) -> None:
-    t = np.arange(100) * 0.01
-    pl.DataFrame({"t": t, goal: t, position: t, "velocity_left_knee": t}).write_csv(tmp_path / "log.csv")
-    (log,) = read_joints(tmp_path / "log.csv", LogLayout(resolution=STEP))
-    assert log.name == joint
-    assert log.position == pytest.approx(t)
-
-
-@pytest.mark.parametrize(
-    ("names", "remedy"),
-    [(("t", "tau1", "pos1"), "no goals, but torques .*tau1.* pmfid identify"), (("goal", "position"), "time_s")],
-)
-def test_a_log_of_another_command_has_its_remedy(names: tuple[str, ...], remedy: str, tmp_path: Path) -> None:
-    t = np.arange(100) * 0.01
-    pl.DataFrame(dict.fromkeys(names, t)).write_csv(tmp_path / "log.csv")
-    refused((remedy, lambda: read_joints(tmp_path / "log.csv", LogLayout())))
-
-
-@pytest.mark.parametrize(("factor", "degrees"), [(math.degrees(1.0), True), (1.0, False)])
-def test_steps_that_divide_a_turn_of_360_are_degrees(factor: float, degrees: bool, tmp_path: Path) -> None:
-    t, goal, position = make_log(gravity=0.0, kd=0.0)
-    columns = {"t": t, "goal": np.round(goal * factor, 6), "position": np.round(position * factor, 3 if degrees else 6)}
-    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
-    (log,) = read_joints(tmp_path / "log.csv", LogLayout())
-    assert log.position == pytest.approx(position, abs=1e-5)
-    assert any("degrees" in note for note in log.notes) == degrees
-
-
-def test_rows_without_numbers_and_repeated_stamps_are_left_out(tmp_path: Path) -> None:
-    t = np.array([0.0, 0.1, 0.1, 0.2, 0.3])
-    columns = {"t": t, "goal": [0, 1, 1, None, 2], "position": [5, 6, 6, 7, 8]}
-    pl.DataFrame(columns).write_csv(tmp_path / "log.csv")
-    (log,) = read_joints(tmp_path / "log.csv", LogLayout(resolution=0.5, unit="counts"))
-    assert log.t == pytest.approx([0.0, 0.1, 0.3])
-    assert log.goal == pytest.approx([0.0, 0.5, 1.0])
-    assert log.position == pytest.approx([2.5, 3.0, 4.0])
-    assert len(log.notes) == 2
 
 
 def test_a_log_of_bam_states_its_pendulum(tmp_path: Path) -> None:
@@ -221,56 +146,7 @@ def test_a_folder_of_sage_has_a_clock_for_commands_and_one_for_states(tmp_path: 
         read_joints(tmp_path, LogLayout(resolution=STEP))
 
 
-def test_the_step_of_the_encoder_is_read_from_rounded_positions() -> None:
-    _, _, position = make_log()
-    assert find_step(np.round(position, 5)) == pytest.approx(STEP, rel=1e-3)
-    assert find_step(position + np.random.default_rng(0).normal(0, STEP, position.size)) is None
-
-
-@pytest.mark.parametrize(
-    ("value", "std", "texts"),
-    [
-        (0.0123456, 0.00012, ("0.01235", "0.00012")),
-        (123.456, 2.04, ("123.5", "2.0")),
-        (5.0, 0.5, ("5.00", "0.50")),
-        (0.001, 0.2, ("0.00100", "0.20")),
-        (12345.0, 160.0, ("1.234e+04", "1.6e+02")),
-        (7e-5, 0.00083, ("7.00e-05", "0.00083")),
-        (1.0, math.inf, ("1", "inf")),
-    ],
-)
-def test_a_value_has_the_digits_of_its_error(value: float, std: float, texts: tuple[str, str]) -> None:
-    assert format_pair(value, std) == texts
-
-
 # --- checks of a log --------------------------------------------------------------------------------------------------
-
-
-def pair() -> list[JointLog]:
-    """Two joints of one log."""
-    return [JointLog(str(seed), *make_log(seed, gravity=0.0), STEP) for seed in (1, 2)]
-
-
-def test_a_mistake_in_a_log_is_named() -> None:
-    own, other = pair()
-
-    def check(**columns: Floats) -> Callable[[], None]:
-        return lambda: check_joint(replace(own, **columns), [own, other])  # type: ignore[arg-type]
-
-    refused(
-        ("the goal is in degrees .* give --goal-unit deg", check(goal=np.degrees(own.goal))),
-        ("the goal is in counts .* give --goal-unit counts", check(goal=own.goal / STEP + 2048)),
-        ("the position is in degrees", check(position=np.degrees(own.position))),
-        ("reverse the sign", check(goal=-own.goal)),
-        ("does not follow the goal", check(goal=other.goal)),
-        ("follows the goal of joint 2 .* exchange the columns", check(position=other.position)),
-    )
-
-
-def test_a_goal_that_runs_ahead_of_a_weak_servo_is_no_mistake() -> None:
-    t, goal, position = make_log(1, gravity=0.0, kp=0.3)
-    own, other = pair()
-    check_joint(replace(own, t=t, goal=goal, position=position), [own, other])
 
 
 def test_a_joint_at_rest_or_without_an_encoder_step_does_not_stop_the_others(tmp_path: Path) -> None:
@@ -297,33 +173,6 @@ def test_two_logs_are_fitted_at_once_and_a_parameter_may_differ(tmp_path: Path) 
     assert found["logs"] == 2
     for name, gain in (("kp.1", 8.0), ("kp.2", 16.0)):
         assert found["parameters"][name]["value"] == pytest.approx(gain, rel=0.02)
-
-
-def test_terms_that_a_log_does_not_show_leave_the_others_determined(tmp_path: Path) -> None:
-    t, goal, position = make_log(3, gravity=0.0, kd=0.0)
-    pl.DataFrame({"t": t, "goal": goal, "position": position}).write_csv(tmp_path / "a.csv")
-    words = ["--bits", 12, "--given", "kp=8", "--given", "kd=0", "--no-search"]
-    words += ["--term", "load_stribeck", "--term", "ki"]
-    result = call(tmp_path / "a.csv", *words)
-    assert (result.exit_code, result.stderr) == (0, "")
-    assert "not determined" in result.stdout
-    found = json.loads(call(tmp_path / "a.csv", *words, "--json").stdout)["joints"]["joint"]
-    assert "inertia" not in found["not_determined"]
-    assert found["parameters"]["inertia"]["value"] == pytest.approx(0.01, rel=0.02)
-
-
-def test_a_right_log_passes_the_checks_also_at_rest() -> None:
-    own, other = pair()
-    for log in (own, other, replace(own, goal=0 * own.goal)):
-        check_joint(log, [own, other])
-
-
-def test_goals_may_have_a_unit_of_their_own(tmp_path: Path) -> None:
-    pl.DataFrame({"t": np.arange(9.0), "goal": np.full(9, 180.0), "position": np.full(9, 1.0)}).write_csv(
-        tmp_path / "a.csv"
-    )
-    (log,) = read_joints(tmp_path / "a.csv", LogLayout(resolution=STEP, unit="rad", goal_unit="deg"))
-    assert (log.goal[0], log.position[0]) == (pytest.approx(math.pi), 1.0)
 
 
 @pytest.mark.parametrize(

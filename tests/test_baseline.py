@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from pmfid.monitor import Monitor
 from pmfid.monitor.scores import Scale
@@ -18,7 +19,7 @@ from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.checkpoint import read_snapshot, snapshot
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
-from pmfid.stream.groups import Group, Pace, Prepared, prepare
+from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.outcome import Counters
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.service.test_serve import PLANT, folder  # noqa: F401 a fixture
@@ -56,19 +57,6 @@ def state_of(prepared: Prepared, name: str) -> bytes:
     return b"".join(snapshot(engine))
 
 
-def test_the_digest_is_that_of_texts_and_bytes(plant_folder: Path, prepared: Prepared) -> None:
-    other = rounded_otherwise(prepared)
-    assert other.setup.nominal.tolist() != prepared.setup.nominal.tolist()
-    assert other.digest == prepared.digest == prepare(plant_folder / "axis.toml").digest
-    reference = plant_folder / "normal.csv"
-    text = reference.read_text()
-    try:
-        reference.write_text(text.rstrip("\n") + "0\n")
-        assert prepare(plant_folder / "axis.toml").digest != prepared.digest
-    finally:
-        reference.write_text(text)
-
-
 def test_a_state_keeps_its_nominal_values_and_thresholds(prepared: Prepared) -> None:
     there = rounded_otherwise(prepared)
     saved = read_snapshot(state_of(there, "x1")).groups[0]
@@ -93,6 +81,7 @@ SETTINGS = [
 ]
 
 
+@pytest.mark.long
 def test_a_service_keeps_all_states_on_another_processor(folder: Path, tmp_path: Path) -> None:  # noqa: F811
     """Each start calibrates again, because it has a cache of its own."""
     plant = folder / "moved.toml"

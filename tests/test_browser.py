@@ -21,7 +21,6 @@ from browser import analyse
 from browser.analyse import _read_text
 from browser.build import PAGE, ROOT, write_text
 from pmfid import BCRLS, RIV, RLS, Drive, Encoder, identify, quantize
-from pmfid.errors import UsageError
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.io.csv_text import parse_csv
 from pmfid.simulation import CART, prbs, simulate_drive
@@ -202,14 +201,6 @@ def test_a_column_without_a_unit_has_the_unit_of_its_step(unit: str, factor: flo
     answers |= {"input": "u", "output": "x", "output_kind": "position", "dt": "0.01", "input_gain": "2"}
     given = Mock(to_py=lambda: answers | {"resolution": f"{2e-5 * factor:g} {unit}"})
     assert json.loads(analyse.identify_log(given))["theta"][0] == pytest.approx(CART.mass, rel=1e-3)
-
-
-def test_a_text_with_a_wrong_row_or_cell_says_so() -> None:
-    with pytest.raises(UsageError, match="row 2 has 3 fields"):
-        _read_text(b"t,u\n0,1\n1,2,3\n2,4\n3,5\n")
-    analyse.log["left_out"] = []
-    assert list(_read_text(b"t,u,mode\n0,1,auto\n1,2,auto\n2,4,hand\n")) == ["t", "u"]
-    assert "auto" in analyse.log["left_out"][0]
 
 
 def test_a_log_of_counts_asks_for_step_and_gain(tmp_path: Path) -> None:

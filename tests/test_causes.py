@@ -8,13 +8,11 @@ import numpy as np
 import pytest
 
 from pmfid import Drive
-from pmfid.cli.monitor_lines import sentence
 from pmfid.models.equation import Equation
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.cause import Cause, ChangeEvidence, candidates_of, compare, explain
-from pmfid.monitor.events import Alarm, Change, Watch
+from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.pipeline.monitored.run import event_object
 from pmfid.simulation import CART, CART_DT, Schedule, position_control, quantize, resolution_of
 from pmfid.simulation.scenarios import CART_CONTROL
 from studies.monitoring.axis import make_riv, normal_work, random_stop_and_go
@@ -60,11 +58,6 @@ def test_causes_with_the_same_effect_are_all_named() -> None:
     assert found([1.2, 1, 1], percent=8).others, "a vague estimate excludes little"
 
 
-def test_a_deviation_within_the_tolerance_is_no_second_change() -> None:
-    assert found([1.3, 1.015, 1], percent=0.01).names == ("mass",)
-    assert set(found([1.3, 1.06, 1], percent=0.01).names) == {"mass", "viscous_friction"}
-
-
 def test_the_likelihood_is_that_of_a_gaussian_prior() -> None:
     """The odds of two sets agree with the density of the deviation under both priors."""
     from scipy.stats import multivariate_normal
@@ -83,18 +76,6 @@ def test_the_likelihood_is_that_of_a_gaussian_prior() -> None:
 
     apart = odds["mass", "coulomb_friction"] - odds["mass",]
     assert apart == pytest.approx(log_density([0, 2]) - log_density([0]) + np.log(TUNING.cause_further))
-
-
-def test_an_offset_is_relative_to_friction_and_a_zero_to_its_effect() -> None:
-    equation = Drive(2.0, offset=True).equation
-    theta, std = np.array([*THETA, 0.0]), np.array([0.01, 0.1, 0.01, 0.01])
-    cause = explain(ChangeEvidence(theta + np.array([0, 0, 0, 0.2]), np.diag(std**2)), theta, equation, 0.02)
-    assert (cause.names, cause.others) == (("offset",), ())
-    assert cause.changes[0].relative == pytest.approx(0.25, abs=0.01)
-    smooth = THETA * [1, 1, 0]
-    cause = explain(ChangeEvidence(smooth + np.array([0, 0, 0.1]), np.diag(std[:3] ** 2)), smooth, PLAIN, 0.02)
-    assert cause.names == ("coulomb_friction",)
-    assert cause.changes[0].change == pytest.approx(0.1, abs=0.005)
 
 
 @pytest.fixture(scope="module")
@@ -136,14 +117,3 @@ def test_an_encoder_of_four_times_the_step_is_no_mass(calibration: Calibration) 
     assert (alarm.parameter, alarm.unit, alarm.others) == ("encoder_scale", "", ("mass and viscous_friction",))
     assert alarm.relative == pytest.approx(-0.75, abs=0.02)
     assert alarm.advice.startswith("Check the resolution of the encoder")
-
-
-def test_a_line_names_all_changes() -> None:
-    mass, friction = Change("mass", "kg", 0.2, 0.01, 0.2), Change("coulomb_friction", "N", 0.08, 0.01, 0.1)
-    alarm = Alarm(3.0, 2.0, (mass, friction), 30.0, 20.0, ("input_gain and viscous_friction",), tolerance=0.02)
-    said = sentence(event_object(alarm, ()))
-    assert (
-        "ALARM  mass +20.0 % (+0.2 ± 0.01 kg) and coulomb friction +10.0 % (+0.08 ± 0.01 N) since 2.00 s, "
-        "or input gain and viscous friction; 10 times"
-    ) in said
-    assert all(word in alarm.advice for word in ("load", "brakes", "drive", "lubrication"))

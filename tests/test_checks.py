@@ -12,7 +12,6 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
-import polars as pl
 import pytest
 from click.testing import CliRunner
 
@@ -20,8 +19,8 @@ import pmfid
 from pmfid.cli.main import main
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import OF_LOG
-from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
-from pmfid.findings import Finding, codes, sort_findings
+from pmfid.errors import NotIdentifiableError, PmfidError
+from pmfid.findings import Finding, codes
 from pmfid.pipeline.checks import check_record
 from pmfid.pipeline.identify import check, identify
 from pmfid.pipeline.result import Result
@@ -32,7 +31,6 @@ from studies.check_logs import FAULTS, Logged, clean, faulty
 from studies.friction_axes import BENCHES
 from tests.command import run_command
 from tests.conftest import long_unless
-from tests.refusals import refused
 
 #: Small machines, whose logs are fast to make and to read.
 AXES = {name: BENCHES[name] for name in ("cart", "slide")}
@@ -130,48 +128,6 @@ def test_the_same_sentence_everywhere(fault: str, tmp_path: Path) -> None:
     write_result(tmp_path / "out", result)
     page = html.unescape((tmp_path / "out" / "report.html").read_text(encoding="utf-8"))
     assert all(sentence in page for sentence in sentences)
-
-
-@pytest.mark.parametrize("bits", [12, 14, 32])
-def test_a_counter_narrower_than_its_encoder_is_named(bits: int) -> None:
-    run = make_scenario("prbs", seed=SEED, increments=2048)
-    encoder, counts = pmfid.Encoder(run.resolution, bits=bits), run.counts % 2**10
-    found = pmfid.check(run.motion.u, counts, model=pmfid.Drive(2.0), dt=run.dt, encoder=encoder)
-    assert (found[0].code, found[0].remedy) == ("wrapped", "give [encoder] bits = 10")
-
-
-@pytest.mark.long
-def test_an_input_that_acts_late_is_said_as_of_the_estimate() -> None:
-    log = log_of(JUDGED)
-    late = [finding for finding in found_in(JUDGED) if finding.code == "dead_time"]
-    assert late
-    notes = identify(log.record(), log.configuration).notes
-    assert any(note.startswith(late[0].text) for note in notes)  # the notes continue with the effects of the delay
-    assert late[0] in pmfid.check(log.columns, axis=log.configuration)
-
-
-def test_counts_that_are_taken_for_a_position_are_refused_in_the_same_words(tmp_path: Path) -> None:
-    record, axis = written(log_of(UNREADABLE), tmp_path)
-    said = [CliRunner().invoke(main, [name, str(record), "--config", str(axis)]) for name in ("check", "identify")]
-    assert [result.exit_code for result in said] == [2, 2]
-    assert said[0].stderr == said[1].stderr
-    assert 'give output_kind = "counts"' in said[0].stderr
-    with pytest.raises(UsageError) as in_python:
-        pmfid.check(log_of(UNREADABLE).columns, axis=log_of(UNREADABLE).configuration)
-    assert str(in_python.value) in " ".join(said[0].stderr.split())
-
-
-def test_a_check_takes_what_identify_takes(tmp_path: Path) -> None:
-    log = log_of("reversed sign")
-    record, axis = written(log, tmp_path)
-    frame = pl.DataFrame(log.columns)
-    said = [pmfid.check(one, axis=how) for one in (frame, record, str(record)) for how in (axis, log.configuration)]
-    assert {found[0].code for found in said} == {"reversed"}
-    assert len({found[0].text for found in said}) == 1
-    refused(
-        ("axis already describes y, model, dt and encoder", lambda: pmfid.check(frame, axis=axis, dt=0.01)),
-        ("or a frame and axis", lambda: pmfid.check(frame)),
-    )
 
 
 @pytest.mark.parametrize("seed", long_unless((3).__eq__, [3, 18]))
@@ -272,23 +228,13 @@ def test_the_remedy_helps_when_it_is_followed_literally(fault: str) -> None:
 # --- findings ---------------------------------------------------------------------------------------------------------
 
 
-def test_the_most_important_finding_comes_first_and_each_once() -> None:
-    note, doubt, wrong = (Finding(word, word, severity=word) for word in ("note", "doubt", "wrong"))
-    assert sort_findings([note, doubt, wrong, doubt]) == (wrong, doubt, note)
-    assert codes((wrong, doubt, note)) == ("wrong", "doubt")
-
-
+@pytest.mark.long
 def test_a_relative_error_that_nobody_would_accept_is_no_result() -> None:
     run = make_scenario("moves", seed=1, duration=10.0)
     rng = np.random.default_rng(3)
     u = rng.normal(size=run.counts.size)  # the input of another record
     with pytest.raises(NotIdentifiableError):
         pmfid.identify(u, run.counts, model=pmfid.Drive(2.0), dt=run.dt, encoder=pmfid.Encoder(run.resolution))
-
-
-def test_a_check_needs_whole_counts() -> None:
-    with pytest.raises(UsageError):
-        pmfid.check(np.ones(50), np.linspace(0, 1, 50), model=pmfid.Drive(1.0), dt=0.01, encoder=pmfid.Encoder(1e-3))
 
 
 def pendulum(gravity: bool, torque: float) -> tuple[Record, Axis]:
@@ -301,11 +247,6 @@ def pendulum(gravity: bool, torque: float) -> tuple[Record, Axis]:
     raw = {"record": {"input": "u", "output": "y", "dt": dt}, "encoder": {"resolution": resolution}}
     model = {"kind": "drive", "input_gain": 1.0, "axis": "rotary", "gravity": gravity}
     return Record(run.u, run.counts, dt, resolution, (), "pendulum"), Axis.model_validate(raw | {"model": model})
-
-
-def test_a_pendulum_under_slow_position_control_is_no_velocity() -> None:
-    """Gravity takes most of the input: a plain drive explains a third of it, the model with gravity nearly all."""
-    assert check_record(*pendulum(True, 0.8)) == ()
 
 
 def test_gravity_that_the_model_leaves_out_is_named() -> None:

@@ -35,6 +35,8 @@ METHODS = ["auto", *methods_for(Drive(1.0))]
 #: One method of each family: automatic choice, recursive with instruments, compensated least squares, likelihood.
 FAMILIES = ["auto", "riv", "bcls", "fit"]
 EVERY_METHOD = long_unless(FAMILIES.__contains__, METHODS)
+#: Methods whose files are checked: one with a track and one without.
+WRITTEN = ("riv", "fit")
 AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
 TRUTH = {
     "mass": CART.mass,
@@ -88,7 +90,7 @@ def found(cart: Cart, out: Path) -> Callable[[str], dict[str, Any]]:
     """Return a function that runs each method once; a few methods write files."""
 
     def run_once(method: str) -> dict[str, Any]:
-        return good(cart.csv, "--method", method, *(("--out", str(out / method)) if method in FAMILIES else ()))
+        return good(cart.csv, "--method", method, *(("--out", str(out / method)) if method in WRITTEN else ()))
 
     return cache(run_once)
 
@@ -193,21 +195,10 @@ def test_the_configuration_is_by_default_the_one_that_init_writes(
     run_command("identify", str(cart.csv))
 
 
-def test_a_max_speed_below_the_motion_is_named(tmp_path: Path, cart: Cart) -> None:
-    config = axis(tmp_path, "standstill_time = 0.2", "max_speed = 1e-3")
-    assert "max_speed" in complaint(run(cart.csv, "--json", config=config), code=3)
-
-
 # --- places that cannot be written ----------------------------------------------------------------------------------
 
 
-def test_out_where_a_file_is_in_the_way(tmp_path: Path, cart: Cart) -> None:
-    (tmp_path / "file").write_text("")
-    assert "is a file" in usage(run(cart.csv, "--json", "--out", str(tmp_path / "file")))
-    assert "Not a directory; choose another file or folder" in bad(cart.csv, "--out", str(tmp_path / "file" / "below"))
-
-
-@pytest.mark.parametrize("name", ["report.html", "result.json", "track.parquet"])
+@pytest.mark.parametrize("name", ["report.html", "track.parquet"])
 def test_out_where_one_file_cannot_be_written(tmp_path: Path, cart: Cart, name: str) -> None:
     (tmp_path / name).mkdir()
     text = bad(cart.csv, "--method", "rls", "--out", str(tmp_path))
@@ -226,20 +217,13 @@ def moved(u: np.ndarray, step: float = CART_RESOLUTION) -> pl.DataFrame:
     return pl.DataFrame({"t": motion.t, "u": u, "counts": counts})
 
 
-@pytest.mark.parametrize("method", EVERY_METHOD)
+@pytest.mark.parametrize("method", FAMILIES)
 @pytest.mark.parametrize("u", [pl.col.u, pl.lit(1.0), pl.lit(0.0)], ids=["prbs", "constant", "zero"])
 def test_axis_that_does_not_move(tmp_path: Path, cart: Cart, method: str, u: pl.Expr) -> None:
     record = written(tmp_path, cart.frame.with_columns(u.alias("u"), counts=7))
     text = complaint(run(record, "--json", "--method", method), code=3)
     assert "the axis does not move" in text
     assert "record a motion" in text
-
-
-@pytest.mark.parametrize("method", EVERY_METHOD)
-def test_input_of_zero_while_the_axis_moves(tmp_path: Path, cart: Cart, method: str) -> None:
-    record = written(tmp_path, cart.frame.with_columns(u=0.0))
-    text = complaint(run(record, "--json", "--method", method), code=3)
-    assert "the input is zero while the axis moves" in text
 
 
 def constant_from(start: int, step: float) -> pl.DataFrame:
@@ -254,8 +238,13 @@ MISLEADING: dict[str, Callable[[pl.DataFrame], pl.DataFrame]] = {
 }
 
 
-@pytest.mark.parametrize("method", EVERY_METHOD)
-@pytest.mark.parametrize("kind", MISLEADING)
+@pytest.mark.parametrize(
+    ("kind", "method"),
+    long_unless(
+        lambda kind, method: method == "bcls" or (kind, method) in {("unrelated", "auto"), ("long ago", "fit")},
+        [(kind, method) for kind in MISLEADING for method in METHODS],
+    ),
+)
 def test_what_misleads_is_never_silently_wrong(tmp_path: Path, cart: Cart, kind: str, method: str) -> None:
     never_silently_wrong(run(written(tmp_path, MISLEADING[kind](cart.frame)), "--json", "--method", method))
 
@@ -290,30 +279,6 @@ def never_silently_wrong(result: Result) -> None:
         assert values(printed) == pytest.approx(TRUTH, rel=0.1)
 
 
-@pytest.mark.parametrize("method", EVERY_METHOD)
-def test_motion_without_reversals_is_enough_if_the_input_varies(tmp_path: Path, cart: Cart, method: str) -> None:
-    u = 2.5 + np.sign(cart.frame["u"].to_numpy())
-    record = written(tmp_path, moved(u))
-    assert np.all(np.diff(pl.read_csv(record)["counts"]) >= 0)
-    assert values(good(record, "--method", method)) == pytest.approx(TRUTH, rel=0.02)
-
-
-@pytest.mark.parametrize("method", EVERY_METHOD)
-@pytest.mark.parametrize("factor", [1e300, 1e-300])
-def test_input_of_an_absurd_size_ends_in_one_line(tmp_path: Path, cart: Cart, method: str, factor: float) -> None:
-    record = written(tmp_path, cart.frame.with_columns(pl.col.u * factor))
-    result = run(record, "--json", "--method", method)
-    complaint(result, code=result.exit_code)
-    assert result.exit_code in (2, 3)
-
-
-@pytest.mark.parametrize("cutoff", ["1e-3", "1e-9"])
-def test_cutoff_too_low_for_the_record_ends_in_one_line(cart: Cart, cutoff: str) -> None:
-    result = run(cart.csv, "--json", "--set", f"estimator.cutoff={cutoff}")
-    assert "higher cutoff" in complaint(result, code=result.exit_code)
-    assert result.exit_code in (2, 3)
-
-
 # --- what good input gives ------------------------------------------------------------------------------------------
 
 
@@ -340,16 +305,6 @@ def test_the_json_object_has_its_keys_and_types(cart: Cart) -> None:
     assert set(printed["status"]) <= {"std_too_small", "biased"}
 
 
-def test_options_go_before_the_configuration(cart: Cart) -> None:
-    options = ("--method", "ls", "--set", "estimator.cutoff=30", "--set", "estimator.order=3")
-    printed = good(cart.csv, *options)
-    assert printed["method"] == "ls"
-    assert values(printed)["mass"] != values(good(cart.csv, "--method", "ls"))["mass"]
-    doubled = good(cart.csv, "--set", f"encoder.resolution={2 * CART_RESOLUTION!s}")
-    assert values(doubled)["mass"] == pytest.approx(CART.mass / 2, rel=0.02)
-    assert values(good(cart.csv, "--set", f"encoder.resolution={2000 * CART_RESOLUTION!r} mm")) == values(doubled)
-
-
 @pytest.mark.parametrize("method", long_unless("riv".__eq__, METHODS))
 def test_a_counter_that_wraps_gives_the_same_numbers(
     tmp_path: Path, cart: Cart, found: Callable[[str], dict[str, Any]], method: str
@@ -361,16 +316,7 @@ def test_a_counter_that_wraps_gives_the_same_numbers(
     assert wrapped["parameters"] == found(method)["parameters"]
 
 
-@pytest.mark.parametrize("method", EVERY_METHOD)
-def test_a_jump_of_the_counter_is_flagged_and_left_out(tmp_path: Path, cart: Cart, method: str) -> None:
-    jump = pl.when(pl.col.t > 15).then(10**6).otherwise(0)
-    config = axis(tmp_path, "standstill_time = 0.2", "max_speed = 2.0")
-    printed = good(written(tmp_path, cart.frame.with_columns(pl.col.counts + jump)), "--method", method, config=config)
-    assert "count_jump" in printed["status"]
-    assert values(printed)["mass"] == pytest.approx(CART.mass, rel=0.02)
-
-
-@pytest.mark.parametrize("method", FAMILIES)
+@pytest.mark.parametrize("method", WRITTEN)
 def test_out_writes_the_report_the_numbers_and_the_track(
     out: Path, found: Callable[[str], dict[str, Any]], method: str
 ) -> None:
@@ -398,21 +344,11 @@ def test_the_table_shows_what_the_json_says(tmp_path: Path, cart: Cart) -> None:
     assert f"report: {tmp_path / 'report.html'}" in result.stdout
 
 
-def test_brackets_in_names_are_shown_as_they_are(tmp_path: Path, cart: Cart) -> None:
-    record = tmp_path / "run[red].csv"
-    record.write_bytes(cart.csv.read_bytes())
-    out = tmp_path / "o[" / "x]"
-    result = run(record, "--out", str(out))
-    assert (result.exit_code, result.stderr) == (0, "")
-    assert "run[red].csv: riv" in result.stdout
-    assert f"report: {out / 'report.html'}" in result.stdout
-
-
 # --- the command itself ---------------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("name", sorted(main.commands))
-@pytest.mark.parametrize("flag", ["-h", "--help"])
+@pytest.mark.parametrize("flag", ["--help"])
 def test_help_names_every_option(name: str, flag: str) -> None:
     result = CliRunner().invoke(main, [name, flag])
     assert (result.exit_code, result.stderr) == (0, "")
@@ -432,13 +368,6 @@ def test_the_installed_command_prints_json_alone(cart: Cart) -> None:
     done = spawned("identify", str(cart.csv), "--config", str(AXIS), "--json")
     assert (done.returncode, PROGRESS.sub("", done.stderr)) == (0, "")
     assert json.loads(done.stdout) == good(cart.csv)
-
-
-def test_the_installed_command_fails_in_one_line(tmp_path: Path) -> None:
-    done = spawned("identify", str(tmp_path / "absent.csv"), "--config", str(AXIS), "--json")
-    assert (done.returncode, done.stdout) == (2, "")
-    assert PROGRESS.sub("", done.stderr).count("\n") == 1
-    assert done.stderr.endswith("give the path of a data file\n")
 
 
 def test_help_answers_without_the_numerics() -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import pickle
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
@@ -68,13 +67,6 @@ def test_table_and_report(record, tmp_path):
     assert page.count("<figure") == 1
 
 
-def test_nothing_to_identify_is_said_once(tmp_path):
-    path = tmp_path / "still.csv"
-    path.write_text("t,u,counts\n" + "".join(f"{k / 100},1.0,5\n" for k in range(500)))
-    result = run_command("identify", "--method", "all", str(path), "--config", str(CONFIG), code=3)
-    assert result.stderr.count("does not move") == 1
-
-
 @pytest.mark.long
 def test_a_transfer_function_by_every_method(tmp_path):
     record, config = tmp_path / "second_order.csv", CONFIG.with_name("second_order.toml")
@@ -88,29 +80,3 @@ def test_a_transfer_function_by_every_method(tmp_path):
     assert "fit" in printed
     assert "ls has no answer: ls needs one evenly spaced record" in printed
     assert "a0 in s^-2" in (tmp_path / "compare.html").read_text()
-
-
-@pytest.mark.parametrize("width", ["80", "60", "20"])
-@pytest.mark.long
-def test_no_number_of_many_parameters_is_cut(tmp_path, monkeypatch, width):
-    record, config = tmp_path / "second_order.csv", tmp_path / "axis.toml"
-    write(record)
-    example = CONFIG.with_name("second_order.toml").read_text()
-    config.write_text(
-        example.replace("n = 2 ", "n = 3 ").replace("m = 0 ", "m = 2 ").replace("delay", "offset = true\ndelay")
-    )
-    monkeypatch.setenv("COLUMNS", width)
-    printed = run(str(record), "--config", str(config), "--out", str(tmp_path))
-    assert "\u2026" not in printed
-    header, *rows = _cells(tmp_path / "compare.html")
-    assert len(header) == 10
-    for row in rows:
-        assert all(cell in printed for cell in row[1:9])
-    if width == "80":
-        assert max(len(line) for line in printed.splitlines() if line[:1] in "\u2502\u2503") <= 80
-
-
-def _cells(page: Path) -> list[list[str]]:
-    """Return header and rows of the first table of a report."""
-    table = page.read_text().split("<table", 1)[1].split("</table>", 1)[0]
-    return [re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", row, re.DOTALL) for row in table.split("<tr")[1:]]

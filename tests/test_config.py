@@ -122,14 +122,6 @@ def test_what_is_not_allowed_is_named_with_value_and_remedy(
     assert text.count("\n") == remedy.count("\n")
 
 
-def test_several_problems_come_in_one_error_in_the_order_of_the_sections(tmp_path: Path) -> None:
-    first, second = message(write(tmp_path, MINIMAL.replace("1e-3", "0").replace("50.0", "-1"))).split("\n  ")
-    assert first.startswith("[encoder] resolution = 0:")
-    assert second.startswith("[estimator] cutoff = -1:")
-    option = message(write(tmp_path), {"estimator.cutoff": -3.0})
-    assert option.startswith("[estimator] cutoff = -3.0 (given as an option): it should be greater than 0; give ")
-
-
 def test_unreadable_configurations(tmp_path: Path) -> None:
     assert "No such file" in message(tmp_path / "absent.toml")
     assert "cannot read the configuration" in message(tmp_path)
@@ -157,14 +149,3 @@ def test_the_examples_load() -> None:
         22.75e-6,
         0.995,
     )
-
-
-def test_a_message_stops_after_ten_problems(tmp_path: Path) -> None:
-    keys = "\n".join(f"wrong{k} = 1" for k in range(40_000))
-    (tmp_path / "axis.toml").write_text(f"[record]\n{keys}\n")
-    with pytest.raises(UsageError) as refused:
-        load_axis(tmp_path / "axis.toml")
-    lines = str(refused.value).splitlines()
-    assert len(lines) == 11
-    assert "wrong0 is an unknown key" in lines[0]
-    assert "more problems" in lines[-1]

@@ -1,7 +1,8 @@
-"""The kernel's configuration is one structure: a new field of pmf.h needs a place that makes its value."""
+"""The kernel's configuration and header."""
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pmfid
 from pmfid import _kernel32, _kernel64
 from pmfid.kernel import configuration
 from pmfid.kernel.saved import configuration as configuration_of
-from pmfid.kernel.structures import constants_of, resize_structure, structures
+from pmfid.kernel.structures import constants_of, header, structures, value, whole_words
 from pmfid.status import Status
 from tests.refusals import refused
 
@@ -66,15 +67,6 @@ def test_a_value_without_a_field_is_found() -> None:
     refused((r"unknown \['wait'\]", lambda: configuration.fill(tap, wrong)), kind=ValueError)
 
 
-def test_more_values_than_room_are_refused() -> None:
-    network = np.zeros((), structures(None, "float64")["pmf_network_config_t"])
-    values = configuration.network_values([(0, 0.0, 0.0, 1.0)], [[(1, 1.0)]], 1)
-    configuration.fill(network, values)
-    assert (network["n_stages"], network["tap_end"][0], network["tap"]["weight"][0]) == (1, 1, 1.0)
-    wrong = values | {"tap_end": np.ones(1000)}
-    refused(("tap_end has the shape", lambda: configuration.fill(network, wrong)), kind=ValueError)
-
-
 @pytest.mark.parametrize("kernel", [_kernel32.Kernel, _kernel64.Kernel])
 def test_another_number_of_bytes_is_refused(kernel: type[_kernel64.Kernel]) -> None:
     refused(("a configuration has", lambda: kernel(b"\0" * 100)), kind=ValueError)
@@ -95,7 +87,61 @@ def test_the_status_has_the_numbers_of_the_header() -> None:
     assert all(constants[f"PMF_{bit.name}"] == bit for bit in Status)
 
 
-def test_what_lies_between_the_fields_is_zero() -> None:
-    """Otherwise equal configurations would have different checksums, and a fleet would refuse its own states."""
-    config = config_of("RLS")
-    assert resize_structure(config, config.dtype).tobytes() == made("RLS").kernel.raw_config()
+@pytest.mark.parametrize(
+    ("text", "number"),
+    [
+        ("8", 8),
+        ("0x1fU", 31),
+        ("(4 * SIZE + 4)", 36),
+        ("-SIZE + 10 / 3", -5),
+        ("SIZE > 7", 1),
+        ("SIZE > 0x8U", 0),
+        (" 2 - (3 - 4)", 3),
+    ],
+)
+def test_constant_expressions(text: str, number: int) -> None:
+    assert value(text, {"SIZE": 8}) == number
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "().__class__",
+        "SIZE.bit_length()",
+        "[1][0]",
+        "2 ** 99",
+        "OTHER",
+        "PMF_R(1e30)",
+        "1.5",
+        "'a'",
+        "a := 1",
+        "",
+        "1 2",
+    ],
+)
+def test_anything_else_is_refused(text: str) -> None:
+    refused(("no constant expression", lambda: value(text, {"SIZE": 8})), kind=ValueError)
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_the_words_of_a_state_that_are_whole_numbers(precision: str) -> None:
+    state, words = structures(None, precision)["pmf_state_t"], whole_words(precision)
+
+    def place(*names: str) -> int:
+        at, kind = 0, state
+        for name in names:
+            kind, offset = (kind.fields or {})[name][:2]
+            at += offset
+        return at // 4
+
+    assert 4 * len(words) == state.itemsize
+    assert [words[place(*names)] for names in (("status",), ("guard", "zero"))] == [1] * 2
+    assert [words[place(*names)] for names in (("encoder", "position"), ("instrument", "mass"))] == [0] * 2
+    estimate = place("direct", "estimate")
+    assert not any(words[estimate : place("direct", "mass")])
+
+
+def test_firmware_needs_none_of_the_inner_names() -> None:
+    assert re.findall(r'#include "(.*?)"', header("pmf.h")) == ["pmf_sizes.h", "many/pmf_lanes.h", "pmf_redge_axis.h"]
+    assert "pmf_recursion_step" not in header("pmf.h")
+    assert "pmf_recursion_step" in header("pmf_internal.h")

@@ -9,11 +9,10 @@ import pytest
 from scipy.signal import lfilter
 
 import pmfid
-from pmfid import Drive, Encoder, Experiment, TransferFunction, quantize
+from pmfid import Drive, Encoder, TransferFunction, quantize
 from pmfid.report.result import write_result
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
 from pmfid.types import Floats
-from tests.refusals import refused
 
 DT, A0, B0 = 0.01, 2.0, 3.0
 LEVELS = np.array([-1.0, 0.3, 1.0, -0.4])
@@ -41,37 +40,14 @@ def test_counts_are_scaled_by_the_encoder(resolution: float) -> None:
     assert found.status == ()
 
 
-def test_counts_of_experiments_and_of_a_wrapping_counter_are_scaled() -> None:
-    runs = [run(seed) for seed in (1, 2)]
-    counted = [Experiment(u, quantize(y, 0.002).astype(float), dt=DT) for u, y in runs]
-    assert identified(counted, encoder=Encoder(0.002))["b0"] == pytest.approx(B0, rel=0.005)
-    wrapped = (quantize(runs[0][1], 0.002) + 128) % 256 - 128
-    assert np.any(np.abs(np.diff(wrapped)) > 200)
-    assert identified(runs[0][0], wrapped, Encoder(0.002, bits=8))["b0"] == pytest.approx(B0, rel=0.005)
-
-
-def test_a_validation_scales_counts_as_the_identification_did() -> None:
-    (u, y), (other_u, other_y) = run(1), run(2)
-    found = identified(u, quantize(y, 0.002), Encoder(0.002))
-    assert pmfid.validate(found, other_u, quantize(other_y, 0.002)).status == ()
-    free = pmfid.validate(found, other_u, quantize(other_y, 0.004), encoder=Encoder(0.004)).runs[0]
-    assert np.max(np.abs(free.error)) < 0.02
-
-
-def test_an_output_in_its_unit_is_no_count() -> None:
-    u, y = run(1)
-    refused((r"must be counts .* leave out encoder if .* or pass quantize", lambda: identified(u, y, Encoder(0.01))))
-    assert identified(u, y)["b0"] == pytest.approx(B0, rel=0.001)
-
-
 def test_an_interval_of_a_transfer_function_holds_the_truth() -> None:
     inside = np.zeros(2)
-    for seed in range(40):
+    for seed in range(20):
         u, y = run(seed)
         found = identified(u, y + 0.02 * np.random.default_rng(seed).standard_normal(y.size))
         low, high = found.interval_95.T
         inside += (low <= [A0, B0]) & (high >= [A0, B0])
-    assert inside.min() >= 33  # 95 % less three standard deviations
+    assert inside.min() >= 16  # 95 % less three standard deviations
 
 
 def cart(u: Floats, **settings: object) -> pmfid.Result:
@@ -105,15 +81,3 @@ def test_an_input_of_one_level_does_not_show_the_amplifier(u: Floats, level: str
         assert notes[0].sentence in text
     write_result(tmp_path, found)
     assert notes[0].sentence in (tmp_path / "report.html").read_text("utf-8")
-
-
-def test_an_input_of_several_sizes_shows_the_amplifier() -> None:
-    sizes = np.repeat(np.random.default_rng(3).choice([0.4, 0.7, 1.0], 10), 100)
-    found = (cart(BINARY * sizes), cart(4.0 * np.sin(0.05 * np.arange(1000))), identified(*run(1)))
-    assert not any("gain_level" in [finding.code for finding in one.findings] for one in found)
-
-
-def test_the_note_names_what_depends_on_the_gain() -> None:
-    u = np.sign(run(1)[0])
-    process = identified(u, np.asarray(lfilter([0.0, 0.03], [1.0, -0.98], u)))
-    assert any("the numerator scales with the gain at the input ±1" in text for text in process.notes)

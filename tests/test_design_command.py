@@ -92,12 +92,6 @@ def test_the_table_shows_design_and_standard_inputs(folder: tuple[Path, str]) ->
     assert saved["criterion"] == "D"
 
 
-def test_the_trap_of_no_least_speed_is_reported(tmp_path: Path) -> None:
-    result = run_command("design", changed(tmp_path, ("min_speed = 0.01", "min_speed = 0.0")), *FEW)
-    assert "warning" in result.stdout
-    assert "survives" in result.stdout
-
-
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
@@ -187,8 +181,3 @@ def test_all_rounds_on_a_simulated_axis() -> None:
 def test_wrong_use_is_one_error(arguments: list[str], message: str) -> None:
     result = run_command("design", EXAMPLE, *arguments, code=2)
     assert message in result.stderr
-
-
-def test_records_and_a_truth_exclude_each_other(tmp_path: Path, first: np.ndarray) -> None:
-    result = run_command("design", EXAMPLE, record(tmp_path, first, 1.5), "--truth", "mass=1.5", code=2)
-    assert "exclude each other" in result.stderr

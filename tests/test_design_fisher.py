@@ -13,14 +13,11 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import pmfid
-from pmfid.design.ascent import proportions, share
 from pmfid.design.fisher import (
     CRITERIA,
     Criterion,
     affine,
     check_identifiable,
-    criterion_of,
-    information,
     motion,
     sensitivities,
 )
@@ -77,14 +74,6 @@ def test_sensitivities_are_those_of_an_independent_integration() -> None:
     assert np.abs(np.array(found) - exact).max() <= 1e-8 * np.abs(exact).max()
 
 
-def test_information_of_a_free_mass_has_a_closed_form() -> None:
-    """x = u t^2 gain / (2 m): F = sum (gain u t^2 / (2 m^2))^2 / variance."""
-    case = problem(2.0, 0.0, 0.0, unknown=("mass",), noise_variance=1e-6)
-    t = case.t[1:]
-    expected = np.sum((2.0 * 0.7 * t**2 / (2 * 2.0**2)) ** 2) / 1e-6
-    assert information(case, np.full(20, 0.7)) == pytest.approx(expected, rel=1e-10)
-
-
 @pytest.mark.parametrize("name", list(CRITERIA))
 @pytest.mark.parametrize("size", [1, 2, 3])
 def test_gradients_and_homogeneity(name: str, size: int) -> None:
@@ -105,22 +94,6 @@ def test_criteria_are_what_their_names_say() -> None:
     assert values == pytest.approx({"trace": 5.0, "D": 2.0, "A": 1.6, "E": 1.0, "ME": 0.25, "c": 1.0})
 
 
-def test_the_tangent_at_the_best_mixture_bounds_every_part() -> None:
-    rng = np.random.default_rng(2)
-    parts = np.array([np.outer(a, a) for a in rng.standard_normal((8, 2))])
-    for name in ("D", "A", "E"):
-        rule = Criterion(name, 2)
-        weights = proportions(rule, parts)
-        mean = np.tensordot(weights, parts, 1)
-        assert weights.sum() == pytest.approx(1.0, abs=1e-4)
-        if name != "E":  # E is not smooth where two eigenvalues meet
-            assert np.tensordot(parts, share(rule, mean), 2).max() <= rule.value(mean) * (1 + 1e-3)
-        for other in rng.dirichlet(np.ones(8), 20):
-            assert rule.value(np.tensordot(other, parts, 1)) <= np.sum(
-                share(rule, mean) * np.tensordot(other, parts, 1)
-            ) * (1 + 1e-9)
-
-
 def test_what_no_input_tells_is_named() -> None:
     drive = pmfid.Drive(2.0, offset=True)
     case = problem()
@@ -134,15 +107,6 @@ def test_what_no_input_tells_is_named() -> None:
         ("does not depend on mass", lambda: check_identifiable(still, affine(still))),
         kind=pmfid.NotIdentifiableError,
     )
-
-
-def test_unknown_criteria_and_combinations() -> None:
-    refused(
-        ("did you mean 'trace'", lambda: criterion_of(problem(), "trase")),
-        ("needs a weight", lambda: criterion_of(problem(combination={"offset": 1.0}), "c")),
-    )
-    assert criterion_of(problem(), "T").name == "trace"
-    assert criterion_of(problem(combination={"mass": 2.0}), "c").combination == pytest.approx([1.0, 0.0, 0.0])
 
 
 def test_bad_problems_and_limits_are_named() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -10,8 +9,7 @@ import pytest
 from scipy.signal import cont2discrete, lfilter
 
 import pmfid
-from pmfid.design import InfeasibleError, Limits, PlantProblem, Problem, evaluate_plant_input, solve, solve_plant
-from tests.refusals import refused
+from pmfid.design import Limits, PlantProblem, Problem, evaluate_plant_input, solve, solve_plant
 
 NOMINAL = {"gain": 2.0, "pole": 1.5, "damping": 0.4, "frequency": 6.0, "start": 0.3}
 
@@ -106,19 +104,3 @@ def test_an_estimate_reaches_the_predicted_scatter() -> None:
     slope = (simulate(3.0 + 1e-5) - simulate(3.0 - 1e-5)) / 2e-5
     errors = [slope @ (1e-3 * rng.standard_normal(40)) / (slope @ slope) for _ in range(400)]
     assert np.std(errors) == pytest.approx(design.predicted_std["pole"], rel=0.15)
-
-
-def test_what_cannot_be_is_named() -> None:
-    def silent(p):
-        return [[-1.0]], [1.0], [1.0], [0.0]
-
-    ghost = PlantProblem(silent, {"ghost": 1.0}, ("ghost",), 1.0, 4, 1e-6, (-1.0, 1.0))
-    states = "states has the state 3, and the plant has the states 0 to 2"
-    refused(
-        ("horizon must be positive", lambda: problem_of(horizon=0.0)),
-        ("input must be", lambda: problem_of(input=(1.0, 1.0))),
-        (states, lambda: problem_of(states={3: (0.0, 1.0)})),
-        ("'poles' is no parameter of nominal; did you mean 'pole'", lambda: replace(problem_of(), unknown=("poles",))),
-    )
-    refused(("widen input or states", lambda: solve_plant(problem_of(end={1: 50.0}))), kind=InfeasibleError)
-    refused(("ghost", lambda: solve_plant(ghost)), kind=pmfid.NotIdentifiableError)

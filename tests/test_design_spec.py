@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.models.drive import Drive
-from pmfid.pipeline.designs import Spec, load_spec, make_problem, read_run, run_appraisal, run_design
+from pmfid.pipeline.designs import Spec, load_spec, make_problem, run_design
 from studies.design_case import case
 from tests.refusals import refused
 
@@ -27,16 +24,6 @@ def test_the_example_is_the_case_of_the_study() -> None:
         assert getattr(problem, name) == getattr(expected, name), name
     assert problem.prior is None
     assert problem.scenarios == ()
-
-
-def test_sections_that_may_be_left_out() -> None:
-    problem = make_problem(spec(encoder__noise_std=1e-3, motion__end=None))
-    assert problem.variance == pytest.approx(1e-6)
-    prior = make_problem(spec(prior__mass=0.5, prior__coulomb_friction=0.1)).prior
-    assert prior == pytest.approx(np.diag([4.0, 0.0, 100.0]))
-    problem = make_problem(spec(drive__offset=0.2, experiment__nuisance=["offset"]))
-    assert problem.drive.offset
-    assert problem.names[-1] == "offset"
 
 
 def test_tolerances_become_every_corner() -> None:
@@ -58,28 +45,6 @@ def test_parameters_that_no_input_tells_are_named() -> None:
     std = run_design(prior).predicted_std
     assert std["offset"] == pytest.approx(0.01, rel=1e-3)
     assert std["coulomb_friction"] == pytest.approx(0.01, rel=0.1)
-
-
-def test_missing_parts_are_named(tmp_path: Path) -> None:
-    path = tmp_path / "spec.toml"
-    path.write_text("[drive]\ninput_gain = 2.0\n")
-    with pytest.raises(UsageError) as error:
-        load_spec(path)
-    for part in ("[drive] mass is missing", "[encoder] is missing", "[motion] is missing"):
-        assert part in str(error.value)
-    path.write_text(EXAMPLE.read_text().replace("resolution = 22.75e-6", ""))
-    refused(
-        ("resolution and noise_std are both missing", lambda: load_spec(path)),
-        (r"give a SPEC\.toml", lambda: load_spec(tmp_path / "nowhere.toml")),
-    )
-
-
-def test_criterion_c_wants_its_combination() -> None:
-    wanted = spec(experiment__criterion="c", experiment__weights={"mass": 1.0}, search__starts=3)
-    found = run_appraisal(wanted, run_design(wanted))
-    alone = run_design(spec(experiment__criterion="D", search__starts=3))
-    assert found.design.predicted_std["mass"] < alone.predicted_std["mass"]
-    refused(("combination", lambda: run_design(spec(experiment__criterion="c", search__starts=3))))
 
 
 #: Keys of the file, and what the one line says.
@@ -116,12 +81,3 @@ def test_what_is_wrong_is_one_line(overrides: dict[str, object], said: str) -> N
         make_problem(spec(**overrides))
     assert said in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_what_a_design_does_not_do_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "spec.toml"
-    path.write_text(EXAMPLE.read_text().replace("resolution = 22.75e-6", "noise_std = 1e-5"))
-    refused(
-        ("resolution", lambda: read_run(load_spec(path), tmp_path / "run.csv")),
-        ("spring", lambda: replace(case("m"), drive=Drive(2.0, spring=True))),
-    )

@@ -1,21 +1,27 @@
-"""The examples of README and pages run and give the true parameters; pages, words and names are complete."""
+"""Pages: examples run, the notebook and the demo too."""
 
 from __future__ import annotations
 
+import ast
+import json
 import re
 import runpy
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import polars as pl
 import pytest
 from matplotlib.figure import Figure
 
 import pmfid
 from docs.blocks import FENCE, ROOT, Outcome, run_blocks
 from docs.stage import WORDS, describe_commands, list_words, program
+from examples.demo import INCREMENTS, METHODS, RECORD, estimate_mass, main, rms_error, simulate_run
 from pmfid.config.axis import load_axis
-from tests.refusals import refused
+from pmfid.simulation import CART, CART_LOADED
 
 
 def blocks(language: str, page: str) -> list[str]:
@@ -55,12 +61,6 @@ def test_methods_named_are_the_methods_there_are():
     guide = (ROOT / "docs/explanation/models.md").read_text(encoding="utf-8")
     table = dict(re.findall(r"^\| `([\w-]+)` \| `(\w+)` \|", guide, re.MULTILINE))
     assert table == {name: cls.__name__ for name, cls in ESTIMATORS.items()}
-
-
-def test_the_comparison_with_mujoco_leaves_its_intervals():
-    section = (ROOT / "docs" / "coming_from.md").read_text("utf-8").partition("## mujoco.sysid")[2]
-    assert "Both give confidence intervals" in section
-    assert "error bar" not in section
 
 
 def numbers_apart(text: str) -> tuple[str, list[float]]:
@@ -150,13 +150,6 @@ def test_an_example_of_the_gallery_prints_and_draws(script: Path, capsys: pytest
     assert any(isinstance(value, Figure) for value in names.values())
 
 
-def test_a_block_that_fails_is_an_error(tmp_path: Path) -> None:
-    command = "```sh\npmfid identify missing.csv --config none.toml\n```\n"
-    refused(("exit code 2", lambda: list(run_blocks(command, tmp_path))), kind=RuntimeError)
-    with pytest.raises(ZeroDivisionError):
-        list(run_blocks("```python\n1 / 0\n```\n", tmp_path))
-
-
 @pytest.mark.parametrize("page", PAGES)
 def test_pages_that_a_page_names_exist(page: str) -> None:
     text = re.sub(r"^```.*?^```", "", (ROOT / page).read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
@@ -179,3 +172,91 @@ def test_the_reference_has_each_public_name_and_each_command() -> None:
     commands = "".join(describe_commands(program, "pmfid"))
     assert {"## pmfid identify", "## pmfid fleet history"} <= set(commands.splitlines())
     assert "| `--set KEY=VALUE` |" in commands
+
+
+PLACE = Path(__file__).parents[1] / "examples" / "notebook.ipynb"
+NOTEBOOK = json.loads(PLACE.read_text(encoding="utf-8"))
+CELLS = ["".join(cell["source"]) for cell in NOTEBOOK["cells"] if cell["cell_type"] == "code"]
+
+
+def shown(cells: list[str]) -> Iterator[object]:
+    """Yield the output of each cell: the value of its last line, as in a notebook."""
+    names: dict[str, object] = {}
+    for cell in cells:
+        *before, last = ast.parse(cell).body
+        exec(compile(ast.Module(before, []), "cell", "exec"), names)
+        assert isinstance(last, ast.Expr), "a cell ends with what it shows"
+        yield eval(compile(ast.Expression(last.value), "cell", "eval"), names)
+
+
+@pytest.fixture(scope="module")
+def outputs(tmp_path_factory: pytest.TempPathFactory) -> list[object]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(tmp_path_factory.mktemp("notebook"))
+        return list(shown(CELLS))
+
+
+def test_it_is_a_notebook_without_outputs() -> None:
+    assert (NOTEBOOK["nbformat"], NOTEBOOK["cells"][0]["cell_type"]) == (4, "markdown")
+    assert all(cell["outputs"] == [] for cell in NOTEBOOK["cells"] if cell["cell_type"] == "code")
+    text = json.dumps(NOTEBOOK, indent=1, ensure_ascii=False) + "\n"
+    assert PLACE.read_text(encoding="utf-8") == text, "written as notebooks are, so that a change is a small one"
+
+
+def test_it_goes_from_a_file_to_a_figure_in_six_lines(outputs: list[object]) -> None:
+    lines = [line for line in CELLS[1].splitlines() if line]
+    assert len(lines) == 6
+    assert "read_csv" in lines[2]
+    assert isinstance(outputs[1], Figure)
+
+
+def test_what_it_shows_is_the_cart(outputs: list[object]) -> None:
+    _, _, result, reported, frame, track = outputs
+    assert isinstance(result, pmfid.Result)
+    assert result.theta == pytest.approx([CART.mass, CART.viscous_friction, CART.coulomb_friction], rel=0.01)
+    assert result["mass"] == reported["value"] == pytest.approx(CART.mass, rel=0.002)  # type: ignore[index]
+    assert isinstance(frame, pl.DataFrame)
+    assert frame["parameter"].to_list() == list(result.names)
+    assert "<table>" in result._repr_html_()
+    assert isinstance(track, Figure)
+
+
+def test_a_notebook_without_pyplot_shows_the_figures(outputs: list[object]) -> None:
+    for figure in (outputs[1], outputs[-1]):
+        assert figure._repr_png_().startswith(b"\x89PNG")  # type: ignore[attr-defined]
+
+
+@pytest.fixture(scope="module")
+def errors() -> dict[tuple[str, int], float]:
+    runs = {n: simulate_run(n) for n in (4096, 256, 64)}
+    return {(method, n): rms_error(estimate_mass(method, run)["mass"]) for n, run in runs.items() for method in METHODS}
+
+
+def test_rls_goes_off_and_bcrls_does_not(errors: dict[tuple[str, int], float]) -> None:
+    assert errors["RLS", 4096] < 1
+    assert errors["RLS", 256] > 25
+    assert errors["BCRLS", 256] < 1
+
+
+def test_riv_and_edge_times_go_beyond(errors: dict[tuple[str, int], float]) -> None:
+    assert errors["riv", 64] < errors["BCRLS", 64] / 1.5
+    assert errors["edge times", 64] < 0.05
+
+
+def test_the_error_is_that_of_both_loads() -> None:
+    mass = np.r_[np.full(1500, 1.1 * CART.mass), np.full(1500, CART_LOADED.mass)]
+    assert rms_error(mass) == pytest.approx(10 / np.sqrt(2))
+
+
+def test_the_command_prints_one_table_and_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--out", str(tmp_path), "--images", str(tmp_path / "images")])
+    text = capsys.readouterr().out
+    assert max(map(len, text.partition("\npicture:")[0].splitlines())) <= 80
+    assert [line.split()[0] for line in text.splitlines()[2 : 2 + len(INCREMENTS)]] == [str(n) for n in INCREMENTS]
+    assert (tmp_path / "images" / "first.png").stat().st_size > 10_000
+    assert (tmp_path / "images" / "demo.png").read_bytes() == (tmp_path / "demo.png").read_bytes()
+    t, u, counts = np.loadtxt(tmp_path / "cart.csv", delimiter=",", skiprows=1, unpack=True)
+    estimator = pmfid.BCRLS(
+        pmfid.Drive(2.0), pmfid.Encoder(22.75e-6 * 4096 / RECORD), t[1] - t[0], 50.0, forgetting=0.99
+    )
+    assert estimator.run(u, counts.astype(int))["mass"][-1] == pytest.approx(1.44, rel=0.02)

@@ -20,7 +20,6 @@ from pmfid.config.axis import load_axis
 from pmfid.pipeline.designs import load_spec
 from pmfid.service.plant import load_plant, page_config
 from tests.firmware.build import GCC, REQUIRED, command
-from tests.refusals import refused
 
 PAGES = ["README.md", *(str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md")))]
 FENCED = re.compile(r"^```.*?^```\n", re.DOTALL | re.MULTILINE)
@@ -148,11 +147,3 @@ def test_an_indented_block_names_what_exists(text: str) -> None:
             parse_command([word for word in words[1:] if word != "..."])
         elif words[0] == "make" and "-C" not in words:
             assert re.search(rf"^[\w -]*\b{words[1]}\b[\w -]*:", makefile, re.MULTILINE), words
-
-
-def test_an_option_that_does_not_exist_is_found() -> None:
-    refused(
-        ("--outt", lambda: parse_command(["identify", "a.csv", "--outt", "b"])),
-        ("No such command", lambda: parse_command(["fleet", "histori"])),
-        kind=click.UsageError,
-    )

@@ -11,12 +11,11 @@ import pytest
 import pmfid
 from pmfid import Experiment
 from pmfid.config.axis import load_axis
-from pmfid.diagnostics.processes import search_notes
-from pmfid.pipeline.processes import Processes, search_order
+from pmfid.pipeline.processes import Processes
 from pmfid.pipeline.result import ProcessResult
-from pmfid.simulation.process import PLANTS, simulate_process
+from pmfid.simulation.process import PLANTS
 from tests.refusals import refused
-from tests.test_process import CONFIG, closed_loop, noisy
+from tests.test_process import CONFIG, closed_loop
 
 PLANT = PLANTS["second-order"]
 
@@ -36,17 +35,6 @@ def test_noise_alone_is_no_process(n, seed):
     y = np.random.default_rng(seed).standard_normal(PLANT.samples)
     with pytest.raises(pmfid.NotIdentifiableError):
         identified(plain(y), model__n=n)
-
-
-@pytest.mark.long
-def test_a_wrong_structure_is_no_feedback():
-    y = simulate_process(PLANT.b, PLANT.a, np.r_[np.zeros(3), PLANT.u[:-3]], PLANT.dt)
-    rng = np.random.default_rng(1)
-    for delay in (0, 2, 3, 5):
-        found = identified(plain(y + 0.05 * rng.standard_normal(y.size)), model__delay=delay)
-        assert "feedback" not in found.status
-        assert found.assessment.independent == (delay == 3)
-        assert ("unmodelled" in found.status) == (delay != 3)
 
 
 @pytest.mark.long
@@ -77,29 +65,3 @@ def test_an_unstable_process_is_named():
     assert found.fit is None
     assert found.to_json()["fit"] is None
     assert "unstable" in found.status
-
-
-def test_what_can_be_doubted_is_said():
-    far = noisy(PLANT, 1)
-    far[[500, 900]] += 8.0
-    assert any("2 samples of the output are far from" in note for note in identified(plain(far)).notes)
-    refused(("offset = true", lambda: identified(plain(noisy(PLANT, 1) + 5.0))), kind=pmfid.NotIdentifiableError)
-    weak = identified(plain(noisy(PLANT, 1, ratio=2.5)))
-    assert any("explains only" in note for note in weak.notes)
-
-
-@pytest.mark.long
-def test_a_search_does_not_take_coloured_noise_for_poles():
-    rng = np.random.default_rng(3)
-    noise = np.zeros(1500)
-    for k in range(1, noise.size):
-        noise[k] = 0.95 * noise[k - 1] + 0.1 * rng.standard_normal()
-    part = slice(0, noise.size)
-    axis = load_axis(Path(CONFIG), {})
-    coloured = Experiment(PLANT.u[part], PLANT.y[part] + noise, dt=PLANT.dt)
-    white = Experiment(PLANT.u[part], noisy(PLANT, 3)[part], dt=PLANT.dt)
-    for record in (coloured, white):
-        found = search_order([record], axis)
-        assert search_notes(found) == []
-        assert (found.best.n, found.best.m, found.best.delay) == (2, 0, 0)
-        assert found.best.settled

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from pmfid import Status
 from pmfid.monitor import EdgeMonitor, MonitorFleet
 from pmfid.monitor.events import STATES, Alarm, Event, FleetRows
 from tests.refusals import refused
@@ -63,15 +61,6 @@ def test_a_fleet_has_the_bits_of_single_monitors(runs: tuple[np.ndarray, ...], p
     assert [any(isinstance(event, Alarm) for event in own) for own in events] == [True, False, True, False]
 
 
-def test_wrong_ages_are_a_status_and_wrong_estimates_are_none(runs: tuple[np.ndarray, ...]) -> None:
-    rows = MonitorFleet(make_monitor(), AXES).run(np.arange(AXES), *runs)
-    wrong = (rows.status[3] & Status.INVALID_INPUT) != 0
-    moved = np.diff(runs[1][3], prepend=runs[1][3][0]) != 0
-    np.testing.assert_array_equal(wrong, moved & ~((runs[2][3] >= 0) & (runs[2][3] <= 0.01)))
-    np.testing.assert_allclose(rows.theta[3, -1], rows.theta[1, -1], rtol=3e-3)
-    assert not (rows.status[1] & Status.INVALID_INPUT).any()
-
-
 def test_a_fleet_goes_on_from_its_saved_states(runs: tuple[np.ndarray, ...]) -> None:
     first, second = (tuple(part[:, cut] for part in runs) for cut in (slice(0, 1205), slice(1205, None)))
     fleet, resumed = MonitorFleet(make_monitor(), AXES), MonitorFleet(make_monitor(), AXES)
@@ -100,11 +89,3 @@ def test_other_arrays_and_states_are_refused(runs: tuple[np.ndarray, ...]) -> No
     monitor.statistic = np.nan
     refused(("cannot be a state of a monitor", lambda: fleet.set_state(monitor.get_state())))
     assert fleet.get_state() == state
-
-
-def test_the_copy_of_a_fleet_keeps_its_monitor(runs: tuple[np.ndarray, ...]) -> None:
-    monitor = make_monitor()
-    before = monitor.get_state()
-    MonitorFleet(monitor, 1).run([0], *(part[:1, :300] for part in runs))
-    assert monitor.get_state() == before
-    assert replace(monitor.estimator) == monitor.estimator

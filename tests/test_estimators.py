@@ -119,9 +119,3 @@ def test_wrong_arguments_say_the_remedy(drive):
         ("same length", lambda: estimator.run(np.zeros(3), np.zeros(4, int))),
         ("quantize", lambda: estimator.run(np.zeros(3), np.array([0.0, 0.5, 1.0]))),
     )
-
-
-def test_status_gives_advice():
-    flags = Status.STARTING | Status.STANDSTILL
-    assert len(flags.advice) == 2
-    assert all(Status(bit).advice for bit in Status)

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import ast
 import json
-import tomllib
 from pathlib import Path
 
 import pytest
 
 import pmfid
-from pmfid.config.axis import Axis, load_axis
-from pmfid.config.explain import entries, find, page
+from pmfid.config.explain import entries, page
 from pmfid.diagnostics.matter import FLAGS
-from pmfid.service.plant import SINKS, SOURCES, plant_entries, plant_page
 from pmfid.status import Status
 from tests.command import run_command
-from tests.refusals import refused
 
 ROOT = Path(__file__).parents[1]
 KEYS = {entry.name: entry for entry in entries() if "." in entry.name}
@@ -30,27 +26,6 @@ def said(*arguments: str) -> str:
 def test_the_page_of_all_keys_is_up_to_date() -> None:
     """If this fails, run: pmfid explain --page > docs/reference/axis_toml.md"""
     assert (ROOT / "docs" / "reference" / "axis_toml.md").read_text(encoding="utf-8") == page() == said("--page")
-
-
-def test_every_key_says_what_it_is() -> None:
-    assert {name.partition(".")[0] for name in KEYS} == set(Axis.model_fields)
-    for section, field in Axis.model_fields.items():
-        assert set(field.annotation.model_fields) <= {  # type: ignore[union-attr]
-            name.split(".")[1] for name in KEYS if name.startswith(f"{section}.")
-        }
-    assert [name for name, entry in KEYS.items() if len(entry.meaning) < 8 or not entry.kind or not entry.default] == []
-
-
-def test_a_default_may_be_written_down(tmp_path: Path) -> None:
-    """The defaults on the page are valid TOML, and writing them down changes nothing."""
-    text = (ROOT / "examples" / "cart.toml").read_text(encoding="utf-8").replace("# [monitor]", "[monitor]")
-    plain = tomllib.loads(text)
-    for name, entry in KEYS.items():
-        section, key, *inside = name.split(".")
-        if inside or entry.models or entry.default in ("required", "none") or key in plain[section]:
-            continue
-        (tmp_path / "axis.toml").write_text(text.replace(f"[{section}]\n", f"[{section}]\n{key} = {entry.default}\n"))
-        assert load_axis(tmp_path / "axis.toml") == load_axis(ROOT / "examples" / "cart.toml")
 
 
 def codes_in(path: Path) -> set[str]:
@@ -82,13 +57,6 @@ def test_every_word_of_a_status_is_explained() -> None:
     assert found - known == set()
 
 
-@pytest.mark.parametrize(
-    "word", ["record.time_unit", "time_unit", "[record] time_unit", "RECORD.time-unit", "time unit", " time_unit "]
-)
-def test_a_key_is_found_however_it_is_written(word: str) -> None:
-    assert [entry.name for entry in find(word)] == ["record.time_unit"]
-
-
 def test_the_command_says_it_in_the_terminal() -> None:
     text = said("record.time_unit")
     assert text.startswith("[record] time_unit: the unit of the time column")
@@ -101,30 +69,6 @@ def test_the_command_says_it_in_the_terminal() -> None:
     assert max(map(len, said().splitlines())) <= 200
     (entry,) = json.loads(said("estimator.cutoff", "--json"))["entries"]
     assert (entry["name"], entry["unit"]) == ("estimator.cutoff", "rad/s")
-
-
-def test_what_is_unknown_is_refused_with_what_it_may_mean() -> None:
-    result = run_command("explain", "record.timeunit", code=2)
-    assert result.stderr == (
-        "pmfid: no key or word is called 'record.timeunit'; did you mean 'record.time_unit'?; pmfid explain without a "
-        "key lists them all\n"
-    )
-    refused(("no key or word is called ''", lambda: find("")))
-
-
-def test_the_page_of_a_plant_is_up_to_date() -> None:
-    """If this fails, run: pmfid explain --plant --page > docs/reference/plant_toml.md"""
-    assert (
-        (ROOT / "docs" / "reference" / "plant_toml.md").read_text(encoding="utf-8")
-        == plant_page()
-        == said("--plant", "--page")
-    )
-
-
-def test_every_key_of_a_plant_says_what_it_is() -> None:
-    known = plant_entries()
-    assert {entry.section for entry in known} >= {f"sources.{kind}" for kind in SOURCES} | {f"sinks.{k}" for k in SINKS}
-    assert [entry.name for entry in known if len(entry.meaning) < 6 or not entry.kind or not entry.default] == []
 
 
 @pytest.mark.parametrize(

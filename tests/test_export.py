@@ -13,18 +13,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import pmfid
-from pmfid.cli.main import main
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import OFF_LINE, RECURSIVE
-from pmfid.export.c_text import literal
 from pmfid.export.samples import record_run
 from pmfid.kernel.saved import configuration
 from pmfid.kernel.structures import structures
-from tests.command import run_command
-from tests.conftest import EMPS, cart_run, long_unless, needs_emps
+from tests.conftest import cart_run, long_unless
 from tests.firmware.build import (
     CLANG,
     GCC,
@@ -40,7 +36,6 @@ from tests.firmware.build import (
     objects,
     run,
 )
-from tests.firmware.footprint import cost, kept
 from tests.firmware.replay import PREFIX, difference, exported
 from tests.refusals import refused
 from tests.test_many import process_record
@@ -48,7 +43,6 @@ from tests.test_many import process_record
 DT, CUTOFF = 0.01, 100 / 3
 PRECISIONS = ("float32", "float64")
 SELFTEST, EXAMPLE = "examples/selftest/selftest.c", "examples/main/main.c"
-AXIS = Path(__file__).parents[1] / "examples" / "cart.toml"
 FIRMWARE_PAGE = Path(__file__).parents[1] / "docs" / "howto" / "firmware.md"
 
 
@@ -275,49 +269,6 @@ def test_a_linear_process_on_a_microcontroller(precision: str, tmp_path: Path) -
     assert difference(folder, M4F, "-O2", *WARNINGS) is None
 
 
-def test_the_command_exports_a_transfer_function_that_has_counts(tmp_path: Path) -> None:
-    axis = Path(__file__).parents[1] / "examples" / "second_order.toml"
-    result = run_command("export", str(axis), "--out", str(tmp_path / "x"), "--dt", "0.05", code=2)
-    assert "[encoder] resolution" in result.stderr
-    record = tmp_path / "record.csv"
-    record.write_text("t,u,y\n" + "".join(f"{0.05 * k},1,{1 - 0.5**k}\n" for k in range(50)))
-    again = CliRunner().invoke(main, ["export", str(axis), "--out", str(tmp_path / "x"), "--record", str(record)])
-    assert again.stderr == result.stderr, "before the record is read in steps of no encoder"
-    text = axis.read_text() + "\n[encoder]\nresolution = 1e-3\n"
-    (tmp_path / "axis.toml").write_text(text)
-    arguments = ["export", str(tmp_path / "axis.toml"), "--out", str(tmp_path / "x"), "--dt", "0.05"]
-    result = CliRunner().invoke(main, arguments)
-    assert (result.exit_code, "rls, bcrls" in result.stderr) == (2, True), "srivc works on records"
-    result = CliRunner().invoke(main, [*arguments, "--method", "bcrls"])
-    assert (result.exit_code, result.stderr) == (0, "")
-    assert result.stdout.startswith("bcrls, ")
-    (tmp_path / "axis.toml").write_text(text.replace("[record]", '[record]\nhold = "foh"'))
-    result = CliRunner().invoke(main, [*arguments, "--method", "bcrls"])
-    assert (result.exit_code, "needs a held input" in result.stderr) == (2, True)
-
-
-@needs(GCC)
-@needs_emps
-@pytest.mark.parametrize("precision", ["float32", pytest.param("float64", marks=pytest.mark.long)])
-def test_a_measured_record_and_its_self_test(precision: str, tmp_path: Path) -> None:
-    out = tmp_path / "emps"
-    arguments = ["export", str(AXIS.with_name("emps.toml")), "--out", str(out), "--record", str(EMPS)]
-    result = CliRunner().invoke(main, [*arguments, "--precision", precision])
-    assert (result.exit_code, result.stderr) == (0, "")
-    assert "the same bits" in selftest(out, GCC).stdout
-
-
-@needs(GCC)
-def test_a_difference_is_found(tmp_path: Path) -> None:
-    folder = exported(make(pmfid.RLS), tmp_path, *hostile())
-    config = folder / f"{PREFIX}_config.c"
-    text = config.read_text()
-    config.write_text(re.sub(r"(\d+)U, /\* first_samples", lambda m: f"{int(m[1]) + 1}U, /* first_samples", text))
-    assert config.read_text() != text
-    assert difference(folder, GCC, "-O1") is not None
-    assert selftest(folder, GCC).returncode not in (0, 255)
-
-
 # --- the self-test ----------------------------------------------------------------------------------------------------
 
 
@@ -427,29 +378,6 @@ def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     assert difference(folder, GCC, "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover") is None
 
 
-@needs(GCC)
-@pytest.mark.parametrize("cls", [pmfid.BCRLS, pmfid.RIV])
-def test_a_counter_that_jumps_by_half_of_its_range_overflows_nothing(
-    cls: type[RecursiveEstimator], tmp_path: Path
-) -> None:
-    estimator = make(cls)
-    pmfid.export_firmware(replace(estimator, encoder=pmfid.Encoder(estimator.encoder.resolution)), tmp_path)
-    sanitize = ("-fsanitize=undefined", "-fno-sanitize-recover=all")
-    program = compiled(tmp_path, "axis", GCC, HERE / "jumps.c", "-O1", *sanitize)
-    done = command([f"./{program.name}"], tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-
-
-@needs(GCC)
-@needs(Target("", "valgrind"))
-@pytest.mark.long
-def test_valgrind_finds_nothing(tmp_path: Path) -> None:
-    pmfid.export_firmware(make(pmfid.BCRLS), tmp_path)
-    assert selftest(tmp_path, GCC, "-g").returncode == 0
-    done = command(["valgrind", "--error-exitcode=9", "--leak-check=full", "-q", "./selftest-gcc-O2"], tmp_path)
-    assert (done.returncode, done.stderr) == (0, "")
-
-
 @needs(CLANG)
 @pytest.mark.parametrize("cls", [pmfid.BCRLS, pmfid.RIV])
 def test_fuzzing_for_a_while_finds_nothing(cls: type[RecursiveEstimator], tmp_path: Path) -> None:
@@ -462,22 +390,6 @@ def test_fuzzing_for_a_while_finds_nothing(cls: type[RecursiveEstimator], tmp_pa
     done = command([f"./{program.name}", *options], tmp_path)
     assert done.returncode == 0, done.stderr[-2000:]
     assert int(re.search(r"steps: (\d+)", done.stderr)[1]) > 1000
-
-
-@needs(M4F)
-def test_a_bcrls_drive_is_small(tmp_path: Path) -> None:
-    """BCRLS, float32, Cortex-M4F, without the guard: flash 6 kB, state under 800 bytes, stack under 400 bytes, 1650
-    instructions.
-    """
-    estimator = make(pmfid.BCRLS)
-    pmfid.export_firmware(replace(estimator, encoder=replace(estimator.encoder, guard=False)), tmp_path)
-    measured = cost(tmp_path, "axis")
-    assert 2000 < measured.flash < 6000
-    assert 100 < measured.stack < 400
-    assert 500 < measured.mean <= measured.most < 1650
-    assert "RAM 684 bytes" in (tmp_path / "axis.h").read_text()
-    names = {name for name, _ in kept((tmp_path / "drive.map").read_text())}
-    assert all(name.endswith("-drive.o") for name in names), "nothing of the C library"
 
 
 # --- saved states -----------------------------------------------------------------------------------------------------
@@ -522,9 +434,6 @@ def test_the_header_is_read_as_the_compiler_lays_it_out() -> None:
         assert config["auxiliary"]["dt"] == np.asarray(DT, kernel.dtype)
 
 
-# --- the written files -----------------------------------------------------------------------------------------------
-
-
 def test_two_exports_are_the_same_bytes_and_the_kernel_is_unchanged(tmp_path: Path) -> None:
     one = pmfid.export_firmware(make(pmfid.BCRLS), tmp_path / "one")
     two = pmfid.export_firmware(make(pmfid.BCRLS), tmp_path / "two")
@@ -538,19 +447,7 @@ def test_two_exports_are_the_same_bytes_and_the_kernel_is_unchanged(tmp_path: Pa
     assert any(a.read_bytes() != b.read_bytes() for a, b in zip(one, other, strict=True))
 
 
-def test_the_header_is_a_page(tmp_path: Path) -> None:
-    pmfid.export_firmware(make(pmfid.RIV), tmp_path, prefix="x_axis")
-    lines = (tmp_path / "x_axis.h").read_text().splitlines()
-    assert len(lines) <= 85
-    assert all(len(line) <= 120 for line in lines)
-
-
-@pytest.mark.parametrize(("number", "text"), [(0.1, "0x1.999999999999ap-4"), (-3.0, "-0x1.8p+1"), (0.0, "0x0p+0")])
-def test_numbers_are_exact(number: float, text: str) -> None:
-    assert literal(np.float64(number)) == text
-    assert literal(np.float32(1.5)) == "0x1.8p+0f"
-    assert literal(np.uint32(7)) == "7U"
-    refused(("cannot be written as a constant in C", lambda: literal(np.float64(np.nan))), kind=ValueError)
+# --- the written files -----------------------------------------------------------------------------------------------
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
@@ -567,16 +464,6 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
         ("at least one; take another record", lambda: record_run(rls, [np.nan], [0])),
     )
     assert len(record_run(rls, [1.0], [0]).u) == 1
-
-
-def test_the_command_says_what_is_missing(tmp_path: Path) -> None:
-    for arguments, remedy, lines in (
-        (["--out", "x"], "--dt", 1),
-        (["--out", "x", "--method", "ls"], "'rls', 'bcrls'", 4),
-    ):
-        result = run_command("export", str(AXIS), *arguments, code=2)
-        assert remedy in result.stderr
-        assert result.stderr.count("\n") == lines
 
 
 @needs(GCC)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import re
 import tomllib
 from pathlib import Path
 
 import pytest
 
 from pmfid.config.axis import load_axis
-from pmfid.pipeline.guess.axis_file import NamedColumns, guess
+from pmfid.pipeline.guess.axis_file import guess
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.identify import identify, kind_of
 from tests.conftest import unjudged
@@ -27,26 +26,6 @@ def test_the_columns_of_a_log_are_found(tmp_path: Path, seed: int, log: Log) -> 
         return
     record = tomllib.loads(guess(path).text)["record"]
     assert (record.get("time", ""), record["input"], record["output"]) == log.answer
-
-
-def test_a_close_second_is_a_doubt_in_numbers(tmp_path: Path) -> None:
-    """Current and voltage of one machine are explained alike, and no name says which drives it."""
-    columns = {"t": "t", "a": "current", "b": "voltage", "x": "position"}
-    text = guess(Log("matlab", "open", columns, None).write(tmp_path, 3)).text
-    doubt = re.search(
-        r'input = "([ab])"  # TO DO: check this column; the pair has a probability of (\d+) %; (.*)', text
-    )
-    assert doubt is not None
-    assert 50 <= int(doubt[2]) < 90
-    assert f"--input {'ab'.replace(doubt[1], '')} --output x" in doubt[3]
-
-
-def test_names_of_columns_may_be_given(tmp_path: Path) -> None:
-    columns = {"t": "t", "a": "current", "b": "voltage", "x": "position"}
-    path = Log("matlab", "open", columns, None).write(tmp_path, 3)
-    text = guess(path, choice=NamedColumns(input="b", output="x")).text
-    assert 'input = "b"  # as given' in text
-    refused(("no column 'zeit'", lambda: guess(path, choice=NamedColumns(time="zeit"))))
 
 
 @pytest.mark.parametrize(

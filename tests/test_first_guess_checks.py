@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 
 from pmfid.config.axis import Axis
 from pmfid.findings import Finding
 from pmfid.pipeline.checks import check_record
-from pmfid.pipeline.checks.timing import too_slow
 from pmfid.pipeline.checks.view import CheckedLog
 from pmfid.records.record import record_of
 from pmfid.types import Floats
@@ -45,11 +43,3 @@ def test_the_force_that_drives_the_speed_is_no_set_point() -> None:
     run = simulate("speed", 3)
     found = findings(log_of(run["force"][::5], run["velocity"][::5], 0.005, "velocity", 1e-6, ("u", "speed")))
     assert "command" not in found
-
-
-@pytest.mark.parametrize("step", [0.0088, 0.0288, 0.0535])
-def test_a_coarse_slow_motion_is_not_sampled_too_slowly(step: float) -> None:
-    """The log has four decimals, which were once taken for the steps of the encoder."""
-    run = simulate("open", 4)
-    position = np.round(np.floor(run["position"][::10] / step) * step, 4)
-    assert list(too_slow(log_of(run["force"][::10], position, 0.01, "position", 1e-4, ("u", "y")))) == []

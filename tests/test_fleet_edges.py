@@ -12,7 +12,6 @@ from pmfid import fleet
 from pmfid.fleet.history import History
 from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
 from tests.edge_axes import AXIS, TURN, cart_edges, heavier
-from tests.refusals import refused
 
 SECONDS, WHEN = 240.0, 130.0
 PERIOD = 60.0
@@ -60,27 +59,3 @@ def test_edges_name_a_small_change_with_its_cause(found: History) -> None:
     assert abs(row["size"] - 0.05) < max(4 * row["std"], 1e-4)
     assert row["std"] < 3e-3
     assert abs(row["since"] - BEGUN - WHEN) <= 20.0
-
-
-def test_periods_are_as_sure_as_edges_make_them(found: History) -> None:
-    periods = found.periods.filter(pl.col("axis").is_in(["same", "missing"]))
-    assert periods.height == 8
-    for name, true in (("mass", 1.07), ("viscous_friction", 12.8), ("coulomb_friction", 0.8)):
-        error = np.abs(periods[name].to_numpy() - true)
-        assert np.all(error < 5 * periods[f"{name}_std"].to_numpy())
-        assert np.all(error < 3e-3 * true)
-    assert found.periods.filter(pl.col("axis") == "uneven")["segments"].sum() == 0
-    texts = found.problems.filter(pl.col("axis") == "uneven")["text"].to_list()
-    assert any("ages of edges" in text and "clock" in text for text in texts), texts
-
-
-def test_files_and_threads_do_not_change_the_bytes(
-    found: History, log: pl.DataFrame, axis: Path, tmp_path: Path
-) -> None:
-    log.sample(fraction=1.0, shuffle=True, seed=1).write_parquet(tmp_path / "log.parquet")
-    again = fleet.estimate(tmp_path / "log.parquet", axis=axis, by="machine", period="1min", segment=20.0)
-    assert again.periods.equals(found.periods)
-
-
-def test_data_without_the_column_of_ages_are_refused(log: pl.DataFrame, axis: Path) -> None:
-    refused(("no column 'age_us'", lambda: fleet.estimate(log.drop("age_us"), axis=axis, by="machine")))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import struct
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,14 +13,13 @@ import numpy as np
 import polars as pl
 import pytest
 import scipy.io
-import zstandard
 
 from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
 from pmfid.io.reading import READERS, read_table
-from pmfid.io.tables import ClockedSignals, Signal, column, whole_name
+from pmfid.io.tables import column, whole_name
 from pmfid.records.record import Record, read_record
-from tests.formats import WRITERS, wpilog_record, write_excel, write_matlab_7_3
+from tests.formats import WRITERS, wpilog_record, write_matlab_7_3
 from tests.refusals import refused
 
 DT, N = 0.004, 200
@@ -69,14 +67,6 @@ def test_matlab_7_3_and_structures_by_path(tmp_path: Path) -> None:
     assert list(read_table(tmp_path / "groups.h5")) == ["run.axis.t", "run.axis.u", "run.axis.y"]
 
 
-def test_fields_and_rows_of_an_array(tmp_path: Path) -> None:
-    fields = np.rec.fromarrays(list(RUN.values()), names=list(RUN))
-    np.save(tmp_path / "fields.npy", fields)
-    same(read(tmp_path / "fields.npy"))
-    np.save(tmp_path / "rows.npy", np.column_stack(list(RUN.values())))
-    same(read(tmp_path / "rows.npy", time="column_1", input="column_2", output="column_3"))
-
-
 def test_objects_are_never_unpickled(tmp_path: Path) -> None:
     np.savez(tmp_path / "run.npz", u=np.array([{}, 1], dtype=object))
     refused(("an array of objects cannot be read: save arrays", lambda: read_table(tmp_path / "run.npz")))
@@ -101,28 +91,6 @@ def test_lists_of_a_robot_data_set_are_columns(tmp_path: Path) -> None:
     )
 
 
-def test_a_sheet_with_a_preamble_has_all_digits(tmp_path: Path) -> None:
-    """The text of a cell has nine digits: an epoch in s would be constant in this text."""
-    epoch = 1_772_582_400.0 + RUN["t"]
-    rows = [["Scope", "", ""], ["", "", ""], ["t", "u", "y"], ["s", "V", "m"]]
-    rows += [list(row) for row in zip(epoch, RUN["u"], RUN["y"], strict=True)]
-    # the first row is the header of the writer
-    write_excel(tmp_path / "run.xlsx", {"abc"[k]: np.array([row[k] for row in rows], object) for k in range(3)})
-    same(read(tmp_path / "run.xlsx"))
-
-
-def test_text_packed_by_zstd(tmp_path: Path) -> None:
-    WRITERS[".csv"](tmp_path / "run.csv", RUN)
-    data = (tmp_path / "run.csv").read_bytes()
-    (tmp_path / "run.csv.zst").write_bytes(zstandard.compress(data[:700]) + zstandard.compress(data[700:]))
-    same(read(tmp_path / "run.csv.zst"))
-    (tmp_path / "cut.csv.zst").write_bytes(zstandard.compress(data)[:-20])
-    with pytest.raises(UsageError):
-        read(tmp_path / "cut.csv.zst")
-    (tmp_path / "bomb.csv.zst").write_bytes(zstandard.compress(b"t,u,y\n" + b"0,0,0\n" * 50_000_000))
-    refused(("decimate or cut the record", lambda: read(tmp_path / "bomb.csv.zst")))
-
-
 def test_messages_have_paths_and_stamps(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     with path.open("wb") as stream:
@@ -138,17 +106,6 @@ def test_messages_have_paths_and_stamps(tmp_path: Path) -> None:
         writer.finish()
     same(read(path, input="/joint.effort.0", output="/joint.position.1", time="/joint.stamp"))
     assert whole_name(read_table(path), "effort.0") == "/joint.effort.0"
-
-
-def test_messages_that_nobody_knows_are_refused(tmp_path: Path) -> None:
-    with (tmp_path / "run.mcap").open("wb") as stream:
-        writer = mcap.writer.Writer(stream)
-        writer.start()
-        channel = writer.register_channel("/run", "protobuf", writer.register_schema("Row", "protobuf", b""))
-        writer.add_message(channel, 0, b"\x08", 0)
-        writer.finish()
-    encoded = "messages in 'protobuf' cannot be read; convert the file to JSON"
-    refused((encoded, lambda: read_table(tmp_path / "run.mcap")))
 
 
 def entry(number: int, name: str) -> bytes:
@@ -175,14 +132,6 @@ def test_signals_with_clocks_of_their_own_stand_side_by_side(tmp_path: Path) -> 
     record = read(tmp_path / "run.wpilog", input="late", output="drive/y", time="time")
     same(record)
     assert record.notes == ()
-
-
-def test_the_clock_is_that_of_the_output_from_where_the_input_has_begun() -> None:
-    slow, fast = np.arange(20) * 0.01 + 0.05, np.arange(300) * 0.001
-    table = ClockedSignals({"u": Signal(slow, np.arange(20.0)), "y": Signal(fast, np.arange(300.0))}).align("y", ("u",))
-    assert column(table, "time", "time")[0] == pytest.approx(0.05)
-    assert not np.isnan(column(table, "input", "u")).any()
-    assert list(table) == ["time", "u", "y"]
 
 
 EXTRAS = {".xlsx": "excel", ".h5": "hdf5", ".mcap": "mcap", ".db3": "ros", ".mf4": "mdf4", ".tdms": "tdms"}
@@ -225,29 +174,3 @@ def test_damage_is_reported_or_harmless(tmp_path: Path, suffix: str) -> None:
         except UsageError as error:
             refused += bool(str(error))
     assert refused > 0
-
-
-@pytest.mark.parametrize(
-    ("suffix", "good", "bad"), [(".tdms", b"/'run'/'u'", b"/'\xffun'/'u'"), (".mf4", b"##CN", b"##XN")]
-)
-def test_damage_is_reported_by_the_error_alone(tmp_path: Path, suffix: str, good: bytes, bad: bytes) -> None:
-    """The libraries write their logs to standard error with their own handlers."""
-    path = tmp_path / f"run{suffix}"
-    WRITERS[suffix](path, {name: np.arange(50.0) for name in ("t", "u", "y")})
-    data = path.read_bytes()
-    assert good in data
-    path.write_bytes(data.replace(good, bad))
-    run = subprocess.run([sys.executable, "-c", READ, str(path)], capture_output=True, text=True)
-    assert run.stderr == ""
-    assert run.returncode == 0
-
-
-READ = """
-import sys
-from contextlib import suppress
-from pathlib import Path
-from pmfid.errors import UsageError
-from pmfid.io.reading import read_table
-with suppress(UsageError):
-    read_table(Path(sys.argv[1]))
-"""

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 import polars as pl
 import pytest
-from scipy.signal import lfilter
 
 import pmfid
 from pmfid.config.axis import load_axis
-from pmfid.io.tables import column, table_of, times
+from pmfid.io.tables import table_of
 from pmfid.records.record import record_of
 from tests.conftest import cart_run, unjudged
 from tests.refusals import refused
@@ -95,46 +94,11 @@ def test_identify_takes_a_frame_a_file_and_an_axis(axis: Path, tmp_path: Path) -
             np.testing.assert_array_equal(pmfid.identify(record, axis=str(axis)).theta, first.theta)
 
 
-def test_epochs_in_ns_keep_their_digits_and_missing_numbers_are_missing() -> None:
-    import pandas as pd
-
-    epoch = 1_772_582_400_000_000_000 + 10_000_000 * np.arange(5)
-    stamps, _ = times(table_of(pd.DataFrame({"t": epoch})), "t")
-    np.testing.assert_allclose(np.diff(stamps), 1e7, atol=256)
-    with_gap = pd.DataFrame({"u": pd.array([1, None, 3], dtype="Int64")})
-    np.testing.assert_array_equal(column(table_of(with_gap), "input", "u"), [1.0, np.nan, 3.0])
-
-
 SECTIONS: Any = {
     "record": {"input": "u", "output": "counts", "output_kind": "counts", "time": "t"},
     "encoder": {"resolution": 22.75e-6},
     "model": {"input_gain": 2.0},
 }
-
-
-def test_a_dict_is_an_axis_and_settings_replace_its_estimator(axis: Path) -> None:
-    with unjudged():
-        first = pmfid.identify(frames()["polars"], axis=axis)
-        second = pmfid.identify(frames()["polars"], axis=SECTIONS, method="iv", cutoff=20.0)
-        np.testing.assert_array_equal(second.theta, first.theta)
-        third = pmfid.identify(frames()["polars"], axis=axis, method="bcls")
-        fourth = pmfid.identify(frames()["polars"], axis=load_axis(axis), method="bcls")
-        assert third.estimator.method == "bcls"
-        np.testing.assert_array_equal(third.theta, fourth.theta)
-    assert "estimator" not in SECTIONS
-
-
-def test_the_unit_of_an_encoder_makes_the_axis_rotary() -> None:
-    with unjudged():
-        turned = pmfid.identify(
-            RUN.u, RUN.counts, model=pmfid.Drive(2.0), dt=0.01, encoder=pmfid.Encoder("22.75e-6 rad"), cutoff=20.0
-        )
-        plain = pmfid.identify(
-            RUN.u, RUN.counts, model=pmfid.Drive(2.0), dt=0.01, encoder=pmfid.Encoder(22.75e-6), cutoff=20.0
-        )
-    assert (turned.names[0], turned.units[0]) == ("inertia", "kg m2")
-    assert (plain.names[0], plain.units[0]) == ("mass", "kg")
-    np.testing.assert_allclose(turned.theta, plain.theta, rtol=1e-5)  # a rotary axis may have gravity
 
 
 def test_what_is_wrong_names_what_is_right(axis: Path) -> None:
@@ -163,12 +127,3 @@ def test_what_is_wrong_names_what_is_right(axis: Path) -> None:
     assert pmfid.Encoder("4096 counts/rev", max_speed="3000 rpm") == pmfid.Encoder(
         2 * np.pi / 4096, max_speed=100 * np.pi
     )
-
-
-def test_a_frame_of_a_process() -> None:
-    u = np.repeat(np.random.default_rng(2).normal(size=60), 5)
-    y = lfilter([0.0, 2 * (1 - np.exp(-0.1))], [1.0, -np.exp(-0.1)], u)
-    axis = {"record": {"input": "u", "output": "y", "dt": 0.1}, "estimator": {"cutoff": 2.0}}
-    axis |= {"model": {"kind": "transfer_function", "n": 1, "m": 0}}
-    result = pmfid.identify(pl.DataFrame({"u": u, "y": y}), axis=axis)  # type: ignore[arg-type]
-    assert (result["a0"], result["b0"]) == pytest.approx((1.0, 2.0), abs=0.02)

@@ -11,14 +11,11 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.errors import NotIdentifiableError
 from pmfid.pipeline.friction import FrictionCurve
-from pmfid.report.friction import curve_figure
 from pmfid.types import Floats
 from studies.referee.cases import Case, make_cases
 from studies.referee.machines import draw_machine
 from tests.command import run_command
-from tests.refusals import refused
 
 #: Index of a machine of each friction: PRBS, multisine, trapezoids and position control.
 MACHINES = {"right": 5, "Stribeck 20 %": 0, "Stribeck 50 %": 2, "quadratic": 9, "asymmetry": 0}
@@ -62,36 +59,6 @@ def test_the_law_is_within_the_band(kind: str) -> None:
     assert found.status == ()
 
 
-def test_a_force_of_the_position_may_be_in_the_model() -> None:
-    case = case_of("spring", 1)
-    found = curve_of(case, spring=True)
-    assert found.mass == pytest.approx(case.truth["mass"], rel=0.01)
-    v = np.array([0.2, 0.5, 0.9]) * found.velocity[-1]
-    both = found.evaluate(v) - found.evaluate(-v)  # the spring's force at the first sample is a constant load
-    assert both == pytest.approx(2 * law("spring", 1, v), rel=0.02)
-
-
-def test_an_unknown_dead_time_is_named_and_can_be_estimated() -> None:
-    case = case_of("dead time 1", 0)
-    assert "dead_time" in curve_of(case).status
-    found = curve_of(case, dead_time="estimate")
-    assert found.status == ()
-    assert found.mass == pytest.approx(case.truth["mass"], rel=0.01)
-
-
-def test_nothing_is_said_of_speeds_outside_the_record() -> None:
-    found = curve_of(case_of("right", 5))
-    (back, slow_back), (slow, ahead) = found.visited
-    assert back < slow_back < 0 < slow < ahead
-    outside = np.array([1.01 * back, slow_back / 2, 0.0, slow / 2, 1.01 * ahead])
-    assert np.all(np.isnan(found.evaluate(outside)))
-    assert np.all(np.isnan(found.std_at(outside)))
-    inside = np.array([0.5 * (back + slow_back), 0.5 * (slow + ahead)])
-    assert found.evaluate(inside) == pytest.approx(law("right", 5, inside), rel=0.01)
-    labels = [text.get_text() for text in curve_figure(found).axes[0].get_legend().get_texts()]
-    assert labels == ["two standard deviations", "friction"]
-
-
 def test_the_command_leaves_out_a_wrong_count(tmp_path: Path) -> None:
     case = case_of("Stribeck 20 %", 0)
     counts = case.counts.astype(int).tolist()
@@ -111,19 +78,3 @@ def test_the_command_leaves_out_a_wrong_count(tmp_path: Path) -> None:
     assert mass["value"] == pytest.approx(case.truth["mass"], rel=0.005)
     assert any("701" in finding["sentence"] for finding in reported["findings"])
     assert "does not contain friction at rest" in (tmp_path / "out" / "friction.html").read_text()
-
-
-def test_what_it_cannot_take_is_said() -> None:
-    case = case_of("right", 5)
-    travel = np.cumsum(np.abs(np.diff(case.counts, prepend=0)))
-
-    def curve(model: object) -> FrictionCurve:
-        encoder = pmfid.Encoder(case.resolution)
-        return pmfid.friction_curve(np.abs(case.u), travel, model=model, encoder=encoder, dt=case.dt)  # type: ignore[arg-type]
-
-    refused(
-        ("kind", lambda: curve(pmfid.EquationModel(pmfid.Drive(2.0).equation))),
-        ("gain of the input", lambda: curve(pmfid.Drive("estimate"))),
-    )
-    with pytest.raises(NotIdentifiableError):
-        curve(pmfid.Drive(case.input_gain))  # a motion in one direction

@@ -8,13 +8,10 @@ import pytest
 from pmfid import Drive, Encoder
 from pmfid._stage import Inputs
 from pmfid.estimators.iv import RIV
-from pmfid.estimators.recursive import RLS
-from pmfid.monitor.monitor import GuessedSamples, guess, longest
-from pmfid.records.gaps import bridge_input, hold_input
+from pmfid.monitor.monitor import guess
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
-from tests.refusals import refused
 
 DT, STEP, CUTOFF = 0.004, 2e-5, 20.0
 RATE = CUTOFF * DT
@@ -30,15 +27,6 @@ def kept(samples: int, part: float, burst: int = 1, seed: int = 1) -> Flags:
     return there
 
 
-def wave(samples: int = 6000) -> Floats:
-    return np.sin(0.1 * np.arange(samples)) + 0.5 * np.sin(0.037 * np.arange(samples))
-
-
-def waving(samples: int = 6000) -> Floats:
-    """Return an input like that of a controller with a coarse encoder: smooth, with added noise."""
-    return wave(samples) + 0.003 * np.random.default_rng(2).standard_normal(samples)
-
-
 def held(samples: int, seed: int = 0) -> tuple[Floats, Counts]:
     rng = np.random.default_rng(seed)
     u = prbs(samples, clock=25, amplitude=4.0, rng=rng)
@@ -46,22 +34,6 @@ def held(samples: int, seed: int = 0) -> tuple[Floats, Counts]:
 
 
 # --- off-line ---------------------------------------------------------------------------------------------------------
-
-
-def test_a_held_input_is_known_between_equal_values_and_no_other_is() -> None:
-    u, lost = np.repeat([1.0, -1.0, 2.0, -1.0], 25), np.nan
-    u[[0, 30, 50, 60, 61]] = lost
-    found = hold_input(u)
-    assert np.flatnonzero(np.isnan(found)).tolist() == [0, 50]  # before the record, and at a switch
-    assert found[[30, 60, 61]].tolist() == [-1.0, 2.0, 2.0]
-    smooth = np.where(np.arange(100) == 40, lost, waving(100))
-    assert bridge_input(smooth)[40] == pytest.approx(np.mean(smooth[[39, 41]]))
-
-
-def test_an_input_that_rests_now_and_then_is_not_held() -> None:
-    u = waving(3000)
-    u[1000:2800], u[1500], u[[400, 2801]] = 0.0, np.nan, np.nan
-    assert np.flatnonzero(np.isnan(hold_input(u))).tolist() == [400, 1500, 2801]
 
 
 # --- on-line ----------------------------------------------------------------------------------------------------------
@@ -94,49 +66,3 @@ def test_on_line_a_hidden_switch_costs_some_samples_and_no_spike(part: float, us
     late = np.arange(own.size) > round(1 / DT)
     assert np.all((theta[own & late] > 0.7) & (theta[own & late] < 1.5))
     np.testing.assert_allclose(theta[-1], 1.0, atol=0.05)
-
-
-@pytest.mark.parametrize("missing", [1, 4])
-def test_where_a_held_input_switched_nothing_is_learnt_for_a_while(missing: int) -> None:
-    riv = RIV(**SETTINGS)
-    inputs = Inputs()
-    for k in range(1000):
-        inputs.step(4.0 * (-1) ** (k // 12), k)
-    last = 4.0 * (-1) ** (999 // 12)
-    still, switched = (guess(inputs, RATE, missing, u, 1000 + missing) for u in (last, -last))
-    assert still is not None
-    assert switched is not None
-    assert still.doubt == 0
-    assert 4 / (CUTOFF * DT) < switched.doubt < riv.settle_samples
-    assert still.samples == tuple((last, 1000 + k) for k in range(missing))
-
-
-def test_a_gap_that_is_short_for_the_filters_is_stepped_through_however_many_samples_it_has() -> None:
-    """At 4 kHz the filters once never settled between bursts of 12 ms, and the fallback gave wild estimates."""
-    assert (longest(CUTOFF / 4000), longest(RATE)) == (50, 8)
-    fast = Inputs()
-    for k in range(300):
-        fast.step(1.0, (k * k) // 200)
-    found = guess(fast, CUTOFF / 4000, 50, 1.0, 350 * 350 // 200)
-    assert isinstance(found, GuessedSamples)
-    assert found.doubt == 0
-    true = np.arange(300, 350) ** 2 // 200
-    assert np.max(np.abs(np.array([counts for _, counts in found.samples]) - true)) <= 1
-
-
-def test_a_doubt_leaves_out_samples_and_the_filters_go_on() -> None:
-    u, counts = held(2000)
-    doubted, plain = RLS(**SETTINGS), RLS(**SETTINGS)
-    for method in (doubted, plain):
-        method.run(u[:1000], counts[:1000])
-    doubted.doubt(20)
-    track, other = (method.run(u[1000:], counts[1000:]) for method in (doubted, plain))
-    settling = np.flatnonzero(track.has_status(Status.SETTLING))
-    assert settling.tolist() == list(range(settling.size))
-    assert 19 <= settling.size <= 27
-    assert not np.any(other.has_status(Status.SETTLING))
-    assert np.ptp(track.theta[:19], axis=0).max() == 0.0
-    np.testing.assert_allclose(track.theta[-1], other.theta[-1], rtol=0.01)
-    doubted.doubt(10**6)
-    doubted.set_state(doubted.get_state())  # the state is valid
-    refused(*(("whole number", lambda wrong=wrong: doubted.doubt(wrong)) for wrong in (-1, 1.5, True)))

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
 import pmfid
-from pmfid.design import Limits, Problem
-from pmfid.errors import UsageError
 from pmfid.estimators.known import Facts, Known, Posterior, combine
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import Alarm, Settled, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.pipeline.result import DriveResult, parameter_rows
+from pmfid.pipeline.result import DriveResult
 from pmfid.simulation import CART, DriveParameters, Schedule, prbs, quantize, simulate_drive
 from pmfid.simulation.scenarios import change_parameters
 from pmfid.types import Floats
@@ -25,7 +21,6 @@ from studies.friction_axes import BENCHES
 from studies.machines import Axis, machine_record
 from studies.monitoring.axis import changing, make_riv, normal_work
 from studies.paper.truth import CartRecord
-from tests.command import run_command
 from tests.conftest import long_unless
 from tests.refusals import refused
 
@@ -40,11 +35,6 @@ def identified(axis: Axis, record: CartRecord, gain: float | str = "estimate", *
     )
     assert isinstance(result, DriveResult)
     return result
-
-
-def truth(axis: Axis) -> dict[str, float]:
-    drive = axis.drive
-    return dict(zip(NAMES, (drive.mass, drive.viscous_friction, drive.coulomb_friction), strict=True))
 
 
 # --- the map ----------------------------------------------------------------------------------------------------------
@@ -114,31 +104,6 @@ def test_model_spread_weighs_and_is_in_no_error_bar_for_noise() -> None:
     assert np.isnan(found.model_spread[2])
 
 
-def test_the_gain_is_as_uncertain_as_the_mass() -> None:
-    theta, covariance = some_estimate()
-    alone = posterior(theta[:3], covariance[:3, :3])
-    spread = 0.02 * alone.theta
-    found = known(True, gain=-0.5, given={"mass": 1.5}).combine(alone, spread)
-    assert found["input_gain"] == pytest.approx(-0.5 * 1.5 / alone["mass"])
-    assert found.theta_std[-1] / abs(found["input_gain"]) == pytest.approx(alone.theta_std[0] / alone["mass"])
-    assert found.model_spread is not None
-    assert found.model_spread[[0, -1]] / found.theta[[0, -1]] == pytest.approx([0.0, -0.02])
-    assert found.theta_std[0] == 0
-
-
-@pytest.mark.parametrize("find_gain", [False, True])
-def test_what_contradicts_is_said(find_gain: bool) -> None:
-    alone = posterior(np.array([1.0, 5.0, 2.0]), np.diag([1e-4, 1e-4, 1e-4]))
-    sound = {"mass": (1.01, 0.02), "viscous_friction": (4.9, 0.1)}
-    assert not known(find_gain, prior=sound).combine(alone).notes
-    (note,) = known(find_gain, prior=sound | {"viscous_friction": (6.0, 0.1)}).combine(alone).notes
-    assert "contradict" in note
-    assert "viscous_friction = 6 ± 0.1" in note
-    (said,) = known(prior={"mass": (1.2, 0.01)}).combine(alone).notes
-    assert "which alone gives 1 ± 0.01" in said
-    assert "by 14 standard deviations" in said
-
-
 @pytest.mark.parametrize(
     ("facts", "said"),
     [
@@ -199,91 +164,6 @@ def test_it_is_the_estimate_with_any_other_gain_in_proportion(records: dict[str,
     assert set(found.status) == set(wrong.status)
 
 
-def test_a_motor_that_turns_the_other_way_has_a_negative_gain(records: dict[str, CartRecord]) -> None:
-    axis, record = BENCHES["slide"], records["slide"]
-    turned = CartRecord(-record.u, record.counts, record.resolution)
-    given = {"mass": axis.drive.mass}
-    for method in ("iv", "auto"):
-        result = identified(axis, turned, method=method, given=given)
-        assert result["input_gain"] == pytest.approx(-axis.drive.input_gain, rel=0.01)
-        assert result["viscous_friction"] == pytest.approx(axis.drive.viscous_friction, rel=0.05)
-
-
-def test_times_and_speeds_do_not_go_with_the_gain() -> None:
-    model = pmfid.Drive(1.0, stribeck="estimate", dead_time="estimate")
-    front = pmfid.MotionFit(model, pmfid.Encoder(1e-5), 0.001, 100.0)
-    theta = np.array([0.5, 4.0, 0.3, 0.1, 0.002, 0.03])
-    alone = Posterior(front.names, front.units, theta, np.diag((0.01 * theta) ** 2))
-    found = Known(front, given={"mass": 2.0}, find_gain=True).combine(alone)
-    assert front.names[-2:] == ("dead_time", "stribeck_speed")
-    assert found.theta == pytest.approx([2.0, 16.0, 1.2, 0.4, 0.002, 0.03, 4.0])
-    relative = found.theta_std / found.theta
-    assert relative == pytest.approx(0.01 * np.array([0.0, 2**0.5, 2**0.5, 2**0.5, 1.0, 1.0, 1.0]))
-    dead_time = Known(front, given={"mass": 2.0}, prior={"dead_time": (0.00202, 0.00002)}, find_gain=True).combine(
-        alone
-    )
-    assert dead_time["dead_time"] == pytest.approx(0.00201)
-    assert dead_time["input_gain"] == pytest.approx(4.0)
-
-
-def test_an_equation_of_the_user_may_have_a_prior(records: dict[str, CartRecord]) -> None:
-    axis, record = BENCHES["slide"], records["slide"]
-    terms = (
-        pmfid.Term("output", 2, "inertia", "kg"),
-        pmfid.Term("output", 1, "drag", "N s/m"),
-        pmfid.Term("direction", 0, "dry", "N"),
-    )
-    equation = pmfid.Equation(terms, (pmfid.Term("input", coefficient=axis.drive.input_gain),))
-    result = pmfid.identify(
-        record.u,
-        record.counts,
-        model=pmfid.EquationModel(equation),
-        dt=axis.dt,
-        cutoff=33.0,
-        encoder=pmfid.Encoder(record.resolution),
-        method="iv",
-        prior={"inertia": (4.0, 1e-4)},
-    )
-    assert result.theta_std[0] < 1e-4
-    assert result["inertia"] == pytest.approx(4.0, abs=3e-4)
-
-
-def test_a_prior_in_a_result(records: dict[str, CartRecord]) -> None:
-    axis, record = BENCHES["motor"], records["motor"]
-    alone = identified(axis, record, axis.drive.input_gain, method="iv")
-    mass, wrong = axis.drive.mass, 1.5 * axis.drive.mass
-    helped = identified(axis, record, axis.drive.input_gain, method="iv", prior={"mass": (mass, 1e-4 * mass)})
-    assert helped.theta_std[0] < min(alone.theta_std[0], 1e-4 * mass)
-    assert "prior_contradicted" not in helped.status
-    assert helped.names == alone.names
-    misled = identified(axis, record, axis.drive.input_gain, method="iv", prior={"mass": (wrong, 1e-3 * wrong)})
-    assert "prior_contradicted" in misled.status
-    assert any("which alone gives" in note for note in misled.notes)
-
-
-def test_a_result_says_what_was_known(records: dict[str, CartRecord]) -> None:
-    axis = BENCHES["gantry"]
-    prior = {"coulomb_friction": (15.0, 3.0)}
-    result = identified(axis, records["gantry"], method="iv", given={"mass": 37.0}, prior=prior)
-    reported = result.to_json()
-    json.dumps(reported, allow_nan=False)
-    assert (reported["given"], reported["prior"]) == ({"mass": 37.0}, {"coulomb_friction": [15.0, 3.0]})
-    assert reported["input_gain"] == result["input_gain"]
-    parameters = reported["parameters"]
-    assert isinstance(parameters, dict)
-    assert list(parameters) == [*NAMES, "input_gain"]
-    assert "mass = 37 ± 0 kg (given)" in str(result)
-    assert [row[0] for row in parameter_rows(result)] == [
-        "mass (given)",
-        "viscous_friction",
-        "coulomb_friction (prior)",
-        "input_gain",
-    ]
-    assert any("has the prior 15 ± 3" in note for note in result.notes)
-    plain = identified(axis, records["gantry"], 1.0, method="iv")
-    assert not {"given", "prior"} & set(plain.to_json())
-
-
 # --- on-line ----------------------------------------------------------------------------------------------------------
 
 
@@ -328,22 +208,6 @@ def test_a_slipping_belt_is_followed(name: str, near: float, ramp: float) -> Non
     assert result.theta_std == pytest.approx(result.track.theta_std[-1], rel=1e-9)
 
 
-def test_step_by_step_is_the_same_as_the_run() -> None:
-    axis = BENCHES["gantry"]
-    record = machine_record(axis, "nothing", "prbs", 1024, 2)
-    front = pmfid.RIV(pmfid.Drive(5.0), pmfid.Encoder(record.resolution), axis.dt, 80.0, forgetting=0.999)
-    belt = pmfid.Known(front, given={"mass": axis.drive.mass}, prior={"coulomb_friction": (15, 5)}, find_gain=True)
-    track = belt.run(front.start(), record.u, record.counts)
-    single = front.start()
-    for u, counts in zip(record.u.tolist(), record.counts.tolist(), strict=True):
-        estimate = single.step(u, counts)
-    last = belt.combine(estimate)
-    assert track.theta[-1] == pytest.approx(last.theta, rel=1e-9)
-    assert track.theta_std[-1] == pytest.approx(last.theta_std, rel=1e-6)
-    assert np.all(np.isinf(track.theta_std[3]))
-    assert track.names == (*NAMES, "input_gain")
-
-
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
@@ -368,76 +232,3 @@ def test_the_monitor_names_the_gain_and_keeps_the_mass(calibration: Calibration)
 
 
 # --- files and commands -----------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def folder(tmp_path: Path, records: dict[str, CartRecord]) -> Path:
-    record = records["slide"]
-    lines = [f"{u!r},{c}" for u, c in zip(record.u.tolist(), record.counts.tolist(), strict=True)]
-    (tmp_path / "run.csv").write_text("\n".join(["u,counts", *lines]) + "\n")
-    (tmp_path / "axis.toml").write_text(
-        '[record]\ninput = "u"\noutput = "counts"\noutput_kind = "counts"\ndt = 0.01\n'
-        f'[encoder]\nresolution = {record.resolution!r}\n[model]\ninput_gain = "estimate"\n'
-        '[estimator]\ncutoff = 33.0\nmethod = "iv"\ngiven = { mass = 4 }\nprior = { coulomb_friction = [6, 3.0] }\n'
-    )
-    return tmp_path
-
-
-def invoked(*arguments: object, code: int = 0) -> str:
-    result = run_command(*arguments, code=code)
-    return result.output if code else result.stdout
-
-
-def test_a_result_with_a_gain_that_was_found_predicts(folder: Path) -> None:
-    record, axis = folder / "run.csv", folder / "axis.toml"
-    reported = json.loads(invoked("identify", record, "--config", axis, "--json", "--out", folder / "out"))
-    assert reported["parameters"]["input_gain"]["value"] == pytest.approx(8.0, rel=0.01)
-    stored = folder / "out" / "result.json"
-    found = json.loads(invoked("validate", record, "--config", axis, "--model", stored, "--json"))
-    assert found["records"][0]["fit"] > 99
-    number = axis.read_text().replace('"estimate"', repr(reported["input_gain"])).partition("given")[0]
-    (folder / "number.toml").write_text(number)
-    same = json.loads(invoked("validate", record, "--config", folder / "number.toml", "--model", stored, "--json"))
-    assert same["records"] == found["records"]
-    (folder / "other.toml").write_text(number.replace(repr(reported["input_gain"]), "9.0"))
-    said = invoked("validate", record, "--config", folder / "other.toml", "--model", stored, code=2)
-    assert "the result has input_gain" in said
-
-
-def test_what_has_no_such_map_says_what_to_do(folder: Path) -> None:
-    axis = folder / "axis.toml"
-    said = invoked("export", axis, "--out", folder / "firmware", "--method", "riv", code=2)
-    assert "write the input_gain that it finds into [model]" in said
-    refused((r"pmfid\.Known", lambda: pmfid.IV(pmfid.Drive("estimate"), pmfid.Encoder(1e-5), 0.001, 100.0)))
-    with pytest.raises(UsageError, match="give input_gain as a number"):
-        Problem(
-            pmfid.Drive("estimate"),
-            {"mass": 1.0, "viscous_friction": 1.0, "coulomb_friction": 1.0},
-            ("mass",),
-            horizon=1.0,
-            intervals=10,
-            limits=Limits(input=1.0),
-            resolution=1e-5,
-        )
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "said"),
-    [
-        ("given = { mass = 4 }", "given = { maas = 4 }", "did you mean 'mass'"),
-        ("given = { mass = 4 }", "given = { mass = [4, 1] }", "valid number"),
-        ("[6, 3.0]", "[6]", "a mean and a standard deviation"),
-        ('"estimate"', '"guess"', 'or "estimate"'),
-        (
-            "given = { mass = 4 }\nprior = { coulomb_friction = [6, 3.0] }\n",
-            "",
-            "give one of mass",
-        ),
-    ],
-)
-def test_slips_in_the_file_are_reported(folder: Path, old: str, new: str, said: str) -> None:
-    axis = folder / "axis.toml"
-    text = axis.read_text()
-    assert old in text
-    axis.write_text(text.replace(old, new))
-    assert said in invoked("identify", folder / "run.csv", "--config", axis, code=2)

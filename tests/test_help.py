@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import inspect
 import re
-from dataclasses import dataclass, fields
+from dataclasses import fields
 
 import pytest
 
 import pmfid
-from pmfid.estimators.iv import IV
 from pmfid.estimators.registry import ESTIMATORS
 
 #: Objects that a user configures by hand, besides the estimators.
@@ -61,24 +60,3 @@ def test_everything_else_names_every_argument(name: str) -> None:
     arguments = [field.name for field in fields(thing) if field.init] if name in OBJECTS else []
     arguments = arguments or list(inspect.signature(thing).parameters)
     assert [own for own in arguments if not re.search(rf"\b{own}\b", doc)] == []
-
-
-def test_a_method_begins_with_its_own_words_and_says_nothing_twice() -> None:
-    doc = inspect.getdoc(pmfid.RIV) or ""
-    assert doc.startswith("Recursive instrumental variables")
-    assert doc.count("As every `RecursiveEstimator`:") == doc.count("As every `Estimator`:") == 1
-    assert doc.count("0 < cutoff <= 2/dt") == 1
-
-
-def test_the_method_of_a_user_explains_what_it_inherits() -> None:
-    @dataclass(frozen=True)
-    class Mine(IV):
-        """A method of my own."""
-
-    @dataclass(frozen=True)
-    class Silent(IV):
-        pass
-
-    assert (Mine.__doc__ or "").startswith("A method of my own.\n\nAs every")
-    assert "sample period [s]" in (Mine.__doc__ or "")
-    assert (Silent.__doc__ or "").startswith("Silent(model")

@@ -28,12 +28,6 @@ def test_right_estimates_are_not_doubted(method: str, motion: str) -> None:
     assert np.mean([run.doubted for run in runs]) < 0.05
 
 
-def test_a_random_input_and_a_fine_encoder_give_small_standard_errors() -> None:
-    """Bars of any size would pass the tests above."""
-    runs = [verdict(method, "prbs", 4096, number) for method in ("rls", "bcrls") for number in NUMBERS]
-    assert max(np.median(run.bar[600:]) for run in runs) < 0.3
-
-
 def test_least_squares_of_noise_are_flagged() -> None:
     """Until the first switch of a coarse random input, the acceleration is noise and the innovations vanish."""
     from pmfid import RLS

@@ -11,10 +11,11 @@ from click.testing import CliRunner
 
 import pmfid
 from pmfid.cli.main import main
-from pmfid.pipeline.arrays import axis_of
 from pmfid.simulation.scenarios import CART_DT, resolution_of
 from tests.conftest import Run, cart_run
 from tests.refusals import refused
+
+pytestmark = pytest.mark.usefixtures("without_judgement")
 
 CUTOFF = 50.0
 ENCODER = pmfid.Encoder(resolution_of(4096))
@@ -60,41 +61,6 @@ def test_arrays_give_what_the_command_gives(
     assert result.to_json() == by_command(tmp_path, run, *options)
     assert isinstance(result, pmfid.Result)
     assert result["mass"] == pytest.approx(1.07, rel=0.02)
-
-
-def test_a_transfer_function_from_arrays_and_from_experiments() -> None:
-    rng, dt = np.random.default_rng(2), 0.05
-    u = np.repeat(np.sign(rng.standard_normal(120)), 10)
-    y, a = np.zeros(u.size), np.exp(-dt / 0.7)
-    for k in range(1, u.size):
-        y[k] = a * y[k - 1] + (1 - a) * 3.0 * u[k - 1]
-    y += 0.02 * rng.standard_normal(y.size)
-    model = pmfid.TransferFunction(1, 0)
-    result = pmfid.identify(u, y, model=model, dt=dt, cutoff=2.0)
-    assert result["a0"] == pytest.approx(1 / 0.7, rel=0.02)
-    assert result.to_json()["gain"] == pytest.approx(3.0, rel=0.01)
-    again = pmfid.identify(pmfid.Experiment(u, y, dt=dt), model=model, cutoff=2.0)
-    assert np.array_equal(again.theta, result.theta)
-
-
-def test_a_result_prints_what_a_person_needs() -> None:
-    result = identified(cart_run(5, samples=800), pmfid.Drive(2.0), method="ls")
-    first, mass, *_, last = str(result).splitlines()
-    assert first == "record: ls, 800 samples"
-    assert mass == f"  mass = {result['mass']:.6g} ± {result.theta_std[0]:.2g} kg"
-    assert last == result.findings[-1].line
-
-
-def test_an_equation_with_a_factor_keeps_it() -> None:
-    """AXIS.toml once had no key for an unknown term's coefficient, such as -1 for the other side."""
-    signal = pmfid.Term
-    terms = (signal("output", 2, "m"), signal("output", 1, "d", coefficient=2.0), signal("direction", 0, "F"))
-    model = pmfid.EquationModel(pmfid.Equation(terms, (signal("input", 0, coefficient=2.0),)))
-    assert axis_of(model, ENCODER, 0.01, {"cutoff": CUTOFF}).model.make() == model
-    run = cart_run(5, samples=800)
-    half = identified(run, model, method="ls")["d"]
-    whole = identified(run, pmfid.Drive(2.0), method="ls")
-    assert half == pytest.approx(whole["viscous_friction"] / 2)
 
 
 def test_wrong_arguments_are_one_clear_error() -> None:

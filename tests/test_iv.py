@@ -7,13 +7,12 @@ import pytest
 import scipy.io
 
 import pmfid
-from pmfid import Status
-from pmfid.diagnostics.verdict import verdict
+from pmfid import Status, _kernel32, _kernel64
 from pmfid.encoder import quantize
-from pmfid.findings import codes
+from pmfid.simulation.drive import DriveParameters, simulate_drive
 from pmfid.simulation.scenarios import make_scenario
+from pmfid.simulation.signals import prbs
 from tests.conftest import EMPS, TRUTH, assert_near, cart_run, needs_emps
-from tests.refusals import refused
 
 DT = 0.01
 START = {"mass": 0.8, "viscous_friction": 10.0, "coulomb_friction": 0.3}
@@ -45,31 +44,6 @@ def test_stop_and_go_through_the_encoder(increments, drive):
         assert not np.any(track.has_status(Status.FALLBACK)[1000:])
 
 
-def test_riv_falls_back_and_recovers(drive):
-    """The start is so wrong that the model leaves the plant: a flag says so, BCRLS takes over, and `riv` returns
-    after seconds.
-    """
-    run = cart_run(1, increments=1024)
-    lost = {"mass": 40.0, "viscous_friction": 1.0, "coulomb_friction": 5.5}
-    track = pmfid.RIV(drive, run.encoder, DT, 100 / 3, forgetting=0.99, initial=lost).run(run.u, run.counts)
-    assert np.any(track.has_status(Status.FALLBACK))
-    assert not np.any(track.has_status(Status.FALLBACK)[1500:])
-    assert_near(track.theta[1500:].mean(axis=0), TRUTH, [0.01, 0.01, 0.05])
-
-
-def test_the_verdict_knows_the_bias_of_other_methods(drive):
-    scenario = make_scenario("stop-and-go", seed=1, increments=256)
-    encoder, u, counts = pmfid.Encoder(scenario.resolution), scenario.motion.u, scenario.counts
-    for cls in (pmfid.BCLS, pmfid.LS):
-        estimator = cls(drive, encoder, DT, 100 / 3)
-        fit = estimator.fit(u, counts)
-        assert "biased" in codes(verdict(estimator, u, counts, fit.theta, fit.theta_std, 0.01).findings)
-    run = cart_run(3, increments=1024)
-    estimator = pmfid.IV(drive, run.encoder, DT, 100 / 3)
-    fit = estimator.fit(run.u, run.counts)
-    assert codes(verdict(estimator, run.u, run.counts, fit.theta, fit.theta_std, 0.01).findings) == ()
-
-
 @needs_emps
 @pytest.mark.parametrize(
     ("step", "cutoff", "within"),
@@ -81,19 +55,6 @@ def test_emps(step, cutoff, within):
     fit = pmfid.IV(pmfid.Drive(1.0, offset=True), pmfid.Encoder(step), 1e-3, cutoff).fit(u, quantize(q, step))
     np.testing.assert_allclose(fit.theta[:3] / [95.1089, 203.5034, 20.3935], np.ones(3), atol=max(within))
     assert np.all(np.abs(fit.theta[:3] / [95.1089, 203.5034, 20.3935] - 1) < within)
-
-
-@needs_emps
-def test_emps_friction_by_direction():
-    """Published values are 95.15, 166.7, 240.4, 20.14, 20.63; at 200 rad/s all are within 3 %."""
-    u, q = emps_record()
-    drive = pmfid.Drive(1.0, friction="directional")
-    fit = pmfid.IV(drive, pmfid.Encoder(5e-8), 1e-3, 200.0).fit(u, quantize(q + 1e-12, 5e-8))
-    published = [95.154, 166.7061, 240.4236, 20.1440, 20.6277]
-    np.testing.assert_allclose(fit.theta, published, rtol=0.03)
-    track = pmfid.RIV(drive, pmfid.Encoder(5e-8), 1e-3, 200.0).run(u, quantize(q + 1e-12, 5e-8))
-    np.testing.assert_allclose(track.theta[-1], published, rtol=0.08)
-    refused(("use iv", lambda: pmfid.BCLS(drive, pmfid.Encoder(5e-8), 1e-3, 200.0)))
 
 
 def emps_record() -> tuple[np.ndarray, np.ndarray]:
@@ -118,18 +79,38 @@ def test_riv_never_spikes(name, increments, time_constant, drive):
         assert late.max() < 1.5
 
 
-def test_judge_knows_what_the_encoder_explains(drive):
-    """The error of the equation is that of the encoder's step, unless the input is 2 ms late."""
-    from pmfid.simulation.drive import simulate_drive
-    from pmfid.simulation.scenarios import CART, resolution_of
+@pytest.mark.parametrize(
+    ("parameters", "amplitude"),
+    [
+        (DriveParameters(1.07, 12.8, 0.8, 2.0), 3.0),
+        (DriveParameters(1.07, 12.8, 0.8, 2.0, offset=0.3), 3.0),
+        (DriveParameters(95.0, 203.0, 20.0, 35.0, offset=-3.0), 2.0),
+        (DriveParameters(1.0, 0.0, 0.5, 1.0), 1.0),
+        (DriveParameters(1.07, 12.8, 3.0, 2.0), 3.0),
+    ],
+)
+def test_equals_the_event_driven_simulation(parameters, amplitude):
+    """The cases include long stiction (the last case), no damping, and a constant load."""
+    dt, rng = 0.01, np.random.default_rng(1)
+    u = prbs(2000, clock=7, amplitude=amplitude, rng=rng) * rng.uniform(0.2, 1.0, 2000)
+    motion = simulate_drive(parameters, u, dt)
+    p = parameters
+    roles = (p.mass, p.viscous_friction, p.viscous_friction, p.coulomb_friction, p.coulomb_friction, p.offset, 0.0)
+    mean, direction, moving = _kernel64.simulate(roles, p.input_gain, dt, u)
+    x = np.r_[0.0, np.cumsum(mean) * dt]
+    span = np.ptp(motion.x)
+    np.testing.assert_allclose(x[:-1], motion.x, atol=2e-6 * span)
+    np.testing.assert_allclose(direction, motion.direction, atol=1e-4)
+    np.testing.assert_allclose(moving, motion.moving, atol=1e-4)
+    assert np.any(motion.moving < 1) or p.coulomb_friction < 1
+    single, *_ = _kernel32.simulate(roles, p.input_gain, dt, u)
+    np.testing.assert_allclose(single, mean, atol=1e-3 * np.ptp(mean))
 
-    run = cart_run(1, increments=1024)
-    estimator = pmfid.IV(drive, run.encoder, DT, 100 / 3)
-    fit = estimator.fit(run.u, run.counts)
-    columns = estimator.columns_at(fit.theta, run.u, run.counts)
-    error = columns.z - columns.phi @ fit.theta
-    assert np.mean(error**2) == pytest.approx(fit.theta @ estimator.noise() @ fit.theta, rel=0.1)
-    late = np.r_[np.zeros(2), np.repeat(run.u, 10)[:-2]]
-    counts = quantize(simulate_drive(CART, late, DT / 10).x[::10], resolution_of(1024))
-    fit = estimator.fit(run.u, counts)
-    assert "dead_time" in codes(verdict(estimator, run.u, counts, fit.theta, fit.theta_std, 0.01).findings)
+
+def test_approximant_is_good_at_strong_damping():
+    """For damping * dt = 1 the mean velocity is right within 1e-4 of its range."""
+    p = DriveParameters(0.128, 12.8, 0.8, 2.0)
+    u = prbs(1000, clock=3, amplitude=3.0, rng=np.random.default_rng(2))
+    mean, *_ = _kernel64.simulate((p.mass, 12.8, 12.8, 0.8, 0.8, 0.0, 0.0), 2.0, 0.01, u)
+    expected = np.diff(simulate_drive(p, u, 0.01).x) / 0.01
+    np.testing.assert_allclose(mean[:-1], expected, atol=1e-4 * np.ptp(mean))

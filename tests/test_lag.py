@@ -10,7 +10,6 @@ import pytest
 import pmfid
 from pmfid import IV, RIV, Drive, Encoder, MotionFit
 from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
-from tests.refusals import refused
 from tests.test_dead_time import AXES, CART, truth
 
 THETA = np.array(CART[1:4])
@@ -53,14 +52,6 @@ def test_next_to_a_dead_time() -> None:
     np.testing.assert_array_less(np.abs(fit.theta[:3] - THETA), 3 * fit.theta_std[:3])
 
 
-def test_where_there_is_none_none_is_found() -> None:
-    run = run_lagged("cart", 0.0)
-    drive, encoder = Drive(2.0, lag="estimate"), Encoder(CART[6])
-    fit = pmfid.identify(run.u, run.counts, model=drive, dt=0.01, encoder=encoder, cutoff=20.0, method="fit")
-    assert 0 <= fit.theta[-1] < 0.02 * 0.01
-    np.testing.assert_allclose(fit.theta[:3] / THETA, 1.0, atol=0.01)
-
-
 @pytest.mark.parametrize("method", [pmfid.LS, pmfid.BCLS, IV])
 def test_a_known_lag_leaves_nothing_of_its_bias(method: type) -> None:
     run = run_lagged("cart", 1.2)
@@ -76,15 +67,3 @@ def test_a_known_lag_on_line_next_to_a_known_dead_time(method: type, precision: 
     estimator = method(Drive(2.0, lag=0.007, dead_time=0.006), Encoder(CART[6]), 0.01, 20.0, precision=precision)
     track = estimator.run(run.u, run.counts)
     np.testing.assert_allclose(track.theta[-1] / THETA, 1.0, atol=0.03)
-
-
-def test_refusals_have_a_remedy() -> None:
-    either = ({"lag": "estimate"}, {"lag": 0.004, "dead_time": "estimate"})
-    refused(
-        ("lag must be a time in s, at least 0", lambda: Drive(2.0, lag=-0.1)),
-        ("does not estimate lag; use fit off-line", lambda: made(pmfid.LS, "cart", lag="estimate")),
-        ("does not estimate lag; use fit off-line", lambda: made(pmfid.BCRLS, "cart", lag="estimate")),
-        *(("use fit off-line, or give its value", lambda late=late: made(RIV, "cart", **late)) for late in either),
-        ("check the unit", lambda: made(IV, "cart", lag=0.3)),
-        ("increase n by 1", lambda: pmfid.TransferFunction(2, 0).replace_lag(0.1)),
-    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import datetime
-import gzip
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +10,7 @@ import pytest
 
 from pmfid.config.axis import load_axis
 from pmfid.errors import UsageError
-from pmfid.io.csv_text import layout_of
-from pmfid.io.reading import read_table
 from pmfid.records.record import Record, read_record
-from tests.refusals import refused
 
 DT, N = 0.004, 300
 TOML = """\
@@ -93,35 +89,12 @@ def test_every_layout_holds_the_same_record(tmp_path: Path, layout: str) -> None
     same(read(tmp_path, LAYOUTS[layout]))
 
 
-@pytest.mark.parametrize("name", ["run.txt", "run.tsv", "run.dat", "run.log"])
-def test_other_endings_are_text_too(tmp_path: Path, name: str) -> None:
-    same(read(tmp_path, text("\t"), name))
-    same(read(tmp_path, gzip.compress(text(";", ",").encode()), "run.csv.gz"))
-
-
-def test_without_a_header_columns_have_numbers(tmp_path: Path) -> None:
-    (tmp_path / "run.csv").write_text(text(header=""))
-    own = 'time = "column_1"\ninput = "column_2"\noutput = "column_3"'
-    (tmp_path / "axis.toml").write_text(TOML.format(more="").replace('input = "u"\noutput = "y"\ntime = "t"', own))
-    record = read_record(tmp_path / "run.csv", load_axis(tmp_path / "axis.toml"))
-    np.testing.assert_allclose(record.u, U)
-    assert any("has no header" in note for note in record.notes)
-
-
 @pytest.mark.parametrize(
     ("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)], ids=["milliseconds", "microseconds", "nanoseconds"]
 )
 def test_the_unit_of_time_is_read_in_the_row_of_units(tmp_path: Path, unit: str, factor: float) -> None:
     stamps = [f"{k * DT * factor:.9g}" for k in range(N)]
     same(read(tmp_path, text(header=f"t,u,y\n[{unit}],[V],[m]", time=stamps)))
-
-
-def test_a_row_of_units_may_repeat_a_unit_and_give_the_form_of_the_time(tmp_path: Path) -> None:
-    stamps = [f"12:00:{k * DT:06.3f}" for k in range(N)]
-    log = text(header="Time,Act,Pos,Set,\nhh:mm:ss,x,um,um,", time=stamps).replace("\n12", "\n@12")
-    log = "\n".join(f"{line[1:]},0," if line.startswith("@") else line for line in log.splitlines())
-    (tmp_path / "run.csv").write_text(log)
-    assert list(read_table(tmp_path / "run.csv")) == ["Time [hh:mm:ss]", "Act [x]", "Pos [um]", "Set [um]", "column_5"]
 
 
 def clocks() -> dict[str, list[str]]:
@@ -170,75 +143,6 @@ def test_a_missing_sample_is_no_scatter(tmp_path: Path, scatter: float) -> None:
         return
     assert record.u.size == N + 1
     assert any("missing" in note for note in record.notes)
-
-
-def test_no_lines_make_the_program_wait() -> None:
-    """A line of any text needs only a few splits."""
-    assert layout_of(["a,b", "1,2"] + ["1,2"] * 300).names == ("a", "b")
-    refused(("no lines of numbers", lambda: layout_of(["x" * 100_000] * 400)))
-
-
-def test_what_is_in_the_file_next_to_data_is_named(tmp_path: Path) -> None:
-    same(read(tmp_path, text() + "# end of measurement"))
-    summed = read(tmp_path, text() + "sum,1,2,3\n")
-    same(summed)
-    assert "left out is line 302: 'sum,1,2,3'" in summed.notes
-
-
-def test_a_header_of_numbers_is_no_sample(tmp_path: Path) -> None:
-    (tmp_path / "axis.toml").write_text(
-        TOML.format(more="").replace('input = "u"\noutput = "y"\ntime = "t"', 'input = "1"\noutput = "2"\ntime = "0"')
-    )
-    (tmp_path / "run.csv").write_text(text(header="0,1,2"))
-    same(read_record(tmp_path / "run.csv", load_axis(tmp_path / "axis.toml")))
-
-
-def test_a_layout_that_is_stated_is_kept(tmp_path: Path) -> None:
-    same(read(tmp_path, text(";", ","), more='separator = ";"\ndecimal = ","'))
-    # 1,234 is a number of thousands or of parts, and the text alone does not say which
-    whole = "t;u;y\n" + "".join(f"{k * DT:.3f};1.000;{k / 4:.3f}\n".replace(".", ",") for k in range(N))
-    record = read(tmp_path, whole, more='decimal = ","')
-    assert record.u[0] == 1.0
-
-
-def test_an_export_of_twincat_scope(tmp_path: Path) -> None:
-    """The settings of each channel are pairs of key and value; then a column of stamps in ms precedes every channel."""
-    settings = {"Name": ("drive.u", "drive.y"), "SampleTime[ms]": ("4", "4"), "Unit": ("V", "m"), "Offset": ("0", "0")}
-    lines = ["Name\trun", "File\tC:\\run.svdx", "Starttime of export\t133238090039920000", ""]
-    lines += ["\t".join(f"{key}\t{value}" for value in values) for key, values in settings.items()] + [""]
-    lines += [f"{4 * k}\t{U[k]:.6g}\t{4 * k}\t{Y[k]:.6g}".replace(".", ",") for k in range(N)] + ["EOF"]
-    (tmp_path / "axis.toml").write_text(TOML.format(more="").replace('"t"', '"time"'))
-    (tmp_path / "run.csv").write_text("\n".join(lines))
-    same(read_record(tmp_path / "run.csv", load_axis(tmp_path / "axis.toml")))
-
-
-def test_a_trace_of_codesys(tmp_path: Path) -> None:
-    """The first column counts the cycles, and does not give the sample period."""
-    rows = "\n".join(f"{k} {U[k]:.6g} {Y[k]:.6g}" for k in range(N))
-    trace = f"BODAS Trace\nD:\\PROJECTS\\RUN.PRO\nCycle u y\n{rows}\n"
-    (tmp_path / "run.txt").write_text(trace)
-    for more, said in (
-        ("", r"steps by 1: if the column counts samples, give the sample period as .record. dt in s"),
-        (f"dt = {DT}\n", ""),
-    ):
-        (tmp_path / "axis.toml").write_text(TOML.format(more=more).replace('"t"', '"Cycle"'))
-        axis = load_axis(tmp_path / "axis.toml")
-        if said:
-            with pytest.raises(UsageError, match=said):
-                read_record(tmp_path / "run.txt", axis)
-        else:
-            record = read_record(tmp_path / "run.txt", axis)
-    same(record)
-    assert "the time column 'Cycle' counts samples of 0.004 s" in record.notes
-
-
-def test_a_line_of_missing_numbers_is_no_header(tmp_path: Path) -> None:
-    """A logger writes such a line before its first values; the row of units above it has turns per second and a
-    number.
-    """
-    head = "%Motor data\n\n%timestep,voltage,position,speed\n%[#],[V],[turns],[turns/s]\nnan,nan,nan,nan;\n"
-    (tmp_path / "log.csv").write_text(head + "".join(f"{k},{k % 3}.5,{k / 8},0.0;\n" for k in range(40)))
-    assert list(read_table(tmp_path / "log.csv"))[:3] == ["timestep [#]", "voltage [V]", "position [turns]"]
 
 
 #: Content and keys of a log, and what the refusal says.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.kernel.structures import structures
 from pmfid.simulation import CART, CART_DT
 from pmfid.simulation.drive import quantize, simulate_drive
-from tests.command import run_command
 from tests.conftest import cart_run
 
 SAMPLES, REPEATED = 20_000, 50
@@ -76,11 +74,3 @@ def test_a_rest_of_three_memories_keeps_the_estimate() -> None:
     before = moved.run(u[:, :10_000], counts[:, :10_000])
     rest = moved.run(np.zeros((1, 3 * 10**6)), np.full((1, 3 * 10**6), counts[0, 10_000]))
     np.testing.assert_allclose(rest.theta[0, -1], before.theta[0, -1], rtol=1e-3)
-
-
-@pytest.mark.parametrize(("forgetting", "reported"), [("1", True), ("0.999", False)])
-def test_export_says_how_long_float32_remembers(forgetting: str, reported: bool, tmp_path: Path) -> None:
-    axis = Path(__file__).parents[1] / "examples" / "cart.toml"
-    options = ["--out", str(tmp_path / "c"), "--precision", "float32", "--method", "bcrls", "--dt", "0.01"]
-    result = run_command("export", str(axis), *options, "--set", f"estimator.forgetting={forgetting}")
-    assert ("float32 has a memory of 1e+04 s" in result.output) == reported

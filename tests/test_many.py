@@ -13,7 +13,6 @@ import pytest
 
 import pmfid
 from pmfid import Status, _kernel64
-from pmfid.estimators.fleet import kept_samples
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import RECURSIVE
 from pmfid.kernel.saved import fleet_layout
@@ -206,15 +205,6 @@ def test_counters_wrap(bits, precision):
         assert_equal_tracks(tracks.axis(axis), alone)
 
 
-@pytest.mark.parametrize("axes", [1, 2, 3, 4, 5, 8, 9, 16, 17])
-def test_any_number_of_axes(axes):
-    u, counts = fleet_record()
-    whole = pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u, counts)
-    assert_equal_tracks(
-        pmfid.Fleet(make(pmfid.BCRLS), axes).run(u[:axes], counts[:axes]).axis(axes - 1), whole.axis(axes - 1)
-    )
-
-
 @pytest.mark.parametrize("cuts", [[300], [1, 2, 5, 40, 41, 650]])
 def test_a_split_run_is_the_whole_run(cuts):
     u, counts = fleet_record()
@@ -222,97 +212,6 @@ def test_a_split_run_is_the_whole_run(cuts):
     for part in np.split(np.arange(SAMPLES), cuts):
         last = fleet.run(u[:, part], counts[:, part])
     assert_equal_tracks(last, pmfid.Fleet(make(pmfid.RIV), AXES).run(u, counts))
-
-
-def test_threads_change_nothing():
-    u, counts = (np.tile(table, (5, 1)) for table in fleet_record())
-    one, three = (fleet_of(make(pmfid.BCRLS), 5 * AXES, WAYS[-1], workers).run(u, counts) for workers in (1, 3))
-    assert_equal_tracks(one, three)
-    assert u.size > 20_000, "too small for a second thread"
-
-
-def test_every_so_many_and_the_last_are_kept():
-    u, counts = fleet_record()
-    whole = pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u, counts, every=1)
-    some = pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u, counts, every=300)
-    assert some.samples.tolist() == [299, 599, 699]
-    for every, kept in ((np.float32(300), [299, 599, 699]), (10**30, [699])):
-        assert pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u, counts, every=every).samples.tolist() == kept
-    assert np.array_equal(some.theta, whole.theta[:, [299, 599, 699]])
-    assert np.array_equal(some["mass"], some.theta[:, :, 0])
-    assert np.array_equal(some.theta_std[3], whole.axis(3).theta_std[[299, 599, 699]])
-    assert np.array_equal(some.has_status(Status.STARTING), (some.status & 1) != 0)
-    assert [kept_samples(n, every).tolist() for n, every in ((6, 3), (0, 3), (0, None))] == [[2, 5], [], []]
-
-
-def test_tables_are_read_in_place_in_any_order():
-    u, counts = fleet_record()
-    u = np.clip(u, -1e30, 1e30).astype(np.float32).astype(float)
-    reference = pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u, counts)
-    small = counts.astype(np.int32)
-    for table, numbers in [
-        (u.astype(np.float32), small),
-        (np.asfortranarray(u), np.asfortranarray(counts)),
-        (u.tolist(), counts.astype(float)),
-        (u[::-1][::-1], counts.astype(">i8")),
-    ]:
-        assert_equal_tracks(pmfid.Fleet(make(pmfid.BCRLS), AXES).run(table, numbers), reference)
-    same = pmfid.Fleet(make(pmfid.BCRLS), AXES).run(u[0], counts)
-    assert_equal_tracks(same, pmfid.Fleet(make(pmfid.BCRLS), AXES).run(np.tile(u[0], (AXES, 1)), counts))
-
-
-def test_a_fleet_starts_from_the_present_state_and_leaves_it():
-    u, counts = fleet_record()
-    estimator = make(pmfid.BCRLS)
-    estimator.run(u[0, :200], counts[0, :200])
-    before = estimator.get_state()
-    fleet = pmfid.Fleet(estimator, 2)
-    first = fleet.run(u[[0, 0], 200:], counts[[0, 0], 200:])
-    assert estimator.get_state() == before
-    assert np.array_equal(first.theta[1, -1], make(pmfid.BCRLS).run(u[0], counts[0]).theta[-1])
-    fleet.reset()
-    assert_equal_tracks(fleet.run(u[[0, 0], 200:], counts[[0, 0], 200:]), first)
-
-
-def test_states_are_saved_and_single_axes_taken_out():
-    u, counts = fleet_record()
-    whole = pmfid.Fleet(make(pmfid.RIV), AXES).run(u, counts)
-    fleet = pmfid.Fleet(make(pmfid.RIV), AXES)
-    fleet.run(u[:, :400], counts[:, :400])
-    other = pmfid.Fleet(make(pmfid.RIV), AXES)
-    other.set_state(fleet.get_state())
-    assert_equal_tracks(other.run(u[:, 400:], counts[:, 400:]), whole)
-    axis = fleet.axis(-1)
-    assert np.array_equal(axis.run(u[-1, 400:], counts[-1, 400:]).theta[-1], whole.theta[-1, -1])
-    for wrong in (pmfid.Fleet(make(pmfid.RIV), AXES + 1), pmfid.Fleet(make(pmfid.RIV, forgetting=0.9), AXES)):
-        refused(("same estimator", lambda wrong=wrong: wrong.set_state(fleet.get_state())))
-
-
-def test_a_fleet_says_what_it_is():
-    assert repr(pmfid.Fleet(make(pmfid.BCRLS), 3, workers=1)).endswith("3, workers=1)")
-
-
-def test_no_samples_give_no_estimates():
-    tracks = pmfid.Fleet(make(pmfid.BCRLS), 3).run(np.zeros((3, 0)), np.zeros((3, 0), int), every=2)
-    assert tracks.theta.shape == (3, 0, 3)
-    assert tracks.samples.size == 0
-
-
-def test_what_does_not_fit_is_refused():
-    u, counts = fleet_record()
-    fleet = pmfid.Fleet(make(pmfid.BCRLS), AXES)
-    refused(
-        (r"counts must be \(21, n\)", lambda: fleet.run(u[:20], counts[:20])),
-        ("u the same, or", lambda: fleet.run(u[:, 1:], counts)),
-        ("one row for each axis", lambda: pmfid.Fleet(make(pmfid.BCRLS), 1).run(u[0], counts[0])),
-        ("integers", lambda: fleet.run(u, counts + 0.5)),
-        *(
-            ("every must be a whole number of at least 1", lambda x=x: fleet.run(u, counts, every=x))
-            for x in (2.7, 3.0000000000000004, "a", np.nan, np.inf, 0, -1, True, [2], 1j)
-        ),
-        ("axes must be a whole number of at least 1", lambda: pmfid.Fleet(make(pmfid.BCRLS), 0)),
-        ("the axis must be from 0 to 20", lambda: fleet.axis(21)),
-    )
 
 
 def test_a_fleet_of_anything_else_is_refused():
@@ -337,20 +236,6 @@ def test_tables_that_are_no_numbers_are_refused():
     for state in (None, "a", 3):
         for target in (estimator, fleet):
             refused(("a state must be bytes from get_state", partial(target.set_state, state)))
-
-
-def test_a_missing_count_is_named():
-    estimator = make(pmfid.BCRLS)
-    refused(
-        (
-            "NaN or infinite in 1 places, first at index 2: replace a missing count",
-            lambda: estimator.run(np.zeros(4), [0.0, 1.0, np.nan, 2.0]),
-        ),
-        (
-            "first at index 1, 0: replace",
-            lambda: pmfid.Fleet(estimator, 2).run(np.zeros((2, 2)), [[0.0, 1.0], [np.nan, np.inf]]),
-        ),
-    )
 
 
 def test_the_kernel_writes_only_where_there_is_room():

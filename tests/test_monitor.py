@@ -9,14 +9,11 @@ import numpy as np
 import pytest
 
 from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, Status
-from pmfid.monitor.calibration import Calibration, calibrate, fit_tail, noise_ratio
-from pmfid.monitor.detector import WINDOW, start_detection, statistics
+from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, WATCHING, Alarm, Settled, StateChange, Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.scores import Blocks, ScoreFilter, make_scale, scores
-from pmfid.simulation import CART, CART_DT, Schedule, position_control, prbs, quantize, resolution_of, simulate_drive
-from pmfid.simulation.scenarios import CART_CONTROL
-from pmfid.types import Floats
+from pmfid.monitor.scores import scores
+from pmfid.simulation import CART, CART_DT, Schedule, prbs, quantize, resolution_of, simulate_drive
 from studies.monitoring.axis import changing, drive, make_riv, normal_work, random_stop_and_go
 from studies.monitoring.false_alarms import count_alarms, poisson_interval
 from tests.refusals import refused
@@ -35,12 +32,6 @@ def front(increments: int = INCREMENTS) -> IV:
     return IV(Drive(CART.input_gain), Encoder(resolution_of(increments)), CART_DT, 50.0)
 
 
-def random_blocks(seed: int, runs: int = 3, n: int = 200) -> tuple[Floats, Floats]:
-    rng = np.random.default_rng(seed)
-    w = rng.uniform(0, 2, (runs, n, 3))
-    return rng.normal(size=(runs, n, 3)) * np.sqrt(w), w
-
-
 # --- scores -----------------------------------------------------------------------------------------------------------
 
 
@@ -54,73 +45,7 @@ def test_scores_are_the_information_times_the_deviation() -> None:
     assert found[0] == pytest.approx(-0.002 * CART.mass, rel=0.1)
 
 
-def test_sample_by_sample_gives_the_same_blocks() -> None:
-    u, counts = normal_work(2, INCREMENTS, 0.01)
-    whole = scores(front(), THETA, u, counts)
-    filter_ = ScoreFilter(front(), THETA)
-    parts = [filter_.step(a, b) for a, b in zip(u.tolist(), counts.tolist(), strict=True)]
-    single = Blocks.concatenate([part for part in parts if part is not None])
-    assert len(whole.score) > 10
-    for name in ("score", "cross", "square"):
-        assert np.array_equal(getattr(single, name), getattr(whole, name))
-
-
-def test_unusable_samples_count_for_nothing() -> None:
-    u, counts = normal_work(2, INCREMENTS, 0.01)
-    u[100] = np.nan
-    blocks = scores(front(), THETA, u, counts)
-    hit = 108 // front().settle_samples  # the guard waits for eight counts
-    assert not blocks.score[hit + 1].any()
-    assert blocks.score[hit + 6 :].any()
-    assert np.isfinite(blocks.score).all()
-
-
-def test_the_scale_makes_normal_work_standard() -> None:
-    u, counts = normal_work(3, INCREMENTS, 0.2)
-    blocks = scores(front(), THETA, u, counts)
-    x, w = make_scale(blocks).standardise(blocks)
-    assert np.mean(x**2, axis=0) == pytest.approx(np.ones(3))
-    assert np.mean(w, axis=0) == pytest.approx(np.ones(3))
-    lag_two = np.mean(x[2:] * x[:-2], axis=0)
-    assert np.abs(lag_two).max() < 0.15  # the detectors' blocks do not have the memory of an estimate
-
-
 # --- the detector -----------------------------------------------------------------------------------------------------
-
-
-def test_the_statistic_is_the_best_start_of_all() -> None:
-    x, w = random_blocks(2, 1, 50)
-    found = statistics(x, w, np.zeros(3))[0]
-    for k in (0, 5, 30, 49):
-        starts = range(max(0, k - WINDOW + 1), k + 1)
-        sums = [(x[0, j : k + 1].sum(axis=0), w[0, j : k + 1].sum(axis=0)) for j in starts]
-        assert found[k] == pytest.approx(max(float(np.max(a**2 / (b + 1) / 2)) for a, b in sums))
-
-
-def test_the_statistic_sees_both_directions_and_less_with_a_tolerance() -> None:
-    """A block without information changes nothing, and many runs at once give the same as single ones."""
-    x, w = random_blocks(4)
-    tolerance = np.zeros(3)
-    found = statistics(x, w, tolerance)
-    assert np.allclose(found, statistics(-x, w, tolerance))
-    assert np.allclose(found[1], statistics(x[1:2], w[1:2], tolerance)[0])
-    assert np.all(statistics(x, w, np.full(3, 0.5)).max(axis=1) < found.max(axis=1))
-    assert statistics(x + 3 * w, w, tolerance).max() > 5 * found.max()
-    assert not statistics(np.zeros((1, 100, 3)), np.zeros((1, 100, 3)), tolerance, start_detection((1, 3))).any()
-
-
-# --- thresholds -------------------------------------------------------------------------------------------------------
-
-
-def test_a_tail_is_read_off_beyond_what_was_seen() -> None:
-    """The peaks are exponential, so that the threshold for a rate is known."""
-    rng = np.random.default_rng(5)
-    statistic = rng.exponential(2.0, (40, 36_000))  # blocks of 0.1 s: 40 h
-    tail = fit_tail(statistic, 0.1)
-    assert tail.hours == pytest.approx(40.0)
-    assert tail.threshold(24.0) > tail.threshold(1.0) > tail.threshold(0.2)
-    for hours in (1.0, 24.0, 1000.0):
-        assert tail.threshold(hours) == pytest.approx(2 * np.log(hours * 36_000), rel=0.06)
 
 
 @pytest.mark.long
@@ -136,11 +61,7 @@ def test_alarms_are_as_rare_as_asked() -> None:
     assert low < 0.25 < high
 
 
-def test_a_noisy_record_raises_the_scale(calibration: Calibration) -> None:
-    u, counts = normal_work(8, INCREMENTS, 0.2)
-    assert np.array_equal(noise_ratio(calibration.scale, scores(front(), THETA, u, counts)), np.ones(3))
-    rough = counts + np.random.default_rng(0).integers(-1, 2, counts.size)
-    assert np.all(noise_ratio(calibration.scale, scores(front(), THETA, u, rough)) > 2)
+# --- thresholds -------------------------------------------------------------------------------------------------------
 
 
 # --- opening the memory -----------------------------------------------------------------------------------------------
@@ -212,14 +133,6 @@ def test_a_mass_step_is_reported_once(calibration: Calibration) -> None:
     assert settled.theta / settled.before == pytest.approx([1.1, 1.0, 1.0], abs=0.015)
 
 
-def test_two_changes_are_reported_one_after_the_other(calibration: Calibration) -> None:
-    heavy = replace(CART, mass=1.3 * CART.mass)
-    changes = Schedule(((0.0, CART), (10.0, heavy), (35.0, replace(heavy, coulomb_friction=1.4 * 0.8)), (60.0, CART)))
-    alarms = [event for event in run(calibration, changes, Watch(), 75.0) if isinstance(event, Alarm)]
-    assert [alarm.parameter for alarm in alarms[:2]] == ["mass", "coulomb_friction"]
-    assert [alarm.change > 0 for alarm in alarms] == [True, True, False]
-
-
 @pytest.mark.parametrize(("name", "total"), [("mass", 0.12), ("coulomb_friction", -0.15)])
 def test_a_slow_change_is_one_alarm_with_a_rate(calibration: Calibration, name: str, total: float) -> None:
     """A step after it is another alarm."""
@@ -236,17 +149,6 @@ def test_a_slow_change_is_one_alarm_with_a_rate(calibration: Calibration, name: 
     rates = [event.rate for event in events if isinstance(event, Settled) and event.rate is not None]
     assert len(rates) >= 2
     assert np.median(rates) == pytest.approx(3600 * total / seconds, rel=0.3)
-
-
-def test_a_slow_change_after_a_step_or_a_pause_is_another_alarm(calibration: Calibration) -> None:
-    def slow(begin: float, first: float) -> list[tuple[float, Any]]:
-        factors = [first * (1 + 0.0006 * k) for k in range(1, 101)]
-        return [(begin + 2.0 * k, replace(CART, mass=one * CART.mass)) for k, one in enumerate(factors, 1)]
-
-    step = 20.0, replace(CART, mass=1.1 * CART.mass)
-    events = run(calibration, Schedule(((0.0, CART), step, *slow(40.0, 1.1), *slow(600.0, 1.166))), Watch(), 820.0)
-    times = [event.time for event in events if isinstance(event, Alarm)]
-    assert np.searchsorted([40.0, 300.0], times).tolist() == [0, 1, 2]
 
 
 def test_within_the_tolerance_there_is_no_alarm(calibration: Calibration) -> None:
@@ -284,38 +186,6 @@ def test_lost_samples_are_no_change(calibration: Calibration) -> None:
     assert not [event for event in events if isinstance(event, Alarm)]
     assert monitor.state == WATCHING
     assert SETTLING not in [getattr(event, "state", "") for event in events]
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"mtbf_hours": 0.0}, "mtbf_hours must be in"),
-        ({"mtbf_hours": float("nan")}, "mtbf_hours must be in"),
-        ({"tolerance": -0.1}, "tolerance must be in"),
-    ],
-)
-def test_wrong_wishes_are_refused(options: dict[str, Any], message: str) -> None:
-    refused((message, lambda: Watch(**options)))
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_a_change_of_mass_is_reported_after_five_seconds_at_24_volt(calibration: Calibration, seed: int) -> None:
-    """After a violent motion, the monitor still sees the normal motion that begins two seconds later."""
-    rng = np.random.default_rng((seed, 24))
-    violent = np.where(np.arange(500) // 25 % 2 == 0, 3.0, -3.0)
-    reference = np.concatenate([violent, np.zeros(200), random_stop_and_go(3700, rng)])
-    loaded = Schedule(((0.0, CART), (37.0, replace(CART, mass=1.31 * CART.mass))))
-    control: dict[str, Any] = {**CART_CONTROL, "u_max": 24.0, "resolution": resolution_of(INCREMENTS)}
-    motion, counts = position_control(loaded, reference, CART_DT, **control, phase=0.3 * resolution_of(INCREMENTS))
-    assert np.abs(motion.u[:500]).min() == 24.0
-    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration, Watch())
-    alarms: list[Alarm] = []
-    for u, count in zip(motion.u.tolist(), counts.tolist(), strict=True):
-        alarms += [event for event in monitor.step(u, count)[1] if isinstance(event, Alarm)]
-    assert [alarm.parameter for alarm in alarms] == ["mass"]
-    assert 37.0 < alarms[0].time < 40.0
-    assert abs(alarms[0].relative - 0.31) < 2 * alarms[0].changes[0].relative_std
-    assert alarms[0].changes[0].relative_std < 0.05
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -14,11 +14,9 @@ from pmfid import Drive, Encoder, REdge
 from pmfid.cli.main import main
 from pmfid.monitor import Alarm, EdgeMonitor, Settled, Watch
 from pmfid.monitor.events import Event, StateChange
-from pmfid.simulation import CART, Schedule, capture_edges, resolution_of, simulate_drive
-from studies.edges import draw_change, watch_edges
-from studies.monitoring.axis import changing
+from pmfid.simulation import CART, Schedule, resolution_of
 from tests.command import run_command
-from tests.edge_axes import AXIS, EVERY, TURN, Motion, cart_edges, heavier, write_record
+from tests.edge_axes import AXIS, TURN, Motion, cart_edges, heavier, write_record
 from tests.refusals import refused
 from tests.test_redge import DT, TRUTH
 
@@ -70,44 +68,6 @@ def test_a_change_has_an_alarm_with_its_cause_and_size(name: str, factor: float,
     assert monitor.state == "watching"
 
 
-@pytest.mark.parametrize(
-    ("name", "factor", "fault"), [("coulomb_friction", 1.3, (0.0, 0.0)), ("input_gain", 0.9, (0.01, 1e-5))]
-)
-def test_a_change_is_seen_although_the_status_was_doubtful_before(
-    name: str, factor: float, fault: tuple[float, float]
-) -> None:
-    """Exact lines and late instants make the status doubtful. At the change, the recursion opens its memory."""
-    when, schedule, u, _ = draw_change(name, factor, 0)
-    alarms = [alarm for alarm in watch_edges(u, schedule, TURN, fault, 0) if alarm.time > when]
-    assert (alarms[0].parameter, alarms[0].others) == (name, ())
-    assert alarms[0].time < when + 2.5
-
-
-@pytest.mark.parametrize(("weight", "name", "change"), [(0.0, "offset", 0.5), (-5.0, "mass", 0.25)])
-def test_of_a_loaded_axis_the_load_and_the_mass_are_told_apart(weight: float, name: str, change: float) -> None:
-    """The offset is relative to Coulomb friction if it is smaller."""
-    loaded = replace(CART, offset=weight)
-    after = replace(loaded, **{name: getattr(loaded, name) + change})
-    schedule, step = Schedule(((0.0, loaded), (WHEN, after))), resolution_of(TURN)
-    u = changing(Schedule(((0.0, CART), (WHEN, replace(after, offset=0.0)))), 3, 4096, SECONDS)[0] + weight / 2.0
-    record = u, *capture_edges(simulate_drive(schedule, np.repeat(u, EVERY), DT / EVERY), step, every=EVERY, tick=1e-6)
-    plain = make_monitor()
-    monitor = replace(
-        plain,
-        estimator=replace(plain.estimator, model=Drive(2.0, offset=True)),
-        reference=np.array([*TRUTH, weight]),
-    )
-    events = watch(monitor, record)
-    (alarm,) = (event for event in events if isinstance(event, Alarm))
-    assert alarm.parameter == name
-    assert not [other for other in alarm.others if ({"mass", "offset"} - {name}) & set(other.split(" and "))]
-    assert abs(alarm.change - change) < 3 * alarm.std
-    assert alarm.relative == pytest.approx(alarm.change / (0.8 if name == "offset" else 1.07), rel=1e-3)
-    other = replace(monitor, estimator=replace(monitor.estimator))
-    other.set_state(monitor.get_state())
-    assert np.array_equal(other.reference, monitor.reference)
-
-
 @pytest.mark.parametrize("factor", [1.0, 1.1])
 def test_a_gap_is_no_suspicion_and_hides_no_change(factor: float) -> None:
     record, missing = changed_run("mass", factor), slice(1180, 1220)
@@ -131,27 +91,6 @@ def test_a_slow_change_is_one_alarm_with_a_rate() -> None:
     assert [(one.parameter, one.time > 200.0) for one in alarms] == [("mass", False), ("mass", True)]
     rates = [event.rate for event in events if isinstance(event, Settled) and event.rate is not None]
     assert np.median(rates) == pytest.approx(0.2 * 3600 / 150, rel=0.3)
-
-
-def test_a_change_within_the_tolerance_is_none() -> None:
-    monitor = make_monitor(tolerance=0.05)
-    events = watch(monitor, changed_run("mass", 1.03))
-    assert not any(isinstance(event, Alarm) for event in events)
-    assert monitor.state == "watching"
-
-
-def test_rest_and_lost_samples_raise_no_alarm() -> None:
-    u, counts, ages = changed_run("mass", 1.0, rest=1000)
-    monitor = make_monitor()
-    assert not any(isinstance(event, Alarm) for event in watch(monitor, (u, counts, ages)))
-    assert monitor.state == "cannot tell"
-    monitor.skip(500)
-    assert monitor.samples == u.size + 500
-    assert monitor.state == "cannot tell"
-    events = watch(monitor, (u, counts - counts[0] + counts[-1], ages))
-    assert not any(isinstance(event, Alarm) for event in events)
-    states = [event.state for event in events if isinstance(event, StateChange)]
-    assert ("watching" in states, states[-1]) == (True, "cannot tell")
 
 
 def test_a_monitor_goes_on_from_its_saved_state() -> None:

@@ -18,14 +18,10 @@ import pytest
 from click.testing import CliRunner
 
 from pmfid.cli.main import main
-from pmfid.io import row_file
-from pmfid.io.row_file import RowFile, fresh
+from pmfid.io.row_file import RowFile
 from pmfid.pipeline.monitored.rows import rows_path
-from pmfid.pipeline.monitored.stream import Stop
-from pmfid.report.html import replace_file
 from pmfid.simulation import CART_DT
 from studies.monitoring.pipe import lines, write_axis
-from tests.command import run_command
 from tests.patience import PATIENCE
 
 #: A calibration of half an hour is enough here.
@@ -101,26 +97,6 @@ def test_a_restart_writes_to_a_new_file(folder: Path) -> None:
     assert not rows_path(out).exists()
 
 
-def test_no_input_is_written_over(folder: Path) -> None:
-    normal = (folder / "normal.csv").read_bytes()
-    assert watch(folder, "--out", str(folder / "normal.csv")).exit_code == 0
-    assert (folder / "normal.csv").read_bytes() == normal
-    assert pl.read_csv(folder / "normal-2.csv").height == N
-    for name in ("normal.csv", "axis.toml"):
-        refused = watch(folder, "--report", str(folder / name))
-        assert f"would overwrite {folder / name}; choose another name" in refused.stderr
-        assert refused.exit_code == 2
-    assert (folder / "normal.csv").read_bytes() == normal
-
-
-def test_the_page_of_a_pipe_replaces_none(folder: Path) -> None:
-    page = folder / "page.html"
-    page.write_text("yesterday")
-    assert watch(folder, "--report", str(page)).exit_code == 0
-    assert page.read_text() == "yesterday"
-    assert "<svg" in (folder / "page-2.html").read_text()
-
-
 def limited() -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
 
@@ -139,45 +115,6 @@ def test_a_full_disk_does_not_end_the_watch(folder: Path, kind: str) -> None:
     assert 50 < table.height == N - last["rows_lost"]
     assert process.returncode == 2
     assert f"{last['rows_lost']} rows are missing in" in error
-
-
-def test_a_device_without_room(folder: Path) -> None:
-    (folder / "device.csv").symlink_to("/dev/full")
-    process = start(folder, "--out", str(folder / "device.csv"))
-    text, error = end(process)
-    assert json.loads(text.splitlines()[-1])["rows_lost"] == N + 1  # one of them is the header
-    assert "No space left on device" in text
-    assert process.returncode == 2
-    assert "rows are missing in" in error
-
-
-def test_events_that_find_no_room_do_not_end_the_watch(folder: Path) -> None:
-    with Path("/dev/full").open("wb") as full:
-        process = start(folder, "--out", str(folder / "silent.csv"), stdout=full)
-        _, error = end(process)
-    assert "events cannot be written: No space left on device; monitoring continues" in error
-    assert pl.read_csv(folder / "silent.csv").height == N
-
-
-def test_a_hang_up_ends_in_order(folder: Path) -> None:
-    out = folder / "hangup.parquet"
-    process = start(folder, "--out", str(out))
-    wait_for_rows(rows_path(out), N, process)
-    process.send_signal(signal.SIGHUP)
-    text, _ = end(process)
-    assert process.returncode == 0
-    assert json.loads(text.splitlines()[-1])["samples"] == N
-    assert pl.read_parquet(out).height == N
-
-
-def test_a_hang_up_that_is_ignored_stays_so() -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with Stop().handling() as stop:
-            os.kill(os.getpid(), signal.SIGHUP)
-        assert not stop.requested
-    finally:
-        signal.signal(signal.SIGHUP, before)
 
 
 # --- the file itself --------------------------------------------------------------------------------------------------
@@ -213,48 +150,3 @@ def test_a_file_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.Mon
     assert (tmp_path / "a.csv").read_text() == "".join(f"row {k}\n" for k in range(7))
     assert [event["event"] for event in reported] == ["write error", "written again"]
     assert file.lost == 0
-
-
-def test_what_never_finds_room_is_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(os, "write", Disk(15).write)
-    monkeypatch.setattr(row_file, "MOST_WAITING", 30)
-    file = RowFile(tmp_path / "a.csv", lambda event: None)
-    for k in range(9):
-        file.put(f"row {k}")
-    file.close()
-    assert (tmp_path / "a.csv").read_text() == "row 0\nrow 1\n"
-    assert file.lost == 7
-
-
-def test_numbers_of_files(tmp_path: Path) -> None:
-    assert fresh(tmp_path / "a.csv").name == "a.csv"
-    (tmp_path / "a.csv").symlink_to(tmp_path / "nowhere")  # a link without a target also exists
-    (tmp_path / "a-2.csv").write_text("")
-    assert fresh(tmp_path / "a.csv").name == "a-3.csv"
-    with pytest.raises(FileExistsError):
-        RowFile(tmp_path / "a.csv", lambda event: None)
-
-
-def test_a_link_is_replaced_and_not_followed(tmp_path: Path) -> None:
-    (tmp_path / "precious").write_text("keep")
-    (tmp_path / "report.html").symlink_to(tmp_path / "precious")
-    replace_file(tmp_path / "report.html", b"new")
-    assert (tmp_path / "precious").read_text() == "keep"
-    assert (tmp_path / "report.html").read_text() == "new"
-    assert sorted(os.listdir(tmp_path)) == ["precious", "report.html"]
-
-
-def test_identify_leaves_the_track_of_another_run(folder: Path) -> None:
-    out = folder / "result"
-    out.mkdir()
-    (out / "track.parquet").write_bytes(b"mine")
-    (out / "result.json").symlink_to(folder / "elsewhere")
-    (folder / "elsewhere").write_text("mine")
-    arguments = ["identify", str(folder / "normal.csv"), "--config", str(folder / "axis.toml"), "--out", str(out)]
-    run_command(*arguments, "--method", "ls")
-    assert not (out / "track.parquet").exists()
-    run_command(*arguments, "--method", "rls")
-    assert (out / "track-2.parquet").read_bytes() == b"mine"
-    assert pl.read_parquet(out / "track.parquet").height > N
-    assert (folder / "elsewhere").read_text() == "mine"
-    assert json.loads((out / "result.json").read_text())

@@ -1,7 +1,4 @@
-"""Estimators as objects: a configuration that is a value, a separate state, and independent copies.
-
-The contract of every estimator is in `pmfid.testing`, and other tests check it.
-"""
+"""Estimators and estimates as objects: values, independent copies, separate states."""
 
 from __future__ import annotations
 
@@ -15,7 +12,6 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.estimators.configuration import like
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from tests.conftest import cart_run
@@ -106,11 +102,20 @@ def test_a_configuration_is_a_value() -> None:
         one.initial["mass"] = 0.5
 
 
-def test_like_leaves_the_names_of_another_model_out() -> None:
-    """A copy for another model keeps the settings that are numbers."""
-    directional = pmfid.Drive(2.0, friction="directional")
-    initial = dict.fromkeys(directional.equation.names, 1.0)
-    method = pmfid.RIV(directional, RUN.encoder, DT, CUTOFF, forgetting=0.99, initial=initial)
-    other = like(pmfid.RIV, method, model=directional.symmetric)
-    assert other.initial is None
-    assert other.forgetting == 0.99
+def estimate_of(precision: str, drive: pmfid.Drive) -> pmfid.Estimate:
+    run = cart_run(1, samples=1000)
+    estimator = pmfid.RIV(drive, run.encoder, 0.01, 100 / 3, precision=precision)
+    estimator.run(run.u, run.counts)
+    return estimator.step(1.0, int(run.counts[-1]))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
+def test_a_copy_has_the_same_bits(again, precision: str, drive: pmfid.Drive) -> None:
+    one = estimate_of(precision, drive)
+    other = again(one)
+    for name in ("theta", "theta_std", "theta_cov"):
+        assert np.array_equal(getattr(other, name), getattr(one, name))
+    for name in ("innovation", "innovation_variance", "status"):
+        assert getattr(other, name) == getattr(one, name)
+    assert other["mass"] == one["mass"] > 0

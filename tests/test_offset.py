@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -35,17 +33,6 @@ def test_the_level_of_the_output_does_not_matter(cls: type[BatchEstimator], leve
     near = cls(model, encoder, DT, 3.0).fit(u, counts)
     np.testing.assert_allclose(fit.theta[:3], near.theta[:3], rtol=2e-3)
     np.testing.assert_allclose(fit.theta_std[:3], near.theta_std[:3], rtol=0.3)
-
-
-def test_a_counter_that_begins_below_zero() -> None:
-    """The first count keeps its sign, as in the kernel."""
-    step = 2e-3
-    u, counts = counts_about(-3.0, step)
-    model = pmfid.TransferFunction(2, 0, offset=True)
-    signed = pmfid.LS(model, pmfid.Encoder(step, bits=16), DT, 3.0).fit(u, counts)
-    wrapped = pmfid.LS(model, pmfid.Encoder(step, bits=16), DT, 3.0).fit(u, counts % 2**16)
-    np.testing.assert_allclose(wrapped.theta, signed.theta, rtol=1e-12)
-    np.testing.assert_allclose(signed["offset"] / signed["a0"], -3.0, atol=5 * step)
 
 
 # --- on-line ----------------------------------------------------------------------------------------------------------
@@ -97,50 +84,3 @@ def test_online_the_level_is_in_the_constant_alone(cls: type[RecursiveEstimator]
         ]  # value for independent innovations
         np.testing.assert_allclose(white[1], lift @ white[0] @ lift.T, rtol=100 * rounding)
         np.testing.assert_allclose(far.theta_std[-1, -1], y * near.theta_std[-1, 0], rtol=0.05)
-
-
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("cls", RECURSIVE)
-def test_online_far_from_zero_a_run_goes_on_and_fleets_agree(cls: type[RecursiveEstimator], precision: str) -> None:
-    """A saved state, a counter reset, an opened memory and a fleet do not change the bits."""
-    estimator, (u, counts) = online(cls, "two, late", precision)
-    counts = counts + 10_132_500
-    whole = estimator.run(u, counts)
-    tracks = pmfid.Fleet(estimator.start(), 5).run(np.tile(u, (5, 1)), np.tile(counts, (5, 1)), every=1)
-    for axis in range(5):
-        assert np.array_equal(tracks.axis(axis).theta, whole.theta)
-        assert np.array_equal(tracks.axis(axis).theta_std, whole.theta_std)
-    estimator.reset()
-    estimator.run(u[:2500], counts[:2500])
-    other = estimator.start(estimator.get_state())
-    assert np.array_equal(other.estimate.theta, whole.theta[2499])
-    other.rebase(17)
-    rest = other.run(u[2500:], counts[2500:] - counts[2499] + 17)
-    assert np.array_equal(rest.theta, whole.theta[2500:])
-    bar = other.estimate.theta_std[-1]
-    other.open_memory(1e-3)
-    assert np.array_equal(other.estimate.theta, whole.theta[-1])
-    other.run(u[:3], counts[:3] - counts[2499] + 17)
-    assert other.estimate.theta_std[-1] > bar
-
-
-def test_a_counter_of_sixteen_bits_begins_below_zero_online() -> None:
-    estimator, (u, counts) = online(pmfid.BCRLS, "two, late", "float64")
-    narrow = replace(estimator, encoder=replace(estimator.encoder, bits=16))
-    expected = estimator.run(u, counts - 9000).theta
-    assert np.array_equal(narrow.run(u, (counts - 9000) % 2**16).theta, expected)
-
-
-def test_the_constant_of_an_integrating_process_is_none_of_its_level() -> None:
-    """The ramp of a constant force is the same for any start."""
-    u = prbs(4000, clock=8, amplitude=1.0, rng=np.random.default_rng(4))
-    y = simulate_process((2.0,), (1.0, 1.5, 0.0), u - 0.05, 0.05)
-    counts = np.floor(y / 1e-4).astype(np.int64)
-    model = pmfid.TransferFunction(2, 0, offset=True, integrators=1)
-    for precision in ("float64", "float32"):
-        estimator = pmfid.BCRLS(model, pmfid.Encoder(1e-4), 0.05, 4.0, forgetting=0.999, precision=precision)
-        near = estimator.run(u, counts)
-        estimator.reset()
-        far = estimator.run(u, counts + 2_000_000)
-        assert np.array_equal(far.theta, near.theta)
-        np.testing.assert_allclose(far.theta[-1], (1.5, 2.0, -0.1), rtol=0.02)

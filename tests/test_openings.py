@@ -8,8 +8,8 @@ import pytest
 import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
 from tests.conftest import cart_run
-from tests.hostile.crafted import estimators
 from tests.hostile.openings import faults_of
+from tests.hostile.states import estimators
 from tests.test_many import fleet_record, make
 
 CART = {"mass": 1.07, "viscous_friction": 12.8, "coulomb_friction": 0.8}
@@ -17,7 +17,6 @@ CART = {"mass": 1.07, "viscous_friction": 12.8, "coulomb_friction": 0.8}
 
 @pytest.mark.parametrize(("name", "estimator"), list(estimators())[::2])
 def test_openings_of_every_kind_leave_numbers(name: str, estimator: RecursiveEstimator) -> None:
-    """A few openings of each kind are made; `make hostile` makes 10 000."""
     assert faults_of(estimator, np.random.default_rng(len(name)), 12) == []
 
 

@@ -15,7 +15,6 @@ from studies.paper.claims import CLAIMS, Claim
 from studies.paper.designs import settling_time
 from studies.paper.equations import INDEX, check_row, index_table
 from studies.paper.inputs import STROKE, designed, experiments, information, miss_end, problem, pulse
-from studies.paper.result import Finding
 from studies.paper.runs import controlled, known_mass, mass_errors, step_at, track
 from tests.refusals import refused
 
@@ -99,14 +98,6 @@ def test_ties_go_to_the_input_nearest_to_the_nominal_design_and_masses_settle() 
 
 
 # --- the command ------------------------------------------------------------------------------------------------------
-
-
-def test_bad_usage_is_one_error(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        main(["--seeds", "1"])
-    assert ended.value.code == 2
-    assert "--seeds must be at least 2" in capsys.readouterr().err
-    refused(("bias", lambda: page.write_page({"bias": Finding}, 2, "images")), kind=TypeError)
 
 
 @pytest.mark.long

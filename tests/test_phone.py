@@ -12,13 +12,13 @@ import pytest
 from matplotlib.figure import Figure
 
 import pmfid
-from browser.build import ROOT
-from pmfid.pipeline.result import parameter_header, parameter_rows
 from pmfid.report.figures import open_figure
 from pmfid.report.html import Section, svg, write_report
 from pmfid.report.result import write_result
 from tests.conftest import cart_run
 from tests.service.chromium import chromium, tab
+
+pytestmark = pytest.mark.usefixtures("without_judgement")
 
 WIDTH = 390
 #: Elements wider than their frame, and the size of the smallest text in a visible figure [px].
@@ -89,28 +89,3 @@ def test_a_report_of_a_machine_fits_a_phone(phone: Any, tmp_path: Path) -> None:
     assert phone.evaluate(OUTSIDE) == []
     labels = re.findall(r">(input[^<]*)<", (tmp_path / "report.html").read_text("utf-8"))
     assert set(labels) == {"input [N]"}
-
-
-def test_words_of_a_table_break_at_underscores(phone: Any, tmp_path: Path) -> None:
-    header = ["method", *(f"viscous_friction_{number} [N s/m]" for number in range(3)), "flags"]
-    row = ["bcls", *["13.049 ± 0.037"] * 3, "standstill, std_too_small, biased"]
-    write_report(tmp_path / "report.html", "A table", [Section("Table", table=(header, [row]))])
-    phone.goto((tmp_path / "report.html").as_uri())
-    assert phone.evaluate(CUT) == 0
-
-
-def test_the_table_of_the_browser_page_shows_the_interval(phone: Any) -> None:
-    """The table was cut before the column with the interval."""
-    page, style, script = ((ROOT / "browser" / f"page.{kind}").read_text("utf-8") for kind in ("html", "css", "js"))
-    show = script[script.index("function show(") :].partition("\n}\n")[0] + "\n}"
-    phone.set_content(re.sub(r"<meta http-equiv[^>]*>", "", page).replace("/* style */", style))
-    found = result()
-    answer = {"sentence": "", "action": "", "axis": "", "findings": [], "notes": [], "figure": None}
-    answer |= {"header": parameter_header(found), "rows": parameter_rows(found)}
-    start = "const at = id => document.getElementById(id); let drawn; const draw = () => {};"
-    phone.evaluate(f"answer => {{ {start} {show} show(answer) }}", answer)
-    assert phone.evaluate(CUT) == 0
-    shown = phone.evaluate(
-        "[...document.querySelectorAll('#head th')].filter(e => e.offsetWidth).map(e => e.innerText)"
-    )
-    assert shown == ["parameter", "value", "95 %", "unit"]

@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,15 +24,11 @@ from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.monitored.rows import Nowhere
 from pmfid.pipeline.monitored.run import MonitoredRun, watch
 from pmfid.pipeline.monitored.stream import Stop, line_samples
-from pmfid.pipeline.monitored.timeline import REPEATED, Line, Sample, Skipped, Timeline
-from pmfid.pipeline.tuning import TUNING
+from pmfid.pipeline.monitored.timeline import Line, Sample, Skipped, Timeline
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing, make_riv, normal_work
 from studies.monitoring.pipe import write_axis
-from tests.command import run_command
-from tests.conftest import long_unless
 from tests.pipe_faults import FAULTS, HEADER, Row, Text, lines, restamped
-from tests.refusals import refused
 
 THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 CHANGE, SECONDS = 8.0, 13.5
@@ -93,36 +88,6 @@ OF_LINES = ["a comment", "an empty line", "the header again", "the header again,
 OF_LINES += ["columns in another order", "another column", "everything in quotes", "no text", "a line cut in two"]
 
 
-@pytest.mark.parametrize("name", OF_LINES)
-def test_without_a_time_every_line_is_the_next_sample(axis: Axis, name: str) -> None:
-    """An unusable line takes a sample period; a line for human readers takes none."""
-    rng, fault = np.random.default_rng(len(name)), FAULTS[name]
-    bare = axis.model_copy(update={"record": axis.record.model_copy(update={"time": None, "dt": CART_DT})})
-    for k in PLACES[1:]:
-        clean = [(i * CART_DT, 0.5 * i, i) for i in range(k + 40)]
-        samples = [s for s in found(bare, fault.do(clean, k, rng)) if isinstance(s, Sample)]
-        assert [s.time for s in samples] == pytest.approx([i * CART_DT for i in range(len(samples))])
-        assert [(s.u, s.counts) for s in samples[-38:]] == [(0.5 * i, i) for i in range(k + 2, k + 40)]
-        assert len(samples) - len(clean) == (name == "a line cut in two")
-
-
-@pytest.mark.parametrize("name", long_unless([*FAULTS][::3].__contains__, FAULTS))
-def test_the_change_is_found_after_a_fault(axis: Axis, calibration: Calibration, rows: list[Row], name: str) -> None:
-    rng, fault = np.random.default_rng(len(name)), FAULTS[name]
-    run = monitored(axis, calibration, fault.do(rows, int(rng.integers(200, 600)), rng))
-    assert [(alarm["parameter"], alarm["direction"]) for alarm in run.alarms] == [("mass", "up")]
-    assert run.alarms[0]["relative"] == pytest.approx(0.2, abs=0.07)
-    assert run.problem == ""
-    skipped = run.bad_lines + run.repeated_lines + run.comments + run.missing + run.clock_jumps
-    assert skipped > 0 or not fault.said
-
-
-def test_the_first_stamp_may_be_wrong(axis: Axis, calibration: Calibration, rows: list[Row]) -> None:
-    run = monitored(axis, calibration, FAULTS["a stamp of 1e6"].do(rows, 0, np.random.default_rng(0)))
-    assert [alarm["parameter"] for alarm in run.alarms] == ["mass"]
-    assert (run.clock_jumps, run.samples) == (1, len(rows))
-
-
 def rated(rows: list[Row], step: float) -> Text:
     return lines([(1000.0 + k * step, u, c) for k, (_, u, c) in enumerate(rows)])
 
@@ -163,32 +128,6 @@ def test_the_rest_is_refused_without_an_alarm(axis: Axis, calibration: Calibrati
     assert run.alarms == []
     assert re.search(message, run.problem)
     assert run.problem.count("\n") == 0
-
-
-BEGINNINGS = {
-    "lines in front of the header": (b"Logger 3\r\nstarted by hand\r\nt,u,counts\r\n", "{t},{u},{c}"),
-    "decimal commas": (b"t;u;counts\n", "{t};{u};{c}"),
-    "units": (b"counts\tt [ms]\tu [V]\n[-]\t[ms]\t[V]\n", "{c}\t{ms}\t{u}"),
-}
-
-
-@pytest.mark.parametrize("name", BEGINNINGS)
-def test_a_pipe_may_be_written_as_a_file_may(axis: Axis, name: str) -> None:
-    header, line = BEGINNINGS[name]
-    rows = [(f"{0.01 * k:.2f}", f"{10 * k}", f"{0.5 * k}", k) for k in range(30)]
-    body = "\n".join(line.format(t=t, ms=ms, u=u, c=c) for t, ms, u, c in rows)
-    body = body.replace(".", ",") if name == "decimal commas" else body
-    samples = list(line_samples(io.BytesIO(header + body.encode()), axis, CART_DT, Stop()))
-    samples = [sample for sample in samples if isinstance(sample, Sample)]
-    assert [(s.u, s.counts) for s in samples] == [(0.5 * k, k) for k in range(30)]
-    assert [s.time for s in samples] == pytest.approx([0.01 * k for k in range(30)])
-
-
-def test_data_without_a_header_are_refused_at_once(axis: Axis) -> None:
-    stream = io.BytesIO(b"Logger\nhall 2\n0.0;1.5;7\n0.01;1.5;7\n")
-    absent = "standard input has no column 'u'; it has hall 2"
-    refused((absent, lambda: list(line_samples(stream, axis, CART_DT, Stop()))))
-    assert stream.read() == b"0.01;1.5;7\n"
 
 
 # --- the grid itself --------------------------------------------------------------------------------------------------
@@ -237,30 +176,3 @@ def test_a_gap_is_as_long_as_it_is(lost: int, before: int) -> None:
     samples = [s for s in take_all(Timeline(DT), times) if isinstance(s, Sample)]
     assert [s.missing for s in samples if s.missing] == [lost]
     assert [s.counts for s in samples] == list(range(len(times)))
-
-
-def test_strays_without_end_are_refused() -> None:
-    timeline = Timeline(DT)
-    for _ in range(TUNING.most_strays):
-        timeline.take(Line(0.0, 0.0, 0))
-    stuck = "does not continue the record, the last 0 s: correct the time column"
-    refused((stuck, lambda: timeline.take(Line(0.0, 0.0, 0))))
-
-
-def test_a_repetition_is_called_one() -> None:
-    taken = take_all(Timeline(DT), [0.0, DT, DT, 2 * DT])
-    assert [one.kind for one in taken if isinstance(one, Skipped)] == [REPEATED]
-
-
-def test_a_refused_pipe_ends_with_its_totals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The exit code is 2, one line gives the refusal, and all earlier output is written."""
-
-    path = write_axis(tmp_path, 60.0)
-    monkeypatch.setenv("PMFID_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("pmfid.pipeline.monitored.setup.HOURS", 0.5)
-    body = [f"{0.008 * k:.3f},0,0\n".encode() for k in range(60)]
-    arguments = ["monitor", "-", "--config", str(path), "--json", "--out", str(tmp_path / "x.csv")]
-    result = run_command(*arguments, stdin=HEADER + b"".join(body), code=2)
-    assert result.stderr.splitlines()[-1].startswith("pmfid: the lines come every 0.008 s")
-    assert '"event": "end"' in result.stdout
-    assert (tmp_path / "x.csv").read_text().count("\n") > 10

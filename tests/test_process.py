@@ -11,8 +11,7 @@ import pytest
 
 from pmfid import SRIVC, Drive, Encoder, Experiment, NotIdentifiableError, TransferFunction
 from pmfid.diagnostics.processes import Assessment, assess
-from pmfid.estimators.srivc import check_experiments, make_problem
-from pmfid.linear.order import search_structure
+from pmfid.estimators.srivc import make_problem
 from pmfid.linear.process import Process
 from pmfid.simulation.process import PLANTS, SimulatedProcess, simulate_process
 from studies.second_order import write
@@ -65,35 +64,6 @@ def test_exact_with_uneven_steps_gaps_delay_and_any_start(hold):
     experiment = Experiment(u[part], y[part], t=t[part], hold=hold)
     fit = srivc(SECOND).fit_experiments([experiment])
     np.testing.assert_allclose(fit.theta, SECOND.theta, rtol=1e-6)
-
-
-@pytest.mark.parametrize("even", [True, False])
-def test_delay_of_whole_samples(even):
-    rng = np.random.default_rng(2)
-    n, delay = 800, 3
-    u = np.repeat(rng.choice([-1.0, 1.0], n // 4), 4)
-    dt = 0.05
-    fine = np.repeat(u, 10)
-    late = np.r_[np.zeros(10 * delay), fine][: fine.size]
-    y = simulate_process(SECOND.b, SECOND.a, late, dt / 10)
-    # with uneven steps the output and the changes of the input have different instants on the fine grid
-    rows = np.arange(n) * 10
-    kept = np.unique(np.r_[rows, rng.integers(0, fine.size, 0 if even else 300)])
-    experiment = Experiment(fine[kept], y[kept], t=kept * dt / 10)
-    delayed = delay if even else round(delay * dt / experiment.period)
-    fit = srivc(SECOND, delay=delayed).fit_experiments([experiment])
-    if even:
-        np.testing.assert_allclose(fit.theta, SECOND.theta, rtol=1e-6)
-    else:
-        assert experiment.period == pytest.approx(dt, rel=0.01)
-        np.testing.assert_allclose(fit.theta, SECOND.theta, rtol=1e-3)
-
-
-def test_offset_and_several_records():
-    y = SECOND.y + 0.5
-    parts = [Experiment(SECOND.u[s], y[s], dt=SECOND.dt) for s in (slice(0, 1000), slice(1500, 3000))]
-    fit = srivc(SECOND, offset=True).fit_experiments(parts)
-    np.testing.assert_allclose(fit.theta, [*SECOND.theta, 0.5 * SECOND.theta[0]], rtol=1e-6)
 
 
 @pytest.mark.long
@@ -180,66 +150,8 @@ def test_process_agrees_with_scipy_and_control():
     assert process._repr_latex_().startswith("$G(s)")
 
 
-def test_unstable_intermediate_models_are_no_obstacle():
-    """For a lightly damped plant at 0 dB and a filter ten times too fast, least squares starts in the right
-    half-plane.
-    """
-    plant = replace(SECOND, a=(1.0, 0.2, 4.0), b=(4.0,))
-    y = simulate_process(plant.b, plant.a, plant.u, plant.dt)
-    y = y + np.std(y) * np.random.default_rng(6).standard_normal(y.size)
-    fit = SRIVC(TransferFunction(2, 0), ENCODER, plant.dt, 20.0).fit_experiments([Experiment(plant.u, y, dt=plant.dt)])
-    assert np.all(np.abs(fit.theta - plant.theta) < 4 * fit.theta_std)
-
-
-def test_order_of_the_second_plant():
-    record = Experiment(SECOND.u, noisy(SECOND, 7), dt=SECOND.dt)
-    found = search_structure([record], SECOND.cutoff, orders=(1, 2, 3), delays=(0, 1))
-    assert (found.best.n, found.best.m, found.best.delay) == (2, 0, 0)
-    assert found.skipped + len(found.candidates) == 12
-
-
-def test_the_sample_period_is_that_of_the_records():
-    record = Experiment(SECOND.u, SECOND.y, dt=SECOND.dt)
-    other = replace(srivc(SECOND, delay=3), dt=2 * SECOND.dt)
-    refused((r"but record has a sample every .* counts the delay in samples", lambda: other.fit_experiments([record])))
-    times = np.arange(SECOND.u.size) * SECOND.dt
-    uneven = times + np.random.default_rng(0).uniform(-0.3, 0.3, times.size) * SECOND.dt
-    with_gap = np.where(np.arange(times.size) > 1000, times + 50.0, times)
-    for t in (uneven, with_gap):
-        check_experiments(srivc(SECOND), [Experiment(SECOND.u, SECOND.y, t=t)])
-    close = replace(srivc(SECOND), dt=1.009 * SECOND.dt)
-    assert close.fit_experiments([record]).theta == pytest.approx(SECOND.theta)
-
-
-def test_detrended():
-    whole = Experiment(SECOND.u + 2.0, SECOND.y + 2.0, dt=SECOND.dt)  # the gain is 1
-    fit = srivc(SECOND).fit_experiments([whole.detrend()])
-    np.testing.assert_allclose(fit.theta, SECOND.theta, rtol=0.01)
-
-
 def experiment(u: object, y: object, **options: object) -> Experiment:
     return Experiment(u, y, **({} if "t" in options else {"dt": 1.0}) | options)
-
-
-def test_what_is_no_experiment_says_what_is_one():
-    five = np.zeros(5)
-    refused(
-        ("same length", lambda: experiment(five, np.zeros(4))),
-        ("dt in s, or the instants", lambda: Experiment(five, five)),
-        ("positive", lambda: experiment(five, five, dt=-1.0)),
-        ("dt must be positive and finite, got 'a'", lambda: experiment(five, five, dt="a")),
-        ("hold must be", lambda: experiment(five, five, hold="none")),
-        ("infinite", lambda: experiment(five, np.full(5, np.inf))),
-        (r"row 3 \(1\) follows 1: a duplicate", lambda: experiment(five, five, t=np.array([0, 1, 1, 2, 3.0]))),
-        (r"row 3 \(0.5\) follows 1: sort", lambda: experiment(five, five, t=np.array([0, 1, 0.5, 2, 3]))),
-        ("in 1 row, first in row 3", lambda: experiment(five, five, t=np.array([0, 1, np.nan, 3, 4]))),
-        ("t must be an array of numbers", lambda: experiment(five, five, t=["a"] * 5)),
-        ("gap must be a positive time", lambda: experiment(five, five, gap=-1)),
-        ("gap must be a positive time", lambda: experiment(five, five, gap=np.nan)),
-        ("y must be an array of numbers", lambda: experiment(five, ["a"] * 5)),
-        ("u must be an array of numbers", lambda: experiment([[1.0], [1.0, 2.0]], np.zeros(2))),
-        ("u must be an array of numbers", lambda: experiment(None, np.zeros(2))),
-    )
 
 
 def test_what_cannot_be_identified_says_so():
@@ -284,33 +196,3 @@ def test_identify_json(records, method):
     assert [found["a0"], found["a1"], found["b0"]] == pytest.approx([3, 4, 3], rel=0.05)
     assert sorted(pole for pole, _ in found["poles"]) == pytest.approx([-3, -1], rel=0.08)
     assert found["fit"] == pytest.approx(90, abs=1)
-
-
-def test_identify_several_records_and_report(records, tmp_path):
-    printed = run("identify", *records, "--config", str(CONFIG), "--out", str(tmp_path))
-    assert "G(s) =" in printed
-    page = (tmp_path / "report.html").read_text()
-    assert all(word in page for word in ("Frequency response", "Step response", "time constant"))
-    assert "mathdefault" not in page
-    assert json.loads((tmp_path / "result.json").read_text())["samples"] == 2 * SECOND.samples
-
-
-def test_order_command(records, tmp_path, monkeypatch):
-    monkeypatch.setattr("pmfid.pipeline.processes.ORDERS", (1, 2, 3))
-    monkeypatch.setattr("pmfid.pipeline.processes.DELAYS", (0, 1))
-    found = json.loads(run("terms", records[0], "--config", str(CONFIG), "--json", "--out", str(tmp_path)))
-    assert found["best"] == {"n": 2, "m": 0, "delay": 0}
-    page = (tmp_path / "order.html").read_text()
-    assert "Criterion" in page
-    assert "mathdefault" not in page
-    assert "best for [model]: n = 2, m = 0, delay = 0" in run("terms", records[0], "--config", str(CONFIG))
-
-
-def test_wrong_use(records):
-    for arguments, said in (
-        (("--method", "fit"), "does not suit a transfer function"),
-        (("--set", "model.m=3"), "m must be a whole number"),
-        (("--set", "model.n=9"), "n must be a whole number"),
-        ((records[1], "--method", "ls"), "one evenly spaced record"),
-    ):
-        assert said in run("identify", records[0], "--config", str(CONFIG), *arguments, code=2)

@@ -36,12 +36,6 @@ def test_an_eccentric_encoder_is_named_with_amplitude_and_phase(index: int) -> N
     assert abs(np.degrees(np.angle(off))) < 3 * across + 0.05
 
 
-def test_a_round_encoder_has_no_error() -> None:
-    (case,) = make_cases(3, "right", [7])
-    result = identify(case)
-    assert not any("encoder" in one.sentence for one in result.findings)
-
-
 def warm_axis(seed: int, n: int = 1500) -> tuple[dict[str, Floats], float]:
     """Return columns of an axis whose Coulomb friction falls by 0.02 N/K, from 0.8 N at 30 degrees, and the mean
     temperature."""

@@ -7,12 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from pmfid import BCLS, IV, LS, SRIVC, Encoder, Experiment, TransferFunction
+from pmfid import IV, LS, SRIVC, Encoder, Experiment, TransferFunction
 from pmfid.estimators.registry import methods_for
 from pmfid.linear.experiment import Grid, respond
-from pmfid.linear.process import Process
 from pmfid.linear.responses import respond_bounded
-from pmfid.simulation.process import simulate_process
 from studies.late_processes import Controller, simulate_late, simulate_loop
 from studies.real_processes import work
 from tests.command import run_command
@@ -53,13 +51,6 @@ def test_integrators_and_a_numerator_of_full_order_without_noise(b, a, integrato
     np.testing.assert_allclose(theta, np.r_[a[:0:-1][integrators:], b[::-1]], rtol=1e-6)
 
 
-def test_a_constant_force_on_an_integrating_process_is_its_offset():
-    u = steps(2)
-    y = simulate_process([3.0], [1, 1, 0], u + 0.2, DT)
-    theta = fitted(TransferFunction(2, 0, integrators=1, offset=True), Experiment(u, y, dt=DT))
-    np.testing.assert_allclose(theta, [1.0, 3.0, 0.6], rtol=1e-6)
-
-
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 @pytest.mark.parametrize("dead_time", [0.0, 0.015, 0.05, 0.285])
 def test_a_dead_time_of_any_length_known_and_estimated(dead_time, hold):
@@ -70,41 +61,6 @@ def test_a_dead_time_of_any_length_known_and_estimated(dead_time, hold):
     np.testing.assert_allclose(known, truth, rtol=1e-6)
     found = fitted(TransferFunction(2, 0, dead_time="estimate"), record)
     np.testing.assert_allclose(found, [*truth, dead_time], rtol=1e-6, atol=1e-8)
-
-
-@pytest.mark.parametrize("seed", [1, 2, 3])
-def test_no_dead_time_at_all_is_one_that_can_be_estimated(seed):
-    """Noise would make the dead time negative: at its bound the iteration once never converged."""
-    rng = np.random.default_rng(seed)
-    u = rng.choice([-1.0, 1.0], 267).repeat(3)
-    y = simulate_process((2.0, 1.0), (1.0, 1.2, 6.6), u, DT)
-    record = Experiment(u, y + 0.1 * np.std(y) * rng.standard_normal(u.size), dt=DT)
-    fit = SRIVC(TransferFunction(2, 1, dead_time="estimate"), Encoder(1.0), DT, 3.0).fit_experiments([record])
-    assert fit["dead_time"] == pytest.approx(0.0, abs=0.1 * DT)
-    assert fit["a0"] == pytest.approx(6.6, abs=0.1)
-
-
-def test_a_dead_time_between_uneven_samples():
-    rng = np.random.default_rng(4)
-    times, u = np.cumsum(DT * rng.uniform(0.5, 1.5, 500)), rng.choice([-1.0, 1.0], 500)
-    late = times + 0.113
-    merged = np.union1d(times, late)
-    driving = np.r_[0.0, u][np.searchsorted(late, merged + 1e-12, side="right")]
-    y = simulate_process([3.0], [1, 4, 3], driving, np.diff(merged))[np.searchsorted(merged, times)]
-    record = Experiment(u, y, t=times)
-    dt = record.period
-    for value, truth in ((0.113, [3.0, 4.0, 3.0]), ("estimate", [3.0, 4.0, 3.0, 0.113])):
-        estimator = SRIVC(TransferFunction(2, 0, dead_time=value), ONE, dt, 2.0)
-        np.testing.assert_allclose(estimator.fit_experiments([record]).theta, truth, rtol=1e-6)
-
-
-@pytest.mark.parametrize("cls", [LS, BCLS])
-def test_filters_take_integrators(cls):
-    u = steps(6, 4000)
-    y = simulate_process([3.0], [1, 1, 0], u, DT)
-    options = {"prefilter_zeros": (-1.0,)} if cls is BCLS else {}
-    fit = cls(TransferFunction(2, 0, integrators=1), ONE, DT, 2.0, **options).fit_output(u, y)
-    np.testing.assert_allclose(fit.theta, [1.0, 3.0], rtol=1e-3)
 
 
 @pytest.mark.parametrize("held", [True, False])
@@ -150,39 +106,6 @@ def test_cases_of_the_study_reach_the_bound(name):
     assert np.max(np.abs([run["bar"] for run in runs])) < 4.0
     if "dead" in name:
         assert np.max(np.abs([run["error"][-1] for run in runs])) < 0.01  # a tenth of the sample period
-
-
-def test_a_first_optimum_is_not_the_last():
-    """The process has four resonant poles at 20 dB; from the first filter, the iteration ends 24 units of chi^2 too
-    high.
-    """
-    assert np.max(np.abs(work("m = n = 4", 7)["bar"])) < 4.0
-
-
-def test_the_explained_input_leaves_out_what_the_record_does_not_support():
-    """The noise in the loop is ten times the effect of the reference: two hundred coefficients would explain a seventh
-    of it.
-    """
-    rng = np.random.default_rng(10)
-    r, noise = rng.choice([-1.0, 1.0], 1500), rng.standard_normal(1500)
-    u = np.convolve(r, [0.5, 0.3, 0.2])[:1500] + 10 * noise
-    explained = Experiment(u, u, dt=DT, reference=r).explained_input
-    assert explained is not None
-    assert abs(np.mean(explained * noise)) < 0.1
-
-
-def test_processes_with_integrators_and_dead_times_say_what_they_are():
-    process = Process(np.array([0.0, 2.0]), np.array([4.0]), np.diag([0.0, 0.01, 0.04, 1e-4]), delay=0.23)
-    assert process.delay_std == pytest.approx(0.01)
-    assert process.time_constants.tolist() == [np.inf, 0.5]
-    assert process.damping.tolist() == [0.0, 1.0]
-    assert process.poles_std[0].tolist() == [0.0, 0.0]
-    t = np.arange(50) * 0.1
-    y, std = process.step_response(t)
-    late = np.maximum(t - 0.23, 0.0)
-    np.testing.assert_allclose(y, 2 * late - 1 + np.exp(-2 * late), atol=1e-9)
-    assert std[2] == 0.0
-    assert np.all(std[3:] > 0)
 
 
 def test_what_cannot_be_says_what_can():
@@ -233,24 +156,3 @@ def test_the_command(tmp_path):
     assert "dead time" in table.output
     wrong = run_command("identify", *arguments, "--method", "ls", code=2)
     assert "use one of srivc" in wrong.stderr
-
-
-def test_integrators_alone_have_no_pole_to_find():
-    rng = np.random.default_rng(5)
-    u = np.repeat(rng.choice([-1.0, 1.0], 200), 5)
-    y = 2.0 * np.r_[0.0, np.cumsum(u)[:-1]] * DT + 1e-3 * rng.standard_normal(u.size)
-    model = TransferFunction(n=1, m=0, integrators=1)
-    fit = SRIVC(model, Encoder(1.0), DT, cutoff=5.0).fit_experiments([Experiment(u, y, dt=DT)])
-    assert fit["b0"] == pytest.approx(2.0, rel=0.02)
-
-
-def test_a_process_with_integrators_has_the_gain_of_a_derivative():
-    """The gain was once printed as "gain inf ± inf"."""
-    one = Process(np.array([0.0, 4.0]), np.array([8.0]), np.diag([0.0, 0.04**2, 0.08**2]))
-    assert one.slope == ("velocity gain", 2.0, pytest.approx(np.hypot(0.02, 0.02)), "1/s")
-    assert "velocity gain 2 ± 0.028 1/s" in repr(one)
-    two = Process(np.zeros(2), np.array([3.0]), np.diag([0.0, 0.0, 0.1**2]))
-    assert two.slope == ("acceleration gain", 3.0, pytest.approx(0.1), "1/s^2")
-    plain = Process(np.array([4.0]), np.array([8.0]), np.diag([0.04**2, 0.08**2]))
-    assert plain.slope[:3] == ("gain", plain.gain, pytest.approx(plain.gain_std))
-    assert "inf" not in repr(one) + repr(two) + str(one.rows)

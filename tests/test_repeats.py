@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from pmfid.pipeline.arrays import identify
 from pmfid.records.repeats import find_stale_rows, miss_stale_rows
-from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive, stop_and_go
+from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.types import Flags, Floats
 
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
@@ -35,16 +34,6 @@ def test_old_rows_are_found_and_true_ones_stay() -> None:
     assert np.sum(~found & (off > 1)) <= 2
     left, count = miss_stale_rows(columns, 1.0)
     assert count == np.sum(found) == np.sum(np.isnan(left)) > 250
-
-
-@pytest.mark.parametrize("motion", ["prbs", "stop-and-go", "still", "slow"])
-def test_a_record_without_old_rows_stays_as_it_is(motion: str) -> None:
-    x = stop_and_go(SAMPLES, CART_DT, 0.1, 0.3, 0.2)
-    if motion == "prbs":
-        x = simulate_drive(CART, prbs(SAMPLES, clock=8, amplitude=4.0, rng=np.random.default_rng(1)), CART_DT).x
-    counts = quantize(x * {"still": 0.0, "slow": 0.01}.get(motion, 1.0), CART_RESOLUTION).astype(float)
-    columns = {"time": np.arange(SAMPLES) * CART_DT, "input": np.ones(SAMPLES), "output": counts}
-    assert miss_stale_rows(columns, 1.0)[1] == 0
 
 
 def test_identify_is_right_and_says_so_once(tmp_path: Path) -> None:

@@ -11,29 +11,20 @@ import matplotlib
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
-from PIL import Image
 
-from pmfid import Drive, Encoder, identify
-from pmfid.errors import UsageError
 from pmfid.estimators.results import Track
-from pmfid.pipeline.result import format_short, format_value
 from pmfid.report.design import ellipse_figure
 from pmfid.report.figures import (
-    DOUBTFUL,
     comparison_figure,
     decimation,
     estimate_figure,
     residual_figure,
-    save_png,
     signals_figure,
     status_figure,
 )
 from pmfid.report.html import Section, svg, write_report
-from pmfid.report.result import write_result
 from pmfid.report.tuning import TUNING
-from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.status import Status
-from tests.refusals import refused
 
 N = 600
 T = np.arange(N) * 0.01
@@ -80,21 +71,6 @@ def test_every_axis_label_has_its_unit(name: str) -> None:
     assert all(label in svg(figure) for label in labels)
 
 
-def test_the_limits_show_the_settled_part_and_the_nominal_value() -> None:
-    for name in ("estimate", "comparison"):
-        low, high = FIGURES[name]().axes[0].get_ylim()
-        assert 0.8 < low < 0.98
-        assert 1.07 < high < 1.6
-
-
-def test_doubtful_samples_are_shaded() -> None:
-    def shaded(track: Track) -> bool:
-        return "poor excitation or compensation held" in svg(estimate_figure(T, track))
-
-    assert shaded(TRACK)
-    assert not shaded(replace(TRACK, status=TRACK.status & ~np.uint32(DOUBTFUL)))
-
-
 def test_without_an_estimate_there_is_a_figure_still() -> None:
     nothing = replace(TRACK, status=np.full(N, Status.STARTING, np.uint32), innovation_variance=np.zeros(N))
     assert "mass [kg]" in svg(estimate_figure(T, nothing))
@@ -109,35 +85,6 @@ def test_decimation_keeps_the_extremes_and_the_ends(n: int) -> None:
     assert (np.diff(i) > 0).all()
     assert (i[0], i[-1]) == (0, n - 1)
     assert (y[i].min(), y[i].max()) == (y.min(), y.max())
-
-
-def test_a_long_record_stays_small() -> None:
-    n = 200_000
-    t, track = np.arange(n) * 1e-3, make_track(n)
-    assert len(svg(estimate_figure(t, track, {"mass": 1.0}))) < 500_000
-    assert len(svg(signals_figure(t, track["mass"], track["mass"]))) < 300_000
-
-
-def test_wrong_lengths_are_named() -> None:
-    refused(
-        (r"u must have the shape of t, \(600,\), got \(3,\)", lambda: signals_figure(T, [1, 2, 3], np.cos(T))),
-        (
-            r"BCRLS, 512 must have the shape of t",
-            lambda: comparison_figure(T, {"RLS": {"512": TRACK}, "BCRLS": {"512": make_track(500)}}, "mass", TRUTH),
-        ),
-    )
-    refused(
-        ("nominal mass must have the shape", lambda: estimate_figure(T, TRACK, {"mass": TRUTH[1:]})),
-        (r"t must have shape \(n,\)", lambda: status_figure([], [])),
-    )
-
-
-def test_png_has_the_width_asked_for(tmp_path: Path) -> None:
-    for name in ("a.png", "b.png"):
-        save_png(FIGURES["signals"](), tmp_path / name, width=1200)
-    with Image.open(tmp_path / "a.png") as image:
-        assert image.size[0] == 1200
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
 
 
 def report(path: Path, title: str = "Title") -> str:
@@ -199,38 +146,3 @@ def test_text_is_escaped_and_numbers_stand_right(tmp_path: Path) -> None:
     assert '<td class="number">12</td>' in page
     assert "<td>mass</td>" in page
     assert page.count("<p>") == 2
-
-
-def test_a_short_row_is_named() -> None:
-    with pytest.raises(UsageError, match="row 2 of the table 'Errors' has 1 cells, the header 2"):
-        Section("Errors", table=(("a", "b"), ((1, 2), (3,))))
-
-
-def test_a_number_has_the_digits_of_its_standard_error() -> None:
-    assert [format_value(*pair) for pair in ((0.62, 6.1e-5), (9.00871, 0.12), (120.0, 3.0), (2.5e-6, 0.0))] == [
-        "0.620000", "9.01", "120.0", "2.5e-06"
-    ]  # fmt: skip
-    assert format_short(3.20012e-4, 5.1e-8) == "0.000320012(51)"
-    assert format_short(2.97251e-6, 1.6e-10) == "2.97251(16)e-06"
-    assert format_short(1234.5, 20.0) == "1234(20)"
-
-
-def test_a_rotary_axis_has_no_metre(tmp_path: Path) -> None:
-    u = prbs(1500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
-    counts = quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
-    model = Drive(CART.input_gain, axis="rotary")
-    result = identify(u, counts, model=model, dt=CART_DT, encoder=Encoder(CART_RESOLUTION), cutoff=20.0, method="iv")
-    write_result(tmp_path, result)
-    html = re.sub(
-        r"<svg.*?</svg>", lambda found: " ".join(re.findall(r">([^<]+)<", found[0])), _read(tmp_path), flags=re.S
-    )
-    assert "inertia" in html
-    assert "kg m2" in html
-    assert (
-        re.findall(r"(?<!N) m(?:/s)?[\]. ,]|\[N\]|N s/m|mass", re.sub(r"<[^>]+>", " ", html.partition("<body>")[2]))
-        == []
-    )
-
-
-def _read(folder: Path) -> str:
-    return (folder / "report.html").read_text(encoding="utf-8")

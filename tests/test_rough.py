@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-import pmfid
 from pmfid.cli.main import main
-from tests.conftest import cart_run, long_unless
+from tests.conftest import long_unless
 
-DT = 0.01
 MOTOR = Path(__file__).parents[2] / "shared" / "data" / "real" / "odrive"
 needs_motor = pytest.mark.skipif(not MOTOR.exists(), reason="the motor's records are not on this machine")
 #: Inertia from the settling time that the records' authors state [V s^2/turn].
@@ -71,19 +69,3 @@ def test_a_chirp_that_cannot_carry_the_inertia_gives_none(
             "make a new record at a sample period",
         )
         assert any(reason in result.stderr for reason in reasons)
-
-
-def test_rest_that_the_model_may_say_or_not_is_no_fault(drive: pmfid.Drive) -> None:
-    """The input at the start equals the estimated friction, so that rest preceded only one side of a difference
-    quotient.
-
-    The two sides of the quotient once had different lengths, which caused a traceback.
-    """
-    run = cart_run(1, increments=1024)
-    estimator = pmfid.IV(drive, run.encoder, DT, 33.3)
-    u, counts = np.r_[np.zeros(20), run.u], np.r_[np.full(20, run.counts[0]), run.counts]
-    for _ in range(3):  # find the friction that belongs to the start
-        u[:20] = estimator.fit(u, counts).theta[2] / drive.input_gain * (1 - 1e-5)
-    fit = estimator.fit(u, counts)
-    assert np.all(np.isfinite(fit.theta_std))
-    assert fit.theta[0] == pytest.approx(1.07, rel=0.01)

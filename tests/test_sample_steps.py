@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, Fleet, MotionFit, TransferFunction
+from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, MotionFit
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Floats
-from tests.refusals import refused
 
 #: Parts of a period in the simulation, and samples.
 PARTS, SAMPLES = 50, 1500
@@ -52,30 +51,6 @@ def test_on_line_methods_take_the_step_that_was(method: type[RecursiveEstimator]
     np.testing.assert_array_equal(estimate.theta, track.theta[199])
 
 
-@pytest.mark.parametrize("method", [RIV, BCRLS, RLS])
-def test_even_steps_are_nearly_an_even_clock(method: type[RecursiveEstimator]) -> None:
-    """With steps, the direction is corrected for reversals inside an interval."""
-    u, counts, _ = jittered(0.0)
-    encoder = Encoder(CART_RESOLUTION, guard=False)
-    even = method(Drive(CART.input_gain), encoder, CART_DT, 20.0).run(u, counts)
-    given = method(Drive(CART.input_gain), encoder, CART_DT, 20.0, steps="given")
-    track = given.run(u, counts, np.full(u.size, CART_DT))
-    np.testing.assert_allclose(track.theta[600:], even.theta[600:], rtol=0.01)
-    np.testing.assert_array_equal(track.status[600:], even.status[600:])
-
-
-@pytest.mark.parametrize("method", [BCRLS, RLS])
-def test_direct_methods_stand_bursts_and_say_so(method: type[RecursiveEstimator]) -> None:
-    """The second difference is weighted by the mean square of the step over time, and reversals keep their place."""
-    parts = np.tile([2, 2, 2, 14], SAMPLES // 4)
-    u = prbs(SAMPLES, clock=8, amplitude=4.0, rng=np.random.default_rng(3))
-    x = simulate_drive(CART, np.repeat(u, parts), CART_DT / 5).x[np.r_[0, np.cumsum(parts)[:-1]]]
-    steps = np.r_[5, parts[:-1]] * CART_DT / 5
-    track = method(*arguments(), steps="given").run(u, quantize(x, CART_RESOLUTION), steps)
-    np.testing.assert_allclose(track.theta[-1], TRUTH, rtol=0.1)
-    assert track.status[-1] & Status.UNMODELLED
-
-
 def test_samples_of_a_burst_count_as_the_time_that_they_stand_for() -> None:
     """The record has each sample of the second half four times at nearly the same instant. Repeats add no
     information.
@@ -98,18 +73,3 @@ def test_a_step_that_cannot_be_is_flagged(wrong: float) -> None:
     estimate = estimator.step(1.0, int(counts[500]), wrong)
     assert estimate.status & Status.INVALID_INPUT
     assert np.all(np.isfinite(estimate.theta))
-
-
-def test_what_takes_no_steps_says_so() -> None:
-    u, counts, steps = jittered(0.2)
-    late, encoder = Drive(CART.input_gain, dead_time=0.01), Encoder(CART_RESOLUTION)
-    refused(
-        ("resample", lambda: RIV(late, encoder, CART_DT, 20.0, steps="given")),
-        ("Experiment", lambda: RLS(TransferFunction(2, 0), Encoder(1e-3), 0.01, 5.0, steps="given")),
-        ("evenly spaced samples", lambda: RLS(*arguments(), discretization="paper", steps="given")),
-        ("run each axis on its own", lambda: Fleet(RLS(*arguments(), steps="given"), 3)),
-        ("positive", lambda: IV(*arguments(), steps=np.zeros(5))),
-        ("give one step for each sample", lambda: IV(*arguments(), steps=steps[1:]).fit(u, counts)),
-        ("steps", lambda: RLS(*arguments(), steps="given").run(u, counts)),
-        ("steps", lambda: RLS(*arguments()).run(u, counts, steps)),
-    )

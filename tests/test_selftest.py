@@ -88,31 +88,6 @@ def test_too_little_motion_is_reported(tmp_path: Path) -> None:
     assert {"refused", "uncertain"} & set(found["status"])
 
 
-def test_a_result_that_the_record_excludes_is_reported(tmp_path: Path) -> None:
-    record, axis = write_record(tmp_path, draw_input(3), Machine(DRIVE), 3)
-    printed = json.loads(call("identify", record, "--config", axis, "--json").stdout)
-    printed["parameters"]["mass"]["value"] *= 1.03
-    (tmp_path / "other.json").write_text(json.dumps(printed))
-    words = (record, "--config", axis, "--model", str(tmp_path / "other.json"), "--runs", "2", "--json")
-    found = json.loads(call("selftest", *words).stdout)
-    assert found["status"] == ["biased"]
-    assert found["findings"][0]["sentence"].startswith("mass = 0.82")
-
-
-def test_the_terminal_shows_recovery_and_status(tmp_path: Path) -> None:
-    record, axis = write_record(tmp_path, draw_input(6), Machine(DRIVE))
-    call("identify", record, "--config", axis, "--out", str(tmp_path / "out"))
-    stored = str(tmp_path / "out" / "result.json")
-    shown = call("selftest", record, "--config", axis, "--model", stored, "--runs", "2").stdout
-    assert "status: none" in shown
-    assert "2 of 2" in shown
-    content = json.loads((tmp_path / "out" / "result.json").read_text())
-    content["parameters"]["mass"]["value"] *= 1.1
-    (tmp_path / "wrong.json").write_text(json.dumps(content))
-    words = (record, "--config", axis, "--model", str(tmp_path / "wrong.json"), "--runs", "2")
-    assert "times as far from the model" in call("selftest", *words).stdout
-
-
 def test_a_result_of_another_model_is_refused(tmp_path: Path) -> None:
     record, axis = write_record(tmp_path, draw_input(6), Machine(DRIVE))
     (tmp_path / "other.json").write_text('{"model": "transfer_function", "parameters": {"a0": {"value": 1.0}}}')

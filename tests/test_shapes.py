@@ -12,7 +12,7 @@ import pmfid
 from pmfid.estimators.iv import IV
 from pmfid.fit.machine import Excitation, machine_of, simulate
 from pmfid.models.equation import Equation
-from pmfid.models.shapes import Along, Shape, Square, Stribeck, Wave
+from pmfid.models.shapes import Shape, Square, Stribeck, Wave
 from pmfid.simulation.drive import DriveParameters, Machine, MachineRun, drive_machine
 from pmfid.types import Floats
 from tests.refusals import refused
@@ -88,11 +88,6 @@ def test_a_table_is_the_form(shape: Shape, form: object) -> None:
     assert abs(np.mean(got - wanted)) < 2e-5  # the mean over the table is much closer
 
 
-def test_a_table_of_places_holds_at_its_ends() -> None:
-    along = Along(-1.0, 0.5, [2.0, 4.0, 3.0])
-    np.testing.assert_allclose(along.evaluate([-9.0, -1.0, -0.75, 0.0, 7.0]), [2.0, 2.0, 3.0, 3.0, 3.0])
-
-
 def moved(equation: Equation, theta: Floats, dt: float, u: Floats, parts: int) -> Floats:
     """Return the positions (n,) of the body of the fit under the input u (n,), from rest."""
     machine, row = machine_of(equation), np.arange(u.size, dtype=np.int32)
@@ -124,19 +119,6 @@ def test_the_fit_finds_stribeck_and_quadratic_friction(name: str) -> None:
     assert np.all(fit.theta_std < 0.03 * wanted)
 
 
-def test_instruments_find_stribeck_friction() -> None:
-    run, machine, case = made("cart", 5, 6000, stribeck=0.5)
-    own = model(machine, stribeck=machine.stribeck_speed)
-    fit = pmfid.IV(own, pmfid.Encoder(case.resolution), case.dt, case.cutoff).fit(run.u, run.counts)
-    wanted = truth(machine, fit.names)
-    assert np.all(np.abs(fit.theta - wanted) < 4 * fit.theta_std)
-    assert np.all(fit.theta_std < 0.05 * wanted)
-    plain = pmfid.IV(model(machine), pmfid.Encoder(case.resolution), case.dt, case.cutoff).fit(run.u, run.counts)
-    assert abs(plain.theta[2] - wanted[2]) > 5 * abs(
-        fit.theta[2] - wanted[2]
-    )  # the plain model puts this friction into Coulomb friction
-
-
 @pytest.mark.parametrize("name", ["cart", "stage"])
 def test_riv_finds_quadratic_friction_and_its_bars_hold(name: str) -> None:
     """The direct estimate at the start takes quadratic friction for viscous friction. The sums must forget this
@@ -148,17 +130,6 @@ def test_riv_finds_quadratic_friction_and_its_bars_hold(name: str) -> None:
     wanted = truth(machine, track.names)
     assert np.all(np.abs(track.theta[-1] - wanted) < 3 * track.theta_std[-1])
     assert np.all(track.theta_std[-1] < 0.1 * wanted)
-
-
-def test_the_fit_finds_the_stribeck_speed() -> None:
-    run, machine, case = made("spindle", 2, stribeck=0.5)
-    encoder = pmfid.Encoder(case.resolution)
-    estimator = pmfid.MotionFit(model(machine, stribeck="estimate"), encoder, case.dt, case.cutoff)
-    fit = estimator.fit(run.u, run.counts)
-    assert fit.names[-1] == "stribeck_speed"
-    wanted = truth(machine, fit.names)
-    assert np.all(np.abs(fit.theta - wanted) < 4 * fit.theta_std)
-    assert fit.theta_std[-1] < 0.1 * wanted[-1]
 
 
 def test_the_equation_holds_for_the_simulated_motion() -> None:
@@ -181,24 +152,6 @@ def test_what_has_no_such_form_is_refused_with_a_remedy() -> None:
         *((r"stribeck_friction.*use iv, riv or fit", lambda m=m: made_by(m, 0.02)) for m in plain),
         *((r"stribeck_speed does not.*fit", lambda m=m: made_by(m, "estimate")) for m in (pmfid.IV, pmfid.RIV)),
         *(("peed", lambda v=v: made_by(pmfid.IV, v)) for v in (0.0, -0.1, math.nan, math.inf, True, "estimated")),
-    )
-
-
-def test_terms_of_the_users_own_have_shapes() -> None:
-    terms = (
-        pmfid.Term("output", 2, "inertia", "kg m2"),
-        pmfid.Term("direction", 0, "coulomb_friction", "N m"),
-        pmfid.Term("friction", 0, "low", "N m", shape=Stribeck(0.5)),
-        pmfid.Term("friction", 0, "lower", "N m", shape=Stribeck(0.1)),
-    )
-    equation = pmfid.Equation(terms, (pmfid.Term("input"),))
-    assert equation.roles[-2:] == (2, 3)
-    assert "exp(-(x'/0.5)^2) sign(x')" in equation.text
-    with pytest.raises(pmfid.UsageError, match="two terms have the same signal"):
-        pmfid.Equation((*terms, pmfid.Term("friction", 0, "again", shape=Stribeck(0.1))), (pmfid.Term("input"),))
-    refused(
-        ("depends on the speed", lambda: pmfid.Term("place", 0, "load", shape=Square())),
-        ("needs a shape", lambda: pmfid.Term("friction", 0, "load")),
     )
 
 

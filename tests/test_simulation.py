@@ -1,10 +1,10 @@
-"""The simulated drive against an ODE solver, 50-digit arithmetic, the laws of mechanics and itself."""
+"""The simulated plants against an ODE solver, the laws of mechanics and themselves, and simulated encoders."""
 
-import doctest
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import replace
 from decimal import Decimal, localcontext
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import pmfid.simulation.drive as drive_module
 from pmfid.simulation import (
     CART,
+    CART_CONTROL,
     CART_RESOLUTION,
     SCENARIOS,
     DriveParameters,
+    Faults,
     Schedule,
     make_scenario,
     mls,
@@ -29,28 +30,12 @@ from pmfid.simulation import (
     s_curve,
     simulate_drive,
     stop_and_go,
-    trapezoid,
-    write_csv,
 )
+from pmfid.simulation._plant import read_encoder
+from pmfid.simulation.drive import Machine, control_machine, drive_machine
 from pmfid.types import Floats
 from studies.exactness import agreement
 from tests.refusals import refused
-
-
-def numbers(low: float, high: float) -> st.SearchStrategy[float]:
-    """Return floats on a grid: the laws below need not hold where a product underflows."""
-    return st.floats(low, high).map(lambda value: round(value, 9))
-
-
-drives = st.builds(
-    DriveParameters,
-    mass=numbers(0.2, 20.0),
-    viscous_friction=st.just(0.0) | numbers(1e-9, 10.0),
-    coulomb_friction=st.just(0.0) | numbers(0.01, 3.0),
-    input_gain=numbers(-5.0, 5.0),
-    offset=numbers(-1.0, 1.0),
-)
-speeds = st.just(0.0) | numbers(-2.0, 2.0)
 
 
 def step(p: DriveParameters, u: float, dt: float, x: float, v: float) -> tuple[float, float, float, float]:
@@ -97,35 +82,6 @@ def test_stop_time_and_place(viscous: float) -> None:
     assert direction == moving
 
 
-@given(drives, st.floats(-3.0, 3.0), speeds, st.floats(0.01, 0.99))
-@settings(max_examples=300)
-def test_an_interval_may_be_split(p: DriveParameters, u: float, v0: float, share: float) -> None:
-    whole = step(p, u, 0.3, 0.1, v0)
-    half = step(p, u, 0.3 * share, 0.1, v0)
-    rest = step(p, u, 0.3 - 0.3 * share, half[0], half[1])
-    assert rest[:2] == pytest.approx(whole[:2], rel=1e-12, abs=1e-12)
-    for i in (2, 3):
-        assert share * half[i] + (1.0 - share) * rest[i] == pytest.approx(whole[i], abs=1e-11)
-
-
-def test_coasting_without_friction_and_with_next_to_no_brake() -> None:
-    free = DriveParameters(mass=2.0, viscous_friction=0.0, coulomb_friction=0.0, input_gain=1.0)
-    assert step(free, 0.0, 0.5, 1.0, -3.0) == (-0.5, -3.0, -1.0, 1.0)
-    damped = replace(free, viscous_friction=2.0)
-    for force in (0.0, -1e-310):  # the time to stop overflows
-        expected = (1.0 - np.exp(-0.5), np.exp(-0.5), 1.0, 1.0)
-        assert step(damped, force, 0.5, 0.0, 1.0) == pytest.approx(expected, rel=1e-14)
-
-
-@given(drives.filter(lambda p: p.coulomb_friction > 0.0), st.floats(0.01, 2.0))
-@settings(max_examples=200)
-def test_a_stop_at_the_end_of_the_interval_leaves_no_velocity_of_the_other_sign(p: DriveParameters, v0: float) -> None:
-    p = replace(p, offset=0.0)
-    moving = step(p, 0.0, 1e4, 0.0, v0)[3]
-    for dt in (1e4 * moving, np.nextafter(1e4 * moving, 0.0), 1e4 * moving * (1.0 - 4e-16)):
-        assert 0.0 <= step(p, 0.0, dt, 0.0, v0)[1] <= 1e-12
-
-
 def test_stiction_holds_up_to_the_friction_force_and_no_further() -> None:
     p = DriveParameters(mass=1.0, viscous_friction=2.0, coulomb_friction=0.75, input_gain=0.5, offset=0.25)
     held = simulate_drive(p, [2.0, -1.0, 0.0, 0.5], 0.1, x0=0.3)
@@ -137,16 +93,6 @@ def test_stiction_holds_up_to_the_friction_force_and_no_further() -> None:
     assert (forward.direction == 1.0).all()
     assert (forward.moving == 1.0).all()
     assert (simulate_drive(p, np.full(50, -1.0 - 1e-9), 0.1).direction == -1.0).all()
-
-
-def test_schedule_continues_the_state() -> None:
-    heavy = replace(CART, mass=1.44)
-    u = prbs(200, clock=7, amplitude=3.0, rng=np.random.default_rng(2))
-    first = simulate_drive(CART, u[:31], 0.03)
-    second = simulate_drive(heavy, u[30:], 0.03, first.x[30], first.v[30])
-    for time in (0.9, 0.88):  # 30 * 0.03 < 0.9 in floating point; 0.88 lies between two samples
-        whole = simulate_drive([(0.0, CART), (time, heavy)], u, 0.03)
-        np.testing.assert_array_equal(whole.x, np.append(first.x[:30], second.x))
 
 
 def test_quantize() -> None:
@@ -181,20 +127,6 @@ def test_position_control_is_the_stated_law_bit_for_bit() -> None:
 
 
 @pytest.mark.parametrize("name", SCENARIOS)
-def test_same_seed_same_bytes(name: str, tmp_path: Path) -> None:
-    for file, seed in (("a", 3), ("b", 3), ("c", 4)):
-        write_csv(make_scenario(name, seed=seed, duration=4.0), tmp_path / file)
-    first, second, other = ((tmp_path / file).read_bytes() for file in "abc")
-    assert first == second
-    assert first != other
-    scenario = make_scenario(name, seed=3, duration=4.0)
-    lines = first.decode().splitlines()
-    assert lines[0] == "t,u,counts"
-    assert [float(line.split(",")[1]) for line in lines[1:]] == scenario.motion.u.tolist()
-    assert [int(line.split(",")[2]) for line in lines[1:]] == scenario.counts.tolist()
-
-
-@pytest.mark.parametrize("name", SCENARIOS)
 def test_scenarios_tell_the_truth(name: str) -> None:
     scenario = make_scenario(name, seed=1, increments=512, duration=6.0)
     assert scenario.resolution == resolution_of(512) == CART_RESOLUTION * 8.0
@@ -209,19 +141,6 @@ def test_scenarios_tell_the_truth(name: str) -> None:
     np.testing.assert_allclose(masses, expected.get(change, [1.07] * 4), rtol=1e-6)
 
 
-def test_prbs_and_mls() -> None:
-    u = prbs(4001, clock=4, amplitude=2.5, rng=np.random.default_rng(0))
-    assert u.shape == (4001,)
-    assert set(np.abs(u)) == {2.5}
-    assert (u[:4000].reshape(-1, 4) == u[:4000:4, None]).all()
-    assert abs(u.mean()) < 0.25
-    period = mls(7, 3, 2.0)
-    assert period.shape == (127 * 3,)
-    bits = period[::3] / 2.0
-    assert (np.repeat(2.0 * bits, 3) == period).all()
-    assert [float(bits @ np.roll(bits, k)) for k in range(127)] == [127.0] + [-1.0] * 126
-
-
 def test_multisine_has_its_lines_and_its_amplitude() -> None:
     u = multisine(1000, 0.01, [0.5, 3.0, 7.0], 3.0, np.random.default_rng(1))
     assert np.abs(u).max() == pytest.approx(3.0, rel=1e-12)
@@ -229,18 +148,6 @@ def test_multisine_has_its_lines_and_its_amplitude() -> None:
     present = np.flatnonzero(lines > 1e-9 * lines.max())
     assert present.tolist() == [5, 30, 70]
     assert np.ptp(lines[present]) < 1e-9 * lines.max()
-
-
-@pytest.mark.parametrize(("profile", "peak"), [(trapezoid, 1.5), (s_curve, 1.875)])
-def test_profiles_go_from_rest_to_rest(profile: Callable[..., Floats], peak: float) -> None:
-    x = profile(3001, 0.001, -0.4, 2.0)
-    assert x[0] == 0.0
-    np.testing.assert_allclose(x[2000:], -0.4, rtol=1e-12)
-    v = np.diff(x) / 0.001
-    assert (v <= 1e-12).all()
-    assert np.abs(v).max() == pytest.approx(peak * 0.2, rel=1e-5)
-    assert np.abs(np.diff(v)).max() < 1.5e-3 * peak  # no jump of the velocity
-    assert abs(v[0]) < 1e-3
 
 
 CONTROL: dict[str, Any] = {"kp": 1.0, "kd": 0.0, "u_max": 1.0, "resolution": 1e-3}
@@ -290,7 +197,82 @@ def test_bad_arguments_name_the_remedy(call: Callable[[], object], message: str)
     refused((message, lambda: call()), kind=ValueError)
 
 
-def test_examples_in_the_docstrings() -> None:
-    result = doctest.testmod(drive_module)
-    assert result.attempted > 0
-    assert result.failed == 0
+DT = 0.01
+HEAVY = DriveParameters(mass=220.0, viscous_friction=900.0, coulomb_friction=60.0, input_gain=35.0, offset=-3.0)
+
+
+@pytest.mark.parametrize("drive", [CART, HEAVY])
+def test_a_machine_that_lacks_nothing_moves_as_the_exact_drive(drive):
+    u = prbs(3000, clock=10, amplitude=3.0, rng=np.random.default_rng(3))
+    from pmfid.simulation import simulate_drive
+
+    exact = simulate_drive(drive, u, DT)
+    run = drive_machine(Machine(drive), u, DT, 1e-6)
+    assert np.max(np.abs(run.x - exact.x)) < 1e-4 * np.ptp(exact.x)
+
+
+def test_position_control_is_that_of_the_exact_drive_until_rounding_moves_an_edge():
+    reference = stop_and_go(1000, DT, stroke=0.2, move_time=0.8, dwell_time=0.5)
+    motion, counts = position_control(CART, reference, DT, **CART_CONTROL, resolution=1e-6, phase=0.0)
+    run = control_machine(Machine(CART), reference, DT, 1e-6, **CART_CONTROL)
+    assert np.max(np.abs(run.x - motion.x)) < 2e-4 * np.ptp(motion.x)
+    assert np.array_equal(run.counts[:50], counts[:50])
+
+
+def test_a_dead_time_shifts_the_motion():
+    u = np.repeat(np.array([0.0, 2.0, -1.0, 3.0]), 100)
+    plain = drive_machine(Machine(CART), u, DT, 1e-6)
+    late = drive_machine(Machine(CART, dead_time=3 * DT), u, DT, 1e-6)
+    assert np.array_equal(late.x[3:], plain.x[:-3])
+    half = drive_machine(Machine(CART, dead_time=0.5 * DT), u, DT, 1e-6)
+    finer = drive_machine(Machine(CART, dead_time=0.5 * DT), np.repeat(u, 2), DT / 2, 1e-6)
+    assert np.allclose(half.x, finer.x[::2], atol=1e-6 * np.ptp(half.x))
+
+
+def steady_speed(machine: Machine, force: float) -> float:
+    run = drive_machine(machine, np.full(4000, force / machine.drive.input_gain), DT, 1e-6)
+    return abs(float(run.v[-1]))
+
+
+def test_each_friction_balances_the_force_at_constant_speed():
+    for machine, extra in (
+        (Machine(CART, quadratic=30.0), lambda v: 30.0 * v * v),
+        (Machine(CART, stribeck=0.5, stribeck_speed=0.2), lambda v: 0.5 * np.exp(-((v / 0.2) ** 2))),
+    ):
+        v = steady_speed(machine, 5.0)
+        assert CART.viscous_friction * v + CART.coulomb_friction + extra(v) == pytest.approx(5.0, rel=1e-9)
+    uneven = Machine(CART, asymmetry=0.2)
+    for force, side in ((5.0, 1.2), (-5.0, 0.8)):
+        v = steady_speed(uneven, force)
+        assert side * (CART.viscous_friction * v + CART.coulomb_friction) == pytest.approx(5.0, rel=1e-9)
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=50), st.floats(1e-3, 10.0), st.floats(0.0, 1.0))
+@settings(max_examples=200)
+def test_without_faults_it_is_the_floor(x: list[float], resolution: float, phase: float) -> None:
+    places = np.zeros(3)
+    read = read_encoder(np.array(x), resolution, phase, places, np.zeros(0), 0.0, 5)
+    np.testing.assert_array_equal(read, quantize(x, resolution, phase))
+
+
+def test_jitter_moves_the_edges_by_its_standard_deviation() -> None:
+    x = np.full(40_000, 0.25)
+    counts = quantize(x, 1.0, faults=Faults(jitter=0.5, seed=3))
+    below = np.mean(counts < 0)  # probability that a normal variable is below -0.5 standard deviations
+    assert below == pytest.approx(0.3085, abs=0.01)
+    assert quantize(x, 1.0, faults=Faults(jitter=0.01)).tolist() == [0] * x.size
+
+
+def test_the_controller_sees_the_faults_and_counts_on_past_the_wrap() -> None:
+    reference = stop_and_go(600, 0.01, 0.2, 0.8, 0.5)
+    lattice = {"resolution": 1.82e-4, "phase": 1e-5}
+    faults = Faults(missed=0.01, jitter=0.1, line_error=0.3, lines=512, seed=4)
+    whole, counts = position_control(CART, reference, 0.01, **CART_CONTROL, **lattice, faults=faults)
+    again, narrow = position_control(CART, reference, 0.01, **CART_CONTROL, **lattice, faults=faults, bits=8)
+    np.testing.assert_array_equal(whole.x, again.x)
+    np.testing.assert_array_equal(narrow, counts % 256)
+    assert counts.max() > 512
+    np.testing.assert_array_equal(counts, quantize(whole.x, **lattice, faults=faults))
+    good, _ = position_control(CART, reference, 0.01, **CART_CONTROL, **lattice)
+    # missed edges make the cart go further than commanded
+    assert whole.x[125] > good.x[125] + 5 * lattice["resolution"]

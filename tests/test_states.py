@@ -5,26 +5,21 @@ A refused state changes nothing.
 
 from __future__ import annotations
 
-import zlib
 from collections.abc import Iterator
-from dataclasses import replace
 from functools import partial
 from itertools import product
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import pmfid
 from pmfid.estimators.recursive import RecursiveEstimator
-from pmfid.kernel.saved import FLEET_HEAD, _checksum, configuration, shape_of
+from pmfid.kernel.saved import _checksum, configuration, shape_of
 from pmfid.kernel.structures import structures
 from tests.conftest import long_unless
-from tests.firmware.build import GCC
-from tests.hostile.crafted import attack, estimators, folder_of, leaves, program
+from tests.hostile.states import estimators, leaves
 from tests.refusals import refused
-from tests.test_export import needs
-from tests.test_many import AXES, ENCODER, fleet_record, make
+from tests.test_many import AXES, fleet_record, make
 
 PRECISIONS = ("float32", "float64")
 #: Whole numbers without a limit: registers, sums modulo 2^32, and counters that saturate.
@@ -120,22 +115,6 @@ def test_a_fleet_has_a_checksum_and_the_same_limits() -> None:
     refused(("not the states of this fleet", lambda: fleet.set_state(state[:-1])))
 
 
-def test_numbers_that_no_fleet_has_are_refused_with_a_right_checksum() -> None:
-    u, counts = fleet_record()
-    fleet = pmfid.Fleet(make(pmfid.BCRLS), AXES)
-    fleet.run(u, counts)
-    state, start = fleet.get_state(), FLEET_HEAD.itemsize
-    packed = fleet._kernel.states.shape[1]
-    for axis, word, value in ((0, 0, np.nan), (AXES - 1, 3, np.inf), (7, 0, -np.inf)):
-        data = bytearray(state)
-        at = start + axis * packed + 8 * word
-        data[at : at + 8] = np.float64(value).tobytes()
-        data[start - 4 : start] = zlib.crc32(data[start:], zlib.crc32(data[: start - 4])).to_bytes(4, "little")
-        refused(("no state of this configuration", partial(fleet.set_state, bytes(data))))
-        assert fleet.get_state() == state
-    fleet.set_state(state)
-
-
 @pytest.mark.parametrize(("name", "estimator"), list(estimators())[::3])
 def test_a_state_that_samples_made_is_taken(name: str, estimator: RecursiveEstimator) -> None:
     """A state after any part of a hostile record is accepted."""
@@ -147,26 +126,3 @@ def test_a_state_that_samples_made_is_taken(name: str, estimator: RecursiveEstim
         state = estimator.get_state()
         estimator.set_state(state)
         assert estimator.get_state() == state
-
-
-@pytest.mark.parametrize(
-    ("name", "place"), [("5-bcrls-float32", "export"), ("4-rls-float64", "export"), ("1-bcrls-float32", "fleet")]
-)
-@needs(GCC)
-@pytest.mark.long
-def test_crafted_states_do_no_harm(name: str, place: str, tmp_path: Path) -> None:
-    """`make hostile` tries all estimators in all three places."""
-    estimator = dict(estimators())[name]
-    outcome = attack(program(estimator, place, tmp_path), folder_of(estimator, place, tmp_path / "files"), 300, 1)
-    assert outcome.report == ""
-    assert 100 < outcome.taken < 300
-
-
-def test_a_doubt_is_part_of_the_state_of_an_estimator_without_a_guard() -> None:
-    u, counts = fleet_record()
-    encoder = replace(ENCODER, guard=False)
-    one, other = (make(pmfid.BCRLS, encoder=encoder) for _ in range(2))
-    one.run(u[0, :300], counts[0, :300])
-    one.doubt(50)
-    other.set_state(one.get_state())
-    assert np.array_equal(other.run(u[0, 300:], counts[0, 300:]).theta, one.run(u[0, 300:], counts[0, 300:]).theta)

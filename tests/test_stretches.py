@@ -43,13 +43,3 @@ def test_a_parameter_that_changes_late_in_a_long_record_is_found(method: str, na
     u, counts = record(7, **{name: 1.1})
     result = identify(u, counts, model=METHOD.model, dt=CART_DT, encoder=METHOD.encoder, method=method)
     assert "unmodelled" in result.status
-
-
-def test_a_long_record_of_the_right_model_has_no_status() -> None:
-    u, counts = record(8)
-    result = identify(u, counts, model=METHOD.model, dt=CART_DT, encoder=METHOD.encoder)
-    assert result.status == ()
-    low, high = np.array(result.interval_95).T
-    np.testing.assert_array_less(
-        np.abs(result.theta - (CART.mass, CART.viscous_friction, CART.coulomb_friction)), high - low
-    )

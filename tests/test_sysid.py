@@ -71,25 +71,6 @@ def test_four_runs_give_the_gains(tmp_path: Path, test: str, load: float, turn: 
     )
 
 
-def test_a_log_of_magnitudes_has_the_sign_of_the_motion(tmp_path: Path) -> None:
-    content = make_log()
-    for name in ("slow-backward", "fast-backward"):
-        content[name] = [[t, abs(volts), x, v] for t, volts, x, v in content[name]]  # type: ignore[attr-defined]
-    found = json.loads(call(tmp_path, content, "--json").stdout)["mechanisms"]["mechanism"]
-    assert "the voltage of run slow-backward has the sign of the motion, as in SysId" in found["notes"]
-    assert found["parameters"]["kV"]["value"] == pytest.approx(2.4, rel=0.01)
-
-
-def test_each_side_of_a_drivetrain_has_gains(tmp_path: Path) -> None:
-    content = make_log("Drivetrain")
-    for name, rows in list(content.items()):
-        if isinstance(rows, list):
-            content[name] = [[t, volts, volts, x, x, v, v, 0.0, 0.0] for t, volts, x, v in rows]
-    found = json.loads(call(tmp_path, content, "--json").stdout)["mechanisms"]
-    assert list(found) == ["left", "right"]
-    assert found["right"]["parameters"]["kA"]["value"] == pytest.approx(0.35, rel=0.01)
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [

@@ -15,7 +15,6 @@ from pmfid.pipeline.terms import TermSearch
 from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs
 from pmfid.simulation.drive import MachineRun
 from tests.command import run_command
-from tests.refusals import refused
 
 DT, GAIN, STEP = 0.002, 0.5, 2 * np.pi / 1024
 DRIVE = DriveParameters(3e-3, 8e-3, 0.04, GAIN)
@@ -70,36 +69,6 @@ def test_directional_friction_contains_the_load(directional: TermSearch) -> None
     assert directional.result["coulomb_friction_forward"] == pytest.approx(1.15 * DRIVE.coulomb_friction, rel=0.01)
     assert 'friction = "directional"' in directional.lines
     assert directional.status == ()
-
-
-def test_a_row_has_odds_size_and_the_change_of_the_parameters(directional: TermSearch) -> None:
-    (load,) = [row for row in directional.rows if row.words == "a constant load"]
-    (value, std, unit) = load.values[0]
-    assert load.chosen
-    assert load.log_odds > 100
-    assert abs(value - 0.15 * DRIVE.coulomb_friction) < 3 * std
-    assert std < 0.01 * value
-    assert unit == "N m"
-    assert abs(load.moved["viscous_friction"]) > 0.05
-
-
-def test_a_search_shows_itself(directional: TermSearch) -> None:
-    lines = repr(directional).splitlines()
-    assert lines[0] == f"record, 1000 samples. {directional.sentence}"
-    assert len(lines) < 12
-    assert json.loads(json.dumps(directional.to_dict(), allow_nan=False)) == directional.to_dict()
-    assert directional.to_frame().columns == ["term", "chosen", "log_odds", "value", "std", "unit"]
-    assert directional.plot().axes
-
-
-def test_what_terms_does_not_search_is_refused() -> None:
-    refused(
-        ('set kind = "drive"', lambda: searched(made(), model=pmfid.EquationModel(MODEL.equation))),
-        ("no prior information", lambda: searched(made(), given={"inertia": 3e-3})),
-    )
-    still = made()
-    with pytest.raises(pmfid.NotIdentifiableError, match="does not move"):
-        pmfid.search_terms(still.u, 0 * still.counts, model=MODEL, dt=DT, encoder=pmfid.Encoder(STEP))
 
 
 def test_the_command_says_what_python_says(directional: TermSearch, tmp_path: Path) -> None:

@@ -14,13 +14,13 @@ from pmfid.config.record import RecordConfig
 from pmfid.errors import UsageError
 from pmfid.pipeline.identify import identify
 from pmfid.pipeline.monitored.stream import Stop, line_samples
-from pmfid.records.clock import PlacedRows, named_unit, place_rows, sample_period
+from pmfid.records.clock import PlacedRows, named_unit, place_rows
 from pmfid.records.record import read_experiment, read_record, record_of
 from pmfid.types import Floats
 from tests.conftest import cart_run
 from tests.refusals import refused
 
-UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+pytestmark = pytest.mark.usefixtures("without_judgement")
 
 
 def axis_of(folder: Path, name: str, extra: str = "", cutoff: float = 20.0) -> Axis:
@@ -86,34 +86,11 @@ def test_time_that_is_not_in_s_is_refused_and_the_remedy_followed_literally_help
     assert identify(read_record(path, axis), axis).theta[0] == pytest.approx(1.07, rel=0.02)
 
 
-def test_a_name_that_the_numbers_contradict_is_refused(tmp_path: Path) -> None:
-    path = logged(tmp_path, "t_us", 0.01)
-    refused((r'"s" \(0\.01 s\) .*, or "us" to confirm', lambda: read_record(path, axis_of(tmp_path, "t_us"))))
-    assert read_record(path, axis_of(tmp_path, "t_us", 'time_unit = "s"')).dt == pytest.approx(0.01)
-
-
-def test_a_period_that_fits_another_unit_names_it(tmp_path: Path) -> None:
-    path = logged(tmp_path, "t", 10)
-    refused(('steps by 10; give time_unit = "ms"', lambda: read_record(path, axis_of(tmp_path, "t", "dt = 0.01"))))
-
-
-def test_a_cutoff_too_high_asks_for_the_unit_first(tmp_path: Path) -> None:
-    axis = axis_of(tmp_path, "t", cutoff=500.0)
-    with pytest.raises(UsageError, match=r"give \[record\] time_unit if .* else use at most 2/dt = 200"):
-        identify(read_record(logged(tmp_path, "t", 0.01), axis), axis)
-
-
 def test_a_pipe_has_the_unit_of_the_record(tmp_path: Path) -> None:
     lines = BytesIO(b"t_ms,u,counts\n0,1.0,5\n10,1.0,6\n30,1.0,7\n40,1.0,7\n50,1.0,8\n")
     samples = list(line_samples(lines, axis_of(tmp_path, "t_ms"), 0.01, Stop()))
     assert [sample.time for sample in samples] == pytest.approx([0.0, 0.01, 0.03, 0.04, 0.05])
     assert [sample.missing for sample in samples] == [0, 0, 1, 0, 0]
-
-
-def test_a_unit_without_a_column_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "axis.toml"
-    path.write_text('[record]\ninput = "u"\noutput = "y"\ndt = 0.01\ntime_unit = "ms"\n')
-    refused(("time_unit needs a time column; name the column", lambda: load_axis(path)))
 
 
 def test_a_transfer_function_wants_the_unit_said(tmp_path: Path) -> None:
@@ -127,19 +104,6 @@ def test_a_transfer_function_wants_the_unit_said(tmp_path: Path) -> None:
     refused((r'give \[record\] time_unit = "ms", or "s"', lambda: read_experiment(record, load_axis(path))))
     path.write_text(text.format('time_unit = "ms"\n'))
     assert read_experiment(record, load_axis(path)).period == pytest.approx(0.25)
-
-
-@pytest.mark.parametrize("dt", [0.001, 0.002, 0.01])
-@pytest.mark.parametrize("every", [5, 10, 12])
-def test_lines_that_are_missing_in_turn_are_no_clock_of_their_own(every: int, dt: float) -> None:
-    """Without every tenth line, stamps of 10 ms once looked like an even grid of 11.1 ms: a mass of 1.07 kg became
-    1.32 kg.
-    """
-    k = np.arange(3000)
-    there = k % every != every - 1
-    found = place(dt * k[there], np.cumsum(np.sin(0.01 * k))[there])
-    assert found.dt == pytest.approx(dt)
-    np.testing.assert_array_equal(found.places, k[there])
 
 
 @pytest.mark.parametrize("period", [0.00111, 0.0108, 0.01095])
@@ -158,67 +122,9 @@ def place(time: Floats, output: Floats) -> PlacedRows:
     return place_rows(time, every, ~every, config, output)
 
 
-def test_many_gaps_are_not_to_be_cut(tmp_path: Path) -> None:
-    config, steps = axis_of(tmp_path, "t").record, np.ones(200)
-    steps[80] = 10.0
-    refused((r"1 gap.*cut the record at the gap", lambda: sample_period(0.01 * np.cumsum(steps), config)))
-    steps[[20, 50, 60, 90, 150]] = 10.0
-    refused((r"6 gaps.*dt in place of time", lambda: sample_period(0.01 * np.cumsum(steps), config)))
-
-
-@pytest.mark.parametrize(
-    ("name", "step"), [("time(ms)", 100), ("time_s", 0.1), ("Zeit [s]", 0.25), ("t_us", 1_000_000)]
-)
-def test_a_slow_clock_with_its_unit_in_the_name_is_believed_with_a_note(tmp_path: Path, name: str, step: float) -> None:
-    record = read_record(logged(tmp_path, name, step), axis_of(tmp_path, name))
-    assert record.dt == pytest.approx(step * UNITS[named_unit(name) or "s"])
-    assert any("is slow for an axis" in note for note in record.notes)
-
-
-@pytest.mark.parametrize(("period", "digit"), [(0.0004, 0.001), (0.00025, 0.001), (0.003, 0.01)])
-def test_stamps_rounded_to_more_than_a_period_are_an_even_clock(period: float, digit: float) -> None:
-    """At rest, rows with one stamp repeat each other, and are samples nevertheless."""
-    k = np.arange(3000)
-    stamps = np.floor(period * k / digit + 0.3) * digit
-    config = axis_config()
-    rows = place_rows(stamps, np.ones(k.size, bool), k % 7 > 2, config, np.cumsum(np.sin(0.01 * k)))
-    assert rows.dt == pytest.approx(period, rel=1e-4)
-    np.testing.assert_array_equal(rows.places, k)
-
-
 def axis_config() -> RecordConfig:
     record = {"input": "u", "output": "y", "time": "t", "time_unit": "s"}
     return Axis.model_validate({"record": record, "encoder": {"resolution": 1e-3}, "model": {"input_gain": 1.0}}).record
-
-
-@pytest.mark.parametrize("factor", [1.0, 1e3])
-@pytest.mark.parametrize("steps", [(10, 12), (4, 5, 9), (20, 21, 22, 26)])
-def test_a_velocity_on_an_uneven_clock_gives_the_travel_of_its_position(steps: tuple[int, ...], factor: float) -> None:
-    """The stamps are in s or ms. The record was once refused for its clock, while a position was accepted."""
-    rng = np.random.default_rng(2)
-    t = 366.377 + 1e-3 * np.cumsum(rng.choice(steps, 1200))
-    phase = 2.0 * (t - t[0])
-    name = "s" if factor == 1 else "ms"
-    axes = [
-        Axis.model_validate(
-            {
-                "record": {"input": "u", "output": "y", "time": "t", "time_unit": name, "output_kind": kind},
-                "encoder": {"resolution": 1e-6},
-                "model": {"input_gain": 1.0},
-            }
-        )
-        for kind in ("position", "velocity")
-    ]
-    u = np.sign(np.sin(phase))
-    place, speed = (
-        record_of({"t": factor * t, "u": u, "y": y}, axis)
-        for y, axis in zip((1 - np.cos(phase), 2.0 * np.sin(phase)), axes, strict=True)
-    )
-    assert speed.dt == pytest.approx(place.dt, rel=1e-9)
-    travel = [(record.counts - record.counts[0]) * record.resolution for record in (place, speed)]
-    np.testing.assert_allclose(travel[1], travel[0], atol=2e-3)
-    np.testing.assert_allclose(speed.u, place.u)
-    assert speed.steps is not None
 
 
 @pytest.mark.filterwarnings("error")

@@ -10,7 +10,6 @@ from scipy.signal import cont2discrete, lfilter
 
 import pmfid
 from pmfid import BCLS, BCRLS, LS, RLS, TransferFunction
-from pmfid.filters.chain import derivative
 from pmfid.models.equation import Equation, Term
 from tests.oracles import paper
 from tests.oracles.paper import coefficient_matrix
@@ -101,31 +100,6 @@ def test_the_coefficient_matrix_of_the_paper_filters_derivatives(gain):
     np.testing.assert_allclose(coefficient_matrix(n, cutoff, gain) @ own, derivatives, rtol=1e-9)
 
 
-def test_the_coefficient_matrix_in_the_frequency_domain():
-    """M_k = (gain / (s + cutoff))^(k+1), so that row i is s^(n+1-i) M_n; the printed exponent is right only for
-    gain 1.
-    """
-    n, cutoff, gain, s = 4, 3.0, 1.7, 2.3j
-    moments = (gain / (s + cutoff)) ** np.arange(1, n + 2)
-    expected = s ** np.arange(n, -1, -1) * moments[-1]
-    right = coefficient_matrix(n, cutoff, gain)
-    np.testing.assert_allclose(right @ moments, expected, rtol=1e-12)
-    i, j = np.indices(right.shape) + 1
-    printed = right * gain ** (n + i - j - (n + 1 - j))
-    assert np.max(np.abs(printed @ moments / expected - 1)) > 0.5
-    np.testing.assert_allclose(right[0], [gain**n * (-cutoff / gain) ** k * c for k, c in enumerate([1, 4, 6, 4, 1])])
-
-
-def test_the_chain_of_the_kernel_is_the_coefficient_matrix_with_unit_gain():
-    n, cutoff = 3, 5.0
-    matrix = coefficient_matrix(n, cutoff, cutoff)
-    for j in range(n + 1):
-        row = np.zeros(n + 1)
-        for node, weight in derivative(list(range(n + 1)), j, cutoff):
-            row[node] = weight
-        np.testing.assert_allclose(row, matrix[n - j])
-
-
 @pytest.mark.parametrize(("n", "m", "delay"), [(1, 0, 0), (2, 0, 2), (2, 1, 0), (3, 0, 1), (4, 0, 0), (4, 1, 3)])
 @pytest.mark.parametrize("extra", [0, 1])
 def test_columns_are_those_of_the_oracle(n, m, delay, extra):
@@ -149,13 +123,6 @@ def test_columns_are_those_of_the_oracle(n, m, delay, extra):
         )
 
 
-@pytest.mark.parametrize(("name", "worst"), [("lag", 1.5e-4), ("undershoot", 0.0043), ("rao_garnier", 3e-4)])
-def test_without_noise_little_but_the_bias_of_the_matched_filter_is_left(name, worst):
-    plant = PLANTS[name]
-    error = np.abs(estimate(LS, plant, make_record(plant, 1)) / plant.truth - 1)
-    assert np.max(error) < worst
-
-
 # --- estimates --------------------------------------------------------------------------------------------------------
 
 
@@ -170,13 +137,6 @@ def test_order_of_convergence_of_the_matched_filter(name, least):
         worst.append(np.max(np.abs(estimate(LS, finer, make_record(finer, 1)) / plant.truth - 1)))
     order = np.polyfit(np.log(dts), np.log(worst), 1)[0]
     assert order > least
-
-
-@pytest.mark.parametrize("name", PLANTS)
-def test_the_discretisation_of_the_paper_is_there_too(name):
-    plant = PLANTS[name]
-    error = np.abs(estimate(LS, plant, make_record(plant, 1), discretization="paper") / plant.truth - 1)
-    assert 1e-4 < np.max(error) < 0.2
 
 
 @pytest.mark.parametrize("name", PLANTS)
@@ -234,23 +194,6 @@ def test_compensation_takes_out_the_bias_of_white_noise(name, least):
 
 
 # --- delay, offset, initial conditions --------------------------------------------------------------------------------
-
-
-def test_a_dead_time_in_the_model_takes_it_out():
-    run = make_record(UNDERSHOOT, 4, delay=3)
-    wrong, right = (estimate(LS, UNDERSHOOT, run, TransferFunction(2, 1, delay)) for delay in (0, 3))
-    np.testing.assert_allclose(right, UNDERSHOOT.truth, rtol=0.005)
-    assert np.max(np.abs(wrong / UNDERSHOOT.truth - 1)) > 0.1
-
-
-@pytest.mark.parametrize("cls", [LS, BCLS, RLS, BCRLS])
-def test_a_constant_on_the_output_is_an_unknown(cls):
-    run = make_record(LAG, 5, load=0.7)
-    model = TransferFunction(2, 0, offset=True)
-    theta = estimate(cls, LAG, run, model)
-    np.testing.assert_allclose(theta[:3], LAG.truth, rtol=0.005)
-    assert theta[3] / theta[0] == pytest.approx(0.7, abs=2e-3)
-    assert np.max(np.abs(estimate(LS, LAG, run) / LAG.truth - 1)) > 0.1
 
 
 @pytest.mark.parametrize("cls", [LS, BCLS, RLS])

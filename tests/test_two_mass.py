@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,13 +12,7 @@ from click.testing import CliRunner
 import pmfid
 from pmfid._body import BASE, ELASTIC_BASE, KINDS, run
 from pmfid.cli.main import main
-from pmfid.errors import NotIdentifiableError
-from pmfid.fit.play import play_start
-from pmfid.fit.second_mass import SecondMass, find_second_mass
-from pmfid.pipeline.fitted import _check_mass
 from pmfid.types import Counts, Floats
-from studies.referee.cases import make_cases
-from studies.referee.judge import identify
 from tests.command import run_command
 from tests.oracles.two_mass import TwoMasses, simulate_two_masses
 from tests.refusals import refused
@@ -105,22 +98,6 @@ def test_both_masses_and_the_spring_are_found(result: pmfid.Result) -> None:
     assert np.all(np.ptp(result.interval_95, axis=1)[[0, 3, 6]] < 5e-4 * truth[[0, 3, 6]])
 
 
-def test_the_motion_of_another_record_follows(result: pmfid.Result) -> None:
-    u, counts, _ = record(4, load=result.estimator.equation.shows_load)
-    free = pmfid.validate(result, u, counts)
-    assert free.status == ()
-    assert free.runs[0].rmse < 3 * 1e-5 / np.sqrt(12)
-
-
-def test_people_read_the_resonance(result: pmfid.Result) -> None:
-    coupling = result.to_json()["coupling"]
-    assert isinstance(coupling, dict)
-    assert coupling["resonance"]["value"] == pytest.approx(20.0, rel=0.005)
-    assert coupling["antiresonance"]["value"] == pytest.approx(20.0 / np.sqrt(2), rel=0.005)
-    assert coupling["damping_ratio"]["value"] == pytest.approx(0.02, rel=0.1)
-    assert any("resonance 20." in note or "resonance 19.9" in note for note in result.notes)
-
-
 def test_a_rigid_axis_names_the_second_mass() -> None:
     u, counts, resolution = record(pair=1, hold=6)
     rigid = pmfid.identify(u, counts, model=pmfid.Drive(1.0), dt=STEP, encoder=pmfid.Encoder(resolution))
@@ -130,49 +107,6 @@ def test_a_rigid_axis_names_the_second_mass() -> None:
     assert named.remedy == 'set body = "two-mass" in [model]'
 
 
-def test_the_refusal_of_a_rigid_axis_names_the_second_mass() -> None:
-    """The second record looks like a velocity, but two masses explain every count."""
-    u, counts, resolution = record()
-    encoder, (case,) = pmfid.Encoder(resolution), make_cases(7722, "second mass", [0])
-    drive = SimpleNamespace(equation=pmfid.Drive(1.0).equation)
-    hidden = SimpleNamespace(estimator=drive, theta=[1.0], theta_std=[2.0], second=SecondMass(30.0, {}, 9.0))
-    refused(
-        (
-            r'a resonance at 20 Hz. Advice: set body = "two-mass" in \[model\]',
-            lambda: pmfid.identify(u, counts, model=pmfid.Drive(1.0), dt=STEP, encoder=encoder),
-        ),
-        (r'a resonance at 18.5 Hz. Advice: set body = "two-mass"', lambda: identify(case)),
-        (r'a resonance at 30 Hz. Advice: set body = "two-mass"', lambda: _check_mass(hidden, True)),  # type: ignore[arg-type]
-        kind=NotIdentifiableError,
-    )
-
-
-@pytest.mark.parametrize("period", [0.02, 0.3])
-def test_cogging_is_no_second_mass(period: float) -> None:
-    """Two masses come near, and leave more than rounding."""
-    u, _, resolution = record()
-    u, steps = u[:800], np.full(799, STEP)
-    wave = (KINDS["wave"], 0, False, np.zeros(1), period, 0.3, False)
-    theta, row = np.array([1.0, 0.8, 0.25, 0, 0, 0, 0, 0, 0, 0.1]), np.arange(800, dtype=np.int32)
-    y = run([wave], steps, u[:-1], row, np.zeros((0, 799)), theta, 8, False)[0]
-    fit = pmfid.MotionFit(pmfid.Drive(1.0), pmfid.Encoder(resolution), STEP, 20.0)
-    assert find_second_mass(fit.problem(u, np.floor(y / resolution + 0.4).astype(np.int64))) is None
-
-
-def test_the_trial_of_play_ends_at_short_parts_that_leave_a_count(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pmfid.fit.second_mass.elastic_start", play_start)
-    monkeypatch.setattr("pmfid.fit.elastic.join", None)
-    (case,) = make_cases(91, "backlash", [3])
-    assert "two_mass" not in identify(case).status
-
-
-def test_one_mass_that_leaves_rounding_has_no_trial_of_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The trial could only fail, and took six of seven seconds."""
-    monkeypatch.setattr("pmfid.fit.second_mass.elastic_start", None)
-    (case,) = make_cases(5, "cogging", [0])
-    assert "two_mass" not in identify(case).status
-
-
 @pytest.mark.parametrize("method", ["riv", "bcls", "rls", "iv"])
 def test_other_methods_name_the_way_off_line(method: str) -> None:
     u, counts, resolution = record()
@@ -180,16 +114,6 @@ def test_other_methods_name_the_way_off_line(method: str) -> None:
     settings = {"model": drive, "dt": STEP, "encoder": pmfid.Encoder(resolution), "method": method}
     way = 'two-mass axis off-line: pmfid identify with method = "fit"'
     refused((way, lambda: pmfid.identify(u, counts, **settings)))
-
-
-def test_what_the_body_does_not_have_is_refused() -> None:
-    refused(
-        ('body = "two-mass" excludes spring', lambda: pmfid.Drive(1.0, body="two-mass", spring=True)),
-        ('body = "two-mass" excludes lag', lambda: pmfid.Drive(1.0, body="two-mass", lag=0.01)),
-        ('output = "load" needs body = "two-mass"', lambda: pmfid.Drive(1.0, output="load")),
-        ('play needs body = "two-mass"; set that, or leave play out', lambda: pmfid.Drive(1.0, play=True)),
-        ("play needs counts of the motor", lambda: pmfid.Drive(1.0, body="two-mass", play=True, output="load")),
-    )
 
 
 def test_the_command_takes_the_body(tmp_path: Path) -> None:

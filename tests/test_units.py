@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import math
-import pickle
-from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
 
@@ -16,13 +13,14 @@ import pytest
 from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
-from pmfid.pipeline.guess.axis_file import guess
-from pmfid.pipeline.identify import identify, kind_of
+from pmfid.pipeline.identify import identify
 from pmfid.pipeline.monitored.stream import Stop, line_samples
 from pmfid.records.record import Record, read_record
-from pmfid.units import INPUTS, OUTPUTS, Quantity, column_unit, gain, quantity
+from pmfid.units import INPUTS, OUTPUTS, column_unit, gain, quantity
 from tests.conftest import cart_run
 from tests.refusals import refused
+
+pytestmark = pytest.mark.usefixtures("without_judgement")
 
 DT, STEP = 0.01, 22.75e-6
 RUN = cart_run(1, samples=1000)
@@ -103,19 +101,6 @@ def test_units_that_contradict_each_other_are_refused(
     assert said in str(caught.value)
 
 
-def test_a_gain_without_a_unit_is_per_percent_of_a_column_in_percent(tmp_path: Path) -> None:
-    """Only "0.02 N/1" was accepted once."""
-    path = logged(tmp_path, "y", input_name="torque_cmd [%]")
-    record = same(read_record(path, axis("y", "torque_cmd [%]", input_gain=2.0)))
-    assert "input_gain = 2 is per % of 'torque_cmd [%]'" in record.notes
-    stated = axis("y", "torque_cmd [%]", input_gain="2 N/%")
-    masses = [identify(read_record(path, one), one)["mass"] for one in (stated, axis("y", "torque_cmd [%]"))]
-    assert masses == pytest.approx([1.07, 1.07], rel=0.02)
-    text = guess(path).text
-    assert "input_gain = 1.0" in text
-    assert "force or torque per % of the input" in text
-
-
 def test_numbers_with_units() -> None:
     assert quantity("0.001 mm") == pytest.approx(1e-6)
     assert quantity("2000 counts/rev") == pytest.approx(2 * math.pi / 2000)
@@ -190,25 +175,6 @@ def test_a_rotary_axis_has_its_units_everywhere(tmp_path: Path) -> None:
     assert result.to_json()["parameters"]["inertia"]["unit"] == "kg m2"  # type: ignore[index]
 
 
-def test_a_row_of_units_tells_a_rotary_axis(tmp_path: Path) -> None:
-    y = RUN.counts * STEP
-    rows = "".join(f"{u:.9g};{x:.9g}\n" for u, x in zip(RUN.u, y, strict=True))
-    (tmp_path / "run.csv").write_text(f"u;y\n[V];[rad]\n{rows}")
-    plain = axis("y")
-    record = read_record(tmp_path / "run.csv", plain)
-    assert "the file has u in V and y in rad" in record.notes
-    assert identify(record, plain).names[0] == "inertia"
-    massive, linear = (
-        axis("y", estimator_given={"mass": 1.0}, model_input_gain="estimate"),
-        axis("y", model_axis="linear"),
-    )
-    rotary = r'write .model. axis = "rotary", and inertia in place of a known mass'
-    refused(
-        (rotary, lambda: kind_of(plain).prepare_axis(record, massive)),
-        ('axis = "linear" to a linear one', lambda: read_record(tmp_path / "run.csv", linear)),
-    )
-
-
 @pytest.mark.parametrize("friction", ["symmetric", "directional"])
 def test_every_term_of_a_rotary_drive(friction: str) -> None:
     own = {"friction": friction, "spring": True, "stribeck": "estimate", "quadratic": True, "gravity": True}
@@ -226,46 +192,3 @@ def test_a_pipe_converts_as_a_record_does() -> None:
 
 
 # --- velocity, and angles that restart -----------------------------------------------------------------------------
-
-
-def test_differences_of_counts_add_up_to_the_counts(tmp_path: Path) -> None:
-    v = np.diff(RUN.counts, prepend=RUN.counts[:1]) * STEP / DT
-    pl.DataFrame({"u": RUN.u, "v": v}).write_csv(tmp_path / "run.csv")
-    moving = axis("v", record_output_kind="velocity")
-    record = same(read_record(tmp_path / "run.csv", moving))
-    assert any("change of the counts, and the position is their sum" in note for note in record.notes)
-
-
-def test_a_velocity_that_is_no_change_of_counts_is_integrated(tmp_path: Path) -> None:
-    v = np.gradient(RUN.x, DT) if hasattr(RUN, "x") else np.gradient(RUN.counts * STEP, DT)
-    pl.DataFrame({"u": RUN.u, "v_rpm": v * 30 / math.pi}).write_csv(tmp_path / "run.csv")
-    moving = axis("v_rpm", resolution="22.75e-6 rad", record_output_kind="velocity")
-    record = read_record(tmp_path / "run.csv", moving)
-    assert np.max(np.abs((record.counts - record.counts[0]) - (RUN.counts - RUN.counts[0]))) < 3 / STEP * 1e-3
-    assert identify(record, moving)["inertia"] == pytest.approx(1.07, rel=0.03)
-    place = "a velocity does not determine the position: drop spring"
-    refused((place, lambda: axis("v", record_output_kind="velocity", model_spring=True)))
-
-
-@pytest.mark.parametrize("span", ["0.05 m", "50 mm"])
-def test_a_position_that_restarts(tmp_path: Path, span: str) -> None:
-    y = np.mod(RUN.counts * STEP, 0.05)
-    pl.DataFrame({"u": RUN.u, "y": y}).write_csv(tmp_path / "run.csv")
-    record = read_record(tmp_path / "run.csv", axis("y", encoder_range=span))
-    assert np.max(np.abs(np.diff(record.counts) - np.diff(RUN.counts))) <= 1
-    assert any("wrapped" in note for note in record.notes)
-
-
-def test_counts_that_restart_at_any_number(tmp_path: Path) -> None:
-    pl.DataFrame({"u": RUN.u, "y": RUN.counts % 3600}).write_csv(tmp_path / "run.csv")
-    turns = axis("y", resolution="0.1 deg", encoder_range="360 deg", record_output_kind="counts")
-    same(read_record(tmp_path / "run.csv", turns))
-    twice = axis("y", encoder_range=1.0, encoder_bits=8, record_output_kind="counts")
-    refused(("range and bits both say where", lambda: read_record(tmp_path / "run.csv", twice)))
-
-
-@pytest.mark.parametrize("again", [copy.copy, copy.deepcopy, lambda one: pickle.loads(pickle.dumps(one))])
-def test_a_copy_of_a_quantity_is_converted_once(again: Callable[[Quantity], Quantity]) -> None:
-    made = Quantity(5.0, OUTPUTS["mm"])
-    copied = again(made)
-    assert (copied, copied.unit, type(copied)) == (made, made.unit, Quantity)

@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import bz2
-import gzip
 import subprocess
 import sys
 import zipfile
-import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -18,15 +15,9 @@ import polars as pl
 import pytest
 import scipy.io
 
-from pmfid.errors import UsageError
 from pmfid.io import SUFFIXES
-from pmfid.io.parquet import column_sizes
-from pmfid.io.reading import read_table
-from pmfid.io.safety import readable
-from pmfid.io.tables import column, times
 from tests.conftest import long_unless
 from tests.formats import WRITERS
-from tests.refusals import refused
 
 #: Rows of the columns below, and the largest ratio of a reader's memory to their bytes.
 ROWS, MOST = 1_000_000, 10
@@ -139,46 +130,3 @@ def test_a_bomb_is_refused_before_it_goes_off(tmp_path: Path, name: str) -> None
     assert refusal.startswith(f"{what} needs ")
     assert "MB or more when a file of" in refusal
     assert size < 350e6
-
-
-@pytest.mark.long
-def test_a_packed_csv_is_read_and_no_bomb_of_it(tmp_path: Path) -> None:
-    (tmp_path / "run.csv.gz").write_bytes(gzip.compress(b"u,y\n") + gzip.compress(b"0.5,3\n" * 1000))
-    assert taken(tmp_path / "run.csv.gz", "u")[1] == ""
-    (tmp_path / "bomb.csv.gz").write_bytes(gzip.compress(b"u,y\n") + 1000 * gzip.compress(b"0,0\n" * 100_000))
-    size, refusal = taken(tmp_path / "bomb.csv.gz", "u")
-    assert "decimate or cut the record" in refusal
-    assert size < 600e6
-    (tmp_path / "cut.csv.gz").write_bytes(gzip.compress(b"u,y\n" + b"0.5,3\n" * 1000)[:-9])
-    assert "truncated or corrupt" in taken(tmp_path / "cut.csv.gz", "u")[1]
-
-
-@pytest.mark.parametrize("pack", [zlib.compress, bz2.compress], ids=["zlib", "bz2"])
-def test_a_packed_file_is_no_csv(tmp_path: Path, pack: Callable[[bytes], bytes]) -> None:
-    (tmp_path / "run.csv").write_bytes(pack(b"u,y\n") + 100 * pack(b"0,0\n" * 100_000))
-    size, refusal = taken(tmp_path / "run.csv", "u")
-    assert "the file is compressed; unpack it" in refusal
-    assert size < 50e6
-
-
-@pytest.mark.parametrize("key", ["time", "input"])
-@pytest.mark.long
-def test_a_long_text_in_every_row_is_refused_before_it_is_copied(tmp_path: Path, key: str) -> None:
-    pl.DataFrame({"u": ["a" * 100_000] * 40_000}).write_parquet(tmp_path / "rows.parquet")
-    read = {"time": times, "input": lambda table, name: column(table, "input", name)}[key]
-    long = "a text of 100000 bytes, more than 1000"
-    refused((long, lambda: read(read_table(tmp_path / "rows.parquet"), "u")))
-
-
-def test_the_sizes_of_columns_come_from_the_footer_of_the_file(tmp_path: Path) -> None:
-    pl.DataFrame({"u": [[1.0, 2.0, 3.0]] * 40, "s": [{"a": 1, "b": 2}] * 40, "text": ["x" * 500] * 40}).write_parquet(
-        tmp_path / "run.parquet", row_group_size=16, compression="uncompressed", use_pyarrow=False
-    )
-    data = (tmp_path / "run.parquet").read_bytes()
-    sizes = column_sizes(data)
-    assert 8 * 3 * 40 <= sizes["u"] < 2 * 8 * 3 * 40  # includes the heads of the pages
-    assert 2 * 8 * 40 <= sizes["s"] < 2 * 2 * 8 * 40
-    assert sizes["text"] >= 3 * 500  # a dictionary in each group of rows
-    for end in range(len(data) - 300, len(data)):
-        with pytest.raises(UsageError, match=r"not a readable \.parquet file"), readable(".parquet"):
-            column_sizes(data[:end])

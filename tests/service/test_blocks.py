@@ -6,7 +6,6 @@ import re
 import struct
 import subprocess
 import zlib
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,11 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pmfid.stream.blocks import MAGIC, MOST_BYTES, MOST_SAMPLES, encode, items
+from pmfid.stream.blocks import MOST_SAMPLES, encode, items
 from pmfid.stream.delivery import Block, Unusable, split_tables
-from tests.command import run_command
 from tests.firmware.build import GCC
-from tests.refusals import refused
 
 ROOT = Path(__file__).parents[2]
 NAN = float("nan")
@@ -49,10 +46,6 @@ def same(one: object, other: Block) -> bool:
         and one.u.dtype == np.float64
         and one.counts.dtype == np.int64
     )
-
-
-def reasons(data: bytes) -> list[str]:
-    return [item.reason if isinstance(item, Unusable) else item.axis for item in decode(data)]
 
 
 def signed(body: bytes) -> bytes:
@@ -91,39 +84,6 @@ def test_what_is_sent_comes_out_to_the_bit(blocks: list[Block]) -> None:
     found = decode(b"".join(map(encode, blocks)))
     assert len(found) == len(blocks)
     assert all(map(same, found, blocks))
-
-
-def test_a_block_is_as_short_as_loses_nothing_and_at_most_so_long() -> None:
-    sizes = [
-        len(encode(replace(block(), u=np.full(3, u), counts=np.full(3, c)))) for u in (0.5, 0.1) for c in (5, 2**40)
-    ]
-    assert sizes == [44 + 8 + 24, 44 + 8 + 36, 44 + 8 + 36, 44 + 8 + 48]
-    longest = replace(
-        block(n=MOST_SAMPLES), axis="a" * 64, counts=np.full(MOST_SAMPLES, 2**40), ages=np.full(MOST_SAMPLES, 0.1)
-    )
-    assert len(encode(longest)) == MOST_BYTES
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"u": np.zeros(0), "counts": np.zeros(0, int)}, "1 to 1024"),
-        ({"u": np.zeros(1025), "counts": np.zeros(1025, int)}, "1 to 1024"),
-        ({"counts": np.zeros(2, int)}, "1 to 1024"),
-        ({"axis": ""}, "must be printable"),
-        ({"axis": "ä" * 33}, "64 bytes"),
-        ({"axis": "a\nb"}, "must be printable"),
-        ({"axis": "a\udc80"}, "must be printable"),
-        ({"epoch": -1}, "epoch -1"),
-        ({"first": 2**53 - 2}, "out of range"),
-        ({"dt": 0.0}, "period of 0 s"),
-        ({"time": float("inf")}, "time of inf"),
-        ({"u": np.array([1.0, np.inf, 0.0])}, "infinite"),
-        ({"counts": np.array([0, 2**53, 0])}, "beyond"),
-    ],
-)
-def test_what_a_receiver_would_refuse_is_not_sent(change: dict[str, object], message: str) -> None:
-    refused((message, lambda: encode(replace(block(), **change))))
 
 
 def changed(at: int, new: bytes) -> bytes:
@@ -166,18 +126,6 @@ def test_a_bad_block_says_why_and_its_neighbours_stay(bad: bytes, reason: str) -
     assert only.problem
 
 
-def test_an_empty_message_says_nothing_and_one_of_text_says_magic() -> None:
-    assert decode(b"") == []
-    assert reasons(b"hello, world") == ["magic"]
-    assert [reasons(encode(block())[:size]) for size in (4, 39, 40, 60)] == [["length"]] * 4
-
-
-def test_counts_of_64_bits_are_looked_at() -> None:
-    wide = bytearray(encode(replace(block(), counts=np.array([0, 2**40, 0])))[:-4])
-    wide[-8:] = struct.pack("<q", -(2**63))
-    assert reasons(signed(bytes(wide))) == ["number"]
-
-
 @pytest.mark.parametrize("seed", range(4))
 def test_damage_anywhere_never_raises_and_costs_little(seed: int) -> None:
     """Bytes change, vanish or appear: every block that is read was sent, and most blocks are read."""
@@ -193,19 +141,6 @@ def test_damage_anywhere_never_raises_and_costs_little(seed: int) -> None:
         good = [item for item in found if isinstance(item, Block)]
         assert all(same(item, sent[item.axis]) for item in good)
         assert len(good) >= len(blocks) - 2 * hits
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_random_bytes_with_the_magic_among_them_never_raise(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    for size in (1, 39, 40, 60, 500, 20_000):
-        pieces = [rng.bytes(int(n)) + MAGIC + b"\x01\x00" for n in rng.integers(0, 60, 1 + size // 30)]
-        assert all(isinstance(item, Unusable) for item in decode(b"".join(pieces)))
-
-
-def test_a_message_of_beginnings_alone_is_not_searched_for_long() -> None:
-    header = encode(block(n=1000))[:40]
-    assert len(decode(header * 20_000)) < 30
 
 
 def hex_dump(data: bytes) -> str:
@@ -290,20 +225,3 @@ def test_the_drive_writes_the_bytes_of_python(tmp_path: Path) -> None:
     ]
     assert run.stdout == b"".join(map(encode, expected))
     assert all(map(same, decode(run.stdout), expected))
-
-
-def test_the_encoder_goes_out_with_firmware_on_request_alone(tmp_path: Path) -> None:
-    without, with_it = tmp_path / "without", tmp_path / "with"
-    for folder, option in ((without, []), (with_it, ["--blocks"])):
-        arguments = ["export", str(ROOT / "examples" / "cart.toml"), "--dt", "0.01", "--out", str(folder), *option]
-        run_command(*arguments)
-    files, plain = (
-        {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-        for folder in (with_it, without)
-    )
-    added = set(files) - set(plain)
-    other = {name for name, text in plain.items() if text != files[name]}
-    assert added == {"pmf_block.c", "pmf_block.h"}
-    assert other == {"Makefile", "CMakeLists.txt"}
-    assert b" pmf_block.o" in files["Makefile"]
-    assert files["pmf_block.c"] == (ROOT / "csrc" / "wire" / "pmf_block.c").read_bytes()

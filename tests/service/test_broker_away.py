@@ -83,33 +83,6 @@ def test_a_killed_broker_costs_nothing(tmp_path: Path) -> None:
     assert engine.problems()[-1] == ""
 
 
-def test_a_broker_that_keeps_nothing_costs_nothing_either(tmp_path: Path) -> None:
-    engine, sent = through_kills(tmp_path, 1, 0.5, "max_queued_messages 100000\nautosave_interval 0\n")
-    check_nothing_lost(engine, sent)
-    assert any("lost the session" in problem for problem in engine.problems())
-
-
-@pytest.mark.long
-def test_fifty_kills_of_the_broker_cost_nothing(tmp_path: Path) -> None:
-    engine, sent = through_kills(tmp_path, 50, 3.0, PERSISTENT)
-    check_nothing_lost(engine, sent)
-
-
-def test_a_source_waits_for_a_broker_that_is_not_there_yet(tmp_path: Path) -> None:
-    engine, late = FakeEngine(), Broker(tmp_path)
-    hall = source(engine, late, "late")
-    thread = engine.running(hall)
-    assert wait_for(lambda: engine.reported)
-    assert engine.reported[0]["event"] == "source"
-    assert engine.reported[0]["source"] == "hall"
-    assert f"no connection to 127.0.0.1 port {late.port}" in engine.problems()[0]
-    late.start()
-    assert connected(hall)
-    assert wait_for(lambda: engine.problems()[-1] == "")
-    stop(hall, thread)
-    late.stop()
-
-
 def test_two_services_under_one_name_are_reported(tmp_path: Path) -> None:
     engine, broker = FakeEngine(), Broker(tmp_path).start()
     first, second = source(engine, broker, "same"), source(FakeEngine(), broker, "same")

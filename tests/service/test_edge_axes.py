@@ -5,29 +5,24 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
-from pathlib import Path
 from random import Random
 
-import numpy as np
 import pytest
 
-from pmfid import Status
 from pmfid.pipeline.monitored.lines import LineParser
-from pmfid.pipeline.monitored.timeline import Line, Sample
+from pmfid.pipeline.monitored.timeline import Sample
 from pmfid.service.arrangement import arrange_groups
 from pmfid.service.wire.messages import Messages, Readers
 from pmfid.simulation import CART_DT
 from pmfid.stream.blocks import encode
 from pmfid.stream.blocks import items as items_of
 from pmfid.stream.checkpoint import read_snapshot, snapshot
-from pmfid.stream.delivery import Block, Delivery, Item, Lines, Unusable
+from pmfid.stream.delivery import Block, Delivery, Item, Lines
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared, prepare
 from pmfid.stream.order import UNKNOWN_GAP
 from pmfid.stream.outcome import Counters
-from tests.command import run_command
 from tests.edge_axes import Motion, cart_edges, heavier, write_edge_axis
-from tests.refusals import refused
 from tests.service.collected import Collected, monitored
 from tests.service.orders import made
 
@@ -124,37 +119,6 @@ def test_every_form_of_input_gives_the_same_rows(edge_axis: Prepared, motion: Mo
     assert found == monitored(edge_axis, samples)[0][: len(found)]
 
 
-def test_units_of_ages_and_columns_that_are_missing(edge_axis: Prepared) -> None:
-    line = LineParser(b"t,u,n,age [us]", edge_axis.axis)(b"0.01,1.0,5,2500")
-    assert line is not None
-    assert line.age == pytest.approx(2.5e-3)
-    refused(("no column 'age'", lambda: LineParser(b"t,u,n", edge_axis.axis)))
-
-
-def test_wrong_ages_are_a_status_and_no_crash(edge_axis: Prepared, motion: Motion) -> None:
-    u, counts, ages = (part[:800].copy() for part in motion)
-    moved = np.flatnonzero(np.diff(counts) != 0)[200:320:10] + 1
-    wrong = [-1e-3, math.inf, -math.inf, math.nan, 1e300, 5e-324 + 0.011, -0.1, 1.0, 1e9, -1e300, 0.0101, 2.0]
-    ages[moved] = wrong
-    messages = b"".join(messages_of((u, counts, ages)))
-    table = dict(run(edge_axis, [[*items_of(messages)]]).of("x1"))
-    flagged = [number - 1 for number, bits in sorted(table.items()) if bits[3] & Status.INVALID_INPUT]
-    assert flagged == moved.tolist()
-    theta = np.frombuffer(table[800][0])
-    np.testing.assert_allclose(theta, [1.07, 12.8, 0.8], rtol=5e-3)
-
-
-@pytest.mark.parametrize("text", ["abc", "", "true", "[1]", '"x"', "1e999", "-5", "NaN"])
-def test_an_age_that_is_no_number_costs_no_sample(edge_axis: Prepared, text: str) -> None:
-    value = text if text and text not in ("abc",) else f'"{text}"'
-    data = f'{{"axis": "x1", "t": 0.01, "u": 1.0, "n": 5, "age": {value}}}'.encode()
-    (found,) = Messages(Readers({"x1": edge_axis.axis}.get)).items(data)
-    assert isinstance(found, Lines | Unusable)
-    if isinstance(found, Lines) and "[" not in text:
-        (line,) = found.lines
-        assert (line.u, line.counts, line.problem) == (1.0, 5, "")
-
-
 def test_blocks_without_ages_are_refused_in_one_sentence(edge_axis: Prepared, motion: Motion) -> None:
     plain = [encode(Block(name, 0, 0, 0.0, CART_DT, *(part[:40] for part in motion[:2]))) for name in ("x1", "x2") * 4]
     outlet, said = Collected(), list[dict[str, object]]()
@@ -167,30 +131,3 @@ def test_blocks_without_ages_are_refused_in_one_sentence(edge_axis: Prepared, mo
     assert [one["reason"] for one in said] == ["ages"]
     assert "version 2" in str(said[0]["problem"])
     assert engine.counters.values()["pmfid_unusable_total", (("reason", "ages"), ("source", "hall"))] == 8
-
-
-def test_an_axis_of_counts_takes_blocks_with_ages(prepared: Prepared, motion: Motion) -> None:
-    parts = [Block("x1", 0, k, math.nan, CART_DT, *(part[k : k + 40] for part in motion)) for k in range(0, 400, 40)]
-    mixed = [block if k % 2 else replace(block, ages=None) for k, block in enumerate(parts)]
-    plain = [replace(block, ages=None) for block in parts]
-    assert run(prepared, [list(mixed)]).of("x1") == run(prepared, [list(plain)]).of("x1")
-    waiting = [[block] for block in (*mixed[:3], mixed[4], mixed[3], *mixed[5:])]
-    assert run(prepared, waiting, 4).of("x1") == run(prepared, [list(plain)]).of("x1")
-
-
-def test_lines_without_ages_are_kept_as_before_ages() -> None:
-    assert Line(1.0, 2.0, 3).as_list() == [1.0, 2.0, 3, ""]
-    assert Line(*Line(1.0, 2.0, 3, "", 0.5).as_list()).age == 0.5
-
-
-def test_the_monitor_takes_ages_from_a_pipe(tmp_path: Path, motion: Motion) -> None:
-
-    from tests.edge_axes import write_record
-
-    write_edge_axis(tmp_path)
-    write_record(tmp_path / "run.csv", motion)
-    arguments = ["monitor", "-", "--config", str(tmp_path / "axis.toml"), "--json"]
-    done = run_command(*arguments, stdin=(tmp_path / "run.csv").read_bytes())
-    events = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [one["parameter"] for one in events if one["event"] == "alarm"] == ["mass"]
-    assert events[0]["method"] == "redge"

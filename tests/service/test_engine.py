@@ -9,11 +9,11 @@ from random import Random
 import numpy as np
 import pytest
 
-from pmfid.pipeline.monitored.timeline import Line, Sample
+from pmfid.pipeline.monitored.timeline import Sample
 from pmfid.service.arrangement import arrange_groups
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.checkpoint import read_snapshot, snapshot
-from pmfid.stream.delivery import Block, Delivery, Lines, Unusable
+from pmfid.stream.delivery import Block, Delivery, Unusable
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.order import UNKNOWN_GAP
@@ -133,46 +133,6 @@ def blocks_of(name: str, motion: tuple[np.ndarray, np.ndarray], size: int, epoch
     return [Block(name, epoch, k, k * CART_DT, CART_DT, u[k : k + size], counts[k : k + size]) for k in cuts]
 
 
-def test_every_is_of_sample_numbers_whatever_the_blocks(
-    prepared: Prepared, motions: dict[str, tuple[np.ndarray, np.ndarray]]
-) -> None:
-    found = []
-    for size in (7, 50, 333):
-        outlet = Collected()
-        engine = engine_of(prepared, outlet, Pace(0.0, 0.25), ["x1"])
-        for block in blocks_of("x1", motions["x1"], size):
-            engine.process([Delivery("source", [block])])
-        found.append(outlet.of("x1"))
-    assert [number for number, _ in found[0]] == list(range(25, 1601, 25))
-    assert found[0] == found[1] == found[2]
-
-
-def test_an_axis_that_someone_follows_gives_every_row(
-    prepared: Prepared, motions: dict[str, tuple[np.ndarray, np.ndarray]]
-) -> None:
-    outlet = Collected()
-    engine = engine_of(prepared, outlet, Pace(0.0, 1.0))
-    engine.followed = lambda: frozenset({"x3"})
-    for name in AXES:
-        engine.process([Delivery("source", [block]) for block in blocks_of(name, motions[name], 40)[:10]])
-    assert [len(outlet.of(name)) for name in AXES] == [4, 4, 400]
-
-
-def test_lines_are_those_of_the_monitor(prepared: Prepared, motions: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
-    u, counts = motions["x2"]
-    lines = [Line(k * CART_DT, float(u[k]), int(counts[k])) for k in range(1500) if k not in (300, 301, 700)]
-    outlet = Collected()
-    engine = engine_of(prepared, outlet, Pace(0.0, 0.0), ["x2"])
-    for k in range(0, len(lines), 17):
-        engine.process([Delivery("source", [Lines("x2", lines[k : k + 17])])])
-    from pmfid.pipeline.monitored.timeline import Timeline
-
-    timeline = Timeline(prepared.dt)
-    samples = [one for line in lines for one in timeline.take(line) if isinstance(one, Sample)]
-    rows, _ = monitored(prepared, samples)
-    assert [bits for _, bits in outlet.of("x2")] == rows
-
-
 def test_what_cannot_be_used_is_counted_by_reason_and_said_once(prepared: Prepared) -> None:
     outlet = Collected()
     engine = engine_of(prepared, outlet)
@@ -197,10 +157,3 @@ def test_an_input_that_is_no_number_is_a_lost_sample(
     rows, _ = monitored(prepared, (Sample(k * CART_DT, float(inputs[k]), int(counts[k])) for k in range(600)))
     assert [bits for _, bits in outlet.of("x1")] == rows
     assert engine.counters.values()["pmfid_samples_without_input_total", (("group", "axis.toml"),)] == 3
-
-
-def test_what_a_source_says_of_itself_stays_as_a_level(prepared: Prepared) -> None:
-    engine = engine_of(prepared, Collected())
-    for problem, level in (("no connection", 0.0), ("", 1.0), ("refused", 0.0)):
-        engine.tell({"event": "source", "source": "hall", "problem": problem})
-        assert engine.counters.values()["pmfid_source_working", (("source", "hall"),)] == level

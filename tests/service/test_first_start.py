@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import shutil
 import threading
-import time
 from dataclasses import replace
 from io import StringIO
-from multiprocessing import active_children
 from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
@@ -57,21 +54,6 @@ def test_the_page_answers_before_the_calibration(folder: Path, monkeypatch: pyte
     with file_as_input(folder / "run.csv"):
         acting.run(look)
     assert not service._engine.awaited
-
-
-def _kill_one() -> None:
-    """Kill the first process that begins."""
-    while not active_children():
-        time.sleep(0.01)
-    active_children()[0].kill()
-
-
-def test_a_killed_process_fails_no_calibration(folder: Path) -> None:  # noqa: F811
-    paths = [folder / "axis.toml", shutil.copy(folder / "axis.toml", folder / "second.toml")]
-    killer = threading.Thread(target=_kill_one)
-    killer.start()
-    assert all(take().dt > 0 for _, take in calibrate_all(paths, threading.Event()))
-    killer.join()
 
 
 def test_processes_calibrate_and_report_errors(folder: Path) -> None:  # noqa: F811

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import tracemalloc
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -14,9 +13,8 @@ import pytest
 from pmfid.config.axis import Axis, load_axis
 from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.pipeline.monitored.timeline import Line
-from pmfid.service.wire.messages import MOST_POINTS, Messages, Readers
-from pmfid.stream.blocks import encode
-from pmfid.stream.delivery import Block, Item, Lines, Table, Unusable
+from pmfid.service.wire.messages import Messages, Readers
+from pmfid.stream.delivery import Item, Lines, Unusable
 
 AXIS = """
 [record]
@@ -100,23 +98,6 @@ def test_a_time_next_to_the_fields_serves_where_none_of_them_is_one(messages: Me
     assert third.time == 5.0
 
 
-@pytest.mark.parametrize("stamp", ["now", 10**400, -1e308, True, [5]])
-def test_a_strange_time_stamp_is_a_problem_of_its_sample(messages: Messages, stamp: object) -> None:
-    items = list(messages.items(metric(stamp, {"axis": "x1"}, u=1.5, x=0.001)))
-    assert all(not line.time or math.isnan(line.time) for line in lines_of(items))
-
-
-def test_an_axis_without_a_time_takes_none(tmp_path: Path) -> None:
-    config = axis(tmp_path)
-    config = config.model_copy(update={"record": config.record.model_copy(update={"time": None, "dt": 0.01})})
-    form = Messages(Readers({"x1": config}.get))
-    (line,) = lines_of(list(form.items(metric(5, {}, u=1, x=2))))
-    assert math.isnan(line.time)
-    assert line.u == 1.0
-    (line,) = lines_of(list(form.items(b'{"axis": "x1", "u": null, "x": 2}')))
-    assert "not a number" in line.problem
-
-
 @pytest.mark.parametrize(
     ("field", "problem"),
     [
@@ -138,18 +119,6 @@ def test_a_value_that_is_none_is_a_lost_sample(messages: Messages, field: str, p
     assert line.time == 3.0
     assert math.isnan(line.u)
     assert problem in line.problem
-
-
-def test_forms_are_reported_by_content_and_a_topic_of_one_axis_is_of_no_other(messages: Messages) -> None:
-    block = encode(Block("x1", 0, 0, 0.0, 0.01, np.zeros(2), np.zeros(2, int)))
-    assert isinstance(messages.items(block)[0], Table)
-    assert isinstance(messages.items(block, "x1")[0], Block)
-    refused = messages.items(block, "x 2")[0]
-    assert isinstance(refused, Unusable)
-    assert refused.reason == "name"
-    assert lines_of(list(messages.items(b'{"axis": "x1", "t": 0, "u": 1, "x": 1}', "x 2")), "x 2")
-    assert lines_of(list(messages.items(metric(0, {"axis": "x 2"}, t=0, u=1, x=1))), "x 2")
-    assert lines_of(list(messages.items(metric(0, {}, t=0, u=1, x=1), "x 2")), "x 2")
 
 
 @pytest.mark.parametrize(
@@ -175,48 +144,6 @@ def test_what_cannot_be_used_says_why(messages: Messages, data: bytes, reason: s
     found = messages.items(data)
     assert found
     assert all(isinstance(item, Unusable) and item.reason == reason and len(item.problem) < 300 for item in found)
-
-
-@pytest.mark.parametrize("data", [b"\n".join([b"[1]"] * 30_000), b"[" + b"1," * 30_000 + b"1]", b"{}\n" * 30_000])
-def test_a_message_of_many_small_mistakes_is_cut(messages: Messages, data: bytes) -> None:
-    found = messages.items(data)
-    assert len(found) == MOST_POINTS + 1
-    assert "ignores the others" in found[-1].problem
-
-
-def test_columns_take_no_more_memory_for_the_fields_that_nobody_reads(tmp_path: Path) -> None:
-    """Rows times keys of one message can be far more than its bytes."""
-    form = Messages(Readers({"x1": axis(tmp_path)}.get))
-    spare = {f"k{k}": 0 for k in range(20_000)}
-    data = json.dumps({"axis": "x1", "t": [*range(20_000)], "u": [0] * 20_000, "x": 0, **spare}).encode()
-    tracemalloc.start()
-    try:
-        found = lines_of(list(form.items(data)))
-        peak = tracemalloc.get_traced_memory()[1]
-    finally:
-        tracemalloc.stop()
-    assert [line.time for line in found] == [*range(20_000)]
-    assert peak < 100 * len(data)
-
-
-def test_columns_beyond_the_most_samples_are_cut(messages: Messages) -> None:
-    rows = [*range(15_000)]
-    data = json.dumps([{"axis": "x1", "t": rows, "u": 1, "x": 1}] * 2).encode()
-    *_, lines, last = messages.items(data)
-    assert len(lines_of([lines])) == MOST_POINTS
-    assert isinstance(last, Unusable)
-    assert "ignores the others" in last.problem
-
-
-def test_a_message_that_a_reader_fails_at_is_counted(messages: Messages, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
-        raise MemoryError
-
-    monkeypatch.setattr("pmfid.service.wire.messages.decode_json", fail)
-    (item,) = messages.items(b"{}")
-    assert isinstance(item, Unusable)
-    assert item.reason == "error"
-    assert "MemoryError" in item.problem
 
 
 @pytest.mark.parametrize("seed", range(3))

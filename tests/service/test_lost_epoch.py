@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,9 +14,7 @@ from pmfid.stream.groups import Prepared
 from pmfid.stream.tuning import TUNING
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.service.collected import Bits, Collected, monitored
-from tests.service.fake_engine import FakePlant
-from tests.service.loopback import served
-from tests.service.test_engine import WINDOW, engine_of
+from tests.service.test_engine import engine_of
 
 SAMPLES, BLOCK = 1200, 50
 
@@ -66,34 +63,3 @@ def test_a_sender_that_lost_its_epoch_is_reported_what_helps(
     rows = [bits for _, bits in outlet.of("x1")]
     assert len(rows) == SAMPLES - 100, "all of what comes now"
     assert rows == expected(prepared, motion, slice(600, 700))
-
-
-def test_what_waited_is_said_where_an_axis_restarts(prepared: Prepared, motion: tuple[np.ndarray, np.ndarray]) -> None:
-    outlet = Collected()
-    engine = engine_of(prepared, outlet, axes=["x1"])
-    engine.process(blocks(motion, 0, 100, epoch=0, first=0))
-    (early,) = blocks(motion, 150, 200, epoch=0, first=150)
-    engine.process([early])
-    engine.restart_numbers("x1")
-    engine.tick(0.0)
-    assert [what["dropped"] for what in outlet.events("x1", "anew")] == [min(BLOCK, WINDOW)]
-
-
-def test_what_comes_again_after_a_broker_was_killed_is_no_news(
-    prepared: Prepared, motion: tuple[np.ndarray, np.ndarray]
-) -> None:
-    outlet = Collected()
-    engine = engine_of(prepared, outlet, axes=["x1"])
-    sent = blocks(motion, 0, SAMPLES, epoch=9, first=0)
-    for _ in range(3):
-        engine.process([replace(delivery) for delivery in sent])
-    engine.tick(0.0)
-    assert outlet.events("x1", "late") == []
-
-
-def test_the_page_begins_an_axis_again() -> None:
-    plant = FakePlant(2)
-    with served(plant) as page:
-        assert page.post("/api/axis/gantry-x1/anew", {}) == 202
-        assert [notice.what["event"] for notice in plant.board.news().notices] == ["anew"]
-        assert page.post("/api/axis/nobody/anew", {}) == 404

@@ -12,17 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from paho.mqtt.publish import multiple, single
-from pydantic import Field
 
-from examples.gateway import Gateway
-from pmfid.config.toml_file import FileSection, validate_sections
-from pmfid.errors import UsageError
-from pmfid.service.broker import pauses, read_secret
 from pmfid.service.sources.mqtt import MqttSource, MqttSourceSection
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block, Lines, Unusable
 from tests.patience import PATIENCE
-from tests.refusals import refused
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.engine import FakeEngine, wait_for
 from tests.service.test_lines import axis
@@ -97,47 +91,6 @@ def test_a_message_is_acknowledged_when_it_is_durable(broker: Broker) -> None:
     stop(hall, thread)
 
 
-def test_more_wait_for_a_checkpoint_than_mosquitto_has_in_flight_by_itself(broker: Broker) -> None:
-    """Mosquitto's max_inflight_messages is 20: by default a source would get only 20 messages for each checkpoint."""
-    engine = FakeEngine()
-    hall = source(engine, broker, "flight")
-    thread = engine.running(hall)
-    assert connected(hall)
-    send(broker, "flight/a", 60)
-    assert wait_for(lambda: len(engine.blocks) == 60)
-    stop(hall, thread)
-
-
-def test_a_gateway_keeps_a_message_that_nobody_has_subscribed_to(broker: Broker) -> None:
-    engine, gateway = FakeEngine(), Gateway("nobody/a", port=broker.port)
-    for k in range(5):
-        gateway.send(encode(Block("x1", 0, k, 0.0, 0.01, np.zeros(1), np.zeros(1, int))))
-    assert not wait_for(lambda: not gateway.waiting.unfinished_tasks, 1.0)
-    hall = source(engine, broker, "nobody")
-    thread = engine.running(hall)
-    assert connected(hall)
-    assert wait_for(lambda: not gateway.waiting.unfinished_tasks)
-    assert wait_for(lambda: numbers(engine.blocks)[-1:] == [4])
-    stop(hall, thread)
-    assert list(dict.fromkeys(numbers(engine.blocks))) == [0, 1, 2, 3, 4]
-
-
-def test_a_stale_acknowledgement_is_none(broker: Broker) -> None:
-    """After a new connection, packet numbers may belong to other messages."""
-    engine = FakeEngine()
-    hall = source(engine, broker, "stale")
-    thread = engine.running(hall)
-    assert connected(hall)
-    send(broker, "stale/a", 3)
-    assert wait_for(lambda: len(engine.blocks) == 3)
-    stop(hall, thread)
-    engine.checkpoint()
-    hall = source(engine, broker, "stale")
-    thread = engine.running(hall)
-    assert wait_for(lambda: numbers(engine.blocks) == [0, 1, 2, 0, 1, 2])
-    stop(hall, thread)
-
-
 def test_back_pressure_does_not_read_on(broker: Broker) -> None:
     engine = FakeEngine(slow=0.05)
     hall = source(engine, broker, "pressure")
@@ -187,22 +140,6 @@ def test_a_topic_may_name_the_axis_and_messages_have_any_form(broker: Broker, tm
         (Lines, "x1"),
         (Unusable, "json"),
     ]
-
-
-def test_what_the_broker_keeps_is_bounded_by_its_configuration(tmp_path: Path) -> None:
-    """Mosquitto drops messages beyond max_queued_messages without a notice to the sender."""
-    engine, small = FakeEngine(), Broker(tmp_path, "max_queued_messages 30\n").start()
-    hall = source(engine, small, "queue", receive_maximum=5)
-    thread = engine.running(hall)
-    assert connected(hall)
-    stop(hall, thread)
-    send(small, "queue/a", 100)
-    hall = source(engine, small, "queue")
-    thread = engine.running(hall)
-    assert wait_for(lambda: len(engine.blocks) >= 30)
-    stop(hall, thread)
-    small.stop()
-    assert 30 <= len(engine.blocks) <= 35
 
 
 # --- rights -----------------------------------------------------------------------------------------------------------
@@ -260,65 +197,3 @@ def test_a_topic_that_the_broker_refuses_is_reported(broker: Broker) -> None:
     assert wait_for(lambda: engine.reported)
     stop(hall, thread)
     assert engine.problems()[0] == "the broker refuses the topic theirs/# (Not authorized)"
-
-
-def test_a_secret_that_is_not_there_is_named_and_never_reported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("PMFID_TEST_SECRET", "s3cret")
-    assert read_secret("env:PMFID_TEST_SECRET", tmp_path) == "s3cret"
-    refused(
-        ("PMFID_TEST_OTHER is not set", lambda: read_secret("env:PMFID_TEST_OTHER", tmp_path)),
-        ("nowhere cannot be read", lambda: read_secret("file:nowhere", tmp_path)),
-    )
-    (tmp_path / "open").write_text("s3cret words\n")
-    (tmp_path / "open").chmod(0o644)
-    with pytest.raises(UsageError, match=r"everybody on this machine can read .* chmod 600") as caught:
-        read_secret("file:open", tmp_path)
-    assert "s3cret" not in str(caught.value)
-    (tmp_path / "open").chmod(0o600)
-    assert read_secret("file:open", tmp_path) == "s3cret words"
-
-
-class Plant(FileSection):
-    source: MqttSourceSection = Field(description="a source")
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"topics": []}, "topics"),
-        ({"topics": ["a/{axis"]}, "is not a valid topic"),
-        ({"topics": ["a/x{axis}"]}, "is not a valid topic"),
-        ({"topics": ["{axis}/{axis}"]}, "is not a valid topic"),
-        ({"topics": ["a/#/b"]}, "is not a valid topic"),
-        ({"topics": ["a+"]}, "is not a valid topic"),
-        ({"user": "u", "password": "hidden"}, r"\[source\] password: the secret itself must not stand"),
-        ({"password": "env:A"}, "add the key user"),
-        ({"user": "u", "password": "env:A", "host": "broker.example"}, "unencrypted; set tls = true"),
-        ({"user": "u", "password": "file:a", "host": "192.0.2.7"}, "unencrypted; set tls = true"),
-        ({"cert": "a"}, "belong together"),
-        ({"receive_maximum": 0}, "receive_maximum"),
-    ],
-)
-def test_a_section_that_cannot_work_is_refused(change: dict[str, object], message: str) -> None:
-    refused((message, lambda: validate_sections(Plant, {"source": {"kind": "mqtt", "topics": ["a"], **change}})))
-
-
-@pytest.mark.parametrize(
-    "change", [{"tls": True}, {"allow_plain_password": True}, {"host": "localhost"}, {"host": "::1"}]
-)
-def test_a_password_may_go_where_nobody_else_reads_it(change: dict[str, object]) -> None:
-    section = {"kind": "mqtt", "topics": ["a"], "host": "broker.example", "user": "u", "password": "env:A"}
-    assert validate_sections(Plant, {"source": {**section, **change}}).source.user == "u"
-
-
-def test_the_password_in_an_address_is_not_repeated() -> None:
-    with pytest.raises(UsageError, match=r"host = 'mqtt://\.\.\.@hall/': the host must be a name") as error:
-        validate_sections(Plant, {"source": {"kind": "mqtt", "topics": ["a"], "host": "mqtt://me:hidden@hall/"}})
-    assert "hidden" not in str(error.value)
-
-
-def test_pauses_grow_up_to_the_longest() -> None:
-    waiting = pauses(1.0, 5.0)
-    assert [next(waiting) for _ in range(5)] == [1.0, 2.0, 4.0, 5.0, 5.0]

@@ -9,12 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 
-from pmfid.errors import UsageError
 from pmfid.service.broker import new_client
-from pmfid.service.sinks import mqtt, queued
+from pmfid.service.sinks import queued
 from pmfid.service.sinks.mqtt import BrokerLink, MqttSink, MqttSinkSection
 from pmfid.service.sinks.queued import Queued
 from tests.patience import PATIENCE
@@ -63,43 +61,6 @@ def sink_of(link: Link, **keys: object) -> MqttSink:
 # --- published messages -----------------------------------------------------------------------------------------------
 
 
-def test_rows_are_messages_of_their_axes() -> None:
-    link = Link()
-    rows = block(GROUP, 5)
-    rows.std[0, 1] = np.inf
-    sink_of(link).put([rows])
-    (status, first, second) = link.got
-    assert status == ("pmfid/hall-3/status", b"online", 1, True)
-    assert (first[0], first[2:]) == ("pmfid/hall-3/estimates/x0", (0, False))
-    reported = json.loads(first[1])
-    assert reported["theta"] == {"mass": 5.0, "friction": 5.25}
-    assert reported["std"] == {"mass": 0.05, "friction": None}
-    assert (reported["number"], reported["state"]) == (5, "watching")
-    assert second[0] == "pmfid/hall-3/estimates/x1"
-
-
-def test_many_axes_share_messages(monkeypatch: pytest.MonkeyPatch) -> None:
-    set_tuning(monkeypatch, mqtt, mqtt_batch=4)
-    link = Link()
-    sink_of(link, estimates="batch", qos=1).put([block(kindred(5), 1, samples=2)])
-    messages = [json.loads(payload) for _, payload, _, _ in link.got[1:]]
-    assert {topic for topic, *_ in link.got[1:]} == {"pmfid/hall-3/batches/cart.toml"}
-    assert [len(message["axis"]) for message in messages] == [4, 4, 2]
-    assert [axis for message in messages for axis in message["axis"]] == [f"x{k}" for k in range(5)] * 2
-    assert messages[2]["theta"] == [[2.003, 2.253], [2.004, 2.254]]
-    assert messages[2]["state"] == ["watching"] * 2
-
-
-def test_what_stands_in_a_topic_is_one_level_of_it() -> None:
-    link = Link()
-    group = kindred(1)
-    odd = type(group)(**{**group.__dict__, "axes": ("a/+#é\0<b>",), "config": "../x.toml"})
-    sink_of(link).put([block(odd)])
-    sink_of(link, estimates="batch").put([block(odd)])
-    assert link.got[1][0] == "pmfid/hall-3/estimates/a%2F%2B%23%C3%A9%00%3Cb%3E"
-    assert link.got[3][0] == "pmfid/hall-3/batches/..%2Fx.toml"
-
-
 ALARM = "pmfid/hall-3/alarms/x1"
 
 
@@ -127,36 +88,6 @@ def test_an_alarm_stays_until_it_is_taken_back(clear: str, event: Any, over: boo
     link.got.clear()
     sink.open()  # the broker may have lost all messages, even the end of the alarm
     assert link.retained() == before
-
-
-def test_an_alarm_of_an_earlier_start_is_taken_back() -> None:
-    link = Link()
-    sink_of(link).put([notice(9, "acknowledged", alarm=2), notice(10, "acknowledged", axis="", alarm=None)])
-    assert link.retained()[ALARM] == b""
-    assert set(link.retained()) == {ALARM, "pmfid/hall-3/status"}
-
-
-def test_events_are_published_unless_only_alarms_are_wanted(tmp_path: Path) -> None:
-    link = Link()
-    sink_of(link).put([notice(1, "gap", missing=3), alarm(2)])
-    events = [json.loads(payload) for topic, payload, _, _ in link.got if topic == "pmfid/hall-3/events"]
-    assert [(event["number"], event["event"]) for event in events] == [(1, "gap"), (2, "alarm")]
-    quiet = Link()
-    sink_of(quiet, events=False).put([alarm(2)])
-    assert [topic for topic, *_ in quiet.got] == ["pmfid/hall-3/status", ALARM]
-    assert sink_of(quiet, events=False).events == {"alarm", "acknowledged", "settled", "cleared"}
-    assert sink_of(quiet, estimates="off").takes_rows is False
-
-
-def test_the_end_is_said() -> None:
-    link = Link()
-    sink_of(link).close()
-    assert link.got[-2:] == [("pmfid/hall-3/status", b"offline", 1, True), ("dropped", b"", 0, False)]
-
-
-def test_secrets_come_from_the_environment_alone(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="NO_SUCH_SECRET is not set"):
-        MqttSinkSection(user="me", password="env:NO_SUCH_SECRET").make("m", Host(tmp_path))
 
 
 # --- with Mosquitto ---------------------------------------------------------------------------------------------------
@@ -275,21 +206,6 @@ def test_a_broker_that_lost_everything_is_reported_the_alarms_again(
         assert until(lambda: listener.last(ALARM) and listener.last(ALARM.replace("x1", "x0")))
         assert json.loads(listener.last(ALARM) or b"")["number"] == 7
     assert host.count("pmfid_dropped_notices_total", sink="m") == 0
-
-
-@needs_broker
-def test_a_broker_that_refuses_says_why_and_no_secret(
-    tmp_path: Path, broker: Broker, started: Callable[..., Queued], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    broker.stop()
-    broker.more = "allow_anonymous false\n"
-    broker.start()
-    monkeypatch.setenv("M_PASSWORD", "hidden-hidden")
-    host = Host(tmp_path)
-    started(host, user="me", password="env:M_PASSWORD")
-    assert until(lambda: host.reported)
-    assert "refuses the connection: " in host.reported[0]["problem"]
-    assert "hidden" not in repr(host.reported)
 
 
 @needs_broker

@@ -2,13 +2,8 @@
 
 from __future__ import annotations
 
-import json
-import re
 from collections.abc import Iterator
-from functools import partial
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -64,26 +59,6 @@ def test_what_needs_someone_stands_first_and_a_new_alarm_comes_by_itself(browser
         assert "Alarm of spindle-b: inertia is 7.8\u00a0% higher than normal" in page.inner_text("#spoken")
         assert page.inner_text("#alarmed").split()[0] == "2"
         assert violations(page) == []
-
-
-def test_what_does_not_work_stands_on_the_overview_until_it_works(browser: Any) -> None:
-    plant = troubled(2)
-    with served(plant) as there, tab(browser) as page:
-        at_overview(page, there)
-        for name, value in (("pmfid_source_working", 0), ("pmfid_sink_working", 1), ("pmfid_checkpoint_working", 0)):
-            plant.counters.put(name, value, **({"source": "hall"} if "source" in name else {}))
-        reported = "document.querySelector('.overview > .problem')"
-        plant.run(1.0)
-        assert until(page, f"{reported}.textContent.startsWith('Not working: ')")
-        said = page.inner_text(".overview > .problem")
-        assert "source hall" in said
-        assert "checkpoint" in said
-        assert "sink" not in said
-        assert violations(page) == []
-        plant.counters.put("pmfid_source_working", 1, source="hall")
-        plant.counters.put("pmfid_checkpoint_working", 1)
-        plant.run(1.0)
-        assert until(page, f"{reported}.hidden")
 
 
 @pytest.mark.long
@@ -165,86 +140,6 @@ def test_one_axis_is_live_stands_still_and_gives_what_is_seen(browser: Any, tmp_
         assert violations(page) == []
 
 
-@pytest.mark.long
-def test_the_cursor_goes_by_keyboard_and_zoom_comes_back(browser: Any, page: Served) -> None:
-    with tab(browser) as there:
-        at_axis(there, page, "gantry-y")
-        page.plant.run(2.0)
-        there.focus(".chart")
-        there.keyboard.press("ArrowLeft")
-        assert until(there, "/± .* kg at /.test(document.querySelector('.read').textContent)")
-        there.keyboard.press("+")
-        back = "[...document.querySelectorAll('.tools button')].find((one) => one.textContent === 'Back from zoom')"
-        assert until(there, f"!{back}.disabled")
-        there.keyboard.press("0")
-        assert until(there, f"{back}.disabled")
-        box = there.locator(".u-over").first.bounding_box()
-        left, width, top = box["x"], box["width"], box["y"] + 40
-        there.mouse.move(left + 0.3 * width, top)
-        there.mouse.down()
-        there.mouse.move(left + 0.6 * width, top)
-        page.plant.run(1.0)
-        there.wait_for_timeout(500)
-        there.mouse.up()
-        assert until(there, f"!{back}.disabled")
-        there.click("summary >> nth=0")
-        there.wait_for_selector(".scrolled tbody tr")
-        times = [float(text.split()[0]) for text in there.locator(".scrolled tbody th").all_inner_texts()]
-        assert times[0] - times[-1] == pytest.approx(9.0, abs=2.5), "three tenths of 30 s"
-
-
-COLUMNS = """async () => {
-  const { Columns } = await import("/columns.js");
-  const packed = (kind, values) => {
-    const bytes = new Uint8Array({ f8: Float64Array, u4: Uint32Array, u1: Uint8Array }[kind].from(values).buffer);
-    return kind + ":" + btoa(String.fromCharCode(...bytes));
-  };
-  const rows = (numbers, times) => ({
-    number: packed("f8", numbers), time: packed("f8", times), u: packed("f8", numbers.map((n) => (n % 2 ? 3 : -3))),
-    counts: packed("f8", numbers), innovation: packed("f8", numbers.map((n) => -n)),
-    theta: [packed("f8", numbers)], std: [packed("f8", numbers.map(() => Infinity))],
-    status: packed("u4", numbers.map((n) => 1 << (n % 3))), state: packed("u1", numbers.map(() => 1)),
-  });
-  const upTo = (n) => [...Array(n).keys()];
-  const found = {}, columns = new Columns(1);
-  columns.add(rows(upTo(1000), upTo(1000).map((n) => n / 100)));
-  columns.add(rows([998, 999, 1000], [9.98, 9.99, 10]));
-  found.rows = columns.size;
-  const seen = columns.thinned(0, 10, 100, 0.5);
-  found.points = seen.time.length;
-  found.velocity = seen.velocity[50];
-  found.status = seen.status[50];
-  found.band = [seen.low[50], seen.high[50], seen.std0[50]];
-  found.rms = columns.motion(0, 10, { dt: 0.01, resolution: 0.5 }).input.rms;
-  columns.add(rows([1001, 1002, 1003], [10.01, 4, 4.01]));
-  found.back = [columns.size, columns.start];
-  for (let k = 0; k < 9; k++) columns.add(rows([k], [20 + k]));
-  found.anew = columns.data.number[columns.size - 1];
-  for (let k = 0; k < 13; k++) {
-    const numbers = upTo(10000).map((n) => 9 + k * 10000 + n);
-    columns.add(rows(numbers, numbers.map((n) => 30 + n / 100)));
-  }
-  found.most = columns.size;
-  return found;
-}"""
-
-
-@pytest.mark.long
-def test_what_a_chart_shows_of_many_rows(browser: Any, page: Served) -> None:
-    with tab(browser) as there:
-        at_overview(there, page)
-        found = there.evaluate(COLUMNS)
-    assert found["rows"] == 1001, "what came twice is there once"
-    assert 100 <= found["points"] <= 102
-    assert found["velocity"] == pytest.approx(50.0)
-    assert found["status"] == 7, "no bit is lost between points"
-    assert found["band"] == [-3, 3, None]
-    assert found["rms"] == pytest.approx(3.0)
-    assert found["back"] == [2, 4], "a clock that was set back restarts"
-    assert found["anew"] == 8, "so does an axis that was restarted"
-    assert 80_000 < found["most"] <= 120_000
-
-
 def test_script_in_a_name_a_unit_a_topic_and_a_note_does_not_run(browser: Any) -> None:
     plant = FakePlant(1)
     group = Kindred(
@@ -283,79 +178,6 @@ def test_script_in_a_name_a_unit_a_topic_and_a_note_does_not_run(browser: Any) -
         assert page.locator("main img, main script").count() == 0
 
 
-EVIL = """<!doctype html><title>evil</title><script>
-const target = TARGET, token = TOKEN, found = {};
-const reading = async (name, path, options) => {
-  try {
-    const answer = await fetch(target + path, options);
-    found[name] = answer.type + ":" + (await answer.text());
-  } catch (error) { found[name] = "refused"; }
-};
-const frame = document.createElement("iframe");
-frame.src = target;
-document.documentElement.append(frame);
-frame.onload = () => {
-  try { found.frame = frame.contentDocument ? frame.contentDocument.body.innerText : "refused"; }
-  catch { found.frame = "refused"; }
-};
-const script = document.createElement("script");
-script.onload = () => { found.script = "loaded"; };
-script.onerror = () => { found.script = "refused"; };
-script.src = target + "app.js";
-document.documentElement.append(script);
-const opened = window.open(target);
-Promise.all([
-  reading("plain", "api/stream", {}),
-  reading("with token", "api/plant", { headers: { authorization: "Bearer " + token } }),
-  reading("opaque", "api/plant", { mode: "no-cors", credentials: "include" }),
-  reading("write", "api/axis/gantry-y/reference", { method: "POST", mode: "no-cors", body: "{}" }),
-]).then(() => setTimeout(() => {
-  try { found.opened = opened ? String(opened.sessionStorage.length) : "refused"; } catch { found.opened = "refused"; }
-  found.mine = sessionStorage.length;
-  window.found = found;
-}, 700));
-</script>"""
-
-
-class _Evil(BaseHTTPRequestHandler):
-    def __init__(self, content: str, *args: Any) -> None:
-        self.content = content
-        super().__init__(*args)
-
-    def do_GET(self) -> None:
-        self.send_response(200)
-        self.send_header("content-type", "text/html")
-        self.end_headers()
-        self.wfile.write(self.content.encode())
-
-    def log_message(self, *args: object) -> None:
-        pass
-
-
-def test_another_page_of_the_same_browser_reads_nothing_even_with_the_token(browser: Any, page: Served) -> None:
-    content = EVIL.replace("TARGET", json.dumps(page.page.url)).replace("TOKEN", json.dumps(page.token))
-    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(_Evil, content))
-    Thread(target=server.serve_forever, daemon=True).start()
-    notices = len(page.plant.board.news().notices)
-    try:
-        with tab(browser) as own:
-            at_overview(own, page)
-            evil = own.context.new_page()
-            evil.goto(f"http://127.0.0.1:{server.server_port}/")
-            assert until(evil, "Boolean(window.found)")
-            found = evil.evaluate("window.found")
-            own.wait_for_selector(".rows .row[data-kind]")
-    finally:
-        server.shutdown()
-        server.server_close()
-    assert found.pop("opaque") in ("opaque:", "refused")
-    assert found.pop("write") in ("opaque:", "refused")
-    assert found.pop("mine") == 0
-    assert set(found.values()) == {"refused"}
-    assert set(found) >= {"plain", "with token", "script", "opened"}
-    assert len(page.plant.board.news().notices) == notices, "nothing was written"
-
-
 # --- long tests -------------------------------------------------------------------------------------------------------
 
 VIEWS = [(1440, "light"), (1440, "dark"), (768, "light"), (390, "light"), (390, "dark")]
@@ -380,37 +202,6 @@ def test_no_view_breaks_a_rule_of_accessibility_or_is_too_wide(
             there.wait_for_timeout(400)
             assert violations(there) == [], axis
             assert there.evaluate(wide) <= width, axis
-
-
-def test_an_alarm_says_what_to_do_and_its_parameter_stands_first(browser: Any) -> None:
-    plant = troubled(12)
-    with served(plant) as there, tab(browser) as page:
-        plant.alarm("spindle-b", "coulomb_friction", "N m")
-        at_axis(page, there, "spindle-b")
-        assert "Check brakes, guides, seals and belt tension for rubbing." in page.inner_text(".card.alarm")
-        assert re.search(
-            r"This change began at \S.*\. The service noticed it at \S.*\.", page.inner_text(".card.alarm")
-        )
-        assert "is 1.7 times what an alarm needs" in page.inner_text(".card.alarm")
-        assert "The change is 3.9 times the tolerance of 2.0\u00a0%" in page.inner_text(".card.alarm")
-        assert page.inner_text(".value-card >> nth=0").startswith("coulomb friction")
-        assert page.inner_text(".chart-title >> nth=0") == "coulomb friction"
-
-
-@pytest.mark.long
-def test_what_the_theme_button_chooses_stays(browser: Any, page: Served) -> None:
-    ground = "getComputedStyle(document.body).backgroundColor"
-    with tab(browser) as there:
-        at_axis(there, page, "gantry-y")
-        light = there.evaluate(ground)
-        there.click("#theme")
-        there.click("#theme")
-        assert there.inner_text("#theme") == "Theme: dark"
-        dark = there.evaluate(ground)
-        there.reload()
-        there.wait_for_selector(".u-over")
-        assert there.evaluate(ground) == dark != light
-        assert violations(there) == []
 
 
 @pytest.mark.long

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import logging
 import socket
 import sys
 from collections.abc import Iterator
@@ -124,16 +123,6 @@ def test_files_are_open_and_hold_no_token(page: Served) -> None:
         assert page.token.encode() not in body
 
 
-def test_tokens_are_in_no_log_and_in_no_text_of_an_object(page: Served, caplog: pytest.LogCaptureFixture) -> None:
-    caplog.set_level(logging.DEBUG)
-    page.ask("/api/plant")
-    page.ask("/api/plant", host="evil.example")
-    page.raw(b"GET / HTTP/1.1\r\nAuthorization: Bearer " + page.token.encode() + b"\r\nHo\x00st: x\r\n\r\n")
-    assert page.token not in caplog.text
-    assert "uvicorn" not in {record.name.partition(".")[0] for record in caplog.records}, "nobody may fill the log"
-    assert page.token not in repr(Token(page.token))
-
-
 # --- sizes and times --------------------------------------------------------------------------------------------------
 
 
@@ -171,17 +160,6 @@ def test_a_body_without_a_length_is_counted_while_it_comes(page: Served) -> None
     assert answer.startswith(b"HTTP/1.1 413 ")
     sent, _ = _flood(page, head, b"4000\r\n" + b" " * 0x4000 + b"\r\n")
     assert sent < 16e6
-
-
-@pytest.mark.parametrize("length", ["-1", "1e3", "99999999999999999999999", "0x10", str(TUNING.largest_body + 1)])
-def test_odd_lengths_are_refused(page: Served, length: str) -> None:
-    answer = page.raw(_head(page, "/api/axis/gantry-y/reference", f"Content-Length: {length}"))
-    assert answer.split()[1] in (b"400", b"413")
-
-
-def test_long_headers_and_paths_are_refused(page: Served) -> None:
-    assert page.raw(b"GET /" + b"a" * 100_000 + b" HTTP/1.1\r\n\r\n").split()[1] == b"400"
-    assert page.raw(b"GET / HTTP/1.1\r\nX: " + b"a" * 100_000 + b"\r\n\r\n").split()[1] == b"400"
 
 
 def test_a_browser_that_stops_reading_keeps_a_bounded_part_of_the_rows() -> None:

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
-import math
 import threading
-import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
@@ -15,7 +11,6 @@ from hypothesis import strategies as st
 
 from pmfid.service.sinks import queued
 from pmfid.service.sinks.queued import OutcomeQueue, Queued, QueueLimits, size_of
-from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 from tests.patience import PATIENCE
 from tests.service.feed import Faulty, Host, alarm, block, kindred, notice, numbers, until
@@ -110,56 +105,6 @@ def test_a_sink_that_hangs_does_not_hold_the_engine(host: Host) -> None:
     assert host.count("pmfid_sink_rows_total", sink="s") == 1010
 
 
-def test_a_slow_sink_is_reported_once_and_what_is_dropped_is_counted(host: Host) -> None:
-    offers = [0.0]
-
-    @dataclass
-    class Slow(Faulty):
-        """A sink that takes one piece in the time of twenty offers."""
-
-        def put(self, outcomes: list[EstimateRows | Notice]) -> None:
-            assert until(lambda: offers[0] >= 20 * self.puts)
-            super().put(outcomes)
-
-    sink = Slow()
-    outlet = started(sink, host, QueueLimits(size=200_000, take=2))
-    rows = block(GROUP, 1, samples=10)
-    offered = 400
-    for _ in range(offered):  # about 4 MB
-        outlet.rows(rows)
-        offers[0] += 1
-        time.sleep(0.0002)
-    offers[0] = math.inf
-    outlet.close(PATIENCE)
-    written = host.count("pmfid_sink_rows_total", sink="s")
-    assert written == sum(one.axis.size for one in sink.got)
-    assert written + host.count("pmfid_dropped_rows_total", sink="s") == 100 * offered
-    assert [reported["event"] for reported in host.reported] == ["dropped"]
-
-
-def test_offers_from_the_engine_go_on_in_order(host: Host) -> None:
-    sink = Faulty()
-    outlet = started(sink, host)
-    for number in range(1, 200):
-        outlet.rows(block(GROUP, number)) if number % 3 else outlet.notice(alarm(number))
-    assert outlet.close(PATIENCE)
-    for kind in (EstimateRows, Notice):
-        of_kind = numbers([one for one in sink.got if isinstance(one, kind)])
-        assert of_kind == [number for number in range(1, 200) if (kind is Notice) == (number % 3 == 0)]
-    assert (sink.opened, sink.closed) == (1, 1)
-
-
-def test_only_what_is_wanted_waits(host: Host) -> None:
-    sink = Faulty(takes_rows=False, events=frozenset({"alarm"}))
-    outlet = Queued(sink, host.counters, host.tell)
-    outlet.start()
-    outlet.rows(block(GROUP))
-    outlet.notice(notice(1, "gap"))
-    outlet.notice(alarm(2))
-    assert outlet.close(PATIENCE)
-    assert numbers(sink.got) == [2]
-
-
 # --- errors -----------------------------------------------------------------------------------------------------------
 
 
@@ -186,42 +131,6 @@ def test_an_error_is_reported_once_and_the_end_of_it_too(host: Host) -> None:
     assert sink.opened >= 5, "it is opened again before each attempt"
     assert [n for n in numbers(sink.got) if n > 100] == list(range(101, 111)), "no alarm is lost"
     assert [n for n in numbers(sink.got) if n < 100] == [6, 7, 8, 9, 10]
-
-
-@pytest.mark.usefixtures("quick")
-def test_a_sink_that_cannot_be_opened_is_tried_again(host: Host) -> None:
-    sink = Faulty(open_error=ConnectionRefusedError(111, "Connection refused"))
-    outlet = started(sink, host)
-    outlet.notice(alarm(1))
-    assert until(lambda: sink.opened > 2)
-    sink.open_error = None
-    assert until(lambda: sink.got)
-    assert outlet.close(PATIENCE)
-    assert numbers(sink.got) == [1]
-
-
-def test_pauses_grow_to_a_limit_and_restart_after_a_steady_time(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
-    pauses: list[float] = []
-    clock = itertools.count(1000.0, 0.001)
-    now = [0.0]
-    monkeypatch.setattr(queued.time, "monotonic", lambda: now[0] + next(clock))
-    sink = Faulty()
-    outlet = Queued(sink, host.counters, host.tell)
-
-    def tries(errors: int) -> None:
-        sink.error = OSError(5, "Input/output error")
-        for _ in range(errors):
-            outlet.notice(alarm(1))
-            outlet._write(outlet._next())
-            pauses.append(outlet._pause)
-        sink.error = None
-        outlet._write(outlet._next())
-
-    tries(9)
-    tries(1)  # the sink worked only for a moment
-    now[0] += TUNING.queued_steady + 1
-    tries(2)
-    assert pauses == [0.5, 1, 2, 4, 8, 16, 32, 60, 60, 60, 0.5, 1]
 
 
 def test_what_a_sink_can_never_take_is_dropped_alone(host: Host) -> None:
@@ -251,32 +160,6 @@ def test_closing_ends_in_time_also_where_the_sink_hangs(host: Host) -> None:
     assert host.count("pmfid_dropped_rows_total", sink="s") == 30
     sink.hold.set()
     assert until(lambda: sink.closed), "and it is closed as soon as it answers"
-
-
-def test_closing_does_not_wait_for_a_pause(host: Host) -> None:
-    sink = Faulty(error=OSError(28, "No space left on device"))
-    outlet = started(sink, host)
-    outlet.rows(block(GROUP))
-    assert until(lambda: host.reported)
-    assert outlet.close(PATIENCE)
-    assert sink.puts in (1, 2), "one more attempt"
-    assert sink.closed == 1
-    assert host.count("pmfid_dropped_rows_total", sink="s") == 10
-
-
-def test_a_sink_is_looked_after_while_nothing_comes(host: Host, monkeypatch: pytest.MonkeyPatch) -> None:
-    set_tuning(monkeypatch, queued, queued_idle=0.01)
-    set_tuning(monkeypatch, queued, queued_first_pause=0.005)
-    sink = Faulty()
-    outlet = started(sink, host)
-    assert until(lambda: sink.opened), "at the start"
-    sink.error = OSError(104, "Connection reset by peer")
-    assert until(lambda: host.reported)
-    sink.error = None
-    assert until(lambda: len(host.reported) == 2)
-    assert outlet.close(PATIENCE)
-    assert [reported["works"] for reported in host.reported] == [False, True]
-    assert sink.got == []
 
 
 def test_what_is_kept_for_a_sink_is_what_it_may_still_get(host: Host) -> None:

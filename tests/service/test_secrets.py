@@ -8,7 +8,6 @@ import re
 import shutil
 import signal
 import subprocess
-import threading
 from base64 import b64encode
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -291,39 +290,3 @@ def _were_used(running: Running, seen: dict[str, bytes], messages: bytes) -> Non
     assert "pmfid.sqlite" in names
     for what in ("refused", "down", "angry", "wrong"):
         assert what.encode() in seen["log"], "its failure is reported"
-
-
-def _spoil(place: Path, name: str, how: str, patch: pytest.MonkeyPatch) -> None:
-    if name.isupper():
-        patch.delenv(name) if how == "missing" else patch.setenv(name, f"{SECRETS[name]}\nline ü")
-    elif how == "missing":
-        (place / name).unlink()
-    else:
-        (place / name).chmod(0o644)
-
-
-@pytest.mark.skipif(PASSWD is None, reason="mosquitto_passwd is not installed")
-@needs_broker
-@pytest.mark.usefixtures("stopped_brokers")
-def test_no_secret_comes_out_of_a_start_that_is_refused(running: Running, monkeypatch: pytest.MonkeyPatch) -> None:
-    refused = 0
-    for name in SECRETS:
-        for how in ("missing", "spoiled"):
-            if name.isupper() and how == "spoiled" and "PASSWORD" in name:
-                continue  # any text is a password
-            with monkeypatch.context() as patch:
-                content = None if name.isupper() else (running.place / name).read_text()
-                _spoil(running.place, name, how, patch)
-                late = threading.Timer(
-                    120, os.kill, (os.getpid(), signal.SIGTERM)
-                )  # the service does not end by itself
-                late.start()
-                reported = called("serve", str(running.place / "plant.toml"), "--json", "--until-end", code=2)
-                late.cancel()
-                assert found_in(reported.encode()) == []
-                assert "Traceback" not in reported
-                refused += 1
-                if content is not None:
-                    (running.place / name).write_text(content)
-                    (running.place / name).chmod(0o600)
-    assert refused == 2 * len(SECRETS) - 2, "two are passwords in variables"

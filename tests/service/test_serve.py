@@ -6,7 +6,6 @@ import json
 import os
 import re
 import signal
-import socket
 import threading
 import time
 from collections.abc import Callable
@@ -20,14 +19,13 @@ import pytest
 from click.testing import CliRunner
 
 from pmfid.cli.main import main
-from pmfid.service.arrangement import Configurations
 from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.patience import PATIENCE
-from tests.service.feed import file_as_input, standard_input
+from tests.service.feed import standard_input
 
 Events = list[dict[str, Any]]
 
@@ -74,27 +72,6 @@ def test_one_axis_is_reported_as_by_the_monitor(folder: Path) -> None:
         times = {"time": 0, "changed_at": 0, "wall": 0}
         assert {**one, **times} == {**other, **times}
         assert one["time"] == pytest.approx(other["time"], abs=1e-6)
-
-
-def test_the_log_is_for_people(folder: Path) -> None:
-    lines = served(folder / "axis.toml", "--port", "0").splitlines()
-    assert lines[0].startswith("serving axis: 1 axis")
-    assert lines[1].startswith("page: http://127.0.0.1:")
-    assert "#token=" not in lines[1]
-    assert any("[page] token" in line for line in lines)
-    assert any("ALARM  mass +" in line for line in lines)
-    assert lines[-1] == "ended"
-
-
-@pytest.mark.parametrize("form", [(), ("--json",)])
-def test_the_token_of_a_start_is_in_a_file_and_in_no_log(folder: Path, tmp_path: Path, form: tuple[str, ...]) -> None:
-    out = served(folder / "axis.toml", "--port", "0", "--state", str(tmp_path / "state"), *form)
-    file = tmp_path / "state" / "page.token"
-    token = file.read_text().strip()
-    assert len(token) > 30
-    assert file.stat().st_mode & 0o077 == 0
-    assert str(file) in out
-    assert token not in out
 
 
 PLANT = """
@@ -213,12 +190,6 @@ def test_a_plant_is_refused_in_a_sentence(folder: Path, change: Callable[[str], 
     assert "Traceback" not in output
 
 
-def test_a_fleet_has_the_names_of_its_pattern(tmp_path: Path) -> None:
-    (tmp_path / "plant.toml").write_text('[fleets.cells]\nconfig = "cell.toml"\nnames = "cell-{:05d}"\ncount = 3\n')
-    plant = load_plant(tmp_path / "plant.toml")
-    assert dict(plant.axes) == dict.fromkeys(("cell-00000", "cell-00001", "cell-00002"), tmp_path / "cell.toml")
-
-
 # --- signals ----------------------------------------------------------------------------------------------------------
 
 
@@ -311,23 +282,6 @@ def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting:
     assert found[-1]["event"] == "ended"
 
 
-def test_systemd_is_reported(folder: Path, acting: Acting, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (folder / "plant.toml").write_text(PLANT)
-    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel, file_as_input(folder / "run.csv"):
-        channel.bind(str(tmp_path / "notify"))
-        channel.settimeout(PATIENCE)
-        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
-        said: list[bytes] = []
-
-        def listen() -> None:
-            while b"WATCHDOG=1" not in said:
-                said.append(channel.recv(100))
-
-        acting.run(listen)
-        said.append(channel.recv(100))
-    assert said == [b"READY=1", b"WATCHDOG=1", b"STOPPING=1"]
-
-
 # --- encoders that wrap -----------------------------------------------------------------------------------------------
 
 
@@ -355,26 +309,3 @@ def unwrapped(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Events:
 def test_a_counter_that_wraps_changes_nothing(folder: Path, tmp_path: Path, unwrapped: Events, bits: int) -> None:
     assert wrapped(folder, tmp_path, bits, 2 ** (bits - 1) - 200) == unwrapped
     assert [event["event"] for event in unwrapped].count("alarm") == 1
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [
-        (lambda text: text.replace("[service]\n", '[service]\nstate = "axis.toml"\n'), r"\[service\] state: "),
-        (lambda text: text.replace("enabled = false", "port = 70000"), r"\[page\] port = 70000"),
-    ],
-)
-def test_what_costs_nothing_is_looked_at_before_the_calibration(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, change: Callable[[str], str], said: str
-) -> None:
-    monkeypatch.setattr(Configurations, "calibrate", lambda *_: pytest.fail("calibrated first"))
-    plant = folder / "early.toml"
-    plant.write_text(change(PLANT))
-    assert re.search(said, served(plant, code=2))
-
-
-def test_a_plant_to_which_nothing_can_come_says_so(folder: Path) -> None:
-    plant = folder / "silent.toml"
-    plant.write_text(PLANT[: PLANT.index("[sources.a]")])
-    reported = served(plant, "--json")
-    assert ["add [sources.NAME]" in event["problem"] for event in events(reported, "source")] == [True]

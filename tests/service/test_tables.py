@@ -12,12 +12,10 @@ from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.arrangement import arrange_groups
 from pmfid.simulation import CART_DT
 from pmfid.stream import order as clock
-from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.checkpoint import snapshot
 from pmfid.stream.delivery import Block, Delivery, Item, Lines, Table, split_tables
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
-from pmfid.stream.intake import take_expected
-from pmfid.stream.order import Order
 from pmfid.stream.outcome import Counters
 from tests.service.collected import Collected
 from tests.tuned import set_tuning
@@ -111,44 +109,3 @@ def test_a_table_is_its_blocks_one_by_one(prepared: Prepared, seed: int, monkeyp
     kinds = {what["event"] for _, what in outlets[0].notices.values()}
     assert {"gap", "clock", "epoch", "period"} <= kinds
     assert len(outlets[0].rows_of) > 4 * TURNS
-
-
-def test_what_an_order_knows_goes_with_its_axis_when_others_go_and_over_a_restart(prepared: Prepared) -> None:
-    outlet, blocks = Collected(), {name: sent(name, Random(7)) for name in AXES}
-    engine = engine_of(prepared, outlet)
-    for k in range(20):
-        engine.process([Delivery("source", [table([blocks[name][k] for name in AXES])])])
-    (group,) = engine.groups
-    before = {seat.name: (seat.order.epoch, seat.order.expected, seat.order.held) for seat in group.seats}
-    left = [name for name in AXES if name not in ("x0", "x3")]
-    engine.set_groups(arrange_groups(engine.groups, dict.fromkeys([*left, "new"], prepared), PACE)[0])
-    (group,) = engine.groups
-    after = {seat.name: (seat.order.epoch, seat.order.expected, seat.order.held) for seat in group.seats}
-    assert after == {name: before[name] for name in left} | {"new": (-1, 0, ())}
-    (saved,) = read_snapshot(b"".join(snapshot(engine))).groups
-    restored = StreamEngine(Counters())
-    restored.set_groups([saved.restore_group(prepared, PACE)])
-    rest = [Delivery("source", [table([blocks[name][k] for name in left])]) for k in range(20, 40)]
-    for one in (engine, restored):
-        one.process(rest)
-    assert snapshot(engine)[2:] == snapshot(restored)[2:]
-
-
-def test_a_clock_whose_rate_comes_right_and_goes_wrong_again_is_reported_twice(monkeypatch: pytest.MonkeyPatch) -> None:
-    set_tuning(monkeypatch, clock, rate_time=0.3)
-    set_tuning(monkeypatch, clock, rate_samples=20)
-    both, alone = Order(CART_DT, 0), Order(CART_DT, 0)
-    reported, at_once, time = list[dict[str, object]](), 0, 0.0
-    for k in range(3 * TURNS):
-        u = np.zeros(SIZE)
-        block = Block("x", 0, k * SIZE, time, CART_DT, u, u.astype(int))
-        time += (1.0 if TURNS <= k < 2 * TURNS else 1.02) * SIZE * CART_DT
-        alone.take(block, 0.0, k, [])
-        if take_expected(both.place.positions, CART_DT, np.array([0]), table([block])).all():
-            at_once += 1
-        elif (verdict := both.take(block, 0.0, k, [])) is not None:
-            reported += verdict.events
-        for name, column in vars(both.place.positions).items():
-            assert np.array_equal(column, getattr(alone.place.positions, name), equal_nan=True), name
-    assert [what["event"] for what in reported] == ["clock", "clock"]
-    assert at_once > TURNS

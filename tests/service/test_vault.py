@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import errno
-import sqlite3
 from collections.abc import Callable
 from contextlib import closing
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from pmfid.service import keeping
 from pmfid.service.arrangement import arrange_groups
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.sinks.queued import Queued
@@ -27,7 +24,6 @@ from pmfid.stream.store import FILE, Vault
 from tests.patience import PATIENCE
 from tests.refusals import refused
 from tests.service.test_history_sink import full_at
-from tests.tuned import set_tuning
 
 Report = list[dict[str, Any]]
 
@@ -66,14 +62,6 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
 }
 
 
-def test_the_newest_is_taken(tmp_path: Path) -> None:
-    assert loaded(tmp_path / "a" / "b") == (None, [])
-    written(tmp_path, b"state 1", b"state 2", b"state 3")
-    written(tmp_path, b"state 4")
-    assert loaded(tmp_path) == ("state 4", [])
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a", "lock", FILE]
-
-
 @pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
 def test_a_damaged_file_is_set_aside(tmp_path: Path, damage: Callable[[bytes], bytes]) -> None:
     written(tmp_path, b"state 1", b"state 2")
@@ -85,19 +73,6 @@ def test_a_damaged_file_is_set_aside(tmp_path: Path, damage: Callable[[bytes], b
     assert (tmp_path / f"{FILE}.damaged-1").exists()
     written(tmp_path, b"state 5")
     assert loaded(tmp_path) == ("state 5", [])
-
-
-def test_states_of_another_version_are_refused_in_a_sentence(tmp_path: Path) -> None:
-    written(tmp_path, b"state 1")
-    with closing(sqlite3.connect(tmp_path / FILE)) as database:
-        database.execute("PRAGMA user_version = 99")
-    refused((r"another version of pmfid, .* use that version, or choose another folder", lambda: loaded(tmp_path)))
-
-
-def test_large_states_have_several_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    set_tuning(monkeypatch, "pmfid.stream.store", store_piece=7)
-    written(tmp_path, b"state " + b"y" * 1000)
-    assert loaded(tmp_path) == ("state " + "y" * 1000, [])
 
 
 def test_a_folder_has_one_service(tmp_path: Path) -> None:
@@ -210,78 +185,3 @@ def test_a_disk_that_is_full_costs_checkpoints_not_the_watch(prepared: Prepared,
     vault.close()
     assert found is not None
     assert found.groups[0].restore_group(prepared, Pace()).numbers.tolist() == [40, 0]
-
-
-def test_a_large_state_is_not_written_all_the_time(
-    prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    now, made = [100.0], list[float]()
-    monkeypatch.setattr(keeping, "monotonic", lambda: now[0])
-    vault = Vault(tmp_path)
-
-    def slow(chunks: list[bytes]) -> None:
-        made.append(now[0])
-        now[0] += 2.0
-
-    monkeypatch.setattr(vault, "write", slow)
-    keeper = Checkpoints(vault, 1.0, Counters(), Report().append)
-    engine = engine_of(prepared)
-    for k in range(60):
-        now[0] += 0.5
-        engine.changes += 1
-        keeper.offer(engine)
-        wait_for_writer(keeper)
-        if k == 50:
-            engine.urgent = True
-    keeper.offer(engine, last=True)
-    # the fourth request comes from a user and is saved at once
-    assert [b - a for a, b in pairwise(made)] == [10.0, 10.0, 10.0, 3.0, 6.0]
-
-
-def test_deliveries_wait_for_a_checkpoint_that_has_them(prepared: Prepared, tmp_path: Path) -> None:
-    done, reported = list[int](), Report()
-    keeper = Checkpoints(Vault(tmp_path), 3600.0, Counters(), reported.append)
-    engine = engine_of(prepared)
-    engine.keeper = keeper
-    for k in range(3):
-        engine.process([Delivery("source", [block(10 * k)], lambda k=k: done.append(k))])
-        keeper.offer(engine)
-    assert done == []
-    keeper.offer(engine, last=True)
-    assert done == [0, 1, 2]
-    assert reported == []
-
-
-def test_an_alarm_that_a_sink_got_is_in_no_checkpoint_for_long_though_nothing_else_comes(
-    prepared: Prepared, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    set_tuning(monkeypatch, keeping, keeping_rest=0.0)
-    keeper, engine = Checkpoints(Vault(tmp_path), 0.0, Counters(), Report().append), engine_of(prepared)
-    waiting = [Notice("x1", 7, 0.0, {"event": "alarm"})]
-    engine.unwritten = lambda: {"hook": list(waiting)}
-    engine.urgent = True
-    for _ in range(3):
-        keeper.offer(engine)
-        wait_for_writer(keeper)
-        waiting.clear()
-    assert keeper.vault.sequence == 2, "one with the alarm, one without, and no more"
-    keeper.offer(engine, last=True)
-
-
-def test_the_last_checkpoint_has_the_last_state(prepared: Prepared, tmp_path: Path) -> None:
-    keeper = Checkpoints(Vault(tmp_path), 0.0, Counters(), Report().append)
-    engine, done = engine_of(prepared), list[int]()
-    engine.keeper = keeper
-    for k in range(3):
-        engine.process([Delivery("source", [block(10 * k)], lambda k=k: done.append(k))])
-        engine.urgent = True
-        keeper.offer(engine)
-        wait_for_writer(keeper)
-        assert done == list(range(k + 1))
-    keeper.offer(engine, last=True)
-    (saved,) = read_snapshot(b"".join(snapshot(engine))).groups
-    vault = Vault(tmp_path)
-    found = vault.load(read_snapshot, Report().append)
-    vault.close()
-    assert found is not None
-    assert bytes(found.groups[0].state) == bytes(saved.state)

@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import json
 import math
-import re
 import ssl
 import subprocess
-import time
 from functools import partial
 from pathlib import Path
 from shutil import which
 
 import pytest
 
-import pmfid.service
-from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError
 from pmfid.service.context import RefusedError
-from pmfid.service.sinks.queued import QueueLimits
-from pmfid.service.sinks.webhook import EVENTS, WebhookSection, WebhookSink
+from pmfid.service.sinks.webhook import WebhookSection, WebhookSink
 from tests.patience import PATIENCE
 from tests.refusals import refused
-from tests.service.feed import Host, alarm, block, kindred, notice, queue_of, until
+from tests.service.feed import Host, alarm, notice, queue_of, until
 from tests.service.web_servers import bad_server, web_server
 from tests.tuned import set_tuning
 
@@ -57,38 +52,6 @@ def test_an_alarm_is_posted_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert (json.loads(other)["alarm"], json.loads(other)["note"]) == (7, '"<é>')
 
 
-def test_an_alarm_is_posted_as_a_sentence_for_a_phone(tmp_path: Path) -> None:
-    silent = {"silent": "source", "problem": "the source hall delivered nothing for 60 s"}
-    further = [{"parameter": "viscous_friction", "relative": -0.1, "change": -1.25, "std": 0.2, "unit": "N s/m"}]
-    alarms = [alarm(7, advice="Check the load."), alarm(8, std=math.nan, further=further), alarm(9, "", **silent)]
-    with web_server() as server:
-        hook(tmp_path, server.url, format="text").put(
-            [*alarms, notice(10, "cleared", alarm=1, silent="axis", seconds=9.6)]
-        )
-        hook(tmp_path, server.url).put([alarms[0]])
-    assert [body.decode() for *_, body in server.got[:4]] == [
-        "x1: mass is 20 % higher than normal (+0.21 ± 0.02 kg). Check the load.",
-        "x1: mass is 20 % higher than normal (+0.21 kg) and viscous friction is 10 % lower than normal "
-        "(-1.25 ± 0.2 N s/m)",
-        "the source hall delivered nothing for 60 s",
-        "x1: the silence is over after 10 s",
-    ]
-    assert server.got[0][1]["Content-Type"] == "text/plain; charset=utf-8"
-    assert json.loads(server.got[4][2])["text"] == server.got[0][2].decode()
-
-
-def test_after_its_queue_only_the_events_that_are_wanted_go_out(tmp_path: Path) -> None:
-    with web_server() as server:
-        outlet = queue_of(WebhookSection(url=server.url, events=("alarm", "settled")), "hook", Host(tmp_path))
-        outlet.start()
-        outlet.rows(block(kindred()))
-        outlet.notice(notice(1, "gap"))
-        outlet.notice(alarm(2))
-        outlet.notice(notice(3, "settled"))
-        assert outlet.close(PATIENCE)
-    assert [json.loads(body)["number"] for _, _, body in server.got] == [2, 3]
-
-
 def test_each_alarm_goes_out_once_whatever_fails_between(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.01)
     host = Host(tmp_path)
@@ -110,14 +73,6 @@ def test_each_alarm_goes_out_once_whatever_fails_between(tmp_path: Path, monkeyp
     ]
 
 
-def test_a_restart_sends_it_again_with_the_same_key(tmp_path: Path) -> None:
-    with web_server() as server:
-        for _ in range(2):
-            hook(tmp_path, server.url).put([alarm(1)])
-    (_, first, _), (_, second, _) = server.got
-    assert first["Idempotency-Key"] == second["Idempotency-Key"]
-
-
 def test_another_address_is_not_followed(tmp_path: Path) -> None:
     with web_server(302) as server:
         refused(("302 with another address", lambda: hook(tmp_path, server.url).put([alarm(1)])), kind=OSError)
@@ -137,45 +92,6 @@ def test_a_server_that_never_ends_its_answer_costs_bounded_time(tmp_path: Path, 
     with bad_server(says, every) as port:
         sink = hook(tmp_path, f"http://127.0.0.1:{port}", timeout_s=0.15)
         refused((r"did not answer completely within 0\.15 s", lambda: sink.put([alarm(1)])), kind=OSError)
-
-
-def test_an_answer_with_an_endless_page_has_said_all_at_its_start(tmp_path: Path) -> None:
-    with bad_server(b"HTTP/1.1 200 OK\r\nContent-Length: 9999999\r\n\r\nxx", 0.02) as port:
-        sink = hook(tmp_path, f"http://127.0.0.1:{port}", timeout_s=2.0)
-        begun = time.monotonic()
-        sink.put([alarm(1), alarm(2)])
-        assert time.monotonic() - begun < 2.0
-
-
-def test_a_server_that_never_answers_costs_the_service_nothing(tmp_path: Path) -> None:
-    host = Host(tmp_path)
-    with bad_server(b"") as port:
-        section = WebhookSection(url=f"http://127.0.0.1:{port}", timeout_s=60.0)
-        outlet = queue_of(section, "hook", host, QueueLimits(notices=100))
-        outlet.start()
-        for number in range(1, 301):
-            outlet.notice(alarm(number))
-        assert not outlet.close(0.1)
-    assert host.count("pmfid_dropped_notices_total", sink="hook") >= 200
-
-
-@pytest.mark.parametrize("says", [b"garbage\r\n\r\n", b"HTTP/1.1 abc\r\n\r\n"])
-def test_an_answer_that_is_none_is_an_error_that_may_pass(tmp_path: Path, says: bytes) -> None:
-    with bad_server(says, 0.01) as port:
-        sink = hook(tmp_path, f"http://127.0.0.1:{port}")
-        refused(("closed the connection without an answer", lambda: sink.put([alarm(1)])), kind=OSError)
-
-
-def test_nobody_listens_is_an_error_that_may_pass_and_tells_no_secret(tmp_path: Path) -> None:
-    (tmp_path / "url").write_text("http://127.0.0.1:9/very-secret-path\n")
-    (tmp_path / "url").chmod(0o600)
-    host = Host(tmp_path)
-    outlet = queue_of(WebhookSection(url="file:url"), "hook", host)
-    outlet.start()
-    outlet.notice(alarm(1))
-    assert until(lambda: host.reported)
-    outlet.close(PATIENCE)
-    assert host.reported[0]["problem"] == "Connection refused"
 
 
 @pytest.mark.skipif(which("openssl") is None, reason="there is no openssl on this machine to make a certificate")
@@ -222,35 +138,3 @@ def test_addresses_and_secrets_that_cannot_be_are_refused_without_being_reported
         hook(tmp_path, url, **keys)
     assert "s3cret" not in str(error.value)
     assert "hidden" not in str(error.value)
-
-
-@pytest.mark.parametrize(
-    ("keys", "problem"),
-    [
-        ({}, "url is missing"),
-        (
-            {"url": "https://a.b", "secret": "in the file"},
-            r"\[hook\] secret: the secret itself must not stand in this file; give the place",
-        ),
-        ({"url": "https://a.b", "secret_header": "A:\r\n"}, "secret_header"),
-        ({"url": "https://a.b", "events": []}, "events"),
-        (
-            {"url": "https://a.b", "events": ["alarms"]},
-            "no event has the name 'alarms'; the events are alarm, .*; did you mean 'alarm'",
-        ),
-    ],
-)
-def test_a_section_that_cannot_be_is_reported(keys: dict[str, object], problem: str) -> None:
-    class Whole(FileSection):
-        hook: WebhookSection
-
-    refused((problem, lambda: validate_sections(Whole, {"hook": {"kind": "webhook", **keys}})))
-
-
-def test_all_events_of_the_service_are_known() -> None:
-    source = Path(pmfid.service.__file__).parent
-    texts = [path.read_text(encoding="utf-8") for path in source.rglob("*.py")]
-    texts.append((source.parent / "pipeline" / "monitored" / "run.py").read_text(encoding="utf-8"))
-    reported = {event for text in texts for event in re.findall(r'"event": "([a-z ]+)"', text)}
-    assert len(reported) > 10
-    assert reported - set(EVENTS) == set()

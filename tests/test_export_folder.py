@@ -1,4 +1,4 @@
-"""Arduino, PlatformIO, Zephyr and cross compilers take the exported folder as it is."""
+"""An exported folder: layouts of build systems, foreign names, and no call of a library."""
 
 from __future__ import annotations
 
@@ -8,9 +8,14 @@ from pathlib import Path
 import pytest
 
 import pmfid
+from pmfid import Equation, EquationModel, Term
+from pmfid.errors import UsageError
+from pmfid.export.c_text import C_TYPES
 from pmfid.export.firmware import ParameterAlarm
-from tests.firmware.build import CLANG, GCC, M4F, Target, command
-from tests.test_export import FMA, PRECISIONS, make, needs, selftest
+from tests.conftest import long_unless
+from tests.firmware.build import CLANG, GCC, M4F, REQUIRED, WARNINGS, Target, calls, command, objects
+from tests.refusals import refused
+from tests.test_export import make, needs
 
 #: What a sketch sees of Arduino.
 ARDUINO = """
@@ -80,26 +85,6 @@ def test_a_sketch_links_with_every_source_of_the_folder(options: dict[str, objec
     assert succeed(["./sketch"], tmp_path) == "two samples\n"
 
 
-@pytest.mark.parametrize(
-    ("target", "options"),
-    [
-        pytest.param(
-            GCC, ("-mfma", "-ffp-contract=fast"), marks=[needs(GCC), pytest.mark.skipif(not FMA, reason="no FMA")]
-        ),
-        pytest.param(
-            CLANG, ("-mfma", "-ffp-contract=on"), marks=[needs(CLANG), pytest.mark.skipif(not FMA, reason="no FMA")]
-        ),
-        pytest.param(M4F, ("-ffp-contract=fast",), marks=needs(M4F)),
-    ],
-    ids=lambda value: value.name if isinstance(value, Target) else "",
-)
-@pytest.mark.parametrize("precision", PRECISIONS)
-def test_gnu_mode_keeps_the_bits(target: Target, options: tuple[str, ...], precision: str, tmp_path: Path) -> None:
-    """Arduino compiles in GNU mode, which contracts a * b + c, and a library of Arduino cannot set options."""
-    pmfid.export_firmware(make(pmfid.BCRLS, precision), tmp_path)
-    assert selftest(tmp_path, target, "-std=gnu11", *options).stdout == "800 samples, the same bits\n"
-
-
 @needs(Target("", "cmake"))
 def test_zephyr_builds_the_folder_as_a_module(tmp_path: Path) -> None:
     pmfid.export_firmware(make(pmfid.RIV), tmp_path / "module")
@@ -108,14 +93,6 @@ def test_zephyr_builds_the_folder_as_a_module(tmp_path: Path) -> None:
     succeed(["cmake", "-B", "build", "."], tmp_path)
     succeed(["cmake", "--build", "build"], tmp_path)
     succeed(["build/application"], tmp_path)
-
-
-@needs(Target("", "cmake"))
-def test_cmake_runs_the_self_test(tmp_path: Path) -> None:
-    pmfid.export_firmware(make(pmfid.RIV), tmp_path)
-    succeed(["cmake", "-B", "build", "."], tmp_path)
-    succeed(["cmake", "--build", "build"], tmp_path)
-    assert "100% tests passed" in succeed(["ctest", "--test-dir", "build"], tmp_path)
 
 
 def test_the_manifests_name_the_header_and_the_version(tmp_path: Path) -> None:
@@ -132,10 +109,107 @@ def test_the_manifests_name_the_header_and_the_version(tmp_path: Path) -> None:
     assert {path.parts[-3] for path in tmp_path.rglob("*.ino")} == {"examples"}
 
 
-@needs(M4F)
-def test_make_with_a_cross_compiler_builds_to_the_end(tmp_path: Path) -> None:
-    """Without a linker script and start-up code, the library is the end."""
-    pmfid.export_firmware(make(pmfid.BCRLS), tmp_path)
-    options = " ".join(M4F.options)
-    succeed(["make", "-s", f"CC={M4F.compiler}", "AR=arm-none-eabi-ar", f"TARGET={options}"], tmp_path)
-    assert "pmf_step.o" in succeed(["arm-none-eabi-ar", "t", "libaxis.a"], tmp_path)
+PREFIXES = [
+    "axis",
+    "main",
+    "step",
+    "exit",
+    "alarm",
+    "int",
+    "for",
+    "selftest",
+    "sample",
+    "x",
+    "status",
+    "config",
+    "h",
+    "t",
+]
+REFUSED = [
+    "int8",
+    "uint32",
+    "int_least64",
+    "size",
+    "real",
+    "truth",
+    "whole",
+    "integer",
+    "scalar",
+    "time",
+    "intmax",
+    "float",
+    "pmf",
+    "Ax",
+]
+NAMES = ["mass", "Mass_2", "max", "init", "step", "main", "printf", "int", "NULL", "EOF", "MIN", "t", "config"]
+needs_gcc = pytest.mark.skipif(bool(GCC.missing), reason=GCC.missing)
+
+
+def estimator_of(name: str, unit: str = "kg", second: str = "drag") -> pmfid.RLS:
+    terms = (Term("output", 2, name, unit), Term("output", 1, second))
+    model = EquationModel(Equation(terms, (Term("input"),)))
+    return pmfid.RLS(model, pmfid.Encoder(1e-3), 0.01, 20.0)
+
+
+def compile_all(folder: Path, prefix: str) -> None:
+    files = (f"{prefix}_config.c", "examples/main/main.c", "examples/selftest/selftest.c")
+    done = command([GCC.compiler, *REQUIRED, *WARNINGS, "-I.", "-fsyntax-only", *files], folder)
+    assert done.returncode == 0, done.stderr[:500]
+
+
+@needs_gcc
+@pytest.mark.parametrize("prefix", long_unless([*PREFIXES][::3].__contains__, PREFIXES))
+def test_a_prefix_that_is_taken_compiles(tmp_path: Path, prefix: str) -> None:
+    pmfid.export_firmware(estimator_of("mass"), tmp_path, prefix=prefix)
+    compile_all(tmp_path, prefix)
+
+
+@pytest.mark.parametrize("prefix", [*REFUSED, *sorted(name.removesuffix("_t") for name in C_TYPES)])
+def test_a_prefix_that_would_not_compile_is_refused(tmp_path: Path, prefix: str) -> None:
+    refused(("prefix", lambda: pmfid.export_firmware(estimator_of("mass"), tmp_path / "out", prefix=prefix)))
+    assert not (tmp_path / "out").exists()
+
+
+@needs_gcc
+@pytest.mark.parametrize("name", long_unless(NAMES[::3].__contains__, NAMES))
+def test_a_name_that_is_taken_compiles(tmp_path: Path, name: str) -> None:
+    pmfid.export_firmware(estimator_of(name), tmp_path, prefix="axis")
+    compile_all(tmp_path, "axis")
+
+
+@pytest.mark.parametrize(
+    ("name", "second", "message"),
+    [
+        ("h", "drag", "AXIS_H, which the exported code already uses"),
+        ("parameters", "drag", "AXIS_PARAMETERS, which"),
+        ("Alarms", "drag", "AXIS_ALARMS, which"),
+        ("mass", "Mass", "AXIS_MASS, which"),
+        ("größe", "drag", "letters that C does not allow"),
+    ],
+)
+def test_a_name_that_would_not_compile_is_refused(tmp_path: Path, name: str, second: str, message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        pmfid.export_firmware(estimator_of(name, second=second), tmp_path / "out", prefix="axis")
+    assert not (tmp_path / "out").exists()
+
+
+#: Cases of `make test`: one of each kind of processor.
+OFTEN = [(GCC, "-O3"), (M4F, "-Os")]
+BUILDS = [(GCC, "-O2"), (CLANG, "-O2"), (M4F, "-O3"), *OFTEN]
+
+
+@pytest.mark.parametrize(
+    ("target", "optimize"),
+    [
+        pytest.param(
+            *one, marks=[needs(one[0]), *([] if one in OFTEN else [pytest.mark.long])], id=f"{one[0].name}{one[1]}"
+        )
+        for one in BUILDS
+    ],
+)
+def test_no_call_of_a_library(target: Target, optimize: str, tmp_path: Path) -> None:
+    """The export is the one with the most code; `test_exported_code_computes_the_bits_of_python` covers all methods."""
+    pmfid.export_firmware(make(pmfid.RIV), tmp_path)
+    called = calls(tmp_path, target, objects(tmp_path, target, optimize))
+    assert {name for name in called if not name.startswith("axis_pmf_")} == set()
+    assert called, "the objects call each other at least"
