@@ -5,20 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from studies import (
-    process_confidence,
-    processes,
-    published,
-    real_processes,
-)
+from studies import process_confidence, real_processes
 from studies.sections import Page, by_name
 
-STUDIES = by_name(
-    processes.STUDY,
-    published.STUDY,
-    real_processes.STUDY,
-    process_confidence.STUDY,
-)
+STUDIES = by_name(real_processes.STUDY, process_confidence.STUDY)
 SEEDS = 100
 PARTS = {"process-confidence": 0.1}
 INTRODUCTION = """\
