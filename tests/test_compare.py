@@ -15,7 +15,7 @@ from pmfid.config.axis import Axis
 from pmfid.estimators.registry import methods_for
 from pmfid.pipeline.identify import Comparison, compare
 from pmfid.pipeline.kinds import Progress, Records
-from pmfid.simulation import CART, make_scenario, write_csv
+from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 from studies.second_order import write
 from tests.command import run_command
 
@@ -56,6 +56,16 @@ def test_json_has_every_method_near_the_truth(record):
     assert set(found["methods"]) == set(METHODS)
     for result in found["methods"].values():
         assert result["parameters"]["mass"]["value"] == pytest.approx(CART.mass, rel=0.005)
+
+
+def test_the_methods_share_one_fit_of_the_record():
+    motion = make_scenario("prbs", seed=1, duration=5.0).motion
+    counts = pmfid.quantize(motion.x, CART_RESOLUTION)
+    settings = {"model": pmfid.Drive(CART.input_gain), "encoder": pmfid.Encoder(CART_RESOLUTION), "dt": CART_DT}
+    with mock.patch.object(pmfid.MotionFit, "examine", autospec=True, side_effect=pmfid.MotionFit.examine) as examine:
+        results = [pmfid.identify(motion.u, counts, method=name, cutoff=20.0, **settings) for name in ("ls", "iv")]
+    assert examine.call_count == 1
+    assert results[0].model_spread is not results[1].model_spread
 
 
 def test_table_and_report(record, tmp_path):

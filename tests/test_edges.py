@@ -1,6 +1,7 @@
 """Simulated ages of edges, against instants by a formula."""
 
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import polars as pl
@@ -116,3 +117,10 @@ def test_a_record_with_ages_is_identified_by_them(tmp_path: Path, asymmetry: flo
     assert result.estimator.method == "edges"
     assert np.all(np.abs(result.theta - TRUTH) < (1e-5 if asymmetry == 0 else 0.1) * TRUTH)
     assert bool(result.status) == (asymmetry > 0)
+
+
+def test_edges_that_are_all_next_to_a_sample_are_refused() -> None:
+    u, counts, ages, encoder = swing(16)
+    method = EdgeFit(Drive(CART.input_gain), encoder, 0.01, 20.0, lines=16, tick=1e-6)
+    with mock.patch("pmfid.fit.edges.TRUNCATED", np.inf):
+        refused(("passes the edges", lambda: method.fit(u, counts, ages)), kind=NotIdentifiableError)

@@ -104,7 +104,7 @@ def test_a_record_with_a_heavier_load(folder: Path, read: str) -> None:
 
 @pytest.mark.usefixtures("read")
 def test_the_calibration_is_made_once(folder: Path) -> None:
-    (start,) = events(invoke(folder, "--json", "--tolerance", "0.5", stdin=TWO_LINES), "start")
+    (start,) = events(invoke(folder, "--json", "--set", "monitor.tolerance=0.5", stdin=TWO_LINES), "start")
     assert start["cached"] is True
     path = Path(start["calibration"])
     assert path.parent == folder / "cache"

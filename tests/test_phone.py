@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 import pmfid
 from pmfid.report.figures import open_figure
-from pmfid.report.html import Section, svg, write_report
+from pmfid.report.html import write_report
+from pmfid.report.page import Section
 from pmfid.report.result import write_result
 from tests.conftest import cart_run
 from tests.service.chromium import chromium, tab
@@ -69,7 +70,7 @@ def with_histogram() -> Figure:
 @pytest.mark.parametrize("draw", [side_by_side, beside_an_axis, with_histogram])
 def test_a_figure_is_drawn_again_for_a_phone(phone: Any, tmp_path: Path, draw: Callable[[], Figure]) -> None:
     """A figure of full width was cut at 704 px of width, and its text was 5 px high if it fitted."""
-    write_report(tmp_path / "report.html", "A figure", [Section("Figure", svg=svg(draw()))])
+    write_report(tmp_path / "report.html", "A figure", [Section("Figure", figure=draw)])
     phone.goto((tmp_path / "report.html").as_uri())
     assert phone.evaluate(CUT) == 0
     assert phone.evaluate(OUTSIDE) == []

@@ -13,16 +13,15 @@ import pytest
 from matplotlib.figure import Figure
 
 from pmfid.estimators.results import Track
-from pmfid.report.design import ellipse_figure
 from pmfid.report.figures import (
-    comparison_figure,
     decimation,
     estimate_figure,
     residual_figure,
     signals_figure,
     status_figure,
 )
-from pmfid.report.html import Section, svg, write_report
+from pmfid.report.html import svg, write_report
+from pmfid.report.page import Section
 from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 
@@ -49,7 +48,6 @@ def make_track(n: int = N) -> Track:
 TRACK = make_track()
 FIGURES = {
     "estimate": lambda: estimate_figure(T, TRACK, {"mass": 1.07, "viscous_friction": TRUTH}),
-    "comparison": lambda: comparison_figure(T, {"RLS": {"512": TRACK}, "BCRLS": {"512": TRACK}}, "mass", TRUTH),
     "signals": lambda: signals_figure(T, np.sin(T), np.cos(T), input_unit="V"),
     "status": lambda: status_figure(T, TRACK.status),
     "residual": lambda: residual_figure(T, np.sin(T)),
@@ -74,7 +72,6 @@ def test_every_axis_label_has_its_unit(name: str) -> None:
 def test_without_an_estimate_there_is_a_figure_still() -> None:
     nothing = replace(TRACK, status=np.full(N, Status.STARTING, np.uint32), innovation_variance=np.zeros(N))
     assert "mass [kg]" in svg(estimate_figure(T, nothing))
-    assert ellipse_figure(("mass",), np.ones(1), {}) is None  # one parameter has no pair
 
 
 @pytest.mark.parametrize("n", [1, 5, TUNING.max_points, TUNING.max_points + 1, 9973, 300_000])
@@ -89,10 +86,8 @@ def test_decimation_keeps_the_extremes_and_the_ends(n: int) -> None:
 
 def report(path: Path, title: str = "Title") -> str:
     sections = [
-        Section(
-            "First", "One.\n\nTwo.", (("name", "value"), (("mass", 1.0 / 3.0), ("never", 12))), svg(FIGURES["status"]())
-        ),
-        Section("Second", svg=svg(FIGURES["status"]())),
+        Section("First", "One.\n\nTwo.", (("name", "value"), (("mass", 1.0 / 3.0), ("never", 12))), FIGURES["status"]),
+        Section("Second", figure=FIGURES["status"]),
     ]
     write_report(path, title, sections)
     return path.read_text("utf-8")

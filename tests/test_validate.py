@@ -92,7 +92,7 @@ def test_what_identify_writes_is_what_validate_reads(tmp_path: Path) -> None:
     arguments[-1] = str(tmp_path / "id" / "result.json")
     result = run_command(*arguments, "--out", tmp_path / "out")
     assert result.stderr == ""
-    assert "parameters by ls" in result.stdout
+    assert "Parameters by ls" in result.stdout
     assert "run2.csv" in result.stdout
     page = (tmp_path / "out" / "validation.html").read_text("utf-8")
     assert page.count("<figure") == 3

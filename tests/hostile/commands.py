@@ -51,7 +51,7 @@ class Case:
 
 
 def options(rng: Rng, chance: float, **choices: list[str]) -> list[str]:
-    """Return options with a valid value, or at times an odd value; `no_guard` is --no-guard."""
+    """Return options with a valid value, or at times an odd value; `goal_unit` is --goal-unit."""
     found = []
     for key, value in some(rng, chance, **choices).items():
         odd = rng.random() < 0.07
@@ -189,7 +189,7 @@ def _export(rng: Rng, folder: Path) -> Case:
     chosen += options(
         rng, 0.1, dt=["0.01", "1e-3"], prefix=["axis", "int", "µ", "a b", "../x"], forgetting=["0.99", "1"]
     )
-    chosen += _flags(rng, 0.1, "--no-guard", "--blocks") + _alarms(rng)
+    chosen += _flags(rng, 0.1, "--blocks") + _alarms(rng)
     out = _out(rng, 1.0) if rng.random() < 0.2 else ["--out", "out"]
     record = ["--record", name] if rng.random() < 0.8 else []
     return Case(("export", "axis.toml", *record, *out, *chosen), files)
@@ -211,7 +211,7 @@ def _monitor(rng: Rng, folder: Path) -> Case:
     text = axis(rng, kind, facts, (*2 * ("riv", "bcrls", "auto"), "rls")) + monitor(rng, facts)
     files = {"normal.csv": as_csv(rng, with_defects(rng, columns) if rng.random() < 0.2 else columns)}
     files["axis.toml"] = text.encode()
-    chosen = options(rng, 0.1, mtbf_hours=["0.1", "24"], tolerance=["0.05", "0"])
+    chosen = options(rng, 0.2, set=["monitor.mtbf_hours=24", "monitor.tolerance=0.05", "monitor.tolerance=0"])
     places = ["rows.csv", "rows.parquet", "-", "normal.csv", "axis.toml", "nowhere/x.csv", "x.txt", "."]
     chosen += options(rng, 0.3, out=places) + options(rng, 0.01, report=["page.html", "normal.csv", "nowhere/x.html"])
     chosen += _flags(rng, 0.6, "--json")

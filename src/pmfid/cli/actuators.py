@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import JSON, folder_option, print_json, progress
+from pmfid.cli.tables import finish, print_table
+from pmfid.cli.terminal import JSON, folder_option, print_json, print_text, progress
 from pmfid.errors import NotIdentifiableError, UsageError, printable
 
 if TYPE_CHECKING:
-    from pmfid.actuators.joints import FittedJoint
     from pmfid.actuators.sysid import Feedforward
 
 
@@ -86,6 +86,7 @@ def actuators(
         from pmfid.actuators.joints import fit_joints
         from pmfid.actuators.logs import LogLayout, read_joints
         from pmfid.actuators.sysid import fit_sysid, is_sysid, read_sysid
+        from pmfid.report.actuators import joints_page, write_joints
 
         if bits is not None and resolution is not None:
             raise UsageError("--bits and --resolution both give the encoder's step: give only one of them")
@@ -102,13 +103,8 @@ def actuators(
         if all(joint.fit is None for joint in found):
             raise NotIdentifiableError("; ".join(f"{joint.log.name}: {joint.refused}" for joint in found))
         if out is not None:
-            from pmfid.report.actuators import write_joints
-
-            write_joints(out, found, name)
-    if as_json:
-        print_json({"log": printable(name), "joints": {joint.log.name: joint.to_dict() for joint in found}})
-    else:
-        _print(found, name, out)
+            write_joints(out, found)
+    finish(joints_page(found, name), out, as_json)
 
 
 def _read_given(texts: tuple[str, ...]) -> dict[str, float]:
@@ -133,35 +129,9 @@ def _show_gains(mechanisms: list[Feedforward], name: str, out: Path | None, as_j
     if as_json:
         print_json({"log": printable(name), "mechanisms": {one.name: one.to_dict() for one in mechanisms}})
         return
-    lines = [line for one in mechanisms for line in one.lines]
-    lines += list(dict.fromkeys(f"note: {note}" for one in mechanisms for note in one.notes))
-    lines += [f"gains: {out / 'wpilib.json'}"] if out else []
-    _print_table(name, [one.rows for one in mechanisms], lines)
-
-
-def _print(found: list[FittedJoint], name: str, out: Path | None) -> None:
-    lines = [line for joint in found for line in joint.lines]
-    lines += list(dict.fromkeys(f"note: {note}" for joint in found for note in joint.notes))
-    lines += [f"report: {out / 'actuators.html'}"] if out else []
-    _print_table(name, [joint.rows for joint in found], lines)
-
-
-def _print_table(name: str, groups: list[list[list[str]]], lines: list[str]) -> None:
-    """Print a table with a section for each group of rows, and lines."""
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
     from pmfid.actuators.joints import HEADER
 
-    table = Table(title=escape(printable(name)))
-    for heading in HEADER:
-        table.add_column(heading, justify="right" if heading in ("value", "std") else "left", no_wrap=True)
-    for rows in groups:
-        for row in rows:
-            table.add_row(*(escape(printable(cell)) for cell in row))
-        table.add_section()
-    console = Console()
-    console.print(table)
-    for line in lines:
-        console.print(printable(line), highlight=False, markup=False, soft_wrap=True)
+    print_table(name, HEADER, [row for one in mechanisms for row in one.rows])
+    lines = [line for one in mechanisms for line in one.lines]
+    lines += dict.fromkeys(f"note: {note}" for one in mechanisms for note in one.notes)
+    print_text("\n".join([*lines, *([f"gains: {out / 'wpilib.json'}"] if out else [])]))

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.terminal import JSON, SET, print_json, progress, read_changes
+from pmfid.cli.tables import finish
+from pmfid.cli.terminal import JSON, SET, print_json, print_text, progress, read_changes
 from pmfid.errors import PmfidError, UsageError
 
 SPEC = click.argument("spec", type=click.Path(path_type=Path), metavar="SPEC.toml")
@@ -77,19 +78,14 @@ def design(
         return
     with _infeasible_as_json(as_json), progress("design") as tell:
         from pmfid.pipeline.designs import load_spec, run_appraisal, run_design
-        from pmfid.report.design import write_design
+        from pmfid.report.design import design_page, write_inputs
 
         loaded = load_spec(spec, read_changes(changes))
         found = run_design(loaded, certify=certify or None, progress=lambda done, total, _: tell(done / total))
         appraisal = run_appraisal(loaded, found)
         if out is not None:
-            write_design(out, appraisal)
-    if as_json:
-        print_json(appraisal.to_dict())
-    else:
-        from pmfid.cli.design_tables import print_appraisal
-
-        print_appraisal(appraisal, out)
+            write_inputs(out, appraisal)
+    finish(design_page(appraisal), out, as_json, motion="design.csv")
 
 
 def _commission(
@@ -104,20 +100,19 @@ def _commission(
 ) -> None:
     with _infeasible_as_json(as_json), progress("commission"):
         from pmfid.pipeline.designs import load_spec, read_run, run_appraisal, run_commissioning
+        from pmfid.report.design import design_page, rounds_page, write_inputs
+        from pmfid.report.html import write_page
 
         loaded = load_spec(spec, changes)
         runs = [read_run(loaded, path) for path in records]
         state = run_commissioning(loaded, runs, _pairs("want", want), _pairs("truth", truth) if truth else None, rounds)
         if out is not None and state.next is not None:
-            from pmfid.report.design import write_design
-
-            write_design(out, run_appraisal(loaded, state.next))
-    if as_json:
-        print_json(state.to_json())
-    else:
-        from pmfid.cli.design_tables import print_commissioning
-
-        print_commissioning(state, out)
+            appraisal = run_appraisal(loaded, state.next)
+            write_inputs(out, appraisal)
+            write_page(out, design_page(appraisal))
+    finish(rounds_page(state), None, as_json)
+    if out is not None and state.next is not None and not as_json:
+        print_text(f"motion: {out / 'design.csv'}\nreport: {out / 'report.html'}")
 
 
 def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, float]:

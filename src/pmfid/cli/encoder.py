@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import JSON, config_option, folder_option, print_json, progress
-
-if TYPE_CHECKING:
-    from pmfid.pipeline.encoders import EncoderChoice
+from pmfid.cli.tables import finish
+from pmfid.cli.terminal import JSON, config_option, folder_option, progress
 
 
 @click.command(short_help="Show which encoder a parameter needs, with and without edge times.")
@@ -55,22 +52,8 @@ def encoder(
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.encoders import compare_encoders
         from pmfid.records.record import read_record
+        from pmfid.report.encoders import encoder_page
 
         axis = load_axis(config)
         found = compare_encoders(read_record(record, axis), axis, want / 100, line_error / 100, parameter, tell)
-        if out is not None:
-            from pmfid.report.encoders import write_choice
-
-            write_choice(out, found)
-    if as_json:
-        print_json(found.to_dict())
-    else:
-        _print(found, out)
-
-
-def _print(found: EncoderChoice, out: Path | None) -> None:
-    from pmfid.cli.tables import print_lines, print_table
-
-    shown = found.summary()
-    print_table(shown.title, shown.header, shown.rows)
-    print_lines((found.answer, *(f"note: {note}" for note in found.notes)), out, "encoder.html")
+    finish(encoder_page(found), out, as_json)

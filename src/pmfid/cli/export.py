@@ -41,11 +41,6 @@ from pmfid.cli.terminal import SET, progress, read_changes
 )
 @click.option("--blocks", is_flag=True, help="Add pmf_block.c, which makes blocks of samples for pmfid serve.")
 @click.option("--steps", is_flag=True, help="Pass the time since the last sample to every call, for uneven sampling.")
-@click.option(
-    "--no-guard",
-    is_flag=True,
-    help="Leave out the guard against glitches. The code is smaller, but a glitch spoils the estimate.",
-)
 def export(
     axis_file: Path,
     out: Path,
@@ -55,7 +50,6 @@ def export(
     alarms: tuple[tuple[str, float, float], ...],
     blocks: bool,
     steps: bool,
-    no_guard: bool,
     changes: tuple[str, ...],
     **options: object,
 ) -> None:
@@ -74,7 +68,7 @@ def export(
         from pmfid.records.joining import make_even
         from pmfid.records.record import read_record
 
-        axis = load_axis(axis_file, given | ({"encoder.guard": False} if no_guard else {}))
+        axis = load_axis(axis_file, given)
         check_exportable(axis)
         data = None if record is None else make_even(read_record(record, axis))
         estimator = drive_estimator(axis, data, dt, steps)

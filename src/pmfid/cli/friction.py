@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import JSON, config_option, folder_option, print_json, progress
-
-if TYPE_CHECKING:
-    from pmfid.pipeline.friction import FrictionCurve
+from pmfid.cli.tables import finish
+from pmfid.cli.terminal import JSON, config_option, folder_option, progress
 
 
 @click.command(short_help="Show friction over velocity without assuming a law.")
@@ -28,25 +25,10 @@ def friction(record: Path, config: Path, out: Path | None, as_json: bool) -> Non
     """
     with progress("friction"):
         from pmfid.config.axis import load_axis
-        from pmfid.pipeline.friction import curve_json, record_curve
+        from pmfid.pipeline.friction import record_curve
         from pmfid.records.record import read_record
+        from pmfid.report.friction import curve_page
 
         axis = load_axis(config)
         found = record_curve(read_record(record, axis), axis)
-        if out is not None:
-            from pmfid.report.friction import write_curve
-
-            write_curve(out, found, record.name)
-    if as_json:
-        print_json(curve_json(found, record.name))
-    else:
-        _print(found, record.name, out)
-
-
-def _print(found: FrictionCurve, name: str, out: Path | None) -> None:
-    from pmfid.cli.tables import print_lines, print_table
-
-    own, shown = found.motion, found.summary()
-    title = f"{name}: {own.inertia} {found.mass:.5g} ± {found.mass_std:.2g} {own.of_inertia}"
-    print_table(title, shown.header, shown.rows)
-    print_lines((line for finding in found.findings for line in finding.lines), out, "friction.html")
+    finish(curve_page(found, record.name), out, as_json)

@@ -22,6 +22,7 @@ from pmfid.cli.monitor import monitor
 from pmfid.cli.selftest import selftest
 from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
+from pmfid.cli.tables import finish
 from pmfid.cli.terminal import (
     JSON,
     RECORDS,
@@ -155,33 +156,16 @@ def _compare(
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.identify import compare as run
         from pmfid.pipeline.identify import kind_of
+        from pmfid.report.comparison import comparison_page
 
         axis = load_axis(config, changes)
         comparison = run(kind_of(axis).read(records, axis), axis, tell)
-        if out is not None:
-            from pmfid.report.comparison import write_comparison
-
-            write_comparison(out, comparison)
-    if as_json:
-        print_json(comparison.to_json())
-    else:
-        from pmfid.cli.tables import print_comparison
-
-        print_comparison(comparison, out)
+    finish(comparison_page(comparison), out, as_json)
 
 
-main.add_command(actuators)
-main.add_command(check)
-main.add_command(init)
-main.add_command(design)
-main.add_command(monitor)
-main.add_command(selftest)
-main.add_command(serve)
-main.add_command(simulate)
-main.add_command(terms)
-main.add_command(validate)
-main.add_command(encoder)
-main.add_command(explain)
-main.add_command(export)
-main.add_command(fleet)
-main.add_command(friction)
+COMMANDS = (
+    *(actuators, check, design, encoder, explain, export, fleet, friction, init, monitor, selftest, serve, simulate),
+    *(terms, validate),
+)
+for command in COMMANDS:
+    main.add_command(command)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import config_option, progress
+from pmfid.cli.terminal import SET, config_option, progress, read_changes
 
 if TYPE_CHECKING:
     from pmfid.config.axis import Axis
@@ -23,10 +23,7 @@ if TYPE_CHECKING:
 @click.command(short_help="Watch a record or a pipe and report changes.")
 @click.argument("record", type=click.Path(path_type=Path, allow_dash=True), required=False)
 @config_option("AXIS.toml whose section [monitor] names a record of normal work.")
-@click.option("--mtbf-hours", type=float, metavar="H", help="Mean time between false alarms [h].")
-@click.option(
-    "--tolerance", type=float, metavar="PART", help="Largest relative deviation that does not count as a change."
-)
+@SET
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False, allow_dash=True),
@@ -54,8 +51,8 @@ def monitor(
     report: Path | None,
     estimates: Path | None,
     column: str | None,
+    changes: tuple[str, ...],
     as_json: bool,
-    **options: float | None,
 ) -> None:
     """Watch RECORD and report changes of mass or friction. If RECORD is -, watch CSV lines on standard input.
 
@@ -65,7 +62,7 @@ def monitor(
     end of the input, or at Ctrl-C or SIGTERM after all results are written.
     """
     if estimates is not None:
-        _judge_estimates(estimates, column, options["tolerance"], as_json)
+        _judge_estimates(estimates, column, read_changes(changes), as_json)
         return
     if record is None:
         raise click.UsageError("RECORD is missing; give a record, - for lines, or --estimates FILE")
@@ -78,7 +75,7 @@ def monitor(
         from pmfid.records.joining import make_even
         from pmfid.records.record import read_record
 
-        axis = load_axis(config, {f"monitor.{key}": value for key, value in options.items()})
+        axis = load_axis(config, read_changes(changes))
         check_monitored(axis)
         inputs = [config, *([] if piped else [record])]
         _check_places(
@@ -94,15 +91,14 @@ def monitor(
     _complain(run, sink)
 
 
-def _judge_estimates(path: Path, column: str | None, tolerance: float | None, as_json: bool) -> None:
-    from pmfid.config.axis import MonitorConfig
-    from pmfid.errors import UsageError, printable
+def _judge_estimates(path: Path, column: str | None, changes: dict[str, object], as_json: bool) -> None:
+    from pmfid.config.axis import VisitSections
+    from pmfid.config.toml_file import override_sections
+    from pmfid.errors import printable
     from pmfid.fleet.visits import describe_changes, read_visits
 
-    least = MonitorConfig().tolerance if tolerance is None else tolerance
-    if not 0 <= least < 1:
-        raise UsageError(f"tolerance must be in [0, 1), got {least}; 0.02 is 2 %")
-    for event in describe_changes(read_visits(path, column), least):
+    tolerance = override_sections(VisitSections, {}, changes).monitor.tolerance
+    for event in describe_changes(read_visits(path, column), tolerance):
         if as_json:
             import json
 

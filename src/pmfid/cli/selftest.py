@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import JSON, config_option, print_json, progress, result_option
-
-if TYPE_CHECKING:
-    from pmfid.pipeline.selftest import SelfTest
+from pmfid.cli.tables import finish
+from pmfid.cli.terminal import JSON, config_option, progress, result_option
 
 
 @click.command(short_help="Simulate the machine of a result, identify it again, and compare.")
@@ -33,25 +30,9 @@ def selftest(record: Path, config: Path, stored: Path, runs: int, seed: int, as_
         from pmfid.pipeline.selftest import run_selftest
         from pmfid.pipeline.stored import read_stored
         from pmfid.pipeline.validation import read_records
+        from pmfid.report.validation import selftest_page
 
         axis = load_axis(config)
         (data,) = read_records([record], axis)
         found = run_selftest(read_stored(stored), data, axis, runs=runs, seed=seed, tell=tell)
-    if as_json:
-        print_json(found.to_json())
-    else:
-        _print(found)
-
-
-def _print(found: SelfTest) -> None:
-    from pmfid.cli.tables import print_lines, print_table
-
-    done = found.runs - found.refused
-    rows = [
-        [one.name, f"{one.value:.5g}", f"{one.mean:.5g}", f"{one.rmse:.2g}", f"{one.covered} of {done}", one.unit]
-        for one in found.recoveries
-    ]
-    header = ("parameter", "simulated", "mean", "error (rms)", "covered", "unit")
-    print_table(f"{found.record}: {found.runs} simulated records", header, rows)
-    lines = [line for finding in found.findings for line in finding.lines]
-    print_lines([f"status: {', '.join(found.status) or 'none'}", *lines], None, "")
+    finish(selftest_page(found), None, as_json)

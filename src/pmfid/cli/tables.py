@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from pmfid.cli.terminal import print_text
+from pmfid.cli.terminal import print_json, print_text
 from pmfid.errors import printable
+from pmfid.report.page import ResultPage, format_cell
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-    from pmfid.linear.order import Search
-    from pmfid.pipeline.identify import Comparison
     from pmfid.pipeline.result import ProcessResult, Result
 
 
@@ -44,7 +43,9 @@ def print_result(result: Result, out: Path | None) -> None:
         below = f"note: effects outside the model are below the tolerance: {', '.join(small)}"
         lines.append(f"{below}; the report and --json describe them")
     lines += [f"more: pmfid explain {said.word}"] if said.word else []
-    print_lines(lines, out, "report.html")
+    lines += [f"report: {out / 'report.html'}"] if out is not None else []
+    for line in lines:
+        print_text(line)
 
 
 def _parameters(result: Result, width: int) -> Table:
@@ -86,19 +87,36 @@ def _add_dynamics(table: Table, result: ProcessResult) -> None:
         table.add_row(*map(_safe, row))
 
 
-def print_comparison(comparison: Comparison, out: Path | None) -> None:
-    """Print one row for each method, and the reason for each method without a result.
+def finish(page: ResultPage, out: Path | None, as_json: bool, **files: str) -> None:
+    """Write a page into a folder if one is given, and print it as JSON or for people.
 
-    In a narrow terminal, the table is split into blocks of parameters.
+    `files` has the names of further files in the folder, by what they hold.
     """
+    if out is not None:
+        from pmfid.report.html import write_page
 
-    from pmfid.report.comparison import comparison_rows
+        write_page(out, page)
+    if as_json:
+        print_json(page.content)
+    else:
+        print_page(page)
+        if out is not None:
+            written = files | {"report": f"{page.name}.html"}
+            print_text("\n".join(f"{what}: {out / name}" for what, name in written.items()))
 
-    header, rows = comparison_rows(comparison)
-    print_table(f"{comparison.name}: all methods", header[:-1], rows)
-    lines = [f"{row[0]}: {row[-1]}" for row in rows if row[-1]]  # remarks do not fit into a narrow table
-    lines += [f"{name} has no answer: {reason}" for name, reason in comparison.refused.items()]
-    print_lines(lines, out, "compare.html")
+
+def print_page(page: ResultPage) -> None:
+    """Print the sentences, tables, files and remarks of a page. Figures and folded sections are left out."""
+    for sentence in page.lead:
+        print_text(sentence)
+    for section in page.sections:
+        if section.code:
+            print_text(f"\n{section.code}\n")
+        if section.table is not None and not section.folded:
+            header, rows = section.table
+            print_table(section.heading, header, [[format_cell(cell) for cell in row] for row in rows])
+    for remark in page.remarks:
+        print_text(remark)
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -142,23 +160,6 @@ def _width(table: Table) -> int:
     from rich.console import Console
 
     return Console(width=10_000).measure(table).maximum
-
-
-def print_search(search: Search, name: str, out: Path | None) -> None:
-    """Print the best structures."""
-    from pmfid.diagnostics.processes import search_notes
-    from pmfid.report.result import SEARCH_HEADER, search_rows
-
-    print_table(f"{name}: poles n, zeros m, dead time in samples", SEARCH_HEADER, search_rows(search))
-    best = search.best
-    print_text(f"best for [model]: n = {best.n}, m = {best.m}, delay = {best.delay}")
-    print_lines((f"note: {note}" for note in search_notes(search)), out, "order.html")
-
-
-def print_lines(lines: Iterable[str], out: Path | None, page: str) -> None:
-    """Print lines, and the path of the page if a folder was given."""
-    for line in (*lines, *([f"report: {out / page}"] if out is not None else [])):
-        print_text(line)
 
 
 def _safe(text: str) -> str:

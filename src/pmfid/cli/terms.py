@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from pmfid.cli.tables import finish
 from pmfid.cli.terminal import (
     JSON,
     RECORDS,
     SET,
     config_option,
     folder_option,
-    print_json,
-    print_text,
     progress,
     read_changes,
 )
-
-if TYPE_CHECKING:
-    from pmfid.pipeline.terms import TermSearch
 
 
 @click.command(short_help="Search the terms of a drive, or the structure of a transfer function.")
@@ -54,17 +49,11 @@ def terms(
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.drives import Drives
         from pmfid.pipeline.terms import search_drive
+        from pmfid.report.terms import terms_page
 
         axis = load_axis(config, read_changes(changes))
         found = search_drive(Drives().read(records, axis), axis)
-        if out is not None:
-            from pmfid.report.terms import write_terms
-
-            write_terms(out, found)
-    if as_json:
-        print_json(found.to_json())
-    else:
-        _print(found, out)
+    finish(terms_page(found), out, as_json)
 
 
 def _is_process(config: Path) -> bool:
@@ -86,31 +75,9 @@ def _search_order(
     structure |= {"model.integrators": 0, "model.dead_time": 0.0}
     with progress("structures") as tell:
         from pmfid.config.axis import load_axis
-        from pmfid.pipeline.processes import Processes, search_json, search_order
+        from pmfid.pipeline.processes import Processes, search_order
+        from pmfid.report.result import search_page
 
         axis = load_axis(config, changes | structure)
         search = search_order(Processes().read(records, axis), axis, tell)
-        if out is not None:
-            from pmfid.report.result import write_search
-
-            write_search(out, search, records[0].name)
-    if as_json:
-        print_json(search_json(search))
-    else:
-        from pmfid.cli.tables import print_search
-
-        print_search(search, records[0].name, out)
-
-
-def _print(found: TermSearch, out: Path | None) -> None:
-    from pmfid.cli.tables import print_lines, print_result, print_table
-    from pmfid.pipeline.terms import term_rows
-
-    print_text(found.sentence)
-    print_text("\n".join(["", *found.lines, ""]))
-    for title, chosen in (("forces of the fit", True), ("forces that this record does not show", False)):
-        header, cells = term_rows([row for row in found.rows if row.chosen == chosen])
-        if cells:
-            print_table(f"{found.name}: {title}", header, cells)
-    print_result(found.result, None)
-    print_lines((), out, "terms.html")
+    finish(search_page(search, records[0].name), out, as_json)

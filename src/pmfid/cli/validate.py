@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
+from pmfid.cli.tables import finish
 from pmfid.cli.terminal import (
     JSON,
     RECORDS,
     config_option,
     folder_option,
-    print_json,
     progress,
     result_option,
 )
-
-if TYPE_CHECKING:
-    from pmfid.pipeline.validation import Validation
 
 
 @click.command(short_help="Predict other records with a result, by free-run simulation.")
@@ -39,30 +35,8 @@ def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | 
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.stored import read_stored
         from pmfid.pipeline.validation import read_records, validate_stored
+        from pmfid.report.validation import validation_page
 
         axis = load_axis(config)
         found = validate_stored(read_stored(stored), read_records(records, axis), axis)
-        if out is not None:
-            from pmfid.report.validation import write_validation
-
-            write_validation(out, found)
-    if as_json:
-        print_json(found.to_json())
-    else:
-        _print(found, out)
-
-
-def _print(found: Validation, out: Path | None) -> None:
-    from pmfid.cli.tables import print_lines, print_table
-    from pmfid.report.validation import horizon_rows, run_rows
-
-    (header, runs), (names, horizons) = run_rows(found), horizon_rows(found)
-    rows = [[name, *(row[column] for row in runs)] for column, name in enumerate(header) if column]
-    for every in dict.fromkeys(row[1] for row in horizons):
-        for column in (3, 4):
-            cells = {row[0]: row[column] for row in horizons if row[1] == every}
-            text = f"{names[column]}, restarted every {every} s"
-            rows.append([text, *(cells.get(row[0], "–") for row in runs)])
-    print_table(f"free run, parameters by {found.method}", ["", *(row[0] for row in runs)], rows)
-    status = [f"status: {', '.join(found.status)}"] if found.status else []
-    print_lines([*status, *(f"note: {note}" for note in found.notes)], out, "validation.html")
+    finish(validation_page(found), out, as_json)

@@ -101,6 +101,12 @@ class MonitorConfig(FileSection):
     )
 
 
+class VisitSections(FileSection):
+    """The sections that a table of estimates needs in place of a record."""
+
+    monitor: MonitorConfig = Field(MonitorConfig(), description="a section with the tolerance")
+
+
 #: Section, key, and whether the key belongs to a transfer function. Keys of no transfer function belong to a machine
 #: with friction.
 _KEYS_OF_ONE_KIND = (

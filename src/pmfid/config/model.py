@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import fields
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, cast
 
-from pydantic import AfterValidator, Field, WrapValidator, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, WrapValidator, model_validator
 
 from pmfid.config.keys import Form, KindName
 from pmfid.config.toml_file import FileSection
@@ -165,6 +165,9 @@ class ModelConfig(FileSection):
         (KnownTerm(),), strict=False, description='terms like { signal = "input", coefficient = 0.35 }'
     )
 
+    #: The equation of a model that came as an object, in place of `unknown` and `known`.
+    _model: EquationModel | None = PrivateAttr(None)
+
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
         if self.kind == "drive" and self.input_gain is None:
@@ -203,6 +206,8 @@ class ModelConfig(FileSection):
 
     def make(self) -> Model:
         """Return the model that the section describes. Raises UsageError if the terms make no equation."""
+        if self._model is not None:
+            return self._model
         if self.kind == "equation":
             unknown = tuple(
                 Term(**(dict(term) | {"shape": None if term.shape is None else term.shape.make()}))
@@ -217,3 +222,25 @@ class ModelConfig(FileSection):
 def keys_of(model: type[Drive | TransferFunction]) -> tuple[str, ...]:
     """Return the keys of [model] for a class of models, which are the names of its fields."""
     return tuple(field.name for field in fields(model) if field.name not in NOT_IN_FILES)
+
+
+def model_section(model: Model) -> ModelConfig:
+    """Return the section [model] of a model that is an object. Raises UsageError for a model that no section has."""
+    if isinstance(model, TransferFunction) and model.initial_conditions:
+        raise UsageError("the fit always includes the initial conditions of each experiment: drop initial_conditions")
+    if isinstance(model, Drive | TransferFunction):
+        keys = {key: getattr(model, key) for key in keys_of(type(model))}
+        if keys.get("axis") == "linear":  # the unit of the encoder may say that the axis is rotary
+            del keys["axis"]
+        return ModelConfig(kind=cast(KindName, model.kind), **keys)
+    if not isinstance(model, EquationModel):
+        raise UsageError(f"model must be a Drive, an EquationModel or a TransferFunction, got {type(model).__name__}")
+    equation = model.equation
+    if equation != Equation(equation.unknown, equation.known, dead_time=equation.dead_time, lag=equation.lag):
+        raise UsageError(
+            "the arguments delay, only_simulated and further belong to a TransferFunction: give model = "
+            "TransferFunction(...)"
+        )
+    section = ModelConfig.model_construct(kind="equation", dead_time=equation.dead_time, lag=equation.lag)
+    section._model = model
+    return section

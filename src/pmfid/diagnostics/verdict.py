@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -81,7 +82,13 @@ def fit_again(estimator: Estimator, u: Floats, counts: Counts) -> Fitted:
         method = like(MotionFit, estimator, prefilter_zeros=None, precision="float64", steps=steps)
     except UsageError as error:
         raise NotIdentifiableError(str(error)) from None
-    return method.examine(u[part], counts[part])
+    return _examine(method, u[part].tobytes(), counts[part].tobytes())
+
+
+@lru_cache(maxsize=1)
+def _examine(method: MotionFit, u: bytes, counts: bytes) -> Fitted:
+    """Return the fit of inputs and counts (n,), which all methods of one record share."""
+    return method.examine(np.frombuffer(u, np.float64).copy(), np.frombuffer(counts, np.int64).copy())
 
 
 def _spread(fitted: Fitted, theta: Floats, std: Floats) -> Floats:

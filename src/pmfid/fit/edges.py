@@ -136,11 +136,13 @@ class EdgeSearch(FitSearch):
         self.keep(kept)
 
     def keep(self, kept: Sequence[Flags]) -> None:
-        """Keep some of the rows (k,) of each stretch."""
+        """Keep some of the rows (k,) of each stretch. Raises NotIdentifiableError if no row is left."""
         pairs = list(zip(self.plain.stretches, kept, strict=True))
         self.margins = [m[row[~one.counted]] for m, (one, row) in zip(self.margins, pairs, strict=True)]
         self.margins = [m for m, (_, row) in zip(self.margins, pairs, strict=True) if np.any(row)]
         stretches = [np.any(row) for row in kept]
+        if not any(stretches):
+            raise NotIdentifiableError(f"no motion of the model passes the edges; {MOVE}")
         if not all(stretches):
             self.starts = self.starts[stretches]
             self.plain = replace(self.plain, stretches=tuple(one for one, row in pairs if np.any(row)))

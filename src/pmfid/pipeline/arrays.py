@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Unpack, cast, overload
 
@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.config.axis import Axis, read_axis
-from pmfid.config.keys import AxisKeys, EstimatorKeys
-from pmfid.config.model import SHAPES, keys_of
-from pmfid.config.record import NO_ENCODER
-from pmfid.config.toml_file import validate_sections as axis_from
+from pmfid.config.keys import AxisKeys, EstimatorKeys, OutputKind
+from pmfid.config.model import model_section
+from pmfid.config.record import NO_ENCODER, EncoderConfig, RecordConfig
+from pmfid.config.toml_file import validate_sections
 from pmfid.encoder import Encoder
 from pmfid.errors import UsageError
 from pmfid.estimators.configuration import check_arrays, numbers
@@ -22,7 +22,6 @@ from pmfid.findings import Finding
 from pmfid.io.tables import Frame, table_of
 from pmfid.linear.experiment import Experiment
 from pmfid.models.drive import Drive, EquationModel, Model
-from pmfid.models.equation import Equation
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.pipeline.identify import check as checked
 from pmfid.pipeline.identify import identify as run
@@ -354,54 +353,28 @@ def axis_of(model: Model, encoder: Encoder | None, dt: float, estimator: dict[st
 
     Raises UsageError for settings that contradict each other.
     """
-    kind = "counts" if encoder is not None else "position"
-    return axis_from(
-        Axis,
-        {
-            "record": {"input": INPUT, "output": OUTPUT, "output_kind": kind, "dt": float(dt)},
-            "encoder": _encoder(encoder, model),
-            "model": _model(model),
-            "estimator": estimator,
-        },
-    )
+    kind: OutputKind = "counts" if encoder is not None else "position"
+    sections = {
+        "record": RecordConfig(input=INPUT, output=OUTPUT, output_kind=kind, dt=float(dt)),
+        "encoder": _encoder(encoder, model),
+        "model": model_section(model),
+        "estimator": estimator,
+    }
+    return validate_sections(Axis, sections)
 
 
-def _encoder(encoder: Encoder | None, model: Model) -> dict[str, object]:
+def _encoder(encoder: Encoder | None, model: Model) -> EncoderConfig:
     if encoder is None:
-        return {"resolution": NO_ENCODER}
-    shared: dict[str, object] = {"resolution": encoder.resolution, "bits": encoder.bits}
+        return EncoderConfig(resolution=NO_ENCODER)
     if isinstance(model, TransferFunction):
-        return shared
-    moving = {"standstill_time": encoder.standstill_time, "max_speed": encoder.max_speed, "guard": encoder.guard}
-    return shared | moving
-
-
-def _model(model: Model) -> dict[str, object]:
-    """Return the keys of [model] that describe the model."""
-    if isinstance(model, TransferFunction) and model.initial_conditions:
-        raise UsageError("the fit always includes the initial conditions of each experiment: drop initial_conditions")
-    if isinstance(model, Drive | TransferFunction):
-        keys = {key: getattr(model, key) for key in keys_of(type(model))}
-        if keys.get("axis") == "linear":  # the unit of the encoder may say that the axis is rotary
-            del keys["axis"]
-        return {"kind": model.kind, **keys}
-    if not isinstance(model, EquationModel):
-        raise UsageError(f"model must be a Drive, an EquationModel or a TransferFunction, got {type(model).__name__}")
-    equation = model.equation
-    late, lag = equation.dead_time, equation.lag
-    if equation != Equation(equation.unknown, equation.known, dead_time=late, lag=lag):
-        raise UsageError(
-            "the arguments delay, only_simulated and further belong to a TransferFunction: give model = "
-            "TransferFunction(...)"
-        )
-    free = equation.at_once.unknown  # the unknown terms without the dead time
-    unknown, known = ([asdict(term) for term in side] for side in (free, equation.known))
-    for term in known:  # the coefficient of a known term is a number, without name, unit or form
-        del term["name"], term["unit"], term["shape"]
-    for term, own in zip(unknown, free, strict=True):
-        if own.shape is not None:
-            term["shape"]["form"] = next(form for form, made in SHAPES.items() if made is type(own.shape))
-    return {"kind": model.kind, "unknown": unknown, "known": known, "dead_time": late, "lag": lag}
+        return EncoderConfig(resolution=encoder.resolution, bits=encoder.bits)
+    return EncoderConfig(
+        resolution=encoder.resolution,
+        bits=encoder.bits,
+        standstill_time=encoder.standstill_time,
+        max_speed=encoder.max_speed,
+        guard=encoder.guard,
+    )
 
 
 def _scale_outputs(experiments: Sequence[Experiment], axis: Axis) -> list[Experiment]:

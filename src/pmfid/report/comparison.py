@@ -2,26 +2,30 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from pmfid.pipeline.identify import Comparison
 from pmfid.pipeline.result import ProcessResult
 from pmfid.report.figures import COLOURS, GREY, open_figure
-from pmfid.report.html import Section, svg, write_pages
+from pmfid.report.page import ResultPage, Section
 from pmfid.report.tuning import TUNING
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-def write_comparison(out: Path, comparison: Comparison) -> None:
-    """Write compare.html and compare.json into the folder `out`."""
-    header, rows = comparison_rows(comparison)
-    refused = " ".join(f"{name} has no answer: {reason}." for name, reason in comparison.refused.items())
+
+def comparison_page(comparison: Comparison) -> ResultPage:
+    """Return the page that compares all methods."""
+    doubts = [f"{name}: {', '.join(one.status)}" for name, one in comparison.results.items() if one.status]
+    remarks = [*doubts, *(f"{name} has no answer: {reason}" for name, reason in comparison.refused.items())]
     sections = [
-        Section("Methods", refused, (header, rows)),
-        Section("Estimates with two standard deviations", _thin(comparison), svg=svg(comparison_dots(comparison))),
+        Section("Methods", "\n\n".join(f"{remark}." for remark in remarks), comparison_rows(comparison)),
+        Section(
+            "Estimates with two standard deviations", _thin(comparison), figure=lambda: comparison_dots(comparison)
+        ),
     ]
-    write_pages(out, "compare", comparison.to_json(), f"{comparison.name}: all methods", sections)
+    title = f"{comparison.name}: all methods"
+    return ResultPage("compare", title, comparison.to_json(), sections, remarks=remarks)
 
 
 def _thin(comparison: Comparison) -> str:
@@ -34,21 +38,19 @@ def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]
     first = next(iter(comparison.results.values()))
     names = [f"{name} [{unit}]" if unit else name for name, unit in zip(first.names, first.units, strict=True)]
     fitted = any(isinstance(result, ProcessResult) for result in comparison.results.values())
-    header = ["method", *names, *(["fit [%]"] if fitted else []), "flags"]
+    header = ["method", *names, *(["fit [%]"] if fitted else [])]
     rows = []
     for method, result in comparison.results.items():
         values = dict(zip(result.names, zip(result.theta, result.theta_std, strict=True), strict=True))
         cells = [f"{values[n][0]:.5g} ± {values[n][1]:.2g}" if n in values else "-" for n in first.names]
         fit = [_fit(result.fit)] if isinstance(result, ProcessResult) else []
-        rows.append([method, *cells, *fit, ", ".join(result.status)])
+        rows.append([method, *cells, *fit])
     return header, rows
 
 
 def _fit(percent: float | None) -> str:
-    """Format a fit in percent. An unstable estimate has no fit, and the fit of a useless one may have many digits."""
-    if percent is None:
-        return "–"
-    return f"{percent:.2f}" if abs(percent) < TUNING.comparison_huge else f"{percent:.2g}"
+    """Format a fit in percent. An unstable estimate has no fit."""
+    return "–" if percent is None else f"{percent:.4g}"
 
 
 def comparison_dots(comparison: Comparison) -> Figure:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
+from functools import partial
 from itertools import combinations, cycle
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from pmfid.design.appraisal import Appraisal, accumulate_value
 from pmfid.design.encoder_error import is_counted
@@ -17,13 +17,19 @@ from pmfid.design.fisher import CRITERIA
 from pmfid.design.problem import Design, Problem
 from pmfid.design.rounds import Commissioning
 from pmfid.report.figures import COLOURS, GREY, MAGENTA, Style, open_figure
-from pmfid.report.html import Section, svg, write_json, write_report
-from pmfid.report.tuning import TUNING
+from pmfid.report.page import ResultPage, Section
 from pmfid.types import Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["ellipse_figure", "gathering_figure", "motion_figure"]
 
 LINE_STYLES = ("-", "--", "-.", ":")
+
+#: Quantile at 95 % of the chi-square distribution with two degrees of freedom.
+ELLIPSE = -2 * np.log(0.05)
 
 #: Map from the name to input (n,), position (n+1,) and velocity (n+1,).
 Inputs = Mapping[str, tuple[Floats, Floats, Floats]]
@@ -62,15 +68,13 @@ def gathering_figure(curves: Mapping[str, tuple[Floats, Floats]], ylabel: str) -
     return figure
 
 
-def ellipse_figure(names: tuple[str, ...], scale: Floats, fishers: Mapping[str, Floats]) -> Figure | None:
+def ellipse_figure(names: tuple[str, ...], scale: Floats, fishers: Mapping[str, Floats]) -> Figure:
     """Draw the 95 % confidence ellipse for each pair of parameters, in percent of `scale` (p,).
 
-    `fishers` has the information (p, p) of each input, in the units of the parameters. The result is None for a single
-    parameter.
+    `fishers` has the information (p, p) of each input, in the units of the parameters. There are two parameters at
+    least.
     """
     pairs = list(combinations(range(len(names)), 2))
-    if not pairs:
-        return None
     with open_figure(3.6 if len(pairs) > 1 else 4.4, 1, len(pairs)) as (figure, panels):
         for axes, (i, j) in zip(panels, pairs, strict=True):
             for name, look in _looks(fishers):
@@ -88,7 +92,7 @@ def _ellipse(axes: Axes, fisher: Floats, pair: tuple[int, int], look: Style) -> 
         return
     covariance = np.linalg.inv(fisher)[np.ix_(pair, pair)]
     angle = np.linspace(0, 2 * np.pi, 200)
-    circle = np.sqrt(TUNING.design_chi2) * np.array([np.cos(angle), np.sin(angle)])
+    circle = np.sqrt(ELLIPSE) * np.array([np.cos(angle), np.sin(angle)])
     axes.plot(*(np.linalg.cholesky(covariance) @ circle), **look)
 
 
@@ -126,16 +130,38 @@ Rows = tuple[list[str], list[list[str]]]
 SHOWN = ("trapezoid", "s_curve", "minimum_time", "prbs")
 
 
-def write_design(out: Path, appraisal: Appraisal) -> None:
-    """Write report.html, design.json, design.csv and one CSV for each standard input into the folder `out`."""
+def write_inputs(out: Path, appraisal: Appraisal) -> None:
+    """Write design.csv and one CSV for each standard input into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "design.json", appraisal.to_dict())
-    design = appraisal.design
     for name, columns in motions_of(appraisal).items():
-        _write_csv(out / f"{name}.csv", design.t, *columns)
+        _write_csv(out / f"{name}.csv", appraisal.design.t, *columns)
+
+
+def design_page(appraisal: Appraisal) -> ResultPage:
+    """Return the page of a design in comparison with the standard inputs."""
+    design = appraisal.design
     unknown = ", ".join(_words(name) for name in design.problem.unknown)
     title = f"Input for {unknown}: criterion {design.criterion}"
-    write_report(out / "report.html", title, _sections(appraisal))
+    remarks = [proof(design), recommendation(appraisal), *(f"warning: {text}" for text in appraisal.warnings)]
+    remarks += [price_words(appraisal.price)] if appraisal.price is not None else []
+    return ResultPage("report", title, appraisal.to_dict(), _sections(appraisal), remarks=remarks, data="design")
+
+
+def rounds_page(state: Commissioning) -> ResultPage:
+    """Return the page of the estimates after each round, with the next step."""
+    remarks = []
+    if state.wanted and state.rounds:
+        remarks.append(f"{'every wanted deviation is' if state.reached else 'a wanted deviation is not yet'} reached")
+    remarks += [f"doubt: {text}" for text in state.doubts]
+    if state.choice is not None:
+        stds = state.choice.std.items()
+        expected = ", ".join(
+            f"{_words(name)} {f'{std:.3g}' if math.isfinite(std) else 'not known'}" for name, std in stds
+        )
+        remarks.append(f"next input ({state.choice.name}): standard deviations expected of one run: {expected}")
+    heading = "After each round: value ± standard deviation"
+    sections = [Section(heading, table=rounds_table(state))] if state.rounds else []
+    return ResultPage("rounds", "Commissioning", state.to_json(), sections, remarks=remarks)
 
 
 def _write_csv(path: Path, t: np.ndarray, u: np.ndarray, x: np.ndarray, v: np.ndarray) -> None:
@@ -191,7 +217,7 @@ def _sections(appraisal: Appraisal) -> list[Section]:
     curves = {name: accumulate_value(design.problem, appraisal.rule, columns[0]) for name, columns in motions.items()}
     problem = design.problem
     nominal = np.array([abs(problem.nominal[name]) or 1.0 for name in problem.unknown])
-    ellipses = ellipse_figure(problem.unknown, nominal, {name: appraisal.worths[name].fisher for name in motions})
+    fishers = {name: appraisal.worths[name].fisher for name in motions}
     sections = [
         Section("Value of the design", _summary(appraisal), criteria_table(appraisal)),
         Section("Predicted standard deviations", _STD_TEXT, std_table(appraisal)),
@@ -199,14 +225,17 @@ def _sections(appraisal: Appraisal) -> list[Section]:
         Section(
             "Input and motion",
             "Limits are dashed, the least speed is dotted.",
-            svg=svg(motion_figure(problem, motions)),
+            figure=lambda: motion_figure(problem, motions),
         ),
-        Section("Information gathered over time", svg=svg(gathering_figure(curves, f"criterion {design.criterion}"))),
+        Section(
+            "Information gathered over time",
+            figure=lambda: gathering_figure(curves, f"criterion {design.criterion}"),
+        ),
     ]
-    if ellipses is not None:
-        sections.append(
-            Section("Confidence ellipses, 95 %", "Deviation from the nominal values in percent.", svg=svg(ellipses))
-        )
+    if len(problem.unknown) > 1:
+        text = "Deviation from the nominal values in percent."
+        draw = partial(ellipse_figure, problem.unknown, nominal, fishers)
+        sections.append(Section("Confidence ellipses, 95 %", text, figure=draw))
     return sections
 
 

@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from pmfid.pipeline.encoders import EncoderChoice
 from pmfid.report.figures import COLOURS, GREY, open_figure, plain_ticks
-from pmfid.report.html import Section, svg, write_pages
+from pmfid.report.page import ResultPage, Section
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-def write_choice(out: Path, found: EncoderChoice) -> None:
-    """Write encoder.html and encoder.json into the folder `out`."""
+def encoder_page(found: EncoderChoice) -> ResultPage:
+    """Return the page of a comparison of encoders."""
     table = found.summary()
     text = "\n\n".join(f"{note[0].upper()}{note[1:]}." for note in found.notes)
-    section = Section(
-        table.title.partition(": ")[2].capitalize(), text, (table.header, table.rows), svg(encoder_figure(found))
-    )
-    write_pages(
-        out, "encoder", found.to_dict(), f"{found.record}: which encoder", [section], [f"{found.answer.capitalize()}."]
-    )
+    heading = table.title.partition(": ")[2].capitalize()
+    section = Section(heading, text, (table.header, table.rows), lambda: encoder_figure(found))
+    lead, remarks = [f"{found.answer.capitalize()}."], [f"note: {note}" for note in found.notes]
+    return ResultPage("encoder", f"{found.record}: which encoder", found.to_dict(), [section], lead, remarks)
 
 
 def encoder_figure(found: EncoderChoice) -> Figure:

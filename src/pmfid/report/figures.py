@@ -4,19 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from itertools import cycle, pairwise
+from itertools import pairwise
 from pathlib import Path
 from textwrap import fill
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
-from cycler import cycler
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.figure import Figure
-from matplotlib.gridspec import GridSpec
-from matplotlib.ticker import NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError
@@ -24,6 +17,11 @@ from pmfid.estimators.results import Track
 from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
+    from matplotlib.figure import Figure
 
 #: Colours of Okabe and Ito (2008) without yellow and black, which colour-blind readers can distinguish.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#E69F00", "#56B4E9", "#CC79A7")
@@ -40,7 +38,6 @@ _STYLE: dict[Any, Any] = {  # the keys have a type with hundreds of literals
     "axes.edgecolor": GREY,
     "axes.grid": True,
     "axes.labelsize": 10,
-    "axes.prop_cycle": cycler(color=COLOURS),
     "axes.spines.right": False,
     "axes.spines.top": False,
     "axes.titlelocation": "left",
@@ -57,9 +54,12 @@ _STYLE: dict[Any, Any] = {  # the keys have a type with hundreds of literals
 @contextmanager
 def figure_style() -> Iterator[None]:
     """Apply the style of all figures in place of the user's matplotlibrc."""
+    import matplotlib
+    from cycler import cycler
+
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
-        matplotlib.rcParams.update(_STYLE)
+        matplotlib.rcParams.update(_STYLE | {"axes.prop_cycle": cycler(color=COLOURS)})
         matplotlib.rcParams["text.parse_math"] = False  # a $ in a unit is no formula
         yield
 
@@ -70,6 +70,8 @@ def open_figure(height: float, rows: int = 1, columns: int = 1, **subplots: Any)
 
     `subplots` are arguments of `Figure.subplots`.
     """
+    from matplotlib.figure import Figure
+
     with figure_style():
         figure = Figure(figsize=(TUNING.figures_width, height), layout="constrained")
         yield figure, list(figure.subplots(rows, columns, squeeze=False, **subplots).ravel())
@@ -77,6 +79,8 @@ def open_figure(height: float, rows: int = 1, columns: int = 1, **subplots: Any)
 
 def narrow_figure(figure: Figure) -> None:
     """Change a figure to the width of a phone, with panels of equal width below each other."""
+    from matplotlib.gridspec import GridSpec
+
     height, panels = figure.get_figheight(), figure.axes
     grid = panels[0].get_gridspec()
     if grid is not None and grid.ncols > 1 and np.ptp(np.asarray(grid.get_width_ratios(), float)) == 0:
@@ -108,6 +112,8 @@ def plain_ticks(axis: Axis) -> None:
 
     Ticks outside this range would be formulas, which `figure_style` does not typeset.
     """
+    from matplotlib.ticker import NullFormatter
+
     axis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.set_minor_formatter(NullFormatter())
 
@@ -165,17 +171,25 @@ def estimate_figure(t: ArrayLike, track: Track, nominal: Mapping[str, ArrayLike]
 
 
 def _estimate_panel(axes: Axes, t: Floats, track: Track, name: str, nominal: Floats | None) -> None:
-    theta, band = _mask_start(track, name), 2 * track.theta_std[:, track.names.index(name)]
-    low, high = theta - band, theta + band
-    i = np.union1d(decimation(low, TUNING.max_points // 2), decimation(high, TUNING.max_points // 2))
-    shown = np.isfinite(band[i])
-    _line(axes, t, theta, color=COLOURS[0], label="estimate")
-    axes.fill_between(t[i], low[i], high[i], where=shown, color=COLOURS[0], alpha=0.25, lw=0, zorder=1, label="±2 std")
+    low, high = draw_estimate(axes, t, _mask_start(track, name), track.theta_std[:, track.names.index(name)])
     if nominal is not None:
         _line(axes, t, np.broadcast_to(nominal, t.shape), color=MAGENTA, ls="--", label="nominal")
     _shade(axes, stretches(t, track.has_status(DOUBTFUL)))
     axes.set_ylabel(_label(name, track.units[track.names.index(name)]))
     _robust_limits(axes, [_select_settled(track, low), _select_settled(track, high)], nominal)
+
+
+def draw_estimate(axes: Axes, t: Floats, theta: Floats, std: Floats) -> tuple[Floats, Floats]:
+    """Draw an estimate (n,) with a band of two standard errors (n,) over time t (n,), and return the ends of the band.
+
+    An infinite standard error has no band.
+    """
+    low, high = theta - 2 * std, theta + 2 * std
+    i = np.union1d(decimation(low, TUNING.max_points // 2), decimation(high, TUNING.max_points // 2))
+    shown = np.isfinite(std[i])
+    _line(axes, t, theta, color=COLOURS[0], label="estimate")
+    axes.fill_between(t[i], low[i], high[i], where=shown, color=COLOURS[0], alpha=0.25, lw=0, zorder=1, label="±2 std")
+    return low, high
 
 
 def _shade(axes: Axes, spans: list[tuple[float, float]]) -> None:
@@ -187,31 +201,6 @@ def _shade(axes: Axes, spans: list[tuple[float, float]]) -> None:
             "label": "poor excitation or compensation held",
         }
         axes.broken_barh(spans, (0, 1), transform=axes.get_xaxis_transform(), **style)
-
-
-def comparison_figure(
-    t: ArrayLike, tracks: Mapping[str, Mapping[str, Track]], parameter: str, truth: ArrayLike
-) -> Figure:
-    """Draw one parameter by several methods on several records, with the true value, as in paper figure 4.
-
-    The time t is (n,) [s]. `tracks` maps the title of a panel to the tracks of its labelled curves. `truth` (n,) has
-    the unit of the parameter. Curves have gaps where two standard errors exceed half of the value. Raises UsageError if
-    a length differs from the length of t.
-    """
-    named = {f"{title}, {name}": k.status for title, curves in tracks.items() for name, k in curves.items()}
-    t, settled = _time(t, {"truth": truth, **named}), []
-    with open_figure(0.9 + 1.9 * len(tracks), len(tracks), sharex=True, sharey=True) as (figure, panels):
-        for (title, curves), axes in zip(tracks.items(), panels, strict=True):
-            for colour, (label, track) in zip(cycle(COLOURS), curves.items(), strict=False):
-                _line(axes, t, _mask_uncertain(track, parameter), color=colour, label=label)
-                settled.append(_select_settled(track, track[parameter]))
-            _line(axes, t, np.asarray(truth, float), color=MAGENTA, ls="--", label="truth")
-            axes.set_title(title)
-            axes.set_ylabel(_label(parameter, track.units[track.names.index(parameter)]))
-        _robust_limits(panels[0], settled, np.asarray(truth, float))
-        _finish_time(panels[-1], t)
-        _legend(figure, panels)
-    return figure
 
 
 def signals_figure(
@@ -312,12 +301,6 @@ def _line(axes: Axes, t: Floats, y: Floats, **style: Any) -> None:
 def _mask_start(track: Track, name: str) -> Floats:
     """Return the track of one parameter, with NaN where no estimate exists yet."""
     return np.where(track.has_status(Status.STARTING), np.nan, track[name])
-
-
-def _mask_uncertain(track: Track, name: str) -> Floats:
-    """Return the track of one parameter, with NaN where its error may exceed half of its value."""
-    values, std = _mask_start(track, name), track.theta_std[:, track.names.index(name)]
-    return np.where(2 * std > np.abs(values) / 2, np.nan, values)
 
 
 def _select_settled(track: Track, y: Floats) -> Floats:

@@ -10,23 +10,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import BoundaryNorm, ListedColormap
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 
 from pmfid.errors import printable
 from pmfid.fleet.history import History
 from pmfid.fleet.tuning import TUNING as FLEET_TUNING
 from pmfid.fleet.verdicts import when, with_error
 from pmfid.report.figures import COLOURS, GREY, open_figure
-from pmfid.report.html import Cell, Section, Table, svg, write_json, write_report
+from pmfid.report.html import write_page
+from pmfid.report.page import Cell, ResultPage, Section, Table
 from pmfid.report.tuning import TUNING
 from pmfid.types import Floats
 
 if TYPE_CHECKING:
     import polars as pl
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Colours for the verdicts, and for the quality of a period, with the worst first.
 KINDS = {
@@ -49,6 +47,8 @@ def spread_figure(found: History) -> Figure:
 
     Distance and change are relative.
     """
+    from matplotlib.lines import Line2D
+
     with open_figure(3.4, 1, len(found.names)) as (figure, panels):
         for panel, name in zip(panels, found.names, strict=True):
             _panel(panel, found, name)
@@ -73,7 +73,7 @@ def _panel(panel: Axes, found: History, name: str) -> None:
         which = kinds == kind
         panel.plot(x[which], y[which], MARKERS[kind], color=colour, ms=4)
     most = np.where(kinds == "differs", np.abs(x), np.abs(y))
-    notable = [int(k) for k in np.argsort(-most, kind="stable") if not quiet[k] and most[k] > TUNING.fleet_shown]
+    notable = [int(k) for k in np.argsort(-most, kind="stable") if not quiet[k]]
     for k in _choose_labels(x, y, notable):
         panel.annotate(label_of(axes["axis"][k]), (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
     panel.margins(x=0.15)
@@ -122,6 +122,7 @@ def trend_figure(found: History) -> Figure:
     The values are relative to the first value of the parameter.
     """
     import polars as pl
+    from matplotlib.lines import Line2D
 
     named = moving(found)["axis"].to_list()
     rows = -(-len(named) // 3)
@@ -157,6 +158,9 @@ def label_of(axis: str) -> str:
 
 def map_figure(found: History) -> Figure:
     """Draw a map of axes by periods, with changes, doubtful periods, and periods without an estimate."""
+    from matplotlib.colors import BoundaryNorm, ListedColormap
+    from matplotlib.patches import Patch
+
     order = _order(found)
     place = {axis: row for row, axis in enumerate(order)}
     times = np.array(sorted(set(found.periods["period"].drop_nans().drop_nulls().to_list())) or [0.0])
@@ -203,11 +207,10 @@ def _labels(axes: Axes, found: History, order: list[str], edges: np.ndarray) -> 
 
 def write_fleet(out: Path, found: History, name: str) -> None:
     """Write fleet.html and fleet.json into the folder `out`."""
-    out.mkdir(parents=True, exist_ok=True)
-    write_json(out / "fleet.json", found.to_json())
     sections = [_attention(found), _unknown(found), _trends(found), _wandering(found), _spread(found), _map(found)]
     sections += [_list_unused(found), _how(found)]
-    write_report(out / "fleet.html", f"{name}: {found.title}", [one for one in sections if one is not None])
+    shown = [section for section in sections if section is not None]
+    write_page(out, ResultPage("fleet", f"{name}: {found.title}", found.to_json(), shown))
 
 
 def _attention(found: History) -> Section:
@@ -235,17 +238,12 @@ def _attention(found: History) -> Section:
     text += _besides(found)
     rows: list[list[Cell]] = [
         [place, row["axis"], row["why"], row["kind"], _strength(row["score"]), row["type"]]
-        for place, row in enumerate(named.head(TUNING.fleet_most_axes).iter_rows(named=True), 1)
+        for place, row in enumerate(named.head(TUNING.fleet_listed).iter_rows(named=True), 1)
     ]
     typed = any(row[-1] for row in rows)
     header = ("", "axis", "why", "verdict", "evidence", *(["type"] if typed else []))
-    more = (
-        f"\n\nThe first {TUNING.fleet_most_axes} of {named.height}; all are in axes.parquet."
-        if named.height > TUNING.fleet_most_axes
-        else ""
-    )
     table = (header, [row if typed else row[:-1] for row in rows]) if rows else None
-    return Section("Who needs attention", text + more, table)
+    return Section("Who needs attention", text + _first(TUNING.fleet_listed, named.height), table)
 
 
 def _besides(found: History) -> str:
@@ -277,14 +275,14 @@ def _unknown(found: History) -> Section | None:
         return None
     findings = dict(found.periods.group_by("axis").agg(pl.col("findings").str.join(" ")).iter_rows())
     rows: list[list[Cell]] = [
-        [axis, _words(findings.get(axis, ""))] for axis in found.unknown["axis"].head(TUNING.fleet_others)
+        [axis, _words(findings.get(axis, ""))] for axis in found.unknown["axis"].head(TUNING.fleet_listed)
     ]
     text = (
         "The state of these axes is not known. They stand still, their counts or input do not reach the log, or their "
         "records are too short or damaged."
     )
     return Section(
-        "No estimate", text + _first(TUNING.fleet_others, found.unknown.height), (("axis", "findings"), rows)
+        "No estimate", text + _first(TUNING.fleet_listed, found.unknown.height), (("axis", "findings"), rows)
     )
 
 
@@ -306,9 +304,9 @@ def _wandering(found: History) -> Section | None:
         "as changed or drifting. The size is the root mean square about the mean; the largest sizes come first."
     )
     rows: list[list[Cell]] = [
-        [row["axis"], row["why"]] for row in wander.head(TUNING.fleet_others).iter_rows(named=True)
+        [row["axis"], row["why"]] for row in wander.head(TUNING.fleet_listed).iter_rows(named=True)
     ]
-    return Section("Axes that wander", text + _first(TUNING.fleet_others, wander.height), (("axis", "what"), rows))
+    return Section("Axes that wander", text + _first(TUNING.fleet_listed, wander.height), (("axis", "what"), rows))
 
 
 def _strength(score: float) -> str:
@@ -333,7 +331,7 @@ def _trends(found: History) -> Section | None:
         [row["axis"], *(_slope(days * row[f"{name}_slope"], days * row[f"{name}_slope_std"]) for name in found.names)]
         for row in named.iter_rows(named=True)
     ]
-    return Section("Trend of the axes that move", text, (header, rows), svg=svg(trend_figure(found)))
+    return Section("Trend of the axes that move", text, (header, rows), figure=lambda: trend_figure(found))
 
 
 def _slope(slope: float, std: float) -> str:
@@ -354,7 +352,7 @@ def _spread(found: History) -> Section | None:
             f" {alone} axes are of a type with fewer than {FLEET_TUNING.least_axes}, too few to show what is usual. "
             "These axes are drawn at 0 horizontally, and are compared only with their own past."
         )
-    return Section("From the others, and from their own past", text, svg=svg(spread_figure(found)))
+    return Section("From the others, and from their own past", text, figure=lambda: spread_figure(found))
 
 
 def _map(found: History) -> Section | None:
@@ -369,19 +367,19 @@ def _map(found: History) -> Section | None:
             f" The map shows the first {TUNING.fleet_quiet} of the other axes, by the number of doubtful periods, and "
         )
         text += f"{TUNING.fleet_rows} rows at most."
-    return Section("Map of findings", text, svg=svg(map_figure(found)))
+    return Section("Map of findings", text, figure=lambda: map_figure(found))
 
 
 def _list_unused(found: History) -> Section | None:
     rows: list[list[Cell]] = [
         [row["axis"] or row["file"], row["code"], row["times"], _from(row["from"]), row["text"]]
-        for row in found.problems.head(TUNING.fleet_problems).iter_rows(named=True)
+        for row in found.problems.head(TUNING.fleet_listed).iter_rows(named=True)
     ]
     if not rows:
         return None
     text = "Data that were changed or left out. All other data are in the results."
-    if found.problems.height > TUNING.fleet_problems:
-        text += f" The first {TUNING.fleet_problems} of {found.problems.height}; all are in problems.parquet."
+    if found.problems.height > TUNING.fleet_listed:
+        text += f" The first {TUNING.fleet_listed} of {found.problems.height}; all are in problems.parquet."
     return Section("Unusable data", text, (("axis, file or type", "finding", "times", "from", "what"), rows))
 
 

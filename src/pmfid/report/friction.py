@@ -2,29 +2,32 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from pmfid.pipeline.friction import FrictionCurve, curve_json
 from pmfid.report.figures import COLOURS, GREY, open_figure
-from pmfid.report.html import Section, svg, write_pages
+from pmfid.report.page import ResultPage, Section
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
-def write_curve(out: Path, found: FrictionCurve, name: str) -> None:
-    """Write friction.html and friction.json into the folder `out`."""
+def curve_page(found: FrictionCurve, name: str) -> ResultPage:
+    """Return the page of the friction curve of the record `name`."""
     (back, _), (slow, ahead) = found.visited
     own = found.motion
     text = (
-        f"{own.inertia.capitalize()} of the same fit: {found.mass:.5g} ± {found.mass_std:.2g} {own.of_inertia}. The "
-        f"band is two standard deviations. The record goes from {back:.3g} to {ahead:.3g} {own.speed}. The curve ends "
-        f"at {found.visited[0][1]:.3g} and {slow:.3g} {own.speed}, and does not contain friction at rest."
+        f"The band is two standard deviations. The record goes from {back:.3g} to {ahead:.3g} {own.speed}. The curve "
+        f"ends at {found.visited[0][1]:.3g} and {slow:.3g} {own.speed}, and does not contain friction at rest."
     )
     text = "\n\n".join([text, *(f"{finding.paragraph}." for finding in found.findings)])
     table = found.summary()
-    section = Section("Friction over velocity", text, (table.header, table.rows), svg(curve_figure(found)))
-    write_pages(out, "friction", curve_json(found, name), f"{name}: friction over velocity", [section])
+    section = Section("Friction over velocity", text, (table.header, table.rows), lambda: curve_figure(found))
+    lead = [f"{own.inertia.capitalize()} of the same fit: {found.mass:.5g} ± {found.mass_std:.2g} {own.of_inertia}."]
+    remarks = [line for finding in found.findings for line in finding.lines]
+    return ResultPage("friction", f"{name}: friction over velocity", curve_json(found, name), [section], lead, remarks)
 
 
 def curve_figure(found: FrictionCurve) -> Figure:

@@ -8,17 +8,18 @@ import os
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from importlib.resources import files
-from numbers import Integral, Real
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import jinja2
-from matplotlib.figure import Figure
 
-from pmfid.errors import UsageError
 from pmfid.report.figures import figure_style, narrow_figure
+from pmfid.report.page import ResultPage, Section, format_cell
 from pmfid.report.tuning import TUNING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 def replace_file(path: Path, data: bytes) -> None:
@@ -42,39 +43,6 @@ def replace_file(path: Path, data: bytes) -> None:
 def write_json(path: Path, content: Mapping[str, object]) -> None:
     """Write an object as JSON, as `replace_file` does."""
     replace_file(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
-
-
-Cell = str | int | float
-Table = tuple[Sequence[str], Sequence[Sequence[Cell]]]
-
-
-@dataclass(frozen=True)
-class Section:
-    """A part of the report.
-
-    `heading` and `text` are plain text, in which an empty line starts a new paragraph. `table` has a header and rows.
-    Numbers have 4 digits, and text is unchanged. `svg` is an <svg> element, as the function `svg` returns it, and is
-    embedded unchanged. If `first` is set, the figure stands above text and table, otherwise below. `code` has the lines
-    of a file, which are shown unchanged. A `folded` section shows its heading alone until the reader opens it. Raises
-    UsageError if the number of cells in a row differs from the header.
-    """
-
-    heading: str
-    text: str = ""
-    table: Table | None = None
-    svg: str | None = None
-    code: str = ""
-    first: bool = False
-    folded: bool = False
-
-    def __post_init__(self) -> None:
-        header, rows = self.table or ((), ())
-        for number, row in enumerate(rows, 1):
-            if len(row) != len(header):
-                raise UsageError(
-                    f"row {number} of the table {self.heading!r} has {len(row)} cells, the header "
-                    f"{len(header)}; give one cell per column"
-                )
 
 
 def svg(figure: Figure) -> str:
@@ -111,24 +79,16 @@ def write_report(path: Path, title: str, sections: Sequence[Section], lead: Sequ
     replace_file(path, (page + "\n").encode("utf-8", "replace"))
 
 
-def write_pages(
-    out: Path,
-    name: str,
-    content: Mapping[str, object],
-    title: str,
-    sections: Sequence[Section],
-    lead: Sequence[str] = (),
-    page: str = "",
-) -> None:
-    """Write `content` as NAME.json and the sections as NAME.html, or PAGE.html, into the folder `out`."""
+def write_page(out: Path, page: ResultPage) -> None:
+    """Write DATA.json and NAME.html of a page into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
-    write_json(out / f"{name}.json", content)
-    write_report(out / f"{page or name}.html", title, sections, lead)
+    write_json(out / f"{page.data or page.name}.json", page.content)
+    write_report(out / f"{page.name}.html", page.title, page.sections, page.lead)
 
 
 def _part(section: Section, prefix: str) -> dict[str, object]:
     header, rows = section.table or ((), ())
-    texts = [[_text(cell) for cell in row] for row in rows]
+    texts = [[format_cell(cell) for cell in row] for row in rows]
     columns = [[row[column] for row in texts] for column in range(len(header))]
     numeric = [any(map(_is_number, own)) and max(map(len, own)) <= TUNING.html_long for own in columns]
     return {
@@ -138,16 +98,10 @@ def _part(section: Section, prefix: str) -> dict[str, object]:
         "rows": [list(zip(row, numeric, strict=True)) for row in texts],
         "long": TUNING.html_long,
         "code": section.code,
-        "svg": _own_ids(section.svg or "", prefix),
+        "svg": "" if section.figure is None else _own_ids(svg(section.figure()), prefix),
         "first": section.first,
         "folded": section.folded,
     }
-
-
-def _text(cell: Cell) -> str:
-    if isinstance(cell, Real) and not isinstance(cell, Integral):
-        return f"{float(cell):.4g}"
-    return str(cell)
 
 
 def _is_number(text: str) -> bool:

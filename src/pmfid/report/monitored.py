@@ -6,10 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pmfid.estimators.redge import REdge
@@ -23,20 +22,24 @@ from pmfid.report.figures import (
     COLOURS,
     GREY,
     MAGENTA,
-    Style,
     _finish_time,
     _label,
     _legend,
     _line,
-    decimation,
+    draw_estimate,
     open_figure,
     plain_ticks,
     stretches,
 )
-from pmfid.report.html import Section, svg, write_report
+from pmfid.report.html import write_report
+from pmfid.report.page import Section
 from pmfid.report.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 #: Rows of the strip from the top, with states of the monitor, then status bits of the estimate.
 STATES = {WATCHING: COLOURS[2], SUSPICIOUS: COLOURS[1], SETTLING: COLOURS[3], CANNOT_TELL: GREY, STARTING: GREY}
@@ -104,12 +107,7 @@ def run_figure(data: RunData) -> Figure:
 def _estimate_panel(axes: Axes, data: RunData, i: int) -> None:
     known = (data.status & Status.STARTING) == 0
     theta = np.where(known, data.theta[:, i], np.nan)
-    band = np.where(known & np.isfinite(data.std[:, i]), 2 * data.std[:, i], np.nan)
-    low, high = theta - band, theta + band
-    rows = np.union1d(decimation(low, 1000), decimation(high, 1000))
-    _line(axes, data.t, theta, color=COLOURS[0], label="estimate")
-    style: Style = {"color": COLOURS[0], "alpha": 0.25, "lw": 0, "zorder": 1, "label": "±2 std"}
-    axes.fill_between(data.t[rows], low[rows], high[rows], where=np.isfinite(band[rows]), **style)
+    draw_estimate(axes, data.t, theta, np.where(known, data.std[:, i], np.nan))
     axes.axhline(data.nominal[i], color=MAGENTA, ls="--", lw=1.2, label="nominal")
     axes.set_ylabel(_label(data.names[i], data.units[i]).replace(" friction", "\nfriction"))
     _limits(axes, theta[_select_trusted(data)], float(data.nominal[i]))
@@ -188,7 +186,7 @@ def write_monitored(path: Path, name: str, setup: Setup | EdgeSetup, run: Monito
     sections = [_verdict(setup, run)]
     if len(history.rows) > 1:
         sections.append(
-            Section("The run", _run_text(history, setup), svg=svg(run_figure(run_data(setup, run, history))))
+            Section("The run", _run_text(history, setup), figure=lambda: run_figure(run_data(setup, run, history)))
         )
     sections.append(_calibration(setup) if isinstance(setup, Setup) else _describe_threshold(setup))
     write_report(path, f"{name}: {_headline(run)}", sections)
@@ -315,5 +313,4 @@ def _calibration(setup: Setup) -> Section:
         "the statistic there, line: the fit that gives the threshold. Noise of the reference record over the noise of "
         f"the simulation, by parameter: {noise}."
     )
-    figure = calibration_figure(tail, watch.mtbf_hours)
-    return Section("Threshold", text, (head, [row]), svg(figure))
+    return Section("Threshold", text, (head, [row]), lambda: calibration_figure(tail, watch.mtbf_hours))

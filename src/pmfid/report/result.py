@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import io
 import os
+from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from pmfid.diagnostics.processes import search_notes
 from pmfid.errors import PmfidError
@@ -32,9 +32,14 @@ from pmfid.report.figures import (
     signals_figure,
     status_figure,
 )
-from pmfid.report.html import Section, replace_file, svg, write_pages
+from pmfid.report.html import replace_file, write_page
+from pmfid.report.page import ResultPage, Section
 from pmfid.report.tuning import TUNING
 from pmfid.report.validation import run_figure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 HOW_TO_READ = (
     "std: scatter of the value between records of this length. model spread: largest effect on the value of friction, "
@@ -58,7 +63,9 @@ def write_drive(out: Path, result: DriveResult) -> None:
     said = conclude(result)
     sections = [_drive_parameters(result), _model_check(result), _drive_notes(result), *_figures(result)]
     title = f"{result.record.name}: {result.estimator.method}"
-    write_pages(out, "result", result.to_json(), title, sections, (said.sentence, said.action), "report")
+    write_page(
+        out, ResultPage("report", title, result.to_json(), sections, (said.sentence, said.action), data="result")
+    )
 
 
 def _write_track(path: Path, result: DriveResult) -> None:
@@ -94,7 +101,9 @@ def _model_check(result: DriveResult) -> Section:
         f"of the encoder alone gives {run.encoder:.2g} {own.travel}."
     )
     return Section(
-        heading, "\n\n".join([text, *(f"Note: {note}." for note in run.notes)]), svg=svg(run_figure(run, own.travel))
+        heading,
+        "\n\n".join([text, *(f"Note: {note}." for note in run.notes)]),
+        figure=lambda: run_figure(run, own.travel),
     )
 
 
@@ -125,16 +134,17 @@ def motion_figure(record: Record, equation: Equation) -> Figure:
 def _figures(result: DriveResult) -> list[Section]:
     record, own = result.record, result.estimator.equation.motion
     t = record.times
-    sections = [Section("Input and motion", svg=svg(motion_figure(record, result.estimator.equation)))]
-    if result.track is not None:
-        sections.insert(0, Section("Estimates", svg=svg(estimate_figure(t, result.track, None))))
-        sections.append(Section("Status", svg=svg(status_figure(t, result.track.status))))
+    sections = [Section("Input and motion", figure=lambda: motion_figure(record, result.estimator.equation))]
+    track = result.track
+    if track is not None:
+        sections.insert(0, Section("Estimates", figure=lambda: estimate_figure(t, track, None)))
+        sections.append(Section("Status", figure=lambda: status_figure(t, track.status)))
     method = result.estimator
     follows = isinstance(method, Simulating) and not method.instrumental  # such a method has no filtered equation
     if result.fit is not None and not follows:
-        used = t[record.u.size - result.fit.samples :]
-        figure = residual_figure(used, result.fit.residual, unit=own.force)
-        sections.append(Section("Residual of the filtered equation", svg=svg(figure)))
+        used, residual = t[record.u.size - result.fit.samples :], result.fit.residual
+        draw = partial(residual_figure, used, residual, unit=own.force)
+        sections.append(Section("Residual of the filtered equation", figure=draw))
     return sections
 
 
@@ -143,15 +153,21 @@ def write_process(out: Path, result: ProcessResult) -> None:
     said, notes = conclude(result), "\n\n".join(findings_lines(result, notes=True))
     sections = [
         Section("Parameters", _describe_process(result), (parameter_header(result), parameter_rows(result))),
-        *([Section("Measured and simulated output", svg=svg(output_figure(result)))] if result.fit is not None else []),
+        *(
+            [Section("Measured and simulated output", figure=lambda: output_figure(result))]
+            if result.fit is not None
+            else []
+        ),
         *([Section("Notes", notes, folded=True)] if notes else []),
         _dynamics(result.process),
-        Section("Frequency response", BAND, svg=svg(bode_of(result.process, result.estimator.dt))),
-        Section("Step response", BAND, svg=svg(step_figure(result.process))),
-        Section("Residual", _residual_text(result), svg=svg(correlation_figure(result))),
+        Section("Frequency response", BAND, figure=lambda: bode_of(result.process, result.estimator.dt)),
+        Section("Step response", BAND, figure=lambda: step_figure(result.process)),
+        Section("Residual", _residual_text(result), figure=lambda: correlation_figure(result)),
     ]
     title = f"transfer function: {result.estimator.method}"
-    write_pages(out, "result", result.to_json(), title, sections, (said.sentence, said.action), "report")
+    write_page(
+        out, ResultPage("report", title, result.to_json(), sections, (said.sentence, said.action), data="result")
+    )
 
 
 BAND = "Band: two standard deviations."
@@ -304,8 +320,8 @@ def search_figure(search: Search) -> Figure:
     return figure
 
 
-def write_search(out: Path, search: Search, name: str) -> None:
-    """Write order.html and order.json into the folder `out`."""
+def search_page(search: Search, name: str) -> ResultPage:
+    """Return the page of a search for the structure of a transfer function."""
     text = (
         f"{search.samples} samples, {len(search.candidates)} structures fitted, {search.skipped} skipped because they "
         "cannot be better. Criterion: Schwarz (1978), after the whitening filter of the noise, as the distance from "
@@ -313,10 +329,13 @@ def write_search(out: Path, search: Search, name: str) -> None:
         "pmfid identify gives no estimate, or a pole that the record does not determine. Condition: condition number "
         "of the scaled sensitivities, large if poles and zeros nearly cancel."
     )
-    text = "\n\n".join([text, *(f"Note: {note}." for note in search_notes(search))])
+    notes, best = search_notes(search), search.best
+    text = "\n\n".join([text, *(f"Note: {note}." for note in notes)])
     table = (SEARCH_HEADER, search_rows(search))
-    sections = [Section("Structures", text, table), Section("Criterion", svg=svg(search_figure(search)))]
-    write_pages(out, "order", search_json(search), f"{name}: poles, zeros and dead time", sections)
+    sections = [Section("Structures", text, table), Section("Criterion", figure=lambda: search_figure(search))]
+    remarks = [f"best for [model]: n = {best.n}, m = {best.m}, delay = {best.delay}"]
+    remarks += [f"note: {note}" for note in notes]
+    return ResultPage("order", f"{name}: poles, zeros and dead time", search_json(search), sections, remarks=remarks)
 
 
 def write_result(out: Path, result: Result) -> None:

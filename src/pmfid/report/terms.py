@@ -1,12 +1,10 @@
-"""The report of a search over a drive's terms: lines for AXIS.toml, all compared forces, and the parameters."""
+"""The page of a search over a drive's terms: lines for AXIS.toml, all compared forces, and the parameters."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
 from pmfid.pipeline.result import findings_lines, parameter_header, parameter_rows
 from pmfid.pipeline.terms import TermSearch, term_rows
-from pmfid.report.html import Section, svg, write_pages
+from pmfid.report.page import ResultPage, Section
 from pmfid.report.result import motion_figure
 
 FORCES = (
@@ -15,8 +13,8 @@ FORCES = (
 )
 
 
-def write_terms(out: Path, found: TermSearch) -> None:
-    """Write terms.html and terms.json into the folder `out`."""
+def terms_page(found: TermSearch) -> ResultPage:
+    """Return the page of a search for terms."""
     result = found.result
     taken, others = ([row for row in found.rows if row.chosen == chosen] for chosen in (True, False))
     sections = [
@@ -24,11 +22,11 @@ def write_terms(out: Path, found: TermSearch) -> None:
         Section("Parameters", "", (parameter_header(result), parameter_rows(result))),
         *([Section("Forces of the fit", FORCES, term_rows(taken))] if taken else []),
         *([Section("Forces that this record does not show", FORCES, term_rows(others))] if others else []),
-        Section("Input and motion", svg=svg(motion_figure(result.record, result.estimator.equation))),
+        Section("Input and motion", figure=lambda: motion_figure(result.record, result.estimator.equation)),
     ]
     lines = [line for notes in (False, True) for line in findings_lines(result, notes=notes)]
     sections += [Section("Notes", "\n\n".join(lines), folded=True)] if lines else []
-    lead = found.sentence, "Write the lines for AXIS.toml into its section [model]." if found.added else ""
-    write_pages(
-        out, "terms", found.to_json(), f"{found.name}: terms of the drive", sections, [one for one in lead if one]
-    )
+    lead = [found.sentence, *(["Write the lines for AXIS.toml into its section [model]."] if found.added else [])]
+    remarks = [f"status: {', '.join(found.status) or 'none'}"]
+    remarks += [line for finding in result.findings for line in finding.lines]
+    return ResultPage("terms", f"{found.name}: terms of the drive", found.to_json(), sections, lead, remarks)

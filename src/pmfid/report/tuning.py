@@ -12,12 +12,6 @@ class ReportTuning:
     # comparison
     #: Largest number of panels in a row. The numbers of more panels would not fit.
     comparison_panels: int = 4
-    #: Size of a fit [percent] above which only its magnitude is shown.
-    comparison_huge: float = 1e5
-
-    # design
-    #: Chi-square of two degrees of freedom at 95 %.
-    design_chi2: float = 5.991
 
     # figures
     max_points: int = 2000
@@ -30,9 +24,8 @@ class ReportTuning:
     figures_line: int = 48
 
     # fleet
-    #: Number of names in a panel, least change [%] with a name, and numbers of the map's rows and periods.
+    #: Number of names in a panel, and numbers of the map's rows and periods.
     fleet_names: int = 6
-    fleet_shown: float = 2.0
     fleet_rows: int = 50
     fleet_columns: int = 400
     #: Numbers of drawn trends, of letters in a name, and of quiet rows for comparison in the map.
@@ -41,10 +34,8 @@ class ReportTuning:
     fleet_quiet: int = 10
     #: Least length of a history [days] whose times have only dates as labels.
     fleet_dates: float = 2.0
-    #: Largest number of axes and problems in the tables. Files next to the report have all axes and problems.
-    fleet_most_axes: int = 60
-    fleet_problems: int = 40
-    fleet_others: int = 20
+    #: Largest number of rows in a table. Files next to the report have all axes and problems.
+    fleet_listed: int = 50
 
     # html
     #: Number of letters from which a cell may be broken into several lines.

@@ -1,24 +1,27 @@
-"""The report of a validation with figures, tables and numbers."""
+"""The pages of a validation and of a self-test."""
 
 from __future__ import annotations
 
-from pathlib import Path
-
-from matplotlib.figure import Figure
+from functools import partial
+from typing import TYPE_CHECKING
 
 from pmfid.diagnostics.free_run import FreeRun
+from pmfid.pipeline.selftest import SelfTest
 from pmfid.pipeline.validation import Validation
 from pmfid.report.figures import COLOURS, followed_figure, open_figure, plain_ticks
-from pmfid.report.html import Section, svg, write_pages
+from pmfid.report.page import ResultPage, Section
 from pmfid.report.tuning import TUNING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 Rows = tuple[list[str], list[list[str]]]
 
 
-def write_validation(out: Path, found: Validation) -> None:
-    """Write validation.html and validation.json into the folder `out`."""
+def validation_page(found: Validation) -> ResultPage:
+    """Return the page of a validation."""
     sections = [
-        Section("Parameters", f"Method: {found.method}.", _parameter_rows(found)),
+        Section(f"Parameters by {found.method}", table=_parameter_rows(found)),
         Section("Free run", _text(found), run_rows(found)),
     ]
     if any(run.horizons for run in found.runs):
@@ -26,12 +29,28 @@ def write_validation(out: Path, found: Validation) -> None:
             "The simulation restarts at the given interval. Each start is fitted to the first samples after the "
             "restart."
         )
-        sections.append(Section("Restarted", text, horizon_rows(found), svg(horizon_figure(found))))
+        sections.append(Section("Restarted", text, horizon_rows(found), lambda: horizon_figure(found)))
     sections += [
-        Section(f"Measured and simulated: {run.name}", svg=svg(run_figure(run, found.unit)))
+        Section(f"Measured and simulated: {run.name}", figure=partial(run_figure, run, found.unit))
         for run in found.runs[: TUNING.most_figures]
     ]
-    write_pages(out, "validation", found.to_json(), f"{found.runs[0].name}: predicted", sections)
+    status = [f"status: {', '.join(found.status)}"] if found.status else []
+    remarks = [*status, *(f"note: {note}" for note in found.notes)]
+    return ResultPage("validation", f"{found.runs[0].name}: predicted", found.to_json(), sections, remarks=remarks)
+
+
+def selftest_page(found: SelfTest) -> ResultPage:
+    """Return the page of a self-test."""
+    done = found.runs - found.refused
+    rows = [
+        [one.name, f"{one.value:.5g}", f"{one.mean:.5g}", f"{one.rmse:.2g}", f"{one.covered} of {done}", one.unit]
+        for one in found.recoveries
+    ]
+    header = ("parameter", "simulated", "mean", "error (rms)", "covered", "unit")
+    section = Section(f"{found.record}: {found.runs} simulated records", table=(header, rows))
+    remarks = [f"status: {', '.join(found.status) or 'none'}"]
+    remarks += [line for finding in found.findings for line in finding.lines]
+    return ResultPage("selftest", found.record, found.to_json(), [section], remarks=remarks)
 
 
 def _text(found: Validation) -> str:
