@@ -257,10 +257,8 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.referee --out results/referee.md
 	.venv/bin/python -m studies.design_machines --out results/commissioning.md
 	.venv/bin/python -m studies.alarms --out results/alarms.md
-	.venv/bin/python -m studies.black_box --out results/black_box.md
 	.venv/bin/python -m studies.glitches --out results/glitches.md
 	.venv/bin/python -m studies.honest_recursions --out results/honest_recursions.md
-	.venv/bin/python -m studies.logs --out results/logs.md
 	.venv/bin/python -m studies.fleet_history --out results/fleet_history.md
 	.venv/bin/python -m studies.servo_grid --out results/actuators.md
 	.venv/bin/python -m studies.growth --out docs/benchmarks.md --samples 100000000 --axes 1000000

@@ -1,25 +1,26 @@
-"""Random linear processes, and their records in open and in closed loop with coloured noise."""
+"""Random linear processes, their records with coloured noise, and their estimates."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import expm
 from scipy.signal import lfilter
 
+from pmfid.diagnostics.processes import assess, flags_on
+from pmfid.encoder import Encoder
+from pmfid.errors import NotIdentifiableError
+from pmfid.estimators.srivc import SRIVC, make_problem
 from pmfid.linear.experiment import Experiment, Hold
-from pmfid.linear.responses import companion
+from pmfid.linear.process import Process
+from pmfid.models.transfer_function import TransferFunction
 from pmfid.simulation.process import simulate_process
 from pmfid.types import Floats
 
 INPUTS = ("prbs", "steps", "sweep", "multisine", "white")
 NOISES = ("white", "AR(1) 0.9", "resonance")
-LENGTHS = (300, 1000, 3000, 10_000)
-#: Signal to noise [dB], uniform; in closed loop up to the noise of a fine encoder.
-OPEN_SNR, CLOSED_SNR = (15.0, 40.0), (20.0, 80.0)
-#: Largest gain of a controller times the gain of the process, and the gain margin to instability.
-STRONG, MARGIN = 6.0, 2.0
+#: Signal to noise [dB], uniform.
+OPEN_SNR = (15.0, 40.0)
 
 
 @dataclass(frozen=True)
@@ -103,57 +104,18 @@ def open_record(
     return Experiment(u, y + size * make_noise(noise, samples, rng), dt=plant.dt, hold=hold)
 
 
-def closed_record(plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator) -> Experiment:
-    """Return a record under proportional and integral control with a gain margin; it has no reference."""
-    return _closed(plant, kind, noise, samples, rng)[0]
+def estimator_of(plant: RandomPlant, model: TransferFunction | None = None) -> SRIVC:
+    """Return the estimator that a user with known numbers of poles and zeros would take."""
+    model = model or TransferFunction(plant.a.size - 1, plant.b.size - 1)
+    return SRIVC(model, Encoder(1.0), plant.dt, min(2 * plant.bandwidth, 1.9 / plant.dt))
 
 
-def loop_noise(plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator) -> float:
-    """Return the standard deviation of the noise in the record of a controller. The reference has about one unit."""
-    return _closed(plant, kind, noise, samples, rng)[1]
-
-
-def _closed(
-    plant: RandomPlant, kind: str, noise: str, samples: int, rng: np.random.Generator
-) -> tuple[Experiment, float]:
-    keep, move = _sampled(plant)
-    row = np.zeros(keep.shape[0])
-    row[: plant.b.size] = plant.b[::-1]
-    strength, slow = STRONG / plant.gain, 0.2 * plant.bandwidth * plant.dt
-    while np.max(np.abs(np.linalg.eigvals(_loop(keep, move, row, MARGIN * strength, slow)))) >= 1:
-        strength /= 1.3
-    r, v = make_input(kind, samples, plant, rng), make_noise(noise, samples, rng)
-    quiet = _run(keep, move, row, strength, slow, r, np.zeros(samples))[1]
-    size = float(np.std(quiet)) * 10 ** (-rng.uniform(*CLOSED_SNR) / 20)
-    return Experiment(*_run(keep, move, row, strength, slow, r, size * v), dt=plant.dt), size
-
-
-def _sampled(plant: RandomPlant) -> tuple[Floats, Floats]:
-    n = plant.a.size - 1
-    whole = np.zeros((n + 1, n + 1))
-    whole[:n, :n], whole[n - 1, n] = companion(plant.a[:0:-1]), 1.0
-    scale = plant.bandwidth ** np.arange(n + 1.0)
-    whole = whole * scale / scale[:, None]
-    found = expm(whole * plant.dt) * scale[:, None] / scale
-    return found[:n, :n], found[:n, n]
-
-
-def _loop(keep: Floats, move: Floats, row: Floats, strength: float, slow: float) -> Floats:
-    """Return the loop matrix of the states and of the controller's integral."""
-    n = keep.shape[0]
-    loop = np.zeros((n + 1, n + 1))
-    loop[:n, :n], loop[:n, n] = keep - np.outer(move, strength * (1 + slow) * row), strength * move
-    loop[n, :n], loop[n, n] = -slow * row, 1.0
-    return loop
-
-
-def _run(
-    keep: Floats, move: Floats, row: Floats, strength: float, slow: float, r: Floats, v: Floats
-) -> tuple[Floats, Floats]:
-    u, y, x, integral = np.zeros(r.size), np.zeros(r.size), np.zeros(keep.shape[0]), 0.0
-    for k in range(r.size):
-        y[k] = row @ x + v[k]
-        integral += slow * (r[k] - y[k])
-        u[k] = strength * (r[k] - y[k] + integral)
-        x = keep @ x + move * u[k]
-    return u, y
+def identified(estimator: SRIVC, record: Experiment) -> tuple[Process, Floats, tuple[str, ...]]:
+    """Identify as `pmfid identify` does: return the process, theta (p,) and the status. Raises NotIdentifiableError."""
+    fit = estimator.fit_experiments([record])
+    problem = make_problem(estimator, [record])
+    theta = fit.theta / problem.structure.scale(problem.rate)
+    checks = assess(problem, theta, estimator.equation.delay)
+    if not checks.depends:
+        raise NotIdentifiableError("chance alone explains as much")
+    return fit.process, fit.theta, flags_on(checks, fit.process)

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,17 +15,12 @@ from pmfid.models.equation import ESTIMATE
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.types import Floats
 from studies.late_processes import Controller, simulate_late, simulate_loop
-from studies.paper.truth import Study, Task, table
 
 #: Ratio of the powers of output and noise.
 SNR = 100.0
 DT, SAMPLES, CLOCK, CUTOFF = 0.1, 1500, 3, 3.0
 #: Largest relative difference of the poles and zeros of a run from the nominal ones.
 SPREAD = 0.3
-#: Median of the error over that of a normal error at the Cramér-Rao bound; fraction of true values within two bars;
-#: samples.
-GOAL_ERROR, GOAL_COVERAGE, GOAL_DELAY = 1.5, (0.88, 0.98), 0.1
-NORMAL_MEDIAN = 0.6745
 
 
 @dataclass(frozen=True)
@@ -70,10 +63,6 @@ CASES = {
     "unstable pole, controlled": Case(2.0, (), (0.8, -2.0), unstable=True, controller=GAIN),
     "two unstable poles, controlled": Case(1.5, (), (0.3 + 1j, 0.3 - 1j), unstable=True, controller=LEAD),
 } | {f"dead time {delay:g} samples": Case(2.0, (), (-1.0, -3.0), delay=delay) for delay in (0.3, 1.0, 2.5, 3.8, 5.7)}
-
-
-def tasks(seeds: int) -> list[Task]:
-    return [(name, seed) for name in CASES for seed in range(seeds)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,55 +124,3 @@ def bound(estimator: SRIVC, run: Run) -> Floats:
     size = np.linalg.norm(zeta, axis=0)
     fisher = (zeta / size).T @ (zeta / size)
     return np.asarray(np.sqrt(np.diagonal(np.linalg.inv(fisher))) / size * scale * run.noise_std)
-
-
-def write(seeds: int, results: Mapping[Task, Any]) -> list[str]:
-    lines = [
-        "## What real records need",
-        "",
-        f"`srivc` on {SAMPLES} samples every {DT:g} s with white noise at {10 * np.log10(SNR):g} dB, {seeds} runs of "
-        f"each case; every run has a plant of its own, with each pole and zero up to {SPREAD:.0%} off the nominal one. "
-        "Random steps as input, or as the reference of a controller, which is given; integrators in open loop with "
-        "an input that brings them back. error: median of the error over that of a normal one with the standard "
-        "deviation of the Cramér-Rao bound, largest of any parameter; covered: share of the truth within two of the "
-        "error bars, over all parameters; dead time: share of the runs within a tenth of a sample, and the largest "
-        "error in samples.",
-        "",
-    ]
-    rows, worst, low, high = [], 0.0, 1.0, 0.0
-    for name, case in CASES.items():
-        runs = [results[name, seed] for seed in range(seeds)]
-        answered = [run for run in runs if np.all(np.isfinite(run["bar"]))]
-        if not answered:
-            rows.append([name, f"0/{seeds}", "–", "–", "–"])
-            worst = np.inf
-            continue
-        error, covered = summary(answered)
-        worst, low, high = max(worst, error), min(low, covered), max(high, covered)
-        rows.append([name, f"{len(answered)}/{seeds}", f"{error:.2f}", f"{covered:.2f}", _dead_time(case, answered)])
-    lines += table(["case", "answered", "error", "covered", "dead time"], rows)
-    met = "met" if worst <= GOAL_ERROR else "**not met**"
-    within = "met" if GOAL_COVERAGE[0] <= low and high <= GOAL_COVERAGE[1] else "**not met**"
-    return [
-        *lines,
-        f"- median error of every parameter within {GOAL_ERROR:g} times what the bound allows: {met}; {worst:.2f}, "
-        f"uncertain by {100 * 1.17 / np.sqrt(seeds):.0f} % with this number of runs.",
-        f"- {GOAL_COVERAGE[0]:.0%} to {GOAL_COVERAGE[1]:.0%} covered: {within}; {low:.2f} to {high:.2f}.",
-        "",
-    ]
-
-
-def summary(runs: list[dict[str, Floats]]) -> tuple[float, float]:
-    """Return the largest median error over that at the bound, and the fraction within two bars."""
-    medians = np.median(np.abs([run["bound"] for run in runs]), axis=0) / NORMAL_MEDIAN
-    return float(np.max(medians)), float(np.mean(np.abs([run["bar"] for run in runs]) < 2.0))
-
-
-def _dead_time(case: Case, runs: list[dict[str, Floats]]) -> str:
-    if case.delay is None:
-        return "–"
-    errors = np.abs([run["error"][-1] for run in runs]) / DT
-    return f"{np.mean(errors <= GOAL_DELAY):.0%}, {np.max(errors):.3f}"
-
-
-STUDY = Study("real_processes", tasks, work, write)

@@ -12,8 +12,7 @@ from scipy.signal import lfilter
 from pmfid import SRIVC, Encoder, Experiment, TransferFunction
 from pmfid.diagnostics.causality import ResidualStretch, find_feedback
 from pmfid.simulation.process import simulate_process
-from studies.process_confidence import estimator_of, identified
-from studies.process_records import open_record, random_plant
+from studies.process_records import estimator_of, identified, open_record, random_plant
 
 DT = 0.1
 LAG = ((2.0,), (1.0, 1.5))

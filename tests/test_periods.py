@@ -10,8 +10,16 @@ import pytest
 from pmfid import SRIVC, Encoder, Experiment, TransferFunction
 from pmfid.linear.residuals import period_of
 from pmfid.simulation.process import simulate_process
-from studies.process_confidence import estimator_of, identified
-from studies.process_records import INPUTS, NOISES, RandomPlant, make_noise, open_record, random_plant
+from studies.process_records import (
+    INPUTS,
+    NOISES,
+    RandomPlant,
+    estimator_of,
+    identified,
+    make_noise,
+    open_record,
+    random_plant,
+)
 
 DT, PERIOD = 0.1, 150
 #: Two resonances, of 2 and 5.5 rad/s.

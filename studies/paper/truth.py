@@ -1,10 +1,9 @@
-"""Common parts of studies: a section of a page, a record of the cart, its estimator, and a table."""
+"""Common parts of studies: a record of the cart, its estimator, and a table."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,26 +16,8 @@ from pmfid.models.drive import Drive
 from pmfid.simulation import CART, CART_DT
 from pmfid.types import Floats
 
-#: The arguments of one work, and the results by task; each study knows their types.
-Task = tuple[Any, ...]
-Results = Mapping[Task, Any]
-
 #: Filter time constant in samples, unless a table says otherwise.
 TIME_CONSTANT = 3
-
-
-@dataclass(frozen=True)
-class Study:
-    """One section of the page.
-
-    `tasks` returns the tasks for a number of seeds, and `work` computes one of them in a separate process. `write`
-    returns the section's lines from the number of seeds and the results by task.
-    """
-
-    name: str
-    tasks: Callable[[int], list[Task]]
-    work: Callable[..., object]
-    write: Callable[[int, Results], list[str]]
 
 
 @dataclass(frozen=True, eq=False)
