@@ -17,16 +17,16 @@ NO_CODE = {
 }
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66875,
-    "lines of code in src": 39307,
-    "lines of code in report and cli": 3545,
-    "thresholds in src": 1039,
+    "lines of src": 66693,
+    "lines of code in src": 39162,
+    "lines of code in report and cli": 3413,
+    "thresholds in src": 1034,
     "lines of csrc": 8673,
     "defines of csrc": 196,
     "conditionals of csrc": 108,
-    "lines of tests": 40593,
-    "match= in tests": 54,
-    "lines of studies": 10399,
+    "lines of tests": 28192,
+    "match= in tests": 27,
+    "lines of studies": 7981,
 }
 
 

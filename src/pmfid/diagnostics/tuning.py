@@ -32,8 +32,6 @@ class DiagnosticTuning:
     causality_apart: float = 1e-7
 
     # drives
-    #: Factor by which a jump of the counts exceeds the usual changes. No motion explains a change beyond this factor.
-    drives_jump: int = 30
     #: Length of the judged part at the end of the record, in memories of an estimator with forgetting.
     drives_memories: float = 3.0
 

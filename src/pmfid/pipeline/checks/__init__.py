@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from pmfid.config.axis import Axis
 from pmfid.findings import Finding, codes, sort_findings
-from pmfid.pipeline.checks.counter import find_frozen_counts, forgotten_bits, held_output, jump
+from pmfid.pipeline.checks.counter import find_frozen_counts, forgotten_bits, held_output
 from pmfid.pipeline.checks.force import find_command, find_unsigned
 from pmfid.pipeline.checks.inputs import find_saturation, held_input
 from pmfid.pipeline.checks.readings import is_turned_by_gravity, no_motion, read_as
@@ -31,7 +31,7 @@ FAMILIES: tuple[tuple[Check, ...], ...] = (
     (find_unsigned, find_command),
     (read_as,),
     (held_output, find_frozen_counts, held_input, find_saturation),
-    (too_slow, odd_period, jump),
+    (too_slow, odd_period),
 )
 
 

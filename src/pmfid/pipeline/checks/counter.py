@@ -7,7 +7,6 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.diagnostics.drives import JUMP_REMEDY, count_jump
 from pmfid.findings import Finding
 from pmfid.pipeline.checks.view import CheckedLog, Stop
 from pmfid.pipeline.tuning import TUNING
@@ -42,13 +41,6 @@ def forgotten_bits(log: CheckedLog) -> Iterator[Finding]:
             config.output, config.output_kind, log.record.resolution, log.axis.model.make().equation.motion.travel
         )
         yield Finding("wrapped", sentence, remedy, "wrong")
-
-
-def jump(log: CheckedLog) -> Iterator[Finding]:
-    """Yield a finding if one change of the counts is no motion, unless [encoder] max_speed excludes such changes."""
-    sentence = count_jump(log.known.counts) if log.axis.encoder.max_speed is None and log.is_machine else ""
-    if sentence:
-        yield Finding("count_jump", sentence, JUMP_REMEDY, "wrong")
 
 
 def held_output(log: CheckedLog) -> Iterator[Finding]:
