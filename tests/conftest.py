@@ -33,7 +33,7 @@ EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
 needs_emps = pytest.mark.skipif(not EMPS.exists(), reason="the EMPS record is not on this machine")
 
 #: On a busy machine, a command with any amount of work can print these progress lines.
-PROGRESS = re.compile(r"^pmfid: .*after \d+ s\n", re.MULTILINE)
+PROGRESS = re.compile(r"^pmfid: .*(?:after|running for) \d+ s\n", re.MULTILINE)
 
 #: Most characters of a sentence and of a remedy in a finding.
 LONGEST = 140

@@ -66,6 +66,7 @@ def _jump(estimator: pmfid.BCRLS) -> pmfid.Estimate:
     return estimator.step(float(u[estimator.delay]), int(counts[estimator.delay]))
 
 
+@cache
 def gallery() -> dict[str, Presentable | pmfid.Estimate]:
     """Return one of each object by its description."""
     bcrls = pmfid.BCRLS(DRIVE, RUN.encoder, CART_DT, CUTOFF, forgetting=0.995)

@@ -18,6 +18,7 @@ from pmfid.design.fisher import (
     Criterion,
     affine,
     check_identifiable,
+    information,
     motion,
     sensitivities,
 )
@@ -72,6 +73,14 @@ def test_sensitivities_are_those_of_an_independent_integration() -> None:
         found.append(X[2::2])
     exact = sensitivities(case, u)
     assert np.abs(np.array(found) - exact).max() <= 1e-8 * np.abs(exact).max()
+
+
+def test_information_of_a_free_mass_has_a_closed_form() -> None:
+    """x = u t^2 gain / (2 m): F = sum (gain u t^2 / (2 m^2))^2 / variance."""
+    case = problem(2.0, 0.0, 0.0, unknown=("mass",), noise_variance=1e-6)
+    t = case.t[1:]
+    expected = np.sum((2.0 * 0.7 * t**2 / (2 * 2.0**2)) ** 2) / 1e-6
+    assert information(case, np.full(20, 0.7)) == pytest.approx(expected, rel=1e-10)
 
 
 @pytest.mark.parametrize("name", list(CRITERIA))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,7 @@ from pmfid.pipeline.processes import Processes
 from pmfid.pipeline.result import ProcessResult
 from pmfid.simulation.process import PLANTS
 from tests.refusals import refused
-from tests.test_process import CONFIG, closed_loop
+from tests.test_process import CONFIG
 
 PLANT = PLANTS["second-order"]
 
@@ -35,19 +34,6 @@ def test_noise_alone_is_no_process(n, seed):
     y = np.random.default_rng(seed).standard_normal(PLANT.samples)
     with pytest.raises(pmfid.NotIdentifiableError):
         identified(plain(y), model__n=n)
-
-
-@pytest.mark.long
-def test_feedback_is_seen_by_every_method_and_a_reference_helps_those_that_use_it():
-    r, u, y = closed_loop(1)
-    record = Experiment(u, y, dt=0.05)
-    for method in ("srivc", "rls", "ls"):
-        assert "feedback" in identified(record, estimator__method=method).status
-    given = replace(record, reference=r)
-    used, ignored = identified(given), identified(given, estimator__method="rls")
-    assert "feedback" not in used.status
-    assert "feedback" in ignored.status
-    assert any("does not use the reference" in note for note in ignored.notes)
 
 
 def test_an_unstable_process_is_named():

@@ -9,7 +9,6 @@ import pytest
 
 from pmfid.monitor import EdgeMonitor, MonitorFleet
 from pmfid.monitor.events import STATES, Alarm, Event, FleetRows
-from tests.refusals import refused
 from tests.test_monitor_edges import changed_run, make_monitor
 
 #: Runs of four axes: a change, normal work with a rest, lost samples, and instants that are wrong.
@@ -74,18 +73,3 @@ def test_a_fleet_goes_on_from_its_saved_states(runs: tuple[np.ndarray, ...]) -> 
     np.testing.assert_array_equal(found.theta, expected.theta[order])
     assert resumed.get_state() == fleet.get_state()
     assert resumed.refer(0)[0].theta.tolist() == expected.theta[0, -1].tolist()
-
-
-def test_other_arrays_and_states_are_refused(runs: tuple[np.ndarray, ...]) -> None:
-    fleet = MonitorFleet(make_monitor(), 1)
-    state = fleet.get_state()
-    refused(
-        ("ages must have the shape", lambda: fleet.run([0], runs[0][:1], runs[1][:1], runs[2][:1, 1:])),
-        ("no estimate exists yet", lambda: fleet.refer(0)),
-        ("not a state of this monitor", lambda: MonitorFleet(make_monitor(tolerance=0.3), 1).set_state(state)),
-        ("damaged", lambda: fleet.set_state(state[:-9] + b"x" + state[-8:])),
-    )
-    monitor = make_monitor()
-    monitor.statistic = np.nan
-    refused(("cannot be a state of a monitor", lambda: fleet.set_state(monitor.get_state())))
-    assert fleet.get_state() == state

@@ -15,7 +15,6 @@ from pmfid.export.firmware import ParameterAlarm
 from pmfid.simulation.scenarios import make_scenario
 from tests.firmware.build import GCC, HERE, WARNINGS, compiled, run
 from tests.firmware.replay import exported
-from tests.refusals import refused
 
 pytestmark = pytest.mark.skipif(bool(GCC.missing), reason=GCC.missing)
 ALARM = ParameterAlarm("mass", nominal=1.07, shift=0.1)
@@ -72,22 +71,3 @@ def test_standstill_raises_none(tmp_path: Path) -> None:
     scenario = make_scenario("standstill", seed=3, increments=1024, duration=60.0)
     found = watched(bcrls(scenario.resolution, "float32"), tmp_path, scenario.motion.u, scenario.counts)
     assert not np.any(found["alarm"])
-
-
-def test_what_makes_no_alarm_is_refused(tmp_path: Path) -> None:
-    drive, encoder = pmfid.Drive(2.0), pmfid.Encoder(1e-5)
-    forgetful = pmfid.RLS(drive, encoder, 0.01, 50.0, forgetting=0.99)
-    refused(
-        (
-            "parameter of an alarm must be one of",
-            lambda: pmfid.export_firmware(forgetful, tmp_path, alarms=[ParameterAlarm("inertia", 1.0, 0.1)]),
-        ),
-        (
-            "forgetting below 1",
-            lambda: pmfid.export_firmware(pmfid.RLS(drive, encoder, 0.01, 50.0), tmp_path, alarms=[ALARM]),
-        ),
-    )
-    for wrong in ({"shift": 0.0}, {"shift": np.nan}, {"threshold": -1.0}, {"nominal": np.inf}):
-        with pytest.raises(pmfid.UsageError, match="alarm"):
-            ParameterAlarm(**({"parameter": "mass", "nominal": 1.0, "shift": 0.1} | wrong))
-    assert not any(tmp_path.iterdir())

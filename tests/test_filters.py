@@ -9,6 +9,7 @@ from scipy.signal import cont2discrete, lfilter
 import pmfid
 from pmfid._stage import first_order
 from pmfid.filters.chain import chain, derivative, hold_exact
+from pmfid.filters.columns import tustin_image
 from pmfid.filters.network import SIGNALS, Network
 from tests.conftest import cart_run
 from tests.oracles import paper
@@ -49,6 +50,11 @@ def test_derivatives_of_the_chain_are_the_trapezoidal_filters(order, j):
     held = paper.matched(np.r_[w, 0.0], CUTOFF, 1, DT)[1:]
     parts = [(CUTOFF, 1)] * j + [(CUTOFF, 0)] * (order - 1 - j)
     np.testing.assert_allclose(got, paper.tustin(parts, held, DT), atol=1e-10)
+
+
+def test_tustin_image_is_the_exact_pole():
+    image = tustin_image(8.0, DT)
+    assert (2 / DT - image) / (2 / DT + image) == pytest.approx(np.exp(-8.0 * DT), rel=1e-14)
 
 
 def test_kernel_columns_equal_the_oracle(drive):

@@ -37,9 +37,3 @@ def test_a_set_point_of_the_speed_is_no_force(names: tuple[str, str], severity: 
     found = findings(log_of(run["goal_speed"][::5], run["velocity"][::5], 0.005, "velocity", 1e-6, names))
     assert found["command"].severity == severity
     assert "gain 1.0" in found["command"].sentence or "set point" in found["command"].sentence
-
-
-def test_the_force_that_drives_the_speed_is_no_set_point() -> None:
-    run = simulate("speed", 3)
-    found = findings(log_of(run["force"][::5], run["velocity"][::5], 0.005, "velocity", 1e-6, ("u", "speed")))
-    assert "command" not in found

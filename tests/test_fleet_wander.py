@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pmfid.fleet.series import Series
-from pmfid.fleet.verdicts import CHANGED, DRIFTS, AxisVerdict, follow_axis, judge_axes
+from pmfid.fleet.verdicts import CHANGED, AxisVerdict, follow_axis, judge_axes
 from pmfid.types import Floats
 from tests.test_fleet_changes import NAMES, SEGMENT, series
 
@@ -53,10 +53,3 @@ def test_a_step_of_the_mass_next_to_it_keeps_cause_and_time(wave: object, factor
     for k, one in enumerate(found):
         assert one.kind == CHANGED
         assert abs(one.since - SEGMENT * (10 + 2 * k)) <= SEGMENT
-
-
-@pytest.mark.parametrize("slope", [-0.1, 0.06, 0.25])
-def test_a_steady_drift_is_none_that_wanders(slope: float) -> None:
-    rng = np.random.default_rng(5)
-    found = verdicts([seen(rng, friction(slope * np.arange(N) / N)) for _ in range(10)])
-    assert [one.kind for one in found] == [DRIFTS] * 10

@@ -8,12 +8,9 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-import pmfid
 from examples.demo import main as demo
 from pmfid.cli.main import main
-from pmfid.errors import UnknownParameterError
 from tests.command import run_command
-from tests.conftest import cart_run
 
 pytestmark = pytest.mark.usefixtures("without_judgement")
 
@@ -33,22 +30,6 @@ cutoff = 20.0
 
 
 # --- names ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_wrong_name_lists_the_right_ones() -> None:
-    run = cart_run(1, samples=600)
-    arguments = (pmfid.Drive(2.0), run.encoder, 0.01, 20.0)
-    fit = pmfid.LS(*arguments).fit(run.u, run.counts)
-    estimator = pmfid.RLS(*arguments)
-    track = estimator.run(run.u, run.counts)
-    tracks = pmfid.Fleet(estimator, 1).run(run.u, run.counts[None, :])
-    for result in (fit, track, tracks, estimator.estimate, pmfid.RLS(*arguments, precision="float32").estimate):
-        with pytest.raises(KeyError) as caught:
-            result["Mass"]
-        assert isinstance(caught.value, UnknownParameterError)
-        assert str(caught.value) == (
-            "there is no parameter 'Mass'; use one of mass, viscous_friction, coulomb_friction; did you mean 'mass'?"
-        )
 
 
 # --- help -------------------------------------------------------------------------------------------------------------

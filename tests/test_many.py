@@ -214,30 +214,6 @@ def test_a_split_run_is_the_whole_run(cuts):
     assert_equal_tracks(last, pmfid.Fleet(make(pmfid.RIV), AXES).run(u, counts))
 
 
-def test_a_fleet_of_anything_else_is_refused():
-    made, off_line = make(pmfid.BCRLS), pmfid.SRIVC(pmfid.TransferFunction(2, 1), ENCODER, DT, CUTOFF)
-    fleet = pmfid.Fleet(made, 2)
-    refused(
-        *(("axes", partial(pmfid.Fleet, made, axes)) for axes in (2.5, "a", np.nan, None, True, 10**30)),
-        *(("workers must be a whole", partial(pmfid.Fleet, made, 2, workers=n)) for n in (2.5, "a", np.nan, 0)),
-        *(("index must be a whole number", partial(fleet.axis, index)) for index in ("a", 0.5, None)),
-        ("and srivc does not", lambda: pmfid.Fleet(off_line, 5)),
-    )
-
-
-def test_tables_that_are_no_numbers_are_refused():
-    estimator, fleet = make(pmfid.BCRLS), pmfid.Fleet(make(pmfid.BCRLS), 2)
-    for wrong in (None, [[1, 2], [3]], "a", [["a", "b"], ["c", "d"]], [[1j, 2], [3, 4]]):
-        refused(
-            ("counts must be an array of real numbers", lambda wrong=wrong: fleet.run(np.zeros((2, 2)), wrong)),
-            ("u must be an array of real numbers", lambda wrong=wrong: fleet.run(wrong, np.zeros((2, 2), int))),
-            ("u must be an array of real numbers", lambda wrong=wrong: estimator.run(wrong, np.zeros(2, int))),
-        )
-    for state in (None, "a", 3):
-        for target in (estimator, fleet):
-            refused(("a state must be bytes from get_state", partial(target.set_state, state)))
-
-
 def test_the_kernel_writes_only_where_there_is_room():
     axes, samples, p = 3, 10, 3
     single = make(pmfid.BCRLS).kernel

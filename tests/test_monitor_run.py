@@ -124,25 +124,6 @@ def test_a_pipe_gives_what_the_record_gives(folder: Path, read: str) -> None:
     ]
 
 
-def test_bad_lines_are_counted_and_harmless(folder: Path) -> None:
-    rows = (folder / "run.csv").read_bytes().splitlines(keepends=True)
-    for k, bad in ((300, b"garbage\n"), (500, b"4.99,nan,1\n"), (700, b"6.99,1.0,\xff\xfe\n"), (900, b"8.99,1,0.5\n")):
-        rows[k] = bad
-    rows.insert(1100, b"\n")
-    text = invoke(folder, "--json", "--out", str(folder / "bad.csv"), stdin=b"".join(rows))
-    problems = [event["problem"] for event in events(text, "bad line")]
-    assert problems[0] == "1 cells in place of 3"
-    assert len(problems) == 4
-    (end,) = events(text, "end")
-    assert (end["samples"], end["bad_lines"], end["alarms"], end["missing"]) == (4000, 4, 1, 0)
-    (alarm,) = events(text, "alarm")
-    assert alarm["time"] > CHANGE
-    table = pl.read_csv(folder / "bad.csv")
-    assert table.height == 4000
-    assert np.isfinite(table[["t", "mass", "innovation"]].to_numpy()).all()
-    assert np.isfinite(table["mass_std"][200:].to_numpy()).all()
-
-
 @pytest.mark.parametrize(
     ("stdin", "message"),
     [

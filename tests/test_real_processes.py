@@ -7,14 +7,11 @@ import json
 import numpy as np
 import pytest
 
-from pmfid import IV, LS, SRIVC, Encoder, Experiment, TransferFunction
-from pmfid.estimators.registry import methods_for
+from pmfid import SRIVC, Encoder, Experiment, TransferFunction
 from pmfid.linear.experiment import Grid, respond
 from pmfid.linear.responses import respond_bounded
 from studies.late_processes import Controller, simulate_late, simulate_loop
-from studies.real_processes import work
 from tests.command import run_command
-from tests.refusals import refused
 
 DT = 0.05
 ONE = Encoder(1.0)
@@ -95,31 +92,6 @@ def test_an_unstable_process_under_control():
         fit = SRIVC(model, ONE, DT, 2.0).fit_experiments([Experiment(u, y, dt=DT, reference=r)])
         np.testing.assert_allclose(fit.theta, truth, rtol=tolerance)
     assert np.all(np.abs(fit.theta - truth) < 4 * fit.theta_std)
-
-
-@pytest.mark.parametrize(
-    "name", ["m = n = 2", "two integrators, controlled", pytest.param("dead time 2.5 samples", marks=pytest.mark.long)]
-)
-def test_cases_of_the_study_reach_the_bound(name):
-    runs = [work(name, seed) for seed in range(4)]
-    assert np.sqrt(np.mean(np.square([run["bound"] for run in runs]))) < 2.0
-    assert np.max(np.abs([run["bar"] for run in runs])) < 4.0
-    if "dead" in name:
-        assert np.max(np.abs([run["error"][-1] for run in runs])) < 0.01  # a tenth of the sample period
-
-
-def test_what_cannot_be_says_what_can():
-    late, found = TransferFunction(2, 0, dead_time=0.1), TransferFunction(2, 0, dead_time="estimate")
-    models = (TransferFunction(2, 2), late, TransferFunction(1, 0, integrators=1))
-    assert all(methods_for(model) == ["srivc"] for model in models)
-    refused(
-        ("integrators must be a whole number from 0 to 2", lambda: TransferFunction(2, 0, integrators=3)),
-        ("dead_time must be a time in s, at least 0", lambda: TransferFunction(2, 0, dead_time=-0.1)),
-        ("dead_time must be a time in s, at least 0", lambda: TransferFunction(2, 0, dead_time="guess")),
-        ("are both given", lambda: TransferFunction(2, 0, dead_time=0.1, delay=2)),
-        *(("use srivc", lambda model=model: LS(model, ONE, DT, 2.0)) for model in models),
-        ("use srivc", lambda: IV(found, ONE, DT, 2.0)),
-    )
 
 
 CONFIG = """

@@ -253,14 +253,3 @@ def test_values_that_are_not_finite_are_missing_samples(
     assert np.flatnonzero(~record.there).tolist() == [4, 11]
     assert record.u.size == 20
     assert record.notes[-1].startswith("2 of 20 samples are missing (10.0%), in 2 gaps")
-
-
-def test_known_forces_leave_the_input_before_the_estimate(tmp_path: Path) -> None:
-    data = columns()
-    path = csv(tmp_path, gravity=0.5 + 0 * data["t"], coupling=3 * np.sin(data["t"]))
-    axis = make_axis(record_known_force=["gravity", "coupling"], record_input_scale=4.0)
-    expected = 4 * data["u"] - (0.5 + 3 * np.sin(data["t"])) / 2
-    assert read_record(path, axis).u == pytest.approx(expected, abs=1e-12)
-    assert "coupled" in message(path, make_axis(record_known_force=["coupled"]))
-    unknown_gain = make_axis(record_known_force=["gravity"], model_input_gain="estimate", estimator_given={"mass": 1.0})
-    assert "give [model] input_gain" in message(path, unknown_gain)

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import ast
-import io
 import re
-import tokenize
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
-NO_CODE = {
-    *(tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER, tokenize.COMMENT),
-}
 #: What is counted -> its largest value.
 MOST = {
     "lines of src": 66693,
@@ -24,8 +20,8 @@ MOST = {
     "lines of csrc": 8673,
     "defines of csrc": 196,
     "conditionals of csrc": 108,
-    "lines of tests": 28192,
-    "match= in tests": 27,
+    "lines of tests": 28013,
+    "match= in tests": 25,
     "lines of studies": 7981,
 }
 
@@ -50,21 +46,28 @@ def count_code(folder: str) -> int:
     return sum(len(code_lines(text) - docstring_lines(text)) for text in texts_of(folder, {".py"}))
 
 
+@cache
+def parse(text: str) -> ast.Module:
+    return ast.parse(text)
+
+
 def code_lines(text: str) -> set[int]:
-    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-    return {k for token in tokens if token.type not in NO_CODE for k in range(token.start[0], token.end[0] + 1)}
+    """Return the lines with code or within a string."""
+    filled = {k for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")}
+    strings = [node for node in ast.walk(parse(text)) if isinstance(node, ast.Constant | ast.JoinedStr)]
+    return filled | {k for one in strings for k in range(one.lineno, (one.end_lineno or one.lineno) + 1)}
 
 
 def docstring_lines(text: str) -> set[int]:
     documented = ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef | ast.Module
-    firsts = [node.body[0] for node in ast.walk(ast.parse(text)) if isinstance(node, documented) and node.body]
+    firsts = [node.body[0] for node in ast.walk(parse(text)) if isinstance(node, documented) and node.body]
     texts = [one for one in firsts if isinstance(one, ast.Expr) and isinstance(one.value, ast.Constant)]
     return {k for one in texts for k in range(one.lineno, (one.end_lineno or one.lineno) + 1)}
 
 
 def count_thresholds(folder: str) -> int:
     """Return the number of constants of modules and defaults of classes that contain a number."""
-    bodies = [node for text in texts_of(folder, {".py"}) for node in ast.parse(text).body]
+    bodies = [node for text in texts_of(folder, {".py"}) for node in parse(text).body]
     nodes = [one for node in bodies for one in (node.body if isinstance(node, ast.ClassDef) else [node])]
     values = [one.value for one in nodes if isinstance(one, ast.Assign | ast.AnnAssign)]
     plain = [value for value in values if isinstance(value, ast.Constant | ast.UnaryOp | ast.BinOp | ast.Tuple)]

@@ -10,6 +10,7 @@ from scipy.signal import cont2discrete, lfilter
 
 import pmfid
 from pmfid import BCLS, BCRLS, LS, RLS, TransferFunction
+from pmfid.filters.chain import derivative
 from pmfid.models.equation import Equation, Term
 from tests.oracles import paper
 from tests.oracles.paper import coefficient_matrix
@@ -100,6 +101,16 @@ def test_the_coefficient_matrix_of_the_paper_filters_derivatives(gain):
     np.testing.assert_allclose(coefficient_matrix(n, cutoff, gain) @ own, derivatives, rtol=1e-9)
 
 
+def test_the_chain_of_the_kernel_is_the_coefficient_matrix_with_unit_gain():
+    n, cutoff = 3, 5.0
+    matrix = coefficient_matrix(n, cutoff, cutoff)
+    for j in range(n + 1):
+        row = np.zeros(n + 1)
+        for node, weight in derivative(list(range(n + 1)), j, cutoff):
+            row[node] = weight
+        np.testing.assert_allclose(row, matrix[n - j])
+
+
 @pytest.mark.parametrize(("n", "m", "delay"), [(1, 0, 0), (2, 0, 2), (2, 1, 0), (3, 0, 1), (4, 0, 0), (4, 1, 3)])
 @pytest.mark.parametrize("extra", [0, 1])
 def test_columns_are_those_of_the_oracle(n, m, delay, extra):
@@ -121,6 +132,13 @@ def test_columns_are_those_of_the_oracle(n, m, delay, extra):
         np.testing.assert_allclose(
             -columns.phi[:, n + j], np.r_[0.0, expected[:-1]][columns.used], atol=1e-9 * cutoff**j
         )
+
+
+@pytest.mark.parametrize(("name", "worst"), [("lag", 1.5e-4), ("undershoot", 0.0043), ("rao_garnier", 3e-4)])
+def test_without_noise_little_but_the_bias_of_the_matched_filter_is_left(name, worst):
+    plant = PLANTS[name]
+    error = np.abs(estimate(LS, plant, make_record(plant, 1)) / plant.truth - 1)
+    assert np.max(error) < worst
 
 
 # --- estimates --------------------------------------------------------------------------------------------------------

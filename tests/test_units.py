@@ -118,24 +118,6 @@ def test_numbers_with_units() -> None:
     )
 
 
-CASES: dict[str, tuple[str, float, object, dict[str, object]]] = {
-    "a name in mm": ("pos_mm", 1e-3, "0.02275 mm", {}),
-    "a name in um": ("y [µm]", 1e-6, "22.75 um", {}),
-    "a resolution in m": ("pos_mm", 1e-3, "22.75e-6 m", {}),
-    "a key": ("y", 1e-3, "0.02275 mm", {"record_output_unit": "mm"}),
-    "SI": ("y [m]", 1.0, STEP, {}),
-}
-
-
-@pytest.mark.parametrize("case", CASES)
-def test_positions_in_any_unit_are_the_same_record(tmp_path: Path, case: str) -> None:
-    name, factor, resolution, more = CASES[case]
-    record = same(read_record(logged(tmp_path, name, factor), axis(name, resolution=resolution, **more)))
-    assert record.resolution == pytest.approx(STEP)
-    assert not record.rotary
-    assert case == "SI" or any("(converted to m)" in note for note in record.notes)
-
-
 @pytest.mark.parametrize("extra", [{}, {"encoder_max_speed": 3.0}, {"record_output_unit": "mm"}])
 def test_a_number_that_may_be_meant_in_two_units_is_refused_and_either_remedy_is_taken_literally(
     tmp_path: Path, extra: dict[str, object]

@@ -38,7 +38,6 @@ ARM = ("-mthumb", "-mfloat-abi=hard")
 GCC, CLANG = Target("gcc", "gcc"), Target("clang", "clang")
 M4F = Target("Cortex-M4F", "arm-none-eabi-gcc", ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16", *ARM), "mps2-an386")
 M7 = Target("Cortex-M7", "arm-none-eabi-gcc", ("-mcpu=cortex-m7", "-mfpu=fpv5-d16", *ARM), "mps2-an500")
-TARGETS = (GCC, CLANG, M4F, M7)
 
 
 def command(arguments: list[str], folder: Path, timeout: float = 600) -> subprocess.CompletedProcess[str]:
