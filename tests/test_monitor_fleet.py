@@ -13,10 +13,10 @@ import pytest
 from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, UsageError
 from pmfid.estimators.configuration import like
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.kernel.saved import seal_parts
 from pmfid.monitor import Alarm, Monitor, MonitorFleet, Watch
 from pmfid.monitor.calibration import Calibration, NormalWork, Tail
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Settled
-from pmfid.monitor.saved import seal_parts
 from pmfid.monitor.scores import make_scale, scores
 from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
 from pmfid.types import Counts, Floats
@@ -226,7 +226,7 @@ def test_damaged_states_change_nothing(monitor: Monitor) -> None:
     refused(fleet, state[:100] + b"x" + state[101:], "checksum is wrong")
     for bad in (b"", state[:-1], state + b"0", state + state, state[:28]):
         refused(fleet, bad, "not a state of this monitor|checksum")
-    refused(fleet, 7, "must be the bytes from get_state, got int")
+    refused(fleet, 7, "must be bytes from get_state, got int")
 
 
 def test_states_of_another_configuration_are_refused(monitor: Monitor) -> None:

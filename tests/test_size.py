@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66693,
-    "lines of code in src": 39162,
+    "lines of src": 66689,
+    "lines of code in src": 39148,
     "lines of code in report and cli": 3413,
     "thresholds in src": 1034,
     "lines of csrc": 8673,

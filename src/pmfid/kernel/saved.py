@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
@@ -164,9 +164,7 @@ def _write_saved(config: Structured, state: Structured, types: Structures) -> by
 
 def _read_saved(config: Structured, data: bytes, types: Structures) -> Structured:
     """Return the state in the bytes of a `pmf_saved_t`. Raises UsageError for bytes of another configuration."""
-    if not isinstance(data, bytes | bytearray | memoryview):
-        raise UsageError(f"a state must be bytes from get_state, got {type(data).__name__}")
-    expected = _envelope(config, types)
+    data, expected = read_bytes(data), _envelope(config, types)
     if len(data) != types["pmf_saved_t"].itemsize:
         raise UsageError(_FOREIGN)
     saved = np.frombuffer(data, types["pmf_saved_t"])[0]
@@ -209,45 +207,64 @@ def fleet_layout(kernel: Kernel, precision: str) -> bytes:
     return np.concatenate([head, rows.ravel()]).astype("<u4").tobytes()
 
 
-#: Envelope of a fleet's states. The checksum is the CRC-32 of the preceding words and the states.
-FLEET_HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
+#: Envelope of the states of several axes. `layout` and `config` identify the structure and the configuration of a
+#: state, and `size` is its number of bytes. The checksum is the CRC-32 of the preceding words and the states.
+HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
 FLEET_MAGIC = 0x46464D50  # the bytes "PMFF"
+
+
+def make_head(kind: tuple[int, int], layout: int, config: int, shape: tuple[int, ...]) -> Structured:
+    """Return the envelope of states without the checksum. `kind` is the magic number and the version, and `shape` the
+    number of axes and the bytes of each."""
+    return np.array((*kind, layout, config, *shape, 0), HEAD)
+
+
+def seal_parts(parts: Sequence[bytes | memoryview]) -> list[bytes | memoryview]:
+    """Return an envelope and the states after it with the checksum. Any thread may compute it."""
+    head = np.frombuffer(parts[0], HEAD)[0].copy()
+    checksum = zlib.crc32(head.tobytes()[:-4])
+    for part in parts[1:]:
+        checksum = zlib.crc32(part, checksum)
+    head["checksum"] = checksum
+    return [memoryview(head.tobytes()), *parts[1:]]
+
+
+def check_sealed(data: bytes, head: Structured, foreign: str, damaged: str) -> None:
+    """Raise UsageError with one of the texts unless the bytes are the envelope `head` with its states."""
+    place = HEAD.itemsize
+    if len(data) != place + int(head["axes"]) * int(head["size"]):
+        raise UsageError(foreign)
+    checksum = zlib.crc32(memoryview(data)[place:], zlib.crc32(data[: place - 4]))
+    if np.frombuffer(data[:place], HEAD)[0]["checksum"] != checksum:
+        raise UsageError(damaged)
+    if data[: place - 4] != head.tobytes()[:-4]:
+        raise UsageError(foreign)
 
 
 def save_fleet(kernel: ManyKernel, precision: str) -> bytes:
     """Return the states of all axes of a `ManyKernel`, after an envelope that identifies their configuration."""
-    head = fleet_head(kernel, precision)
-    states: bytes = kernel.states.tobytes()
-    head["checksum"] = zlib.crc32(states, zlib.crc32(head.tobytes()[:-4]))
-    return head.tobytes() + states
+    return b"".join(seal_parts([fleet_head(kernel, precision).tobytes(), kernel.states.tobytes()]))
 
 
 def load_fleet(kernel: ManyKernel, precision: str, data: bytes) -> None:
     """Restore the states of a `ManyKernel` from bytes of `save_fleet`. Raises UsageError for other bytes."""
-    if not isinstance(data, bytes | bytearray | memoryview):
-        raise UsageError(f"a state must be bytes from get_state, got {type(data).__name__}")
-    data, place = bytes(data), FLEET_HEAD.itemsize
-    if len(data) < place:
-        raise UsageError(_FOREIGN_FLEET)
-    head, expected = np.frombuffer(data[:place], FLEET_HEAD)[0], fleet_head(kernel, precision)
-    if len(data) != place + kernel.states.nbytes:
-        raise UsageError(_FOREIGN_FLEET)
-    if head["checksum"] != zlib.crc32(data[place:], zlib.crc32(data[: place - 4])):
-        raise UsageError(_DAMAGED)
-    if head.tobytes()[:-4] != expected.tobytes()[:-4]:
-        raise UsageError(_FOREIGN_FLEET)
+    data = read_bytes(data)
+    check_sealed(data, fleet_head(kernel, precision), _FOREIGN_FLEET, _DAMAGED)
     with _refused_in_one_sentence():
-        kernel.set_states(np.frombuffer(data, np.uint8, offset=place).reshape(kernel.states.shape))
+        kernel.set_states(np.frombuffer(data, np.uint8, offset=HEAD.itemsize).reshape(kernel.states.shape))
 
 
 def fleet_head(kernel: ManyKernel, precision: str) -> Structured:
     """Return the envelope of a fleet's states without the checksum."""
-    head = np.zeros((), FLEET_HEAD)
-    head["magic"], head["version"] = FLEET_MAGIC, kernel.packing
-    head["layout"] = layout_number(structures(None, precision)["pmf_state_t"])
-    head["config"] = zlib.crc32(kernel.raw_config())
-    head["axes"], head["size"] = kernel.states.shape
-    return head
+    layout, config = layout_number(structures(None, precision)["pmf_state_t"]), zlib.crc32(kernel.raw_config())
+    return make_head((FLEET_MAGIC, kernel.packing), layout, config, kernel.states.shape)
+
+
+def read_bytes(state: object) -> bytes:
+    """Return a saved state as bytes. Raises UsageError for anything else."""
+    if not isinstance(state, bytes | bytearray | memoryview):
+        raise UsageError(f"a state must be bytes from get_state, got {type(state).__name__}")
+    return bytes(state)
 
 
 @contextmanager

@@ -216,7 +216,7 @@ class MonitorFleet:
     def unsealed_state(self) -> list[memoryview]:
         """Return the states of all axes in pieces, without the checksum.
 
-        Most pieces are the arrays themselves. The checksum takes longer than a copy. `pmfid.monitor.saved.seal_parts`
+        Most pieces are the arrays themselves. The checksum takes longer than a copy. `pmfid.kernel.saved.seal_parts`
         adds the checksum to a copy, in any thread.
         """
         return make_parts(self._all, self._source.configuration_number)

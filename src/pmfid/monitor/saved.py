@@ -6,8 +6,6 @@ numbers must be finite. The kernels check their own states.
 
 from __future__ import annotations
 
-import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeVar
 
@@ -17,6 +15,7 @@ from numpy.typing import NDArray
 from pmfid._kernel64 import ManyKernel
 from pmfid._stage import KEPT
 from pmfid.errors import UsageError
+from pmfid.kernel.saved import HEAD, check_sealed, make_head, read_bytes, seal_parts
 from pmfid.kernel.structures import layout_number
 from pmfid.monitor.axis import Watching
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS
@@ -24,10 +23,8 @@ from pmfid.monitor.rows import RowArrays
 from pmfid.monitor.scores import Disturbed, Sampled, Scoring, Watched
 from pmfid.types import Floats
 
-#: Header of the saved states. `layout` is the checksum of a row's layout, `config` the configuration's number,
-#: `checksum` the CRC-32 of all other bytes.
-HEAD = np.dtype([(name, "<u4") for name in ("magic", "version", "layout", "config", "axes", "size", "checksum")])
-MAGIC, VERSION = 0x4D464D50, 2  # "PMFM"
+#: Magic number and version of the saved states.
+KIND = 0x4D464D50, 2  # the bytes "PMFM"
 #: Largest number of axes of a fleet. A header with a larger number is refused.
 MOST_AXES = 2**24
 #: Largest number of samples and blocks in a state.
@@ -73,32 +70,17 @@ def make_parts(saved: RowArrays, config: int) -> list[memoryview]:
     return [memoryview(_head(saved, config, saved.axes).tobytes()), *parts]
 
 
-def seal_parts(parts: Sequence[bytes | memoryview]) -> list[bytes | memoryview]:
-    """Return the result of `make_parts` or a copy of this result, with the checksum. Any thread may compute it."""
-    head = np.frombuffer(parts[0], HEAD)[0].copy()
-    checksum = zlib.crc32(head.tobytes()[:-4])
-    for part in parts[1:]:
-        checksum = zlib.crc32(part, checksum)
-    head["checksum"] = checksum
-    return [memoryview(head.tobytes()), *parts[1:]]
-
-
 def read(data: bytes, like: Rows, config: int) -> Rows:
     """Read bytes of `write_states` for any number of axes with the layout of `like`.
 
     Raises UsageError for all other bytes. `check_states` checks the numbers.
     """
-    if not isinstance(data, bytes | bytearray | memoryview):
-        raise UsageError(f"a state must be the bytes from get_state, got {type(data).__name__}")
-    data = bytes(data)
+    data = read_bytes(data)
     row, place = like.row_type.itemsize, HEAD.itemsize
-    if len(data) < place or (len(data) - place) % row or len(data) > place + row * MOST_AXES:
+    axes = (len(data) - place) // row
+    if not 0 <= axes <= MOST_AXES:
         raise UsageError(FOREIGN)
-    head, axes = np.frombuffer(data[:place], HEAD)[0], (len(data) - place) // row
-    if head["checksum"] != zlib.crc32(memoryview(data)[place:], zlib.crc32(data[: place - 4])):
-        raise UsageError(DAMAGED)
-    if head.tobytes()[:-4] != _head(like, config, axes).tobytes()[:-4]:
-        raise UsageError(FOREIGN)
+    check_sealed(data, _head(like, config, axes), FOREIGN, DAMAGED)
     found = like.take_rows(slice(0, 1)).repeat_rows(axes)
     for _, array in found.list_saved():
         array[:] = np.frombuffer(data, array.dtype, array.size, place).reshape(array.shape)
@@ -107,11 +89,8 @@ def read(data: bytes, like: Rows, config: int) -> Rows:
 
 
 def _head(saved: RowArrays, config: int, axes: int) -> NDArray[np.void]:
-    head = np.zeros((), HEAD)
     row = saved.row_type
-    head["magic"], head["version"], head["config"] = MAGIC, VERSION, config
-    head["layout"], head["axes"], head["size"] = layout_number(row), axes, row.itemsize
-    return head
+    return make_head(KIND, layout_number(row), config, (axes, row.itemsize))
 
 
 class Judge(Protocol):

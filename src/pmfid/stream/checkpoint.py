@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.monitor.saved import seal_parts
+from pmfid.kernel.saved import seal_parts
 from pmfid.stream.blocks import encode, items
 from pmfid.stream.delivery import Block, split_tables
 from pmfid.stream.engine import StreamEngine
