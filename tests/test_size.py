@@ -13,16 +13,16 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66689,
-    "lines of code in src": 39148,
-    "lines of code in report and cli": 3413,
-    "thresholds in src": 1034,
+    "lines of src": 67223,
+    "lines of code in src": 39490,
+    "lines of code in report and cli": 3421,
+    "thresholds in src": 1037,
     "lines of csrc": 8673,
     "defines of csrc": 196,
     "conditionals of csrc": 108,
-    "lines of tests": 28013,
+    "lines of tests": 28348,
     "match= in tests": 25,
-    "lines of studies": 7981,
+    "lines of studies": 8090,
 }
 
 

@@ -81,7 +81,7 @@ def edge_work_of(seed: int, seconds: float) -> Work:
     u, counts, ages = motions[0]
     sending = made(u, counts, random.Random(seed), WINDOW, ages=ages)
     rows = enumerate(zip(*(part.tolist() for part in motions[2]), strict=True))
-    lines = [Line(k * CART_DT, a, b, age=age) for k, (a, b, age) in rows if k != 333]
+    lines = [Line(k * CART_DT, a, b, further=age) for k, (a, b, age) in rows if k != 333]
     return Work(_mix([replace(b, axis="x1", dt=CART_DT) for b in sending.arrived], lines), _whole(*motions[1]))
 
 

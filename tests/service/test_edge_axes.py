@@ -112,7 +112,7 @@ def test_every_form_of_input_gives_the_same_rows(edge_axis: Prepared, motion: Mo
         items = list(Messages(Readers({"x1": config}.get)).items(texts(motion, form)))
     found = [bits for _, bits in run(edge_axis, [items]).of("x1")]
     samples = [
-        Sample(CART_DT * k, *map(float, row[:1]), int(row[1]), age=float(row[2]))
+        Sample(CART_DT * k, *map(float, row[:1]), int(row[1]), further=float(row[2]))
         for k, row in enumerate(zip(*(part[:400].tolist() for part in motion), strict=True))
     ]
     assert len(found) >= 330  # lines wait for older ones

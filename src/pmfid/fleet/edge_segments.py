@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
@@ -52,7 +53,8 @@ def cut_edge_stretches(piece: RecordPiece, settings: Settings) -> Iterator[Stret
         begin, dt, own = piece.start + first * record.dt, record.dt, slice(first, end)
         many, samples = end - first, (record.u[own], record.counts[own])
         facts = piece.axis, begin, begin + many * dt, many, dt, record.resolution
-        yield Stretch(*facts, *samples, 0.0, 1.0, ages=record.ages[own])
+        warm = math.nan if record.temperature is None else float(record.temperature[own].mean())
+        yield Stretch(*facts, *samples, 0.0, 1.0, ages=record.ages[own], temperature=warm)
 
 
 def estimate_edge_batch(stretches: Sequence[Stretch], estimator: REdge) -> tuple[Floats, Floats, NDArray[np.uint32]]:

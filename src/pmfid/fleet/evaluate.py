@@ -18,7 +18,7 @@ from pmfid.fleet.edge_segments import cut_edge_stretches, estimate_edge_batch, s
 from pmfid.fleet.plan import RowProblem
 from pmfid.fleet.segments import RecordPiece, Stretch, cut_stretches, estimate_batch
 from pmfid.fleet.settings import Settings
-from pmfid.fleet.source import AXIS, TIME, SourceColumns
+from pmfid.fleet.source import AXIS, TEMPERATURE, TIME, SourceColumns
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
 from pmfid.types import Floats
@@ -150,7 +150,7 @@ def segment_schema(settings: Settings) -> dict[str, type[pl.DataType]]:
     """Return the columns of segments: their axis, times and sample period [s], the lost part of the samples, status and
     parameters with standard deviations."""
     kinds: dict[str, type[pl.DataType]] = {"axis": pl.String, "start": pl.Float64, "end": pl.Float64}
-    kinds |= {"samples": pl.Int64, "dt": pl.Float64, "lost": pl.Float64, "status": pl.Int64}
+    kinds |= {"samples": pl.Int64, "dt": pl.Float64, "lost": pl.Float64, TEMPERATURE: pl.Float64, "status": pl.Int64}
     for name in settings.estimator.names:
         kinds |= {name: pl.Float64, f"{name}_std": pl.Float64}
     return kinds
@@ -188,7 +188,7 @@ def _estimate(stretches: Sequence[Stretch], estimator: RecursiveEstimator | REdg
         theta, std, status = estimate_edge_batch(stretches, estimator)
     else:
         theta, std, status = estimate_batch(stretches, estimator)
-    facts = ("axis", "start", "end", "samples", "dt", "lost")
+    facts = ("axis", "start", "end", "samples", "dt", "lost", TEMPERATURE)
     columns: dict[str, object] = {name: [getattr(one, name) for one in stretches] for name in facts}
     columns["status"] = status.astype(np.int64)
     for i, name in enumerate(estimator.names):

@@ -35,6 +35,7 @@ from pmfid.fleet.verdicts import (
     sentence,
     sorts_by_type,
 )
+from pmfid.fleet.warmth import remove_warmth
 from pmfid.io.tables import Frame
 from pmfid.presentation import plain_dict
 
@@ -75,9 +76,10 @@ def summarise(
             codes[problem.axis].add((problem.at, problem.code))
     problems, follows, listed = list(problems), dict[str, Follow](), list[dict[str, object]]()
     for (axis,), own in rows.partition_by(AXIS, maintain_order=True, as_dict=True).items():
-        series = widen_errors(series_of(own, names))
+        estimates = series_of(own, names)
+        series, same = widen_errors(estimates), widen_errors(remove_warmth(estimates, names))
         problems += _report_mixed_periods(axis, series)
-        follows[axis] = follow = follow_axis(axis, types[axis], series, names, tolerance)
+        follows[axis] = follow = follow_axis(axis, types[axis], same, names, tolerance)
         dated = codes[axis] | ({(follow.step.since, CHANGED)} if follow.step is not None and follow.stepped else set())
         listed += period_rows(axis, types[axis], series, names, periods, segment, dated)
     problems += _others(follows.values())

@@ -49,7 +49,7 @@ class Stretch:
 
     `samples` is the slice of the record, including omitted rests. `lost` is the imputed part of the slice. `repeats` is
     the number of times that each of the n samples occurs. `looked_at` is true if the segment gets a second look.
-    `ages` (n,) are the ages of edges, if the data have them.
+    `ages` (n,) are the ages of edges, if the data have them. `temperature` is the mean that friction follows, or NaN.
     """
 
     axis: str
@@ -64,6 +64,7 @@ class Stretch:
     repeats: float
     looked_at: bool = False
     ages: Floats | None = None
+    temperature: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -338,6 +339,7 @@ def _stretch(
         0.0 if filled is None else float(filled[first:][share.rows].mean()),
         share.repeats,
         looked_at,
+        temperature=math.nan if record.temperature is None else float(record.temperature[first:][share.rows].mean()),
     )
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from pmfid.fleet.source import seconds
+from pmfid.fleet.source import TEMPERATURE, seconds
 from pmfid.fleet.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
@@ -29,7 +29,8 @@ class Series:
     """The n segments of an axis with p parameters.
 
     `start`, `end` and `dt` (n,) are in s. `samples` is (n,). `lost` (n,) is the imputed part of the samples. `status`
-    is (n,), and `theta` and `std` are (n, p).
+    is (n,), and `theta` and `std` are (n, p). `temperature` (n,) is that of each segment, if
+    the friction follows one.
     """
 
     start: Floats
@@ -40,11 +41,16 @@ class Series:
     status: NDArray[np.uint32]
     theta: Floats
     std: Floats
+    temperature: Floats | None = None
 
     def __getitem__(self, kept: Flags | slice) -> Series:
         if not isinstance(kept, slice) and kept.all():
             return self
-        return Series(*(getattr(self, name)[kept] for name in self.__dataclass_fields__))
+
+        def cut(column: Any) -> Any:
+            return None if column is None else column[kept]
+
+        return Series(*(cut(getattr(self, name)) for name in self.__dataclass_fields__))
 
     @cached_property
     def usable(self) -> Flags:
@@ -73,7 +79,9 @@ def series_of(rows: pl.DataFrame, names: tuple[str, ...]) -> Series:
     theta, std = (np.stack([rows[name + end].to_numpy() for name in names], axis=1) for end in ("", "_std"))
     start, end, lost, dt = (rows[name].to_numpy() for name in ("start", "end", "lost", "dt"))
     status = rows["status"].to_numpy().astype(np.uint32)
-    return Series(start, end, rows["samples"].to_numpy(), lost, dt, status, theta, std)
+    warm = rows[TEMPERATURE].to_numpy()
+    temperature = warm if np.all(np.isfinite(warm)) else None
+    return Series(start, end, rows["samples"].to_numpy(), lost, dt, status, theta, std, temperature)
 
 
 def widen_errors(series: Series) -> Series:

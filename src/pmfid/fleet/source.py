@@ -157,6 +157,7 @@ def other_unit(first: float, last: float, factor: float) -> str:
 
 #: Names of the columns of every frame that leaves this module.
 AXIS, TIME, INPUT, OUTPUT, MASK, TYPE, AGE = "axis", "time", "input", "output", "mask", "type", "edge age"
+TEMPERATURE = "temperature"
 #: Name of a part that is no file.
 FRAME = "the frame"
 _DATES = ", or as ISO 8601 dates (UTC if they have no offset)"
@@ -166,7 +167,8 @@ _NOTHING = "__HIVE_DEFAULT_PARTITION__"
 
 @dataclass(frozen=True)
 class SourceColumns:
-    """Names of the data's columns for axis, time, input and output, and optionally for mask, type and ages of edges.
+    """Names of the data's columns for axis, time, input and output, and optionally for mask, type, ages of edges and
+    the temperature that friction follows.
 
     `factor` is the number of seconds per unit of a numeric time.
     """
@@ -179,6 +181,7 @@ class SourceColumns:
     type: str | None = None
     factor: float = 1.0
     age: str | None = None
+    temperature: str | None = None
 
     @classmethod
     def from_axis(cls, axis: Axis, by: str, kind: str | None = None) -> SourceColumns:
@@ -196,33 +199,37 @@ class SourceColumns:
             raise UsageError(
                 "[record] known_force works for a single record; for a fleet, subtract the forces from the input column"
             )
-        if record.friction_temperature is not None:
-            raise UsageError("[record] friction_temperature works for a single record; for a fleet, drop the key")
         if record.exclude:
             raise UsageError(
                 "[record] exclude works for a single record; for a fleet, leave out rows with a column, "
                 "[record] mask, or remove exclude"
             )
         age = axis.encoder.edge_age if takes_edges(axis) else None
-        return cls(by, record.time, record.input, record.output, record.mask, kind, time_factor(record), age)
+        columns = by, record.time, record.input, record.output, record.mask, kind
+        return cls(*columns, time_factor(record), age, record.friction_temperature)
 
     @property
     def carried(self) -> list[str]:
         """Own names of the columns that an estimate needs."""
-        return [AXIS, TIME, INPUT, OUTPUT, *([MASK] if self.mask else []), *([AGE] if self.age else [])]
+        return [AXIS, TIME, INPUT, OUTPUT, *(own for own, name in self._further if name is not None)]
 
     @property
     def own(self) -> SourceColumns:
         """The columns of rows that already have their own names, with times in s."""
-        mask, kind, age = (MASK if self.mask else None), (TYPE if self.type else None), (AGE if self.age else None)
-        return SourceColumns(AXIS, TIME, INPUT, OUTPUT, mask, kind, 1.0, age)
+        mask, age, temperature = (own if name else None for own, name in self._further)
+        return SourceColumns(AXIS, TIME, INPUT, OUTPUT, mask, TYPE if self.type else None, 1.0, age, temperature)
 
     @property
     def named(self) -> dict[str, str]:
         """Map from the own names of the columns to the names in the data."""
         pairs = {AXIS: self.axis, TIME: self.time, INPUT: self.input, OUTPUT: self.output}
-        others = (MASK, self.mask), (TYPE, self.type), (AGE, self.age)
+        others = (TYPE, self.type), *self._further
         return pairs | {own: name for own, name in others if name is not None}
+
+    @property
+    def _further(self) -> tuple[tuple[str, str | None], ...]:
+        """Own names of the columns that some estimates need, and their names in the data."""
+        return (MASK, self.mask), (AGE, self.age), (TEMPERATURE, self.temperature)
 
 
 @dataclass(frozen=True)

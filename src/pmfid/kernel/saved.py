@@ -184,6 +184,13 @@ def take_guard(kernel: Kernel, other: Kernel, precision: str) -> None:
     kernel.set_raw_state(own.tobytes())
 
 
+def set_model(kernel: Kernel, values: Sequence[float], precision: str) -> None:
+    """Give the auxiliary model of a kernel the values of its roles."""
+    state = np.frombuffer(kernel.raw_state(), structures(None, precision)["pmf_state_t"]).copy()
+    state["auxiliary"]["parameter"][0, : len(values)] = values
+    kernel.set_raw_state(state.tobytes())
+
+
 def fleet_layout(kernel: Kernel, precision: str) -> bytes:
     """Return the `pmf_layout_t` of csrc/many/pmf_many.h: the numbers of a state that a fleet keeps, reals first.
 

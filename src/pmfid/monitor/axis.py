@@ -138,7 +138,7 @@ class WatchedAxis:
         p = self.calibration.theta.size
         self._own, self._rest = Watched.empty(1, p, make_detection(p).rows), Disturbed.empty(1, p)
         self.watching.refer(self._own, self.calibration.theta[None])
-        self._inputs, self._flagged = Inputs(), 0
+        self._inputs, self._flagged, self._warmer, self._block_warmer = Inputs(), 0, 0.0, 0.0
 
     def _watching(self) -> Watching:
         return Watching(
@@ -307,7 +307,7 @@ class WatchedAxis:
         If the model has unmodelled effects, the evidence excludes their constant offset. The covariance of the evidence
         includes the covariance of a unit of normal work.
         """
-        found, work = ChangeEvidence(np.array(estimate.theta), np.array(estimate.theta_cov)), self.calibration.work
+        found, work = ChangeEvidence(self._remove_warmth(estimate), np.array(estimate.theta_cov)), self.calibration.work
         if work is not None:
             found = ChangeEvidence(found.theta - work.offset, found.covariance + np.diag(work.scale.sigma**2))
         silent = estimate.status & UNUSABLE or not np.all(np.isfinite(np.r_[found.theta, found.covariance.ravel()]))
@@ -322,7 +322,7 @@ class WatchedAxis:
         if not rest.refined[0] and rest.gathered[0] >= TUNING.model_information and self._usable(estimate):
             rest.before[0] = self.reference
             self.estimator.open_memory(1.0)  # standard errors need not remember the change
-            self._refer(np.array(estimate.theta))
+            self._refer(self._remove_warmth(estimate))
             rest.settled[:], rest.refined[0] = 0.0, 1
         elif rest.refined[0] and rest.gathered[0] >= TUNING.reference_information:
             return self._end_settling()
@@ -360,7 +360,18 @@ class WatchedAxis:
         return new_gain(ChangeEvidence(theta, np.diag(std**2)), self._rest.before[0], self.estimator.equation)
 
     def _usable(self, estimate: Estimate) -> bool:
-        return not estimate.status & UNUSABLE and self.plausible(np.array(estimate.theta))
+        return not estimate.status & UNUSABLE and self.plausible(self._remove_warmth(estimate))
+
+    def _remove_warmth(self, estimate: Estimate) -> Floats:
+        """Return the estimated parameters (p,), with the friction of the mean temperature of normal work."""
+        warmth, theta = self.calibration.warmth, np.array(estimate.theta)
+        return theta if warmth is None else theta / warmth.factor(self._warmer)
+
+    def _follow_temperature(self, warmer: float) -> None:
+        """Simulate the next block with the friction of a temperature above the mean of normal work."""
+        warmth, self._block_warmer = self.calibration.warmth, warmer
+        if warmth is not None:
+            self._filter.move(self._filter.theta * warmth.factor(warmer))
 
     def plausible(self, theta: Floats) -> bool:
         """Return whether a machine can have the parameters (p,), with a positive mass and without negative friction."""

@@ -26,6 +26,7 @@ from pmfid.monitor.scores import (
     start_blocks,
 )
 from pmfid.monitor.tuning import TUNING
+from pmfid.monitor.warmth import Warmth, find_warmth
 from pmfid.types import Counts, Floats
 
 
@@ -242,6 +243,8 @@ class Calibration:
         Length [h] of the record whose units of work gave the tails; 0 if the simulation gave the tails.
     work
         Normal work of this record, in units; None if the simulation gave the tails.
+    warmth
+        How friction follows a temperature; None without a temperature.
 
     Examples
     --------
@@ -264,6 +267,7 @@ class Calibration:
     hours: float
     record_hours: float = 0.0
     work: NormalWork | None = None
+    warmth: Warmth | None = None
 
     @property
     def left_out(self) -> int:
@@ -284,6 +288,7 @@ def calibrate(
     counts: Counts | None,
     *,
     hours: float,
+    temperature: Floats | None = None,
     seed: int = 0,
     progress: Callable[[float], None] | None = None,
 ) -> Calibration:
@@ -294,13 +299,15 @@ def calibrate(
     estimator
         Estimator of the axis.
     theta
-        (p,) reference parameters, in their units.
+        (p,) reference parameters, in their units, at the mean temperature if there is a temperature.
     u
         (n,) input of a record of normal work [V].
     counts
         (n,) counts of the record. None if the record may not be normal; the noise then comes from the encoder alone.
     hours
         Time to simulate [h].
+    temperature
+        (n,) temperature of the record with `counts`, or another slow column that friction follows.
     seed
         Seed of the simulation.
     progress
@@ -343,17 +350,19 @@ def calibrate(
     plain = Calibration(theta, scale, tail, np.ones(theta.size), hours)
     if counts is None:
         return plain
-    record = _record_blocks(estimator, theta, u, counts)
+    if temperature is not None:
+        plain = replace(plain, warmth=find_warmth(estimator, theta, u, counts, temperature)[0])
+    record = _record_blocks(plain, estimator, u, counts, temperature)
     noise = noise_ratio(scale, record)
     plain = replace(plain, noise=noise, scale=replace(scale, sigma=scale.sigma * noise))
     if noisier(plain.scale.standardise(record), (x, w), EDGE):
-        return _calibrate_by_work(plain, estimator, u, counts, seed)
+        blocks = _record_blocks(plain, estimator, u, counts, temperature, UNUSABLE_AT_REST)
+        return _calibrate_by_work(plain, estimator, u, blocks, seed)
     return plain
 
 
-def _calibrate_by_work(plain: Calibration, estimator: Estimator, u: Floats, counts: Counts, seed: int) -> Calibration:
-    """Return the calibration with units of work in place of blocks, and with a tail from resampled units."""
-    blocks = _record_blocks(estimator, plain.theta, u, counts, UNUSABLE_AT_REST)
+def _calibrate_by_work(plain: Calibration, estimator: Estimator, u: Floats, blocks: Blocks, seed: int) -> Calibration:
+    """Return the calibration with units of work in place of `blocks`, and with a tail from resampled units."""
     work = learn(blocks, plain.scale.information(blocks))
     record_hours = len(blocks.score) * block_samples(estimator) * estimator.dt / 3600
     found = replace(plain, work=work, record_hours=record_hours)
@@ -384,13 +393,23 @@ def _check_units(units: int, time: float) -> None:
         )
 
 
-def _record_blocks(estimator: Estimator, theta: Floats, u: Floats, counts: Counts, left_out: int = UNUSABLE) -> Blocks:
+def _record_blocks(
+    plain: Calibration,
+    estimator: Estimator,
+    u: Floats,
+    counts: Counts,
+    temperature: Floats | None,
+    left_out: int = UNUSABLE,
+) -> Blocks:
     """Return the blocks of a normal record after the time when the model reaches the plant's velocity.
 
     Raises UsageError if too few blocks remain.
     """
-    start = start_blocks(estimator, theta)
-    blocks = scores(estimator, theta, u, counts, left_out)[start:]
+    theta, start = plain.theta, start_blocks(estimator, plain.theta)
+    if plain.warmth is None or temperature is None:
+        blocks = scores(estimator, theta, u, counts, left_out)[start:]
+    else:
+        blocks = plain.warmth.scores(estimator, theta, u, counts, temperature, left_out)[start:]
     if len(blocks.score) < TUNING.least_record_blocks:
         least = (start + TUNING.least_record_blocks) * block_samples(estimator) * estimator.dt
         raise UsageError(

@@ -78,6 +78,11 @@ class MonitorFleet:
         return isinstance(self._source, EdgeMonitor)
 
     @property
+    def takes_temperature(self) -> bool:
+        """Whether the monitors know how friction follows a temperature."""
+        return isinstance(self._source, Monitor) and self._source.takes_temperature
+
+    @property
     def axes(self) -> int:
         """Number of axes."""
         return int(self._all.axes)
@@ -89,17 +94,27 @@ class MonitorFleet:
         self._all.put(slice(axis, axis + 1), self._scratch.pack_state())
         return found
 
-    def run(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike, ages: ArrayLike | None = None) -> FleetRows:
+    def run(
+        self,
+        index: ArrayLike,
+        u: ArrayLike,
+        counts: ArrayLike,
+        ages: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
+    ) -> FleetRows:
         """Take the next n samples u, counts (k, n) of the axes `index` (k,), each at most once.
 
         `ages` (k, n) belong to monitors of edges: an age [s] is NaN without an edge since the last sample, and None
-        means no edges. If u is not finite, the sample is lost, as in `step` of a monitor. Raises UsageError if an axis
-        does not exist or comes twice, if the arrays do not fit, or for ages that the monitors do not take.
+        means no edges. The `temperature` (k, n) is as in `Monitor.run`. If u is not finite, the sample is lost, as in
+        `step` of a monitor. Raises UsageError if an axis does not exist or comes twice, if the arrays do not fit, or
+        for ages that the monitors do not take.
         """
         places, *inputs = self._check_arrays(index, u, counts)
         shape = inputs[0].shape
         if self.takes_ages:
-            inputs.append(self._check_ages(ages, shape))
+            inputs.append(self._check_more("ages", ages, shape))
+        elif self.takes_temperature:
+            inputs.append(self._check_more("temperature", temperature, shape))
         elif ages is not None:
             raise UsageError("these monitors compute from counts: leave out ages, or make a fleet of an EdgeMonitor")
         rows = FleetRows.empty(shape[0], shape[1], len(self.names))
@@ -111,10 +126,10 @@ class MonitorFleet:
         return rows
 
     @staticmethod
-    def _check_ages(ages: ArrayLike | None, shape: tuple[int, ...]) -> Floats:
-        checked = np.full(shape, np.nan) if ages is None else np.asarray(numbers("ages", ages), np.float64)
+    def _check_more(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> Floats:
+        checked = np.full(shape, np.nan) if values is None else np.asarray(numbers(name, values), np.float64)
         if checked.shape != shape:
-            raise UsageError(f"ages must have the shape {shape} of u, got {checked.shape}")
+            raise UsageError(f"{name} must have the shape {shape} of u, got {checked.shape}")
         return checked
 
     def _run(self, index: Places, inputs: Inputs, rows: FleetRows, part: tuple[slice, slice]) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid._estimate import Estimate
 from pmfid._stage import Inputs
 from pmfid.errors import UsageError
-from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator
+from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator, numbers
 from pmfid.estimators.known import Seen, choose_naming
 from pmfid.estimators.results import Track
 from pmfid.kernel.saved import fleet_layout
@@ -24,6 +24,7 @@ from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Event, FleetRow
 from pmfid.monitor.saved import AxisStates, check_states, read, write_states
 from pmfid.monitor.scores import Sampled, ScoreFilter, reference_kernel
 from pmfid.monitor.tuning import TUNING
+from pmfid.monitor.warmth import hold_last
 from pmfid.presentation import Parameters, Presentable, Summary, plain, remarks_of
 from pmfid.status import Status
 
@@ -178,17 +179,22 @@ class Monitor(WatchedAxis, Presentable):
         """Return an estimate combined with the prior information."""
         return estimate if self.known is None else Seen(self.known, estimate)
 
-    def step(self, u: float, counts: int) -> tuple[Estimate, list[Event]]:
+    def step(self, u: float, counts: int, temperature: float = math.nan) -> tuple[Estimate, list[Event]]:
         """Take one sample as `RecursiveEstimator.step` does, and return the estimate and the events.
 
-        A sample is lost if u is not finite. The counts after a lost sample continue from the last known counts. The
-        counter's change in the gap is ignored.
+        The last known `temperature` holds until the next one. A sample is lost if u is not finite. The counts after a
+        lost sample continue from the last known counts. The counter's change in the gap is ignored.
         """
         own = self._inputs.step(u, counts)
+        if self.takes_temperature:
+            self._warmer = float(self._hold_warmer([temperature], 1)[0])
         estimate = self.estimator.step(u, own)
         rows, disturbed = self._filter.sample(u, own)
         events = self._outliers(estimate.status)
-        return estimate, events if rows is None else events + self._on_block(rows, disturbed, estimate)
+        if rows is not None:
+            events += self._on_block(rows, disturbed, estimate)
+            self._follow_temperature(self._warmer)
+        return estimate, events
 
     def _outliers(self, status: int) -> list[Event]:
         """Return the outliers of a status. An outlier that lasts over several samples is reported once."""
@@ -200,16 +206,34 @@ class Monitor(WatchedAxis, Presentable):
         estimator = construct_estimator(type(self.estimator), configuration_of(self.estimator))
         return Monitor(estimator, self.calibration, copy(self.watch), self.known)
 
-    def run(self, u: ArrayLike, counts: ArrayLike) -> FleetRows:
+    @property
+    def takes_temperature(self) -> bool:
+        """Whether the normal work had a temperature, which each sample may then have, too."""
+        return self.calibration.warmth is not None
+
+    def _hold_warmer(self, temperature: ArrayLike | None, n: int) -> NDArray[np.float64]:
+        """Return temperatures (n,) above the mean of normal work, with the last known value for unknown ones."""
+        warmth = self.calibration.warmth
+        if warmth is None or temperature is None:
+            return np.full(n, self._warmer)
+        measured = np.asarray(numbers("temperature", temperature), np.float64)
+        if measured.shape != (n,):
+            raise UsageError(f"temperature must have the shape ({n},) of u, got {measured.shape}")
+        return hold_last(measured - warmth.mean, self._warmer)
+
+    def run(self, u: ArrayLike, counts: ArrayLike, temperature: ArrayLike | None = None) -> FleetRows:
         """Take many samples u, counts (n,) at once, and return the rows of a fleet of one axis.
 
-        The results have the bits of `step` in a loop. Raises UsageError if the arrays do not fit.
+        A `temperature` (n,) may have NaN, for which the last known value holds. The results have the bits of `step` in
+        a loop. Raises UsageError if the arrays do not fit.
         """
         inputs, read_counts = check_arrays(u, counts)
+        warmer = self._hold_warmer(temperature, inputs.size)
         rows = FleetRows.empty(1, inputs.size, len(self.names))
         start = 0
         while start < inputs.size:
             end = min(inputs.size, start + (1 if self.known is not None else self._filter.missing))
+            self._warmer = float(warmer[end - 1])
             self._run(inputs[start:end], read_counts[start:end], rows, start)
             start = end
         return rows
@@ -234,6 +258,7 @@ class Monitor(WatchedAxis, Presentable):
             events = self._on_block(blocks, disturbed, self.estimator.estimate)
             rows.events.extend((0, part.stop - 1, event) for event in events)
             rows.state[0, part.stop - 1] = self._own.state[0]
+            self._follow_temperature(self._warmer)
 
     def rebase(self, counts: int) -> None:
         """Continue after a reset of the counter, as if the counter had read `counts` at the last sample.
@@ -288,7 +313,7 @@ class Monitor(WatchedAxis, Presentable):
         unknown = estimate.status & (Status.STARTING | Status.FALLBACK) or not np.all(np.isfinite(estimate.theta_std))
         if theta is None and unknown:
             raise UsageError("no estimate exists yet that could become the reference: let the axis move first")
-        wanted = np.array(estimate.theta if theta is None else theta, np.float64)
+        wanted = np.array(self._remove_warmth(estimate) if theta is None else theta, np.float64)
         if wanted.shape != self.reference.shape or not self.plausible(wanted):
             raise UsageError(
                 f"no machine has the parameters {wanted.tolist()}; give valid values of {list(self._front.names)}"
@@ -312,6 +337,8 @@ class Monitor(WatchedAxis, Presentable):
         work = calibration.work
         scales = [calibration.scale, *([] if work is None else [work.scale])]
         arrays = [calibration.theta, *(part for one in scales for part in (one.inverse, one.energy, one.sigma))]
+        warmth = calibration.warmth
+        arrays += [] if warmth is None else [warmth.rate, np.array([warmth.mean])]
         arrays += [] if work is None else [work.offset, work.limit, np.array([work.size])]
         return zlib.crc32(b"".join(part.tobytes() for part in arrays), number)
 
@@ -330,8 +357,8 @@ class Monitor(WatchedAxis, Presentable):
         estimator, filtered = (_pack_kernel(many, kernel) for many, kernel in zip(self.packers, kernels, strict=True))
         whole, real = self._inputs.numbers
         flagged, now = np.array([self._flagged], np.uint32), self._filter
-        block = now.sums.copy(), now.progress.copy()
-        sampled = Sampled(whole[None], real[None], flagged, estimator, filtered, *block)
+        block, warmer = (now.sums.copy(), now.progress.copy()), np.array([[self._block_warmer, self._warmer]])
+        sampled = Sampled(whole[None], real[None], flagged, warmer, estimator, filtered, *block)
         return AxisStates(sampled, self._own.take_rows(FIRST), self._rest.take_rows(FIRST))
 
     def go_on(self, saved: AxisStates, axis: int) -> None:
@@ -347,6 +374,8 @@ class Monitor(WatchedAxis, Presentable):
         for many, kernel, states in zip(self.packers, kernels, (sampled.estimator, sampled.filter), strict=True):
             many.hold(states[row])
             many.load(kernel, 0)
+        block_warmer, self._warmer = sampled.warmer[axis].tolist()
+        self._follow_temperature(block_warmer)
 
     def check_states(self, saved: AxisStates) -> AxisStates:
         """Return saved states of this configuration. Raises UsageError for numbers that no sample could have made."""

@@ -27,7 +27,8 @@ class Quiet:
         self._watching = monitor.watching
         self._estimator, self._filter = monitor.packers
         self._scoring, self._dt, self._delay = monitor.scoring, monitor.estimator.dt, monitor.estimator.delay
-        alone = monitor.known is not None  # each estimate needs its own combination with prior information
+        # Each estimate needs its own combination with prior information. Each block needs the model of its temperature.
+        alone = monitor.known is not None or monitor.takes_temperature
         self._calm = np.array([state not in UNEASY and not alone for state in range(len(STATES))])
         self._memory = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0))
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pmfid._stage import ALONE, CHANGED, FRESH, KNOWN, LOST, POWER, SAME, SAMPLES, USUAL, Norms, waiting_after
 from pmfid.estimators.auxiliary import make_auxiliary_kernel
 from pmfid.estimators.base import Estimator
-from pmfid.kernel.saved import take_guard
+from pmfid.kernel.saved import set_model, take_guard
 from pmfid.monitor.rows import DERIVED, RowArrays
 from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
@@ -138,13 +138,14 @@ class ScoreFilter:
 
         The guard holds the last samples. `left_out` is as in `Scoring`.
         """
-        self.theta = np.array(theta, np.float64)
+        self.theta, self._precision = np.array(theta, np.float64), estimator.precision
         self.kernel, first = reference_kernel(estimator, self.theta.tolist())
         if before is not None:
             take_guard(self.kernel, before.kernel, estimator.precision)
         self.scoring = Scoring(first, self.theta.size, block_samples(estimator), left_out)
         self.sums, self.progress = self.scoring.start()
         self.wait = self.waiting = start_blocks(estimator, self.theta)
+        self._now, self._roles = self.theta, estimator.equation.role_values
         self._u, self._count = np.empty(1), np.empty(1, np.int64)
 
     @property
@@ -157,7 +158,13 @@ class ScoreFilter:
 
         The second result (m,) is true for a block with only disturbed samples.
         """
-        return self.kernel.score(u, counts, self.scoring.numbers, self.theta, self.sums[0], self.progress[0])
+        return self.kernel.score(u, counts, self.scoring.numbers, self._now, self.sums[0], self.progress[0])
+
+    def move(self, theta: Floats) -> None:
+        """Simulate with theta (p,) from now on, and measure deviations from it. The reference stays."""
+        if not np.array_equal(theta, self._now):
+            self._now = np.array(theta)
+            set_model(self.kernel, self._roles(theta), self._precision)
 
     def sample(self, u: float, count: int) -> tuple[Floats | None, NDArray[np.uint8]]:
         """Add one sample. Returns None while the block is incomplete."""
@@ -227,13 +234,15 @@ def make_scale(blocks: Blocks) -> Scale:
 class Sampled(RowArrays):
     """The state of an axis that changes with each sample.
 
-    `whole` and `real` belong to its `Inputs`. `flagged` is the status of the last sample that was not lost. `estimator`
-    and `filter` are the packed states of the kernels. `sums` and `progress` belong to the open block (see `Scoring`).
+    `whole` and `real` belong to its `Inputs`. `flagged` is the status of the last sample that was not lost. `warmer`
+    (n, 2) are the temperature of the open block and the last known one, above the mean of normal work. `estimator` and
+    `filter` are the packed states of the kernels. `sums` and `progress` belong to the open block (see `Scoring`).
     """
 
     whole: NDArray[np.int64]
     real: Floats
     flagged: NDArray[np.uint32]
+    warmer: Floats
     estimator: NDArray[np.uint8]
     filter: NDArray[np.uint8]
     sums: Floats

@@ -132,5 +132,11 @@ class MonitorTuning:
     #: Number of past units that an alarm examines.
     look_back: int = 64
 
+    # warmth
+    #: Least friction relative to that at the mean temperature, because a line ends below zero far from it.
+    warmth_least: float = 0.1
+    #: Number of steps to the rate of friction. Each step removes about nine tenths of its error.
+    warmth_passes: int = 4
+
 
 TUNING = MonitorTuning()

@@ -108,6 +108,10 @@ def set_up_edges(axis: Axis, folder: Path, record: Record | None) -> EdgeSetup:
     not give the parameters.
     """
     config = axis.monitor
+    if axis.record.friction_temperature is not None:
+        raise UsageError(
+            'friction_temperature works with the counts alone: set [estimator] method = "riv", or drop the key'
+        )
     normal = None if config.reference is None else make_even(read_record(folder / config.reference, axis))
     source = record or normal
     if source is None or (normal is None and config.nominal is None):

@@ -28,6 +28,7 @@ from pmfid.fit.second_mass import SecondMass
 from pmfid.fit.weighing import WeighedForce
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
+from pmfid.models.controllers import MotorAndLoad
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.models.two_mass import Coupling, couple
 from pmfid.presentation import Parameters, Presentable, Summary, plain_dict
@@ -186,6 +187,11 @@ class Result(Presentable):
     def beforehand(self) -> dict[str, str]:
         """The kind of prior information for each parameter, "given" or "prior"."""
         return {}
+
+    @property
+    def two_masses(self) -> MotorAndLoad | None:
+        """The two masses for transfer functions, controllers and MuJoCo; None for other models."""
+        return None
 
     @property
     def interval_95(self) -> Floats:
@@ -375,6 +381,16 @@ class DriveResult(Result):
             names,
             self.fit.theta_cov[np.ix_(index, index)] + spread,
         )
+
+    @property
+    def two_masses(self) -> MotorAndLoad | None:
+        equation = self.estimator.equation
+        if len(equation.second) != 5:
+            return None
+        mass, *friction = equation.role_values(self.theta)[:5]
+        load, viscous, coulomb, stiffness, damping = (self[name] for name, _ in equation.second)
+        far = load, viscous, coulomb, stiffness, damping, equation.motion.travel == "rad"
+        return MotorAndLoad(mass, sum(friction[:2]) / 2, sum(friction[2:]) / 2, *far)
 
     def particulars(self) -> dict[str, object]:
         beforehand: dict[str, object] = {}

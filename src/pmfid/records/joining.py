@@ -107,4 +107,5 @@ def make_even(record: Record) -> Record:
     u = np.where(np.isfinite(record.u[row]) & np.isfinite(record.u[np.minimum(row + 1, times.size - 1)]), u, np.nan)
     u[-1] = record.u[row[-1]]
     there = None if record.there is None else record.there[row] & np.isfinite(u)
-    return replace(record, u=u, counts=counts, there=there, steps=None, ages=None, temperature=None)
+    warm = None if record.temperature is None else np.interp(grid, times, record.temperature)
+    return replace(record, u=u, counts=counts, there=there, steps=None, ages=None, temperature=warm)

@@ -16,6 +16,7 @@ from pmfid.estimators.base import Simulating
 from pmfid.io.row_file import fresh
 from pmfid.linear.order import Search
 from pmfid.linear.process import Process
+from pmfid.models.controllers import MotorAndLoad
 from pmfid.models.equation import Equation
 from pmfid.pipeline.conclusion import conclude
 from pmfid.pipeline.processes import search_json
@@ -61,7 +62,11 @@ def write_drive(out: Path, result: DriveResult) -> None:
     if result.track is not None:
         _write_track(track, result)
     said = conclude(result)
-    sections = [_drive_parameters(result), _model_check(result), _drive_notes(result), *_figures(result)]
+    masses = result.two_masses
+    if masses is not None:
+        (out / "two_masses.xml").write_text(masses.to_mjcf(), encoding="utf-8")
+    elastic = [] if masses is None else [_list_settings(masses)]
+    sections = [_drive_parameters(result), *elastic, _model_check(result), _drive_notes(result), *_figures(result)]
     title = f"{result.record.name}: {result.estimator.method}"
     write_page(
         out, ResultPage("report", title, result.to_json(), sections, (said.sentence, said.action), data="result")
@@ -86,6 +91,11 @@ def _write_track(path: Path, result: DriveResult) -> None:
 def _drive_parameters(result: DriveResult) -> Section:
     text = "\n\n".join(findings_lines(result, notes=False))
     return Section("Parameters", text, (parameter_header(result), parameter_rows(result)))
+
+
+def _list_settings(masses: MotorAndLoad) -> Section:
+    rows = [(one.controller or "any", one.name, one.value, one.unit) for one in masses.settings()]
+    return Section("Settings of controllers", table=(("controller", "setting", "value", "unit"), rows))
 
 
 def _model_check(result: DriveResult) -> Section:

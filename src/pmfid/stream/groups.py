@@ -129,7 +129,7 @@ class Timed:
             return []
         last = samples[-1]
         verdict.refused -= 1
-        return [Sample(last.time, last.u, last.counts, 0, math.inf, last.age)]
+        return [Sample(last.time, last.u, last.counts, 0, math.inf, last.further)]
 
     def save_state(self) -> Saved:
         """Return the state for JSON with NaN and infinity."""
@@ -178,7 +178,7 @@ def _piece(samples: list[Sample], received: float, turn: int) -> list[SamplePiec
         return []
     lead = samples[0].missing or (UNKNOWN_GAP if samples[0].jump else 0)
     u, counts = np.array([s.u for s in samples]), np.array([s.counts for s in samples], np.int64)
-    times, ages = np.array([s.time for s in samples]), np.array([s.age for s in samples])
+    times, ages = np.array([s.time for s in samples]), np.array([s.further for s in samples])
     return [SamplePiece(lead, False, u, counts, math.nan, 0, received, turn, times, ages)]
 
 
@@ -318,8 +318,11 @@ class Group:
         self.kindred = self._build_kindred()
 
     def run(self, index: NDArray[np.int64], u: Floats, counts: Counts, ages: Floats | None) -> FleetRows:
-        """Step the next n samples u, counts, ages (k, n) of the axes `index` (k,)."""
-        return self.fleet.run(index, u, counts, ages if self.fleet.takes_ages else None)
+        """Step the next n samples u, counts (k, n) of the axes `index` (k,). Temperatures may stand for `ages`."""
+        fleet = self.fleet
+        return fleet.run(
+            index, u, counts, *(ages if takes else None for takes in (fleet.takes_ages, fleet.takes_temperature))
+        )
 
     def add(self, names: Iterable[str]) -> None:
         """Add axes without a history."""

@@ -176,7 +176,8 @@ class Intake:
                 group.positions.source[index[rows]] = sources[rows]
                 at, offset = index[rows], np.zeros(np.count_nonzero(taken), np.int64)
                 u, counts, time = table.u[rows], table.counts[rows], table.time[rows]
-                ages = table.ages[rows] if group.fleet.takes_ages and table.ages is not None else None
+                fleet, ages = group.fleet, table.ages
+                ages = ages[rows] if ages is not None and (fleet.takes_ages or fleet.takes_temperature) else None
                 ordered.put(group, Batch(at, u, counts, ages, time, offset, turns[rows], received[rows]))
                 rest &= ~taken
         left = np.flatnonzero(rest).tolist()

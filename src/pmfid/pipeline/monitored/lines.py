@@ -36,8 +36,6 @@ def check_streamed(axis: Axis) -> None:
         raise UsageError(f"[record] input_scale = {axis.record.input_scale!r} names a variable; a pipe needs a number")
     if axis.record.known_force:
         raise UsageError("[record] known_force is for records; subtract the force from the input before the pipe")
-    if axis.record.friction_temperature is not None:
-        raise UsageError("[record] friction_temperature is for the fit of a record; drop the key before the pipe")
     if axis.record.output_kind == "velocity" or axis.encoder.range is not None:
         raise UsageError(
             "a pipe needs counts, or positions that do not wrap: integrate the velocity or unwrap the position before "
@@ -46,13 +44,18 @@ def check_streamed(axis: Axis) -> None:
 
 
 def wanted_columns(axis: Axis) -> tuple[str, ...]:
-    """Return the columns of input, output, time if there is one, and the age of the last edge if it is used."""
-    config, age = axis.record, axis.encoder.edge_age if takes_edges(axis) else None
-    return (config.input, config.output, *([config.time] if config.time else []), *([age] if age else []))
+    """Return the columns of input, output, time if there is one, and the `further` one if it is used."""
+    config, further = axis.record, further_column(axis)
+    return (config.input, config.output, *([config.time] if config.time else []), *([further] if further else []))
+
+
+def further_column(axis: Axis) -> str | None:
+    """Return the column of a monitor beyond input and output: the age of the last edge, or the temperature."""
+    return axis.encoder.edge_age if takes_edges(axis) else axis.record.friction_temperature
 
 
 class Reading:
-    """A reader that converts the values of input, output, time and age to a `Line`.
+    """A reader that converts the values of input, output, time and the further column to a `Line`.
 
     `names` are those of `wanted_columns`, which may have units. The name of the time may be missing. Raises UsageError
     if a unit contradicts the configuration, or if the configuration cannot be read one sample at a time.
@@ -64,8 +67,9 @@ class Reading:
         units = conversion(Sections(config, axis.encoder, axis.model), *names[:2])
         self._scale = float(config.input_scale) * units.u
         self._step = axis.encoder.resolution / units.y if config.output_kind == "position" else None
-        self._age = age_factor(names[-1], axis.encoder.tick) if takes_edges(axis) else None
-        timed = len(names) == (3 if self._age is None else 4)
+        further = age_factor(names[-1], axis.encoder.tick) if takes_edges(axis) else 1.0
+        self._further = None if further_column(axis) is None else further
+        timed = len(names) == (3 if self._further is None else 4)
         self._unit = time_factor(config.model_copy(update={"time": names[2] if timed else None}))
 
     def time(self, value: Value) -> float:
@@ -81,10 +85,11 @@ class Reading:
             raise ValueError("a time that is not finite, or larger than any clock shows")
         return time
 
-    def line(self, u: Value, output: Value, time: float = math.nan, age: object = math.nan) -> Line:
+    def line(self, u: Value, output: Value, time: float = math.nan, further: object = math.nan) -> Line:
         """Return the line of values at a time [s], where NaN stands for no time.
 
-        An `age` that is not a number is none, because the estimator flags an edge without its age.
+        A `further` value that is not a number is none: the estimator flags an edge without its age, and a monitor
+        keeps the last temperature.
 
         If a line with a time has an invalid value, the line stores the problem. Without a time, an invalid value raises
         ValueError or OverflowError.
@@ -93,15 +98,15 @@ class Reading:
             scaled, place = self._scale * float(u), float(output)
             if not (math.isfinite(scaled) and math.isfinite(place)):
                 raise ValueError("a value that is not finite")
-            return Line(time, scaled, self._count(place), age=self._read_age(age))
+            return Line(time, scaled, self._count(place), further=self._read_further(further))
         except (ValueError, OverflowError) as error:
             if math.isnan(time):
                 raise
             return Line(time, math.nan, 0, str(error))
 
-    def _read_age(self, age: object) -> float:
+    def _read_further(self, value: object) -> float:
         try:
-            return math.nan if self._age is None or not _is_value(age) else self._age * float(age)
+            return math.nan if self._further is None or not _is_value(value) else self._further * float(value)
         except ValueError:
             return math.nan
 
@@ -122,7 +127,7 @@ class FieldReader:
 
     def __init__(self, axis: Axis) -> None:
         self._wanted, self._axis = wanted_columns(axis), axis
-        self._timed, self._edges = bool(axis.record.time), takes_edges(axis)
+        self._timed, self._further = bool(axis.record.time), further_column(axis) is not None
         self._readings = {self._wanted: Reading(axis, self._wanted)}
 
     def __call__(self, fields: Mapping[str, object], stamp: float = math.nan) -> Line:
@@ -152,8 +157,8 @@ class FieldReader:
         reading = self._reading((*names[:2], *names[3:]) if stamped else names)
         time = stamp if stamped else reading.time(_value(fields, names[2])) if timed else math.nan
         try:
-            age = fields.get(names[-1]) if self._edges else None
-            line = reading.line(_value(fields, names[0]), _value(fields, names[1]), time, age)
+            further = fields.get(names[-1]) if self._further else None
+            line = reading.line(_value(fields, names[0]), _value(fields, names[1]), time, further)
         except (ValueError, OverflowError) as error:
             line = Line(time, math.nan, 0, str(error))
         return replace(line, problem=line.problem[: TUNING.most_letters]) if line.problem else line
@@ -204,7 +209,7 @@ class _Header:
 
 
 class LineParser:
-    """A parser that reads u, counts, and the time and the age of an edge, if they are used, from lines of text.
+    """A parser that reads u, counts, and the time and the further column, if they are used, from lines of text.
 
     The lines may have the separators and decimal signs of files. `header` is the first line. Raises UsageError if the
     header does not have a column of [record].
@@ -213,7 +218,7 @@ class LineParser:
     def __init__(self, header: bytes, axis: Axis) -> None:
         check_streamed(axis)
         self._axis, self._wanted = axis, list(wanted_columns(axis))
-        self._timed, self._edges = bool(axis.record.time), takes_edges(axis)
+        self._timed, self._further = bool(axis.record.time), further_column(axis) is not None
         self._read_header(_likeliest(_text(header), self._wanted))
 
     def _read_header(self, header: _Header) -> None:
@@ -266,7 +271,7 @@ class LineParser:
 
     def _values(self, cells: list[str]) -> Line:
         time = self._reading.time(cells[2]) if self._timed else math.nan
-        return self._reading.line(cells[0], cells[1], time, cells[-1] if self._edges else None)
+        return self._reading.line(cells[0], cells[1], time, cells[-1] if self._further else None)
 
 
 def is_comment(line: bytes) -> bool:

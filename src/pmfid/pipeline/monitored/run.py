@@ -118,9 +118,9 @@ def _step(
     events = _count_interruption(sample, monitor, run, tell) if sample.missing or sample.jump else []
     reported: Estimate | Seen
     if isinstance(monitor, EdgeMonitor):
-        reported, now = monitor.step(sample.u, sample.counts, sample.age)
+        reported, now = monitor.step(sample.u, sample.counts, sample.further)
     else:
-        estimate, now = monitor.step(sample.u, sample.counts)
+        estimate, now = monitor.step(sample.u, sample.counts, sample.further)
         reported = monitor.apply_known(estimate)
     run.samples += 1
     if not isinstance(sink, Nowhere):

@@ -28,6 +28,7 @@ from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Scale
 from pmfid.monitor.tuning import TUNING as MONITOR_TUNING
+from pmfid.monitor.warmth import Warmth, find_warmth
 from pmfid.pipeline.drives import make_estimator
 from pmfid.pipeline.edges import EdgeSetup, describe_monitor, set_up_edges, takes_edges
 from pmfid.pipeline.identify import kind_of
@@ -38,7 +39,7 @@ from pmfid.records.record import Record, read_record
 from pmfid.types import Floats
 
 #: Version of the calibration and its file. Every change of either needs a new version.
-VERSION = 8
+VERSION = 9
 #: Simulated time of a calibration [h].
 HOURS = MONITOR_TUNING.calibration_hours
 
@@ -58,16 +59,17 @@ def cached_calibration(
     counts: np.ndarray | None,
     hours: float,
     progress: Callable[[float], None] | None = None,
+    temperature: Floats | None = None,
 ) -> tuple[Calibration, Path, bool]:
     """Return the calibration, its file, and whether the file existed. An unwritable cache is ignored."""
     digest = sha256(f"{VERSION} {estimator!r} {hours!r} {counts is None}".encode())
-    for part in (theta, u, np.zeros(0) if counts is None else counts):
-        digest.update(np.ascontiguousarray(part).tobytes())
+    for part in (theta, u, counts, temperature):
+        digest.update(np.ascontiguousarray(np.zeros(0) if part is None else part).tobytes())
     path = cache_dir() / f"calibration-{digest.hexdigest()[:32]}.json"
     known = _read(path)
     if known is not None:
         return known, path, True
-    made = calibrate(estimator, theta, u, counts, hours=hours, progress=progress)
+    made = calibrate(estimator, theta, u, counts, hours=hours, temperature=temperature, progress=progress)
     _write(path, made)
     return made, path, False
 
@@ -112,6 +114,7 @@ def _calibration_in(text: str) -> Calibration:
         raw["hours"],
         raw["record_hours"],
         None if raw["work"] is None else _work(raw["work"]),
+        None if raw["warmth"] is None else Warmth(raw["warmth"]["mean"], np.array(raw["warmth"]["rate"])),
     )
 
 
@@ -222,7 +225,8 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
     if normal is None:
         notes.append("no reference record: thresholds hold for the encoder's noise alone; name one in [monitor]")
     counts = None if normal is None else source.counts
-    calibration, path, cached = cached_calibration(estimator, nominal, source.u, counts, HOURS, progress)
+    temperature = None if normal is None else source.temperature
+    calibration, path, cached = cached_calibration(estimator, nominal, source.u, counts, HOURS, progress, temperature)
     notes += calibration_notes(calibration, config.mtbf_hours)
     watch = Watch(config.mtbf_hours, config.tolerance)
     return Setup(Monitor(estimator, calibration, watch, known), nominal, calibration, path, cached, tuple(notes))
@@ -328,7 +332,10 @@ def _nominal(
     names = front.names
     if given is None:
         fit = front.fit(source.u, source.counts)
-        return np.asarray(fit.theta if known is None else known.combine(fit).theta[: len(names)])
+        theta = np.asarray(fit.theta if known is None else known.combine(fit).theta[: len(names)])
+        if source.temperature is None:
+            return theta
+        return find_warmth(front, theta, source.u, source.counts, source.temperature)[1]
     try:
         return initial_vector({name: value for name, value in given.items() if name in names or known is None}, names)
     except UsageError:

@@ -79,11 +79,12 @@ class Stop:
 
 def record_samples(record: Record, stop: Stop) -> Iterator[Sample]:
     """Yield the samples of a record, starting at time 0."""
+    column = record.ages if record.temperature is None else record.temperature
     for k in range(record.u.size):
         if stop.requested:
             return
-        age = math.nan if record.ages is None else float(record.ages[k])
-        yield Sample(k * record.dt, float(record.u[k]), int(record.counts[k]), age=age)
+        further = math.nan if column is None else float(column[k])
+        yield Sample(k * record.dt, float(record.u[k]), int(record.counts[k]), further=further)
 
 
 def line_samples(stream: BinaryIO, axis: Axis, dt: float, stop: Stop) -> Iterator[Found]:

@@ -109,19 +109,19 @@ BAD, REPEATED, COMMENT = "bad line", "repeated line", "comment"
 class Line:
     """The values of a line.
 
-    `time` [s] is NaN without a time. An unusable `u` is NaN, and `problem` is then the reason. `age` is the time from
-    the last edge of the encoder to the sample [s], NaN without an edge.
+    `time` [s] is NaN without a time. An unusable `u` is NaN, and `problem` is then the reason. `further` is the
+    time from the last edge of the encoder to the sample [s], or a temperature, and NaN without either.
     """
 
     time: float
     u: float
     counts: int
     problem: str = ""
-    age: float = field(default=math.nan, compare=False)  # NaN is not equal to itself
+    further: float = field(default=math.nan, compare=False)  # NaN is not equal to itself
 
     def as_list(self) -> list[float | int | str]:
-        """Return the arguments of a line for JSON, as before ages unless the line has one."""
-        return [self.time, self.u, self.counts, self.problem, *([] if math.isnan(self.age) else [self.age])]
+        """Return the arguments of a line for JSON, as before further columns unless the line has one."""
+        return [self.time, self.u, self.counts, self.problem, *([] if math.isnan(self.further) else [self.further])]
 
 
 @dataclass(frozen=True)
@@ -129,8 +129,8 @@ class Sample:
     """A sample on the regular grid.
 
     `time` is in s. `u` is NaN if the sample is lost, and `counts` then holds the last counts. `missing` is the number
-    of missing samples just before. `jump` is the change of the clock just before [s]. `age` is the time from the last
-    edge to the sample [s], NaN without an edge or without ages.
+    of missing samples just before. `jump` is the change of the clock just before [s]. `further` is as
+    in `Line`.
     """
 
     time: float
@@ -138,7 +138,7 @@ class Sample:
     counts: int
     missing: int = 0
     jump: float = 0.0
-    age: float = math.nan
+    further: float = math.nan
 
 
 @dataclass(frozen=True)
@@ -178,7 +178,7 @@ class Metronome:
         if line.problem:
             return [Skipped(time, BAD, line.problem), Sample(time, math.nan, self._counts)]
         self._counts = line.counts
-        return [Sample(time, line.u, line.counts, age=line.age)]
+        return [Sample(time, line.u, line.counts, further=line.further)]
 
     def end(self) -> list[Found]:
         """Return nothing, because no lines are held."""
@@ -279,7 +279,7 @@ class Timeline:
             return [Skipped(line.time, BAD, line.problem), lost]
         self._counts = line.counts
         self._recent.append(line)
-        return [Sample(line.time, line.u, line.counts, missing, jump, line.age)]
+        return [Sample(line.time, line.u, line.counts, missing, jump, line.further)]
 
     def _irregular(self, line: Line) -> list[Found]:
         """Hold a line until further lines confirm its time."""

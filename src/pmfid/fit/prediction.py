@@ -1,0 +1,84 @@
+"""What an input and an encoder show of two masses, from the derivatives of the body."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid._body import BASE, ELASTIC_BASE, run
+from pmfid.errors import UsageError
+from pmfid.models.controllers import MotorAndLoad
+from pmfid.types import Floats
+
+__all__ = ["find_resolution", "predict_errors"]
+
+#: Places of the parameters of a `MotorAndLoad` in the body, in their order.
+PLACES = (0, 1, 2, BASE, BASE + 1, BASE + 2, BASE + 3, BASE + 4)
+
+
+def predict_errors(masses: MotorAndLoad, u: ArrayLike, dt: float, resolution: float) -> dict[str, float]:
+    """Return the relative standard errors of least squares on the counts of the motor, by parameter.
+
+    A fit that explains each count reaches smaller errors.
+
+    Parameters
+    ----------
+    masses
+        Expected machine, with parameters above zero.
+    u
+        (n,) force or torque of the motor [N or N m], held for each sample.
+    dt
+        Sample period [s].
+    resolution
+        Travel of a count [m or rad]. The error of a count is uniform, and independent of its neighbours. The motion
+        therefore needs to cross counts all the time.
+
+    Raises
+    ------
+    UsageError
+        If a parameter is not above zero, or if the input is not a finite array.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from pmfid.fit.prediction import find_resolution, predict_errors
+    >>> from pmfid.models.controllers import MotorAndLoad
+    >>> belt = MotorAndLoad(2e-4, 4e-4, 0.01, 3e-4, 6e-4, 0.015, 4.55, 0.0014, rotary=True)
+    >>> u = 0.15 * np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 400), 10)
+    >>> round(100 * predict_errors(belt, u, 0.001, 2 * np.pi / 512)["stiffness"], 3)
+    0.024
+    >>> round(2 * np.pi / find_resolution(belt, u, 0.001, {"stiffness": 0.0005}))
+    244
+    """
+    names = tuple(vars(masses))[: len(PLACES)]
+    values = np.array([getattr(masses, name) for name in names])
+    inputs = np.ascontiguousarray(u, np.float64)
+    if inputs.ndim != 1 or inputs.size < 2 or not np.all(np.isfinite(inputs)) or not np.all(values > 0):
+        raise UsageError("give masses with parameters above zero, and an input (n,) of finite numbers")
+    slopes = _derivatives(values, inputs, dt) * values
+    moved = slopes - slopes.mean(axis=0)  # the first position is unknown
+    root = np.linalg.pinv(moved, rcond=1e-12)
+    errors = resolution / np.sqrt(12) * np.sqrt(np.sum(root**2, axis=1))
+    return dict(zip(names, errors.tolist(), strict=True))
+
+
+def find_resolution(masses: MotorAndLoad, u: ArrayLike, dt: float, within: Mapping[str, float]) -> float:
+    """Return the coarsest resolution with which no relative standard error exceeds `within`, by parameter.
+
+    The arguments are those of `predict_errors`. Raises UsageError for an unknown parameter.
+    """
+    errors = predict_errors(masses, u, dt, 1.0)
+    if not within or not set(within) <= set(errors):
+        raise UsageError(f"within must name some of {list(errors)}, got {list(within)}")
+    return min(wanted / errors[name] for name, wanted in within.items())
+
+
+def _derivatives(values: Floats, u: Floats, dt: float) -> Floats:
+    """Return the derivatives (n + 1, 8) of the motor's position by the parameters, from rest."""
+    theta = np.zeros(ELASTIC_BASE)
+    theta[list(PLACES)] = values
+    row, clock = np.arange(u.size + 1, dtype=np.int32), np.full(u.size, dt)
+    _, _, slopes, _ = run([], clock, u, row, np.zeros((0, u.size)), theta, 2, True, elastic=True, load=False)
+    return np.asarray(slopes)[:, list(PLACES)]

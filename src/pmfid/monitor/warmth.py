@@ -1,0 +1,98 @@
+"""Friction that follows a slow column, such as a temperature or a load.
+
+At the temperature T the parameters are theta (1 + rate (T - mean)), so that a lost preload keeps the rate. The
+reference model of a monitor has these parameters, because a model with other friction reverses at other instants. The
+blocks of a record of normal work give the rate, by the moment equations of their scores and of their scores times
+T - mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pmfid.errors import UsageError
+from pmfid.estimators.base import Estimator
+from pmfid.monitor.cause import FRICTION
+from pmfid.monitor.scores import UNUSABLE, Blocks, ScoreFilter, block_samples, start_blocks
+from pmfid.monitor.tuning import TUNING
+from pmfid.types import Counts, Floats
+
+
+@dataclass(frozen=True)
+class Warmth:
+    """The relative change `rate` (p,) of the parameters per unit of a temperature, from its `mean` in normal work."""
+
+    mean: float
+    rate: Floats
+
+    def factor(self, warmer: float) -> Floats:
+        """Return the parameters (p,) at a temperature above the mean, relative to those at the mean."""
+        return np.maximum(1 + self.rate * warmer, TUNING.warmth_least)
+
+    def scores(
+        self,
+        estimator: Estimator,
+        theta: Floats,
+        u: Floats,
+        counts: Counts,
+        temperature: Floats,
+        left_out: int = UNUSABLE,
+    ) -> Blocks:
+        """Return all whole blocks of u, counts, temperature (n,), for parameters theta (p,) at the mean temperature.
+
+        `left_out` is as in `Scoring`.
+        """
+        made, size, blocks = ScoreFilter(estimator, theta, left_out=left_out), block_samples(estimator), []
+        for start in range(0, u.size, size):
+            made.move(theta * self.factor(float(temperature[max(0, start - 1)]) - self.mean))
+            blocks.append(made.run(u[start : start + size], counts[start : start + size]))
+        return Blocks.concatenate(blocks)
+
+
+def find_warmth(
+    estimator: Estimator, theta: Floats, u: Floats, counts: Counts, temperature: Floats
+) -> tuple[Warmth, Floats]:
+    """Return how friction follows the temperature (n,) of a record u, counts (n,), and the parameters (p,) at its mean.
+
+    The search starts from the parameters theta (p,) of the whole record. Raises UsageError for a temperature that does
+    not vary.
+    """
+    if not np.ptp(temperature) > 0:
+        raise UsageError(
+            "friction_temperature does not vary in the reference record, so the monitor cannot learn its effect: "
+            "record a warm-up, or drop the key"
+        )
+    start, size = start_blocks(estimator, theta), block_samples(estimator)
+    found = Warmth(float(np.mean(temperature)), np.zeros(theta.size))
+    moves = np.array([FRICTION in name for name in estimator.names[: theta.size]])
+    for _ in range(TUNING.warmth_passes):
+        blocks = found.scores(estimator, theta, u, counts, temperature)[start:]
+        ends = np.arange(start, start + len(blocks.score)) * size - 1
+        step, slope = _solve(blocks, temperature[ends] - found.mean, moves)
+        slope = np.where(moves, found.rate * theta + slope, 0.0)
+        theta = theta + step
+        found = Warmth(found.mean, np.divide(slope, theta, out=np.zeros(theta.size), where=theta != 0))
+    return found, theta
+
+
+def _solve(blocks: Blocks, warmer: Floats, moves: np.ndarray) -> tuple[Floats, Floats]:
+    """Return the change (p,) of parameters and of the slopes (p,) of those that move, from temperatures (n,)."""
+    cross, warm = blocks.cross, warmer[:, None, None] * blocks.cross
+    left = np.block(
+        [
+            [cross.sum(axis=0), warm.sum(axis=0)[:, moves]],
+            [warm.sum(axis=0)[moves], (warmer[:, None, None] * warm).sum(axis=0)[np.ix_(moves, moves)]],
+        ]
+    )
+    change = np.linalg.solve(left, np.concatenate([blocks.score.sum(axis=0), (warmer @ blocks.score)[moves]]))
+    slope = np.zeros(moves.size)
+    slope[moves] = change[moves.size :]
+    return change[: moves.size], slope
+
+
+def hold_last(values: Floats, before: float) -> Floats:
+    """Return values (n,) in which the last known one replaces those that are not finite. `before` is known."""
+    whole = np.append(before, values)
+    return np.asarray(whole[np.maximum.accumulate(np.where(np.isfinite(whole), np.arange(whole.size), 0))][1:])
