@@ -35,7 +35,7 @@ class MotorAndLoad:
     >>> from pmfid.models.controllers import MotorAndLoad
     >>> belt = MotorAndLoad(2e-4, 4e-4, 0.01, 3e-4, 6e-4, 0.015, 4.55, 0.0014, rotary=True)
     >>> numerator, denominator = belt.transfer_function()
-    >>> float(numerator[-1] / denominator[-1]), f"{belt.settings()[0].value:.1f}"
+    >>> round(float(numerator[-1] / denominator[-1]), 6), f"{belt.settings()[0].value:.1f}"
     (1000.0, '31.0')
     """
 
