@@ -78,7 +78,8 @@ def test_derivatives_are_those_of_the_simulated_motion() -> None:
     rows, columns = np.arange(301, dtype=np.int32), np.ones((1, 300))
 
     def move(theta: Floats, slopes: bool = False) -> tuple[Floats, Floats]:
-        y, _, S, _ = run(forces, np.diff(t), goal[:-1].copy(), rows, columns, theta, 1, slopes, 2e-4)
+        lift = np.eye(theta.size) if slopes else None
+        y, _, S, _ = run(forces, np.diff(t), goal[:-1].copy(), rows, columns, theta, 1, lift, 2e-4)
         return y, S
 
     moved, slopes = move(values, slopes=True)
@@ -95,7 +96,7 @@ def test_a_controller_that_is_off_moves_nothing() -> None:
     theta = np.array([0.01, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 9.0, 1e9, 1e-3])
     step, rows = np.full(50, 0.01), np.arange(51, dtype=np.int32)
     on = np.r_[np.zeros(25), np.ones(25)]
-    y, _, _, _ = run([], step, np.ones(50), rows, np.zeros((0, 50)), theta, 1, False, 1e-3, on)
+    y, _, _, _ = run([], step, np.ones(50), rows, np.zeros((0, 50)), theta, 1, None, 1e-3, on)
     assert not y[:26].any()
     assert y[-1] > 0.5
 

@@ -40,7 +40,7 @@ FORCES = {
 
 def simulate(theta: Floats, names: list[str], parts: int = 4) -> tuple[Floats, Floats]:
     row, columns = np.arange(STEPS, dtype=np.int32), np.sin(np.arange(STEPS))[None]
-    y, _, S, done = run([FORCES[name] for name in names], CLOCK, INPUT, row, columns, theta, parts, True)
+    y, _, S, done = run([FORCES[name] for name in names], CLOCK, INPUT, row, columns, theta, parts, np.eye(theta.size))
     assert done == STEPS
     return y, S
 
@@ -80,7 +80,7 @@ def test_a_body_without_forces_is_exact() -> None:
     """From rest, without Coulomb friction: v = (u/d) (1 - exp(-d t/m)) as long as u is constant."""
     theta = np.r_[2.0, 4.0, np.zeros(BASE - 2)]
     y, v, _, _ = run(
-        [], np.full(10, 0.1), np.full(10, 3.0), np.arange(11, dtype=np.int32), np.zeros((0, 10)), theta, 1, False
+        [], np.full(10, 0.1), np.full(10, 3.0), np.arange(11, dtype=np.int32), np.zeros((0, 10)), theta, 1, None
     )
     t = 0.1 * np.arange(11)
     np.testing.assert_allclose(v, 0.75 * (1 - np.exp(-2 * t)), atol=1e-14)

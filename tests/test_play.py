@@ -24,7 +24,7 @@ PAIR, GAP, RESOLUTION = (0.5, 0.5, 0.1, 0.4, 0.3, 0.1, 22000.0, 40.0), 2e-4, 2e-
 
 def simulate(theta: Floats, u: Floats = INPUT) -> tuple[Floats, Floats]:
     row, clock = np.arange(u.size + 1, dtype=np.int32), np.full(u.size, STEP)
-    y, _, S, rows = run([], clock, u, row, np.zeros((0, u.size)), theta, 2, True, elastic=True)
+    y, _, S, rows = run([], clock, u, row, np.zeros((0, u.size)), theta, 2, np.eye(theta.size), elastic=True)
     assert rows == u.size + 1
     return y, S
 

@@ -33,7 +33,7 @@ def body_of(pair: tuple[float, ...], delay: float = 0.0) -> Floats:
 
 def simulate(theta: Floats, forces: list[object] | None = None, load: bool = False) -> list[Floats]:
     row, clock, none = np.arange(INPUT.size + 1, dtype=np.int32), np.full(INPUT.size, STEP), np.zeros((0, INPUT.size))
-    y, v, S, rows = run(forces or [], clock, INPUT, row, none, theta, 2, True, elastic=True, load=load)  # type: ignore[arg-type]
+    y, v, S, rows = run(forces or [], clock, INPUT, row, none, theta, 2, np.eye(theta.size), elastic=True, load=load)  # type: ignore[arg-type]
     assert rows == INPUT.size + 1
     return [y, v, S]
 
@@ -69,7 +69,7 @@ def test_a_stiff_spring_is_a_rigid_axis() -> None:
     theta[[BASE + 5, BASE + 6]] = 0.0
     rigid = np.array([1.0, 0.5, 0.1, 0, 0, 0, 0, 0, 0])
     row = np.arange(INPUT.size + 1, dtype=np.int32)
-    args = ([], np.full(INPUT.size, STEP), INPUT, row, np.zeros((0, INPUT.size)), rigid, 1, False)
+    args = ([], np.full(INPUT.size, STEP), INPUT, row, np.zeros((0, INPUT.size)), rigid, 1, None)
     y = run(*args)[0]  # type: ignore[arg-type]
     assert np.max(np.abs(simulate(theta)[0] - y)) < 1e-2 * np.ptp(y)
 

@@ -508,6 +508,12 @@ static int parts_of(const pmf_body *b, double lag, int i)
     return b->forces || lag > 0 ? b->parts : 1;
 }
 
+void pmf_body_chain(const pmf_body *b, const double *dx, double *row)
+{
+    for (int k = 0; k < b->links; k++)
+        row[b->coordinate[k]] += b->slope[k] * dx[b->parameter[k]];
+}
+
 int pmf_body_work(const pmf_body *b)
 {
     const int w = PMF_BODY_BASE + b->forces + b->shapes + PMF_LOOP_PARAMETERS;
@@ -548,7 +554,7 @@ int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, d
             if (v)
                 v[k] = t.v;
             if (S)
-                memcpy(S + (size_t)k * w, t.dx, w * sizeof *S);
+                pmf_body_chain(b, t.dx, S + (size_t)k * b->coordinates);
             k++;
         }
         if (i < b->n)

@@ -80,6 +80,9 @@ typedef struct {
     double tick; /* longest part of an interval with a controller [s], or 0 without one */
     const double *on; /* (n) 0 where the controller is off; may be null */
     int side; /* 1 if an elastic axis shows its second mass */
+    int coordinates, links; /* number of coordinates, and of slopes of the parameters by them */
+    const int *parameter, *coordinate; /* (links) places in w and among the coordinates */
+    const double *slope; /* (links) */
 } pmf_body;
 
 /* A force of size 1, and its derivatives by position, velocity and the constant p. */
@@ -90,8 +93,11 @@ typedef struct {
 /* The force f with the constant p at position x and velocity v in direction s, with the value of its column. */
 pmf_push pmf_force_at(const pmf_force *f, double p, double x, double v, double s, double column);
 
+/* Add the derivatives by the coordinates to a row of S, from those dx (w) by the parameters: the chain rule. */
+void pmf_body_chain(const pmf_body *body, const double *dx, double *row);
+
 /* Simulate the motion at theta (w), w = PMF_BODY_BASE + forces + shapes, + PMF_LOOP_PARAMETERS with a controller:
- * positions y (rows), velocities v (rows), derivatives S (rows, w) of y.
+ * positions y (rows), velocities v (rows), derivatives S (rows, coordinates) of y, which are zero before.
  *
  * v and S may be null. `work` has room for pmf_body_work numbers. Returns the number of rows before the motion
  * overflows. */

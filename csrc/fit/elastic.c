@@ -559,7 +559,7 @@ int pmf_elastic_run(const pmf_body *b, const double *theta, double *y, double *v
             if (v)
                 v[k] = t.z[shown + 1];
             if (S)
-                memcpy(S + (size_t)k * w, t.dz[shown], w * sizeof *S);
+                pmf_body_chain(b, t.dz[shown], S + (size_t)k * b->coordinates);
             k++;
         }
         if (i < b->n) {

@@ -21,7 +21,10 @@ cdef extern from "fit/body.h":
         const double *table
         double p, q
     ctypedef struct pmf_body:
-        int n, parts, forces, shapes, rows, side
+        int n, parts, forces, shapes, rows, side, coordinates, links
+        const int *parameter
+        const int *coordinate
+        const double *slope
         const int *row
         const double *step
         const double *u
@@ -78,12 +81,12 @@ cdef pack(list forces, Py_ssize_t columns, pmf_force *list_):
 
 def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.ndarray[double, mode="c"] u not None,
         cnp.ndarray[int, mode="c"] row not None, cnp.ndarray[double, ndim=2, mode="c"] columns not None,
-        cnp.ndarray[double, mode="c"] theta not None, int parts, bint slopes, double tick=0.0,
+        cnp.ndarray[double, mode="c"] theta not None, int parts, object lift, double tick=0.0,
         cnp.ndarray[double, mode="c"] on=None, bint elastic=False, bint load=False):
-    """Return positions, velocities (rows,) and derivatives (rows, w), and the number of finite rows.
+    """Return positions, velocities (rows,) and derivatives (rows, p), and the number of finite rows.
 
     forces: tuples (kind, column, free, table, p, q, load). step, u: (n,). row: (rows,) rising, 0 to n. columns: (c, n).
-    theta: (w,). Without `slopes`, the derivatives are (rows, 0). A controller moves the body in parts of at most `tick`
+    theta: (w,). lift: derivatives (w, p) of theta by the coordinates, or None, and p is 0. A controller moves the body in parts of at most `tick`
     [s], if that is positive. u is then its goal, and it is off where `on` (n,) is 0. An `elastic` body has two masses
     and no controller, and shows its `load` or the motor.
     """
@@ -99,7 +102,15 @@ def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.n
     if row[0] < 0 or row[rows - 1] > n or np.any(np.diff(row) <= 0):
         raise ValueError("row must rise from 0 to n at most")
     y, v = np.full(rows, np.inf), np.full(rows, np.inf)
-    S = np.zeros((rows, w if slopes else 0))
+    slopes = lift is not None
+    lift = np.zeros((w, 0)) if lift is None else lift
+    if lift.shape[0] != w:
+        raise ValueError(f"lift must have {w} rows, got {lift.shape[0]}")
+    S = np.zeros((rows, lift.shape[1]))
+    places = np.nonzero(lift)
+    cdef cnp.ndarray[int, mode="c"] parameter = places[0].astype(np.intc)
+    cdef cnp.ndarray[int, mode="c"] coordinate = places[1].astype(np.intc)
+    cdef cnp.ndarray[double, mode="c"] links = np.ascontiguousarray(lift[places], dtype=np.float64)
     cdef cnp.ndarray[double, mode="c"] yy = y
     cdef cnp.ndarray[double, mode="c"] vv = v
     cdef cnp.ndarray[double, ndim=2, mode="c"] SS = S
@@ -116,6 +127,9 @@ def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.n
         body.force, body.column = list_, <double *>columns.data
         body.tick, body.on = tick, <double *>on.data if on is not None else NULL
         body.side = load
+        body.coordinates, body.links = lift.shape[1], links.shape[0]
+        body.parameter, body.coordinate = <int *>parameter.data, <int *>coordinate.data
+        body.slope = <double *>links.data
         work = np.empty(15 * w if elastic else pmf_body_work(&body))
         with nogil:
             if elastic:

@@ -239,4 +239,4 @@ def simulate_servo(
     known = replace(servo, given=servo.values(theta), terms=())
     at = body_of(known).rest.copy()
     at[[X0, V0]] = start, velocity
-    return simulate(excite(t, goal, servo.loop_period, force), body_of(known).forces, at, 1, slopes=False)[0]
+    return simulate(excite(t, goal, servo.loop_period, force), body_of(known).forces, at, 1)[0]

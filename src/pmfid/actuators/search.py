@@ -124,7 +124,6 @@ class ServoSearch(FitSearch):
         if task.servo.known_force:
             self.table = [one for one in self.table if one.name != "gravity"]
         self.kept = tuple(i for i, one in enumerate(self.table) if one.name == LOOP_FRICTION)
-        self.solution = None
         self.take(problem, q, starts, [])
         self.choose(self.kept)
 

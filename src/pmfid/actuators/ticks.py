@@ -48,8 +48,8 @@ def measure_ticks(search: ServoSearch, q: Floats) -> Ticks:
     where a part of it between 0 and 1 recurs: the phases of the counts are chaotic. The delay of the loop in ticks is
     half a period. A log with known torques or with the torque off shows none of this.
     """
-    servo, problem, solution = search.task.servo, search.problem, search.solution
-    if solution is None or any(log.force is not None or log.on is not None for log in search.task.logs):
+    servo, problem = search.task.servo, search.problem
+    if any(log.force is not None or log.on is not None for log in search.task.logs):
         return Ticks(np.zeros(q.size), 0.0, 0.0)
     q, starts, names = q.copy(), search.starts, problem.machine.names
     if "loop_delay" in names:
@@ -64,13 +64,13 @@ def measure_ticks(search: ServoSearch, q: Floats) -> Ticks:
         y = run_ticks(stretch, split_loop(at, forces), servo.loop_period, problem.resolution, problem.parts)
         e = np.where(used, block.e - (y - stretch.y) / problem.resolution, 0.0)
         apart.append(ResidualBlock(np.clip(e, -1e3, 1e3), block.J * used[:, None], block.K * used[:, None]))
-    weighted = search.noise(apart)[1]
+    weighted, solved = search.noise(apart)[1], search.noise(problem.linearise(search.q, starts))[1]
     normal = normal_of(weighted, np.zeros_like(starts))
     moved = -inverse(normal.A + np.diag(search.prior(problem))) @ normal.g
     left = [
         block.e + block.J @ moved + block.K @ start for block, start in zip(weighted, normal.starts(moved), strict=True)
     ]
-    along = sum(float(e @ block.e) for e, block in zip(left, solution.normal.blocks, strict=True))
+    along = sum(float(e @ block.e) for e, block in zip(left, solved, strict=True))
     size = sum(float(e @ e) for e in left)
     part = np.linspace(0.0, 1.0, 1001)
     odds = float(np.logaddexp.reduce(part * along - 0.5 * part**2 * size)) - math.log(part.size)

@@ -71,7 +71,7 @@ class Fitted:
     @property
     def residuals(self) -> list[Floats]:
         """Residuals (k,) of each stretch [counts]."""
-        return [block.e for block in self.problem.linearise(self.solution.q, self.solution.starts)]
+        return self.problem.residuals(self.solution.q, self.solution.starts)
 
 
 def fit(problem: FitProblem) -> Fitted:

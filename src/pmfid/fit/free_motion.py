@@ -167,4 +167,4 @@ def simulate_from_rest(equation: Equation, theta: Floats, u: Floats, dt: float |
     steps = np.array(np.broadcast_to(dt, u.shape), np.float64)
     drive = Excitation(steps, np.ascontiguousarray(u * equation.input_gain), row, np.zeros((0, u.size)))
     masses = {"elastic": machine.elastic, "load": machine.load}
-    return simulate(drive, machine.forces, machine.body(theta), PARTS, slopes=False, **masses)[0]
+    return simulate(drive, machine.forces, machine.body(theta), PARTS, **masses)[0]

@@ -207,15 +207,16 @@ def simulate(
     forces: Sequence[BodyForce],
     body: Floats,
     parts: int,
-    slopes: bool = True,
+    lift: Floats | None = None,
     elastic: bool = False,
     load: bool = False,
 ) -> tuple[Floats, Floats, Floats]:
-    """Return positions (k,), velocities (k,) and derivatives (k, w) of the positions by the body's parameters (w,).
+    """Return positions (k,), velocities (k,) and derivatives (k, p) of the positions by coordinates, of which `lift`
+    (w, p) has the derivatives of the body's parameters (w,). There are none without it.
 
     The positions are infinite after an overflow.
     """
     packed = [force.pack() for force in forces]
     inputs = (packed, drive.step, drive.u, drive.row, drive.columns, np.ascontiguousarray(body))
-    y, v, S, _ = run(*inputs, parts, slopes, drive.tick, drive.on, elastic, load)
+    y, v, S, _ = run(*inputs, parts, lift, drive.tick, drive.on, elastic, load)
     return y, v, S

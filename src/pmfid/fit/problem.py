@@ -274,6 +274,17 @@ class FitProblem:
             return [self._read(*block, one, q) for block, one in zip(blocks, self.stretches, strict=True)]
         return [block for block, _ in blocks]
 
+    def residuals(self, q: Floats, starts: Floats) -> list[Floats]:
+        """Return the residuals (k,) of each stretch [counts], in less time than with their derivatives."""
+        if any(one.reads for one in self.candidates):
+            return [block.e for block in self.linearise(q, starts)]
+        motion = zip(self.motion(q, starts), self.stretches, strict=True)
+        return [self._errors_of(y, stretch) for (y, _), stretch in motion]
+
+    def _errors_of(self, y: Floats, stretch: ObservedStretch) -> Floats:
+        """Return finite residuals (k,) of positions y (k,) [counts]."""
+        return np.clip(np.nan_to_num((y - stretch.y) / self.resolution, nan=FAR), -FAR, FAR)
+
     def _read(self, block: ResidualBlock, v: Floats, stretch: ObservedStretch, q: Floats) -> ResidualBlock:
         """Return a block with the errors of the encoder, which depend on the position, and the lateness of edges."""
         y = block.e * self.resolution + stretch.y
@@ -305,7 +316,7 @@ class FitProblem:
             body, forces, _ = self._body(q, stretch.acts)
             at = self._start_body(stretch, state, scale, body)
             m = self.machine
-            motion = simulate(stretch.drive, forces, at, self.parts, slopes=False, elastic=m.elastic, load=m.load)
+            motion = simulate(stretch.drive, forces, at, self.parts, elastic=m.elastic, load=m.load)
             found.append(motion[:2])
         return found
 
@@ -370,13 +381,13 @@ class FitProblem:
             far = ResidualBlock(np.full(rows, FAR), np.zeros((rows, lift.shape[1])), np.zeros((rows, state.size)))
             return far, np.zeros(rows)
         m = self.machine
-        y, v, S = simulate(stretch.drive, forces, at, self.parts, elastic=m.elastic, load=m.load)
-        e, J = (y - stretch.y) / self.resolution, S @ (lift / self.resolution)
-        K = S[:, list(self.machine.starts)] * np.resize([1.0, scale], state.size)
-        if not (np.isfinite(e.sum()) and np.isfinite(J.sum()) and np.isfinite(K.sum()) and np.isfinite(v.sum())):
-            e = np.nan_to_num(e, nan=FAR, posinf=FAR, neginf=-FAR)
-            J, K, v = np.nan_to_num(J), np.nan_to_num(K), np.nan_to_num(v)
-        return ResidualBlock(np.clip(e, -FAR, FAR), J, K), v
+        by_start = np.zeros((at.size, state.size))
+        by_start[list(m.starts), range(state.size)] = np.resize([1.0, scale], state.size)
+        lift = np.hstack([lift / self.resolution, by_start])
+        y, v, S = simulate(stretch.drive, forces, at, self.parts, lift, m.elastic, m.load)
+        if not (np.isfinite(S.sum()) and np.isfinite(v.sum())):
+            S, v = np.nan_to_num(S), np.nan_to_num(v)
+        return ResidualBlock(self._errors_of(y, stretch), S[:, : self.size], S[:, self.size :]), v
 
 
 def _first_speed(stretch: ObservedStretch, resolution: float) -> float:

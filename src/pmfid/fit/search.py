@@ -136,12 +136,11 @@ class FitSearch:
         logs = solution.q[start.machine.logs[:2]]  # of each mass
         if machine.elastic:
             self.first = start.machine.body(self.first)
-            self.begin[[one is start.stretches[0] for one in problem.stretches]] = solution.starts[0]
+        self.begin[[one is start.stretches[0] for one in problem.stretches]] = solution.starts[0]
         bounds = (float(np.min(logs)) - FAR, float(np.max(logs)) + FAR)
         self.plain = replace(self.plain, mass=bounds, rate=start.rate)
         self.chosen: list[int] = []
         self.restart(self.chosen)
-        self.solution: Optimum | None = None
 
     @property
     def count(self) -> int:
@@ -213,7 +212,7 @@ class FitSearch:
 
     def solve(self, likelihood: Likelihood, steps: int = 30) -> Optimum:
         optimum = solve(self.problem, likelihood, self.q, self.starts, self.prior(self.problem), steps, GAIN)
-        self.q, self.starts, self.solution = optimum.q, optimum.starts, optimum
+        self.q, self.starts = optimum.q, optimum.starts
         return optimum
 
     def approach(self, steps: int) -> float:
@@ -349,7 +348,7 @@ class FitSearch:
 
 
 def errors_of(search: FitSearch) -> list[Floats]:
-    return [block.e for block in search.problem.linearise(search.q, search.starts)]
+    return search.problem.residuals(search.q, search.starts)
 
 
 def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:

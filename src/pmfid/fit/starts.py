@@ -52,9 +52,10 @@ def blind_start(stretches: tuple[ObservedStretch, ...], resolution: float, turn:
     if longest < 2 * len(body.names):
         raise NotIdentifiableError(f"no part of the record has more than {longest} samples in a row; {MOVE}")
     stretch = max(stretches, key=lambda one: float(np.sum(np.abs(np.diff(one.y)))))
-    windows = list(_windows(stretch, resolution))
-    problem = FitProblem(body, (windows[0],), resolution)
-    force = float(np.sqrt(np.mean(windows[0].drive.u ** 2)))
+    windows = _windows(stretch, resolution)
+    first = next(windows)
+    problem = FitProblem(body, (first,), resolution)
+    force = float(np.sqrt(np.mean(first.drive.u**2)))
     if not force > 0:
         raise NotIdentifiableError(f"the input is zero while the axis moves; {MOVE}")
     travel = max(float(np.ptp(stretch.y)) / 2, resolution)
@@ -68,16 +69,16 @@ def blind_start(stretches: tuple[ObservedStretch, ...], resolution: float, turn:
             *[1 / (0.5 * force) ** 2] * (2 * (turn > 0)),
         ]
     )
-    guesses = list(_guesses(windows[0], force, 2 * (turn > 0)))
+    guesses = list(_guesses(first, force, 2 * (turn > 0)))
     middle = math.log(float(np.median([guess[0] for guess in guesses])))
     problem = replace(problem, mass=(middle - FAR, middle + FAR))
     best: Optimum | None = None
     for guess in guesses:
-        tried = solve(problem, soften((windows[0],)), problem.start(guess), problem.first_starts(), prior, 25, 0.1)
+        tried = solve(problem, soften((first,)), problem.start(guess), problem.first_starts(), prior, 25, 0.1)
         if best is None or tried.cost < best.cost:
             best = tried
     assert best is not None
-    for window in windows[1:]:
+    for window in windows:
         starts = best.starts if window.first == problem.stretches[0].first else None
         problem = replace(problem, stretches=(window,))
         starts = problem.first_starts() if starts is None else starts
