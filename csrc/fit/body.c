@@ -29,16 +29,23 @@ static phi phi_of(double z)
     return f;
 }
 
+/* First moment of a force about its mean in a part of an interval, with its derivatives by delay and lag. */
+typedef struct {
+    double value, by_delay, by_lag;
+} moment;
+
 typedef struct {
     const pmf_body *b;
     const double *theta, *size; /* parameters, and sizes of the forces among them */
     double *p; /* (forces) constants, from the parameters if free */
     int w, late; /* number of derivatives; index of the present input */
-    double z; /* argument of `f`, which most parts share */
-    phi f;
+    double z[2]; /* arguments of `f`, which most parts and halves share */
+    phi f[2];
+    int last; /* place of the last argument */
     double x, v, g; /* position, velocity, force of the input after its lag */
     double g_delay, g_lag; /* derivatives of g */
-    double m1, m1_delay, m1_lag; /* first moment of the input's force about its mean in a part, with derivatives */
+    moment m1; /* of the input's force */
+    double gx, gv; /* slopes of the forces by position and velocity at the last net force */
     double *dx, *dv; /* (w) derivatives */
     double *dn, *mx, *mv; /* (w) derivatives of the force; of the state in the middle of a part */
     const double *loop; /* parameters of the controller */
@@ -319,42 +326,51 @@ static double net_force(state *t, double x, double v, double s, double drive, in
     if (gx != 0 || gv != 0)
         for (int k = 0; k < t->w; k++)
             dn[k] -= gx * dx[k] + gv * dv[k];
+    t->gx = gx, t->gv = gv;
     dn[PMF_BODY_COULOMB] -= s;
     dn[PMF_BODY_OFFSET] -= 1;
     return t->loaded ? net - load_friction(t, v, s, motor, load, dv) : net;
 }
 
+static phi recall(state *t, double z)
+{
+    if (z == t->z[t->last])
+        return t->f[t->last];
+    t->last = !t->last;
+    if (z != t->z[t->last])
+        t->z[t->last] = z, t->f[t->last] = phi_of(z);
+    return t->f[t->last];
+}
+
 /* Move for h seconds from the state at a net force with a first moment about its mean, which keeps the momentum; the
  * new state goes to (*x, *v, dx, dv). */
-static void advance(state *t, double net, double moment, double s, double h, double *x, double *v, double *dx,
-                    double *dv)
+static void advance(state *t, double net, moment m1, double s, double h, double *x, double *v, double *dx, double *dv)
 {
     const double m = t->theta[PMF_BODY_MASS], d = t->theta[PMF_BODY_VISCOUS] + s * t->theta[PMF_BODY_DIRECTIONAL];
     const double a = net / m, z = d * h / m, v0 = t->v;
-    const phi f = z == t->z ? t->f : phi_of(z);
+    const phi f = recall(t, z);
     const double hp = h * f.p1, mp = hp / m, mq = h * h * f.p2 / m;
     const double vm = (1 - f.e) / (m * h), xm = -f.p1 / m;
-    const double vz = -v0 * f.e + a * h * f.q1 + moment / (m * h) * f.e;
-    const double xz = v0 * h * f.q1 + a * h * h * f.q2 - moment / m * f.q1;
+    const double vz = -v0 * f.e + a * h * f.q1 + m1.value / (m * h) * f.e;
+    const double xz = v0 * h * f.q1 + a * h * h * f.q2 - m1.value / m * f.q1;
     const double *dn = t->dn, *sx = t->dx, *sv = t->dv;
     for (int k = 0; k < t->w; k++) {
         double old = sv[k];
         dx[k] = sx[k] + old * hp + dn[k] * mq;
         dv[k] = old * f.e + dn[k] * mp;
     }
-    dx[PMF_BODY_MASS] -= a * mq + (moment * xm + xz * z) / m;
-    dv[PMF_BODY_MASS] -= a * mp + (moment * vm + vz * z) / m;
+    dx[PMF_BODY_MASS] -= a * mq + (m1.value * xm + xz * z) / m;
+    dv[PMF_BODY_MASS] -= a * mp + (m1.value * vm + vz * z) / m;
     dx[PMF_BODY_VISCOUS] += xz * h / m;
     dv[PMF_BODY_VISCOUS] += vz * h / m;
     dx[PMF_BODY_DIRECTIONAL] += xz * s * h / m;
     dv[PMF_BODY_DIRECTIONAL] += vz * s * h / m;
-    if (moment != 0) {
-        dx[PMF_BODY_DELAY] += t->m1_delay * xm, dx[PMF_BODY_LAG] += t->m1_lag * xm;
-        dv[PMF_BODY_DELAY] += t->m1_delay * vm, dv[PMF_BODY_LAG] += t->m1_lag * vm;
+    if (m1.value != 0) {
+        dx[PMF_BODY_DELAY] += m1.by_delay * xm, dx[PMF_BODY_LAG] += m1.by_lag * xm;
+        dv[PMF_BODY_DELAY] += m1.by_delay * vm, dv[PMF_BODY_LAG] += m1.by_lag * vm;
     }
-    *x = t->x + v0 * hp + net * mq + moment * xm;
-    *v = v0 * f.e + net * mp + moment * vm;
-    t->z = z, t->f = f;
+    *x = t->x + v0 * hp + net * mq + m1.value * xm;
+    *v = v0 * f.e + net * mp + m1.value * vm;
 }
 
 /* Time until the velocity is zero under a net force against the motion. */
@@ -365,6 +381,35 @@ static double time_to_stop(const state *t, double net, double s)
     if (w <= -1)
         return HUGE_VAL;
     return -t->v * m / net * (fabs(w) < 1e-4 ? 1 - w / 2 + w * w / 3 : log1p(w) / w);
+}
+
+static const moment NONE = {0, 0, 0};
+
+/* Move for h seconds without a stop, with forces that are a quadratic of time: its value `net` and slope are those at
+ * the start, and the third number is the force in the middle. The derivatives take the force in the middle alone.
+ * Returns 0, and leaves the state, if the mass stops. */
+static int move_on(state *t, int i, double s, double net, double drive, double g_delay, double g_lag, double h)
+{
+    const double d = t->theta[PMF_BODY_VISCOUS] + s * t->theta[PMF_BODY_DIRECTIONAL], half = h / 2;
+    const double rise = 12 * t->m1.value / (h * h * h), begin = net - rise * half; /* the input rises through its mean */
+    const double slope = -(t->gx * t->v + t->gv * (begin - d * t->v) / t->theta[PMF_BODY_MASS]);
+    moment m1 = {(rise + slope) * half * half * half / 12, 0, 0};
+    double x, v, middle;
+    advance(t, begin + (rise + slope) * half / 2, m1, s, half, &x, &v, t->mx, t->mv);
+    if (s * v <= 0)
+        return 0;
+    middle = net_force(t, x, v, s, drive, i, t->mx, t->mv);
+    t->dn[PMF_BODY_DELAY] += g_delay;
+    t->dn[PMF_BODY_LAG] += g_lag;
+    m1 = t->m1;
+    m1.value += h * h * ((middle - net) / 3 - h * slope / 12);
+    advance(t, (4 * middle - net) / 3 - h * slope / 6, m1, s, h, &x, &v, t->mx, t->mv);
+    if (s * v <= 0)
+        return 0;
+    t->x = x, t->v = v;
+    swap(&t->dx, &t->mx);
+    swap(&t->dv, &t->mv);
+    return 1;
 }
 
 /* Move for `left` seconds in sample i. The input is g, with derivatives by delay and lag. */
@@ -381,6 +426,11 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
         if (t->loop)
             loop_force(t, t->x, t->v, g, g_delay, g_lag, t->dx, t->dv, t->s, t->ds);
         net = net_force(t, t->x, t->v, s, drive, i, t->dx, t->dv);
+        if (t->b->forces && !t->loop && turn == 0) {
+            if (move_on(t, i, s, net, drive, g_delay, g_lag, left))
+                return;
+            net = net_force(t, t->x, t->v, s, drive, i, t->dx, t->dv);
+        }
         if (t->b->forces || t->loop) { /* forces in the middle of the part */
             double half = left / 2;
             if (s * net < 0 && t->v != 0) {
@@ -388,7 +438,7 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
                 if (stop < left)
                     half = stop / 2;
             }
-            advance(t, net, 0, s, half, &x, &v, t->mx, t->mv);
+            advance(t, net, NONE, s, half, &x, &v, t->mx, t->mv);
             if (s * v < 0)
                 v = 0;
             if (t->loop) {
@@ -412,14 +462,14 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             return;
         }
         if (t->loop) {
-            advance(t, net, 0, s, step, &x, &v, t->mx, t->mv);
+            advance(t, net, NONE, s, step, &x, &v, t->mx, t->mv);
             carry_memories(t, step, g, g_delay, g_lag, t->x, t->v, t->dx, t->dv, x, stops ? 0 : v, t->mx, t->mv);
             swap(&t->s, &t->ms);
             swap(&t->ds, &t->dms);
             swap(&t->dx, &t->mx);
             swap(&t->dv, &t->mv);
         } else
-            advance(t, net, turn || stops ? 0 : t->m1, s, step, &x, &v, t->dx, t->dv);
+            advance(t, net, turn || stops ? NONE : t->m1, s, step, &x, &v, t->dx, t->dv);
         t->x = x;
         t->v = v;
         left -= step;
@@ -459,11 +509,11 @@ static void move_lagging(state *t, int i, double u, double h)
 {
     const double lag = t->theta[PMF_BODY_LAG], z = h / lag, away = t->g - u;
     const phi f = phi_of(z);
-    const double moment = h * h * (f.p1 / 2 - f.p2);
+    const double arm = h * h * (f.p1 / 2 - f.p2);
     if (!t->loop) {
-        t->m1 = away * moment;
-        t->m1_delay = t->g_delay * moment;
-        t->m1_lag = t->g_lag * moment - away * h * h * (f.q1 / 2 - f.q2) * z / lag;
+        t->m1.value = away * arm;
+        t->m1.by_delay = t->g_delay * arm;
+        t->m1.by_lag = t->g_lag * arm - away * h * h * (f.q1 / 2 - f.q2) * z / lag;
     }
     move(t, i, u + away * f.p1, t->g_delay * f.p1, t->g_lag * f.p1 - away * f.q1 * z / lag, h);
     t->g = u + away * f.e;
@@ -526,7 +576,7 @@ int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, d
     const int w = S ? full : 0; /* without derivatives, only the few that have a name are written */
     double wait = b->step[0] + theta[PMF_BODY_DELAY];
     state t = {0};
-    t.z = NAN;
+    t.z[0] = t.z[1] = NAN;
     t.b = b, t.theta = theta, t.size = theta + PMF_BODY_BASE, t.w = w;
     t.x = theta[PMF_BODY_X0], t.v = theta[PMF_BODY_V0], t.g = b->u[0];
     memset(work, 0, pmf_body_work(b) * sizeof *work);
