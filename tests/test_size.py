@@ -13,14 +13,14 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 67223,
-    "lines of code in src": 39490,
+    "lines of src": 67248,
+    "lines of code in src": 39496,
     "lines of code in report and cli": 3421,
     "thresholds in src": 1037,
-    "lines of csrc": 8673,
+    "lines of csrc": 8735,
     "defines of csrc": 196,
     "conditionals of csrc": 108,
-    "lines of tests": 28348,
+    "lines of tests": 28349,
     "match= in tests": 25,
     "lines of studies": 8090,
 }

@@ -391,7 +391,8 @@ static const moment NONE = {0, 0, 0};
 static int move_on(state *t, int i, double s, double net, double drive, double g_delay, double g_lag, double h)
 {
     const double d = t->theta[PMF_BODY_VISCOUS] + s * t->theta[PMF_BODY_DIRECTIONAL], half = h / 2;
-    const double rise = 12 * t->m1.value / (h * h * h), begin = net - rise * half; /* the input rises through its mean */
+    const double rise = 12 * t->m1.value / (h * h * h),
+                 begin = net - rise * half; /* the input rises through its mean */
     const double slope = -(t->gx * t->v + t->gv * (begin - d * t->v) / t->theta[PMF_BODY_MASS]);
     moment m1 = {(rise + slope) * half * half * half / 12, 0, 0};
     double x, v, middle;
