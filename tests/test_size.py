@@ -17,7 +17,7 @@ MOST = {
     "lines of code in src": 39496,
     "lines of code in report and cli": 3421,
     "thresholds in src": 1037,
-    "lines of csrc": 8735,
+    "lines of csrc": 8736,
     "defines of csrc": 196,
     "conditionals of csrc": 108,
     "lines of tests": 28349,
