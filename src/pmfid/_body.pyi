@@ -14,7 +14,7 @@ def run(
     columns: NDArray[np.float64],
     theta: NDArray[np.float64],
     parts: int,
-    slopes: bool,
+    lift: NDArray[np.float64] | None,
     tick: float = 0.0,
     on: NDArray[np.float64] | None = None,
     elastic: bool = False,

@@ -166,5 +166,5 @@ def simulate_from_rest(equation: Equation, theta: Floats, u: Floats, dt: float |
     machine, row = machine_of(equation), np.arange(u.size + 1, dtype=np.int32)
     steps = np.array(np.broadcast_to(dt, u.shape), np.float64)
     drive = Excitation(steps, np.ascontiguousarray(u * equation.input_gain), row, np.zeros((0, u.size)))
-    masses = {"elastic": machine.elastic, "load": machine.load}
-    return simulate(drive, machine.forces, machine.body(theta), PARTS, **masses)[0]
+    body = machine.body(theta)
+    return simulate(drive, machine.forces, body, PARTS, elastic=machine.elastic, load=machine.load)[0]
