@@ -27,7 +27,7 @@ THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 @cache
 def monitor() -> Monitor:
     """Return a monitor with unreachable thresholds: a false alarm would lead its axis through `Monitor.run`."""
-    calibration = calibrate(make_riv(INCREMENTS), THETA, *normal_work(7, INCREMENTS, 0.2), hours=4.0)
+    calibration = calibrate(make_riv(INCREMENTS), THETA, *normal_work(7, INCREMENTS, 0.2))
     return Monitor(make_riv(INCREMENTS, THETA), calibration, Watch(mtbf_hours=1e5))
 
 

@@ -60,7 +60,7 @@ def run_blocks(page: str, folder: Path, names: dict[str, Any] | None = None) -> 
 def run_commands(code: str, folder: Path) -> str:
     """Run shell commands in `folder`, and return their output. Raises RuntimeError if one fails."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ.get("PATH", "")])
-    environment = os.environ | {"PATH": path, "COLUMNS": str(COLUMNS), "PMFID_CACHE": str(folder / "cache")}
+    environment = os.environ | {"PATH": path, "COLUMNS": str(COLUMNS)}
     ended = subprocess.run(
         ["sh", "-e", "-c", code], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )

@@ -47,7 +47,7 @@ LEAST, MOST = 0.05, 0.6
 #: Times in moves: length of the calibration record, earliest change and its variation, and time after the change.
 REFERENCE, BEFORE, VARIED, AFTER = 400, 40, 3, 60
 #: Memory of the estimator in moves, simulated hours of the calibration, and increments per turn on the benches.
-MEMORY, HOURS, INCREMENTS = 1.5, 1.0, 1024
+MEMORY, INCREMENTS = 1.5, 1024
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Watched:
         u, counts = self.record(Schedule(((0.0, self.drive),)), REFERENCE, np.random.default_rng(7))
         estimator = self.estimator()
         assert estimator.initial is not None
-        return calibrate(estimator, np.array(list(estimator.initial.values())), u, counts, hours=HOURS)
+        return calibrate(estimator, np.array(list(estimator.initial.values())), u, counts)
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,6 @@ settings.register_profile("patient", deadline=None, suppress_health_check=[Healt
 settings.load_profile("patient")
 
 #: Hours of simulated normal work: enough for thresholds on which no test relies.
-HOURS = 0.5
 EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
 needs_emps = pytest.mark.skipif(not EMPS.exists(), reason="the EMPS record is not on this machine")
 
@@ -123,16 +122,7 @@ def plant_place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-@pytest.fixture(scope="module")
-def plant_folder(plant_place: Path) -> Iterator[Path]:
-    """Return the folder of the axis with short calibrations, which a file of tests shares."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PMFID_CACHE", str(plant_place / "cache"))
-        patch.setattr("pmfid.pipeline.monitored.setup.HOURS", HOURS)
-        yield plant_place
-
-
-@pytest.fixture(scope="module")
-def prepared(plant_folder: Path) -> Prepared:
+@pytest.fixture(scope="session")
+def prepared(plant_place: Path) -> Prepared:
     """Return the calibrated axis of axis.toml."""
-    return prepare(plant_folder / "axis.toml")
+    return prepare(plant_place / "axis.toml")

@@ -51,7 +51,7 @@ def _monitor() -> Monitor:
         forgetting=0.99,
         initial=dict(zip(("mass", "viscous_friction", "coulomb_friction"), THETA.tolist(), strict=True)),
     )
-    monitor = Monitor(riv, calibrate(riv, THETA, RUN.u, None, hours=0.05), Watch(mtbf_hours=1.0))
+    monitor = Monitor(riv, calibrate(riv, THETA, RUN.u, None), Watch(mtbf_hours=1.0))
     for u, count in zip(RUN.u[:600].tolist(), RUN.counts[:600].tolist(), strict=True):
         monitor.step(u, count)
     return monitor

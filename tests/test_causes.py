@@ -81,7 +81,7 @@ def test_the_likelihood_is_that_of_a_gaussian_prior() -> None:
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     u, counts = normal_work(7, INCREMENTS, 0.1)
-    return calibrate(make_riv(INCREMENTS), THETA, u, counts, hours=1.0)
+    return calibrate(make_riv(INCREMENTS), THETA, u, counts)
 
 
 def alarm_after(calibration: Calibration, seed: int, scale: float = 1.0, **factors: float) -> Alarm:

@@ -211,7 +211,7 @@ def test_a_slipping_belt_is_followed(name: str, near: float, ramp: float) -> Non
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
-    return calibrate(make_riv(1024), theta, normal_work(7, 1024, 0.05)[0], None, hours=1.0)
+    return calibrate(make_riv(1024), theta, normal_work(7, 1024, 0.05)[0], None)
 
 
 def test_the_monitor_names_the_gain_and_keeps_the_mass(calibration: Calibration) -> None:

@@ -301,7 +301,7 @@ def test_off_line_they_are_left_out_as_well(cls: Any, kind: str) -> None:
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     u, counts = normal_work(7, 1024, 0.2)
-    return calibrate(make_riv(1024), TRUTH, u, counts, hours=4.0)
+    return calibrate(make_riv(1024), TRUTH, u, counts)
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -10,6 +10,7 @@ import pytest
 
 from pmfid import BCRLS, IV, RIV, RLS, Drive, Encoder, Status
 from pmfid.monitor.calibration import Calibration, calibrate
+from pmfid.monitor.chance import Chance
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, WATCHING, Alarm, Settled, StateChange, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import scores
@@ -25,7 +26,7 @@ INCREMENTS = 1024
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     u, counts = normal_work(7, INCREMENTS, 0.2)
-    return calibrate(make_riv(INCREMENTS), THETA, u, counts, hours=4.0)
+    return calibrate(make_riv(INCREMENTS), THETA, u, counts)
 
 
 def front(increments: int = INCREMENTS) -> IV:
@@ -48,15 +49,28 @@ def test_scores_are_the_information_times_the_deviation() -> None:
 # --- the detector -----------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("rate", [1e-3, 1e-4])
+def test_the_threshold_follows_from_the_formula(rate: float) -> None:
+    """The formula gives the rate of false alarms of independent normal units with equal information."""
+    lengths = (1, 2, 4, 8, 16, 32)
+    ones = np.ones((len(lengths), 3))
+    chance = Chance(3600.0, lengths, ones, 0.0 * ones, np.array(lengths)[:, None, None] * ones[:, None])
+    threshold = chance.threshold(1 / rate)
+    assert chance.rate(threshold) == pytest.approx(rate, rel=1e-4)
+    x = np.random.default_rng(1).standard_normal((100, round(2 / rate), 3))
+    alarms = count_alarms(x, np.ones_like(x), threshold, 40)
+    assert alarms == pytest.approx(x[..., 0].size * rate, rel=0.25)
+
+
 @pytest.mark.long
 def test_alarms_are_as_rare_as_asked() -> None:
     """This is a small form of the study: one false alarm in a quarter of an hour, over nine hours under control."""
     u, counts = normal_work(7, INCREMENTS, 0.5)
     riv = make_riv(INCREMENTS)
-    found = calibrate(riv, THETA, u, counts, hours=10.0)
+    found = calibrate(riv, THETA, u, counts)
     pairs = [found.scale.standardise(scores(riv, THETA, *normal_work(seed, INCREMENTS, 0.5))) for seed in range(30, 48)]
     x, w = np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
-    assert 18 <= count_alarms(x, w, found.tail.threshold(0.25), 88) <= 72
+    assert 18 <= count_alarms(x, w, found.chance.threshold(0.25), 88) <= 72
     low, high = poisson_interval(36, 9.0)
     assert low < 0.25 < high
 

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -24,19 +24,16 @@ from pmfid.simulation import CART_DT
 from studies.monitoring.pipe import lines, write_axis
 from tests.patience import PATIENCE
 
-#: A calibration of half an hour is enough here.
-START = "import pmfid.pipeline.monitored.setup as m; m.HOURS = 0.5; from pmfid.cli.main import main; main()"
+#: The command in a process of its own.
+START = "from pmfid.cli.main import main; main()"
 N = 400
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("files")
     write_axis(place, 60.0)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PMFID_CACHE", str(place / "cache"))
-        patch.setattr("pmfid.pipeline.monitored.setup.HOURS", 0.5)
-        yield place
+    return place
 
 
 def watch(folder: Path, *arguments: str) -> Any:

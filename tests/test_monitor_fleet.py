@@ -15,7 +15,8 @@ from pmfid.estimators.configuration import like
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.kernel.saved import seal_parts
 from pmfid.monitor import Alarm, Monitor, MonitorFleet, Watch
-from pmfid.monitor.calibration import Calibration, NormalWork, Tail
+from pmfid.monitor.calibration import Calibration, NormalWork
+from pmfid.monitor.chance import Chance
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Settled
 from pmfid.monitor.scores import make_scale, scores
 from pmfid.simulation import CART, CART_DT, Schedule, resolution_of
@@ -25,7 +26,8 @@ from tests.conftest import long_unless
 
 AXES = 4
 SECONDS = 25.0
-TAIL = Tail(12.0, 0.0, 1.0, 1.0, ())
+#: A threshold of 12.7 for 24 h.
+CHANCE = Chance(1.0, (1, 32), np.ones((2, 1)), np.zeros((2, 1)), np.full((2, 1, 1), 1e6))
 Report = list[tuple[Any, ...]]
 
 
@@ -51,11 +53,14 @@ def calibrated(of: RecursiveEstimator, normal: tuple[Floats, Counts]) -> Calibra
     theta = reference(of)
     front = like(IV, of, prefilter_zeros=None)
     blocks = scores(front, theta, *normal)[20:]
-    return Calibration(theta, make_scale(blocks), TAIL, np.ones(theta.size), 1.0)
+    scale = make_scale(blocks)
+    work = NormalWork(0.0, np.zeros(theta.size), scale, np.full(theta.size, np.inf), np.zeros(theta.size))
+    return Calibration(theta, scale, work, CHANCE, np.ones(theta.size))
 
 
 def with_work(calibration: Calibration) -> Calibration:
-    work = NormalWork(4.0, 1e-3 * calibration.theta, calibration.scale, np.full(calibration.theta.size, 3.0))
+    scale = calibration.scale
+    work = NormalWork(4.0, 1e-3 * calibration.theta, scale, np.full(calibration.theta.size, 3.0), scale.sigma)
     return replace(calibration, work=work)
 
 

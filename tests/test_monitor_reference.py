@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,6 @@ from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.events import Alarm, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import scores
-from pmfid.pipeline.monitored.setup import cached_calibration
 from pmfid.simulation import (
     CART,
     CART_CONTROL,
@@ -51,7 +49,7 @@ def test_false_alarms_of_another_machine(name: str) -> None:
     machine, riv = MACHINES[name], make_riv(INCREMENTS)
     u, counts = normal(machine, 1, 0.4)
     theta = IV(riv.model, riv.encoder, CART_DT, 50.0).fit(u, counts).theta
-    found, simulated = calibrate(riv, theta, u, counts, hours=4.0), calibrate(riv, theta, u, None, hours=2.0)
+    found, simulated = calibrate(riv, theta, u, counts), calibrate(riv, theta, u, None)
     assert found.record_hours == pytest.approx(0.4, abs=0.01)
     work = normal(machine, 2, 2.0)
     assert alarms_of(found, found.deviations(scores(riv, theta, *work, found.left_out)[4:])) <= 5
@@ -62,20 +60,16 @@ def test_false_alarms_of_another_machine(name: str) -> None:
 def alarms_of(calibration: Calibration, pair: Any) -> int:
     hold = round(HOLD * len(pair[0]) / 7200)
     x, w = (part[: len(part) // 24 * 24].reshape(24, -1, 3) for part in pair)
-    return count_alarms(x, w, calibration.tail.threshold(1.0), hold)
+    return count_alarms(x, w, calibration.chance.threshold(1.0), hold)
 
 
 @pytest.mark.parametrize("name", MACHINES)
-def test_friction_that_grows_is_named(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_friction_that_grows_is_named(name: str) -> None:
     """All friction grows by a fifth: with much Coulomb friction this was once reported as a loss of force."""
     machine, riv = MACHINES[name], make_riv(INCREMENTS)
     u, counts = normal(machine, 1, 0.25)
     theta = IV(riv.model, riv.encoder, CART_DT, 50.0).fit(u, counts).theta
-    monkeypatch.setenv("PMFID_CACHE", str(tmp_path))
-    made, *_ = cached_calibration(riv, theta, u, counts, 1.0)
-    found, _, was_there = cached_calibration(riv, theta, u, counts, 1.0)
-    assert was_there
-    assert found.tail == made.tail
+    found = calibrate(riv, theta, u, counts)
     monitor = Monitor(make_riv(INCREMENTS, theta), found, Watch())
     worn = replace(
         machine,
@@ -96,9 +90,9 @@ def test_friction_that_grows_is_named(name: str, tmp_path: Path, monkeypatch: py
 def test_the_right_machine_keeps_its_thresholds() -> None:
     u, counts = normal(Machine(CART), 3, 0.2)
     riv, theta = make_riv(INCREMENTS), np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
-    found, plain = calibrate(riv, theta, u, counts, hours=2.0), calibrate(riv, theta, u, None, hours=2.0)
+    found, plain = calibrate(riv, theta, u, counts), calibrate(riv, theta, u, None)
     assert found.record_hours == 0
-    assert found.tail == plain.tail
+    assert found.chance.threshold(24.0) == plain.chance.threshold(24.0)
 
 
 # --- thresholds of known sequences ------------------------------------------------------------------------------------

@@ -8,7 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,27 +25,21 @@ from tests.patience import PATIENCE
 from tests.processes import run_process
 
 CHANGE = 15.0
-#: Hours of a calibration that is enough here, also for the command in its own process.
-HOURS = 4.0
-START = f"import pmfid.pipeline.monitored.setup as m; m.HOURS = {HOURS}; from pmfid.cli.main import main; main()"
+#: The command in a process of its own.
+START = "from pmfid.cli.main import main; main()"
 SKIPPED = ("bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps")
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """Write axis.toml, its reference, and run.csv, in which the mass grows by a fifth; all tests share one
-    calibration.
-    """
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Write axis.toml, its reference, and run.csv, in which the mass grows by a fifth."""
     place = tmp_path_factory.mktemp("monitor")
     write_axis(place, 300.0)
     heavier = Schedule(((0.0, CART), (CHANGE, replace(CART, mass=1.2 * CART.mass))))
     u, counts = changing(heavier, 5, INCREMENTS, 40.0)
     rows = (f"{k * CART_DT:.2f},{a!r},{b}" for k, (a, b) in enumerate(zip(u.tolist(), counts.tolist(), strict=True)))
     (place / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PMFID_CACHE", str(place / "cache"))
-        patch.setattr("pmfid.pipeline.monitored.setup.HOURS", HOURS)
-        yield place
+    return place
 
 
 def invoke(folder: Path, *arguments: str, stdin: bytes | None = None, code: int = 0) -> str:
@@ -100,17 +93,6 @@ def test_a_record_with_a_heavier_load(folder: Path, read: str) -> None:
     assert "mathdefault" not in page  # formulas are not typeset, because units may contain a $
     assert "<svg" in page
     assert not re.search(r"(src|href)=\"http", page)
-
-
-@pytest.mark.usefixtures("read")
-def test_the_calibration_is_made_once(folder: Path) -> None:
-    (start,) = events(invoke(folder, "--json", "--set", "monitor.tolerance=0.5", stdin=TWO_LINES), "start")
-    assert start["cached"] is True
-    path = Path(start["calibration"])
-    assert path.parent == folder / "cache"
-    path.write_text(path.read_text()[:100])  # a broken file is made again
-    (start,) = events(invoke(folder, "--json", stdin=TWO_LINES), "start")
-    assert start["cached"] is False
 
 
 # --- a pipe -----------------------------------------------------------------------------------------------------------

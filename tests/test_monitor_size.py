@@ -22,7 +22,7 @@ INCREMENTS, SEEDS = 512, 12
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     u, _ = normal_work(7, INCREMENTS, 0.05)
-    return calibrate(make_riv(INCREMENTS), THETA, u, None, hours=2.0)
+    return calibrate(make_riv(INCREMENTS), THETA, u, None)
 
 
 def first_alarm(calibration: Calibration, name: str, factor: float, seed: int) -> Alarm | None:

@@ -39,7 +39,7 @@ reference = "normal.csv"
 
 @pytest.fixture(scope="module")
 def monitor() -> Monitor:
-    return make_monitor(1, Watch(tolerance=0.01), minutes=15.0, hours=4.0)
+    return make_monitor(1, Watch(tolerance=0.01), minutes=15.0)
 
 
 def test_the_rate_of_friction_comes_from_the_reference(monitor: Monitor) -> None:
@@ -92,10 +92,8 @@ def test_samples_pieces_and_fleets_agree(monitor: Monitor) -> None:
     assert [repr(event) for axis, _, event in both.events if axis] == [repr(event) for *_, event in whole.events]
 
 
-def test_a_pipe_reads_the_temperature(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_pipe_reads_the_temperature(tmp_path: Path) -> None:
     """The command learns the rate from the reference, and a pipe names no change."""
-    monkeypatch.setenv("PMFID_CACHE", str(tmp_path))
-    monkeypatch.setattr("pmfid.pipeline.monitored.setup.HOURS", 2.0)
     (tmp_path / "normal.csv").write_text(as_csv(record(6, 10.0, 0.2)))
     (tmp_path / "axis.toml").write_text(AXIS)
     outcome = run_command(

@@ -46,7 +46,7 @@ def axis(tmp_path_factory: pytest.TempPathFactory) -> Axis:
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     u, _ = normal_work(7, INCREMENTS, 0.05)
-    return calibrate(make_riv(INCREMENTS), THETA, u, None, hours=1.0)
+    return calibrate(make_riv(INCREMENTS), THETA, u, None)
 
 
 @pytest.fixture(scope="module")

@@ -20,7 +20,7 @@ drive, encoder = pmfid.Drive(CART.input_gain), pmfid.Encoder(normal.resolution)
 nominal = {"mass": CART.mass, "viscous_friction": CART.viscous_friction, "coulomb_friction": CART.coulomb_friction}
 riv = pmfid.RIV(drive, encoder, normal.dt, cutoff=33.0, forgetting=0.995, initial=nominal)
 theta = np.array(list(nominal.values()))
-monitor = Monitor(riv, calibrate(riv, theta, normal.motion.u, None, hours=1.0), Watch(mtbf_hours=24.0, tolerance=0.02))
+monitor = Monitor(riv, calibrate(riv, theta, normal.motion.u, None), Watch(mtbf_hours=24.0, tolerance=0.02))
 
 mass, statistic = [], []
 for u, count in zip(today.motion.u.tolist(), today.counts.tolist(), strict=True):

@@ -11,7 +11,6 @@ from pmfid.encoder import Encoder
 from pmfid.estimators.iv import IV, RIV
 from pmfid.models.drive import Drive
 from pmfid.monitor.calibration import Calibration, calibrate
-from pmfid.monitor.tuning import TUNING
 from pmfid.simulation.drive import Schedule, position_control
 from pmfid.simulation.scenarios import CART, CART_CONTROL, CART_DT, resolution_of
 from pmfid.types import Counts, Floats
@@ -79,4 +78,4 @@ def calibration(increments: int) -> Calibration:
     u, counts = normal_work(REFERENCE_SEED, increments, REFERENCE_HOURS)
     riv = make_riv(increments)
     theta = IV(riv.model, riv.encoder, CART_DT, CUTOFF).fit(u, counts).theta
-    return calibrate(riv, theta, u, counts, hours=TUNING.calibration_hours)
+    return calibrate(riv, theta, u, counts)

@@ -63,14 +63,14 @@ def record(seed: int, minutes: float, day: float, loss: float = 0.0) -> Columns:
     return u, counts, hot
 
 
-def make_monitor(seed: int, watch: Watch, minutes: float = 40.0, hours: float = 12.0) -> Monitor:
+def make_monitor(seed: int, watch: Watch, minutes: float = 40.0) -> Monitor:
     """Return a monitor that learned from minutes of work during warm-ups and coolings."""
     u, counts, hot = record(seed, minutes, minutes / 80)
     riv = RIV(Drive(CART.input_gain), Encoder(RESOLUTION), DT, 50.0, forgetting=0.998)
     front = like(IV, riv, prefilter_zeros=None)
     _, theta = find_warmth(front, front.fit(u, counts).theta, u, counts, hot)
     riv = replace(riv, initial=dict(zip(riv.names, theta.tolist(), strict=True)))
-    return Monitor(riv, calibrate(riv, theta, u, counts, hours=hours, temperature=hot), watch)
+    return Monitor(riv, calibrate(riv, theta, u, counts, hot), watch)
 
 
 def run(monitor: Monitor, seed: int, hours: float, loss: float, sensed: bool = True) -> Iterator[tuple[float, Alarm]]:

@@ -8,7 +8,6 @@ The processes share one computer. Faults of disks need root.
 from __future__ import annotations
 
 import argparse
-import os
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -74,7 +73,6 @@ def main() -> None:
     options = parser.parse_args()
     found: list[Finding] = []
     with tempfile.TemporaryDirectory() as name:
-        os.environ.setdefault("PMFID_CACHE", str(Path(name) / "cache"))
         for part in options.only:
             for finding in PARTS[part](Path(name) / part):
                 found.append(finding)

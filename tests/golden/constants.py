@@ -25,7 +25,8 @@ from pmfid.kernel.structures import Structured
 from pmfid.models.drive import Drive
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.monitor import Monitor, Watch
-from pmfid.monitor.calibration import Calibration, Tail
+from pmfid.monitor.calibration import Calibration, NormalWork
+from pmfid.monitor.chance import Chance
 from pmfid.monitor.scores import Scale
 from pmfid.simulation import CART, CART_DT, SCENARIOS, make_scenario
 
@@ -84,8 +85,9 @@ def watch_change() -> bytes:
     theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
     inverse = np.array([[0.077, 0.003, -0.001], [0.003, 3.44, -0.69], [-0.001, -0.69, 0.25]])
     scale = Scale(inverse, np.array([0.077, 3.44, 0.25]), np.array([0.001, 0.009, 0.003]))
-    tail = Tail(3.9, 0.5, 30.0, 20.0, (), ((3.9, 0.5, 30.0), (3.7, 0.6, 31.0)))
-    calibration = Calibration(theta, scale, tail, np.ones(3), 20.0)
+    work = NormalWork(0.0, np.zeros(3), scale, np.full(3, np.inf), np.zeros(3))
+    chance = Chance(0.3, (1, 32), np.full((2, 3), 0.5), np.full((2, 3), 0.05), np.full((2, 1, 3), 1e6))
+    calibration = Calibration(theta, scale, work, chance, np.ones(3))
     riv = RIV(Drive(GAIN), Encoder(run.resolution), CART_DT, 50.0, forgetting=0.99)
     monitor = Monitor(riv, calibration, Watch())
     rows = monitor.run(run.motion.u, run.counts)

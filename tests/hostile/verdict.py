@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import json
-import os
 import re
 import resource
 import signal
@@ -15,12 +14,10 @@ import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from unittest import mock
 
 from click.testing import CliRunner, Result
 
 from pmfid.cli.main import main
-from pmfid.monitor.tuning import TUNING
 from tests.conftest import PROGRESS
 from tests.hostile.commands import Case
 from tests.hostile.draw import draw
@@ -31,8 +28,6 @@ NOT_FINITE = re.compile(r"(?<![\w'\"\[])[-+]?(nan|inf|infinity)(?![\w'\"\]])", r
 CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
 #: A call hangs if it takes more processor time [s]; a call that takes more memory has unpacked a hostile file [kB].
 HANGS, TOO_MUCH = 60.0, 400_000
-#: Hours of simulated work and length of a run [s]: a calibration of two short runs is enough here.
-HOURS, RUN_TIME = 0.04, 80.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +55,7 @@ def run(case: Case, folder: Path) -> Verdict:
     for name, data in case.files.items():
         (folder / name).write_bytes(data)
     before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
-    with _limited(), _cheap_calibration(folder), contextlib.chdir(folder), warnings.catch_warnings():
+    with _limited(), contextlib.chdir(folder), warnings.catch_warnings():
         warnings.simplefilter("error")
         result = CliRunner().invoke(main, list(case.arguments), input=case.piped)
     seconds, more = time.process_time() - start, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
@@ -84,16 +79,6 @@ def _limited() -> Iterator[None]:
     finally:
         signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
         signal.signal(signal.SIGVTALRM, before)
-
-
-@contextlib.contextmanager
-def _cheap_calibration(folder: Path) -> Iterator[None]:
-    with (
-        mock.patch("pmfid.pipeline.monitored.setup.HOURS", HOURS),
-        mock.patch.dict(vars(TUNING), run_time=RUN_TIME),
-        mock.patch.dict(os.environ, {"PMFID_CACHE": str(folder / "cache")}),
-    ):
-        yield
 
 
 def _read(path: Path) -> bytes:

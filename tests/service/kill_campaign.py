@@ -28,7 +28,6 @@ from typing import IO, Literal
 import numpy as np
 
 from pmfid.durable import arm
-from pmfid.pipeline.monitored import setup
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service import arrangement
 from pmfid.service.context import Context, Source, SourceSection, Take
@@ -54,7 +53,6 @@ POINTS = (
 )
 WINDOW = 60
 #: Hours of simulated normal work: enough for thresholds on which no test relies.
-HOURS = 0.5
 #: Most messages without an acknowledgement, as in a broker.
 UNDER_WAY = 30
 
@@ -362,10 +360,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--edges", action="store_true", help="axes with the ages of edges")
     given = parser.parse_args(arguments)
-    setup.HOURS = HOURS
     with tempfile.TemporaryDirectory() as name, suppress(KeyboardInterrupt):
         folder = Path(name)
-        os.environ["PMFID_CACHE"] = str(folder / "cache")
         (write_edge_axis if given.edges else write_axis)(folder, 60.0)
         axis = folder / "axis.toml"
         total = campaign(axis, folder, given.kills, given.round, given.seconds, given.seed, given.edges)

@@ -86,9 +86,7 @@ PROGRAM = """
 import sys
 import pytest
 from tests.tuned import set_tuning
-from pmfid.pipeline.monitored import setup
 set_tuning(pytest.MonkeyPatch(), "pmfid.service.tuning", process_stood=0.5)
-setup.HOURS = 0.5
 from pmfid.cli.main import main
 main(["serve", sys.argv[1], "--json"])
 """
@@ -160,8 +158,8 @@ def test_a_source_waits_while_the_inbox_is_full_of_blocks() -> None:
 
 
 @pytest.fixture(scope="module")
-def axis(plant_folder: Path) -> Axis:
-    return load_axis(plant_folder / "axis.toml")
+def axis(plant_place: Path) -> Axis:
+    return load_axis(plant_place / "axis.toml")
 
 
 class Taken:

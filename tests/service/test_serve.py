@@ -31,15 +31,15 @@ Events = list[dict[str, Any]]
 
 
 @pytest.fixture(scope="module")
-def folder(plant_folder: Path) -> Path:
+def folder(plant_place: Path) -> Path:
     """Write axis.toml, and run.csv in which the mass grows by a third; other.toml is slightly more patient."""
     heavier = Schedule(((0.0, CART), (8.0, replace(CART, mass=1.33 * CART.mass))))
     u, counts = changing(heavier, 5, INCREMENTS, 16.0)
     rows = (f"{k * CART_DT:.2f},{a!r},{b}" for k, (a, b) in enumerate(zip(u.tolist(), counts.tolist(), strict=True)))
-    (plant_folder / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
-    text = (plant_folder / "axis.toml").read_text()
-    (plant_folder / "other.toml").write_text(text.replace("mtbf_hours = 1.0", "mtbf_hours = 2.0"))
-    return plant_folder
+    (plant_place / "run.csv").write_text("\n".join(["t,u,counts", *rows]) + "\n")
+    text = (plant_place / "axis.toml").read_text()
+    (plant_place / "other.toml").write_text(text.replace("mtbf_hours = 1.0", "mtbf_hours = 2.0"))
+    return plant_place
 
 
 def called(*arguments: str, code: int = 0, stdin: bytes | None = None) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import SET, config_option, progress, read_changes
+from pmfid.cli.terminal import SET, config_option, read_changes
 
 if TYPE_CHECKING:
     from pmfid.config.axis import Axis
@@ -68,21 +68,18 @@ def monitor(
         raise click.UsageError("RECORD is missing; give a record, - for lines, or --estimates FILE")
     piped = str(record) == "-"
     tell = _Teller(as_json, to_stderr=str(out) == "-")
-    with progress("calibration") as tell_part:
-        from pmfid.config.axis import load_axis
-        from pmfid.pipeline.monitored.setup import check_monitored, set_up_record
-        from pmfid.pipeline.monitored.stream import Stop
-        from pmfid.records.joining import make_even
-        from pmfid.records.record import read_record
+    from pmfid.config.axis import load_axis
+    from pmfid.pipeline.monitored.setup import check_monitored, set_up_record
+    from pmfid.pipeline.monitored.stream import Stop
+    from pmfid.records.joining import make_even
+    from pmfid.records.record import read_record
 
-        axis = load_axis(config, read_changes(changes))
-        check_monitored(axis)
-        inputs = [config, *([] if piped else [record])]
-        _check_places(
-            out, report, [*inputs, config.parent / axis.monitor.reference] if axis.monitor.reference else inputs
-        )
-        data = None if piped else make_even(read_record(record, axis))
-        setup = set_up_record(axis, config.parent, data, tell_part)
+    axis = load_axis(config, read_changes(changes))
+    check_monitored(axis)
+    inputs = [config, *([] if piped else [record])]
+    _check_places(out, report, [*inputs, config.parent / axis.monitor.reference] if axis.monitor.reference else inputs)
+    data = None if piped else make_even(read_record(record, axis))
+    setup = set_up_record(axis, config.parent, data)
     with Stop().handling() as stop:
         run, history, sink = _run(setup, axis, data, out, stop, tell, report is not None)
     if report is not None and history is not None:
@@ -108,7 +105,7 @@ def _judge_estimates(path: Path, column: str | None, changes: dict[str, object],
 
 
 def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> None:
-    """Check the paths before the slow calibration."""
+    """Check the paths before the calibration."""
     from pmfid.errors import UsageError
 
     for path in (out, report):

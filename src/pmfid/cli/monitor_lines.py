@@ -24,12 +24,11 @@ def _start(event: Notice) -> str:
 
 
 def _describe_source(event: Notice) -> str:
-    """Return where the threshold comes from. That of edges follows from the normal distribution."""
-    if "calibration" not in event:
+    """Return the source of the threshold. The threshold of edges follows from the normal distribution."""
+    if "record_hours" not in event:
         return ""
-    source = "from the cache" if event["cached"] else "now in the cache"
-    made = "drawn from the reference" if event["record_hours"] else "simulated"
-    return f" ({event['hours']:.3g} h of normal work {made}, {source}: {event['calibration']})"
+    hours = event["record_hours"]
+    return f" (by the scatter of {hours:.3g} h of the reference)" if hours else " (by the noise of the encoder)"
 
 
 def _alarm(event: Notice) -> str:

@@ -41,14 +41,11 @@ def _configuration(what: Fields) -> str:
         return f"{what['config']}: {what['problem']}"
     if "digest" in what:  # only sinks with a history use the digest
         return ""
-    ready = "calibration from the cache" if what["cached"] else "calibrated"
-    return "\n".join([f"{what['config']}: {ready}", *(f"note: {note}" for note in what["notes"])])
+    return "\n".join([f"{what['config']}: calibrated", *(f"note: {note}" for note in what["notes"])])
 
 
 def _calibration(what: Fields) -> str:
-    if "awaited" in what:
-        return f"{_axes(what['watched'])} watched, {_axes(what['awaited'])} still being calibrated"
-    return f"{what['config']}: calibration {100 * what['part']:.0f} %"
+    return f"{_axes(what['watched'])} watched, {_axes(what['awaited'])} still being calibrated"
 
 
 def _axes(count: int) -> str:

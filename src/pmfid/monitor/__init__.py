@@ -1,6 +1,6 @@
 """Changes of a machine: scores of blocks, a detector, calibrated thresholds and the cause of a change.
 
-calibration = calibrate(estimator, nominal, u, counts, hours)   # thresholds, from simulated normal work
+calibration = calibrate(estimator, nominal, u, counts)          # thresholds, from a record of normal work
 monitor = Monitor(estimator, calibration, Watch(mtbf_hours=24.0))
 estimate, events = monitor.step(u, count)                       # an Alarm has the parameter, the size and the time
 fleet = MonitorFleet(monitor, axes=1000)                        # many axes, each with its own state

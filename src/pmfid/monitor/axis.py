@@ -58,8 +58,7 @@ class Watching:
     @property
     def _seen(self) -> Scale:
         """Scale of the units that the detector takes."""
-        work = self.calibration.work
-        return self.calibration.scale if work is None else work.scale
+        return self.calibration.work.scale
 
     def rescale(self, sigma: Floats) -> Scale:
         """Return the scale for axes with other references, from the sigma (n, p) or (p,) of these axes."""
@@ -108,7 +107,7 @@ class Watching:
             self.calibration.scale.norms,
             self._seen.norms,
             make_detection(self.calibration.theta.size),
-            None if work is None else (work.size, work.offset, work.limit),
+            (work.size, work.offset, work.limit),
             self.threshold,
             self.block_time,
             self.silent_blocks,
@@ -130,7 +129,7 @@ class WatchedAxis:
     known: Known | None = None
 
     def __post_init__(self) -> None:
-        self.threshold = self.calibration.tail.threshold(self.watch.mtbf_hours)
+        self.threshold = self.calibration.chance.threshold(self.watch.mtbf_hours)
         self._front = like(IV, self.estimator, prefilter_zeros=None)
         self._block_time = self._front.settle_samples * self._front.dt
         self.watching = self._watching()
@@ -243,7 +242,7 @@ class WatchedAxis:
         fixed = () if self.known is None else tuple(self.known.given)
         cause = explain(evidence, self.reference, self.estimator.equation, self.watch.tolerance, fixed)
         ends = cause.largest <= self.watch.tolerance
-        growth = (TUNING.cause_blocks if self.calibration.work is None else TUNING.cause_units) / gathered
+        growth = max(TUNING.cause_units, TUNING.cause_blocks / max(self.calibration.work.size, 1.0)) / gathered
         if not ends and growth > 1 and cause.is_open(growth):
             return []
         if ends or cause.size <= self.watch.tolerance:
@@ -261,18 +260,21 @@ class WatchedAxis:
     def _note_course(self, alarm: Alarm, deviation: Floats) -> bool:
         """Note whether a change is slow, and return whether it continues the slow change of the last alarm.
 
+        The line of a slow change reaches the deviation. A step after a slow change is far beyond this line.
         After a pause, the mean rate is much lower, and the change is another one. If the last alarm did not look slow,
         its deviation must have grown before it for as long as this rate says.
         """
         own, rest = self._own, self._rest
-        slow, units, i = self._is_slow(), float(own.units[0]), int(np.argmax(np.abs(deviation / own.sigma[0])))
+        units, i = float(own.units[0]), int(np.argmax(np.abs(deviation / own.sigma[0])))
+        total, square = own.line[0, :, i]
+        reached = units * total * own.sigma[0, i] / (square * deviation[i]) if square > 0 else 0.0
+        slow = self._is_slow() and reached > TUNING.axis_pace
         cause = crc32(f"{alarm.parameter} {alarm.change > 0}".encode())
         rate = 3600 * alarm.relative / (self._time - float(rest.since[0]))
         least = TUNING.axis_pace * abs(float(rest.rate[0]))
         same = abs(rate) > least if least else float(rest.grown[0]) > TUNING.axis_pace * units / 2
         goes_on = slow and cause == rest.cause[0] and same
-        total, square = own.line[0, :, i]
-        rest.grown[0] = units**2 * total * own.sigma[0, i] / (3 * square * deviation[i]) if square > 0 else 0.0
+        rest.grown[0] = units * reached / 3
         rest.cause[0], rest.rate[0] = cause, rate if slow else 0.0
         return bool(goes_on)
 
@@ -304,12 +306,12 @@ class WatchedAxis:
     def _evidence(self, estimate: Estimate) -> ChangeEvidence | None:
         """Return the evidence of the estimate on the cause, or None while no estimate exists.
 
-        If the model has unmodelled effects, the evidence excludes their constant offset. The covariance of the evidence
-        includes the covariance of a unit of normal work.
+        The evidence excludes the constant offset of unmodelled effects. Its covariance includes their spread.
         """
-        found, work = ChangeEvidence(self._remove_warmth(estimate), np.array(estimate.theta_cov)), self.calibration.work
-        if work is not None:
-            found = ChangeEvidence(found.theta - work.offset, found.covariance + np.diag(work.scale.sigma**2))
+        work = self.calibration.work
+        found = ChangeEvidence(
+            self._remove_warmth(estimate) - work.offset, np.array(estimate.theta_cov) + np.diag(work.spread**2)
+        )
         silent = estimate.status & UNUSABLE or not np.all(np.isfinite(np.r_[found.theta, found.covariance.ravel()]))
         return None if silent else found
 

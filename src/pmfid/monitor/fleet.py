@@ -56,7 +56,7 @@ class MonitorFleet:
     >>> work = make_scenario("moves", seed=1, duration=200.0)
     >>> riv = RIV(Drive(CART.input_gain), Encoder(work.resolution), work.dt, 50.0, forgetting=0.99)
     >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
-    >>> calibration = calibrate(riv, theta, work.motion.u, work.counts, hours=0.5)
+    >>> calibration = calibrate(riv, theta, work.motion.u, work.counts)
     >>> fleet = MonitorFleet(Monitor(riv, calibration), axes=2)
     >>> rows = fleet.run([0, 1], np.tile(work.motion.u[:500], (2, 1)), np.tile(work.counts[:500], (2, 1)))
     >>> rows.theta.shape, fleet.axes

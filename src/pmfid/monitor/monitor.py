@@ -112,7 +112,7 @@ class Monitor(WatchedAxis, Presentable):
 
     Examples
     --------
-    A cart is loaded after 30 s. Half an hour of simulation keeps the example short; real thresholds need 20 h or more.
+    A cart is loaded after 30 s.
 
     >>> import numpy as np
     >>> from pmfid import RIV, Drive, Encoder
@@ -121,7 +121,7 @@ class Monitor(WatchedAxis, Presentable):
     >>> work = make_scenario("moves", seed=1, duration=200.0)
     >>> riv = RIV(Drive(CART.input_gain), Encoder(work.resolution), work.dt, 50.0, forgetting=0.99)
     >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
-    >>> calibration = calibrate(riv, theta, work.motion.u, work.counts, hours=0.5)
+    >>> calibration = calibrate(riv, theta, work.motion.u, work.counts)
     >>> monitor = Monitor(riv, calibration, Watch())
     >>> loaded = make_scenario("moves-mass-step", seed=2, duration=60.0)
     >>> rows = monitor.run(loaded.motion.u, loaded.counts)
@@ -335,11 +335,11 @@ class Monitor(WatchedAxis, Presentable):
         texts = estimator.names, self.watch, self.threshold, known, calibration.left_out
         number = zlib.crc32(repr(texts).encode(), number)
         work = calibration.work
-        scales = [calibration.scale, *([] if work is None else [work.scale])]
+        scales = calibration.scale, work.scale
         arrays = [calibration.theta, *(part for one in scales for part in (one.inverse, one.energy, one.sigma))]
         warmth = calibration.warmth
         arrays += [] if warmth is None else [warmth.rate, np.array([warmth.mean])]
-        arrays += [] if work is None else [work.offset, work.limit, np.array([work.size])]
+        arrays += [work.offset, work.limit, work.spread, np.array([work.size])]
         return zlib.crc32(b"".join(part.tobytes() for part in arrays), number)
 
     @cached_property

@@ -27,8 +27,18 @@ class MonitorTuning:
     most_information: float = 1.5
     #: Share of the earlier information that the estimator keeps at the first suspicion.
     axis_keep: float = 0.003
-    #: Part of the expected rate, or of the expected time of growth, from which a slow change goes on.
+    #: Part of the expected rate, of the expected time of growth, or of the deviation, from which a slow change goes on.
     axis_pace: float = 0.5
+
+    # chance
+    #: Range of thresholds, and number of its bisections, after which 6 digits are certain.
+    chance_range: tuple[float, float] = (1.0, 1e4)
+    chance_bisections: int = 48
+    #: Number of levels of the information of sums.
+    chance_levels: int = 16
+    #: Number of units over which maxima of the statistic are taken, and part of the maxima below the compared one.
+    chance_interval: int = 64
+    chance_part: float = 0.95
 
     # edges
     #: Least number of tests that a false alarm comes in, and factor on standard errors of a doubtful estimate.
@@ -49,9 +59,6 @@ class MonitorTuning:
     # calibration
     #: Lengths of compared sums [blocks]. The longest is the window of the detectors.
     calibration_lengths: tuple[int, ...] = (1, 2, 4, 8, 16, 32)
-    #: Units in a piece, and the relative change of the sum's variance that more units may cause.
-    calibration_pieces: tuple[int, ...] = (1, 2, 4, 8, 16)
-    calibration_same: float = 0.1
     #: Least excess of a record's power over the simulated power that counts, in standard errors and as a ratio.
     calibration_larger: float = 3.0
     at_least: float = 1.3
@@ -65,27 +72,15 @@ class MonitorTuning:
     calibration_within: float = 0.97
     #: Number of passes that find limit and mean.
     calibration_passes: int = 5
-    #: Length of one simulated run [s], and of the intervals whose maxima count [s].
-    run_time: float = 1800.0
-    interval_time: float = 30.0
-    #: Simulated time [h], from which thresholds are extrapolated: about 3 s of processor time for an axis at 100 Hz.
-    calibration_hours: float = 24.0
-    #: Number of maxima to which the line of the tail is fitted.
-    calibration_tail: int = 100
     #: Difference between a record's noise and the simulated noise, in standard errors, above which the record's noise
     #: counts.
     calibration_noisier: float = 3.0
-    #: Hours of resampled work for each hour of simulated work, and the number of resampled runs.
-    calibration_resampled: float = 16.0
-    calibration_runs: int = 64
-    #: Number of parts of a record whose thresholds are compared. The record leaves doubt, so alarms are made rarer than
-    #: asked, by a factor of at most `calibration_careful`. Fewer false alarms are better than more.
-    calibration_parts: int = 4
-    calibration_careful: float = 2.0
     #: Largest distance [counts] of a simulated machine. A machine that goes further runs away.
     most_counts: float = 2.0**53
-    #: Least number of blocks in a simulated run.
-    least_blocks: int = 200
+    #: Least number of blocks in the simulation of a record, which gives thresholds to 3 %, and number of its parts.
+    #: Each part begins at another phase of the encoder.
+    calibration_blocks: int = 20_000
+    calibration_phases: int = 8
     #: Least number of blocks in a record of normal work. The scatter of fewer blocks does not determine the noise.
     least_record_blocks: int = 8
 

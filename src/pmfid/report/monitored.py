@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pmfid.estimators.redge import REdge
 from pmfid.models.axes import LINEAR, Units
-from pmfid.monitor.calibration import Calibration, Tail
+from pmfid.monitor.chance import Chance
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, STARTING, SUSPICIOUS, WATCHING
 from pmfid.pipeline.edges import EdgeSetup
 from pmfid.pipeline.monitored.run import MonitoredRun, Notice, RunHistory
@@ -164,14 +164,12 @@ def _mark_alarms(axes: Axes, alarms: Sequence[Notice]) -> None:
         axes.axvline(alarm["changed_at"], color=COLOURS[1], lw=1.2, ls=":", label="change", zorder=3)
 
 
-def calibration_figure(tail: Tail, mtbf_hours: float) -> Figure:
+def chance_figure(chance: Chance, mtbf_hours: float) -> Figure:
     """Draw the rate of false alarms over the threshold, relative to the threshold for `mtbf_hours`."""
     with open_figure(3.4) as (figure, (axes,)):
-        unit, maxima = tail.threshold(mtbf_hours), np.array(tail.maxima)
-        rate = np.arange(1, maxima.size + 1) / tail.hours
-        axes.semilogy(maxima / unit, rate, "o", ms=3, color=COLOURS[0], alpha=0.7, label="largest values")
-        line = np.linspace(tail.level, unit * 1.05, 20)
-        axes.semilogy(line / unit, tail.rate * np.exp(-(line - tail.level) / tail.slope), color=COLOURS[0], label="fit")
+        unit = chance.threshold(mtbf_hours)
+        line = np.linspace(unit / 2, unit * 1.2, 40)
+        axes.semilogy(line / unit, [chance.rate(one) for one in line.tolist()], color=COLOURS[0], label="false alarms")
         plain_ticks(axes.yaxis)
         axes.axhline(1 / mtbf_hours, color=MAGENTA, ls="--", lw=1.2, label=f"one in {mtbf_hours:g} h")
         axes.axvline(1.0, color=GREY, lw=0.8)
@@ -286,11 +284,6 @@ def _run_text(history: RunHistory, setup: Setup | EdgeSetup) -> str:
     return text + (f" One row of {history.stride} is shown." if history.stride > 1 else "")
 
 
-def _describe_hours(calibration: Calibration) -> str:
-    hours = calibration.record_hours
-    return f"drawn from the {hours:.2g} h of the reference record" if hours else "simulated"
-
-
 def _describe_threshold(setup: EdgeSetup) -> Section:
     monitor = setup.monitor
     text = (
@@ -302,15 +295,15 @@ def _describe_threshold(setup: EdgeSetup) -> Section:
 
 def _calibration(setup: Setup) -> Section:
     watch, calibration = setup.monitor.watch, setup.calibration
-    tail, asked = calibration.tail, sorted({1.0, watch.mtbf_hours})
-    row = [*(f"{tail.threshold(hours):.3g}" for hours in asked), f"{tail.slope:.3g}"]
-    head = (*(f"threshold for {hours:g} h" for hours in asked), "slope of the tail")
-    noise = ", ".join(f"{value:.2f}" for value in calibration.noise)
+    asked = sorted({1.0, 24.0, watch.mtbf_hours, 1000.0})
+    rows = [[f"{hours:g}", f"{calibration.chance.threshold(hours):.3g}"] for hours in asked]
+    noise, hours = ", ".join(f"{value:.2f}" for value in calibration.noise), calibration.record_hours
+    source = f"the scatter of {hours:.2g} h of the reference record" if hours else "the noise of the encoder"
     text = (
         f"Mean time between false alarms {watch.mtbf_hours:g} h for a machine exactly at its "
         f"reference; deviations within {100 * watch.tolerance:g} % are no alarm, so false ones are rarer still. "
-        f"{calibration.hours:.3g} h of normal work were {_describe_hours(calibration)}; points: the largest values of "
-        "the statistic there, line: the fit that gives the threshold. Noise of the reference record over the noise of "
-        f"the simulation, by parameter: {noise}."
+        f"The thresholds follow from {source}. Noise of the reference record over the noise of the simulation, by "
+        f"parameter: {noise}."
     )
-    return Section("Threshold", text, (head, [row]), lambda: calibration_figure(tail, watch.mtbf_hours))
+    head = ("time between false alarms [h]", "threshold")
+    return Section("Threshold", text, (head, rows), lambda: chance_figure(calibration.chance, watch.mtbf_hours))

@@ -42,7 +42,7 @@ from pmfid.report.figures import (
     residual_figure,
 )
 from pmfid.report.friction import curve_figure
-from pmfid.report.monitored import calibration_figure
+from pmfid.report.monitored import chance_figure
 from pmfid.report.result import bode_of, motion_figure, output_figure, step_figure
 from pmfid.report.tuning import TUNING
 from pmfid.report.validation import horizon_figure, run_figure
@@ -243,4 +243,4 @@ def _appraisal(appraisal: Appraisal) -> Figure:
 @_draw.register
 def _monitor(monitor: Monitor) -> Figure:
     """Draw the rate of false alarms over the threshold."""
-    return calibration_figure(monitor.calibration.tail, monitor.watch.mtbf_hours)
+    return chance_figure(monitor.calibration.chance, monitor.watch.mtbf_hours)

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from threading import Event
-from time import monotonic
 from typing import TypeVar
 
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import PmfidError
-from pmfid.pipeline.edges import EdgeSetup
 from pmfid.service.context import Tell
-from pmfid.service.tuning import TUNING
 from pmfid.service.workers import calibrate_all, stop_workers
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, prepare
@@ -51,26 +48,32 @@ class Configurations:
     def calibrate(self, configs: Mapping[Path, Axis]) -> Iterator[tuple[Path, Prepared | None]]:
         """Yield the calibration of each configuration that was read as soon as it is ready, or None if it fails.
 
-        Several configurations are calibrated by processes on all cores. Raises PmfidError or OSError if the only
-        configuration has never been usable.
+        Several configurations are calibrated by processes on all cores, and equal ones once. Raises PmfidError or
+        OSError if the only configuration has never been usable.
         """
         stamps = {path: self._stamps[path] for path in configs}
         due = [path for path in configs if path not in self._known or self._known[path][0] != stamps[path]]
         yield from ((path, self._known[path][1]) for path in configs if path not in due)
-        if len(due) > 1:
-            made: Iterable[tuple[Path, Callable[[], Prepared]]] = calibrate_all(
-                _equal_ones_last(due, stamps), self._stopped
-            )
+        equal: dict[str, list[Path]] = {}
+        for path in due:
+            equal.setdefault(stamps[path], []).append(path)
+        first = [paths[0] for paths in equal.values()]
+        if len(first) > 1:
+            made: Iterable[tuple[Path, Callable[[], Prepared]]] = calibrate_all(first, self._stopped)
         else:
-            made = ((path, partial(self._calibrate_here, path, configs[path])) for path in due)
+            made = ((path, partial(prepare, path, configs[path])) for path in first)
         for path, take in made:
             if self._stopped.is_set():
                 return
             prepared = self._try(path, take, only=len(configs) == 1)
-            if prepared is not None:
-                self._known[path] = stamps[path], prepared
-                self._tell_calibrated(prepared)
-            yield path, prepared
+            for each in equal[stamps[path]]:
+                yield each, prepared and self._keep(replace(prepared, path=each), stamps[path])
+
+    def _keep(self, prepared: Prepared, stamp: str) -> Prepared:
+        """Keep and report a calibrated configuration."""
+        self._known[prepared.path] = stamp, prepared
+        self.tell({"event": "configuration", "config": prepared.path.name, "notes": list(prepared.setup.notes)})
+        return prepared
 
     def load_all(self, axes: Mapping[str, Path]) -> dict[str, Prepared]:
         """Return the configuration of each axis that has a usable one, by the axis' name.
@@ -103,21 +106,6 @@ class Configurations:
             self.tell({"event": "configuration", "config": path.name, "problem": f"{error}; {left}"})
             return None
 
-    def _calibrate_here(self, path: Path, axis: Axis) -> Prepared:
-        reported = [monotonic()]
-
-        def progress(part: float) -> None:
-            if monotonic() - reported[0] > TUNING.arrangement_progress:
-                reported[0] = monotonic()
-                self.tell({"event": "calibration", "config": path.name, "part": part})
-
-        return prepare(path, progress, axis)
-
-    def _tell_calibrated(self, made: Prepared) -> None:
-        cached = isinstance(made.setup, EdgeSetup) or made.setup.cached
-        what = {"event": "configuration", "config": made.path.name, "cached": cached}
-        self.tell({**what, "notes": list(made.setup.notes)})
-
 
 def _stamp(path: Path, axis: Axis) -> str:
     """Return a text that changes with the configuration and with its reference record."""
@@ -125,12 +113,6 @@ def _stamp(path: Path, axis: Axis) -> str:
     status = None if reference is None else (path.parent / reference).stat()
     state = status and (status.st_size, status.st_mtime_ns, status.st_ino)
     return f"{axis.model_dump_json(warnings=False)} {state}"
-
-
-def _equal_ones_last(paths: Iterable[Path], stamps: Mapping[Path, str]) -> list[Path]:
-    """Return the paths, with equal configurations at the end, whose calibration is then in the cache."""
-    first = {stamps[path]: path for path in reversed(list(paths))}
-    return sorted(paths, key=lambda path: first[stamps[path]] is not path)
 
 
 def arrange_groups(groups: Iterable[Group], axes: Mapping[str, Prepared], pace: Pace) -> tuple[list[Group], list[str]]:

@@ -6,7 +6,7 @@ import math
 import struct
 from bisect import insort
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import blake2b, file_digest, sha256
 from operator import attrgetter
@@ -212,14 +212,14 @@ class Prepared:
             raise ValueError(f"the nominal values do not fit the configuration: {error}") from None
 
 
-def prepare(path: Path, progress: Callable[[float], None] | None = None, given: Axis | None = None) -> Prepared:
+def prepare(path: Path, given: Axis | None = None) -> Prepared:
     """Read and calibrate a configuration.
 
-    `given` is the content of AXIS.toml if it was already
-    read. Raises UsageError or NotIdentifiableError as `set_up` does.
+    `given` is the content of AXIS.toml if it was already read. Raises UsageError or NotIdentifiableError as `set_up`
+    does.
     """
     axis = load_axis(path) if given is None else given
-    setup = set_up_record(axis, path.parent, None, progress)
+    setup = set_up_record(axis, path.parent, None)
     return Prepared(path, axis, setup, _digest(path, axis))
 
 

@@ -1,14 +1,11 @@
-"""A monitor from AXIS.toml, with thresholds in a cache."""
+"""A monitor from AXIS.toml."""
 
 from __future__ import annotations
 
 import json
 import math
-import os
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -16,18 +13,17 @@ import numpy as np
 
 from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
-from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import like
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.estimators.iv import IV, RIV, initial_vector
 from pmfid.estimators.known import Known
 from pmfid.estimators.recursive import RLS, RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
-from pmfid.monitor.calibration import Calibration, NormalWork, Tail, calibrate
+from pmfid.monitor.calibration import Calibration, NormalWork, calibrate
+from pmfid.monitor.chance import Chance
 from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Scale
-from pmfid.monitor.tuning import TUNING as MONITOR_TUNING
 from pmfid.monitor.warmth import Warmth, find_warmth
 from pmfid.pipeline.drives import make_estimator
 from pmfid.pipeline.edges import EdgeSetup, describe_monitor, set_up_edges, takes_edges
@@ -38,69 +34,12 @@ from pmfid.records.joining import make_even
 from pmfid.records.record import Record, read_record
 from pmfid.types import Floats
 
-#: Version of the calibration and its file. Every change of either needs a new version.
-VERSION = 9
-#: Simulated time of a calibration [h].
-HOURS = MONITOR_TUNING.calibration_hours
-
-
-def cache_dir() -> Path:
-    """Return the folder of calibrations, which is PMFID_CACHE, or pmfid in the user's cache folder."""
-    if os.environ.get("PMFID_CACHE"):
-        return Path(os.environ["PMFID_CACHE"])
-    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
-    return Path(home) / "pmfid" if home else Path.home() / ".cache" / "pmfid"
-
-
-def cached_calibration(
-    estimator: Estimator,
-    theta: Floats,
-    u: Floats,
-    counts: np.ndarray | None,
-    hours: float,
-    progress: Callable[[float], None] | None = None,
-    temperature: Floats | None = None,
-) -> tuple[Calibration, Path, bool]:
-    """Return the calibration, its file, and whether the file existed. An unwritable cache is ignored."""
-    digest = sha256(f"{VERSION} {estimator!r} {hours!r} {counts is None}".encode())
-    for part in (theta, u, counts, temperature):
-        digest.update(np.ascontiguousarray(np.zeros(0) if part is None else part).tobytes())
-    path = cache_dir() / f"calibration-{digest.hexdigest()[:32]}.json"
-    known = _read(path)
-    if known is not None:
-        return known, path, True
-    made = calibrate(estimator, theta, u, counts, hours=hours, temperature=temperature, progress=progress)
-    _write(path, made)
-    return made, path, False
+#: Version of the calibration in saved states. Every change of it needs a new version.
+VERSION = 10
 
 
 def _text_of(calibration: Calibration) -> str:
     return json.dumps(asdict(calibration), default=lambda array: array.tolist())
-
-
-def _write(path: Path, calibration: Calibration) -> None:
-    text = _text_of(calibration)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}")
-        part.write_text(f"{_digest(text)}\n{text}", encoding="utf-8")
-        part.replace(path)  # another run may write this file
-    except OSError:
-        return
-
-
-def _digest(text: str) -> str:
-    return sha256(text.encode()).hexdigest()
-
-
-def _read(path: Path) -> Calibration | None:
-    try:
-        digest, _, text = path.read_text(encoding="utf-8").partition("\n")
-        if digest != _digest(text):
-            return None  # the file is damaged, even if its numbers are valid
-        return _calibration_in(text)
-    except (OSError, ValueError, TypeError, KeyError):
-        return None  # without a file of this version, the calibration is computed again
 
 
 def _calibration_in(text: str) -> Calibration:
@@ -109,11 +48,10 @@ def _calibration_in(text: str) -> Calibration:
     return Calibration(
         np.array(raw["theta"]),
         _scale(raw["scale"]),
-        _tail(raw["tail"]),
+        _work(raw["work"]),
+        _chance(raw["chance"]),
         np.array(raw["noise"]),
-        raw["hours"],
         raw["record_hours"],
-        None if raw["work"] is None else _work(raw["work"]),
         None if raw["warmth"] is None else Warmth(raw["warmth"]["mean"], np.array(raw["warmth"]["rate"])),
     )
 
@@ -132,28 +70,26 @@ def _scale(raw: dict[str, Any]) -> Scale:
     return Scale(**{name: np.array(value) for name, value in raw.items()})
 
 
-def _tail(raw: dict[str, Any]) -> Tail:
-    parts = tuple((level, slope, rate) for level, slope, rate in raw["parts"])
-    return Tail(**(raw | {"maxima": tuple(raw["maxima"]), "parts": parts}))
+def _chance(raw: dict[str, Any]) -> Chance:
+    variance, error, information = (np.array(raw[name]) for name in ("variance", "error", "information"))
+    return Chance(raw["time"], raw["lengths"], variance, error, information, raw["inflation"])
 
 
 def _work(raw: dict[str, Any]) -> NormalWork:
-    return NormalWork(raw["size"], np.array(raw["offset"]), _scale(raw["scale"]), np.array(raw["limit"]))
+    arrays = (np.array(raw[name]) for name in ("limit", "spread"))
+    return NormalWork(raw["size"], np.array(raw["offset"]), _scale(raw["scale"]), *arrays)
 
 
 @dataclass(frozen=True)
 class Setup:
     """A monitor at its start.
 
-    `nominal` (p,) are the normal parameters. `calibration` is stored in the file `path`, and `cached` says whether the
-    cache had it. `notes` are texts for the user.
+    `nominal` (p,) are the normal parameters. `notes` are texts for the user.
     """
 
     monitor: Monitor
     nominal: Floats
     calibration: Calibration
-    path: Path
-    cached: bool
     notes: tuple[str, ...]
 
     @property
@@ -187,15 +123,12 @@ class Setup:
     def describe_start(self) -> dict[str, object]:
         """Return the settings of a monitored axis for `--json`."""
         return describe_monitor(self.monitor, self.reported) | {
-            "hours": self.calibration.hours,
             "record_hours": self.calibration.record_hours,
-            "calibration": str(self.path),
-            "cached": self.cached,
             "notes": list(self.notes),
         }
 
 
-def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[float], None] | None = None) -> Setup:
+def set_up(axis: Axis, folder: Path, record: Record | None) -> Setup:
     """Return the monitor of AXIS.toml in `folder` for a record, or for a pipe if `record` is None.
 
     Without a reference, the record's own input calibrates the monitor, with the encoder as the only noise. Raises
@@ -226,21 +159,19 @@ def set_up(axis: Axis, folder: Path, record: Record | None, progress: Callable[[
         notes.append("no reference record: thresholds hold for the encoder's noise alone; name one in [monitor]")
     counts = None if normal is None else source.counts
     temperature = None if normal is None else source.temperature
-    calibration, path, cached = cached_calibration(estimator, nominal, source.u, counts, HOURS, progress, temperature)
+    calibration = calibrate(estimator, nominal, source.u, counts, temperature)
     notes += calibration_notes(calibration, config.mtbf_hours)
     watch = Watch(config.mtbf_hours, config.tolerance)
-    return Setup(Monitor(estimator, calibration, watch, known), nominal, calibration, path, cached, tuple(notes))
+    return Setup(Monitor(estimator, calibration, watch, known), nominal, calibration, tuple(notes))
 
 
-def set_up_record(
-    axis: Axis, folder: Path, record: Record | None, progress: Callable[[float], None] | None = None
-) -> Setup | EdgeSetup:
+def set_up_record(axis: Axis, folder: Path, record: Record | None) -> Setup | EdgeSetup:
     """Return the monitor as `set_up`, or that of edges if the configuration, and the record if there is one, has
     their ages.
     """
     if takes_edges(axis) and (record is None or record.ages is not None):
         return set_up_edges(axis, folder, record)
-    return set_up(axis, folder, record, progress)
+    return set_up(axis, folder, record)
 
 
 def calibration_notes(calibration: Calibration, mtbf_hours: float) -> list[str]:
@@ -252,8 +183,8 @@ def calibration_notes(calibration: Calibration, mtbf_hours: float) -> list[str]:
             + ("the thresholds come from" if hours else "the scale is that of")
             + " the reference record itself"
         )
-    doubt = calibration.tail.doubt(mtbf_hours)
-    if doubt > math.log(TUNING.setup_sure):
+    doubt = calibration.chance.doubt(mtbf_hours)
+    if hours and doubt > math.log(TUNING.setup_sure):
         notes.append(
             f"from the {hours:.2g} h of the reference record the time between false alarms is known to a factor of "
             f"{math.exp(doubt):.2g} only. A factor of {TUNING.setup_sure:g} takes about "
