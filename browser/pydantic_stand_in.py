@@ -44,6 +44,11 @@ def Field(default: object = PydanticUndefined, **facts: Any) -> Any:
     return FieldInfo(default=default, **facts)
 
 
+def PrivateAttr(default: object) -> Any:
+    """Return the first value of an attribute that is no field."""
+    return default
+
+
 def model_validator(mode: str) -> Callable[[Callable[[Any], Any]], Callable[[Any], Any]]:
     """Mark a method that runs on the complete object."""
 
@@ -61,7 +66,7 @@ class BaseModel:
 
     def __init_subclass__(cls) -> None:
         cls.model_fields = dict(getattr(cls, "model_fields", {}))
-        for name in get_annotations(cls):
+        for name in (name for name in get_annotations(cls) if not name.startswith("_")):
             given = cls.__dict__.get(name, PydanticUndefined)
             cls.model_fields[name] = given if isinstance(given, FieldInfo) else Field(given)
 

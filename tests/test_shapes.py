@@ -98,15 +98,15 @@ def moved(equation: Equation, theta: Floats, dt: float, u: Floats, parts: int) -
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.parametrize("parts", [{"stribeck": 0.5}, {"quadratic": 0.3}, {"stribeck": 0.2, "quadratic": 0.2}])
 def test_the_motion_is_that_of_the_machine(name: str, parts: dict[str, float]) -> None:
-    """The motion agrees with the Runge-Kutta integration; its error falls with the square of the number of parts."""
+    """The motion agrees with the Runge-Kutta integration; its error falls with the cube of the number of parts."""
     run, machine, case = made(name, samples=1500, **parts)
     equation = model(machine, stribeck=machine.stribeck_speed, quadratic=True).equation
     theta, errors = truth(machine, equation.names), []
     for count in (2, 8):
         x = moved(equation, theta, case.dt, run.u, count)
         errors.append(float(np.max(np.abs(x - run.x))) / float(np.ptp(run.x)))
-    assert errors[0] < 5e-4
-    assert errors[1] < max(errors[0] / 4, 3e-6)
+    assert errors[0] < 1e-3
+    assert errors[1] < max(errors[0] / 32, 3e-6)
 
 
 @pytest.mark.parametrize("name", ["cart", "gantry"])
