@@ -6,7 +6,7 @@ SPARK_TOOLS = openjdk-17-jre-headless
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
 SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.inl')
 
-.PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core test-lowest test-newest coverage spark kills service-faults soak check format bench \
+.PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core test-lowest test-newest coverage spark kills broker-kills service-faults soak check format bench \
     bench-compare study paper firmware browser test-browser docs docs-pictures firmware-tools service-tools spark-tools golden images clean
 
 # The versions of requirements-dev.txt, whose hashes pip verifies, then pmfid. An edit of Python counts at once, an edit
@@ -201,6 +201,13 @@ soak: .venv/tools service-tools
 KILLS ?= 1000
 kills: .venv/tools
 	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.kill_campaign --kills $(KILLS)
+
+# Kill the broker of a connected service, and at times the service.
+BROKER_KILLS ?= 50
+SERVICE_KILLS ?= 20
+broker-kills: .venv/tools service-tools
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 .venv/bin/python -m tests.service.broker_campaign \
+	--kills $(BROKER_KILLS) --service-kills $(SERVICE_KILLS)
 
 # Study of the service with faulty messages, disks, browsers and processes. It needs a broker, and root for disks.
 service-faults: .venv/tools service-tools

@@ -52,7 +52,6 @@ POINTS = (
     *("checkpoint.written", "checkpoint.durable", "ack", "acked"),
 )
 WINDOW = 60
-#: Hours of simulated normal work: enough for thresholds on which no test relies.
 #: Most messages without an acknowledgement, as in a broker.
 UNDER_WAY = 30
 
