@@ -20,7 +20,7 @@ MOST = {
     "lines of csrc": 8736,
     "defines of csrc": 196,
     "conditionals of csrc": 108,
-    "lines of tests": 28309,
+    "lines of tests": 28521,
     "match= in tests": 25,
     "lines of studies": 8087,
 }
