@@ -169,19 +169,19 @@ def test_errors_are_as_large_as_claimed(name: str) -> None:
     assert not found.unexplained.any()
 
 
-def machine_run(resolution: float, **lacks: float) -> tuple[Commissioning, float]:
+def machine_run(resolution: float, **unmodelled: float) -> tuple[Commissioning, float]:
     """Simulate one trapezoid of the 1 kg axis with unmodelled effects; ask for a tenth of the mass's deviation."""
     problem = replace(MACHINES["1 kg"], resolution=resolution)
     u = np.r_[np.repeat(standard_inputs(problem, names=(USUAL,))[USUAL].u, problem.samples_per_interval), 0.0]
     dt = problem.dt / problem.samples_per_interval
-    done = drive_machine(Machine(drive_of(problem, {}), **lacks), u, dt, resolution, phase=0.3 * resolution)
+    done = drive_machine(Machine(drive_of(problem, {}), **unmodelled), u, dt, resolution, phase=0.3 * resolution)
     run = DesignedRun(done.u, np.asarray(done.counts * resolution, float), dt)
     state = redesign(problem, [run], {"mass": 0.1}, starts=1)
     return state, state.rounds[0].known.parameters["mass"]
 
 
 @pytest.mark.parametrize(
-    "lacks",
+    "unmodelled",
     [
         {"stribeck": 0.2},
         pytest.param({"quadratic": 4.0}, marks=pytest.mark.long),
@@ -189,8 +189,8 @@ def machine_run(resolution: float, **lacks: float) -> tuple[Commissioning, float
     ],
     ids=lambda d: str(d),
 )
-def test_a_model_that_misses_counts_is_doubted_and_reaches_nothing(lacks: dict[str, float]) -> None:
-    state, _ = machine_run(22.75e-6, **lacks)
+def test_a_model_that_misses_counts_is_doubted_and_reaches_nothing(unmodelled: dict[str, float]) -> None:
+    state, _ = machine_run(22.75e-6, **unmodelled)
     assert state.rounds[0].known.unexplained > 0.5
     assert not state.reached
     assert "misses a count" in state.doubts[0]

@@ -98,130 +98,7 @@ static double sum_forces(const state *t, double v, double s, int i, double drive
     return sum;
 }
 
-/* The controller ----------------------------------------------------------------------------------------------- */
-
-static const double LEAST_DELAY = 2e-5; /* [s] of a loop, so that its derivatives exist */
-
-static double loop_delay(const state *t)
-{
-    return t->loop[PMF_LOOP_DELAY] > LEAST_DELAY ? t->loop[PMF_LOOP_DELAY] : LEAST_DELAY;
-}
-
-/* What force j of the loop measures, without its size. */
-static double loop_signal(const state *t, int j, double v, const double *s)
-{
-    return t->b->force[j].kind == PMF_LOOP_VELOCITY ? 2 * s[0] - v : s[1 + j];
-}
-
-/* Force of the controller before its limit at (x, v) with memories s, for the goal g. */
-static double free_force(const state *t, double x, double v, double g, const double *s)
-{
-    double sum = t->loop[PMF_LOOP_GAIN] * (g - (x - loop_delay(t) * s[0]));
-    for (int j = 0; j < t->b->forces; j++)
-        if (in_loop(t->b->force + j) && t->size[j] != 0)
-            sum -= t->size[j] * loop_signal(t, j, v, s);
-    return sum;
-}
-
-/* Whether the controller acts. A switch of it is as late as the goals. */
-static int is_on(const state *t)
-{
-    return !(t->b->on && t->b->on[t->late] == 0);
-}
-
-static double limit(const state *t, double force)
-{
-    const double most = is_on(t) ? t->loop[PMF_LOOP_LIMIT] : 0;
-    return force > most ? most : force < -most ? -most : force;
-}
-
-/* Drive at the present state: the input, or the controller's force with the input as goal. */
-static double drive_now(const state *t, double g)
-{
-    return (t->loop ? limit(t, free_force(t, t->x, t->v, g, t->s)) : g) - t->theta[PMF_BODY_OFFSET];
-}
-
-/* Force of the controller at (x, v) with memories s, and its derivatives dq (w). */
-static double loop_force(state *t, double x, double v, double g, double g_delay, double g_lag, const double *dx,
-                         const double *dv, const double *s, const double *ds)
-{
-    const double kp = t->loop[PMF_LOOP_GAIN], D = loop_delay(t), u = free_force(t, x, v, g, s), used = limit(t, u);
-    const int at = (int)(t->loop - t->theta);
-    double *dq = t->dq;
-    memset(dq, 0, t->w * sizeof *dq);
-    if (!is_on(t))
-        return 0;
-    if (used != u) {
-        dq[at + PMF_LOOP_LIMIT] = used > 0 ? 1 : -1;
-        return used;
-    }
-    for (int k = 0; k < t->w; k++)
-        dq[k] = -kp * (dx[k] - D * ds[k]);
-    dq[at + PMF_LOOP_GAIN] += g - (x - D * s[0]);
-    dq[at + PMF_LOOP_DELAY] += kp * s[0];
-    dq[PMF_BODY_DELAY] += kp * g_delay;
-    dq[PMF_BODY_LAG] += kp * g_lag;
-    for (int j = 0; j < t->b->forces; j++)
-        if (in_loop(t->b->force + j)) {
-            const double a = t->size[j], *d = ds + (size_t)(1 + j) * t->w;
-            const int now = t->b->force[j].kind == PMF_LOOP_VELOCITY;
-            for (int k = 0; a != 0 && k < t->w; k++)
-                dq[k] -= a * (now ? 2 * ds[k] - dv[k] : d[k]);
-            dq[PMF_BODY_BASE + j] -= loop_signal(t, j, v, s);
-        }
-    return used;
-}
-
-/* One lag with time constant tau over h, while its input moves from a to b along a line; `row` is that of tau or -1. */
-static double carry_lag(const state *t, double tau, double share, int row, double h, double s, double a, double b,
-                        const double *ds, const double *da, const double *db, double *out)
-{
-    const double z = h / (tau > LEAST_DELAY / 2 ? tau : LEAST_DELAY / 2);
-    const phi f = phi_of(z);
-    const double by_a = f.p1 - f.e, by_b = 1 - f.p1;
-    for (int k = 0; k < t->w; k++)
-        out[k] = f.e * ds[k] + by_a * da[k] + by_b * db[k];
-    if (row >= 0)
-        out[row] += share * (-f.e * s + a * (f.q1 + f.e) - b * f.q1) * -z * z / h;
-    return f.e * s + by_a * a + by_b * b;
-}
-
-/* Carry the memories over h, from (x0, v0) to (x1, v1), into ms and dms. */
-static void carry_memories(state *t, double h, double g, double g_delay, double g_lag, double x0, double v0,
-                           const double *dx0, const double *dv0, double x1, double v1, const double *dx1,
-                           const double *dv1)
-{
-    const double D = loop_delay(t), *s = t->s, *ds = t->ds;
-    double *ms = t->ms, *dms = t->dms, *da = t->dq, *db = t->dT;
-    const int w = t->w, at = (int)(t->loop - t->theta);
-    int shape = PMF_BODY_BASE + t->b->forces;
-    ms[0] = carry_lag(t, D / 2, 0.5, at + PMF_LOOP_DELAY, h, s[0], v0, v1, ds, dv0, dv1, dms);
-    for (int j = 0; j < t->b->forces; j++) {
-        const pmf_force *f = t->b->force + j;
-        const double *own = ds + (size_t)(1 + j) * w;
-        double *out = dms + (size_t)(1 + j) * w;
-        if (f->kind == PMF_LOOP_FILTERED) {
-            for (int k = 0; k < w; k++) {
-                da[k] = 2 * ds[k] - dv0[k];
-                db[k] = 2 * dms[k] - dv1[k];
-            }
-            ms[1 + j] = carry_lag(t, t->p[j], 1, f->unknown ? shape : -1, h, s[1 + j], 2 * s[0] - v0, 2 * ms[0] - v1,
-                                  own, da, db, out);
-        } else if (f->kind == PMF_LOOP_INTEGRAL) { /* minus the integral of the error */
-            const int on = is_on(t);
-            const double half = h / 2;
-            ms[1 + j] = on ? s[1 + j] + half * (x0 + x1 - D * (s[0] + ms[0]) - 2 * g) : 0;
-            for (int k = 0; k < w; k++)
-                out[k] = on ? own[k] + half * (dx0[k] + dx1[k] - D * (ds[k] + dms[k])) : 0;
-            if (on) {
-                out[at + PMF_LOOP_DELAY] -= half * (s[0] + ms[0]);
-                out[PMF_BODY_DELAY] -= h * g_delay;
-                out[PMF_BODY_LAG] -= h * g_lag;
-            }
-        }
-        shape += f->unknown;
-    }
-}
+#include "controller.inl"
 
 static void swap(double **a, double **b)
 {
@@ -240,8 +117,6 @@ static void rest(state *t, double h, double g, double g_delay, double g_lag)
     swap(&t->s, &t->ms);
     swap(&t->ds, &t->dms);
 }
-
-/* The body ----------------------------------------------------------------------------------------------------- */
 
 /* Net force at rest: what remains of `drive` beyond friction, with its direction in *s; 0 if the mass rests. */
 static double start_force(const state *t, double drive, int i, double *s)
@@ -383,12 +258,12 @@ static double time_to_stop(const state *t, double net, double s)
     return -t->v * m / net * (fabs(w) < 1e-4 ? 1 - w / 2 + w * w / 3 : log1p(w) / w);
 }
 
-static const moment NONE = {0, 0, 0};
+static const moment NO_MOMENT = {0, 0, 0};
 
 /* Move for h seconds without a stop, with forces that are a quadratic of time: its value `net` and slope are those at
  * the start, and the third number is the force in the middle. The derivatives take the force in the middle alone.
  * Returns 0, and leaves the state, if the mass stops. */
-static int move_on(state *t, int i, double s, double net, double drive, double g_delay, double g_lag, double h)
+static int move_without_stop(state *t, int i, double s, double net, double drive, double g_delay, double g_lag, double h)
 {
     const double d = t->theta[PMF_BODY_VISCOUS] + s * t->theta[PMF_BODY_DIRECTIONAL], half = h / 2;
     const double rise = 12 * t->m1.value / (h * h * h),
@@ -428,7 +303,7 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             loop_force(t, t->x, t->v, g, g_delay, g_lag, t->dx, t->dv, t->s, t->ds);
         net = net_force(t, t->x, t->v, s, drive, i, t->dx, t->dv);
         if (t->b->forces && !t->loop && turn == 0) {
-            if (move_on(t, i, s, net, drive, g_delay, g_lag, left))
+            if (move_without_stop(t, i, s, net, drive, g_delay, g_lag, left))
                 return;
             net = net_force(t, t->x, t->v, s, drive, i, t->dx, t->dv);
         }
@@ -439,7 +314,7 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
                 if (stop < left)
                     half = stop / 2;
             }
-            advance(t, net, NONE, s, half, &x, &v, t->mx, t->mv);
+            advance(t, net, NO_MOMENT, s, half, &x, &v, t->mx, t->mv);
             if (s * v < 0)
                 v = 0;
             if (t->loop) {
@@ -463,14 +338,14 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             return;
         }
         if (t->loop) {
-            advance(t, net, NONE, s, step, &x, &v, t->mx, t->mv);
+            advance(t, net, NO_MOMENT, s, step, &x, &v, t->mx, t->mv);
             carry_memories(t, step, g, g_delay, g_lag, t->x, t->v, t->dx, t->dv, x, stops ? 0 : v, t->mx, t->mv);
             swap(&t->s, &t->ms);
             swap(&t->ds, &t->dms);
             swap(&t->dx, &t->mx);
             swap(&t->dv, &t->mv);
         } else
-            advance(t, net, turn || stops ? NONE : t->m1, s, step, &x, &v, t->dx, t->dv);
+            advance(t, net, turn || stops ? NO_MOMENT : t->m1, s, step, &x, &v, t->dx, t->dv);
         t->x = x;
         t->v = v;
         left -= step;

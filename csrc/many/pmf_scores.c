@@ -15,12 +15,12 @@ static uint32_t width_of(uint32_t p)
 static void add_sample(uint32_t p, const double *theta, const scalar_t *phi, double *sums)
 {
     const scalar_t *zeta = phi + p + 1U;
-    double *cross = sums + p, *square = cross + p * p, told = (double)phi[0] * theta[0], error;
+    double *cross = sums + p, *square = cross + p * p, predicted = (double)phi[0] * theta[0], error;
     uint32_t i, j;
     for (i = 1; i < p; ++i) {
-        told += (double)phi[i] * theta[i];
+        predicted += (double)phi[i] * theta[i];
     }
-    error = (double)phi[p] - told;
+    error = (double)phi[p] - predicted;
     for (i = 0; i < p; ++i) {
         double own = (double)zeta[i];
         sums[i] += own * error;

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.tables import finish, print_table
+from pmfid.cli.tables import deliver_page, print_table
 from pmfid.cli.terminal import JSON, folder_option, print_json, print_text, progress
 from pmfid.errors import NotIdentifiableError, UsageError, printable
 
@@ -104,7 +104,7 @@ def actuators(
             raise NotIdentifiableError("; ".join(f"{joint.log.name}: {joint.refused}" for joint in found))
         if out is not None:
             write_joints(out, found)
-    finish(joints_page(found, name), out, as_json)
+    deliver_page(joints_page(found, name), out, as_json)
 
 
 def _read_given(texts: tuple[str, ...]) -> dict[str, float]:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.tables import finish
+from pmfid.cli.tables import deliver_page
 from pmfid.cli.terminal import JSON, SET, print_json, print_text, progress, read_changes
 from pmfid.errors import PmfidError, UsageError
 
@@ -85,7 +85,7 @@ def design(
         appraisal = run_appraisal(loaded, found)
         if out is not None:
             write_inputs(out, appraisal)
-    finish(design_page(appraisal), out, as_json, motion="design.csv")
+    deliver_page(design_page(appraisal), out, as_json, motion="design.csv")
 
 
 def _commission(
@@ -110,7 +110,7 @@ def _commission(
             appraisal = run_appraisal(loaded, state.next)
             write_inputs(out, appraisal)
             write_page(out, design_page(appraisal))
-    finish(rounds_page(state), None, as_json)
+    deliver_page(rounds_page(state), None, as_json)
     if out is not None and state.next is not None and not as_json:
         print_text(f"motion: {out / 'design.csv'}\nreport: {out / 'report.html'}")
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.tables import finish
+from pmfid.cli.tables import deliver_page
 from pmfid.cli.terminal import JSON, config_option, folder_option, progress
 
 
@@ -56,4 +56,4 @@ def encoder(
 
         axis = load_axis(config)
         found = compare_encoders(read_record(record, axis), axis, want / 100, line_error / 100, parameter, tell)
-    finish(encoder_page(found), out, as_json)
+    deliver_page(encoder_page(found), out, as_json)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.tables import finish
+from pmfid.cli.tables import deliver_page
 from pmfid.cli.terminal import JSON, config_option, folder_option, progress
 
 
@@ -31,4 +31,4 @@ def friction(record: Path, config: Path, out: Path | None, as_json: bool) -> Non
 
         axis = load_axis(config)
         found = record_curve(read_record(record, axis), axis)
-    finish(curve_page(found, record.name), out, as_json)
+    deliver_page(curve_page(found, record.name), out, as_json)

@@ -22,7 +22,7 @@ from pmfid.cli.monitor import monitor
 from pmfid.cli.selftest import selftest
 from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
-from pmfid.cli.tables import finish
+from pmfid.cli.tables import deliver_page
 from pmfid.cli.terminal import (
     JSON,
     RECORDS,
@@ -160,7 +160,7 @@ def _compare(
 
         axis = load_axis(config, changes)
         comparison = run(kind_of(axis).read(records, axis), axis, tell)
-    finish(comparison_page(comparison), out, as_json)
+    deliver_page(comparison_page(comparison), out, as_json)
 
 
 COMMANDS = (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.tables import finish
+from pmfid.cli.tables import deliver_page
 from pmfid.cli.terminal import JSON, config_option, progress, result_option
 
 
@@ -35,4 +35,4 @@ def selftest(record: Path, config: Path, stored: Path, runs: int, seed: int, as_
         axis = load_axis(config)
         (data,) = read_records([record], axis)
         found = run_selftest(read_stored(stored), data, axis, runs=runs, seed=seed, tell=tell)
-    finish(selftest_page(found), None, as_json)
+    deliver_page(selftest_page(found), None, as_json)

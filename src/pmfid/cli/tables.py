@@ -87,7 +87,7 @@ def _add_dynamics(table: Table, result: ProcessResult) -> None:
         table.add_row(*map(_safe, row))
 
 
-def finish(page: ResultPage, out: Path | None, as_json: bool, **files: str) -> None:
+def deliver_page(page: ResultPage, out: Path | None, as_json: bool, **files: str) -> None:
     """Write a page into a folder if one is given, and print it as JSON or for people.
 
     `files` has the names of further files in the folder, by what they hold.

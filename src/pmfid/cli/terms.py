@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.tables import finish
+from pmfid.cli.tables import deliver_page
 from pmfid.cli.terminal import (
     JSON,
     RECORDS,
@@ -53,7 +53,7 @@ def terms(
 
         axis = load_axis(config, read_changes(changes))
         found = search_drive(Drives().read(records, axis), axis)
-    finish(terms_page(found), out, as_json)
+    deliver_page(terms_page(found), out, as_json)
 
 
 def _is_process(config: Path) -> bool:
@@ -80,4 +80,4 @@ def _search_order(
 
         axis = load_axis(config, changes | structure)
         search = search_order(Processes().read(records, axis), axis, tell)
-    finish(search_page(search, records[0].name), out, as_json)
+    deliver_page(search_page(search, records[0].name), out, as_json)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pmfid.cli.tables import finish
+from pmfid.cli.tables import deliver_page
 from pmfid.cli.terminal import (
     JSON,
     RECORDS,
@@ -39,4 +39,4 @@ def validate(records: tuple[Path, ...], config: Path, stored: Path, out: Path | 
 
         axis = load_axis(config)
         found = validate_stored(read_stored(stored), read_records(records, axis), axis)
-    finish(validation_page(found), out, as_json)
+    deliver_page(validation_page(found), out, as_json)

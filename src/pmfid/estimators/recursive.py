@@ -244,13 +244,13 @@ class RecursiveEstimator(Estimator):
 
     def _steps_of(self, steps: ArrayLike | None, samples: int) -> Floats | None:
         asked = self.steps is not None
-        found = None if steps is None else check_steps(steps)
-        if asked != (found is not None) or (found is not None and found.size != samples):
+        checked = None if steps is None else check_steps(steps)
+        if asked != (checked is not None) or (checked is not None and checked.size != samples):
             raise UsageError(
                 'steps (n,) belong to an estimator that is made with steps="given": give one step for each '
                 "sample, or leave steps out for any other estimator"
             )
-        return found
+        return checked
 
     @property
     def estimate(self) -> Estimate:

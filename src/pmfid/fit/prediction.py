@@ -7,15 +7,28 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid._body import BASE, ELASTIC_BASE, run
+from pmfid._body import ELASTIC_BASE
 from pmfid.errors import UsageError
+from pmfid.fit.machine import (
+    COULOMB,
+    DAMPING,
+    LOAD_COULOMB,
+    LOAD_MASS,
+    LOAD_VISCOUS,
+    MASS,
+    STIFFNESS,
+    VISCOUS,
+    Excitation,
+    simulate,
+)
+from pmfid.fit.problem import PARTS
 from pmfid.models.controllers import MotorAndLoad
 from pmfid.types import Floats
 
 __all__ = ["find_resolution", "predict_errors"]
 
 #: Places of the parameters of a `MotorAndLoad` in the body, in their order.
-PLACES = (0, 1, 2, BASE, BASE + 1, BASE + 2, BASE + 3, BASE + 4)
+PLACES = (MASS, VISCOUS, COULOMB, LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
 
 
 def predict_errors(masses: MotorAndLoad, u: ArrayLike, dt: float, resolution: float) -> dict[str, float]:
@@ -79,6 +92,5 @@ def _derivatives(values: Floats, u: Floats, dt: float) -> Floats:
     """Return the derivatives (n + 1, 8) of the motor's position by the parameters, from rest."""
     theta = np.zeros(ELASTIC_BASE)
     theta[list(PLACES)] = values
-    row, clock = np.arange(u.size + 1, dtype=np.int32), np.full(u.size, dt)
-    lift = np.eye(theta.size)[:, list(PLACES)]
-    return run([], clock, u, row, np.zeros((0, u.size)), theta, 2, lift, elastic=True)[2]
+    drive = Excitation(np.full(u.size, dt), u, np.arange(u.size + 1, dtype=np.int32), np.zeros((0, u.size)))
+    return simulate(drive, [], theta, PARTS, np.eye(theta.size)[:, list(PLACES)], elastic=True)[2]

@@ -42,12 +42,12 @@ def _regress(used: Series, i: int, warmer: Floats) -> tuple[float, float, float]
     plain = np.stack([np.ones(y.size), warmer, time], axis=1) * weight[:, None]
     base = np.linalg.qr(plain)[0]
     rest = y * weight - base @ (base.T @ (y * weight))
-    places = np.arange(SIDE, y.size - SIDE + 1)
+    steps = np.arange(SIDE, y.size - SIDE + 1)
     ends = np.cumsum((weight * rest)[::-1])[::-1], np.cumsum((weight[:, None] * base)[::-1], axis=0)[::-1]
-    known = np.cumsum((weight**2)[::-1])[::-1] - np.sum(ends[1] ** 2, axis=1)
-    gain = ends[0][places] ** 2 / np.maximum(known[places], np.finfo(float).tiny)
-    step = (np.arange(y.size) >= places[np.argmax(gain)]) * weight
+    left = np.cumsum((weight**2)[::-1])[::-1] - np.sum(ends[1] ** 2, axis=1)
+    gain = ends[0][steps] ** 2 / np.maximum(left[steps], np.finfo(float).tiny)
+    step = (np.arange(y.size) >= steps[np.argmax(gain)]) * weight
     columns = np.column_stack([plain, step])
     inverse = np.linalg.pinv(columns.T @ columns)
-    found = inverse @ (columns.T @ (y * weight))
-    return float(np.average(y, weights=weight**2)), float(found[1]), float(inverse[1, 1] ** 0.5)
+    solution = inverse @ (columns.T @ (y * weight))
+    return float(np.average(y, weights=weight**2)), float(solution[1]), float(inverse[1, 1] ** 0.5)

@@ -50,7 +50,8 @@ class MotorAndLoad:
     rotary: bool = False
 
     def transfer_function(self, output: Literal["motor", "load"] = "motor") -> tuple[Floats, Floats]:
-        """Return numerator and denominator, highest powers first, of a speed over the force or torque of the motor.
+        """Return numerator (2,) or (3,) and denominator (4,), highest powers first, of the speed of the motor or the
+        load [m/s or rad/s] over the force or torque of the motor [N or N m].
 
         Coulomb friction is not part of a transfer function.
         """
@@ -79,7 +80,7 @@ class MotorAndLoad:
         """
         high, low, sharp, blunt, total, ratio = derive(self.motor, self.load, self.stiffness, self.damping).tolist()
         unit = "kg m2" if self.rotary else "kg"
-        found = [
+        settings = [
             ControllerSetting("", "notch frequency", high, "Hz"),
             ControllerSetting("", "antiresonance", low, "Hz"),
             ControllerSetting("", "load over motor", ratio, ""),
@@ -95,7 +96,7 @@ class MotorAndLoad:
             ControllerSetting("Beckhoff AX2000", "BQFC", math.sqrt(high * low), "Hz"),
         ]
         turns = ControllerSetting("ODrive", "controller.config.inertia", 2 * math.pi * total, "N m s2/turn")
-        return [*found, turns] if self.rotary else found
+        return [*settings, turns] if self.rotary else settings
 
     def to_mjcf(self) -> str:
         """Return a model of MuJoCo: two bodies, and a tendon as the spring. The input is the force of the motor.

@@ -218,7 +218,7 @@ def calibrate(
     >>> calibration.theta.tolist(), calibration.record_hours
     ([1.07, 12.8, 0.8], 0.0)
     """
-    simulated = _simulated_blocks(estimator, theta, u)
+    simulated = _simulate_blocks(estimator, theta, u)
     _check(simulated)
     scale = make_scale(simulated)
     x, w = scale.standardise(simulated)
@@ -300,7 +300,7 @@ def _record_blocks(
     return blocks
 
 
-def _simulated_blocks(estimator: Estimator, theta: Floats, u: Floats) -> Blocks:
+def _simulate_blocks(estimator: Estimator, theta: Floats, u: Floats) -> Blocks:
     """Return the blocks of the model with the parameters theta (p,) under the input u (n,), repeated for enough blocks.
 
     The input is divided into parts that begin at different phases of the encoder. The blocks of a part follow the time

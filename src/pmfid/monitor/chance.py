@@ -64,9 +64,9 @@ class Chance:
 
     def _interpolate(self, values: Floats, each: bool = False) -> Floats:
         """Return values (WINDOW, m) for sums of 1, 2, ... units, with `each` divided by the number of units."""
-        known = values / np.array(self.lengths)[:, None] if each else values
+        columns = values / np.array(self.lengths)[:, None] if each else values
         at, lengths = np.log(np.arange(1, WINDOW + 1)), np.log(self.lengths)
-        return np.stack([np.interp(at, lengths, column) for column in known.T], axis=1)
+        return np.stack([np.interp(at, lengths, column) for column in columns.T], axis=1)
 
 
 def measure_chance(time: float, lengths: Sequence[int], x: Floats, w: Floats, *, growing: bool = False) -> Chance:
@@ -77,9 +77,9 @@ def measure_chance(time: float, lengths: Sequence[int], x: Floats, w: Floats, *,
     variance, error = sum_variances(x, w, lengths)
     levels, sums = TUNING.chance_levels, [np.sort(_sum(w, length), axis=0) for length in lengths]
     information = [[part.mean(axis=0) for part in np.array_split(one, min(levels, len(one)))] for one in sums]
-    known = [np.resize(one, (levels, x.shape[1])) for one in information]
+    resized = [np.resize(one, (levels, x.shape[1])) for one in information]
     raised = np.maximum.accumulate(variance) if growing else variance
-    return Chance(time, tuple(lengths), raised, error, np.array(known))
+    return Chance(time, tuple(lengths), raised, error, np.array(resized))
 
 
 def sum_variances(x: Floats, w: Floats, lengths: Sequence[int]) -> tuple[Floats, Floats]:

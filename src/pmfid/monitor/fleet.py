@@ -112,9 +112,9 @@ class MonitorFleet:
         places, *inputs = self._check_arrays(index, u, counts)
         shape = inputs[0].shape
         if self.takes_ages:
-            inputs.append(self._check_more("ages", ages, shape))
+            inputs.append(self._check_values("ages", ages, shape))
         elif self.takes_temperature:
-            inputs.append(self._check_more("temperature", temperature, shape))
+            inputs.append(self._check_values("temperature", temperature, shape))
         elif ages is not None:
             raise UsageError("these monitors compute from counts: leave out ages, or make a fleet of an EdgeMonitor")
         rows = FleetRows.empty(shape[0], shape[1], len(self.names))
@@ -126,7 +126,7 @@ class MonitorFleet:
         return rows
 
     @staticmethod
-    def _check_more(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> Floats:
+    def _check_values(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> Floats:
         checked = np.full(shape, np.nan) if values is None else np.asarray(numbers(name, values), np.float64)
         if checked.shape != shape:
             raise UsageError(f"{name} must have the shape {shape} of u, got {checked.shape}")

@@ -44,10 +44,10 @@ class Warmth:
 
         `left_out` is as in `Scoring`.
         """
-        made, size, blocks = ScoreFilter(estimator, theta, left_out=left_out), block_samples(estimator), []
+        scoring, size, blocks = ScoreFilter(estimator, theta, left_out=left_out), block_samples(estimator), []
         for start in range(0, u.size, size):
-            made.move(theta * self.factor(float(temperature[max(0, start - 1)]) - self.mean))
-            blocks.append(made.run(u[start : start + size], counts[start : start + size]))
+            scoring.move(theta * self.factor(float(temperature[max(0, start - 1)]) - self.mean))
+            blocks.append(scoring.run(u[start : start + size], counts[start : start + size]))
         return Blocks.concatenate(blocks)
 
 
@@ -65,16 +65,16 @@ def find_warmth(
             "record a warm-up, or drop the key"
         )
     start, size = start_blocks(estimator, theta), block_samples(estimator)
-    found = Warmth(float(np.mean(temperature)), np.zeros(theta.size))
+    warmth = Warmth(float(np.mean(temperature)), np.zeros(theta.size))
     moves = np.array([FRICTION in name for name in estimator.names[: theta.size]])
     for _ in range(TUNING.warmth_passes):
-        blocks = found.scores(estimator, theta, u, counts, temperature)[start:]
+        blocks = warmth.scores(estimator, theta, u, counts, temperature)[start:]
         ends = np.arange(start, start + len(blocks.score)) * size - 1
-        step, slope = _solve(blocks, temperature[ends] - found.mean, moves)
-        slope = np.where(moves, found.rate * theta + slope, 0.0)
+        step, slope = _solve(blocks, temperature[ends] - warmth.mean, moves)
+        slope = np.where(moves, warmth.rate * theta + slope, 0.0)
         theta = theta + step
-        found = Warmth(found.mean, np.divide(slope, theta, out=np.zeros(theta.size), where=theta != 0))
-    return found, theta
+        warmth = Warmth(warmth.mean, np.divide(slope, theta, out=np.zeros(theta.size), where=theta != 0))
+    return warmth, theta
 
 
 def _solve(blocks: Blocks, warmer: Floats, moves: np.ndarray) -> tuple[Floats, Floats]:
