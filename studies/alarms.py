@@ -46,7 +46,7 @@ NAMED: tuple[Mapping[str, float], ...] = (
 LEAST, MOST = 0.05, 0.6
 #: Times in moves: length of the calibration record, earliest change and its variation, and time after the change.
 REFERENCE, BEFORE, VARIED, AFTER = 400, 40, 3, 60
-#: Memory of the estimator in moves, simulated hours of the calibration, and increments per turn on the benches.
+#: Memory of the estimator in moves, and increments per turn on the benches.
 MEMORY, INCREMENTS = 1.5, 1024
 
 

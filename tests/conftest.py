@@ -27,7 +27,6 @@ from studies.monitoring.pipe import write_axis
 settings.register_profile("patient", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("patient")
 
-#: Hours of simulated normal work: enough for thresholds on which no test relies.
 EMPS = Path(__file__).parents[2] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
 needs_emps = pytest.mark.skipif(not EMPS.exists(), reason="the EMPS record is not on this machine")
 

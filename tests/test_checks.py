@@ -22,11 +22,12 @@ from pmfid.diagnostics.matter import OF_LOG
 from pmfid.errors import NotIdentifiableError, PmfidError
 from pmfid.findings import Finding, codes
 from pmfid.pipeline.checks import check_record
+from pmfid.pipeline.checks.view import long_stops, sudden
 from pmfid.pipeline.identify import check, identify
 from pmfid.pipeline.result import Result
 from pmfid.records.record import Record, record_of
 from pmfid.report.result import write_result
-from pmfid.simulation import CART, DriveParameters, Machine, control_machine, make_scenario
+from pmfid.simulation import DriveParameters, Machine, control_machine, make_scenario
 from studies.check_logs import FAULTS, Logged, clean, faulty
 from studies.friction_axes import BENCHES
 from tests.command import run_command
@@ -85,11 +86,8 @@ def test_a_clean_log_has_no_fault(seed: int) -> None:
 
 def test_a_rest_between_motions_is_no_clipped_counter() -> None:
     """At a coarse encoder, the longest span leaves few rows between the rests."""
-    run = make_scenario("stop-and-go", seed=3, increments=512, duration=30.0)
-    raw = {"record": {"input": "u", "output": "y", "dt": run.dt}, "encoder": {"resolution": run.resolution}}
-    axis = Axis.model_validate(raw | {"model": {"kind": "drive", "input_gain": CART.input_gain}})
-    record = Record(run.motion.u, run.counts, run.dt, run.resolution, (), "rests")
-    assert check_record(record, axis) == ()
+    counts = make_scenario("stop-and-go", seed=3, increments=512, duration=30.0).counts
+    assert sudden(counts, long_stops(counts)) == set()
 
 
 # --- one sentence -----------------------------------------------------------------------------------------------------

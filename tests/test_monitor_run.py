@@ -57,10 +57,6 @@ def read(folder: Path) -> str:
     return invoke(folder, "--json", "--report", str(folder / "page.html"), "--out", str(folder / "out.parquet"))
 
 
-#: The shortest pipe that shows the first output of the command.
-TWO_LINES = b"t,u,counts\n0,1,2\n0.01,1,2\n"
-
-
 def command(axis: Path, *arguments: str) -> list[str]:
     """Return the words that start `pmfid monitor -` in its own process."""
     return [sys.executable, "-c", START, "monitor", "-", "--config", str(axis), *arguments]

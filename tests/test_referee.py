@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
-from typing import Any
 
 import numpy as np
 import pytest
 
+from pmfid.types import Floats
 from studies.referee import judge as judging
 from studies.referee import machines
 from studies.referee.cases import FAST, FAST_SUBSTEPS, PARAMETERS, SUBSTEPS, excite, make_cases
@@ -19,9 +19,6 @@ from tests.oracles.axis import Axes, Excitation, Motion, simulate_axes
 @pytest.fixture(autouse=True)
 def shorten_records(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(machines, "SAMPLES", (200, 300))
-
-
-Floats = np.ndarray[Any, np.dtype[np.float64]]
 
 
 def drive(axes: Axes, feed: Floats, substeps: int = 10) -> Motion:

@@ -263,7 +263,8 @@ static const moment NO_MOMENT = {0, 0, 0};
 /* Move for h seconds without a stop, with forces that are a quadratic of time: its value `net` and slope are those at
  * the start, and the third number is the force in the middle. The derivatives take the force in the middle alone.
  * Returns 0, and leaves the state, if the mass stops. */
-static int move_without_stop(state *t, int i, double s, double net, double drive, double g_delay, double g_lag, double h)
+static int move_without_stop(state *t, int i, double s, double net, double drive, double g_delay, double g_lag,
+                             double h)
 {
     const double d = t->theta[PMF_BODY_VISCOUS] + s * t->theta[PMF_BODY_DIRECTIONAL], half = h / 2;
     const double rise = 12 * t->m1.value / (h * h * h),

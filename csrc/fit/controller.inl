@@ -1,7 +1,5 @@
-/* The controller of a servo: its force with derivatives, and its memories. Part of body.c, whose state it uses.
- *
+/* The controller of a servo: its force and its memories, with derivatives. Only body.c includes this file.
  * SPDX-License-Identifier: Apache-2.0 */
-
 static const double LEAST_DELAY = 2e-5; /* [s] of a loop, so that its derivatives exist */
 
 static double loop_delay(const state *t)

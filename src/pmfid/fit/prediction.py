@@ -9,26 +9,15 @@ from numpy.typing import ArrayLike
 
 from pmfid._body import ELASTIC_BASE
 from pmfid.errors import UsageError
-from pmfid.fit.machine import (
-    COULOMB,
-    DAMPING,
-    LOAD_COULOMB,
-    LOAD_MASS,
-    LOAD_VISCOUS,
-    MASS,
-    STIFFNESS,
-    VISCOUS,
-    Excitation,
-    simulate,
-)
+from pmfid.fit.elastic import ROWS
+from pmfid.fit.machine import OFFSET, Excitation, simulate
 from pmfid.fit.problem import PARTS
 from pmfid.models.controllers import MotorAndLoad
-from pmfid.types import Floats
 
 __all__ = ["find_resolution", "predict_errors"]
 
 #: Places of the parameters of a `MotorAndLoad` in the body, in their order.
-PLACES = (MASS, VISCOUS, COULOMB, LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
+PLACES = [row for row in ROWS if row != OFFSET]
 
 
 def predict_errors(masses: MotorAndLoad, u: ArrayLike, dt: float, resolution: float) -> dict[str, float]:
@@ -70,7 +59,11 @@ def predict_errors(masses: MotorAndLoad, u: ArrayLike, dt: float, resolution: fl
     inputs = np.ascontiguousarray(u, np.float64)
     if inputs.ndim != 1 or inputs.size < 2 or not np.all(np.isfinite(inputs)) or not np.all(values > 0):
         raise UsageError("give masses with parameters above zero, and an input (n,) of finite numbers")
-    slopes = _derivatives(values, inputs, dt) * values
+    theta = np.zeros(ELASTIC_BASE)
+    theta[PLACES] = values
+    row = np.arange(inputs.size + 1, dtype=np.int32)
+    drive = Excitation(np.full(inputs.size, dt), inputs, row, np.zeros((0, inputs.size)))
+    slopes = simulate(drive, [], theta, PARTS, np.eye(theta.size)[:, PLACES], elastic=True)[2] * values
     moved = slopes - slopes.mean(axis=0)  # the first position is unknown
     root = np.linalg.pinv(moved, rcond=1e-12)
     errors = resolution / np.sqrt(12) * np.sqrt(np.sum(root**2, axis=1))
@@ -86,11 +79,3 @@ def find_resolution(masses: MotorAndLoad, u: ArrayLike, dt: float, within: Mappi
     if not within or not set(within) <= set(errors):
         raise UsageError(f"within must name some of {list(errors)}, got {list(within)}")
     return min(wanted / errors[name] for name, wanted in within.items())
-
-
-def _derivatives(values: Floats, u: Floats, dt: float) -> Floats:
-    """Return the derivatives (n + 1, 8) of the motor's position by the parameters, from rest."""
-    theta = np.zeros(ELASTIC_BASE)
-    theta[list(PLACES)] = values
-    drive = Excitation(np.full(u.size, dt), u, np.arange(u.size + 1, dtype=np.int32), np.zeros((0, u.size)))
-    return simulate(drive, [], theta, PARTS, np.eye(theta.size)[:, list(PLACES)], elastic=True)[2]

@@ -161,7 +161,6 @@ _KERNEL = constants_of(None)
 _OF = {name: _KERNEL[f"PMF_OF_{name.upper()}"] for name in ("speed", "square", "place", "wave")}
 #: Largest number of forces of a given form, and of knots in all their tables.
 MOST_SHAPES, MOST_KNOTS = _KERNEL["PMF_MAX_SHAPES"], _KERNEL["PMF_MAX_KNOTS"]
-FIRST_NODE = _KERNEL["PMF_SIGNALS"]
 
 
 @dataclass(frozen=True)

@@ -168,10 +168,7 @@ def long_stops(counts: Counts) -> list[Stop]:
 
 
 def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
-    """Return the stops that begin in full motion and end in motion.
-
-    A longer span leaves fewer rows between the stops, so the largest change there is that of this or any shorter span.
-    """
+    """Return the stops that begin in full motion and end in motion."""
     edges = (counts == counts.min()) | (counts == counts.max())
     edges[[edge for stop in stops for edge in stop]] = True
     found, elsewhere = set[Stop](), 0.0
@@ -184,6 +181,7 @@ def sudden(counts: Counts, stops: list[Stop]) -> set[Stop]:
         if not np.any(apart):
             break
         long_ones = [stop for stop in stops if stop[1] - stop[0] >= span]
+        # A longer span leaves fewer rows between the stops, whose change may be too small.
         elsewhere = max(elsewhere, float(np.max(turn[apart])))
         found |= _abrupt(turn, long_ones, elsewhere)
     return found
