@@ -12,17 +12,15 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 
-from pmfid.errors import UsageError
 from pmfid.service import arrangement
+from pmfid.service.arrangement import Configurations
 from pmfid.service.plant import load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog
-from pmfid.service.workers import calibrate_all
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import prepare
 from pmfid.stream.outcome import Counters, Notice
-from tests.refusals import refused
 from tests.service.collected import Collected
 from tests.service.feed import file_as_input
 from tests.service.test_serve import PLANT, Acting, folder  # noqa: F401 a fixture
@@ -56,13 +54,14 @@ def test_the_page_answers_before_the_calibration(folder: Path, monkeypatch: pyte
     assert not service._engine.awaited
 
 
-def test_processes_calibrate_and_report_errors(folder: Path) -> None:  # noqa: F811
-    (folder / "lonely.toml").write_text((folder / "axis.toml").read_text().replace("normal.csv", "nowhere.csv"))
-    found = dict(calibrate_all([folder / "axis.toml", folder / "lonely.toml"], threading.Event()))
-    refused((r"nowhere\.csv", lambda: found[folder / "lonely.toml"]()), kind=(UsageError, OSError))
-    made, expected = found[folder / "axis.toml"](), prepare(folder / "axis.toml")
-    np.testing.assert_array_equal(made.setup.nominal, expected.setup.nominal)
-    assert made.dt == expected.dt
+def test_threads_calibrate_and_report_errors(folder: Path) -> None:  # noqa: F811
+    good, bad, reported = folder / "axis.toml", folder / "other.toml", list[dict[str, Any]]()
+    configs = (configurations := Configurations(reported.append)).read({"x1": good, "x2": bad})
+    monitor = configs[bad].monitor.model_copy(update={"reference": "nowhere.csv"})
+    configs[bad] = configs[bad].model_copy(update={"monitor": monitor})
+    made = {path.name: one and one.setup.nominal.tolist() for path, one in configurations.calibrate(configs)}
+    assert made == {"axis.toml": prepare(good).setup.nominal.tolist(), "other.toml": None}
+    assert [one["config"] for one in reported if "nowhere.csv" in one.get("problem", "")] == ["other.toml"]
 
 
 def test_data_of_an_axis_that_is_not_ready_are_counted_and_not_refused(monkeypatch: pytest.MonkeyPatch) -> None:

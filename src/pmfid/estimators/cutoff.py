@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.configuration import like
+from pmfid.estimators.configuration import check_arrays, like
 from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import long_run_covariance, solve_with_instruments
 from pmfid.estimators.ls import BCLS
@@ -33,7 +33,13 @@ def choose_prefilter_zeros(estimator: Estimator, u: ArrayLike, counts: ArrayLike
     needed = len(estimator.model.simple.equation.noisy)
     sets = estimator.plant.candidate_zeros(estimator.cutoff, estimator.memory, needed)
     batches = [like(BCLS, estimator, model=estimator.model.simple, prefilter_zeros=zeros) for zeros in sets]
-    information = [_log_information(batch, u, counts) for batch in batches]
+    u, counts = check_arrays(u, counts)
+    most = counts.size if estimator.steps is not None else min(TUNING.stretch, counts.size)
+    for samples in sorted({most, counts.size}):
+        part = liveliest(estimator.encoder.position(counts), samples)
+        information = [_log_information(batch, u[part], counts[part]) for batch in batches]
+        if np.any(np.isfinite(information)):
+            break
     return sets[int(np.argmax(information))]
 
 

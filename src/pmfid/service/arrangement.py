@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -11,8 +12,8 @@ from typing import TypeVar
 
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import PmfidError
+from pmfid.estimators.fleet import processors
 from pmfid.service.context import Tell
-from pmfid.service.workers import calibrate_all, stop_workers
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, prepare
 
@@ -30,6 +31,9 @@ class Configurations:
     _known: dict[Path, tuple[str, Prepared]] = field(default_factory=dict, init=False)
     _stamps: dict[Path, str] = field(default_factory=dict, init=False)
     _stopped: Event = field(default_factory=Event, init=False)
+    _pool: ThreadPoolExecutor = field(
+        default_factory=lambda: ThreadPoolExecutor(processors(), "calibration"), init=False
+    )
 
     def read(self, axes: Mapping[str, Path]) -> dict[Path, Axis]:
         """Return the content of each usable AXIS.toml.
@@ -48,8 +52,8 @@ class Configurations:
     def calibrate(self, configs: Mapping[Path, Axis]) -> Iterator[tuple[Path, Prepared | None]]:
         """Yield the calibration of each configuration that was read as soon as it is ready, or None if it fails.
 
-        Several configurations are calibrated by processes on all cores, and equal ones once. Raises PmfidError or
-        OSError if the only configuration has never been usable.
+        Several configurations are calibrated by threads on all cores, and equal ones once. Raises PmfidError or OSError
+        if the only configuration has never been usable.
         """
         stamps = {path: self._stamps[path] for path in configs}
         due = [path for path in configs if path not in self._known or self._known[path][0] != stamps[path]]
@@ -57,17 +61,16 @@ class Configurations:
         equal: dict[str, list[Path]] = {}
         for path in due:
             equal.setdefault(stamps[path], []).append(path)
-        first = [paths[0] for paths in equal.values()]
-        if len(first) > 1:
-            made: Iterable[tuple[Path, Callable[[], Prepared]]] = calibrate_all(first, self._stopped)
-        else:
-            made = ((path, partial(prepare, path, configs[path])) for path in first)
-        for path, take in made:
+        if self._stopped.is_set():
+            return
+        futures = {self._pool.submit(prepare, paths[0], configs[paths[0]]): paths for paths in equal.values()}
+        for future in as_completed(futures):
             if self._stopped.is_set():
                 return
-            prepared = self._try(path, take, only=len(configs) == 1)
-            for each in equal[stamps[path]]:
-                yield each, prepared and self._keep(replace(prepared, path=each), stamps[path])
+            first, stamp = futures[future][0], stamps[futures[future][0]]
+            prepared = self._try(first, future.result, only=len(configs) == 1)
+            for each in futures[future]:
+                yield each, prepared and self._keep(replace(prepared, path=each), stamp)
 
     def _keep(self, prepared: Prepared, stamp: str) -> Prepared:
         """Keep and report a calibrated configuration."""
@@ -86,9 +89,9 @@ class Configurations:
         return {name: prepared for name, prepared in found.items() if prepared is not None}
 
     def stop(self) -> None:
-        """End calibrations in other processes."""
+        """Begin no further calibration."""
         self._stopped.set()
-        stop_workers()
+        self._pool.shutdown(wait=False, cancel_futures=True)
 
     def _try(self, path: Path, make: Callable[[], Made], only: bool) -> Made | None:
         """Return the result of `make`, or None after an error that has been reported."""

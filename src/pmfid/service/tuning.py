@@ -82,10 +82,6 @@ class ServiceTuning:
     #: Time without a byte after which the source looks whether the service ends [s].
     stdin_look: float = 0.2
 
-    # workers
-    #: Priority by which calibrations yield to the service.
-    workers_nice: int = 10
-
     # web.api
     #: Number of trends in one request, and number of characters in a note.
     api_trends: int = 200

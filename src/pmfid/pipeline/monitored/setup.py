@@ -255,6 +255,13 @@ def _set_normal_gain(axis: Axis, source: Record) -> Axis:
     return try_both_signs(axis, find_gain)
 
 
+def _fit_reference(front: IV, source: Record, known: Known | None) -> Floats:
+    """Return the parameters (p,) of a reference. Only prior information needs their standard errors."""
+    if known is None:
+        return front.settle_iteration(source.u, source.counts)[1]
+    return np.asarray(known.combine(front.fit(source.u, source.counts)).theta[: len(front.names)])
+
+
 def _nominal(
     estimator: RecursiveEstimator, given: dict[str, float] | None, source: Record, known: Known | None
 ) -> Floats:
@@ -262,8 +269,7 @@ def _nominal(
     front = like(IV, estimator, prefilter_zeros=None)
     names = front.names
     if given is None:
-        fit = front.fit(source.u, source.counts)
-        theta = np.asarray(fit.theta if known is None else known.combine(fit).theta[: len(names)])
+        theta = _fit_reference(front, source, known)
         if source.temperature is None:
             return theta
         return find_warmth(front, theta, source.u, source.counts, source.temperature)[1]
