@@ -75,7 +75,7 @@ def test_the_terminal_shows_one_table_and_the_status_of_each_joint(arm: Path) ->
         (["--goal", "goal_2", "--position", "position_2", "--bits", "12"], 3, "hardly moves"),
         (["--unit", "counts"], 2, "--bits or --resolution"),
         (["--bits", "12", "--resolution", "0.1"], 2, "give only one of them"),
-        (["--bits", "12", "--given", "kp"], 2, "write kp=8"),
+        (["--bits", "12", "--given", "kp"], 2, "write --given kp=8"),
         (["--bits", "12", "--given", "3.kp=8"], 2, "the joints are 1, 2"),
         (["--bits", "12", "--term", "grafity"], 2, "did you mean 'gravity'"),
         (["--resolution", "nan"], 2, "must be positive"),

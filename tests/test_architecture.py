@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import suppress
 from functools import cache
 from graphlib import TopologicalSorter
 from importlib import import_module
@@ -445,6 +446,13 @@ def includes(source: str) -> set[str]:
 
 
 KERNEL = sorted(path.name for path in CSRC.iterdir() if path.suffix in (".c", ".h", ".inl"))
+
+
+def test_each_test_file_imports() -> None:
+    """A test file that cannot be imported would fail only in `make test`, minutes later."""
+    for path in sorted((REPOSITORY / "tests").rglob("test_*.py")):
+        with suppress(pytest.skip.Exception):  # a module without its library
+            import_module(".".join(path.relative_to(REPOSITORY).with_suffix("").parts))
 
 
 def test_the_kernel_is_there() -> None:

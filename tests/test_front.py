@@ -1,4 +1,4 @@
-"""A user's first contact: help, names, the demo's files, keys without effect, and progress."""
+"""A user's first contact: help, and the demo's files."""
 
 from __future__ import annotations
 
@@ -14,26 +14,6 @@ from tests.command import run_command
 
 pytestmark = pytest.mark.usefixtures("without_judgement")
 
-CART = """
-[record]
-input = "u"
-output = "counts"
-output_kind = "counts"
-dt = 0.01
-[encoder]
-resolution = 22.75e-6
-[model]
-input_gain = 2.0
-[estimator]
-cutoff = 20.0
-"""
-
-
-# --- names ------------------------------------------------------------------------------------------------------------
-
-
-# --- help -------------------------------------------------------------------------------------------------------------
-
 
 def test_every_command_says_what_it_does_in_one_line() -> None:
     text = CliRunner().invoke(main, ["--help"], terminal_width=80).output
@@ -44,9 +24,6 @@ def test_every_command_says_what_it_does_in_one_line() -> None:
     assert "..." not in text.partition("Commands:\n")[2]
 
 
-# --- the demo ---------------------------------------------------------------------------------------------------------
-
-
 def test_what_the_demo_writes_can_be_identified_as_it_stands(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -55,9 +32,3 @@ def test_what_the_demo_writes_can_be_identified_as_it_stands(
     assert command[:2] == ["pmfid", "identify"]
     result = run_command(*command[1:])
     assert "mass" in result.output
-
-
-# --- keys without an effect, and one rule for the gain ----------------------------------------------------------------
-
-
-# --- progress ---------------------------------------------------------------------------------------------------------

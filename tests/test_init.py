@@ -17,6 +17,7 @@ from pmfid.pipeline.guess.columns import step_of
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.identify import kind_of
 from pmfid.simulation import CART, Scenario, make_scenario
+from tests.command import run_command
 from tests.conftest import unjudged
 
 RESOLUTION = 22.75e-6
@@ -94,6 +95,12 @@ def test_init_then_identify_is_right_with_nothing_edited(name: str, tmp_path: Pa
     with unjudged():
         result = kind.estimate(kind.read([path], axis), axis)
     assert result.theta[0] == pytest.approx(LOGS[name][1] * CART.mass, rel=0.01)
+
+
+def test_the_commands_name_a_file_with_a_space_as_one_word(tmp_path: Path) -> None:
+    log, axis = saved("counts", tmp_path).rename(tmp_path / "a log.csv"), tmp_path / "an axis.toml"
+    done = run_command("init", log, "--out", axis)
+    assert done.output.endswith(f"pmfid identify '{log}' --config '{axis}'\n")
 
 
 def test_each_line_has_its_reason_and_what_is_not_reported_is_marked(tmp_path: Path) -> None:

@@ -153,6 +153,7 @@ SAME: list[tuple[dict[str, Any], dict[str, object]]] = [
     ({"remark": ["?"] * 20}, {}),
     ({"u": -0.4 * np.cos(0.3 * np.arange(20))}, {"record_input_scale": -2.5}),
     ({}, {"record_dt": 0.010099}),
+    ({name: np.repeat(values, 1 + np.arange(20) % 2) for name, values in columns().items()}, {}),
 ]
 
 

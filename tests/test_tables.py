@@ -15,7 +15,20 @@ from pmfid.io.reading import read_table
 from pmfid.io.tables import column
 from tests.command import run_command
 from tests.refusals import refused
-from tests.test_front import CART
+
+CART = """
+[record]
+input = "u"
+output = "counts"
+output_kind = "counts"
+dt = 0.01
+[encoder]
+resolution = 22.75e-6
+[model]
+input_gain = 2.0
+[estimator]
+cutoff = 20.0
+"""
 
 pytestmark = pytest.mark.usefixtures("without_judgement")
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pmfid.cli.tables import deliver_page, print_table
-from pmfid.cli.terminal import JSON, folder_option, print_json, print_text, progress
+from pmfid.cli.terminal import JSON, folder_option, print_json, print_text, progress, read_numbers
 from pmfid.errors import NotIdentifiableError, UsageError, printable
 
 if TYPE_CHECKING:
@@ -99,23 +99,14 @@ def actuators(
             return
         layout = LogLayout(time, goal, position, unit, step, episode, goal_unit, known_forces)
         logs = [joint for path in log for joint in read_joints(path, layout)]
-        found = fit_joints(logs, _read_given(given), terms, loop_period, per_log=per_log, search=search, tell=tell)
+        found = fit_joints(
+            logs, read_numbers("given", given, "kp=8"), terms, loop_period, per_log=per_log, search=search, tell=tell
+        )
         if all(joint.fit is None for joint in found):
             raise NotIdentifiableError("; ".join(f"{joint.log.name}: {joint.refused}" for joint in found))
         if out is not None:
             write_joints(out, found)
     deliver_page(joints_page(found, name), out, as_json)
-
-
-def _read_given(texts: tuple[str, ...]) -> dict[str, float]:
-    given = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        try:
-            given[name.strip()] = float(value)
-        except ValueError:
-            raise UsageError(f"--given {text!r} is not NAME=NUMBER: write kp=8") from None
-    return given
 
 
 def _show_gains(mechanisms: list[Feedforward], name: str, out: Path | None, as_json: bool) -> None:

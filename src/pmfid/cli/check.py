@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from pmfid.cli.tables import finding_lines
 from pmfid.cli.terminal import JSON, RECORDS, config_option, print_json, print_text, progress
 from pmfid.findings import codes
 
@@ -43,15 +44,7 @@ def check(ctx: click.Context, records: tuple[Path, ...], config: Path, as_json: 
     if as_json:
         print_json({"record": name, "samples": samples, "findings": [finding.to_json() for finding in found]})
     else:
-        from pmfid.diagnostics.matter import is_small_doubt
-
-        small = dict.fromkeys(finding.code for finding in found if is_small_doubt(finding))
         said = "" if faults else ", nothing wrong found" if found else ", nothing found"
-        print_text(f"{name}: {samples} samples{said}")
-        for finding in found:
-            if not is_small_doubt(finding):
-                print_text("\n".join(finding.lines))
-        if small:
-            print_text(f"note: effects outside the model are below the tolerance: {', '.join(small)}")
+        print_text("\n".join([f"{name}: {samples} samples{said}", *finding_lines(found)]))
     wrong = any(finding.severity == "wrong" for finding in found)
     ctx.exit(EXIT_WRONG if wrong else EXIT_FOUND if faults else 0)

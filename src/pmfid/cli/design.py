@@ -9,40 +9,26 @@ from pathlib import Path
 import click
 
 from pmfid.cli.tables import deliver_page
-from pmfid.cli.terminal import JSON, SET, print_json, print_text, progress, read_changes
-from pmfid.errors import PmfidError, UsageError
+from pmfid.cli.terminal import JSON, SET, folder_option, print_json, print_text, progress, read_changes, read_numbers
+from pmfid.errors import PmfidError
 
-SPEC = click.argument("spec", type=click.Path(path_type=Path), metavar="SPEC.toml")
-OUT = click.option(
-    "--out",
-    type=click.Path(path_type=Path, file_okay=False),
-    metavar="DIR",
-    help="Write report.html, design.json, and t, u, x, v as design.csv into this folder.",
-)
-RUNS = click.argument("records", nargs=-1, type=click.Path(path_type=Path), metavar="[RECORD]...")
-WANT = click.option(
+
+@click.command(short_help="Find the most informative input within the limits of an axis, or the next one after runs.")
+@click.argument("spec", type=click.Path(path_type=Path), metavar="SPEC.toml")
+@click.argument("records", nargs=-1, type=click.Path(path_type=Path), metavar="[RECORD]...")
+@click.option(
     "--want",
     multiple=True,
     metavar="NAME=STD",
     help="Stop if the parameter has this standard deviation; may be repeated.",
 )
-TRUTH = click.option(
+@click.option(
     "--truth",
     multiple=True,
     metavar="NAME=VALUE",
     help="Simulate all rounds on an axis with this true value and otherwise nominal values; may be repeated.",
 )
-ROUNDS = click.option(
-    "--rounds", type=click.IntRange(min=1), default=10, show_default=True, help="Maximum number of rounds."
-)
-
-
-@click.command(short_help="Find the most informative input within the limits of an axis, or the next one after runs.")
-@SPEC
-@RUNS
-@WANT
-@TRUTH
-@ROUNDS
+@click.option("--rounds", type=click.IntRange(min=1), default=10, show_default=True, help="Maximum number of rounds.")
 @SET
 @click.option(
     "--certify",
@@ -52,7 +38,7 @@ ROUNDS = click.option(
     metavar="S",
     help="Maximum processor time [s] for a proof of the distance to the optimum; 0: no proof.",
 )
-@OUT
+@folder_option("Write report.html, design.json, and t, u, x, v as design.csv into this folder.")
 @JSON
 def design(
     spec: Path,
@@ -105,7 +91,8 @@ def _commission(
 
         loaded = load_spec(spec, changes)
         runs = [read_run(loaded, path) for path in records]
-        state = run_commissioning(loaded, runs, _pairs("want", want), _pairs("truth", truth) if truth else None, rounds)
+        wanted, true = read_numbers("want", want, "mass=0.01"), read_numbers("truth", truth, "mass=1.2")
+        state = run_commissioning(loaded, runs, wanted, true or None, rounds)
         if out is not None and state.next is not None:
             appraisal = run_appraisal(loaded, state.next)
             write_inputs(out, appraisal)
@@ -113,18 +100,6 @@ def _commission(
     deliver_page(rounds_page(state), None, as_json)
     if out is not None and state.next is not None and not as_json:
         print_text(f"motion: {out / 'design.csv'}\nreport: {out / 'report.html'}")
-
-
-def _pairs(option: str, texts: tuple[str, ...]) -> dict[str, float]:
-    """Return the pairs NAME=NUMBER of a repeated option as a dict."""
-    found = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        try:
-            found[name.strip()] = float(value)
-        except ValueError:
-            raise UsageError(f"--{option} {text!r} is not NAME=NUMBER, for example mass=0.01") from None
-    return found
 
 
 @contextmanager

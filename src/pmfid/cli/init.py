@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -59,4 +60,5 @@ def init(record: Path, out: Path, driving: str | None, output: str | None, time:
     with out.open("x", encoding="utf-8", newline="\n") as file:
         file.write(found.text)
     click.echo(printable(found.text))
-    click.echo(printable(f"pmfid check {record} --config {out}\npmfid identify {record} --config {out}"))
+    arguments = shlex.join([str(record), "--config", str(out)])
+    click.echo(printable(f"pmfid check {arguments}\npmfid identify {arguments}"))

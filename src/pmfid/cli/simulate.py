@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import click
@@ -51,7 +52,7 @@ def simulate(scenario: str | None, listing: bool, out: Path | None, truth: bool,
         raise UsageError(f"the record is written as CSV, not as {out.name!r}; name it {out.stem}.csv")
     with progress("simulate"):
         axis = _write(scenario, out, truth, **options)
-    click.echo(f"record: {out}\naxis:   {axis}\npmfid identify {out} --config {axis}")
+    click.echo(f"record: {out}\naxis:   {axis}\npmfid identify {shlex.join([str(out), '--config', str(axis)])}")
 
 
 def _write(

@@ -13,6 +13,7 @@ from pmfid.report.page import ResultPage, format_cell
 if TYPE_CHECKING:
     from rich.table import Table
 
+    from pmfid.findings import Finding
     from pmfid.pipeline.result import ProcessResult, Result
 
 
@@ -23,7 +24,6 @@ def print_result(result: Result, out: Path | None) -> None:
     """
     from rich.console import Console
 
-    from pmfid.diagnostics.matter import is_small_doubt
     from pmfid.pipeline.conclusion import conclude
     from pmfid.pipeline.result import DriveResult, ProcessResult
 
@@ -37,15 +37,23 @@ def print_result(result: Result, out: Path | None) -> None:
     if isinstance(result, DriveResult):
         print_text(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %")
     print_text(f"status: {', '.join(dict.fromkeys(result.status)) or 'none'}")
-    small = dict.fromkeys(finding.code for finding in result.findings if is_small_doubt(finding))
-    lines = [line for finding in result.findings if not is_small_doubt(finding) for line in finding.lines]
-    if small:
-        below = f"note: effects outside the model are below the tolerance: {', '.join(small)}"
-        lines.append(f"{below}; the report and --json describe them")
+    lines = finding_lines(result.findings)
     lines += [f"more: pmfid explain {said.word}"] if said.word else []
     lines += [f"report: {out / 'report.html'}"] if out is not None else []
     for line in lines:
         print_text(line)
+
+
+def finding_lines(findings: Sequence[Finding]) -> list[str]:
+    """Return the lines of findings. Doubts below the tolerance share one line."""
+    from pmfid.diagnostics.matter import is_small_doubt
+
+    small = dict.fromkeys(finding.code for finding in findings if is_small_doubt(finding))
+    lines = [line for finding in findings if not is_small_doubt(finding) for line in finding.lines]
+    if small:
+        below = f"note: effects outside the model are below the tolerance: {', '.join(small)}"
+        lines.append(f"{below}; the report and --json describe them")
+    return lines
 
 
 def _parameters(result: Result, width: int) -> Table:

@@ -46,6 +46,18 @@ def read_changes(texts: Sequence[str]) -> dict[str, object]:
     return found
 
 
+def read_numbers(option: str, texts: Sequence[str], example: str) -> dict[str, float]:
+    """Return the pairs NAME=NUMBER of a repeated option."""
+    found = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            found[name.strip()] = float(value)
+        except ValueError:
+            raise UsageError(f"--{option} {text!r} is not NAME=NUMBER: write --{option} {example}") from None
+    return found
+
+
 def config_option(text: str = "The columns, the encoder, the model and the estimator.") -> Callable[[F], F]:
     """Return the option --config, whose default is the file that `pmfid init` writes."""
     kind = click.Path(path_type=Path)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Literal, Self
 
@@ -191,22 +191,23 @@ def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
     Raises UsageError for a unit that the configuration contradicts, and for a configured number whose unit is
     ambiguous.
     """
-    own = {"u": column_unit(input_name, INPUTS), "y": column_unit(output_name, OUTPUTS)}
+    own = {"input": column_unit(input_name, INPUTS), "output": column_unit(output_name, OUTPUTS)}
     if axis.model.kind != "drive":  # the user defines the units, which all numbers share
-        columns = " and ".join(f"{key} in {unit.name}" for key, unit in own.items() if unit)
-        notes = (f"the file has {columns}: the results are in these units",) if columns else ()
-        return Conversion(1.0, 1.0, None, notes, own["u"].name if own["u"] else "")
+        columns = _say_units({key: unit.name for key, unit in own.items() if unit})
+        notes = (f"{columns}: the results are in these units",) if columns else ()
+        return Conversion(1.0, 1.0, None, notes, own["input"].name if own["input"] else "")
     y, u = _output_unit(axis, output_name), _input_unit(axis, input_name)
     kind = axis_kind(axis, y)
-    named = [f"{key} in {_format_unit(unit)}" for key, unit in (("u", u), ("y", y)) if unit]
-    said = [f"the file has {' and '.join(named)}"] if named else []
+    said = [_say_units({key: _format_unit(unit) for key, unit in (("input", u), ("output", y)) if unit})]
     if axis.model.input_gain == axis.record.input_scale == 1.0 and (u is None or u.of not in ("force", "torque")):
         said.append(
             f"input_gain is 1, so forces are in the unit of {input_name!r}; for forces in N give [model] input_gain"
         )
     elif u is not None and u.of == "ratio" and u.name != "1" and type(axis.model.input_gain) is float:
         said.append(f"input_gain = {axis.model.input_gain:.9g} is per {u.name} of {input_name!r}")
-    return Conversion(u.factor if u else 1.0, y.factor if y else 1.0, kind, tuple(said), _converted_unit(axis, u))
+    return Conversion(
+        u.factor if u else 1.0, y.factor if y else 1.0, kind, tuple(filter(None, said)), _converted_unit(axis, u)
+    )
 
 
 def _converted_unit(axis: Sections, unit: Unit | None) -> str:
@@ -332,6 +333,11 @@ def _input_unit(axis: Sections, name: str) -> Unit | None:
 
 def _base(unit: Unit) -> str:
     return unit.name if unit.of == "ratio" else SI[unit.of]
+
+
+def _say_units(units: Mapping[str, str]) -> str:
+    """Return a sentence on the units of input and output, or an empty text without units."""
+    return ", ".join(f"the {column} is in {unit}" for column, unit in units.items())
 
 
 def _format_unit(unit: Unit) -> str:

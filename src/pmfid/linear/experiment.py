@@ -231,11 +231,6 @@ class Experiment(Presentable):
         response = np.linalg.lstsq(columns[known, :kept], self.u[known], rcond=None)[0]
         return np.asarray(columns[:, :kept] @ response)
 
-    def detrend(self) -> Experiment:
-        """Return the experiment without the means of input and output, and thus relative to the operating point. Drifts
-        remain, because the removal of a drift from the output alone would change the process."""
-        return replace(self, u=self.u - np.nanmean(self.u), y=self.y - np.nanmean(self.y))
-
     def stretches(self, delay: int = 0) -> list[RecordStretch]:
         """Return the uninterrupted parts, with an input that is `delay` periods late. Parts without a measured output
         are left out."""

@@ -59,16 +59,9 @@ class FrictionCurve(Presentable):
 
     def evaluate(self, velocity: ArrayLike) -> Floats:
         """Return the friction (n,) [N] at velocities (n,) [m/s]; NaN for velocities outside the curve."""
-        return self._interpolate(velocity, self.force)
-
-    def std_at(self, velocity: ArrayLike) -> Floats:
-        """Return the standard error of the curve (n,) [N]; NaN for velocities outside the curve."""
-        return self._interpolate(velocity, self.std)
-
-    def _interpolate(self, velocity: ArrayLike, values: Floats) -> Floats:
         v = np.asarray(velocity, np.float64)
         inside = np.any([(low <= v) & (v <= high) for low, high in self.visited], axis=0)
-        return np.where(inside, np.interp(v, self.velocity, values), np.nan)
+        return np.where(inside, np.interp(v, self.velocity, self.force), np.nan)
 
     @property
     def status(self) -> tuple[str, ...]:

@@ -358,7 +358,7 @@ def place_rows(time: Floats | None, kept: Flags, repeated: Flags, config: Record
     if (same := has_same_steps(time)) and np.all(kept):
         return PlacedRows(rows, rows, *sample_period(time, config))
     if not same:
-        rows, repeats = _drop_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
+        rows, repeats = drop_repeats(time, repeated, np.flatnonzero(np.isfinite(time)))
         rows, early = _drop_early(time, rows)
     stamps, places = _take_rows(time, rows), None
     if not (same or is_steady(stamps)):
@@ -429,13 +429,22 @@ def _even_stamps(time: Floats) -> Floats:
     return line if period > 0 and _furthest(np.abs(time - line), 0.0) < TUNING.clock_furthest * period else time
 
 
-def _drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
-    """Return the rows without exact repetitions of the previous row and its time."""
-    again = np.r_[False, np.diff(_take_rows(time, rows)) == 0] & _take_rows(repeated, rows)
+def drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:
+    """Return the rows without exact repetitions of the previous row and its time.
+
+    A rounded clock gives equal stamps to different rows. If all rows with equal stamps are repetitions, the log
+    has them twice.
+    """
+    equal = np.r_[False, np.diff(_take_rows(time, rows)) == 0]
+    again = equal & _take_rows(repeated, rows)
     count = int(np.count_nonzero(again))
-    if not count or is_rounded(_take_rows(time, rows)):
+    if not count or (count < np.count_nonzero(equal) and is_rounded(_take_rows(time, rows))):
         return rows, ()
-    note = "rows repeat the row before with its time and are" if count > 1 else "row repeats the row before and is"
+    note = (
+        "rows repeat the row before with its time and are"
+        if count > 1
+        else "row repeats the row before with its time and is"
+    )
     return rows[~again], (f"{count} {note} left out",)
 
 

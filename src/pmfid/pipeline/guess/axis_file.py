@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from pmfid.pipeline.guess.pairs import MOTION, Judgement, Pair, judge
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.guess.verdicts import describe_doubt, explain_refusal
 from pmfid.pipeline.tuning import TUNING
-from pmfid.records.clock import UNITS, even_grid, is_rounded, named_unit
+from pmfid.records.clock import UNITS, drop_repeats, even_grid, is_rounded, named_unit
 from pmfid.records.outliers import wrap_of
 from pmfid.types import Floats
 from pmfid.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, gain, quantity
@@ -34,7 +34,7 @@ Reader = Callable[[str], float]
 Ask = Callable[[str, Reader], float | None]
 
 HEADING = """\
-# {name}: guessed from the record by pmfid init. Each line has its reason; the record does not show values marked TO DO.
+# {name}: guessed from the record by pmfid init. Each line has its reason. Lines marked TO DO need you.
 """
 TO_DO = "TO DO: "
 
@@ -118,7 +118,7 @@ def _guess(table: Table, path: Path, ask: Ask | None, choice: NamedColumns) -> A
     if choice.time is not None and choice.time not in table:
         raise UsageError(f"there is no column {choice.time!r}{did_you_mean(choice.time, table)}")
     stamps = time_of(table, columns, choice.time)
-    clock = _clock(stamps, ask)
+    clock = _clock(_drop_repeats(stamps, columns), ask)
     rest = {
         name: values
         for name, values in columns.items()
@@ -182,14 +182,25 @@ KINDS = {
 
 
 def _why_input(pair: Pair, judgement: Judgement) -> str:
-    others = [f"{one.input} and {one.output} {100 * one.explained:.3g} %" for one in judgement.pairs if one is not pair]
-    further = f"; {', '.join(others[:3])}" if others else ""
+    others = [
+        f"{100 * one.explained:.3g} % of {one.input} by {one.output}" for one in judgement.pairs if one is not pair
+    ]
+    further = f"; other pairs: {', '.join(others[:3])}" if others else ""
     return f"the motion of {pair.output} explains it to {100 * pair.explained:.3g} %{further}"
 
 
 def _why(pair: Pair) -> str:
     role = role_of(pair.output)
     return f"its name says {role}" if role in MOTION else "the input drives it"
+
+
+def _drop_repeats(stamps: Stamps | None, columns: Mapping[str, Floats]) -> Stamps | None:
+    """Return the stamps without rows that the log has twice. Topics have rows of their own and are left alone."""
+    if stamps is None or any(values.size <= stamps.rows[-1] for values in columns.values()):
+        return stamps
+    again = np.all([np.diff(values[stamps.rows], prepend=np.nan) == 0 for values in columns.values()], axis=0)
+    rows, _ = drop_repeats(stamps.values, again, np.arange(stamps.rows.size))
+    return replace(stamps, values=stamps.values[rows], rows=stamps.rows[rows])
 
 
 def _clock(stamps: Stamps | None, ask: Ask | None) -> GuessedClock:
@@ -283,7 +294,11 @@ def _model(result: AxisGuess, pair: Pair, travel: Unit | None, ask: Ask | None) 
         )
         result.add("model", 'axis = "rotary"', reason)
     if pair.gravity:
-        result.add("model", "gravity = true", "a force with the sine of the angle explains most of the input")
+        result.add(
+            "model",
+            "gravity = true",
+            "the sine of the angle explains a part of the input; false for an axis without gravity",
+        )
     unit = column_unit(pair.input, INPUTS)
     force = "N m" if rotary else "N"
     if unit is not None and unit.of in ("force", "torque"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping, Sequence
 
 from pmfid.pipeline.guess.pairs import MOTION, Judgement, Pair
@@ -61,12 +62,7 @@ def _describe(pair: Pair) -> str:
 
 
 def _options(pair: Pair) -> str:
-    return f"--input {_quote(pair.input)} --output {_quote(pair.output)}"
-
-
-def _quote(name: str) -> str:
-    """Return a name as one word of a command line."""
-    return name if name.replace("_", "").isalnum() else f'"{name}"'
+    return shlex.join(["--input", pair.input, "--output", pair.output])
 
 
 def _shorten(parts: Sequence[str]) -> str:
