@@ -99,9 +99,11 @@ def test_both_masses_and_the_spring_are_found(result: pmfid.Result) -> None:
 
 
 def test_a_rigid_axis_names_the_second_mass() -> None:
-    u, counts, resolution = record(pair=1, hold=6)
+    u, counts, resolution = record(4, pair=1, hold=48)  # slow, so that only friction is wrong
     rigid = pmfid.identify(u, counts, model=pmfid.Drive(1.0), dt=STEP, encoder=pmfid.Encoder(resolution))
     (named,) = [one for one in rigid.findings if one.code == "two_mass"]
+    assert rigid["mass"] == pytest.approx(1.0, rel=0.01)
+    assert "viscous_friction over both masses is 0.7002" in named.detail
     assert "two_mass" in rigid.status
     assert "a resonance at 60 Hz" in named.sentence
     assert named.remedy == 'set body = "two-mass" in [model]'
@@ -128,5 +130,4 @@ def test_the_command_takes_the_body(tmp_path: Path) -> None:
     found = CliRunner().invoke(main, ["identify", log, "--config", axis, "--json"])
     assert json.loads(found.stdout)["parameters"]["stiffness"]["value"] == pytest.approx(3947.8, rel=0.005)
     for command in (["export", axis, "--out", str(tmp_path / "out")], ["monitor", log, "--config", axis]):
-        said = run_command(*command, code=2)
-        assert "off-line" in said.stderr
+        assert "off-line" in run_command(*command, code=2).stderr

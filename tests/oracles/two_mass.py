@@ -78,8 +78,7 @@ class TwoMasses:
             turned = [k for k in range(3 if self.gap else 2) if self.margin(end, force, way, k) < 0]
             if not turned or h <= 0:
                 return end
-            ends = [self.find_turn(state, force, way, h, k) for k in turned]
-            first, k = min(zip(ends, turned, strict=True))
+            first, k = min((self.find_turn(state, force, way, h, k), k) for k in turned)
             state, h = self.step(state, force, way, first), h - first
             if k < 2 and way[k]:
                 state[2 * k + 1] = 0.0

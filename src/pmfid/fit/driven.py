@@ -84,12 +84,8 @@ def driven_guesses(stretch: ObservedStretch, resolution: float) -> list[Floats]:
     forces = record.loads(loads)
     forces -= basis @ (basis.T @ forces)
     gains = (forces.T @ rest) ** 2 / np.maximum(np.sum(forces**2, axis=0), 1e-300)
-    kept: list[Floats] = []
-    for index in np.argsort(-gains).tolist():
-        if forces[:, index] @ rest > 0 and all(np.max(np.abs(loads[index] - one)) > 0.3 for one in kept):
-            kept.append(loads[index])
-        if len(kept) == TUNING.kept:
-            break
+    likely = [loads[i] for i in np.argsort(-gains).tolist() if forces[:, i] @ rest > 0]
+    kept = distinct(likely, 0.3)[: TUNING.kept]
     refined = _refine(record, basis, rest, np.array(kept)) if kept else []
     guesses = [_complete(record, load) for load in refined]
     return [one for one in guesses if one[0] > 0 and one[4] > 0]
@@ -146,10 +142,10 @@ def _complete(record: SmoothRecord, load: Floats) -> Floats:
     return np.array([mass, *friction, second, second * drag, second * rub, second * rate, second * damping])
 
 
-def distinct(points: Sequence[Floats], distance: float) -> list[int]:
-    """Return the indices of points that are farther than a distance from each earlier one of them."""
-    kept: list[int] = []
-    for index, point in enumerate(points):
-        if all(np.max(np.abs(point - points[other])) > distance for other in kept):
-            kept.append(index)
+def distinct(points: Sequence[Floats], distance: float) -> list[Floats]:
+    """Return the points that are farther than a distance from each earlier one of them."""
+    kept: list[Floats] = []
+    for point in points:
+        if all(np.max(np.abs(point - other)) > distance for other in kept):
+            kept.append(point)
     return kept

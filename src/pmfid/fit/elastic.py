@@ -92,7 +92,7 @@ def _follow_guesses(plain: FitProblem, prior: Floats, bound: float) -> Optimum |
         return None
     (stretch,) = plain.stretches
     points = [_start(plain, guess) for guess in driven_guesses(stretch, plain.resolution)]
-    points = [points[i] for i in distinct(points, 0.02)[: TUNING.followed]]
+    points = distinct(points, 0.02)[: TUNING.followed]
     if not points:
         return None
     length = max(TUNING.periods * _period(plain, points[0]), TUNING.shortest * float(np.mean(stretch.steps)))

@@ -10,7 +10,7 @@ from pmfid.findings import MOVE, Finding
 from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian
-from pmfid.fit.second_mass import SecondMass
+from pmfid.fit.second_mass import SecondMass, miss_sums
 from pmfid.fit.terms import ExtraForce
 from pmfid.models.axes import rotary
 from pmfid.types import Flags, Floats
@@ -35,7 +35,7 @@ def findings_of(
     if second is None:
         yield from _forces(fitted, names, sizes, tolerance)
     else:
-        yield _describe(second, names[fitted.problem.machine.lead], fitted, tolerance)
+        yield _describe(second, fitted, names, sizes, tolerance)
     yield from _wandering(fitted, names, sizes, tolerance)
     yield from _unknown(fitted, names, positive)
     half, std = fitted.half, np.sqrt(np.diag(fitted.covariance))
@@ -94,15 +94,20 @@ def _describe_size(fitted: Fitted, one: ExtraForce) -> str:
     return f", of {size:.4g} ± {error:.2g} {'rad' if turns else 'm'} with a phase of {phase}"
 
 
-def _describe(second: SecondMass, name: str, fitted: Fitted, tolerance: float) -> Finding:
-    """Return the finding on a second mass. It matters if the mass of the rigid axis is not that of both."""
-    off = abs(float(fitted.theta[fitted.problem.machine.lead]) / second.total - 1)
+def _describe(
+    second: SecondMass, fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: float
+) -> Finding:
+    """Return the finding on a second mass. It matters if a mass or friction of the rigid axis is not that of both."""
+    missed = miss_sums(fitted, second)
+    moved = np.abs(missed) / sizes
+    worst = int(np.argmax(moved))
     return Finding(
         "two_mass",
         f"{second.describe('rad' if fitted.problem.machine.turn else 'm')} explains the record better",
         second.remedy,
-        "doubt" if off > tolerance else "note",
-        f"Both masses are {second.total:.4g} together, so that {name} is {format_part(off)} off.",
+        "doubt" if moved[worst] > tolerance else "note",
+        f"The sum of {names[worst]} over both masses is {fitted.theta[worst] + missed[worst]:.4g}, so that "
+        f"{names[worst]} is {format_part(moved[worst])} off.",
     )
 
 

@@ -56,10 +56,6 @@ class SecondMass:
             return f"a second mass on a spring, with a resonance at {self.resonance:.3g} Hz,"
         return f"a second mass across a gap of {self.play[0]:.3g} ± {self.play[1]:.2g} {unit}"
 
-    @property
-    def total(self) -> float:
-        return self.sums[MASS]
-
 
 def try_second_mass(fitted: Fitted) -> SecondMass | None:
     """Return the second mass if two masses explain every count of a part of the record, which one mass does not.
@@ -73,7 +69,7 @@ def try_second_mass(fitted: Fitted) -> SecondMass | None:
     problem = _whole(fitted)
     part = _worst_part(fitted, problem.stretches)
     one = _fit_one_mass(problem, fitted.solution.q, part)
-    if _leaves_rounding(*one):
+    if _leaves_rounding(one[0].residuals(one[1].q, one[1].starts)[0]):
         return None
     pair = _fit_two_masses(problem, part, one[1].cost)
     if pair is None:
@@ -125,14 +121,19 @@ def _read(pair: FitProblem, end: Optimum, odds: float) -> SecondMass | None:
     return SecondMass(rate / (2 * math.pi), sums, odds) if std[stiffness] < TUNING.vague else None
 
 
+def miss_sums(fitted: Fitted, second: SecondMass) -> Floats:
+    """Return the distances (p,) of the sums of two masses from the parameters of one, and 0 for other parameters."""
+    missed, lift = np.zeros(fitted.theta.size), fitted.problem.machine.lift
+    for row, total in second.sums.items():
+        columns = np.flatnonzero(lift[row])
+        if columns.size == 1 and columns[0] < missed.size:
+            missed[columns[0]] = total - fitted.theta[columns[0]]
+    return missed
+
+
 def widen(fitted: Fitted, second: SecondMass) -> Fitted:
     """Return the fit of one mass with intervals that contain the sums of two masses."""
-    half, machine = fitted.half.copy(), fitted.problem.machine
-    for row, total in second.sums.items():
-        columns = np.flatnonzero(machine.lift[row])
-        if columns.size == 1 and columns[0] < half.size:
-            half[columns[0]] = math.hypot(half[columns[0]], NORMAL_95 * (total - fitted.theta[columns[0]]))
-    return replace(fitted, half=half)
+    return replace(fitted, half=np.hypot(fitted.half, NORMAL_95 * miss_sums(fitted, second)))
 
 
 def _whole(fitted: Fitted) -> FitProblem:
@@ -167,15 +168,12 @@ def _fit_one_mass(problem: FitProblem, q: Floats, part: ObservedStretch) -> tupl
     return problem, solve(problem, like, q, starts, prior, 15, 0.1)
 
 
-def _leaves_rounding(problem: FitProblem, end: Optimum) -> bool:
-    """Return whether the squares of the residuals have a sum as that of rounding, whose variance is 1/180 each."""
-    (block,) = problem.linearise(end.q, end.starts)
-    excess = float(np.sum(block.e**2 - ROUNDING))
-    return excess < NORMAL_95 * math.sqrt(block.e.size / 180)
+def _leaves_rounding(e: Floats) -> bool:
+    """Return whether the squares of residuals e (k,) have a sum as that of rounding, whose variance is 1/180 each."""
+    return float(np.sum(e**2 - ROUNDING)) < NORMAL_95 * math.sqrt(e.size / 180)
 
 
 def _evidence(problem: FitProblem, end: Optimum) -> float:
     """Return the log likelihood of the residuals in their most likely noise."""
-    (block,) = problem.linearise(end.q, end.starts)
-    errors: list[Floats] = [block.e]
+    errors = problem.residuals(end.q, end.starts)
     return noise_of(problem.stretches, errors, 0.0).evidence(errors)[0]
