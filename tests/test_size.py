@@ -13,9 +13,9 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 67063,
-    "lines of code in src": 39348,
-    "lines of code in report and cli": 3409,
+    "lines of src": 67059,
+    "lines of code in src": 39343,
+    "lines of code in report and cli": 3391,
     "thresholds in src": 1032,
     "lines of csrc": 8736,
     "defines of csrc": 196,

@@ -94,9 +94,7 @@ def _describe_size(fitted: Fitted, one: ExtraForce) -> str:
     return f", of {size:.4g} ± {error:.2g} {'rad' if turns else 'm'} with a phase of {phase}"
 
 
-def _describe(
-    second: SecondMass, fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: float
-) -> Finding:
+def _describe(second: SecondMass, fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: float) -> Finding:
     """Return the finding on a second mass. It matters if a mass or friction of the rigid axis is not that of both."""
     missed = miss_sums(fitted, second)
     moved = np.abs(missed) / sizes
