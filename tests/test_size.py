@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 67059,
-    "lines of code in src": 39343,
+    "lines of src": 67057,
+    "lines of code in src": 39341,
     "lines of code in report and cli": 3391,
     "thresholds in src": 1032,
     "lines of csrc": 8736,
