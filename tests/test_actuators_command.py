@@ -65,7 +65,7 @@ def test_the_terminal_shows_one_table_and_the_status_of_each_joint(arm: Path) ->
     assert "inertia/kp" in result.stdout
     assert "1: status: none" in result.stdout
     assert "2: status: refused: the servo hardly moves" in result.stdout
-    assert "give kp, a known inertia, or gravity" in result.stdout
+    assert "give kp, the inertia, or gravity (m g l), as in --given kp=8" in result.stdout
 
 
 @pytest.mark.parametrize(
@@ -193,6 +193,17 @@ def test_registers_of_servos_are_steps_with_a_sign_bit(encode: Callable[[Floats]
     assert (log.resolution, np.sum(log.on)) == (pytest.approx(math.tau / 4096), 500)
     assert log.position == pytest.approx(steps["Present_Position"] * math.tau / 4096)
     assert log.goal == pytest.approx(steps["Goal_Position"] * math.tau / 4096)
+
+
+NAMES = [("Goal Position (rad)", "Present Position (rad)"), ("q1_des", "q1"), ("theta_ref", "theta")]
+
+
+@pytest.mark.parametrize(("goal", "position"), [*NAMES, ("arm_commanded_position", "arm_measured_position")])
+def test_names_of_other_loggers(goal: str, position: str, tmp_path: Path) -> None:
+    t, commanded, measured = make_log(gravity=0.0, kd=0.0)
+    pl.DataFrame({"time": t, goal: commanded, position: measured}).write_csv(tmp_path / "log.csv")
+    (log,) = read_joints(tmp_path / "log.csv", LogLayout())
+    assert (log.goal[1], log.position[-1]) == pytest.approx((commanded[1], measured[-1]))
 
 
 @pytest.mark.parametrize(

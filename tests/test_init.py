@@ -103,6 +103,17 @@ def test_the_commands_name_a_file_with_a_space_as_one_word(tmp_path: Path) -> No
     assert done.output.endswith(f"pmfid identify '{log}' --config '{axis}'\n")
 
 
+@pytest.mark.parametrize("order", [("name", "t"), ("t", "name")])
+def test_a_file_of_many_axes_gives_the_settings_of_the_first(order: tuple[str, str], tmp_path: Path) -> None:
+    frame = pl.DataFrame(LOGS["counts"][0]())
+    many = [frame.with_columns(pl.lit(name).alias("name")) for name in ("M1", "M2")]
+    pl.concat(many).sort(order).write_parquet(tmp_path / "day.parquet")
+    found = guess(tmp_path / "day.parquet")
+    assert found.axes == "name"
+    assert "only the rows with name = 'M1', one of 2 axes" in found.text
+    assert 'time = "t"  # it grows from row to row, by a sample period of 0.01 s' in found.text
+
+
 def test_each_line_has_its_reason_and_what_is_not_reported_is_marked(tmp_path: Path) -> None:
     lines = guess(saved("counts", tmp_path)).text.splitlines()
     assert all("# " in line for line in lines if "=" in line)

@@ -201,13 +201,14 @@ def _make_urdf(axles: Sequence[_Axle]) -> str:
         angle, link = own.get("gravity_angle"), quoteattr(f"{own.name}_link")
         rest = own.get("inertia") - mass * length**2
         limit = f' <limit effort="{own.get("torque_limit"):.9g}" velocity="0"/>' if own.get("torque_limit") else ""
-        inertia = " ".join(f'{name}="{rest if name == "iyy" else 0.0:.9g}"' for name in ("ixx", "ixy", "ixz", "iyy"))
+        # A simulator refuses a body whose inertia about one axis exceeds the sum about the others.
+        inertia = " ".join(f'{name}="{rest:.9g}"' for name in ("ixx", "iyy", "izz"))
         known = ("inertia", "viscous", "coulomb", "torque_limit", "gravity", "gravity_angle")
         lines += [
             f"  {_comment(own.remark(known))}",
             f"  <link name={link}>",
             f'    <inertial><origin xyz="{_place(length, angle)}"/><mass value="{mass:.9g}"/>',
-            f'      <inertia {inertia} iyz="0" izz="0"/></inertial>',
+            f'      <inertia {inertia} ixy="0" ixz="0" iyz="0"/></inertial>',
             "  </link>",
             f'  <joint name={quoteattr(own.name)} type="continuous">',
             f'    <parent link="base"/><child link={link}/><axis xyz="0 1 0"/>',

@@ -333,7 +333,7 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
                 Finding("model_spread", sentence, "name the term, or give its value if you know it", "note")
             )
     if servo.relative:
-        remedy = "give kp, a known inertia, or gravity = m g l"
+        remedy = "give kp, the inertia, or gravity (m g l), as in --given kp=8"
         findings.append(Finding("relative", "torques are multiples of kp", remedy, "note"))
     if fit.limited > TUNING.limited:
         sentence = f"the torque is limited during {100 * fit.limited:.0f} % of the log"

@@ -18,11 +18,16 @@ from pmfid.types import Flags, Floats
 
 #: Words in the names of columns. A longer word comes before a shorter one that it contains.
 TIMES = ("timestamp", "time", "stamp", "t")
-GOALS = ("goal_position", "goal", "commanded", "command", "cmd", "target", "setpoint", "desired", "reference", "action")
+GOALS = (
+    *("goal_position", "goal", "commanded", "command", "cmd", "target", "setpoint", "desired", "reference", "action"),
+    *("des", "ref"),
+)
 POSITIONS = (
     *("observation.state", "present_position", "measured_position", "position", "pos", "measured", "actual", "state"),
     "q",
 )
+#: Words that name no joint, as in "desired angle" and "measured angle".
+FILLERS = ("position", "pos", "angle", "q", "present", "measured", "actual", "meas")
 #: Columns that have a word of a position, but are none.
 OTHERS = ("velocity", "vel", "speed", "effort", "torque", "current", "load", "acceleration")
 #: Words in the names of columns of torques.
@@ -91,6 +96,12 @@ def read_joints(path: Path, layout: LogLayout) -> list[JointLog]:
     positions = _find_columns(table, layout.position, POSITIONS, (*goals.values(), *OTHERS))
     joints = [joint for joint in positions if joint in goals]
     if not joints:
+        goals, positions = _name_bare(goals), _name_bare(positions)
+        joints = [joint for joint in positions if joint in goals]
+    others = [column for column in table if column not in (name, *goals.values())]
+    if not joints and len(goals) == len(others) == 1:
+        joints, positions = list(goals), dict(zip(goals, others, strict=True))
+    if not joints:
         raise UsageError(_tell_missing(table, goals))
     forces = [_find_forces(table, pattern, joints) for pattern in layout.known_force]
     own = {joint: [found[joint] for found in forces if joint in found] for joint in joints}
@@ -154,6 +165,16 @@ def _find_columns(table: Table, pattern: str | None, words: Sequence[str], other
     return {}
 
 
+def _name_bare(columns: Mapping[str, str]) -> dict[str, str]:
+    """Return the columns by the names of the joints without fillers."""
+    bare: dict[str, str] = {}
+    for joint, name in columns.items():
+        for word in FILLERS:
+            joint = joint if (left := _cut(joint, word)) is None else left
+        bare.setdefault(joint, name)
+    return bare
+
+
 def _find_forces(table: Table, pattern: str, joints: Sequence[str]) -> dict[str, str]:
     """Return the column of a known torque by joint. Raises UsageError for a column of no joint."""
     found = _find_columns(table, pattern, (), ())
@@ -171,7 +192,8 @@ def _cut(name: str, word: str) -> str | None:
     """Return the name without a word and without a unit, or None if the word is not a part of it."""
     plain = re.sub(r"\s*[\[(][^\])]*[\])]$", "", name)
     plain = re.sub(r"[\s_.](rad|deg|counts|ticks)$", "", plain, flags=re.IGNORECASE)
-    found = re.search(rf"(?:^|(?<=[\s_./:-])){re.escape(word)}(?=$|[\s_./:\d-])", plain, re.IGNORECASE)
+    written = re.escape(word).replace("_", r"[\s_.]?")
+    found = re.search(rf"(?:^|(?<=[\s_./:-])){written}(?=$|[\s_./:\d-])", plain, re.IGNORECASE)
     if found is None:
         return None
     parts = (plain[: found.start()].strip(" _./:-"), plain[found.end() :].strip(" _./:-"))
@@ -230,9 +252,8 @@ def _make_joint(
         unit = said or _own_unit(name) or ("counts" if _is_register(name, own[rows]) else "rad")
         if said is None and unit == "counts" and REGISTERS.search(name):
             own, resolution = decode_register(own), resolution or math.tau / TUNING.register
-            notes.append(
-                f"{name} is a register in steps of {resolution:.4g} rad: give --bits if the encoder has others"
-            )
+            other = "" if layout.resolution else ": give --bits if the encoder has others"
+            notes.append(f"{name} is a register in steps of {resolution:.4g} rad{other}")
         if unit == "counts" and resolution is None:
             raise UsageError(f"column {name!r} is in counts: give the encoder's step with --bits or --resolution")
         scaled.append(own[rows] * (ANGLES[unit] or resolution or 1.0))

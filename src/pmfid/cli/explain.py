@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pmfid.cli.terminal import JSON
+from pmfid.cli.terminal import JSON, print_json, print_text
+from pmfid.errors import UsageError
 
 if TYPE_CHECKING:
     from pmfid.config.explain import ReferenceEntry
@@ -33,19 +34,13 @@ def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> 
         return
     found = _find_all(key, plant) if key else plant_entries() if plant else entries()
     if as_json:
-        from pmfid.cli.terminal import print_json
-
         print_json({"entries": [entry.to_json() for entry in found]})
     else:
-        from pmfid.cli.terminal import print_text
-
         print_text(explain_entries(found))
 
 
 def _find_all(words: Sequence[str], plant: bool) -> list[ReferenceEntry]:
     """Return the entries of one name in several words, such as "time unit", or otherwise of each word."""
-    from pmfid.errors import UsageError
-
     try:
         return _find_entries(" ".join(words), plant)
     except UsageError:

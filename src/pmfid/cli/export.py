@@ -16,7 +16,9 @@ from pmfid.cli.terminal import SET, progress, read_changes
     "--out", required=True, type=click.Path(path_type=Path, file_okay=False), metavar="DIR", help="Folder for the C."
 )
 @click.option(
-    "--precision", type=click.Choice(["float32", "float64"]), help="Precision of the arithmetic on the drive."
+    "--precision",
+    type=click.Choice(["float32", "float64"]),
+    help="Arithmetic on the drive; default: that of AXIS.toml.",
 )
 @click.option("--prefix", metavar="NAME", help="Prefix of all names in the C code; default: the name of AXIS.toml.")
 @click.option(

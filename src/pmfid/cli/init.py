@@ -60,5 +60,8 @@ def init(record: Path, out: Path, driving: str | None, output: str | None, time:
     with out.open("x", encoding="utf-8", newline="\n") as file:
         file.write(found.text)
     click.echo(printable(found.text))
-    arguments = shlex.join([str(record), "--config", str(out)])
-    click.echo(printable(f"pmfid check {arguments}\npmfid identify {arguments}"))
+    words = shlex.join([str(record), "--config", str(out)])
+    following = [f"pmfid check {words}", f"pmfid identify {words}"]
+    if found.axes:
+        following = [f"pmfid fleet history {words} --out history {shlex.join(['--axis', found.axes])}"]
+    click.echo(printable("\n".join(following)))

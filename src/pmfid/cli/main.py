@@ -22,7 +22,7 @@ from pmfid.cli.monitor import monitor
 from pmfid.cli.selftest import selftest
 from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
-from pmfid.cli.tables import deliver_page
+from pmfid.cli.tables import deliver_page, print_result
 from pmfid.cli.terminal import (
     JSON,
     RECORDS,
@@ -140,17 +140,11 @@ def identify(
     if as_json:
         print_json(result.to_json())
     else:
-        from pmfid.cli.tables import print_result
-
         print_result(result, out)
 
 
 def _compare(
-    records: tuple[Path, ...],
-    config: Path,
-    changes: dict[str, object],
-    out: Path | None,
-    as_json: bool,
+    records: tuple[Path, ...], config: Path, changes: dict[str, object], out: Path | None, as_json: bool
 ) -> None:
     with progress("methods") as tell:
         from pmfid.config.axis import load_axis

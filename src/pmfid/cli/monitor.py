@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from pmfid.cli.terminal import SET, config_option, read_changes
+from pmfid.errors import UsageError, printable
 
 if TYPE_CHECKING:
     from pmfid.config.axis import Axis
@@ -91,14 +94,11 @@ def monitor(
 def _judge_estimates(path: Path, column: str | None, changes: dict[str, object], as_json: bool) -> None:
     from pmfid.config.axis import VisitSections
     from pmfid.config.toml_file import override_sections
-    from pmfid.errors import printable
     from pmfid.fleet.visits import describe_changes, read_visits
 
     tolerance = override_sections(VisitSections, {}, changes).monitor.tolerance
     for event in describe_changes(read_visits(path, column), tolerance):
         if as_json:
-            import json
-
             click.echo(json.dumps(event, allow_nan=False))
         else:
             click.echo(printable(str(event["text"])))
@@ -106,8 +106,6 @@ def _judge_estimates(path: Path, column: str | None, changes: dict[str, object],
 
 def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> None:
     """Check the paths before the calibration."""
-    from pmfid.errors import UsageError
-
     for path in (out, report):
         if path is not None and not path.parent.is_dir():
             raise UsageError(f"{path}: the folder {path.parent} does not exist; make it, or choose another path")
@@ -150,8 +148,6 @@ def _run(
 
 def _complain(run: MonitoredRun, sink: RowSink) -> None:
     """Raise UsageError for a problem that ended the run early, or for rows that are missing in the file."""
-    from pmfid.errors import UsageError
-
     if run.problem:
         raise UsageError(run.problem)
     if sink.lost:
@@ -166,8 +162,6 @@ class _Teller:
 
     def __call__(self, event: dict[str, object]) -> None:
         if self._json:
-            import json
-
             self.line(json.dumps(event, allow_nan=False), machine=True)
         else:
             from pmfid.cli.monitor_lines import sentence
@@ -192,7 +186,7 @@ class _Teller:
 
     def end(self, run: MonitoredRun, sink: RowSink) -> None:
         """Print the totals. The number of skipped lines goes to standard error, where a user sees it."""
-        from pmfid.cli.monitor_lines import list_skipped
+        from pmfid.pipeline.monitored.run import list_skipped
 
         totals = run.totals()
         self({"event": "end", **totals, "rows_lost": sink.lost, "problem": run.problem})
@@ -202,8 +196,6 @@ class _Teller:
 
 def _report_failure(error: OSError) -> bool:
     """Report on standard error that events cannot be written, and return True."""
-    from contextlib import suppress
-
     with suppress(OSError):
         click.echo(f"pmfid: events cannot be written: {error.strerror}; monitoring continues", err=True)
     return True

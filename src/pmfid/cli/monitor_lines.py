@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pmfid.monitor.events import describe_rate
-from pmfid.pipeline.monitored.run import Notice
+from pmfid.pipeline.monitored.run import Notice, list_skipped
 
 
 def sentence(event: Notice) -> str:
@@ -88,22 +88,6 @@ def _written_again(event: Notice) -> str:
 def _end(event: Notice) -> str:
     found = [f"{event['samples']} samples", f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"]
     return ", ".join(found + list_skipped(event))
-
-
-def list_skipped(event: Notice) -> list[str]:
-    """Return texts with the numbers of skipped lines, from the totals."""
-    parts = [
-        f"{event[name]} {word}{'s' * (event[name] != 1)}"
-        for name, word in (("bad_lines", "bad line"), ("repeated_lines", "repeated line"), ("comments", "comment"))
-        if event[name]
-    ]
-    if event["missing"]:
-        parts.append(f"{event['missing']} samples missing in {event['gaps']} gaps")
-    if event["clock_jumps"]:
-        parts.append(f"clock jumped {event['clock_jumps']} times")
-    if event["outliers"]:
-        parts.append(f"{event['outliers']} jump{'s' * (event['outliers'] != 1)} left out")
-    return parts
 
 
 _SENTENCES = {

@@ -35,6 +35,7 @@ def serve(
 
     SIGTERM and Ctrl-C end the service after all results are written. SIGHUP reads PLANT.toml again.
     """
+    from pmfid.cli.serve_lines import line
     from pmfid.service.run import Service
     from pmfid.service.sinks.plain import NoticeLog, json_line
 
@@ -47,11 +48,4 @@ def serve(
 
         return load_plant(config, given).with_page(page)
 
-    line = json_line if as_json else _sentence
-    Service(load, NoticeLog(sys.stdout, line), until_end).run()
-
-
-def _sentence(notice: object) -> str:
-    from pmfid.cli.serve_lines import line
-
-    return line(notice)  # type: ignore[arg-type]
+    Service(load, NoticeLog(sys.stdout, json_line if as_json else line), until_end).run()

@@ -234,11 +234,11 @@ class History:
 
     @property
     def title(self) -> str:
-        """A sentence on how many axes need attention, have no estimate, or have too few periods to show a change."""
+        """A sentence on how many axes need attention, have no estimate, or have too few periods to exclude a change."""
         many, named, unknown = self.axes.height, self.named.height, self.unknown.height
         dark = f", {unknown} {'has' if unknown == 1 else 'have'} no estimate" if unknown else ""
         blind = self.axes.filter((pl.col("kind") != UNKNOWN) & pl.col("visible").is_infinite()).height
-        short = f", {blind} {'has' if blind == 1 else 'have'} too few periods to show a change" if blind else ""
+        short = f", {blind} {'has' if blind == 1 else 'have'} too few periods to exclude a change" if blind else ""
         return f"{named} of {many} axes need{'s' * (named == 1)} attention{dark}{short}"
 
     def __str__(self) -> str:

@@ -161,6 +161,8 @@ def choose(given: Axis, tables: Iterable[Table]) -> Chosen:
     axis = choose_method(given)
     records, refused = _records(axis, tables)
     if not records:
+        if isinstance(refused, UsageError):
+            raise UsageError(f"{refused}; or correct --axis, if another column names the axes")
         raise refused or UsageError("no axis has any rows; check --axis and the columns in [record]")
     first = records[0]
     if takes_edges(given):

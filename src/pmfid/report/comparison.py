@@ -18,19 +18,14 @@ def comparison_page(comparison: Comparison) -> ResultPage:
     """Return the page that compares all methods."""
     doubts = [f"{name}: {', '.join(one.status)}" for name, one in comparison.results.items() if one.status]
     remarks = [*doubts, *(f"{name} has no answer: {reason}" for name, reason in comparison.refused.items())]
+    machine = any(result.model_spread is not None for result in comparison.results.values())
+    thin = f"Thin lines: 95 % intervals{', including unmodelled effects' if machine else ''}."
     sections = [
         Section("Methods", "\n\n".join(f"{remark}." for remark in remarks), comparison_rows(comparison)),
-        Section(
-            "Estimates with two standard deviations", _thin(comparison), figure=lambda: comparison_dots(comparison)
-        ),
+        Section("Estimates with two standard deviations", thin, figure=lambda: comparison_dots(comparison)),
     ]
     title = f"{comparison.name}: all methods"
     return ResultPage("compare", title, comparison.to_json(), sections, remarks=remarks)
-
-
-def _thin(comparison: Comparison) -> str:
-    machine = any(result.model_spread is not None for result in comparison.results.values())
-    return f"Thin lines: 95 % intervals{', including unmodelled effects' if machine else ''}."
 
 
 def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]:
@@ -43,14 +38,10 @@ def comparison_rows(comparison: Comparison) -> tuple[list[str], list[list[str]]]
     for method, result in comparison.results.items():
         values = dict(zip(result.names, zip(result.theta, result.theta_std, strict=True), strict=True))
         cells = [f"{values[n][0]:.5g} ± {values[n][1]:.2g}" if n in values else "-" for n in first.names]
-        fit = [_fit(result.fit)] if isinstance(result, ProcessResult) else []
-        rows.append([method, *cells, *fit])
+        if isinstance(result, ProcessResult):  # an unstable estimate has no fit
+            cells.append("–" if result.fit is None else f"{result.fit:.4g}")
+        rows.append([method, *cells])
     return header, rows
-
-
-def _fit(percent: float | None) -> str:
-    """Format a fit in percent. An unstable estimate has no fit."""
-    return "–" if percent is None else f"{percent:.4g}"
 
 
 def comparison_dots(comparison: Comparison) -> Figure:

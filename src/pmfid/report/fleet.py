@@ -226,13 +226,9 @@ def _attention(found: History) -> Section:
     }
     text = ", ".join(f"{many} {words[kind].format(s='s' * (many == 1))}" for kind, many in kinds.most_common())
     if not named.height:
-        known = found.unknown.height < found.axes.height
         text = "No axis changed, drifts, stopped, or differs from the others beyond chance and tolerance."
-        text = (
-            text
-            if known
-            else ("No axis has an estimate, because no record has enough motion, or is long and whole enough.")
-        )
+        if found.unknown.height == found.axes.height:
+            text = "No axis has an estimate, because no record has enough motion, or is long and whole enough."
     elif text:
         text += ". The largest come first."
     text += _besides(found)
@@ -290,8 +286,8 @@ def _words(codes: str) -> str:
     return ", ".join(code.replace("_", " ") for code, _ in Counter(codes.split()).most_common())
 
 
-def _first(shown: int, all_of_them: int) -> str:
-    return f" The first {shown} of {all_of_them}; all are in axes.parquet." if all_of_them > shown else ""
+def _first(shown: int, all_of_them: int, file: str = "axes") -> str:
+    return f" The first {shown} of {all_of_them}; all are in {file}.parquet." if all_of_them > shown else ""
 
 
 def _wandering(found: History) -> Section | None:
@@ -363,28 +359,21 @@ def _map(found: History) -> Section | None:
         "colour of the verdict."
     )
     if found.axes.height > TUNING.fleet_quiet:
-        text += (
-            f" The map shows the first {TUNING.fleet_quiet} of the other axes, by the number of doubtful periods, and "
-        )
-        text += f"{TUNING.fleet_rows} rows at most."
+        text += f" The other axes with the most doubtful periods follow, up to {TUNING.fleet_rows} rows in all."
     return Section("Map of findings", text, figure=lambda: map_figure(found))
 
 
 def _list_unused(found: History) -> Section | None:
     rows: list[list[Cell]] = [
-        [row["axis"] or row["file"], row["code"], row["times"], _from(row["from"]), row["text"]]
+        [row["axis"] or row["file"], row["code"], row["times"], when(start) if start < math.inf else "", row["text"]]
         for row in found.problems.head(TUNING.fleet_listed).iter_rows(named=True)
+        for start in [row["from"]]
     ]
     if not rows:
         return None
     text = "Data that were changed or left out. All other data are in the results."
-    if found.problems.height > TUNING.fleet_listed:
-        text += f" The first {TUNING.fleet_listed} of {found.problems.height}; all are in problems.parquet."
+    text += _first(TUNING.fleet_listed, found.problems.height, "problems")
     return Section("Unusable data", text, (("axis, file or type", "finding", "times", "from", "what"), rows))
-
-
-def _from(time: float) -> str:
-    return when(time) if math.isfinite(time) else ""
 
 
 def _how(found: History) -> Section:

@@ -16,7 +16,7 @@ from pmfid.models.axes import LINEAR, Units
 from pmfid.monitor.chance import Chance
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, STARTING, SUSPICIOUS, WATCHING
 from pmfid.pipeline.edges import EdgeSetup
-from pmfid.pipeline.monitored.run import MonitoredRun, Notice, RunHistory
+from pmfid.pipeline.monitored.run import MonitoredRun, Notice, RunHistory, list_skipped
 from pmfid.pipeline.monitored.setup import Setup
 from pmfid.report.figures import (
     COLOURS,
@@ -50,8 +50,6 @@ STRIP_BITS = {
     "unmodelled": Status.UNMODELLED,
     "bad input": Status.SAMPLE_REJECTED | Status.RESET,
 }
-#: Status bits of samples that were left out.
-LEFT_OUT = Status.SAMPLE_REJECTED
 
 
 @dataclass(frozen=True)
@@ -125,7 +123,7 @@ def _show_accepted(axes: Axes, values: Floats, status: NDArray[np.uint32]) -> No
     The neighbours of a sample that was left out are also left out, because their difference quotients use the sample.
     With these samples, all others would look flat.
     """
-    left_out = np.pad((status & LEFT_OUT) != 0, 1)
+    left_out = np.pad((status & Status.SAMPLE_REJECTED) != 0, 1)
     shown = values[~(left_out[:-2] | left_out[1:-1] | left_out[2:]) & np.isfinite(values)]
     if 0 < shown.size < values.size:
         margin = max(0.05 * float(np.ptp(shown)), 1e-12)
@@ -232,17 +230,12 @@ def _headline(run: MonitoredRun) -> str:
 
 
 def _verdict(setup: Setup | EdgeSetup, run: MonitoredRun) -> Section:
-    lines = [f"{run.samples} samples, {run.samples * setup.monitor.estimator.dt:.1f} s."]
-    if run.bad_lines or run.repeated_lines:
-        lines.append(f"{run.bad_lines} lines could not be used, and {run.repeated_lines} lines came again or too late.")
-    if run.clock_jumps:
-        lines.append(f"The clock was set {run.clock_jumps} times.")
-    if run.outliers:
-        lines.append(f"{run.outliers} jumps of the counts or the input were left out.")
-    if run.problem:
-        lines.append(f"The run ended: {run.problem}.")
-    if run.missing:
-        lines.append(f"{run.missing} samples are missing, in {run.gaps} gaps.")
+    totals = [
+        f"{run.samples} samples",
+        f"{run.samples * setup.monitor.estimator.dt:.1f} s",
+        *list_skipped(run.totals()),
+    ]
+    lines = [f"{', '.join(totals)}.", *([f"The run ended: {run.problem}."] if run.problem else [])]
     text = "\n\n".join([" ".join(lines), *(f"Note: {note}." for note in setup.notes)])
     if not run.alarms:
         return Section("No alarm", text)

@@ -191,14 +191,9 @@ def _bars(shown: Posterior | Seen | Estimate) -> Figure:
     return bars_figure(*(columns[name].to_list() for name in ("parameter", "unit", "value", "std")))
 
 
-@_draw.register
-def _curve(found: FrictionCurve) -> Figure:
-    return curve_figure(found)
-
-
-@_draw.register
-def _encoders(found: EncoderChoice) -> Figure:
-    return encoder_figure(found)
+_draw.register(FrictionCurve, curve_figure)
+_draw.register(EncoderChoice, encoder_figure)
+_draw.register(Experiment, experiment_figure)
 
 
 @_draw.register
@@ -221,11 +216,6 @@ def _validation(found: Validation, record: int | None = None) -> Figure:
 def _process(process: Process, dt: float | None = None) -> Figure:
     """Draw the step response. With a sample period [s], draw the frequency response up to half the sample rate."""
     return step_figure(process) if dt is None else bode_of(process, dt)
-
-
-@_draw.register
-def _experiment(experiment: Experiment) -> Figure:
-    return experiment_figure(experiment)
 
 
 @_draw.register

@@ -14,7 +14,7 @@ from pmfid.errors import UsageError, did_you_mean
 from pmfid.findings import Finding
 from pmfid.io.reading import read_table
 from pmfid.io.tables import Table
-from pmfid.pipeline.guess.columns import numeric, rounding_of, step_of
+from pmfid.pipeline.guess.columns import first_axis, numeric, rounding_of, step_of
 from pmfid.pipeline.guess.instants import Stamps, time_of
 from pmfid.pipeline.guess.pairs import MOTION, Judgement, Pair, judge
 from pmfid.pipeline.guess.roles import role_of
@@ -41,9 +41,10 @@ TO_DO = "TO DO: "
 
 @dataclass
 class AxisGuess:
-    """The lines of an AXIS.toml by section."""
+    """The lines of an AXIS.toml by section. `axes` is the column that names the axis of each row, if there is one."""
 
     name: str
+    axes: str = ""
     sections: dict[str, list[str]] = field(default_factory=dict)
 
     def add(self, section: str, line: str, reason: str) -> None:
@@ -118,6 +119,9 @@ def _guess(table: Table, path: Path, ask: Ask | None, choice: NamedColumns) -> A
     if choice.time is not None and choice.time not in table:
         raise UsageError(f"there is no column {choice.time!r}{did_you_mean(choice.time, table)}")
     stamps = time_of(table, columns, choice.time)
+    if stamps is not None and np.any(np.diff(stamps.values) <= 0) and (axis := first_axis(table, stamps.name)):
+        rows, axes, text = axis
+        return replace(_guess(rows, path, ask, choice), name=f"{path.name}, {text}", axes=axes)
     clock = _clock(_drop_repeats(stamps, columns), ask)
     rest = {
         name: values

@@ -7,12 +7,13 @@ from contextlib import suppress
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.io.tables import Table, column
+from pmfid.io.tables import Table, column, times
 from pmfid.pipeline.guess.roles import role_of
 from pmfid.pipeline.tuning import TUNING
+from pmfid.records.tuning import TUNING as RECORD_TUNING
 from pmfid.types import Flags, Floats
 
-__all__ = ["is_whole", "numeric", "step_of"]
+__all__ = ["first_axis", "is_whole", "numeric", "step_of"]
 
 
 def is_whole(values: Floats) -> bool:
@@ -85,6 +86,21 @@ def _round_step(step: float, error: float) -> float:
         if abs(short - step) < np.clip(error, 1e-7, 1e-5) * step:
             return short
     return step
+
+
+def first_axis(table: Table, time: str) -> tuple[Table, str, str] | None:
+    """Return the rows of the first axis of a table of many axes, the column of the axes, and a text on the rows.
+
+    The result is None for a table of one axis. The time of one axis rises.
+    """
+    import polars as pl
+
+    texts = [own for own in table.values() if isinstance(own, pl.Series) and own.dtype in (pl.String, pl.Categorical)]
+    for axes in texts:
+        rows = {name: own.filter(axes == axes[0]) for name, own in table.items() if isinstance(own, pl.Series)}
+        if len(rows[axes.name]) > RECORD_TUNING.min_samples and np.all(np.diff(times(rows, time)[0]) > 0):
+            return rows, axes.name, f"only the rows with {axes.name} = {axes[0]!r}, one of {axes.n_unique()} axes"
+    return None
 
 
 def numeric(table: Table) -> dict[str, Floats]:

@@ -87,6 +87,22 @@ class MonitoredRun:
         return {**{name: getattr(self, name) for name in names}, "alarms": len(self.alarms)}
 
 
+def list_skipped(event: Notice) -> list[str]:
+    """Return texts with the numbers of skipped lines, from the totals."""
+    parts = [
+        f"{event[name]} {word}{'s' * (event[name] != 1)}"
+        for name, word in (("bad_lines", "bad line"), ("repeated_lines", "repeated line"), ("comments", "comment"))
+        if event[name]
+    ]
+    if event["missing"]:
+        parts.append(f"{event['missing']} samples missing in {event['gaps']} gaps")
+    if event["clock_jumps"]:
+        parts.append(f"clock jumped {event['clock_jumps']} times")
+    if event["outliers"]:
+        parts.append(f"{event['outliers']} jump{'s' * (event['outliers'] != 1)} left out")
+    return parts
+
+
 def header(monitor: Monitored) -> list[str]:
     """Return the column names of the estimates."""
     names = monitor.names
