@@ -267,7 +267,7 @@ study: .venv/tools .venv/spark
 	.venv/bin/python -m studies.glitches --out results/glitches.md
 	.venv/bin/python -m studies.honest_recursions --out results/honest_recursions.md
 	.venv/bin/python -m studies.fleet_history --out results/fleet_history.md
-	.venv/bin/python -m studies.servo_grid --out results/actuators.md
+	.venv/bin/python -m studies.servo_grid > results/actuators.md
 	.venv/bin/python -m studies.growth --out docs/benchmarks.md --samples 100000000 --axes 1000000
 
 # Results of every method on fixed records, whose diff shows a change of numbers.

@@ -1,6 +1,7 @@
 """Estimates of servos on random servos of all kinds: `python -m studies.servo_grid --servos 60 --salt 1`.
 
 `--logs 3` gives each servo three logs. `--wrong` gives each servo an effect that the package's model does not have.
+`--polled` stamps each row some time after its goal was sent and its position was read.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -32,12 +32,13 @@ NAMES = ("inertia", "viscous", "coulomb", "delay", "kp", "ki")
 
 @dataclass(frozen=True)
 class Case:
-    """A servo, what its user knows of it, and the words of its kind."""
+    """A servo, what its user knows of it, and the words of its kind. Its readings come `late` after their goals [s]."""
 
     truth: TrueServo
     servo: Servo
     rate: int
     kind: tuple[str, ...]
+    late: float = 0.0
 
 
 def draw_case(number: int, salt: int, wrong: bool) -> Case:
@@ -105,17 +106,21 @@ def _spoil(truth: TrueServo, effect: str, rng: np.random.Generator) -> TrueServo
     return replace(truth, **effects[effect])
 
 
-def make_cases(servos: int, salt: int, wrong: bool, logs: int) -> list[tuple[Case, list[JointLog]]]:
-    """Return servos with logs."""
+def make_cases(servos: int, salt: int, wrong: bool, logs: int, polled: bool) -> list[tuple[Case, list[JointLog]]]:
+    """Return servos with logs. In a log that polls, each row sends a goal, reads the position and has a stamp."""
     cases = [draw_case(number, salt, wrong) for number in range(servos)]
-    flat = [(case, k) for case in cases for k in range(logs)]
-    times = [np.arange(0.0, TIME, 1 / case.rate) for case, _ in flat]
-    seeds = [[number, salt, 53, k] for number in range(servos) for k in range(logs)]
-    goals = [draw_goal(t, np.random.default_rng(seed)) for t, seed in zip(times, seeds, strict=True)]
-    positions = simulate_servos([case.truth for case, _ in flat], times, goals)
+    cases = [replace(case, late=0.4 * polled / case.rate) for case in cases]
+    flat = [(case, np.random.default_rng([n, salt, 53, k])) for n, case in enumerate(cases) for k in range(logs)]
+    sent = [np.arange(0.0, TIME, 1 / case.rate) for case, _ in flat]
+    goals = [draw_goal(t, rng) for t, (_, rng) in zip(sent, flat, strict=True)]
+    read, stamped = (
+        [t + case.late * rng.uniform(low, low + 0.5, t.size) for t, (case, rng) in zip(sent, flat, strict=True)]
+        for low in (0.75, 1.5)
+    )
+    positions = simulate_servos([case.truth for case, _ in flat], sent, goals, read)
     made = [
         JointLog("joint", t, goal, position, case.truth.resolution)
-        for (case, _), t, goal, position in zip(flat, times, goals, positions, strict=True)
+        for (case, _), t, goal, position in zip(flat, stamped, goals, positions, strict=True)
     ]
     return [(case, made[k * logs : (k + 1) * logs]) for k, case in enumerate(cases)]
 
@@ -149,13 +154,14 @@ def measure_case(case: Case, logs: Sequence[JointLog]) -> Row:
         return Row(case.kind, {}, {}, {}, (f"refused: {error}",), (), time.process_time() - start)
     cpu = time.process_time() - start
     true = {name: getattr(truth, name) for name in NAMES} | {"delay": truth.find_delay(logs[0].t, logs[0].goal)}
+    true["delay"] -= case.late
     true["inertia"] *= 1 + truth.swing * float(np.mean(np.cos(logs[0].position)))
     if "kd" not in fit.added:  # friction in the loop and in the joint are one
         true["viscous"] += truth.kd + truth.kd_true + truth.kd_filtered
     relative, bars, widths = {}, {}, {}
     for name, value, std in zip(fit.raw_names, fit.theta.tolist(), fit.theta_std.tolist(), strict=True):
         if true.get(name):
-            unit = max(true[name], 1 / case.rate) if name == "delay" else true[name]
+            unit = max(abs(true[name]), 1 / case.rate) if name == "delay" else true[name]
             relative[name], bars[name] = (value - true[name]) / unit, (value - true[name]) / std
             widths[name] = std / unit
     return Row(case.kind, relative, bars, widths, fit.status, fit.added, cpu)
@@ -190,23 +196,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--logs", type=int, default=1)
     parser.add_argument("--salt", type=int, default=1)
     parser.add_argument("--wrong", action="store_true")
-    parser.add_argument("--out", type=Path, help="file for the table")
+    parser.add_argument("--polled", action="store_true")
     parser.add_argument("--verbose", action="store_true", help="one line for each servo")
     options = parser.parse_args(arguments)
     rows = []
-    for case, logs in make_cases(options.servos, options.salt, options.wrong, options.logs):
+    for case, logs in make_cases(options.servos, options.salt, options.wrong, options.logs, options.polled):
         rows.append(measure_case(case, logs))
         if options.verbose:
-            row = rows[-1]
-            found = ", ".join(
-                f"{name} {100 * row.relative[name]:.2f} ± {100 * row.widths[name]:.2f}" for name in row.relative
-            )
-            print(", ".join(row.kind), "|", found, "|", *row.status, "|", *row.added, f"| {row.cpu:.1f} s", flush=True)
+            print(rows[-1], flush=True)
     title = ["# Servos", "", f"{options.servos} random servos with {options.logs} logs of {TIME:.0f} s each.", ""]
-    table = "\n".join([*title, *write_rows(rows)])
-    if options.out is not None:
-        options.out.write_text(table + "\n", encoding="utf-8")
-    print(table)
+    print(*title, *write_rows(rows), sep="\n")
     return 0
 
 

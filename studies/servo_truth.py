@@ -23,16 +23,13 @@ class TrueServo:
     with the square of the velocity over `stribeck_speed`. `motor_friction` and `motor_stribeck` are the same times the
     motor's torque, from which `back_emf` takes its part of the velocity beyond the limit.
 
-    Some effects are in the table of terms: `asymmetry` is a part of the viscous friction, `ripple` a part of the
-    Coulomb friction that turns with the position `waves` times a turn, and `cogging` a torque that does so. `root` is
-    a friction at 1 rad/s that grows with the root of the speed.
-
-    The last ones are not. A friction with `bristle` needs this way [rad] to turn round, and the encoder has
-    `backlash` [rad]. The motor loses `deadzone` [N m] of the torque. The Coulomb friction is larger by the part
-    `warming` at first, for some 3 s. The goal moves at most at `slew` [rad/s]. The gain grows by the part
-    `stiffening` at an error of 0.3 rad. The limit of the torque falls to 0 at the speed `no_load` [rad/s]. The
-    inertia turns with the position by the part `swing`. The shaft twists by `windup` [rad/(N m)] before the encoder.
-    The loop has another `loop_period` [s] than its user believes.
+    `cogging` is a torque that turns with the position `waves` times a turn. What follows is not in the table of terms.
+    A friction with `bristle` needs this way [rad] to turn round, and the encoder has `backlash` [rad]. The motor loses
+    `deadzone` [N m] of the torque. The Coulomb friction is larger by the part `warming` at first, for some 3 s. The
+    goal moves at most at `slew` [rad/s]. The gain grows by the part `stiffening` at an error of 0.3 rad. The limit of
+    the torque falls to 0 at the speed `no_load` [rad/s]. The inertia turns with the position by the part `swing`. The
+    shaft twists by `windup` [rad/(N m)] before the encoder. The loop has another `loop_period` [s] than its user
+    believes.
     """
 
     inertia: float
@@ -53,11 +50,8 @@ class TrueServo:
     velocity_filter: float = 1e-3
     ki: float = 0.0
     load_stribeck: float = 0.0
-    asymmetry: float = 0.0
-    ripple: float = 0.0
     cogging: float = 0.0
     waves: float = 1.0
-    root: float = 0.0
     motor_friction: float = 0.0
     motor_stribeck: float = 0.0
     back_emf: float = 0.0
@@ -79,19 +73,25 @@ class TrueServo:
         return self.delay + float(np.mean(-(acts - 1e-9) / period % 1.0) * period)
 
 
-def simulate_servos(servos: Sequence[TrueServo], t: Floats | Sequence[Floats], goals: Sequence[Floats]) -> list[Floats]:
+def simulate_servos(
+    servos: Sequence[TrueServo],
+    t: Sequence[Floats],
+    goals: Sequence[Floats],
+    read: Sequence[Floats] | None = None,
+) -> list[Floats]:
     """Return the rounded positions (n,) [rad] of servos under the goals (n,) [rad] at the times t (n,) [s] of each.
 
+    `read` are the times (n,) [s] of the readings of each, if they differ from those of the goals.
     Friction is implicit, and the viscous part of a step is exact.
     """
     own = {name: np.array([getattr(servo, name) for servo in servos]) for name in TrueServo.__dataclass_fields__}
-    clocks = [t] * len(servos) if isinstance(t, np.ndarray) else t
-    count = round(max(float(clock[-1]) for clock in clocks) / STEP) + 1
+    read = t if read is None else read
+    count = round(max(float(clock[-1]) for clock in (*t, *read)) / STEP) + 1
     now, period, columns = np.arange(count) * STEP, own["loop_period"], np.arange(len(servos))
     every = np.round(period / STEP).astype(int)
     first = np.round(own["phase"] * every).astype(int)
     held = np.empty((count // int(every.min()) + 2, len(servos)))
-    for j, (servo, clock, goal) in enumerate(zip(servos, clocks, goals, strict=True)):
+    for j, (servo, clock, goal) in enumerate(zip(servos, t, goals, strict=True)):
         ticks = (np.arange(len(held)) - round(servo.phase * every[j]) / every[j]) * servo.loop_period
         rows = np.searchsorted(clock + servo.delay, ticks + 1e-9, side="right") - 1
         held[:, j] = goal[np.maximum(rows, 0)]
@@ -120,11 +120,11 @@ def simulate_servos(servos: Sequence[TrueServo], t: Floats | Sequence[Floats], g
         before, wave = np.where(tick, seen, before), np.sin(own["waves"] * x)
         load, motor = own["gravity"] * np.sin(x), torque - own["back_emf"] * v
         transmitted = np.abs(motor + load)  # the gearbox has the motor on one side
-        dry = own["coulomb"] * (1 + own["ripple"] * wave) * (1 + own["warming"] * math.exp(-k * STEP / 3.0))
-        force = motor - load - own["cogging"] * wave - own["asymmetry"] * own["viscous"] * speed
+        dry = own["coulomb"] * (1 + own["warming"] * math.exp(-k * STEP / 3.0))
+        force = motor - load - own["cogging"] * wave
         force = force + 0.5 * own["inertia"] * own["swing"] * np.sin(x) * v * v
         force = force - np.where(soft, dry * slip / bristle, 0.0)
-        friction = np.where(soft, 0.0, dry) + own["load_friction"] * transmitted + own["root"] * np.sqrt(speed)
+        friction = np.where(soft, 0.0, dry) + own["load_friction"] * transmitted
         falling = np.exp(-np.square(speed / own["stribeck_speed"]))
         friction = friction + (own["stribeck"] + own["load_stribeck"] * transmitted) * falling
         friction = friction + (own["motor_friction"] + own["motor_stribeck"] * falling) * np.abs(motor)
@@ -136,5 +136,5 @@ def simulate_servos(servos: Sequence[TrueServo], t: Floats | Sequence[Floats], g
         x, v, slip = x + way, moved, np.clip(slip + way, -bristle, bristle)
     return [
         servo.resolution * np.rint(np.interp(clock, now, out[:, j]) / servo.resolution)
-        for j, (servo, clock) in enumerate(zip(servos, clocks, strict=True))
+        for j, (servo, clock) in enumerate(zip(servos, read, strict=True))
     ]

@@ -9,7 +9,6 @@ import pytest
 
 from pmfid._body import BASE, KINDS, run
 from pmfid.actuators import JointLog, Servo, ServoFit, fit_logs, fit_servo, simulate_servo
-from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.errors import NotIdentifiableError
 from pmfid.types import Floats
 from studies.servo_truth import TrueServo, simulate_servos
@@ -19,7 +18,7 @@ from tests.refusals import refused
 STEP = 2 * math.pi / 4096
 #: inertia, viscous, coulomb, kp, kd, gravity, torque_limit, delay of a servo on a pendulum.
 TRUTH = {"inertia": 0.01, "viscous": 0.06, "coulomb": 0.05, "kp": 8.0, "kd": 0.02, "gravity": 1.3, "delay": 0.01}
-TRUTH |= {"torque_limit": 1e9, "off": 1e9}
+TRUTH |= {"torque_limit": 1e9}
 
 
 def simulate_by_small_steps(
@@ -36,7 +35,6 @@ def simulate_by_small_steps(
         y = resolution * round(x / resolution) if resolution else x
         torque = truth["kp"] * (held[k] - y) - truth["kd"] * (y - before) / 1e-3
         torque, before = max(-truth["torque_limit"], min(torque, truth["torque_limit"])), y
-        torque *= k * 1e-3 < truth["off"]
         for _ in range(inner):
             v += h / truth["inertia"] * (torque - truth["gravity"] * math.sin(x) - truth["viscous"] * v)
             stop = h / truth["inertia"] * truth["coulomb"]
@@ -55,13 +53,6 @@ def make_log(
     position = simulate_by_small_steps({**TRUTH, **changes}, np.append(t, time), np.append(goal, goal[-1]), step)
     every = round(period / 1e-3)
     return t, goal, step * np.floor(position[::every] / step + 0.5)
-
-
-@pytest.fixture(autouse=True)
-def _few_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The landscape of these logs is plain, and the tests are to be quick."""
-    monkeypatch.setattr(ActuatorTuning, "draws", 150)
-    monkeypatch.setattr(ActuatorTuning, "refined", 3)
 
 
 def test_derivatives_are_those_of_the_simulated_motion() -> None:
@@ -122,7 +113,7 @@ def test_the_simulated_loop_is_that_of_small_steps(more: dict[str, float]) -> No
     true = TrueServo(0.01, 0.06, 0.05, 8.0, 0.01, 1e-6, **more)
     given = {"inertia": 0.01, "viscous": 0.06, "coulomb": 0.05, "kp": 8.0, "delay": 0.01, "gravity_angle": 0.0, **more}
     found = simulate_servo(Servo(STEP, given), np.empty(0), t, goal, 0.0)
-    assert np.abs(found - simulate_servos([true], t, [goal])[0]).max() < 0.3 * STEP
+    assert np.abs(found - simulate_servos([true], [t], [goal])[0]).max() < 0.3 * STEP
 
 
 def test_a_servo_with_a_known_gain_shows_inertia_friction_gravity_and_delay() -> None:
@@ -171,7 +162,7 @@ def simulate_law(seed: int, rate: int = 100, **law: float) -> tuple[Floats, Floa
     steps = rng.uniform(-0.5, 0.5, 21)[(t / 0.4).astype(int)]
     goal = np.where(t < 4, steps, 0.4 * np.sin(5 * t) + 0.2 * np.sin(13 * t))
     true = TrueServo(0.01, 0.2, 0.05, 8.0, 0.01, STEP, **law)
-    return t, goal, simulate_servos([true], t, [goal])[0]
+    return t, goal, simulate_servos([true], [t], [goal])[0]
 
 
 @pytest.mark.long
@@ -189,6 +180,20 @@ def test_a_damped_joint_has_bars_that_hold_its_load_friction(friction: float) ->
     for name, truth in (("inertia", 0.01), ("viscous", 0.2), ("coulomb", 0.05)):
         place = fit.raw_names.index(name)
         assert abs(fit.theta[place] - truth) < 3 * fit.theta_std[place], name
+
+
+def test_a_log_that_polls_has_early_goals_and_inexact_stamps() -> None:
+    rng = np.random.default_rng(4)
+    sent = np.cumsum(rng.uniform(0.017, 0.023, 400))
+    goal = 0.4 * np.sign(np.sin(3 * sent)) + 0.2 * np.sin(13 * sent)
+    read, stamped = sent + rng.uniform(0.006, 0.01, 400), sent + rng.uniform(0.013, 0.015, 400)
+    true = TrueServo(0.01, 0.2, 0.05, 8.0, 0.002, STEP)
+    fit = fit_servo(
+        Servo(STEP, {"kp": 8.0, "kd": 0.0}), stamped, goal, *simulate_servos([true], [sent], [goal], [read])
+    )
+    assert {"early_goals", "stamps"} <= {finding.code for finding in fit.findings}
+    check_estimates(fit, 0.02, delay=0.0025 - 0.008)
+    assert fit.theta_std[0] < 0.05 * fit.theta[0]
 
 
 def test_logs_of_one_servo_share_their_parameters() -> None:

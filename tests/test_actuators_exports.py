@@ -13,7 +13,6 @@ from pmfid.actuators import Servo, fit_servo, simulate_servo
 from pmfid.actuators.exports import make_files
 from pmfid.actuators.joints import FittedJoint
 from pmfid.actuators.logs import JointLog
-from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.types import Floats
 from tests.test_actuators import STEP, make_log
 
@@ -22,11 +21,7 @@ NAME = 'knee "left" <--2>'
 
 def fit_joint(seed: int, given: dict[str, float], terms: list[str], **truth: float) -> FittedJoint:
     log = make_log(seed, **truth)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(ActuatorTuning, "draws", 150)
-        patch.setattr(ActuatorTuning, "refined", 3)
-        fit = fit_servo(Servo(STEP, given, terms), *log, search=False)
-    return FittedJoint([JointLog(NAME, *log, STEP)], fit)
+    return FittedJoint([JointLog(NAME, *log, STEP)], fit_servo(Servo(STEP, given, terms), *log, search=False))
 
 
 @pytest.fixture(scope="module")

@@ -20,14 +20,6 @@ def run(
     elastic: bool = False,
     load: bool = False,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]: ...
-def run_firmware(
-    forces: list[tuple[int, int, bool, NDArray[np.float64], float, float, bool]],
-    goal: NDArray[np.float64],
-    step: NDArray[np.float64],
-    theta: NDArray[np.float64],
-    loop: tuple[float, ...],
-    parts: int,
-) -> NDArray[np.float64]: ...
 def drive_load(
     x: NDArray[np.float64], step: float, substeps: int, loads: NDArray[np.float64]
 ) -> NDArray[np.float64]: ...

@@ -41,12 +41,6 @@ cdef extern from "fit/elastic.h":
     int pmf_elastic_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work) nogil
     void pmf_elastic_drive(int n, double step, int substeps, const double *x, const double *load, double *force) nogil
 
-cdef extern from "fit/ticks.h":
-    ctypedef struct pmf_firmware:
-        double gain, limit, derivative, tacho, share, integral, period, resolution
-    int pmf_ticks_run(const pmf_body *body, const pmf_firmware *loop, double *theta, int n, const double *goal,
-                      const double *step, double *path, double *work) nogil
-
 cdef extern from "fit/whiten.h":
     ctypedef struct pmf_wander:
         double rate, force_sd, force_memory, position_sd, position_memory
@@ -141,43 +135,6 @@ def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.n
     finally:
         free(list_)
     return y, v, S, done
-
-
-def run_firmware(list forces not None, cnp.ndarray[double, mode="c"] goal not None,
-                 cnp.ndarray[double, mode="c"] step not None, cnp.ndarray[double, mode="c"] theta not None,
-                 tuple loop not None, int parts):
-    """Return positions and velocities (n, 2) of a body at the ticks of a loop, infinite after an overflow.
-
-    forces, theta: those of `run` without a controller; all columns are 1. goal, step: (n,) at and after each tick.
-    loop: gain, limit, derivative, tacho, share, integral, period, resolution of csrc/fit/ticks.h.
-    """
-    cdef Py_ssize_t n = goal.shape[0], count = len(forces)
-    cdef int shapes = sum(bool(force[2]) for force in forces)
-    if n < 1 or step.shape[0] != n or theta.shape[0] != PMF_BODY_BASE + count + shapes or parts < 1:
-        raise ValueError(f"lengths of goal, step or theta do not fit: {n}, {step.shape[0]}, {theta.shape[0]}")
-    path, at = np.full((n, 2), np.inf), theta.copy()
-    cdef cnp.ndarray[double, ndim=2, mode="c"] out = path
-    cdef cnp.ndarray[double, mode="c"] state = at
-    cdef cnp.ndarray[double, mode="c"] work
-    cdef cnp.ndarray[double, mode="c"] ones = np.ones(1)
-    cdef pmf_force *list_ = <pmf_force *>calloc(count + 1, sizeof(pmf_force))
-    cdef pmf_body body
-    cdef pmf_firmware firmware
-    if list_ == NULL:
-        raise MemoryError
-    try:
-        pack(forces, 1, list_)
-        body.n, body.parts, body.forces, body.shapes, body.rows = 1, parts, count, shapes, 1
-        body.force, body.column, body.tick, body.on = list_, <double *>ones.data, 0.0, NULL
-        firmware.gain, firmware.limit, firmware.derivative, firmware.tacho = loop[:4]
-        firmware.share, firmware.integral, firmware.period, firmware.resolution = loop[4:]
-        work = np.empty(pmf_body_work(&body))
-        with nogil:
-            pmf_ticks_run(&body, &firmware, <double *>state.data, n, <double *>goal.data, <double *>step.data,
-                          <double *>out.data, <double *>work.data)
-    finally:
-        free(list_)
-    return path
 
 
 def drive_load(cnp.ndarray[double, mode="c"] x not None, double step, int substeps,

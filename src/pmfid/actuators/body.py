@@ -169,11 +169,23 @@ def _force(servo: Servo, name: str, kind: str, p: float = 1.0, q: float = 0.0) -
     return BodyForce(kind, servo.given.get(constant, p), q, free=constant in servo.unknown)
 
 
-def excite(t: Floats, goal: Floats, tick: float, force: Floats | None = None, on: Floats | None = None) -> Excitation:
+def excite(
+    t: Floats,
+    goal: Floats,
+    tick: float,
+    force: Floats | None = None,
+    on: Floats | None = None,
+    lead: float = 0.0,
+    same: float = 0.0,
+) -> Excitation:
     """Return the input of a servo at times t (n,) [s] from goals (n,) [rad], known torques and switches.
 
-    A known torque moves along a line from row to row, in a few steps.
+    A known torque moves along a line from row to row, in a few steps. Without one, the observations may come a time
+    `lead` [s] after the goals of their rows. A goal that acts at most `same` [s] before or after an observation acts
+    with it.
     """
+    if lead > 0:
+        return _excite_ahead(t, goal, tick, on, lead, same)
     pieces = 1 if force is None else TUNING.pieces
     switch = np.repeat(np.ones(t.size - 1) if on is None else np.asarray(on[:-1], float), pieces)
     columns = [switch]
@@ -185,6 +197,24 @@ def excite(t: Floats, goal: Floats, tick: float, force: Floats | None = None, on
         np.repeat(np.asarray(goal[:-1], float), pieces),
         pieces * np.arange(t.size, dtype=np.int32),
         np.ascontiguousarray(columns),
+        tick,
+        None if on is None else switch,
+    )
+
+
+def _excite_ahead(t: Floats, goal: Floats, tick: float, on: Floats | None, lead: float, same: float) -> Excitation:
+    """Return the input whose observations come a time `lead` [s] after the goals and switches of their rows."""
+    seen = t + lead
+    after = np.minimum(np.searchsorted(seen, t), t.size - 1)
+    apart = np.minimum(np.abs(t - seen[after]), np.abs(t - seen[np.maximum(after - 1, 0)]))
+    times = np.sort(np.concatenate([t[apart > same], seen]))
+    at = np.searchsorted(t, times[:-1] + same, side="right") - 1
+    switch = np.ones(at.size) if on is None else np.asarray(on[at], float)
+    return Excitation(
+        np.diff(times),
+        np.asarray(goal[at], float),
+        np.searchsorted(times, seen).astype(np.int32),
+        switch[None, :],
         tick,
         None if on is None else switch,
     )

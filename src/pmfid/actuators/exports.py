@@ -91,6 +91,7 @@ def _list_axles(found: Sequence[FittedJoint]) -> list[_Axle]:
             std = {name: error for name, error in std.items() if name not in fit.open}
             base = {"kp": 1.0} if fit.servo.relative else {}
             values = {name: value for name, value in {**base, **fit.values}.items() if name in UNITS}
+            values |= {name: max(value, 0.0) for name, value in values.items() if name == "delay"}
             axles.append(_Axle(printable(joint.log.name), fit, values, std, joint.log.stated))
     return axles
 

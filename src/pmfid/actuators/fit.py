@@ -39,6 +39,7 @@ ADVICE: Mapping[str, str] = {
     "torque_limit": "command large steps",
     "ki": "command steps and wait after each of them",
 }
+STAMP = "stamp each sample when the position is read"
 PER_LOG = "give --per-log kp if the gain differed, or fit each log alone"
 MORE_TERMS = "add a term to the model, or move one joint at a time"
 
@@ -144,12 +145,9 @@ class ServoFit(PresentableParameters):
 
 #: Units of terms that no user can name, and their units over that of `kp`.
 FOUND_UNITS: Mapping[str, tuple[str, str]] = {
-    "goal_lag": ("s", "s"),
     "viscous_difference": ("N m s/rad", "s"),
-    "root_friction": ("N m (s/rad)^0.5", "rad (s/rad)^0.5"),
     "cogging": ("N m", "rad"),
     "friction_period": ("N m", "rad"),
-    "encoder": ("rad", "rad"),
 }
 
 
@@ -299,8 +297,7 @@ def advise_log(t: Floats, goal: Floats) -> str:
     steps, changes = np.diff(t), np.abs(np.diff(goal))
     even = np.ptp(steps) < 1e-3 * np.mean(steps)
     smooth = np.max(changes, initial=0.0) < 0.1 * np.ptp(goal)
-    stamp, command = "stamp each sample when the position is read", "command steps as well"
-    advice = [text for text, missing in ((stamp, even), (command, smooth)) if missing]
+    advice = [text for text, missing in ((STAMP, even), ("command steps as well", smooth)) if missing]
     return ", and ".join(advice) or MORE_TERMS
 
 
@@ -313,6 +310,7 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
         shared = len(search.task.logs) > 1 and not search.task.per_log and "kp" in servo.unknown
         advice = PER_LOG if shared else advise_log(log.t, log.goal)
         findings.append(Finding("unmodelled", sentence, advice))
+    findings += _find_stamps(fit, search.stamps)
     unclear = [name for name in fit.open if name not in fit.added]
     hard = [name for name in unclear if name in ("inertia", "kp")]
     if hard:
@@ -338,6 +336,24 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
     if fit.limited > TUNING.limited:
         sentence = f"the torque is limited during {100 * fit.limited:.0f} % of the log"
         findings.append(Finding("saturated", sentence, "command smaller or slower steps"))
+    return findings
+
+
+def _find_stamps(fit: ServoFit, error: float) -> list[Finding]:
+    """Return what a log that polls its bus shows: goals that act before their stamps, and an `error` of stamps [s]."""
+    findings = []
+    if error > 0:
+        sentence = f"the readings differ from their stamps by {1e3 * error:.1f} ms (rms)"
+        findings.append(Finding("stamps", sentence, STAMP, "note"))
+    names = [name.partition(".")[0] for name in fit.raw_names]
+    early = [
+        -value
+        for name, value, std in zip(names, fit.theta.tolist(), fit.theta_std.tolist(), strict=True)
+        if name == "delay" and value < -TUNING.normal * std
+    ]
+    if early:
+        sentence = f"the goals act {1e3 * max(early):.1f} ms before their stamps"
+        findings.append(Finding("early_goals", sentence, "stamp a goal when it is sent", "note"))
     return findings
 
 

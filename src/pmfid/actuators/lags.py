@@ -17,7 +17,6 @@ import numpy as np
 
 from pmfid.actuators.bounded import cut_below
 from pmfid.actuators.search import ServoSearch
-from pmfid.actuators.ticks import measure_ticks
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.solve import inverse
 from pmfid.types import Floats
@@ -36,7 +35,7 @@ class LagFit:
 
 def choose_lag(search: ServoSearch) -> ServoSearch:
     """Return the search at the likeliest of a few lags, or itself without such a term."""
-    return max(_fit_lags(search, ticked=False), key=lambda fit: fit.value).search if search.kept else search
+    return max(_fit_lags(search), key=lambda fit: fit.value).search if search.kept else search
 
 
 def profile_lags(search: ServoSearch) -> list[LagFit]:
@@ -52,21 +51,21 @@ def profile_lags(search: ServoSearch) -> list[LagFit]:
     return fits
 
 
-def _fit_lags(search: ServoSearch, ticked: bool = True) -> list[LagFit]:
+def _fit_lags(search: ServoSearch) -> list[LagFit]:
     """Return the fits at the first lags, each one from the nearest fit, until the evidence falls on either side."""
-    fits = [_fit_at(search, search.lag, ticked)]
+    fits = [_fit_at(search, search.lag)]
     longer = sorted(lag for lag in TUNING.lags if lag > search.lag)
     for side in (longer, sorted(set(TUNING.lags) - {*longer, search.lag}, reverse=True)):
         for lag in side:
             nearest = min(fits, key=lambda fit: abs(fit.lag - lag))
-            fits.append(_fit_at(nearest.search, lag, ticked))
+            fits.append(_fit_at(nearest.search, lag))
             if fits[-1].value < max(fit.value for fit in fits) - TUNING.lag_end:
                 break
     return sorted(fits, key=lambda fit: fit.lag)
 
 
-def _fit_at(search: ServoSearch, lag: float, ticked: bool = True) -> LagFit:
-    """Return the fit at a lag, with the effect of the ticks of the loop if `ticked`."""
+def _fit_at(search: ServoSearch, lag: float) -> LagFit:
+    """Return the fit at a lag."""
     at = copy(search)
     at.set_lag(lag)
     optimum, lowest = at.solve(at.noise, 15), at.lowest()
@@ -76,10 +75,7 @@ def _fit_at(search: ServoSearch, lag: float, ticked: bool = True) -> LagFit:
     value = -optimum.cost + 0.5 * float(g @ covariance @ g) + 0.5 * _log_determinant(covariance)
     part, mean, covariance = cut_below(optimum.q - covariance @ g, covariance, lowest)
     value += part - 0.5 * (lag / TUNING.lag) ** 2 - math.log(lag / search.task.servo.loop_period + 0.5)
-    if not ticked:
-        return LagFit(lag, value, mean, covariance, at)
-    ticks = measure_ticks(at, mean)
-    return LagFit(lag, value + ticks.gain, np.maximum(mean + ticks.mean, lowest), covariance + ticks.covariance, at)
+    return LagFit(lag, value, np.maximum(mean, lowest), covariance, at)
 
 
 def _log_determinant(covariance: Floats) -> float:

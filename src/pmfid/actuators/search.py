@@ -14,12 +14,13 @@ from pmfid.actuators.body import ServoBody, body_of, excite
 from pmfid.actuators.bounded import BoundedQuadratic
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.servo import Servo
+from pmfid.actuators.stamps import noise_with_stamps
 from pmfid.actuators.terms import LOOP_FRICTION, odds_of, table_of
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.machine import COULOMB, DELAY, VISCOUS
-from pmfid.fit.problem import CONSTANT, FitProblem, ObservedStretch
+from pmfid.fit.problem import CONSTANT, FAR, FitProblem, ObservedStretch
 from pmfid.fit.search import SETTLED, FitSearch, errors_of
 from pmfid.fit.solve import Likelihood
 from pmfid.fit.terms import Sizes
@@ -45,6 +46,13 @@ class ServoTask:
     @property
     def period(self) -> float:
         return float(np.median(np.concatenate([np.diff(log.t) for log in self.logs])))
+
+    @property
+    def lead(self) -> float:
+        """Longest time by which goals act before their stamps [s]. A row of a log that polls has its goal at its start
+        and its stamp at its end. Known torques go with the readings."""
+        known = "delay" not in self.servo.unknown or any(log.force is not None for log in self.logs)
+        return 0.0 if known else self.period
 
     @property
     def load(self) -> float:
@@ -73,12 +81,15 @@ class ServoTask:
     def problem(self, tick: float = TUNING.tick) -> FitProblem:
         """Return the logs as a problem, with a start state after each gap."""
         body = self.body()
-        stretches = tuple(one for k, log in enumerate(self.logs) for one in _stretches(log, body.names, k, tick))
+        wait = self.lead, 0.5 * self.servo.loop_period  # a goal waits for the next tick of the loop
+        stretches = tuple(one for k, log in enumerate(self.logs) for one in _stretches(log, body.names, k, tick, wait))
         least = TUNING.least_armature * self.load if "inertia" in body.names else 0.0
         return FitProblem(body, stretches, self.servo.resolution, mass=(math.log(least) if least else -np.inf, np.inf))
 
 
-def _stretches(log: JointLog, names: Sequence[str], number: int, tick: float) -> list[ObservedStretch]:
+def _stretches(
+    log: JointLog, names: Sequence[str], number: int, tick: float, wait: tuple[float, float]
+) -> list[ObservedStretch]:
     suffixes = [name.partition(".")[2] for name in names]
     acts = np.array([not suffix or suffix == str(number + 1) for suffix in suffixes], float)
     breaks = np.flatnonzero(np.diff(log.t) > max(TUNING.gap, 5 * float(np.median(np.diff(log.t))))) + 1
@@ -87,7 +98,7 @@ def _stretches(log: JointLog, names: Sequence[str], number: int, tick: float) ->
         if last - first < 10:
             continue
         part, flags = log.cut(slice(first, last)), np.ones(last - first, bool)
-        drive = excite(part.t, part.goal, tick, part.force, part.on)
+        drive = excite(part.t, part.goal, tick, part.force, part.on, *wait)
         found.append(
             ObservedStretch(drive, part.position, np.full(last - first, 1 / 12), flags, ~flags, first, None, acts)
         )
@@ -133,6 +144,7 @@ class ServoSearch(FitSearch):
         self.chosen = list(chosen)
         self.problem = self._chosen_problem()
         self.q, self.starts, self.noise = q, starts, Gaussian(problem.stretches)
+        self.stamps = 0.0  # standard deviation of their error [s]
 
     @property
     def lag(self) -> float:
@@ -177,6 +189,14 @@ class ServoSearch(FitSearch):
     def explains(self) -> bool:
         """The loop of a servo counts, so that no smooth motion explains every count."""
         return False
+
+    def estimate_noise(self, kinds: Sequence[str]) -> Gaussian:
+        """Return the noise of the residuals, with the error of the stamps."""
+        motion, step = self.problem.motion(self.q, self.starts), self.problem.resolution
+        stretches = tuple(one.resting(v == 0) for one, (_, v) in zip(self.plain.stretches, motion, strict=True))
+        speeds = [np.clip(np.nan_to_num(v / step), -FAR, FAR) for _, v in motion]
+        noise, self.stamps = noise_with_stamps(stretches, errors_of(self), speeds, self.rate, kinds, self.task.period)
+        return noise
 
     def check_followed(self, noise: Gaussian) -> None:
         """A position under control may follow the goal with any disturbance."""

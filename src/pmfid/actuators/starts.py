@@ -53,26 +53,8 @@ def _build_waves(search: ServoSearch) -> ServoSearch:
     other = copy(search)
     other.waves, other.table = WAVES, list(search.table)
     build(other)
-    if other.noise.position[0] > TUNING.wander / math.sqrt(12):
-        other = max((other, _build_waves_first(search)), key=lambda one: one.value())
     bounds = np.array(other.plain.mass)
     return search if np.min(np.abs(other.q[other.plain.machine.lead] - bounds)) < SETTLED else other
-
-
-def _build_waves_first(search: ServoSearch) -> ServoSearch:
-    """Return the search with effects that repeat along the travel before any other term, which may mimic them."""
-    other, kept = copy(search), search.kept
-    other.waves = WAVES
-    other.choose(kept)
-    others = [one for i, one in enumerate(search.table) if i not in kept]
-    other.table, other.kept = [search.table[i] for i in kept], tuple(range(len(kept)))
-    other.chosen = list(other.kept)
-    build(other)
-    if len(other.chosen) == len(kept):
-        return search
-    other.table = [*other.table, *others]
-    build(other)
-    return other
 
 
 def _drop_limit(search: ServoSearch, always: bool = False) -> ServoSearch:
@@ -263,7 +245,7 @@ class ServoDraw:
             "kd": damping * frequency * inertia,
             "ki": gain * _draw_positive(rng, 0.1, 10.0),
             "torque_limit": gain * self.largest * _draw_positive(rng, 0.1, 1.5),
-            "delay": max(rng.uniform(0.0, TUNING.delays) * self.period, 1e-6),
+            "delay": task.lead + max(rng.uniform(0.0, TUNING.delays) * self.period, 1e-6),
             "gravity": torque * _draw_positive(rng, 0.1, 10.0),
             "gravity_angle": torque * rng.uniform(-1.0, 1.0) if pair else rng.uniform(-math.pi, math.pi),
             "stribeck": torque * _draw_positive(rng, *TUNING.frictions),

@@ -10,12 +10,14 @@ from pmfid.fit.compare import ODDS
 from pmfid.fit.machine import DIRECTIONAL, OFFSET, BodyForce
 from pmfid.fit.terms import ExtraForce, Sizes
 
-#: Log odds of terms that most servos have, or hardly any. The gear rubs under load in every published model of one, and
-#: friction that grows with the root of the speed is in none.
-COMMON_ODDS = {"load_friction": 0.0, "motor_friction": 0.0, "root_friction": 4 * ODDS}
+#: Terms with even odds, because most servos have them: published models have Stribeck friction and a gear that rubs
+#: under load.
+COMMON = ("stribeck", "load_friction", "load_stribeck", "motor_friction", "motor_stribeck")
 #: The part of the viscous friction that the loop makes. Every servo without a named kd has this term, because no motion
 #: below the limit of the torque shows it: it hides a part of the inertia, its size times the age of its velocity.
 LOOP_FRICTION = "loop_friction"
+#: Speeds of Stribeck friction as parts of the highest speed. Each moves by the factors of `pmfid.fit.problem.CONSTANT`.
+SHARES = (0.02, 0.06, 0.2, 0.6)
 NAME = "name the term {}, or give its value"
 
 
@@ -28,7 +30,7 @@ def table_of(servo: Servo, gain: float, s: Sizes) -> list[ExtraForce]:
 def odds_of(table: list[ExtraForce]) -> list[float]:
     """Return the log odds of each term. The candidates of one name share those of their row."""
     names = [one.name for one in table]
-    return [COMMON_ODDS.get(name, ODDS) - math.log(names.count(name)) for name in names]
+    return [(0.0 if name in COMMON else ODDS) - math.log(names.count(name)) for name in names]
 
 
 def _row(name: str, words: str, sd: float, **more: object) -> ExtraForce:
@@ -50,18 +52,16 @@ def _loop(servo: Servo, gain: float, s: Sizes) -> Iterator[ExtraForce]:
 
 
 def _frictions(s: Sizes) -> Iterator[ExtraForce]:
-    for share in (0.02, 0.06, 0.2):
+    for share in SHARES:
         force = BodyForce("stribeck", share * s.speed)
         yield _row("stribeck", "Stribeck friction", 0.4 * s.coulomb, force=force, lowest=0.0)
     for q, name, words in ((0.0, "load", "the load"), (1.0, "motor", "the motor's torque")):
         force = BodyForce("load", q=q)
         yield _row(f"{name}_friction", f"friction in proportion to {words}", 0.1, force=force, lowest=0.0)
-        for share in (0.02, 0.06, 0.2):
+        for share in SHARES:
             force = BodyForce("load_stribeck", share * s.speed, q)
             words_ = f"Stribeck friction in proportion to {words}"
             yield _row(f"{name}_stribeck", words_, 0.1, force=force, lowest=0.0)
     force = BodyForce("power", 2.0, 1.0)
     yield _row("quadratic", "quadratic friction", 0.3 * s.viscous / s.speed, force=force, lowest=0.0)
-    words, force = "friction that grows with the root of the speed", BodyForce("power", 0.5, 1.0)
-    yield _row("root_friction", words, 0.3 * s.viscous * math.sqrt(s.speed), force=force, lowest=0.0)
     yield _row("viscous_difference", "friction that differs by direction", 0.3 * s.viscous, base=DIRECTIONAL)

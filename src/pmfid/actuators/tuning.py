@@ -66,8 +66,6 @@ class ActuatorTuning:
     #: Lags next to the best one differ by less than this log evidence, after halvings of their distance.
     lag_drop: float = 1.5
     halvings: int = 3
-    #: So much of each log is simulated with the ticks of the loop [s].
-    ticked: float = 10.0
     # values
     #: Half length of a 95 % interval of a normal distribution, in standard deviations.
     normal: float = 1.96

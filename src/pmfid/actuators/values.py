@@ -12,7 +12,6 @@ from pmfid.actuators.body import CONSTANTS
 from pmfid.actuators.lags import LagFit, has_gain, mix
 from pmfid.actuators.search import ServoSearch, limited_part
 from pmfid.actuators.terms import LOOP_FRICTION
-from pmfid.actuators.ticks import measure_ticks
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.fit import Fitted, sandwich
 from pmfid.fit.problem import ResidualBlock
@@ -45,12 +44,12 @@ class ParameterReader:
     def _read_machine(self, q: Floats) -> dict[str, float]:
         """Return the parameters of the model. A delay of the loop that nobody named only widens the others."""
         problem, task = self.fitted.problem, self.search.task
-        found = {}
+        found, shifts = {}, {"inertia": task.load, "delay": -task.lead}
         for name, value in zip(problem.machine.names, problem.theta(q).tolist(), strict=True):
             base = name.partition(".")[0]
             mean, sd = task.priors.get(base, (0.0, 1.0))
             if base != "loop_delay" or "loop_delay" in task.servo.unknown:
-                found[name] = mean + sd * value + (task.load if name == "inertia" else 0.0)
+                found[name] = mean + sd * value + shifts.get(base, 0.0)
         return found
 
     def _read_forces(self, q: Floats, found: dict[str, float]) -> None:
@@ -94,10 +93,6 @@ def read_parameters(
     q, covariance, gain = fitted.solution.q, _scatter(search, fitted), False
     if lags:
         q, covariance = _mix_lags(search, fitted, lags, covariance)
-    else:
-        ticks = measure_ticks(search, q)
-        q, covariance = np.maximum(q + ticks.mean, search.lowest()), covariance + ticks.covariance
-    if lags:
         at = next(k for k, one in fitted.problem.place_candidates() if one.name == LOOP_FRICTION)
         limited = limited_part(fitted.problem, fitted.solution.q, fitted.solution.starts) > 0
         gain = limited and has_gain(search) and math.sqrt(covariance[at, at]) < TUNING.open * q[at]

@@ -1,0 +1,48 @@
+"""The error of the stamps of a log. A reading is taken some time before or after its stamp, as where a bus is polled,
+and the position is then wrong by this time multiplied by the speed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pmfid.fit.likelihood import Gaussian, noise_of
+from pmfid.fit.problem import ObservedStretch
+from pmfid.types import Floats
+
+
+def noise_with_stamps(
+    stretches: Sequence[ObservedStretch],
+    errors: Sequence[Floats],
+    speeds: Sequence[Floats],
+    rate: float,
+    kinds: Sequence[str],
+    period: float,
+) -> tuple[Gaussian, float]:
+    """Return the noise of maximum likelihood with the standard deviation [s] of the error of the stamps.
+
+    `errors` (k,) and `speeds` (k,) are residuals [counts] and velocities [counts/s] of each stretch. The error is one
+    parameter, and is there if it gains more than the cost of one by Schwarz (1978). `period` is that of the log [s].
+    """
+    sizes = (period * 2.0 ** -np.arange(0.0, 10.0, 0.25)).tolist()  # to an eighth of an octave
+    bare = noise_of(stretches, errors, rate, kinds)
+    jittered = [_with_stamps(stretches, speeds, error) for error in sizes]
+    values = [replace(bare, stretches=one).evidence(errors)[0] for one in jittered]
+    best = int(np.argmax(values))
+    noise = noise_of(jittered[best], errors, rate, kinds)
+    gain = noise.evidence(errors)[0] - bare.evidence(errors)[0]
+    parameters = 1 + 2 * (noise.wanders - bare.wanders)
+    if gain > 0.5 * parameters * math.log(sum(e.size for e in errors)):
+        return noise, sizes[best]
+    return bare, 0.0
+
+
+def _with_stamps(
+    stretches: Sequence[ObservedStretch], speeds: Sequence[Floats], error: float
+) -> tuple[ObservedStretch, ...]:
+    """Return the stretches with the variance of an error [s] of each stamp."""
+    pairs = zip(stretches, speeds, strict=True)
+    return tuple(replace(one, variance=one.variance + np.square(error * v)) for one, v in pairs)
