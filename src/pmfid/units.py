@@ -212,5 +212,5 @@ def known_unit(text: str, table: dict[str, Unit]) -> str:
     unit = unit_named(text, table)
     if unit is None:
         usual = ", ".join(name for name, unit in table.items() if unit.plain or name in _USUAL)
-        raise ValueError(f"{text!r} is not a known unit{did_you_mean(text, table)}; use for example {usual}")
+        raise ValueError(f"{text!r} is not a known unit; use for example {usual}{did_you_mean(text, table)}")
     return unit.name

@@ -113,7 +113,7 @@ class Servo:
         for name in (*self.given, *self.terms):
             if name not in UNITS:
                 raise UsageError(
-                    f"unknown parameter {name!r}{did_you_mean(name, UNITS)}: use one of {', '.join(UNITS)}"
+                    f"unknown parameter {name!r}: use one of {', '.join(UNITS)}{did_you_mean(name, UNITS)}"
                 )
         for name, value in self.given.items():
             if (

@@ -124,7 +124,7 @@ def identify(
     if method == EVERY:
         _compare(records, config, given, out, as_json)
         return
-    given |= {"estimator.method": method}
+    given |= {"estimator.method": method} if method else {}
     with progress("identify") as tell:
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.guess.axis_file import find_to_do

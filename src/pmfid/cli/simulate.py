@@ -62,7 +62,7 @@ def _write(
 
     if name not in SCENARIOS:
         raise UsageError(
-            f"unknown scenario {name!r}{did_you_mean(name, SCENARIOS)}; pmfid simulate --list shows all names"
+            f"unknown scenario {name!r}: pmfid simulate --list shows all names{did_you_mean(name, SCENARIOS)}"
         )
     try:
         lines, seed = int(options["increments"]), int(options["seed"])

@@ -192,7 +192,7 @@ def find(word: str, known: Sequence[ReferenceEntry] | None = None) -> list[Refer
     if found := [entry for entry in known if wanted and wanted in entry.called]:
         return found
     hint = did_you_mean(wanted, dict.fromkeys(name for entry in known for name in entry.called if name))
-    raise UsageError(f"no key or word is called {word!r}{hint}; pmfid explain without a key lists them all")
+    raise UsageError(f"no key or word is called {word!r}: pmfid explain without a key lists them all{hint}")
 
 
 def explain_entries(found: Sequence[ReferenceEntry]) -> str:

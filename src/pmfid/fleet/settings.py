@@ -161,9 +161,8 @@ def choose(given: Axis, tables: Iterable[Table]) -> Chosen:
     axis = choose_method(given)
     records, refused = _records(axis, tables)
     if not records:
-        if isinstance(refused, UsageError):
-            raise UsageError(f"{refused}; or correct --axis, if another column names the axes")
-        raise refused or UsageError("no axis has any rows; check --axis and the columns in [record]")
+        kind, reason = (type(refused), refused) if refused else (UsageError, "no axis has any rows")
+        raise kind(f"{reason}; if another column names the axes, correct --axis")
     first = records[0]
     if takes_edges(given):
         return Chosen(0.0, None, first.dt, first.resolution)

@@ -440,8 +440,9 @@ def _rows(
     rows = place_rows(time, ~out & np.isfinite(u) & np.isfinite(y), repeated, config, y)
     if rows.rows.size < TUNING.min_samples:
         raise UsageError(
-            f"{rows.rows.size} of {samples} rows are usable, and at least {TUNING.min_samples} are needed; leave fewer "
-            "rows out, or record longer"
+            f"{rows.rows.size} of {samples} rows are usable, and at least {TUNING.min_samples} are needed"
+            f"; {np.sum(~np.isfinite(u))} rows lack a usable input, {np.sum(~np.isfinite(y))} a usable output, and "
+            f"{np.sum(out)} are left out: correct these columns, or record longer"
         )
     return rows, rows.place_inputs(np.where(out, np.nan, u)), (*notes, *rows.notes)
 

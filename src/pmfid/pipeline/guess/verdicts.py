@@ -44,7 +44,7 @@ def explain_refusal(judgement: Judgement, columns: Mapping[str, Floats], names: 
     if best is None and judgement.excluded:
         return f"no column is a measured motion: {_shorten(excluded)}; log the encoder, or name it with --output"
     if best is None:
-        listed = [name if name in columns else f"{name} (constant, time or number)" for name in names]
+        listed = [name if name in columns else f"{name} (constant, a clock, or no numbers)" for name in names]
         return (
             f"no two columns can be input and output of an axis: {_shorten(listed)}; name the columns with --input, "
             "--output and --time"
