@@ -70,7 +70,8 @@ def _join(lines: list[str]) -> str:
 
 def _summary(findings: Mapping[str, Finding]) -> str:
     statements = dict(re.findall(r"^## Figure (\d)\n\n\*\*The paper:\*\* (.*)$", TEMPLATE, re.MULTILINE))
-    rows = [[f"[{name}](#figure-{name})", statements[name], findings[f"figure {name}"].verdict] for name in FIGURES]
+    rows = [["[1](#every-claim-of-the-text)", CLAIMS[0].statement, findings[CLAIMS[0].statement].verdict]]
+    rows += [[f"[{name}](#figure-{name})", statements[name], findings[f"figure {name}"].verdict] for name in FIGURES]
     return _join(table(["figure", "the paper says", "verdict"], rows))
 
 

@@ -74,8 +74,8 @@ class EstimatorConfig(FileSection):
         """The cutoff [rad/s]. Raises UsageError if the cutoff is not known yet."""
         if self.cutoff is None:
             raise UsageError(
-                "[estimator] cutoff is missing; give the pole of the filter chain in rad/s, or with pmfid export --record "
-                "a record of the axis, which suggests the pole"
+                "[estimator] cutoff is missing; give the pole of the filter chain in rad/s, or give "
+                "pmfid export --record a record of the axis, from which the pole follows"
             )
         return self.cutoff
 
