@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 import pmfid
-from pmfid.fit.prediction import find_resolution, predict_errors
+from pmfid.fit.prediction import predict_errors
 from pmfid.models.controllers import MotorAndLoad
 from pmfid.simulation import quantize
 from tests.oracles.two_mass import TwoMasses, simulate_two_masses
@@ -36,14 +35,5 @@ def test_slow_motion_does_not_show_the_spring() -> None:
     assert slow > 50 * fast
 
 
-def test_the_resolution_is_enough_and_no_finer() -> None:
-    wanted = {"motor": 0.001, "stiffness": 0.0005}
-    errors = predict_errors(BELT, binary(4000), DT, find_resolution(BELT, binary(4000), DT, wanted))
-    assert max(errors[name] / part for name, part in wanted.items()) == pytest.approx(1.0)
-
-
 def test_wrong_arguments_are_refused() -> None:
-    refused(
-        ("within must name", lambda: find_resolution(BELT, binary(100), DT, {"mass": 0.1})),
-        ("an input", lambda: predict_errors(BELT, [np.nan, 1.0], DT, STEP)),
-    )
+    refused(("an input", lambda: predict_errors(BELT, [np.nan, 1.0], DT, STEP)))

@@ -12,6 +12,8 @@ from click.testing import CliRunner
 import pmfid
 from pmfid._body import BASE, ELASTIC_BASE, KINDS, run
 from pmfid.cli.main import main
+from pmfid.fit.prediction import predict_errors
+from pmfid.models.controllers import MotorAndLoad
 from pmfid.types import Counts, Floats
 from tests.command import run_command
 from tests.oracles.two_mass import TwoMasses, simulate_two_masses
@@ -129,5 +131,10 @@ def test_the_command_takes_the_body(tmp_path: Path) -> None:
     log, axis = str(tmp_path / "log.csv"), str(tmp_path / "AXIS.toml")
     found = CliRunner().invoke(main, ["identify", log, "--config", axis, "--json"])
     assert json.loads(found.stdout)["parameters"]["stiffness"]["value"] == pytest.approx(3947.8, rel=0.005)
+    choice = json.loads(run_command("encoder", log, "--config", axis, "--parameter", "stiffness", "--json").stdout)
+    masses = MotorAndLoad(*PAIRS[0])
+    predicted = [predict_errors(masses, u, STEP, step)["stiffness"] for step in choice["step"]]
+    assert choice["counts"] == pytest.approx(predicted, rel=0.1)
+    assert choice["edges"] == []
     for command in (["export", axis, "--out", str(tmp_path / "out")], ["monitor", log, "--config", axis]):
         assert "off-line" in run_command(*command, code=2).stderr

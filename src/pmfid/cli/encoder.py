@@ -45,6 +45,7 @@ def encoder(
 
     The command identifies RECORD, simulates the machine at the estimate with the same input, and reads the simulated
     motion with each encoder. Edge times are the instants of the counts, as the timer of a motor controller takes them.
+    For two masses, the deviations belong to least squares for a motion that crosses counts all the time.
 
     Exit code 0: a comparison; 2: wrong usage or unreadable input; 3: the record cannot identify the parameters.
     """

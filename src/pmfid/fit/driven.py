@@ -31,18 +31,16 @@ class SmoothRecord:
     width: float
     step: float
 
-    def smooth(self, signal: Floats, derivative: int = 0) -> Floats:
-        """Return a smoothed signal (n, ...) without the ends that the kernel does not cover."""
-        return _smooth(signal, self.width, derivative) / self.step**derivative
-
     def loads(self, loads: Floats) -> Floats:
         """Return the smoothed forces (m, g) per mass of loads (g, 4), which are logarithms."""
         values = np.exp(loads)
         substeps = max(1, math.ceil(self.step * math.sqrt(float(np.max(values[:, 0]))) / TUNING.reach))
-        return self.smooth(drive_load(self.x, self.step, substeps, np.ascontiguousarray(values)))
+        return _smooth(drive_load(self.x, self.step, substeps, np.ascontiguousarray(values)), self.width)
 
 
 def _smooth(signal: Floats, width: float, derivative: int = 0, cut: bool = True) -> Floats:
+    """Return a smoothed signal (n, ...) or its derivative, by default without the ends that the kernel does not
+    cover."""
     from scipy.ndimage import gaussian_filter1d
 
     smoothed = gaussian_filter1d(signal, width, axis=0, order=derivative, mode="nearest", truncate=TUNING.tail)

@@ -72,6 +72,12 @@ def make_first_pair(late: bool, dead_time: float, plays: bool = False, load: boo
     return BodyModel(tuple(map(str, rows)), (), rest, lift, 0, lowest, elastic=True, further=places, load=load)
 
 
+def resonance_of(theta: Floats) -> float:
+    """Return the resonance [1/s] of two masses, whose parameters theta (p,) begin as `ROWS`."""
+    masses = theta[[ROWS.index(MASS), ROWS.index(LOAD_MASS)]]
+    return math.sqrt(theta[ROWS.index(STIFFNESS)] * float(np.sum(1 / masses)))
+
+
 def resonances(stretch: ObservedStretch) -> tuple[float, float]:
     """Return the lowest and the highest resonance [1/s] that a stretch may show."""
     step, time = float(np.mean(stretch.drive.step)), float(np.sum(stretch.drive.step))
@@ -79,23 +85,22 @@ def resonances(stretch: ObservedStretch) -> tuple[float, float]:
     return 2 * math.pi * low, 2 * math.pi * max(TUNING.highest / step, 2 * low)
 
 
-def _start(plain: FitProblem, guess: Floats) -> Floats:
+def start_at(plain: FitProblem, guess: Floats) -> Floats:
     """Return q (p,) at a guess, with a dead time of half a step if it is free."""
-    late = [0.5 * float(np.mean(plain.stretches[0].drive.step))] * (plain.size - len(ROWS))
+    late = [0.5 * float(np.mean(plain.stretches[0].drive.step))] * (plain.size - guess.size)
     return plain.clip_to_bounds(plain.start(np.append(guess, late)))
 
 
 def _follow_guesses(plain: FitProblem, prior: Floats, bound: float) -> Optimum | None:
     """Return the best fit of the whole stretch from guesses by the measured motion of the motor, or None without a
     guess."""
-    if plain.machine.load:
-        return None
     (stretch,) = plain.stretches
-    points = [_start(plain, guess) for guess in driven_guesses(stretch, plain.resolution)]
-    points = distinct(points, 0.02)[: TUNING.followed]
+    guesses = [] if plain.machine.load else driven_guesses(stretch, plain.resolution)
+    points = distinct([start_at(plain, guess) for guess in guesses], 0.02)[: TUNING.followed]
     if not points:
         return None
-    length = max(TUNING.periods * _period(plain, points[0]), TUNING.shortest * float(np.mean(stretch.steps)))
+    period = 2 * math.pi / resonance_of(plain.theta(points[0]))
+    length = max(TUNING.periods * period, TUNING.shortest * float(np.mean(stretch.steps)))
     return follow(plain, points, prior, (length, TUNING.parts), bound)
 
 
@@ -153,15 +158,7 @@ def rejoin(plain: FitProblem, q: Floats, prior: Floats, parts: float) -> Optimum
 
 def prior_of(plain: FitProblem, force: float) -> Floats:
     """Return the prior precisions (p,), with a load of about half the force."""
-    prior = np.zeros(plain.size)
-    prior[ROWS.index(OFFSET)] = 1 / (0.5 * force) ** 2
-    return prior
-
-
-def _period(plain: FitProblem, q: Floats) -> float:
-    """Return the period of the resonance [s]."""
-    masses, stiffness = plain.theta(q)[[0, ROWS.index(LOAD_MASS)]], plain.theta(q)[ROWS.index(STIFFNESS)]
-    return float(2 * math.pi / np.sqrt(stiffness * np.sum(1 / masses)))
+    return np.asarray(np.eye(plain.size)[ROWS.index(OFFSET)] / (0.5 * force) ** 2)
 
 
 def count_parts(problem: FitProblem, length: float) -> int:
@@ -242,4 +239,4 @@ def _scan(plain: FitProblem, guess: tuple[float, float, float]) -> Iterator[Floa
         reduced = mass * share * (1 - share)
         motor, load = mass * (1 - share), mass * share
         spring = (reduced * rate**2, 2 * TUNING.ratio * rate * reduced)
-        yield _start(plain, np.array([motor, viscous / 2, coulomb / 2, 0.0, load, viscous / 2, coulomb / 2, *spring]))
+        yield start_at(plain, np.array([motor, viscous / 2, coulomb / 2, 0.0, load, viscous / 2, coulomb / 2, *spring]))

@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from pmfid.fit.elastic import ROWS, follow, guess_sum, liveliest, make_first_pair, prior_of
+from pmfid.fit.elastic import follow, guess_sum, liveliest, make_first_pair, prior_of, start_at
 from pmfid.fit.machine import DELAY
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.solve import Optimum
@@ -43,10 +43,9 @@ def _scan(plain: FitProblem, theta: Floats, step: float) -> Iterator[Floats]:
     mass, viscous, coulomb, load = theta.tolist()
     (stretch,), rate = plain.stretches, PLAY_TUNING.contact[0] / step
     gaps = np.geomspace(1, max(2, PLAY_TUNING.widest * float(np.ptp(stretch.y)) / plain.resolution), PLAY_TUNING.gaps)
-    late = [0.5 * step] * (plain.size - len(ROWS) - 1)
     for gap, share in product((gaps * plain.resolution).tolist(), PLAY_TUNING.shares):
         reduced = mass * share * (1 - share)
         contact = (reduced * rate**2, 2 * PLAY_TUNING.contact[1] * rate * reduced, gap)
         motor, second = mass * (1 - share), mass * share
-        pair = [motor, viscous / 2, coulomb / 2, load, second, viscous / 2, coulomb / 2, *contact, *late]
-        yield plain.clip_to_bounds(plain.start(np.array(pair)))
+        pair = (motor, viscous / 2, coulomb / 2, load, second, viscous / 2, coulomb / 2, *contact)
+        yield start_at(plain, np.array(pair))

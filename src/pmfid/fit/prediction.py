@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid._body import ELASTIC_BASE
 from pmfid.errors import UsageError
-from pmfid.fit.elastic import ROWS
+from pmfid.fit.elastic import ROWS, settle_starts
 from pmfid.fit.machine import OFFSET, Excitation, simulate
-from pmfid.fit.problem import PARTS
+from pmfid.fit.problem import PARTS, FitProblem
+from pmfid.fit.starts import soften
+from pmfid.fit.within import covariance_of, stack
 from pmfid.models.controllers import MotorAndLoad
-
-__all__ = ["find_resolution", "predict_errors"]
+from pmfid.types import Floats
 
 #: Places of the parameters of a `MotorAndLoad` in the body, in their order.
 PLACES = [row for row in ROWS if row != OFFSET]
@@ -45,14 +44,12 @@ def predict_errors(masses: MotorAndLoad, u: ArrayLike, dt: float, resolution: fl
     Examples
     --------
     >>> import numpy as np
-    >>> from pmfid.fit.prediction import find_resolution, predict_errors
+    >>> from pmfid.fit.prediction import predict_errors
     >>> from pmfid.models.controllers import MotorAndLoad
     >>> belt = MotorAndLoad(2e-4, 4e-4, 0.01, 3e-4, 6e-4, 0.015, 4.55, 0.0014, rotary=True)
     >>> u = 0.15 * np.repeat(np.random.default_rng(1).choice([-1.0, 1.0], 400), 10)
     >>> round(100 * predict_errors(belt, u, 0.001, 2 * np.pi / 512)["stiffness"], 3)
     0.024
-    >>> round(2 * np.pi / find_resolution(belt, u, 0.001, {"stiffness": 0.0005}))
-    244
     """
     names = tuple(vars(masses))[: len(PLACES)]
     values = np.array([getattr(masses, name) for name in names])
@@ -64,18 +61,16 @@ def predict_errors(masses: MotorAndLoad, u: ArrayLike, dt: float, resolution: fl
     row = np.arange(inputs.size + 1, dtype=np.int32)
     drive = Excitation(np.full(inputs.size, dt), inputs, row, np.zeros((0, inputs.size)))
     slopes = simulate(drive, [], theta, PARTS, np.eye(theta.size)[:, PLACES], elastic=True)[2] * values
-    moved = slopes - slopes.mean(axis=0)  # the first position is unknown
-    root = np.linalg.pinv(moved, rcond=1e-12)
+    root = np.linalg.pinv(slopes - slopes.mean(axis=0), rcond=1e-12)  # the first position is unknown
     errors = resolution / np.sqrt(12) * np.sqrt(np.sum(root**2, axis=1))
     return dict(zip(names, errors.tolist(), strict=True))
 
 
-def find_resolution(masses: MotorAndLoad, u: ArrayLike, dt: float, within: Mapping[str, float]) -> float:
-    """Return the coarsest resolution with which no relative standard error exceeds `within`, by parameter.
-
-    The arguments are those of `predict_errors`. Raises UsageError for an unknown parameter.
-    """
-    errors = predict_errors(masses, u, dt, 1.0)
-    if not within or not set(within) <= set(errors):
-        raise UsageError(f"within must name some of {list(errors)}, got {list(within)}")
-    return min(wanted / errors[name] for name, wanted in within.items())
+def predict_fit(problem: FitProblem, theta: Floats) -> Floats:
+    """Return the relative standard errors (p,) of least squares on the counts of a record, for the machine at theta."""
+    q = problem.start(theta)
+    starts = settle_starts(problem, soften(problem.stretches), q, problem.first_starts())
+    J = stack(problem.linearise(q, starts))[1]
+    std = np.sqrt(np.diag(covariance_of(J, np.zeros(q.size), starts)))[: q.size]
+    relative = np.isin(range(q.size), problem.machine.logs)
+    return np.where(relative, std, std / np.abs(theta))

@@ -11,7 +11,7 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import NORMAL_95, ODDS
-from pmfid.fit.elastic import ROWS, elastic_start, settle_starts
+from pmfid.fit.elastic import ROWS, elastic_start, resonance_of, settle_starts
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import ROUNDING, Gaussian, noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
@@ -117,8 +117,7 @@ def _read(pair: FitProblem, end: Optimum, odds: float) -> SecondMass | None:
         gap = len(ROWS)
         play = (float(theta[gap]), float(std[gap]))
         return SecondMass(math.inf, sums, odds, play) if play[1] < TUNING.vague * play[0] else None
-    rate = math.sqrt(theta[stiffness] * float(np.sum(1 / theta[masses])))
-    return SecondMass(rate / (2 * math.pi), sums, odds) if std[stiffness] < TUNING.vague else None
+    return SecondMass(resonance_of(theta) / (2 * math.pi), sums, odds) if std[stiffness] < TUNING.vague else None
 
 
 def miss_sums(fitted: Fitted, second: SecondMass) -> Floats:

@@ -57,10 +57,7 @@ def couple(theta: Mapping[str, float], names: tuple[str, ...], covariance: Float
     covariance (4, 4)."""
     values = np.array([theta[name] for name in names])
     middle = derive(*values.tolist())
-    slopes = np.empty((middle.size, values.size))
-    for index, value in enumerate(values.tolist()):
-        step = np.zeros(values.size)
-        step[index] = 1e-6 * max(abs(value), 1e-300)
-        slopes[:, index] = (derive(*(values + step).tolist()) - middle) / step[index]
+    steps = np.diag(1e-6 * np.abs(values))
+    slopes = np.column_stack([(derive(*(values + step).tolist()) - middle) / np.sum(step) for step in steps])
     std = np.sqrt(np.maximum(np.diag(slopes @ covariance @ slopes.T), 0.0))
     return Coupling(*zip(middle.tolist(), std.tolist(), strict=True))

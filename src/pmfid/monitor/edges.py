@@ -217,9 +217,7 @@ class EdgeMonitor:
         distorted = bool(estimate.status & Status.DISTORTED)
         if distorted and self._armed:
             return self._suspect()
-        theta, std = np.array(estimate.theta), np.array(estimate.theta_std)
-        statistic, doubtful = self.weigh_deviations(theta, std, np.array(distorted), self.reference)
-        self.statistic = float(statistic)
+        doubtful = self._weigh_deviations(np.array(estimate.theta), np.array(estimate.theta_std), distorted)
         # If an estimate that was certain becomes both doubtful and distorted, the recursion has raised an alarm.
         alarmed = doubtful and distorted and self.state == WATCHING
         if doubtful and not alarmed:
@@ -227,18 +225,18 @@ class EdgeMonitor:
         if alarmed or self.statistic > self.threshold:
             return self._suspect()
         if not distorted:
-            self._base, self._armed = theta, True
+            self._base, self._armed = np.array(estimate.theta), True
         return self._enter(WATCHING, "")
 
-    def weigh_deviations(self, theta: Floats, std: Floats, distorted: Flags, reference: Floats) -> tuple[Floats, Flags]:
-        """Return the statistic of estimates (..., p), and whether each is too uncertain to tell a change, (...,).
+    def _weigh_deviations(self, theta: Floats, std: Floats, distorted: bool) -> bool:
+        """Find the statistic of an estimate (p,), and return whether it is too uncertain to tell a change.
 
-        `distorted` (...,) widens the standard errors. The largest deviation beyond the tolerance is the statistic.
+        If `distorted`, the standard errors are wider. The largest deviation beyond the tolerance is the statistic.
         """
-        sizes = self._sizes_of(reference)
-        error = std * np.where(distorted, TUNING.edge_doubt, 1.0)[..., None] / sizes
-        statistic = np.max((np.abs(theta - reference) / sizes - self.watch.tolerance) / error, axis=-1)
-        return statistic, self.threshold * error.max(axis=-1) > TUNING.edge_known
+        sizes = self._sizes_of(self.reference)
+        error = std * (TUNING.edge_doubt if distorted else 1.0) / sizes
+        self.statistic = float(np.max((np.abs(theta - self.reference) / sizes - self.watch.tolerance) / error))
+        return bool(self.threshold * error.max() > TUNING.edge_known)
 
     def _suspect(self) -> list[Event]:
         """Look for a change from the last sound estimate on."""

@@ -336,8 +336,8 @@ class FleetRows:
             getattr(self, name)[place, time] = getattr(part, name)[source]
         self.tell(part, rows, time, taken)
 
-    def tell(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags) -> None:
+    def tell(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags | None = None) -> None:
         """Append the events of a part, as `take` does."""
         for row, sample, event in part.events:
-            if kept[row]:
+            if kept is None or kept[row]:
                 self.events.append((int(rows[row]), time.start + sample, event))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Any, TypeVar
 
@@ -15,14 +15,11 @@ from pmfid.monitor.edges import EdgeMonitor
 from pmfid.monitor.events import Event, FleetRows
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.quiet import Quiet
-from pmfid.monitor.quiet_edges import QuietEdges
 from pmfid.monitor.saved import make_parts, read, write_states
 from pmfid.monitor.tuning import TUNING
-from pmfid.types import Counts, Flags, Floats, Places
+from pmfid.types import Counts, Floats, Places
 
 T = TypeVar("T")
-#: Samples u and counts of some axes, and ages if their monitors take them, (k, n) each.
-Inputs = tuple[NDArray[Any], ...]
 
 
 class MonitorFleet:
@@ -69,8 +66,8 @@ class MonitorFleet:
         self.names, self.units, self.longest = monitor.names, monitor.units, monitor.longest
         self._all: Any = self._first.repeat_rows(axes)
         scratch = monitor.fresh()
-        self._scratch: Any = scratch  # computes the axes that are not quiet, one after the other
-        self._quiet: Any = QuietEdges(scratch) if isinstance(scratch, EdgeMonitor) else Quiet(scratch)
+        self._scratch: Any = scratch  # acts on one axis at a time
+        self._quiet = None if isinstance(scratch, EdgeMonitor) else Quiet(scratch)
 
     @property
     def takes_ages(self) -> bool:
@@ -120,10 +117,22 @@ class MonitorFleet:
         rows = FleetRows.empty(shape[0], shape[1], len(self.names))
         for group in slices(shape[0], TUNING.fleet_group):
             for time in slices(shape[1], TUNING.fleet_piece):
-                part = group, time
-                self._run(places[group], tuple(array[part] for array in inputs), rows, part)
+                self._run_piece(places[group], rows, (group, time), [array[group, time] for array in inputs])
         rows.events.sort(key=lambda one: one[:2])
         return rows
+
+    def _run_piece(
+        self, index: Places, rows: FleetRows, part: tuple[slice, slice], inputs: Sequence[NDArray[Any]]
+    ) -> None:
+        """Run a piece of a group of axes. Quiet axes run together, and all other axes one by one."""
+        (group, time), (k, n) = part, inputs[0].shape
+        whole = n == rows.status.shape[1]
+        found = rows.part(group) if whole else FleetRows.empty(k, n, len(self.names))
+        quiet = np.zeros(k, np.bool_) if self._quiet is None else self._quiet.run(self._all, index, found, *inputs[:2])
+        for row in np.flatnonzero(~quiet).tolist():
+            single = self._with(int(index[row]), partial(_run_one, inputs=[array[row] for array in inputs]))
+            found.take(single, np.array([row]), slice(0, n))
+        (rows.tell if whole else rows.take)(found, np.arange(group.start, group.stop), time)
 
     @staticmethod
     def _check_values(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> Floats:
@@ -131,37 +140,6 @@ class MonitorFleet:
         if checked.shape != shape:
             raise UsageError(f"{name} must have the shape {shape} of u, got {checked.shape}")
         return checked
-
-    def _run(self, index: Places, inputs: Inputs, rows: FleetRows, part: tuple[slice, slice]) -> None:
-        """Run a piece of a group of axes. The quiet axes run together, all other axes one by one."""
-        quiet = self._quiet.may_run(self._all, index, inputs[0])
-        if quiet.all():
-            quiet = self._run_quiet(index, inputs, rows, part, np.arange(index.size))
-        elif quiet.any():
-            some = tuple(array[quiet] for array in inputs)
-            quiet[quiet] = self._run_quiet(index[quiet], some, rows, part, np.flatnonzero(quiet))
-        for k in np.flatnonzero(~quiet).tolist():
-            single = self._with(int(index[k]), partial(_run_one, inputs=[array[k] for array in inputs]))
-            rows.take(single, np.array([part[0].start + k]), part[1])
-
-    def _run_quiet(
-        self, index: Places, inputs: Inputs, rows: FleetRows, part: tuple[slice, slice], at: Places
-    ) -> Flags:
-        """Run a piece of quiet axes, and return whether each axis stayed quiet, (k,).
-
-        The states and rows are valid for the axes that stayed quiet.
-        """
-        group, time = part
-        shape = inputs[0].shape
-        own = rows.part(group)
-        if own.status.shape != shape:  # only some axes of the group, or some samples
-            found = FleetRows.empty(shape[0], shape[1], len(self.names))
-            kept = self._quiet.run(self._all, index, found, *inputs)
-            rows.take(found, group.start + at, time, kept)
-        else:
-            kept = self._quiet.run(self._all, index, own, *inputs)
-            rows.tell(own, group.start + at, time, kept)
-        return np.asarray(kept)
 
     def _check_arrays(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> tuple[Places, Floats, Counts]:
         places = self._places(index)

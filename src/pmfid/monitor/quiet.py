@@ -32,11 +32,24 @@ class Quiet:
         self._calm = np.array([state not in UNEASY and not alone for state in range(len(STATES))])
         self._memory = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0))
 
-    def may_run(self, every: AxisStates, index: Places, u: Floats) -> Flags:
-        """Return which of these axes can run here, (k,)."""
-        return self._calm[every.watched.state[index]]
-
     def run(self, every: AxisStates, index: Places, rows: FleetRows, u: Floats, counts: Counts) -> Flags:
+        """Run a piece u, counts (k, n) of the axes `index` (k,), and return whether each axis was quiet, (k,).
+
+        Only the states and rows of quiet axes change.
+        """
+        quiet = self._calm[every.watched.state[index]]
+        if quiet.all():
+            quiet = self._run_together(every, index, rows, u, counts)
+            rows.events[:] = [event for event in rows.events if quiet[event[0]]]
+        elif quiet.any():
+            calm = np.flatnonzero(quiet)
+            found = FleetRows.empty(calm.size, u.shape[1], rows.theta.shape[2])
+            kept = self._run_together(every, index[calm], found, u[calm], counts[calm])
+            rows.take(found, calm, slice(0, u.shape[1]), kept)
+            quiet[calm] = kept
+        return quiet
+
+    def _run_together(self, every: AxisStates, index: Places, rows: FleetRows, u: Floats, counts: Counts) -> Flags:
         """Run a piece u, counts (k, n) of the axes `index` (k,), and return whether each axis stayed quiet, (k,).
 
         Only the states and rows of axes that stayed quiet change. Consecutive axes are computed in place.

@@ -18,6 +18,7 @@ from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.results import Fit
 from pmfid.fit.free_motion import FreeMotion
 from pmfid.fit.machine import Excitation
+from pmfid.fit.prediction import predict_fit
 from pmfid.fit.problem import ObservedStretch
 from pmfid.models.axes import ROTARY
 from pmfid.pipeline.drives import Drives
@@ -58,6 +59,7 @@ class EncoderChoice(Presentable):
         Steps of the encoders, the coarsest first.
     counts, edges : ndarray (k,)
         Relative uncertainty from counts, and from counts with edge times. NaN means that the parameter is unknown.
+        Edge times of two masses are not compared, and `edges` is empty.
     notes : tuple of str
     """
 
@@ -73,13 +75,15 @@ class EncoderChoice(Presentable):
     notes: tuple[str, ...] = ()
 
     @property
+    def kinds(self) -> dict[str, Floats]:
+        """The uncertainties by what the method reads."""
+        return {"counts": self.counts} | ({"edge times": self.edges} if self.edges.size else {})
+
+    @property
     def answer(self) -> str:
         """The coarsest sufficient encoder of each kind, as a sentence."""
-        found = [self._name_coarsest(bars) for bars in (self.counts, self.edges)]
-        return (
-            f"to determine {self.parameter} to {100 * self.wanted:.3g} %, counts need {found[0]}, and edge times need "
-            f"{found[1]}"
-        )
+        needs = [f"{kind} need {self._name_coarsest(bars)}" for kind, bars in self.kinds.items()]
+        return f"to determine {self.parameter} to {100 * self.wanted:.3g} %, {', and '.join(needs)}"
 
     def _name_coarsest(self, bars: Floats) -> str:
         enough = np.flatnonzero(~(bars <= self.wanted))
@@ -92,9 +96,8 @@ class EncoderChoice(Presentable):
 
     def summary(self) -> Summary:
         head = f"step [{self.unit}]" if self.turn is None else "increments per turn"
-        header = (head, "counts [%]", "edge times [%]")
-        rows = []
-        for step, *bars in zip(self.steps.tolist(), self.counts.tolist(), self.edges.tolist(), strict=True):
+        header, rows = (head, *(f"{kind} [%]" for kind in self.kinds)), []
+        for step, *bars in zip(self.steps.tolist(), *(bars.tolist() for bars in self.kinds.values()), strict=True):
             name = f"{step:.3g}" if self.turn is None else f"{self.turn / step:.0f}"
             rows.append((name, *(f"{100 * bar:.2g}" if bar < 1 else "unknown" for bar in bars)))
         title = f"{self.record}: standard deviation of {self.parameter} by encoder"
@@ -143,17 +146,19 @@ def compare_encoders(
             f"{parameter!r} is not a parameter; give one of {', '.join(names)}{did_you_mean(parameter, names)}"
         )
     index = result.estimator.equation.leading if parameter is None else names.index(parameter)
-    trial, bars = _Trial.make(result, record, axis, line_error), []
+    trial, bars = _Trial.make(result, record, axis, line_error), list[tuple[float, ...]]()
     steps = trial.list_steps()
     for number, step in enumerate(steps.tolist()):
         bars.append(trial.compute_uncertainties(step, index))
         if progress is not None:
             progress((number + 1) / steps.size)
-    counts, edges = np.transpose(bars)
+    counts, *edges = np.transpose(bars)
     own = float(result.theta_std[index] / abs(result.theta[index]))
     unit = "counts" if record.in_counts else result.estimator.equation.motion.travel
     notes = tuple(_find_limits(trial, own, wanted, names[index]))
-    return EncoderChoice(record.name, names[index], wanted, own, trial.turn, unit, steps, counts, edges, notes)
+    return EncoderChoice(
+        record.name, names[index], wanted, own, trial.turn, unit, steps, counts, np.ravel(edges), notes
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,7 +167,8 @@ class _Trial:
 
     `theta` (p,) are the true parameters, and `u` (n,) is the input. `turn` is the travel per turn of a rotary axis
     [rad]. `line_error` is the largest distance of a line from its place in steps. `missed` is the relative distance of
-    the simulated from the recorded motion.
+    the simulated from the recorded motion. `predicted` (p,) are the relative uncertainties of two masses over the step
+    of the encoder; it is empty for one mass.
     """
 
     method: MotionFit
@@ -172,6 +178,7 @@ class _Trial:
     turn: float | None
     line_error: float
     missed: float
+    predicted: Floats
 
     @classmethod
     def make(cls, result: DriveResult, record: Record, axis: Axis, line_error: float) -> _Trial:
@@ -186,7 +193,8 @@ class _Trial:
         missed = float(np.std(x[:: TUNING.encoders_parts][stretch.drive.row] - stretch.y) / np.std(stretch.y))
         path = Trajectory(np.asarray(np.arange(x.size) * (record.dt / TUNING.encoders_parts)), x, v)
         turn = TURN if method.equation.motion is ROTARY and not record.in_counts else None
-        return cls(method, theta, u, path, turn, line_error, missed)
+        predicted = predict_fit(problem, theta) / problem.resolution if method.equation.elastic else np.zeros(0)
+        return cls(method, theta, u, path, turn, line_error, missed, predicted)
 
     def list_steps(self) -> Floats:
         """Return the steps of the encoders, the coarsest first: powers of 4 per turn, or decimal steps."""
@@ -195,8 +203,10 @@ class _Trial:
         largest = np.floor(np.log10(np.ptp(self.path.x) / TUNING.encoders_least_steps))
         return np.outer(10.0 ** (largest - np.arange(TUNING.encoders_decades)), [1.0, 0.3]).ravel()
 
-    def compute_uncertainties(self, step: float, index: int) -> tuple[float, float]:
-        """Return the relative uncertainty of a parameter from counts, and from counts with edge times."""
+    def compute_uncertainties(self, step: float, index: int) -> tuple[float, ...]:
+        """Return the relative uncertainty of a parameter from counts, and for one mass from counts with edge times."""
+        if self.predicted.size:
+            return (float(self.predicted[index]) * step,)
         travel = float(np.ptp(self.path.x)) if self.turn is None else self.turn
         lines = max(1, round(travel / step))
         counting = replace(self.method, encoder=Encoder(step))
@@ -256,7 +266,9 @@ def _find_limits(trial: _Trial, own: float, wanted: float, parameter: str) -> It
             f"the simulated motion differs from the recorded one by {100 * trial.missed:.0f} % of the travel, and the "
             "comparison uses the simulated motion"
         )
-    yield (
-        "the deviations contain only the error of the encoder, not noise or unmodelled effects; lines are wrong by at "
-        f"most {100 * trial.line_error:g} % of a step, and the timer has ticks of {1e6 * TUNING.encoders_tick:g} us"
-    )
+    if not trial.predicted.size:
+        yield (
+            "the deviations contain only the error of the encoder, not noise or unmodelled effects; lines are wrong by "
+            f"at most {100 * trial.line_error:g} % of a step, and the timer has ticks of "
+            f"{1e6 * TUNING.encoders_tick:g} us"
+        )

@@ -30,7 +30,7 @@ def encoder_figure(found: EncoderChoice) -> Figure:
     with open_figure(3.8) as (figure, (axes,)):
         axes.axhline(100 * found.wanted, color=GREY, lw=0.8, label=f"wanted: {100 * found.wanted:.3g} %")
         axes.axhline(100 * found.own, color=GREY, lw=0.8, ls="--", label="from this record")
-        for bars, label, colour in ((found.counts, "counts", COLOURS[0]), (found.edges, "edge times", COLOURS[1])):
+        for (label, bars), colour in zip(found.kinds.items(), COLOURS, strict=False):
             known = np.where(bars < 1, 100 * bars, np.nan)
             axes.plot(places, known, "o-", color=colour, ms=3.5, lw=1.2, label=label)
         axes.set_xscale("log")
