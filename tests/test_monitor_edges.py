@@ -112,7 +112,7 @@ def test_other_states_and_arguments_are_refused() -> None:
         ("not a state of this monitor", lambda: monitor.set_state(state + state)),
         ("damaged", lambda: monitor.set_state(state[:-1] + bytes([state[-1] ^ 1]))),
         ("not a state of this monitor", lambda: monitor.set_state(b"")),
-        ("needs a memory", lambda: make_monitor(memory=None)),
+        ("must forget", lambda: make_monitor(memory=None)),
         ("reference must contain values", lambda: EdgeMonitor(monitor.estimator, np.array([1.0, 0.0, 1.0]))),
     )
     assert monitor.get_state() == state

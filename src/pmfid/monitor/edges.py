@@ -121,7 +121,7 @@ class EdgeMonitor:
     def __post_init__(self) -> None:
         self.reference = np.array(self.reference, np.float64)
         if self.estimator.memory is None:
-            raise UsageError("a monitor needs a memory: without a memory, an estimate does not follow a change")
+            raise UsageError("the estimator of a monitor must forget: give it a memory in s")
         if self.reference.shape != (len(self.names),) or not self._are_parameters(self.reference):
             raise UsageError(
                 f"reference must contain values of {list(self.names)}, all positive except an offset, got "
