@@ -93,20 +93,18 @@ def test_samples_pieces_and_fleets_agree(monitor: Monitor) -> None:
 
 
 def test_a_pipe_reads_the_temperature(tmp_path: Path) -> None:
-    """The command learns the rate from the reference, and a pipe names no change."""
+    """The command learns the rate from the reference. A pipe names no change, and the first temperature beyond it."""
     (tmp_path / "normal.csv").write_text(as_csv(record(6, 10.0, 0.2)))
     (tmp_path / "axis.toml").write_text(AXIS)
-    outcome = run_command(
-        "monitor",
-        "-",
-        "--config",
-        str(tmp_path / "axis.toml"),
-        "--json",
-        stdin=as_csv(record(7, 4.0, 0.2)).encode(),
-    )
+    columns = record(7, 4.0, 0.2)
+    columns[2][-5:] = 99.0
+    config = str(tmp_path / "axis.toml")
+    outcome = run_command("monitor", "-", "--config", config, "--json", stdin=as_csv(columns).encode())
     events = [json.loads(line) for line in outcome.stdout.splitlines()]
     assert events[-1]["samples"] == 24_000
     assert events[-1]["alarms"] == 0
+    (note,) = [event for event in events if event["event"] == "temperature"]
+    assert note["problem"].startswith("99 is beyond")
 
 
 def test_wrong_temperatures_are_refused(monitor: Monitor) -> None:

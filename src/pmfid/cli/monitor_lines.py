@@ -8,7 +8,7 @@ from pmfid.pipeline.monitored.run import Notice, list_skipped
 
 def sentence(event: Notice) -> str:
     """Return the text of an event, which is one line, or several lines for the first event."""
-    return _SENTENCES[event["event"]](event)
+    return _SENTENCES.get(event["event"], _problem)(event)
 
 
 def _start(event: Notice) -> str:
@@ -60,7 +60,7 @@ def _state(event: Notice) -> str:
     return f"{event['time']:.2f} s  {event['state']}" + (f": {event['reason']}" if event["reason"] else "")
 
 
-def _bad_line(event: Notice) -> str:
+def _problem(event: Notice) -> str:
     return f"{event['time']:.2f} s  {event['event']}: {event['problem']}"
 
 
@@ -86,8 +86,8 @@ def _written_again(event: Notice) -> str:
 
 
 def _end(event: Notice) -> str:
-    found = [f"{event['samples']} samples", f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"]
-    return ", ".join(found + list_skipped(event))
+    alarms = f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"
+    return ", ".join([f"{event['samples']} samples", alarms, *list_skipped(event)])
 
 
 _SENTENCES = {
@@ -95,8 +95,6 @@ _SENTENCES = {
     "alarm": _alarm,
     "settled": _describe_reference,
     "state": _state,
-    "bad line": _bad_line,
-    "repeated line": _bad_line,
     "gap": _gap,
     "clock": _clock,
     "outlier": _outlier,

@@ -46,8 +46,7 @@ def elastic_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProb
     Raises NotIdentifiableError if the axis does not move, or if the input is zero.
     """
     stretch, force = liveliest(problem)
-    late = problem.machine.lift[DELAY]
-    pair = make_first_pair(bool(np.any(late)), float(problem.machine.rest[DELAY]), load=problem.machine.load)
+    pair = make_first_pair(problem.machine)
     guess = guess_sum(stretch, force)
     bounds = (math.log(guess[0]) - TUNING.far, math.log(guess[0]) + TUNING.far)
     plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=resonances(stretch))
@@ -60,16 +59,15 @@ def elastic_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProb
     return plain, best
 
 
-def make_first_pair(late: bool, dead_time: float, plays: bool = False, load: bool = False) -> BodyModel:
-    """Return two masses with viscous and Coulomb friction, a load, a dead time [s], which is free if `late`, and a gap
-    if it `plays`. It shows its `load` or the motor."""
-    rows = [*ROWS, *([PLAY] if plays else []), *([DELAY] if late else [])]
-    lift = np.zeros((ELASTIC_BASE, len(rows)))
-    lift[rows, range(len(rows))] = 1.0
+def make_first_pair(machine: BodyModel, plays: bool = False) -> BodyModel:
+    """Return two masses with viscous and Coulomb friction, a load, and a gap if they play. The dead time and the mass
+    that it shows are those of another `machine`."""
+    rows = [*ROWS, *([PLAY] if plays else []), *([DELAY] if np.any(machine.lift[DELAY]) else [])]
+    lift = np.eye(ELASTIC_BASE)[:, rows]
     lowest = np.where(np.isin(rows, (MASS, OFFSET, LOAD_MASS, STIFFNESS)), -np.inf, 0.0)
-    rest = dead_time * np.eye(ELASTIC_BASE)[DELAY]
+    rest = machine.rest[DELAY] * np.eye(ELASTIC_BASE)[DELAY]
     places = tuple(rows.index(row) for row in (LOAD_MASS, STIFFNESS, DAMPING, PLAY) if row in rows)
-    return BodyModel(tuple(map(str, rows)), (), rest, lift, 0, lowest, elastic=True, further=places, load=load)
+    return BodyModel(tuple(map(str, rows)), (), rest, lift, 0, lowest, elastic=True, further=places, load=machine.load)
 
 
 def resonance_of(theta: Floats) -> float:

@@ -9,7 +9,6 @@ from itertools import product
 import numpy as np
 
 from pmfid.fit.elastic import follow, guess_sum, liveliest, make_first_pair, prior_of, start_at
-from pmfid.fit.machine import DELAY
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.solve import Optimum
 from pmfid.fit.starts import blind_start
@@ -28,7 +27,7 @@ def play_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProblem
     step = float(np.mean(stretch.drive.step))
     start, rigid = blind_start((stretch,), problem.resolution, 0.0)
     theta, smooth = start.theta(rigid.q)[:4], np.array([*guess_sum(stretch, force), 0.0])
-    pair = make_first_pair(bool(np.any(problem.machine.lift[DELAY])), float(problem.machine.rest[DELAY]), plays=True)
+    pair = make_first_pair(problem.machine, plays=True)
     logs = np.log([theta[0], smooth[0]])
     bounds = (float(np.min(logs)) - TUNING.far, float(np.max(logs)) + TUNING.far)
     rates = (PLAY_TUNING.rates[0] / step, PLAY_TUNING.rates[1] / step)

@@ -11,14 +11,14 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import NORMAL_95, ODDS
-from pmfid.fit.elastic import ROWS, elastic_start, resonance_of, settle_starts
+from pmfid.fit.elastic import ROWS, elastic_start, resonance_of, settle
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import ROUNDING, Gaussian, noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
 from pmfid.fit.play import play_start
 from pmfid.fit.problem import FitProblem, ObservedStretch, ResidualBlock
 from pmfid.fit.search import with_columns
-from pmfid.fit.solve import Optimum, inverse, solve
+from pmfid.fit.solve import Optimum, inverse
 from pmfid.fit.starts import soften
 from pmfid.fit.tuning import TUNING
 from pmfid.types import Floats
@@ -161,10 +161,8 @@ def _windows(size: int) -> list[tuple[int, int]]:
 def _fit_one_mass(problem: FitProblem, q: Floats, part: ObservedStretch) -> tuple[FitProblem, Optimum]:
     """Return the fit of one mass and its forces to a part of the record, from parameters q (p,)."""
     problem = replace(problem, stretches=(part,))
-    prior, like = np.zeros(q.size), soften((part,))
-    prior[problem.places] = 1.0
-    starts = settle_starts(problem, like, q, problem.first_starts())
-    return problem, solve(problem, like, q, starts, prior, 15, 0.1)
+    prior = np.isin(range(q.size), problem.places).astype(np.float64)
+    return problem, settle(problem, q, problem.first_starts(), prior, 15)
 
 
 def _leaves_rounding(e: Floats) -> bool:

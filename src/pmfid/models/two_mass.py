@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,10 +51,8 @@ def derive(motor: float, load: float, stiffness: float, damping: float) -> Float
     return np.array([free / (2 * math.pi), held / (2 * math.pi), *ratios, motor + load, load / motor])
 
 
-def couple(theta: Mapping[str, float], names: tuple[str, ...], covariance: Floats) -> Coupling:
-    """Return the derived values of parameters by name, of which `names` (motor, load, stiffness, damping) have the
-    covariance (4, 4)."""
-    values = np.array([theta[name] for name in names])
+def couple(values: Floats, covariance: Floats) -> Coupling:
+    """Return the derived values of motor, load, stiffness and damping (4,) with a covariance (4, 4)."""
     middle = derive(*values.tolist())
     steps = np.diag(1e-6 * np.abs(values))
     slopes = np.column_stack([(derive(*(values + step).tolist()) - middle) / np.sum(step) for step in steps])

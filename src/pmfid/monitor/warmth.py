@@ -8,7 +8,7 @@ T - mean.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,14 +17,16 @@ from pmfid.estimators.base import Estimator
 from pmfid.monitor.cause import FRICTION
 from pmfid.monitor.scores import UNUSABLE, Blocks, ScoreFilter, block_samples, start_blocks
 from pmfid.monitor.tuning import TUNING
-from pmfid.types import Counts, Floats
+from pmfid.types import Counts, Flags, Floats
 
 
 @dataclass(frozen=True)
 class Warmth:
-    """The relative change `rate` (p,) of the parameters per unit of a temperature, from its `mean` in normal work."""
+    """The relative change `rate` (p,) of the parameters per unit of a temperature, from its `mean` in normal work. The
+    `span` has the lowest and the highest temperature of normal work."""
 
     mean: float
+    span: tuple[float, float]
     rate: Floats
 
     def factor(self, warmer: float) -> Floats:
@@ -65,31 +67,27 @@ def find_warmth(
             "record a warm-up, or drop the key"
         )
     start, size = start_blocks(estimator, theta), block_samples(estimator)
-    warmth = Warmth(float(np.mean(temperature)), np.zeros(theta.size))
+    span = float(np.min(temperature)), float(np.max(temperature))
+    warmth = Warmth(float(np.mean(temperature)), span, np.zeros(theta.size))
     moves = np.array([FRICTION in name for name in estimator.names[: theta.size]])
     for _ in range(TUNING.warmth_passes):
         blocks = warmth.scores(estimator, theta, u, counts, temperature)[start:]
         ends = np.arange(start, start + len(blocks.score)) * size - 1
         step, slope = _solve(blocks, temperature[ends] - warmth.mean, moves)
-        slope = np.where(moves, warmth.rate * theta + slope, 0.0)
+        slope += warmth.rate * theta
         theta = theta + step
-        warmth = Warmth(warmth.mean, np.divide(slope, theta, out=np.zeros(theta.size), where=theta != 0))
+        warmth = replace(warmth, rate=np.divide(slope, theta, out=np.zeros(theta.size), where=theta != 0))
     return warmth, theta
 
 
-def _solve(blocks: Blocks, warmer: Floats, moves: np.ndarray) -> tuple[Floats, Floats]:
+def _solve(blocks: Blocks, warmer: Floats, moves: Flags) -> tuple[Floats, Floats]:
     """Return the change (p,) of parameters and of the slopes (p,) of those that move, from temperatures (n,)."""
-    cross, warm = blocks.cross, warmer[:, None, None] * blocks.cross
-    left = np.block(
-        [
-            [cross.sum(axis=0), warm.sum(axis=0)[:, moves]],
-            [warm.sum(axis=0)[moves], (warmer[:, None, None] * warm).sum(axis=0)[np.ix_(moves, moves)]],
-        ]
-    )
-    change = np.linalg.solve(left, np.concatenate([blocks.score.sum(axis=0), (warmer @ blocks.score)[moves]]))
-    slope = np.zeros(moves.size)
-    slope[moves] = change[moves.size :]
-    return change[: moves.size], slope
+    powers = np.column_stack([np.ones(warmer.size), warmer])
+    free, p = np.append(np.ones(moves.size, bool), moves), moves.size
+    left = np.einsum("na,nb,nij->aibj", powers, powers, blocks.cross).reshape(2 * p, 2 * p)
+    change = np.zeros(2 * p)
+    change[free] = np.linalg.solve(left[np.ix_(free, free)], (powers.T @ blocks.score).ravel()[free])
+    return change[:p], change[p:]
 
 
 def hold_last(values: Floats, before: float) -> Floats:

@@ -376,11 +376,7 @@ class DriveResult(Result):
         names = (equation.names[equation.leading], *(equation.second[i][0] for i in (0, 3, 4)))
         index = [self.names.index(name) for name in names]
         spread = 0.0 if self.model_spread is None else np.diag(self.model_spread[index] ** 2)
-        return couple(
-            dict(zip(self.names, self.theta.tolist(), strict=True)),
-            names,
-            self.fit.theta_cov[np.ix_(index, index)] + spread,
-        )
+        return couple(self.theta[index], self.fit.theta_cov[np.ix_(index, index)] + spread)
 
     @property
     def two_masses(self) -> MotorAndLoad | None:

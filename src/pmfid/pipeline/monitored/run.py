@@ -136,6 +136,7 @@ def _step(
     if isinstance(monitor, EdgeMonitor):
         reported, now = monitor.step(sample.u, sample.counts, sample.further)
     else:
+        _compare_temperature(sample, monitor, run, tell)
         estimate, now = monitor.step(sample.u, sample.counts, sample.further)
         reported = monitor.apply_known(estimate)
     run.samples += 1
@@ -153,6 +154,18 @@ def _step(
         if len(run.events) < TUNING.run_kept:
             run.events.append(notice)
         tell(notice)
+
+
+def _compare_temperature(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell) -> None:
+    """Report the first temperature that the reference does not have."""
+    warmth, found = monitor.calibration.warmth, sample.further
+    if warmth is None or not (found < warmth.span[0] or found > warmth.span[1]):
+        return
+    if not any(event["event"] == "temperature" for event in run.events):
+        span = " to ".join(f"{end:.4g}" for end in warmth.span)
+        problem = f"{found:.4g} is beyond {span} of the reference, and the effect on friction is extrapolated"
+        run.events.append({"event": "temperature", "time": sample.time, "problem": problem})
+        tell(run.events[-1])
 
 
 def _count_skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:

@@ -52,7 +52,7 @@ def _calibration_in(text: str) -> Calibration:
         _chance(raw["chance"]),
         np.array(raw["noise"]),
         raw["record_hours"],
-        None if raw["warmth"] is None else Warmth(raw["warmth"]["mean"], np.array(raw["warmth"]["rate"])),
+        raw["warmth"] and Warmth(**raw["warmth"] | {"rate": np.array(raw["warmth"]["rate"])}),
     )
 
 
