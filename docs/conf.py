@@ -59,7 +59,7 @@ html_theme_options = {
     "header_links_before_dropdown": 6,
     "navigation_with_keys": False,
 }
-html_sidebars = {"results": [], "glossary": [], "coming_from": []}
+html_sidebars = {"results": [], "paper": [], "glossary": [], "coming_from": []}
 
 
 sphinx_gallery_conf: dict[str, Any] = {

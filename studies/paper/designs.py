@@ -61,8 +61,8 @@ def figure2(seeds: int, images: Path) -> Finding:
     ends = {label: simulate(problem(), u).x[::every] for label, u in inputs.items()}
     draw_inputs(images / "figure2.png", t, {"input [V]": inputs, "position [m]": ends})
     best = information(designed())[0]
-    gains = {label: 100 * (information(u)[0] / best - 1) for label, u in inputs.items()}
-    missed = {label: 1000 * miss_end(u) for label, u in inputs.items()}
+    gains = {label: round(100 * (information(u)[0] / best - 1), 1) + 0.0 for label, u in inputs.items()}
+    missed = {label: round(1000 * miss_end(u), 2) + 0.0 for label, u in inputs.items()}
     rows = [[label, f"{gains[label]:+.1f}", f"{missed[label]:+.2f}"] for label in inputs]
     large, small, again = list(inputs)[1:]
     holds = abs(gains[large]) < 20 and abs(gains[small]) < 20 and abs(missed[again]) < abs(missed[large]) / 5

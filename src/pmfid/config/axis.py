@@ -151,7 +151,7 @@ class Axis(FileSection):
         self._check_units()
         if kind == "transfer_function" and self.estimator.cutoff is None:
             raise UsageError(
-                "[estimator] cutoff is missing; give the pole of the filters in rad/s, near the poles of the process"
+                "[estimator] cutoff is missing (cutoff= in Python); give a pole in rad/s near the poles of the process"
             )
         self._check_known()
         return self
