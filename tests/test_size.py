@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66833,
+    "lines of src": 66830,
     "lines of code in src": 39216,
     "lines of code in report and cli": 3343,
     "thresholds in src": 1032,

@@ -151,7 +151,7 @@ class Calibration:
     >>> theta = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
     >>> calibration = calibrate(riv, theta, work.motion.u, work.counts)
     >>> float(round(calibration.chance.threshold(24.0), 1))  # for a false alarm in 24 hours
-    9.9
+    9.6
     """
 
     theta: Floats
@@ -177,8 +177,8 @@ def calibrate(
 ) -> Calibration:
     """Return the threshold and scales for normal work like a record.
 
-    If the noise of the encoder explains the record, the units of work come from one simulation of the record. If the
-    record is noisier, its own blocks give the units.
+    If the noise of the encoder explains the record, the units of work come from one simulation of the record, and large
+    statistics from both. If the record is noisier, its own blocks give the units.
 
     Parameters
     ----------
@@ -223,8 +223,8 @@ def calibrate(
     scale = make_scale(simulated)
     x, w = scale.standardise(simulated)
     chance = measure_chance(_duration(estimator, simulated) / len(x), TUNING.calibration_lengths, x, w)
-    chance = chance.inflate(statistics(x, w, np.zeros(theta.size)))
-    plain = Calibration(theta, scale, _work_of_blocks(scale), chance, np.ones(theta.size))
+    statistic = statistics(x, w, np.zeros(theta.size))
+    plain = Calibration(theta, scale, _work_of_blocks(scale), chance.inflate(statistic), np.ones(theta.size))
     if counts is None:
         return plain
     if temperature is not None:
@@ -236,7 +236,8 @@ def calibrate(
     if noisier(scale.standardise(record), (x, w)):
         record = _record_blocks(plain, estimator, u, counts, temperature, UNUSABLE_AT_REST)
         return _calibrate_by_record(plain, estimator, record, u.size * estimator.dt)
-    return plain
+    in_record = statistics(*scale.standardise(record), np.zeros(theta.size))
+    return replace(plain, chance=chance.inflate(statistic, in_record))
 
 
 def _work_of_blocks(scale: Scale) -> NormalWork:

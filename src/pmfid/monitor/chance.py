@@ -43,10 +43,10 @@ class Chance:
         rate = self.time / (3600 * mtbf_hours)
         return float(f"{self.inflation * _solve(rate, self._power(self.variance + self.error)):.6g}")
 
-    def inflate(self, statistic: Floats) -> Chance:
-        """Return the chance with the inflation of large maxima over intervals of the statistic (n,) of normal work."""
+    def inflate(self, *statistics: Floats) -> Chance:
+        """Return the chance with the inflation of large maxima over intervals of statistics (n,) of normal work."""
         size, part = TUNING.chance_interval, TUNING.chance_part
-        maxima = statistic[: len(statistic) // size * size].reshape(-1, size).max(axis=1)
+        maxima = np.concatenate([one[: len(one) // size * size].reshape(-1, size).max(axis=1) for one in statistics])
         usual = _solve(-math.log(part) / size, self._power(self.variance))
         return replace(self, inflation=max(1.0, float(np.quantile(maxima, part)) / usual))
 

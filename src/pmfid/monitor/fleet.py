@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, TypeVar
 
@@ -115,9 +115,10 @@ class MonitorFleet:
         elif ages is not None:
             raise UsageError("these monitors compute from counts: leave out ages, or make a fleet of an EdgeMonitor")
         rows = FleetRows.empty(shape[0], shape[1], len(self.names))
-        for group in slices(shape[0], TUNING.fleet_group):
-            for time in slices(shape[1], TUNING.fleet_piece):
-                self._run_piece(places[group], rows, (group, time), [array[group, time] for array in inputs])
+        for first in range(0, shape[0], TUNING.fleet_group):
+            for begin in range(0, shape[1], TUNING.fleet_piece):
+                part = slice(first, first + TUNING.fleet_group), slice(begin, begin + TUNING.fleet_piece)
+                self._run_piece(places[part[0]], rows, part, [array[part] for array in inputs])
         rows.events.sort(key=lambda one: one[:2])
         return rows
 
@@ -132,7 +133,7 @@ class MonitorFleet:
         for row in np.flatnonzero(~quiet).tolist():
             single = self._with(int(index[row]), partial(_run_one, inputs=[array[row] for array in inputs]))
             found.take(single, np.array([row]), slice(0, n))
-        (rows.tell if whole else rows.take)(found, np.arange(group.start, group.stop), time)
+        (rows.tell if whole else rows.take)(found, group.start + np.arange(k), time)
 
     @staticmethod
     def _check_values(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> Floats:
@@ -233,8 +234,3 @@ class MonitorFleet:
 
 def _run_one(monitor: Monitor | EdgeMonitor, inputs: list[Any]) -> FleetRows:
     return monitor.run(*inputs)
-
-
-def slices(size: int, most: int) -> Iterator[slice]:
-    """Yield slices of at most `most` rows of `size` rows."""
-    return (slice(start, min(start + most, size)) for start in range(0, size, most))

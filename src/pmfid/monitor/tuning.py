@@ -38,7 +38,7 @@ class MonitorTuning:
     chance_levels: int = 16
     #: Number of units over which maxima of the statistic are taken, and part of the maxima below the compared one.
     chance_interval: int = 64
-    chance_part: float = 0.95
+    chance_part: float = 0.98
 
     # edges
     #: Least number of tests that a false alarm comes in, and factor on standard errors of a doubtful estimate.

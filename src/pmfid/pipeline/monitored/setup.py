@@ -35,7 +35,7 @@ from pmfid.records.record import Record, read_record
 from pmfid.types import Floats
 
 #: Version of the calibration in saved states. Every change of it needs a new version.
-VERSION = 10
+VERSION = 11
 
 
 def _text_of(calibration: Calibration) -> str:
