@@ -57,10 +57,19 @@ def record(gap: float, seed: int = 4) -> tuple[Floats, Counts]:
     return u, np.floor(y / RESOLUTION + 0.4).astype(np.int64)
 
 
-def test_the_gap_is_found_within_a_part_of_a_count() -> None:
-    u, counts = record(GAP)
+def identify(gap: float) -> pmfid.Result:
     drive = pmfid.Drive(1.0, body="two-mass", play=True)
-    result = pmfid.identify(u, counts, model=drive, dt=STEP, encoder=pmfid.Encoder(RESOLUTION))
+    return pmfid.identify(*record(gap), model=drive, dt=STEP, encoder=pmfid.Encoder(RESOLUTION))
+
+
+def test_no_gap_is_not_determined() -> None:
+    result = identify(0.0)
+    assert "uncertain" in result.status
+    assert "the error of play may exceed half its value" in [one.sentence for one in result.findings]
+
+
+def test_the_gap_is_found_within_a_part_of_a_count() -> None:
+    result = identify(GAP)
     assert result.names[-3:] == ("stiffness", "damping", "play")
     assert result["play"] == pytest.approx(GAP, abs=0.05 * RESOLUTION)
     half = np.diff(result.interval_95)[:, 0] / 2

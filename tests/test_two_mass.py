@@ -66,16 +66,6 @@ def test_the_derivatives_are_those_of_the_motion(pair: tuple[float, ...], load: 
         assert np.max(np.abs(quotient - slopes[:, index])) < 2e-4 * np.max(np.abs(quotient)), index
 
 
-def test_a_stiff_spring_is_a_rigid_axis() -> None:
-    theta = body_of((0.4, 0.3, 0.1, 0.6, 0.2, 0.0, 4e5, 300.0))
-    theta[[BASE + 5, BASE + 6]] = 0.0
-    rigid = np.array([1.0, 0.5, 0.1, 0, 0, 0, 0, 0, 0])
-    row = np.arange(INPUT.size + 1, dtype=np.int32)
-    args = ([], np.full(INPUT.size, STEP), INPUT, row, np.zeros((0, INPUT.size)), rigid, 1, None)
-    y = run(*args)[0]  # type: ignore[arg-type]
-    assert np.max(np.abs(simulate(theta)[0] - y)) < 1e-2 * np.ptp(y)
-
-
 def record(seed: int = 3, pair: int = 0, hold: int = 12, load: bool = False) -> tuple[Floats, Counts, float]:
     u, resolution = np.random.default_rng(seed).uniform(-1, 1, 1800 // hold).repeat(hold), 1e-5
     y = simulate_two_masses(TwoMasses(*PAIRS[pair]), u[:-1], STEP, np.zeros(4), 10)[:, 2 * load]

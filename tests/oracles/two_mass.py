@@ -43,10 +43,9 @@ class TwoMasses:
 
     def directions(self, state: Floats, force: float) -> list[int]:
         """Return the direction of each mass, 0 at rest, and the side of the gap that touches."""
-        found = []
-        for v, pull, hold in zip(state[1::2], self.pull(state, force), (self.coulomb, self.load_coulomb), strict=True):
-            found.append(int(np.sign(v)) if v != 0 else int(np.sign(pull)) if abs(pull) > hold else 0)
-        return [*found, self.side(state)]
+        masses = zip(state[1::2], self.pull(state, force), (self.coulomb, self.load_coulomb), strict=True)
+        ways = [int(np.sign(pull if v == 0 else v)) if v != 0 or abs(pull) > hold else 0 for v, pull, hold in masses]
+        return [*ways, self.side(state)]
 
     def rates(self, state: Floats, force: float, way: list[int]) -> Floats:
         motor, load = self.pull(state, force, way[2])

@@ -93,7 +93,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
     equation = estimator.equation
     p = len(equation.names)
     size = np.maximum(np.append(sizes(estimator, fit.theta[:p]), np.abs(fit.theta[p:])), 1e-150)
-    positive = np.append(equation.positive, np.zeros(len(equation.further), bool))
+    positive = np.append(equation.positive, [one in equation.second for one in equation.further]).astype(bool)
     findings = list(findings_of(fitted, estimator.names, positive, size, axis.estimator.tolerance, second))
     notes = make_notes("record", record.notes) + make_notes("method", remarks)
     matter = _matter(fitted, estimator.names, size, axis.estimator.tolerance)
