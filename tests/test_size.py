@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66830,
-    "lines of code in src": 39216,
+    "lines of src": 66829,
+    "lines of code in src": 39215,
     "lines of code in report and cli": 3343,
     "thresholds in src": 1032,
     "lines of csrc": 8685,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -339,12 +339,11 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
     return findings
 
 
-def _find_stamps(fit: ServoFit, error: float) -> list[Finding]:
-    """Return what a log that polls its bus shows: goals that act before their stamps, and an `error` of stamps [s]."""
-    findings = []
+def _find_stamps(fit: ServoFit, error: float) -> Iterator[Finding]:
+    """Yield what a log that polls its bus shows: goals that act before their stamps, and an `error` of stamps [s]."""
     if error > 0:
         sentence = f"the readings differ from their stamps by {1e3 * error:.1f} ms (rms)"
-        findings.append(Finding("stamps", sentence, STAMP, "note"))
+        yield Finding("stamps", sentence, STAMP, "note")
     names = [name.partition(".")[0] for name in fit.raw_names]
     early = [
         -value
@@ -353,8 +352,7 @@ def _find_stamps(fit: ServoFit, error: float) -> list[Finding]:
     ]
     if early:
         sentence = f"the goals act {1e3 * max(early):.1f} ms before their stamps"
-        findings.append(Finding("early_goals", sentence, "stamp a goal when it is sent", "note"))
-    return findings
+        yield Finding("early_goals", sentence, "stamp a goal when it is sent", "note")
 
 
 def _doubt_motion(deviation: float, wander: float) -> str:

@@ -81,7 +81,8 @@ class ServoTask:
     def problem(self, tick: float = TUNING.tick) -> FitProblem:
         """Return the logs as a problem, with a start state after each gap."""
         body = self.body()
-        wait = self.lead, 0.5 * self.servo.loop_period  # a goal waits for the next tick of the loop
+        quick = self.period < TUNING.tick  # more parts take time there, and a goal waits for the next tick of the loop
+        wait = self.lead, 0.5 * self.servo.loop_period if quick else 1e-6 * self.period
         stretches = tuple(one for k, log in enumerate(self.logs) for one in _stretches(log, body.names, k, tick, wait))
         least = TUNING.least_armature * self.load if "inertia" in body.names else 0.0
         return FitProblem(body, stretches, self.servo.resolution, mass=(math.log(least) if least else -np.inf, np.inf))
