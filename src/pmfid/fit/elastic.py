@@ -118,15 +118,14 @@ def follow(
     first, like = problem.first_starts(), soften(problem.stretches)
     ends = sorted((solve(problem, like, q, first, prior, 4, 0.1) for q in points), key=lambda end: end.cost)
     ends = [settle(problem, end.q, end.starts, prior, 12) for end in ends[: TUNING.kept]]
-    ends, best = sorted(ends, key=lambda end: end.cost), None
+    ends, tried = sorted(ends, key=lambda end: end.cost), list[Optimum]()
     if ends[0].cost > problem.rows and len(points) > TUNING.followed and math.isfinite(bound):
         raise NotIdentifiableError("two masses do not follow")
     for end in ends[:2]:
-        tried = join(plain, problem, end, length, prior)
-        best = tried if best is None or tried.cost < best.cost else best
+        tried.append(join(plain, problem, end, length, prior))
+        best = min(tried, key=lambda one: one.cost)
         if best.cost < enough or best.cost > bound:
             return best
-    assert best is not None
     for number in TUNING.rejoined:
         before, best = best, min(rejoin(plain, best.q, prior, number), best, key=lambda one: one.cost)
         if best.cost < enough or best.cost > max(before.cost / 2, plain.rows):  # a whole count, and hardly better

@@ -15,6 +15,7 @@ from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch
 from pmfid.fit.solve import Normal, Optimum, inverse, normal_of, solve
+from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.fit.weighing import WeighedForce, weigh
 from pmfid.fit.within import covariance_of, stack
 from pmfid.types import Floats
@@ -125,6 +126,7 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     local = search.local(soften(likelihood))
     half, rival = local.half_length(search.chosen, allowed, np.diag(covariance), np.eye(search.count))
     half = np.hypot(half, NORMAL_95 * _shift_by_noise(search, optimum, likelihood)[: search.count])
+    half[list(search.plain.machine.further[3:])] += PLAY_TUNING.narrowest * search.problem.resolution  # the least gap
     lift = np.ones(search.count)
     lift[search.plain.machine.logs] = theta[search.plain.machine.logs]
     shift = local.evidence([])[1][: search.count] - local.evidence(search.chosen)[1][: search.count]

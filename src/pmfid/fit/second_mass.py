@@ -114,8 +114,7 @@ def _read(pair: FitProblem, end: Optimum, odds: float) -> SecondMass | None:
     if not np.all(std[masses] < TUNING.vague):
         return None
     if pair.machine.plays:
-        gap = len(ROWS)
-        play = (float(theta[gap]), float(std[gap]))
+        play = float(theta[len(ROWS)]), float(std[len(ROWS)])
         return SecondMass(math.inf, sums, odds, play) if play[1] < TUNING.vague * play[0] else None
     return SecondMass(resonance_of(theta) / (2 * math.pi), sums, odds) if std[stiffness] < TUNING.vague else None
 
