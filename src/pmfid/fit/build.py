@@ -9,11 +9,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.fit.compare import MOST, ODDS
-from pmfid.fit.elastic import settle_starts
 from pmfid.fit.likelihood import Gaussian, Intervals
 from pmfid.fit.machine import DELAY, LAGGING
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.search import GAIN, ROUNDS, SETTLED, WITHIN, FitSearch, errors_of, is_near_rounding, mean_square, narrow
+from pmfid.fit.shooting import settle_starts
 from pmfid.fit.solve import normal_of, solve
 from pmfid.fit.starts import MOST_ROWS
 from pmfid.fit.terms import waves

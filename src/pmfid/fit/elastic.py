@@ -27,8 +27,9 @@ from pmfid.fit.machine import (
     VISCOUS,
     BodyModel,
 )
-from pmfid.fit.problem import FitProblem, ObservedStretch, ResidualBlock
-from pmfid.fit.solve import START, Likelihood, Optimum, normal_of, solve
+from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.shooting import count_parts, join, rejoin, settle
+from pmfid.fit.solve import Optimum, solve
 from pmfid.fit.starts import soften
 from pmfid.fit.tuning import PLAY_TUNING, TUNING
 from pmfid.types import Floats
@@ -145,60 +146,9 @@ def liveliest(problem: FitProblem) -> tuple[ObservedStretch, float]:
     return stretch, force
 
 
-def rejoin(plain: FitProblem, q: Floats, prior: Floats, parts: float) -> Optimum:
-    """Return the fit of the whole record from a number of parts of it, which become longer, for stops and contacts make
-    the likelihood rough."""
-    length = sum(float(one.times[-1]) for one in plain.stretches) / parts
-    problem = plain.cut(count_parts(plain, length))
-    return join(plain, problem, settle(problem, q, problem.first_starts(), prior, 20), length, prior)
-
-
 def prior_of(plain: FitProblem, force: float) -> Floats:
     """Return the prior precisions (p,), with a load of about half the force."""
     return np.asarray(np.eye(plain.size)[ROWS.index(OFFSET)] / (0.5 * force) ** 2)
-
-
-def count_parts(problem: FitProblem, length: float) -> int:
-    """Return the number of parts of about a length [s]."""
-    return max(1, int(sum(float(one.times[-1]) for one in problem.stretches) / length))
-
-
-def settle(problem: FitProblem, q: Floats, starts: Floats, prior: Floats, steps: int) -> Optimum:
-    like = soften(problem.stretches)
-    return solve(problem, like, q, settle_starts(problem, like, q, starts), prior, steps, 0.1)
-
-
-def join(plain: FitProblem, problem: FitProblem, end: Optimum, length: float, prior: Floats) -> Optimum:
-    """Return the fit of the whole stretch from that of its parts of a length [s], which become longer."""
-    while len(problem.stretches) > len(plain.stretches):
-        known = dict(zip((one.first for one in problem.stretches), end.starts, strict=True))
-        length *= TUNING.joined
-        problem = plain.cut(count_parts(plain, length))
-        pairs = zip(problem.stretches, problem.first_starts(), strict=True)
-        starts = np.array([known.get(one.first, start) for one, start in pairs])
-        end = settle(problem, end.q, starts, prior, 20)
-    return end
-
-
-def settle_starts(problem: FitProblem, likelihood: Likelihood, q: Floats, starts: Floats) -> Floats:
-    """Return the start states (m, s) of least cost at parameters q (p,)."""
-    damping, still = 1e-3, np.zeros(q.size)
-
-    def cost_at(states: Floats) -> tuple[float, list[ResidualBlock]]:
-        cost, blocks = likelihood(problem.linearise(q, states))
-        return cost + 0.5 * float(np.sum(START[: states.shape[1]] * states**2)), blocks
-
-    cost, blocks = cost_at(starts)
-    for _ in range(8):
-        moved = starts + normal_of(blocks, starts, damping).starts(still)
-        tried, there = cost_at(moved)
-        if not tried < cost:
-            damping *= 10
-            continue
-        gain, starts, cost, blocks, damping = cost - tried, moved, tried, there, damping / 10
-        if gain < max(0.1, 0.01 * cost):
-            break
-    return starts
 
 
 def guess_sum(stretch: ObservedStretch, force: float) -> tuple[float, float, float]:

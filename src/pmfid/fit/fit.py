@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -65,11 +66,6 @@ class Fitted:
         return self.left < 1.0
 
     @property
-    def pushes(self) -> bool:
-        """Whether a force of the position acts, which may push the axis away from a motion that is nearly right."""
-        return any(force.kind in ("spring", "wave") for force in self.problem.machine.forces)
-
-    @property
     def residuals(self) -> list[Floats]:
         """Residuals (k,) of each stretch [counts]."""
         return self.problem.residuals(self.solution.q, self.solution.starts)
@@ -86,22 +82,35 @@ def fit(problem: FitProblem) -> Fitted:
 
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
-    fitted, lost = None, False
+    pushes = any(force.kind in ("spring", "wave") for force in problem.machine.forces)
+    whole, fitted, lost = None, None, False
     try:
-        fitted = _finish(*_begin(problem, whole=True))
-        if fitted.follows and not (isinstance(fitted.likelihood, Gaussian) and fitted.pushes):
-            return fitted
+        whole = _begin(problem, whole=True)
     except NotIdentifiableError as error:
         lost = isinstance(error, LostMotionError)
+    if whole is not None and (whole[1] is not None or not pushes):
+        fitted = _follow(*whole)
+        whole = None
+    if fitted is not None:
+        return fitted
     try:
-        search, likelihood = _begin(problem.cut(PIECES))
-        if likelihood is None and fitted is not None and fitted.follows:
-            return fitted
-        return replace(_finish(search, likelihood), uncut=problem)
+        pieces = _begin(problem.cut(PIECES))
+        if whole is not None and pieces[1] is None:
+            fitted = _follow(*whole)
+        return replace(_finish(*pieces), uncut=problem) if fitted is None else fitted
     except NotIdentifiableError:
         if not lost:
             raise
         return _finish(*_begin(problem))
+
+
+def _follow(search: FitSearch, likelihood: Intervals | None) -> Fitted | None:
+    """Return the fit, or None if its motion does not follow the record."""
+    with suppress(NotIdentifiableError):
+        fitted = _finish(search, likelihood)
+        if fitted.follows:
+            return fitted
+    return None
 
 
 def _begin(problem: FitProblem, whole: bool = False) -> tuple[FitSearch, Intervals | None]:

@@ -11,11 +11,17 @@ from pmfid.fit.likelihood import ROUNDING, Intervals
 from pmfid.fit.machine import OFFSET
 from pmfid.fit.problem import PARTS
 from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, SPEEDS, TRIES, WITHIN, FitSearch, mean_square, narrow_most
+from pmfid.fit.shooting import join
+from pmfid.fit.tuning import MOTION
 
 #: Steps of least squares with a set of forces. The set that is kept has more of them.
 STEPS = 12
 #: Number of the likeliest sets that may explain every count.
 LIKELY = 3
+#: Numbers of parts of a record that a motion follows first, where it does not follow the whole record.
+NUMBERS = (16, 64, 256)
+#: Cost of an observation of a motion that leaves rounding alone: 1/2, and a fifth more.
+NEAR = 0.6
 
 
 class LostMotionError(NotIdentifiableError):
@@ -61,16 +67,11 @@ def begin(search: FitSearch, whole: bool = False) -> Intervals | None:
 
     Raises LostMotionError if forces of the position push a motion away from a `whole` record.
     """
-    free = any(force.free for force in search.plain.machine.forces)
-    plain = []
-    for share in SPEEDS if free else SPEEDS[:1]:
-        search.restart((), share)
-        plain.append((_end(search, 3 * STEPS), share))
-    best, share = min(plain, key=lambda pair: pair[0].order)
-    _check_lost(best, whole and best.held < best.rounding)
-    likelihood = _explain_any(search, [best, *(end for end, _ in plain if end is not best)])
+    best, share = _begin_plain(search, whole)
+    likelihood = _explain_any(search, [best])
     if likelihood is not None:
         return likelihood
+    best.enter(search)
     ends = [best]
     for chosen in list_openings(search):
         search.restart(chosen, share)
@@ -84,6 +85,55 @@ def begin(search: FitSearch, whole: bool = False) -> Intervals | None:
     if likelihood is None:
         best.enter(search)
     return likelihood
+
+
+def _begin_plain(search: FitSearch, whole: bool) -> tuple[Opening, float]:
+    """Return the best end without a further force, and the share of the highest speed that it started from.
+
+    Only a motion that leaves more than rounding calls for further starts, and for parts of the record.
+    """
+    free = any(force.free for force in search.plain.machine.forces)
+    best, first = None, SPEEDS[0]
+    for share in SPEEDS if free else SPEEDS[:1]:
+        search.restart((), share)
+        end = _end(search, 3 * STEPS)
+        if best is None or end.order < best.order:
+            best, first = end, share
+        if best.cost < best.rounding:
+            return _forget_input(search, best), first
+    assert best is not None
+    _check_lost(best, whole and best.held < best.rounding)
+    best.enter(search)
+    if search.problem.integrates and not search.plain.machine.elastic:
+        best = _shoot(search, best, first, whole)
+    return best, first
+
+
+def _shoot(search: FitSearch, before: Opening, share: float, whole: bool) -> Opening:
+    """Return the end of a motion that follows short parts of the record first, or the end `before` if it leaves more
+    than rounding of the joined parts.
+
+    Short parts stay near the record, wherever the search begins (Bock 1983).
+    Raises LostMotionError for a `whole` record if the motion follows parts of it alone.
+    """
+    record = search.problem
+    for number in NUMBERS:
+        pieces = FitSearch(record.cut(number))
+        pieces.restart((), share)
+        if _end(pieces, 3 * STEPS).cost > NEAR * pieces.plain.rows:
+            continue
+        length = sum(float(one.times[-1]) for one in record.stretches) / number
+        joined = join(record, pieces.problem, pieces.solve(pieces.noise), length, search.prior(record))
+        search.q, search.starts = joined.q, joined.starts
+        end = _open(search, search.solve(search.noise).cost)
+        if end.cost < end.rounding:
+            search.refine()
+            if search.problem.parts < MOTION.parts:
+                return _forget_input(search, _open(search, end.cost))
+        if whole:
+            raise LostMotionError(f"the motion follows parts of the record alone; {FOLLOW}")
+        before.enter(search)
+    return before
 
 
 def list_openings(search: FitSearch) -> list[tuple[int, ...]]:
@@ -139,7 +189,7 @@ def _lead(search: FitSearch, ends: Sequence[Opening]) -> list[Opening]:
 def _forget_input(search: FitSearch, end: Opening) -> Opening:
     """Return the end without observations that depend on the input before the record, or the end if there are none."""
     end.enter(search)
-    return _end(search) if search.forget_input() else end
+    return _open(search, search.solve(search.noise, STEPS).cost) if search.forget_input() else end
 
 
 def _find_constants(search: FitSearch, end: Opening) -> Opening:

@@ -11,11 +11,12 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import ODDS, Quadratic
-from pmfid.fit.elastic import elastic_start, rejoin
+from pmfid.fit.elastic import elastic_start
 from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
 from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.play import play_start
 from pmfid.fit.problem import FitProblem
+from pmfid.fit.shooting import rejoin
 from pmfid.fit.solve import Likelihood, Optimum, inverse, normal_of, scale_matrix, solve
 from pmfid.fit.starts import blind_start, sizes_of
 from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, free_constants
@@ -372,7 +373,6 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
             search.q, search.starts = end.q, end.starts
         else:
             search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
-        search.solve(Gaussian(search.plain.stretches), 10)
         likelihood = narrow(search)
         if likelihood is not None:
             return likelihood
@@ -382,9 +382,15 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
 
 
 def narrow(search: FitSearch) -> Intervals | None:
-    """Narrow the intervals down to the counts, from a spread that all counts bear; None if that stops to pay."""
-    likelihood = _enter_counts(search) if search.plain.machine.elastic else narrow_most(search)
-    return likelihood if likelihood is not None and likelihood.spread <= EXPLAINED else None
+    """Move into every count, by the shortest way from least squares, and return the likelihood of the intervals; None
+    if the motion does not get there."""
+    search.move_constants()
+    optimum = search.solve(Gaussian(search.plain.stretches))
+    inside = reach_counts(search.problem, optimum.q, optimum.starts, search.prior(search.problem), EXPLAINED)
+    if inside is None:
+        return None
+    search.q, search.starts = inside
+    return Intervals(search.plain.stretches, EXPLAINED)
 
 
 def narrow_most(search: FitSearch) -> Intervals:
@@ -402,17 +408,6 @@ def narrow_most(search: FitSearch) -> Intervals:
     likelihood, state = best
     search.return_to(state)
     return likelihood
-
-
-def _enter_counts(search: FitSearch) -> Intervals | None:
-    """Move two masses into every count, whose intervals are too rough to descend; None if they do not get there."""
-    if not all(np.all(one.counted) for one in search.plain.stretches):
-        return None
-    inside = reach_counts(search.problem, search.q, search.starts, search.prior(search.problem), EXPLAINED)
-    if inside is None:
-        return None
-    search.q, search.starts = inside
-    return Intervals(search.plain.stretches, EXPLAINED)
 
 
 def mean_square(search: FitSearch) -> float:

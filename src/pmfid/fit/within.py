@@ -1,4 +1,4 @@
-"""The shortest way to a motion within every count, for bodies whose likelihood is too rough to descend."""
+"""The shortest way to a motion within every count, by linear programs."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pmfid.fit.likelihood import ROUNDING
 from pmfid.fit.problem import FitProblem, ResidualBlock
 from pmfid.fit.solve import START, inverse, root_of
 from pmfid.fit.tuning import WITHIN_TUNING
@@ -16,23 +17,25 @@ def reach_counts(
     problem: FitProblem, q: Floats, starts: Floats, prior: Floats, beyond: float
 ) -> tuple[Floats, Floats] | None:
     """Return parameters (p,) and start states (m, s) near the given ones whose motion is at most `beyond` [counts]
-    outside of each count, or None.
+    outside of each count, or None. Observations that are no counts bound no motion.
 
     Each round solves a linear program: the step of least sum of absolute values, in standard errors of least squares,
     after which the linearised motion is within every count. Stops, starts and contacts bend the true motion, so that a
     step is halved until the motion comes nearer.
     """
+    counted = np.concatenate([one.counted for one in problem.stretches])
+    size = np.sqrt(ROUNDING / np.concatenate([one.variance for one in problem.stretches]))[:, None]
     e, J = stack(problem.linearise(q, starts))
     for _ in range(WITHIN_TUNING.rounds):
-        outside = float(np.max(np.abs(e))) - 0.5
+        outside = float(np.max(np.abs(e[counted]), initial=0.0)) - 0.5
         if outside <= beyond:
             return q, starts
-        step = _shortest_step(e, J, covariance_of(J, prior, starts))
+        step = _shortest_step(e[counted], J[counted], covariance_of(J * size, prior, starts))
         for part in (1.0, 0.5, 0.25, 0.125):
             next_q = problem.clip_to_bounds(q + part * step[: q.size])
             next_starts = starts + part * step[q.size :].reshape(starts.shape)
             e, J = stack(problem.linearise(next_q, next_starts))
-            if np.max(np.abs(e)) - 0.5 < outside:
+            if np.max(np.abs(e[counted])) - 0.5 < outside:
                 break
         else:
             return None
