@@ -51,7 +51,7 @@ class Gaussian:
         if not self.wanders:
             weight = 1 / np.sqrt(stretch.variance) / size
             if not self._lines(stretch):
-                return ResidualBlock(block.e * weight, block.J * weight[:, None], block.K * weight[:, None])
+                return block.weigh(block.e * weight, weight)
         rows = np.column_stack([block.e, block.K, block.J])
         self._whiten(rows, stretch)
         rows /= size
@@ -182,7 +182,7 @@ class Intervals:
                 value[other] = -0.5 * (block.e[other] ** 2 / v[other] + np.log(2 * np.pi * v[other]))
                 slope[other], curvature[other] = -block.e[other] / v[other], 1 / v[other]
             root = np.sqrt(curvature)
-            weighted.append(ResidualBlock(-slope / root, block.J * root[:, None], block.K * root[:, None]))
+            weighted.append(block.weigh(-slope / root, root))
             cost -= float(np.sum(value))
         return cost, weighted
 

@@ -130,6 +130,12 @@ class ResidualBlock:
     J: Floats
     K: Floats
 
+    def weigh(self, e: Floats, weight: Floats) -> ResidualBlock:
+        """Return the block with residuals e (k,) and its derivatives times a weight (k,), in the memory of this one."""
+        self.J[...] *= weight[:, None]
+        self.K[...] *= weight[:, None]
+        return ResidualBlock(e, self.J, self.K)
+
 
 @dataclass(frozen=True, eq=False)
 class FitProblem:
