@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from pmfid.fit.likelihood import Gaussian, Intervals
+from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.machine import (
     DELAY,
     LAGGING,
@@ -23,8 +23,9 @@ from pmfid.fit.machine import (
     simulate,
 )
 from pmfid.fit.problem import PARTS, FitProblem, ObservedStretch, ResidualBlock
-from pmfid.fit.search import GAIN, MOST_SQUARES, SPREADS
+from pmfid.fit.search import EXPLAINED, GAIN, MOST_SQUARES
 from pmfid.fit.solve import Optimum, solve
+from pmfid.fit.within import reach_counts
 from pmfid.models.equation import Equation
 from pmfid.types import Floats
 
@@ -102,7 +103,8 @@ class FreeMotion:
             if not _explains(longer, self.theta, start):
                 break
             problem, starts = longer, start
-        starts = _narrow(problem, self.theta, starts) * _units(problem)
+        inside = reach_counts(problem, problem.start(self.theta), starts, np.ones(problem.size), EXPLAINED)
+        starts = (starts if inside is None else inside[1]) * _units(problem)
         away = (problem.stretches[0].y[0] - stretch.y[0]) / self.resolution
         starts[0, 0] += away
         return np.asarray(starts)
@@ -139,7 +141,7 @@ def _units(problem: KnownProblem) -> Floats:
     return np.resize([1.0, next(problem.scales())], len(problem.machine.starts))
 
 
-def _solve(problem: KnownProblem, theta: Floats, likelihood: Gaussian | Intervals, starts: Floats) -> Optimum:
+def _solve(problem: KnownProblem, theta: Floats, likelihood: Gaussian, starts: Floats) -> Optimum:
     return solve(problem, likelihood, problem.start(theta), starts, np.zeros(problem.size), small=GAIN)
 
 
@@ -147,17 +149,6 @@ def _explains(problem: KnownProblem, theta: Floats, starts: Floats) -> bool:
     """Return whether a motion is so near the counts that one next to it may explain every count."""
     (block,) = problem.linearise(problem.start(theta), starts)
     return float(np.mean(block.e**2)) < MOST_SQUARES
-
-
-def _narrow(problem: KnownProblem, theta: Floats, starts: Floats) -> Floats:
-    """Return the start (1, s) in intervals that narrow as long as that makes the counts more likely."""
-    cost = math.inf
-    for spread in SPREADS:
-        end = _solve(problem, theta, Intervals(problem.stretches, spread), starts)
-        if not end.cost < cost:
-            break
-        starts, cost = end.starts, end.cost
-    return starts
 
 
 def simulate_from_rest(equation: Equation, theta: Floats, u: Floats, dt: float | Floats) -> Floats:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.fit.build import PIECES
 from pmfid.fit.likelihood import ROUNDING, Intervals
 from pmfid.fit.machine import OFFSET
 from pmfid.fit.problem import PARTS
@@ -19,8 +20,8 @@ STEPS = 12
 #: Number of the likeliest sets that may explain every count.
 LIKELY = 3
 #: Numbers of parts of a record that a motion follows first, where it does not follow the whole record.
-NUMBERS = (16, 64, 256)
-#: Cost of an observation of a motion that leaves rounding alone: 1/2, and a fifth more.
+NUMBERS = (PIECES, 4 * PIECES, 16 * PIECES)
+#: Cost of an observation of pieces that leave rounding alone: 1/2, and a fifth more.
 NEAR = 0.6
 
 

@@ -7,9 +7,10 @@ from numpy.typing import ArrayLike
 
 from pmfid._body import ELASTIC_BASE
 from pmfid.errors import UsageError
-from pmfid.fit.elastic import ROWS, settle_starts
+from pmfid.fit.elastic import ROWS
 from pmfid.fit.machine import OFFSET, Excitation, simulate
 from pmfid.fit.problem import PARTS, FitProblem
+from pmfid.fit.shooting import settle_starts
 from pmfid.fit.starts import soften
 from pmfid.fit.within import covariance_of, stack
 from pmfid.models.controllers import MotorAndLoad

@@ -12,7 +12,7 @@ import numpy as np
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.elastic import elastic_start
-from pmfid.fit.likelihood import Gaussian, Intervals, noise_of
+from pmfid.fit.likelihood import ROUNDING, Gaussian, Intervals, noise_of
 from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.play import play_start
 from pmfid.fit.problem import FitProblem
@@ -25,9 +25,9 @@ from pmfid.fit.within import reach_counts
 from pmfid.types import Floats
 
 #: Spreads of a white error in addition to rounding [counts], in falling order.
-SPREADS = (0.3, 0.1, 0.03, 0.01, 0.003, 0.001, 0.0003)
+SPREADS = (0.3, 0.1, 0.03, 0.01, 0.003)
 #: Spread down to which the intervals must narrow for the model to explain every count.
-EXPLAINED = SPREADS[4]
+EXPLAINED = SPREADS[-1]
 #: Mean square of residuals [counts^2] up to which a model may explain every count, tries to find that motion, and their
 #: distance in standard errors of least squares.
 MOST_SQUARES, TRIES, NEARBY = 0.15, 3, 2.0
@@ -373,7 +373,7 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
             search.q, search.starts = end.q, end.starts
         else:
             search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
-        likelihood = narrow(search)
+        likelihood = narrow(search, 10)
         if likelihood is not None:
             return likelihood
     if likelihood is None:
@@ -381,16 +381,25 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
     return likelihood
 
 
-def narrow(search: FitSearch) -> Intervals | None:
-    """Move into every count, by the shortest way from least squares, and return the likelihood of the intervals; None
-    if the motion does not get there."""
+def narrow(search: FitSearch, steps: int = 30) -> Intervals | None:
+    """Move into every count, and return the likelihood of the intervals; None if the motion does not get there.
+
+    The way is the shortest one, from least squares if the residuals are larger than rounding. Where stops bend that
+    way, intervals that narrow lead there, but for two masses, whose likelihood is too rough to descend.
+    """
+    before = search.remember()
     search.move_constants()
-    optimum = search.solve(Gaussian(search.plain.stretches))
-    inside = reach_counts(search.problem, optimum.q, optimum.starts, search.prior(search.problem), EXPLAINED)
-    if inside is None:
+    if mean_square(search) > ROUNDING:
+        search.solve(Gaussian(search.plain.stretches), steps)
+    inside = reach_counts(search.problem, search.q, search.starts, search.prior(search.problem), EXPLAINED)
+    if inside is not None:
+        search.q, search.starts = inside
+        return Intervals(search.plain.stretches, EXPLAINED)
+    if search.plain.machine.elastic:
         return None
-    search.q, search.starts = inside
-    return Intervals(search.plain.stretches, EXPLAINED)
+    search.return_to(before)
+    likelihood = narrow_most(search)
+    return likelihood if likelihood.spread <= EXPLAINED else None
 
 
 def narrow_most(search: FitSearch) -> Intervals:

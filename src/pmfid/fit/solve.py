@@ -19,8 +19,8 @@ START = np.array([1e-2, 1e-6, 1e-8, 1e-6])
 
 
 class Likelihood(Protocol):
-    """A likelihood takes the blocks of a problem, and returns minus its logarithm and weighted blocks, which may use the
-    memory of the first ones. The gradient is the sum of J' e of the weighted blocks, the curvature that of J' J."""
+    """A likelihood takes the blocks of a problem, and returns minus its logarithm and weighted blocks, in the memory of
+    the first ones. The gradient is the sum of J' e of the weighted blocks, the curvature that of J' J."""
 
     def __call__(self, blocks: Sequence[ResidualBlock]) -> tuple[float, list[ResidualBlock]]: ...
 
