@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66910,
-    "lines of code in src": 39272,
+    "lines of src": 66913,
+    "lines of code in src": 39275,
     "lines of code in report and cli": 3343,
     "thresholds in src": 1034,
     "lines of csrc": 8685,

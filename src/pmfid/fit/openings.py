@@ -119,7 +119,10 @@ def _shoot(search: FitSearch, before: Opening, share: float, whole: bool) -> Ope
     """
     record = search.problem
     for number in NUMBERS:
-        pieces = FitSearch(record.cut(number))
+        try:
+            pieces = FitSearch(record.cut(number))
+        except NotIdentifiableError:  # shorter parts say even less
+            break
         pieces.restart((), share)
         if _end(pieces, 3 * STEPS).cost > NEAR * pieces.plain.rows:
             continue
