@@ -17,21 +17,9 @@ from pmfid.simulation import Machine
 from pmfid.types import Floats
 from studies.machines import Axis, record_of, truth
 from studies.real_axes import REAL
-from tests.command import run_command
+from tests.command import counted_axis, run_command
 
 pytestmark = pytest.mark.usefixtures("without_judgement")
-
-TOML = """\
-[record]
-input = "u"
-output = "counts"
-output_kind = "counts"
-dt = {dt}
-[encoder]
-resolution = {resolution}
-[model]
-input_gain = {gain}
-"""
 
 
 def identified(axis: Axis, motion: str, cutoff: float | None = None, **settings: object) -> tuple[Floats, Result]:
@@ -61,7 +49,7 @@ def test_the_command_needs_none_and_export_asks_for_one_or_a_record(tmp_path: Pa
     table = np.column_stack([record.u, record.counts])
     np.savetxt(tmp_path / "r.csv", table, delimiter=",", header="u,counts", comments="", fmt=("%.9g", "%d"))
     toml = tmp_path / "axis.toml"
-    toml.write_text(TOML.format(dt=axis.dt, resolution=record.resolution, gain=axis.drive.input_gain))
+    toml.write_text(counted_axis(axis.dt, record.resolution, axis.drive.input_gain))
     paths = [str(tmp_path / "r.csv"), "--config", str(toml)]
     found = CliRunner().invoke(main, ["identify", *paths, "--json"])
     assert json.loads(found.stdout)["cutoff"] > 0

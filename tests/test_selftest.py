@@ -12,20 +12,11 @@ from click.testing import CliRunner, Result
 from pmfid.cli.main import main
 from pmfid.simulation import DriveParameters, Machine, drive_machine, prbs
 from pmfid.types import Floats
+from tests.command import counted_axis
 
 DT, STEP = 0.005, 5e-5
 DRIVE = DriveParameters(mass=0.8, viscous_friction=4.0, coulomb_friction=0.5, input_gain=1.5)
-TOML = """
-[record]
-input = "u"
-output = "counts"
-output_kind = "counts"
-dt = 0.005
-[encoder]
-resolution = 5e-5
-[model]
-input_gain = 1.5
-"""
+TOML = counted_axis(0.005, 5e-5, 1.5)
 
 
 def write_record(folder: Path, u: Floats, machine: Machine, seed: int = 0) -> tuple[str, str]:

@@ -13,22 +13,10 @@ from pmfid.encoder import Encoder
 from pmfid.errors import printable
 from pmfid.io.reading import read_table
 from pmfid.io.tables import column
-from tests.command import run_command
+from tests.command import counted_axis, run_command
 from tests.refusals import refused
 
-CART = """
-[record]
-input = "u"
-output = "counts"
-output_kind = "counts"
-dt = 0.01
-[encoder]
-resolution = 22.75e-6
-[model]
-input_gain = 2.0
-[estimator]
-cutoff = 20.0
-"""
+CART = counted_axis(0.01, 22.75e-6, 2.0) + "[estimator]\ncutoff = 20.0\n"
 
 pytestmark = pytest.mark.usefixtures("without_judgement")
 

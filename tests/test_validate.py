@@ -15,7 +15,7 @@ from pmfid.estimators.motion_fit import MotionFit
 from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.simulation.process import simulate_process
 from studies.record_parts import measured
-from tests.command import run_command
+from tests.command import counted_axis, run_command
 from tests.conftest import Run, needs_emps
 
 pytestmark = pytest.mark.usefixtures("without_judgement")
@@ -23,19 +23,7 @@ pytestmark = pytest.mark.usefixtures("without_judgement")
 #: An axis that only this file uses.
 AXIS = DriveParameters(mass=0.45, viscous_friction=3.1, coulomb_friction=0.6, input_gain=1.5)
 DT, STEP = 0.005, 5e-5
-TOML = """
-[record]
-input = "u"
-output = "counts"
-output_kind = "counts"
-dt = 0.005
-[encoder]
-resolution = 5e-5
-[model]
-input_gain = 1.5
-[estimator]
-cutoff = 60.0
-"""
+TOML = counted_axis(0.005, 5e-5, 1.5) + "[estimator]\ncutoff = 60.0\n"
 GOOD = {
     "model": "drive",
     "method": "iv",

@@ -18,14 +18,15 @@ from pmfid.types import Flags, Floats
 
 #: Words in the names of columns. A longer word comes before a shorter one that it contains.
 TIMES = ("timestamp", "time", "stamp", "t")
+# fmt: off
 GOALS = (
-    *("goal_position", "goal", "commanded", "command", "cmd", "target", "setpoint", "desired", "reference", "action"),
-    *("des", "ref"),
+    "goal_position", "goal", "commanded", "command", "cmd", "target", "setpoint", "desired", "reference", "action",
+    "des", "ref",
 )
 POSITIONS = (
-    *("observation.state", "present_position", "measured_position", "position", "pos", "measured", "actual", "state"),
-    "q",
+    "observation.state", "present_position", "measured_position", "position", "pos", "measured", "actual", "state", "q",
 )
+# fmt: on
 #: Words that name no joint, as in "desired angle" and "measured angle".
 FILLERS = ("position", "pos", "angle", "q", "present", "measured", "actual", "meas")
 #: Columns that have a word of a position, but are none.

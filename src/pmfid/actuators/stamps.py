@@ -1,5 +1,8 @@
-"""The error of the stamps of a log. A reading is taken some time before or after its stamp, as where a bus is polled,
-and the position is then wrong by this time multiplied by the speed."""
+"""The error of the stamps of a log.
+
+A log that polls a bus takes a reading some time before or after its stamp. The position is then wrong by this time
+multiplied by the speed.
+"""
 
 from __future__ import annotations
 

@@ -52,7 +52,7 @@ def finding_lines(findings: Sequence[Finding]) -> list[str]:
     lines = [line for finding in findings if not is_small_doubt(finding) for line in finding.lines]
     if small:
         below = f"note: effects outside the model are below the tolerance: {', '.join(small)}"
-        lines.append(f"{below}; the report and --json describe them")
+        lines.append(f"{below}; --json describes them")
     return lines
 
 

@@ -12,7 +12,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
 from pmfid.fit.build import build
 from pmfid.fit.fit import Fitted, conclude
-from pmfid.fit.likelihood import Gaussian, noise_of
+from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.machine import DELAY, LAGGING
 from pmfid.fit.openings import begin
 from pmfid.fit.problem import FitProblem, ObservedStretch
@@ -38,7 +38,7 @@ class EdgeSearch(FitSearch):
 
     def __init__(self, problem: FitProblem, lines: int | None, margins: Sequence[Floats]) -> None:
         super().__init__(problem)
-        self.lines, self.margins, self.instant, self.spread = lines, margins, 0.0, 0.0
+        self.lines, self.margins, self.instant = lines, margins, 0.0
         self.dropped, self.means = 0, np.zeros(0)
         self.late: list[int] = []
         if not np.any(problem.machine.lift[[DELAY, LAGGING]]):
@@ -56,9 +56,7 @@ class EdgeSearch(FitSearch):
 
     def estimate_noise(self, kinds: Sequence[str]) -> Gaussian:
         self.sharpen()
-        motion = self.problem.motion(self.q, self.starts)
-        stretches = tuple(one.resting(v == 0) for one, (_, v) in zip(self.plain.stretches, motion, strict=True))
-        return noise_of(stretches, errors_of(self), self.rate, kinds, self.spread)
+        return super().estimate_noise(kinds)
 
     def replace_stretches(self, stretches: Sequence[ObservedStretch]) -> None:
         """Replace the rows. The motion stays, whose start is relative to the first row and the mean step."""

@@ -61,8 +61,8 @@ def elastic_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProb
 
 
 def make_first_pair(machine: BodyModel, plays: bool = False) -> BodyModel:
-    """Return two masses with viscous and Coulomb friction, a load, and a gap if they play. The dead time and the mass
-    that it shows are those of another `machine`."""
+    """Return two masses with viscous and Coulomb friction, a load, and a gap if they play. The dead time, and whether
+    the motor or the load is measured, are those of `machine`."""
     rows = [*ROWS, *([PLAY] if plays else []), *([DELAY] if np.any(machine.lift[DELAY]) else [])]
     lift = np.eye(ELASTIC_BASE)[:, rows]
     lowest = np.where(np.isin(rows, (MASS, OFFSET, LOAD_MASS, STIFFNESS)), -np.inf, 0.0)

@@ -83,32 +83,29 @@ def fit(problem: FitProblem) -> Fitted:
     Raises NotIdentifiableError if the axis does not move, or if no motion of the machine follows it.
     """
     pushes = any(force.kind in ("spring", "wave") for force in problem.machine.forces)
-    whole, fitted, lost = None, None, False
+    whole, lost = None, False
     try:
         whole = _begin(problem, whole=True)
     except NotIdentifiableError as error:
         lost = isinstance(error, LostMotionError)
-    if whole is not None and (whole[1] is not None or not pushes):
-        fitted = _follow(*whole)
-        whole = None
-    if fitted is not None:
+    pending = pushes and whole is not None and whole[1] is None  # pieces may explain what the whole motion does not
+    if not pending and (fitted := _follow(whole)) is not None:
         return fitted
     try:
         pieces = _begin(problem.cut(PIECES))
-        if whole is not None and pieces[1] is None:
-            fitted = _follow(*whole)
-        return replace(_finish(*pieces), uncut=problem) if fitted is None else fitted
+        if pending and pieces[1] is None and (fitted := _follow(whole)) is not None:
+            return fitted
+        return replace(_finish(*pieces), uncut=problem)
     except NotIdentifiableError:
         if not lost:
             raise
         return _finish(*_begin(problem))
 
 
-def _follow(search: FitSearch, likelihood: Intervals | None) -> Fitted | None:
-    """Return the fit, or None if its motion does not follow the record."""
+def _follow(begun: tuple[FitSearch, Intervals | None] | None) -> Fitted | None:
+    """Return the fit of a search that has begun, or None if its motion does not follow the record."""
     with suppress(NotIdentifiableError):
-        fitted = _finish(search, likelihood)
-        if fitted.follows:
+        if begun is not None and (fitted := _finish(*begun)).follows:
             return fitted
     return None
 
@@ -198,20 +195,17 @@ def _weigh(
 
 def _estimate(search: FitSearch, optimum: Optimum, likelihood: Gaussian | Intervals) -> tuple[Floats, Floats]:
     """Return the machine's parameters (p,), and their covariance with the mass as a logarithm."""
-    A = optimum.normal.A + np.diag(search.prior(search.problem))
-    count = search.count
+    theta, prior, count = search.problem.theta(optimum.q), np.diag(search.prior(search.problem)), search.count
     if isinstance(likelihood, Gaussian):
-        return search.problem.theta(optimum.q), sandwich(A, optimum.normal)[:count, :count]
+        return theta, sandwich(optimum.normal.A + prior, optimum.normal)[:count, :count]
     if optimum.q.size + optimum.starts.size < BLOCKS:  # more parameters than that would make the walk long
         return _estimate_in_region(search, optimum)
     blocks = search.problem.linearise(optimum.q, optimum.starts)
     if search.plain.machine.precision is not None:  # the columns leave no error of the counts but their bounds
-        A = normal_of(soften(likelihood)(blocks)[1], optimum.starts).A + np.diag(search.prior(search.problem))
-        return search.problem.theta(optimum.q), inverse(A)[:count, :count]
+        A = normal_of(soften(likelihood)(blocks)[1], optimum.starts).A + prior
+        return theta, inverse(A)[:count, :count]
     plain = normal_of(Gaussian(search.plain.stretches)(blocks)[1], optimum.starts)
-    return search.problem.theta(optimum.q), sandwich(plain.A + np.diag(search.prior(search.problem)), plain)[
-        :count, :count
-    ]
+    return theta, sandwich(plain.A + prior, plain)[:count, :count]
 
 
 def sandwich(A: Floats, normal: Normal) -> Floats:

@@ -24,7 +24,7 @@ from pmfid.fit.machine import (
 )
 from pmfid.fit.problem import PARTS, FitProblem, ObservedStretch, ResidualBlock
 from pmfid.fit.search import EXPLAINED, GAIN, MOST_SQUARES
-from pmfid.fit.solve import Optimum, solve
+from pmfid.fit.solve import solve
 from pmfid.fit.within import reach_counts
 from pmfid.models.equation import Equation
 from pmfid.types import Floats
@@ -99,7 +99,7 @@ class FreeMotion:
             size = min(2 * size, self.read)
             longer = self._make_problem(self._begin(stretch, size))
             start = starts * _units(problem) / _units(longer)
-            start = _solve(longer, self.theta, Gaussian(longer.stretches), start).starts
+            start = _solve(longer, self.theta, start)
             if not _explains(longer, self.theta, start):
                 break
             problem, starts = longer, start
@@ -133,7 +133,7 @@ class FreeMotion:
         soft, q = Gaussian(problem.stretches), problem.start(self.theta)
         still = [0.0] * (len(self.machine.starts) - 2)
         first = min(speeds, key=lambda v: soft(problem.linearise(q, np.array([[0.0, v, *still]])))[0])
-        return _solve(problem, self.theta, soft, np.array([[0.0, first, *still]])).starts
+        return _solve(problem, self.theta, np.array([[0.0, first, *still]]))
 
 
 def _units(problem: KnownProblem) -> Floats:
@@ -141,14 +141,15 @@ def _units(problem: KnownProblem) -> Floats:
     return np.resize([1.0, next(problem.scales())], len(problem.machine.starts))
 
 
-def _solve(problem: KnownProblem, theta: Floats, likelihood: Gaussian, starts: Floats) -> Optimum:
-    return solve(problem, likelihood, problem.start(theta), starts, np.zeros(problem.size), small=GAIN)
+def _solve(problem: KnownProblem, theta: Floats, starts: Floats) -> Floats:
+    """Return the start (1, s) of least squares."""
+    likelihood = Gaussian(problem.stretches)
+    return solve(problem, likelihood, problem.start(theta), starts, np.zeros(problem.size), small=GAIN).starts
 
 
 def _explains(problem: KnownProblem, theta: Floats, starts: Floats) -> bool:
     """Return whether a motion is so near the counts that one next to it may explain every count."""
-    (block,) = problem.linearise(problem.start(theta), starts)
-    return float(np.mean(block.e**2)) < MOST_SQUARES
+    return float(np.mean(problem.residuals(problem.start(theta), starts)[0] ** 2)) < MOST_SQUARES
 
 
 def simulate_from_rest(equation: Equation, theta: Floats, u: Floats, dt: float | Floats) -> Floats:

@@ -13,6 +13,7 @@ from pmfid.fit.machine import OFFSET
 from pmfid.fit.problem import PARTS
 from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, SPEEDS, TRIES, WITHIN, FitSearch, mean_square, narrow_most
 from pmfid.fit.shooting import join
+from pmfid.fit.solve import Optimum
 from pmfid.fit.tuning import MOTION
 
 #: Steps of least squares with a set of forces. The set that is kept has more of them.
@@ -94,15 +95,13 @@ def _begin_plain(search: FitSearch, whole: bool) -> tuple[Opening, float]:
     Only a motion that leaves more than rounding calls for further starts, and for parts of the record.
     """
     free = any(force.free for force in search.plain.machine.forces)
-    best, first = None, SPEEDS[0]
+    ends = list[tuple[Opening, float]]()
     for share in SPEEDS if free else SPEEDS[:1]:
         search.restart((), share)
-        end = _end(search, 3 * STEPS)
-        if best is None or end.order < best.order:
-            best, first = end, share
+        ends.append((_end(search, 3 * STEPS), share))
+        best, first = min(ends, key=lambda pair: pair[0].order)
         if best.cost < best.rounding:
             return _forget_input(search, best), first
-    assert best is not None
     _check_lost(best, whole and best.held < best.rounding)
     best.enter(search)
     if search.problem.integrates and not search.plain.machine.elastic:
@@ -111,23 +110,16 @@ def _begin_plain(search: FitSearch, whole: bool) -> tuple[Opening, float]:
 
 
 def _shoot(search: FitSearch, before: Opening, share: float, whole: bool) -> Opening:
-    """Return the end of a motion that follows short parts of the record first, or the end `before` if it leaves more
-    than rounding of the joined parts.
+    """Return the end of a motion that follows short parts of the record first. The end `before` stays if the joined
+    parts leave more than rounding.
 
     Short parts stay near the record, wherever the search begins (Bock 1983).
     Raises LostMotionError for a `whole` record if the motion follows parts of it alone.
     """
-    record = search.problem
     for number in NUMBERS:
-        try:
-            pieces = FitSearch(record.cut(number))
-        except NotIdentifiableError:  # shorter parts say even less
-            break
-        pieces.restart((), share)
-        if _end(pieces, 3 * STEPS).cost > NEAR * pieces.plain.rows:
+        joined = _join_parts(search, number, share)
+        if joined is None:
             continue
-        length = sum(float(one.times[-1]) for one in record.stretches) / number
-        joined = join(record, pieces.problem, pieces.solve(pieces.noise), length, search.prior(record))
         search.q, search.starts = joined.q, joined.starts
         end = _open(search, search.solve(search.noise).cost)
         if end.cost < end.rounding:
@@ -138,6 +130,20 @@ def _shoot(search: FitSearch, before: Opening, share: float, whole: bool) -> Ope
             raise LostMotionError(f"the motion follows parts of the record alone; {FOLLOW}")
         before.enter(search)
     return before
+
+
+def _join_parts(search: FitSearch, number: int, share: float) -> Optimum | None:
+    """Return the fit of the record by a number of parts of it, or None if the motion does not follow the parts."""
+    record = search.problem
+    try:
+        pieces = FitSearch(record.cut(number))
+    except NotIdentifiableError:  # the parts are too short for a blind start
+        return None
+    pieces.restart((), share)
+    if _end(pieces, 3 * STEPS).cost > NEAR * pieces.plain.rows:
+        return None
+    length = sum(float(one.times[-1]) for one in record.stretches) / number
+    return join(record, pieces.problem, pieces.solve(pieces.noise), length, search.prior(record))
 
 
 def list_openings(search: FitSearch) -> list[tuple[int, ...]]:

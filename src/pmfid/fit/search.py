@@ -140,6 +140,7 @@ class FitSearch:
         self.begin[[one is start.stretches[0] for one in problem.stretches]] = solution.starts[0]
         bounds = (float(np.min(logs)) - FAR, float(np.max(logs)) + FAR)
         self.plain = replace(self.plain, mass=bounds, rate=start.rate)
+        self.spread = 0.0  # of the errors of the encoder's lines [counts]
         self.chosen: list[int] = []
         self.restart(self.chosen)
 
@@ -271,7 +272,7 @@ class FitSearch:
         """Return the noise of the residuals, with the rests of the simulated motion."""
         motion = self.problem.motion(self.q, self.starts)
         stretches = tuple(one.resting(v == 0) for one, (_, v) in zip(self.plain.stretches, motion, strict=True))
-        return noise_of(stretches, errors_of(self), self.rate, kinds)
+        return noise_of(stretches, errors_of(self), self.rate, kinds, self.spread)
 
     def check_followed(self, noise: Gaussian) -> None:
         """Raise NotIdentifiableError if a motion without any input, but with a disturbance, explains the record as
@@ -366,7 +367,9 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
         search.return_to(before)
         return None
     rng, likelihood = np.random.default_rng(1), narrow(search)
-    for number in range(tries if likelihood is None and is_near_rounding(search) else 0):
+    for number in range(tries if is_near_rounding(search) else 0):
+        if likelihood is not None:
+            break
         search.return_to(before)
         if search.plain.machine.elastic:
             end = rejoin(search.problem, search.q, search.prior(search.problem), TUNING.rejoined[number])
@@ -374,8 +377,6 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
         else:
             search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
         likelihood = narrow(search, 10)
-        if likelihood is not None:
-            return likelihood
     if likelihood is None:
         search.return_to(before)
     return likelihood

@@ -1,6 +1,6 @@
 """Multiple shooting: fits of parts of a record with start states of their own, which become longer (Bock 1983).
 
-A motion that errors of the parameters carry far away makes the likelihood of a whole record rough. Parts stay near it.
+Stops, contacts and forces of the position make the likelihood of a whole record rough. Parts stay near the record.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from pmfid.types import Floats
 
 
 def rejoin(plain: FitProblem, q: Floats, prior: Floats, parts: float) -> Optimum:
-    """Return the fit of the whole record from a number of parts of it, which become longer, for stops and contacts make
-    the likelihood rough."""
+    """Return the fit of the whole record from a number of parts of it, which become longer."""
     length = sum(float(one.times[-1]) for one in plain.stretches) / parts
     problem = plain.cut(count_parts(plain, length))
     return join(plain, problem, settle(problem, q, problem.first_starts(), prior, 20), length, prior)
@@ -25,16 +24,17 @@ def rejoin(plain: FitProblem, q: Floats, prior: Floats, parts: float) -> Optimum
 def join(plain: FitProblem, problem: FitProblem, end: Optimum, length: float, prior: Floats) -> Optimum:
     """Return the fit of the whole record from that of its parts of a length [s], which become longer."""
     while len(problem.stretches) > len(plain.stretches):
-        known = dict(zip((one.first for one in problem.stretches), end.starts, strict=True))
+        ends = dict(zip((one.first for one in problem.stretches), end.starts, strict=True))
         length *= TUNING.joined
         problem = plain.cut(count_parts(plain, length))
         pairs = zip(problem.stretches, problem.first_starts(), strict=True)
-        starts = np.array([known.get(one.first, start) for one, start in pairs])
+        starts = np.array([ends.get(one.first, start) for one, start in pairs])
         end = settle(problem, end.q, starts, prior, 20)
     return end
 
 
 def settle(problem: FitProblem, q: Floats, starts: Floats, prior: Floats, steps: int) -> Optimum:
+    """Return the fit in the softened likelihood from parameters (p,), with the start states (m, s) of least cost."""
     like = soften(problem.stretches)
     return solve(problem, like, q, settle_starts(problem, like, q, starts), prior, steps, 0.1)
 

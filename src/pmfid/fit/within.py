@@ -24,10 +24,12 @@ def reach_counts(
     step is halved until the motion comes nearer.
     """
     counted = np.concatenate([one.counted for one in problem.stretches])
+    if not np.any(counted):
+        return None
     size = np.sqrt(ROUNDING / np.concatenate([one.variance for one in problem.stretches]))[:, None]
     e, J = stack(problem.linearise(q, starts))
     for _ in range(WITHIN_TUNING.rounds):
-        outside = float(np.max(np.abs(e[counted]), initial=0.0)) - 0.5
+        outside = float(np.max(np.abs(e[counted]))) - 0.5
         if outside <= beyond:
             return q, starts
         step = _shortest_step(e[counted], J[counted], covariance_of(J * size, prior, starts))

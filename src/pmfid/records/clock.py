@@ -440,12 +440,8 @@ def drop_repeats(time: Floats, repeated: Flags, rows: NDArray[np.intp]) -> tuple
     count = int(np.count_nonzero(again))
     if not count or (count < np.count_nonzero(equal) and is_rounded(_take_rows(time, rows))):
         return rows, ()
-    note = (
-        "rows repeat the row before with its time and are"
-        if count > 1
-        else "row repeats the row before with its time and is"
-    )
-    return rows[~again], (f"{count} {note} left out",)
+    repeats, are = ("rows repeat", "are") if count > 1 else ("row repeats", "is")
+    return rows[~again], (f"{count} {repeats} the row before with its time and {are} left out",)
 
 
 def _drop_early(time: Floats, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], tuple[str, ...]]:

@@ -298,11 +298,8 @@ def _model(result: AxisGuess, pair: Pair, travel: Unit | None, ask: Ask | None) 
         )
         result.add("model", 'axis = "rotary"', reason)
     if pair.gravity:
-        result.add(
-            "model",
-            "gravity = true",
-            "the sine of the angle explains a part of the input; false for an axis without gravity",
-        )
+        reason = "the sine of the angle explains a part of the input; false for an axis without gravity"
+        result.add("model", "gravity = true", reason)
     unit = column_unit(pair.input, INPUTS)
     force = "N m" if rotary else "N"
     if unit is not None and unit.of in ("force", "torque"):
