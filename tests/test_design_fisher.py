@@ -1,6 +1,4 @@
-"""Sensitivities against difference quotients, an independent integration and closed forms; criteria against closed
-forms.
-"""
+"""Sensitivities against difference quotients and closed forms; criteria against closed forms."""
 
 from __future__ import annotations
 
@@ -10,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.integrate import solve_ivp
 
 import pmfid
 from pmfid.design.fisher import (
@@ -53,26 +50,6 @@ def test_sensitivities_are_difference_quotients(drive: tuple[float, float, float
         # the quotient of order six has an error of h^6, which is negligible next to rounding
         quotient = (45 * (moved(1) - moved(-1)) - 9 * (moved(2) - moved(-2)) + moved(3) - moved(-3)) / (60 * h)
         assert np.abs(quotient - exact[:, i]).max() <= 1e-8 * max(np.abs(exact[:, i]).max(), 1e-3)
-
-
-def test_sensitivities_are_those_of_an_independent_integration() -> None:
-    case = problem()
-    u = np.random.default_rng(3).uniform(0.5, 3, case.intervals)
-    m, d, F = (case.nominal[name] for name in NAMES)
-
-    def slope(t: float, X: np.ndarray, voltage: float) -> np.ndarray:
-        v, S = X[1], X[2:].reshape(3, 2)
-        a = (2.0 * voltage - d * v - F) / m
-        own = np.array([-a / m, -v / m, -1 / m])
-        return np.r_[v, a, np.column_stack([S[:, 1], -d / m * S[:, 1] + own]).ravel()]
-
-    X, found = np.zeros(8), []
-    for k, voltage in enumerate(u):
-        span = (k * case.dt, (k + 1) * case.dt)
-        X = solve_ivp(slope, span, X, "DOP853", args=(voltage,), rtol=1e-12, atol=1e-15).y[:, -1]
-        found.append(X[2::2])
-    exact = sensitivities(case, u)
-    assert np.abs(np.array(found) - exact).max() <= 1e-8 * np.abs(exact).max()
 
 
 def test_information_of_a_free_mass_has_a_closed_form() -> None:

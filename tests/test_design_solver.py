@@ -96,15 +96,11 @@ def test_bounds_are_proved_and_hold() -> None:
     assert found.gap is not None
     assert found.gap <= 0.0101
     rule = setting(case(1, 20), "trace").rule
-    bound = upper_bound(case(1, 20), rule, _slow(20), gap=0.0, seconds=1.0)
+    least_energy = nearest(input_set(case(1, 20)), np.zeros(20))
+    bound = upper_bound(case(1, 20), rule, least_energy, gap=0.0, seconds=1.0)
     assert bound is not None
     assert bound >= found.value
     assert solve(case(2, 12), "ME", starts=2, certify=1.0).bound is None, "roundness is not concave"
-
-
-def _slow(intervals: int) -> np.ndarray:
-    """Return the feasible input of least energy, which is far from the best."""
-    return nearest(input_set(case(1, intervals)), np.zeros(intervals))
 
 
 @pytest.mark.parametrize(("criterion", "unknown"), [("D", 2), ("A", 2), ("E", 2), ("D", 3)])
@@ -132,9 +128,6 @@ def test_a_robust_design_keeps_the_limits_in_every_scenario(average: str | None)
     if average == "worst":
         parts = np.array([1.0, 0.8, 1.2])  # each case is scaled by the nominal mass
         assert found.value == pytest.approx(np.min(values / parts**2), rel=1e-6)
-
-
-# --- conditions that cannot be met ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

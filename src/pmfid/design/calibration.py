@@ -1,30 +1,38 @@
-"""Parameters from designed runs, by simulation of the position, with prior information.
+"""Parameters from designed runs: the fit of `pmfid.fit` with what is known before.
 
-The general estimators find all parameters from one long record. A designed run is short, starts as designed, and some
-parameters are known. The others follow from a small nonlinear problem around a good guess. If the position has normal
-noise, the solution is least squares. For counts, the solution is the set of parameters that fit all counts (`counted`).
+A designed run starts at a known velocity, and some parameters are known. The fit begins at the nominal values. Its
+coordinates are the distances from them, so that prior information is about zero and independent. Forces are per nominal
+mass, of which the fit searches the logarithm.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import least_squares
 
-from pmfid.design.encoder_error import is_counted, what_is_open
+from pmfid.design.body import body_of, excite
 from pmfid.design.problem import Problem
-from pmfid.design.simulated import drive_of
 from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.simulation.drive import simulate_drive
+from pmfid.findings import Finding
+from pmfid.fit.compare import NORMAL_95
+from pmfid.fit.findings import findings_of
+from pmfid.fit.fit import Fitted, fit
+from pmfid.fit.likelihood import ROUNDING
+from pmfid.fit.machine import COULOMB, MASS, OFFSET, VISCOUS, BodyModel
+from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.search import FitSearch
+from pmfid.fit.solve import Optimum, solve
+from pmfid.fit.starts import make_first_body, soften
+from pmfid.fit.within import stack
 from pmfid.types import Floats
 
 __all__ = ["DesignedRun", "RunsEstimate", "calibrate"]
 
-#: Least value of a parameter over its nominal value. Parameters that are not listed stay at 0 or above.
-LEAST = {"mass": 1e-3, "offset": -np.inf}
+#: Findings against the model of a fit.
+LACKING = ("unmodelled", "dead_time", "implausible")
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +72,15 @@ class DesignedRun:
         if u.ndim != 1 or u.shape != y.shape or not (np.isfinite(u).all() and np.isfinite(y).all()):
             raise UsageError(f"a run needs finite u and y of the same length, got shapes {u.shape} and {y.shape}")
 
+    def observe(self, problem: Problem) -> ObservedStretch:
+        """Return the observations, with forces per nominal mass. Without an encoder, a count is a standard deviation of
+        the noise."""
+        y, counted = np.asarray(self.y, float), np.full(len(self.y), problem.counted)
+        variance = np.where(counted, ROUNDING, 1.0)
+        drive = excite(problem, np.asarray(self.u, float)[:-1], self.dt, y.size)
+        drive = replace(drive, u=drive.u / problem.nominal["mass"])
+        return ObservedStretch(drive, y - y[0], variance, counted, np.zeros(y.size, bool), speed=problem.start[1])
+
 
 @dataclass(frozen=True, eq=False)
 class RunsEstimate:
@@ -71,18 +88,21 @@ class RunsEstimate:
 
     `parameters` maps each name to its value, known parameters included. `information` (p, p) of unknown and nuisance
     parameters, in their units, includes the prior. The inverse of the information is the covariance of the parameters.
-    `interval` maps each of these names to the lowest and highest value of an interval that holds 95 %. For normal
-    noise, `inflation` is the ratio of residual to noise variance, times the number of correlated samples. An inflation
-    above 1 divides the information of the runs. For counts the inflation is 1. `unexplained` is the largest distance of
-    the best motion from a count, in counts. A distance above 0 is an error of the model, and all counts were widened by
-    twice this distance.
+    `interval` maps each of these names to the lowest and highest value of an interval that holds 95 %, over the model
+    and the models next to it. `misfit` is the root mean square of the residual over that of rounding, or of the noise.
+    `findings` say what the model lacks.
     """
 
-    parameters: Mapping[str, float]
+    parameters: dict[str, float]
     information: Floats
-    interval: Mapping[str, tuple[float, float]]
-    inflation: float = 1.0
-    unexplained: float = 0.0
+    interval: dict[str, tuple[float, float]]
+    misfit: float
+    findings: tuple[Finding, ...]
+
+    @property
+    def lacking(self) -> bool:
+        """Whether the model lacks an effect that matters."""
+        return any(one.code in LACKING and one.severity != "note" for one in self.findings)
 
     def std(self, names: tuple[str, ...]) -> dict[str, float]:
         """Return the standard deviation of each parameter in `names`, which follows the order of the information."""
@@ -137,128 +157,128 @@ def calibrate(problem: Problem, runs: Sequence[DesignedRun]) -> RunsEstimate:
     """
     if not runs:
         raise UsageError("the list of runs is empty; give at least one run")
-    objective = _Objective(problem, runs)
-    found = least_squares(
-        objective,
-        objective.start,
-        objective.jacobian,
-        bounds=(objective.lower, np.inf),
-        max_nfev=TUNING.max_evaluations,
-    )
-    J = objective.jacobian(found.x)
-    _check(problem, objective, found.x, J)
-    by = _estimate_by_counts if is_counted(problem) else _estimate_by_squares
-    return by(problem, objective, found.x, J)
+    body, size = DesignedBody.make(problem), float(np.sqrt(problem.variance * (12 if problem.counted else 1)))
+    fitted = fit(FitProblem(body.model, tuple(run.observe(problem) for run in runs), size), NominalSearch)
+    body.check_determined(fitted)
+    return body.estimate(body.to_units(fitted))
 
 
-def _estimate_by_squares(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> RunsEstimate:
-    inflation = objective.inflation(q)
-    information = (J.T @ J - objective.prior) / max(1.0, inflation) + objective.prior
-    apart = TUNING.calibration_normal * np.sqrt(np.linalg.inv(information).diagonal())
-    interval = np.column_stack([q - apart, q + apart]) * objective.scale[:, None]
-    scale = np.outer(objective.scale, objective.scale)
-    return RunsEstimate(objective.parameters(q), information / scale, _name_intervals(problem, interval), inflation)
+@dataclass(frozen=True, eq=False)
+class DesignedBody:
+    """The body of a problem in the coordinates of the fit.
 
-
-def _estimate_by_counts(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> RunsEstimate:
-    found = what_is_open(
-        objective.counts, q, np.asarray(np.linalg.inv(J.T @ J), float), objective.lower, objective.root
-    )
-    information = np.linalg.inv(found.covariance * np.outer(objective.scale, objective.scale))
-    interval = found.interval * objective.scale[:, None]
-    parameters = objective.parameters(found.mean)
-    return RunsEstimate(parameters, information, _name_intervals(problem, interval), unexplained=found.unexplained)
-
-
-def _name_intervals(problem: Problem, interval: Floats) -> dict[str, tuple[float, float]]:
-    return {name: (float(low), float(high)) for name, (low, high) in zip(problem.names, interval, strict=True)}
-
-
-class _Objective:
-    """Residuals of all runs over the encoder's deviation, then the residuals of the prior.
-
-    The residuals of each run have zero mean. The variables are q = theta / scale.
+    The p parameters `names` of the fit are those of the problem, the mass as the last one. `mixing` (p, p) is the
+    matrix with unit diagonal that makes their prior independent. A known mass is a coordinate without effect.
     """
 
-    def __init__(self, problem: Problem, runs: Sequence[DesignedRun]) -> None:
-        self.problem, self.runs = problem, runs
-        nominal = np.array([problem.nominal[name] for name in problem.names])
-        self.scale = np.where(nominal != 0, np.abs(nominal), 1.0)
-        self.start = nominal / self.scale
-        self.lower = np.array([LEAST.get(name, 0.0) for name in problem.names])
-        prior = np.zeros((nominal.size, nominal.size)) if problem.prior is None else np.asarray(problem.prior)
-        self.prior = prior * np.outer(self.scale, self.scale)
-        values, vectors = np.linalg.eigh(self.prior)
-        self.root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+    problem: Problem
+    names: tuple[str, ...]
+    mixing: Floats
+    model: BodyModel
 
-    def parameters(self, q: Floats) -> dict[str, float]:
-        found = dict(zip(self.problem.names, (q * self.scale).tolist(), strict=True))
-        return {name: found.get(name, value) for name, value in self.problem.nominal.items()}
+    @classmethod
+    def make(cls, problem: Problem) -> DesignedBody:
+        """Return the body of a problem."""
+        whole, mass = body_of(problem), problem.nominal["mass"]
+        names = tuple(name for name in problem.names if name != "mass")
+        free = [whole.names.index(name) for name in (*names, "mass")]
+        nominal = np.array([problem.nominal[name] for name in whole.names]) / mass
+        mixing, precision = _separate(_prior_of(problem, (*names, "mass")) * mass**2)
+        lift, rest = whole.lift[:, free] @ mixing, whole.rest + whole.lift @ nominal
+        if "mass" in problem.names:
+            rest -= lift[:, -1]
+        else:
+            lift[:, -1], precision[-1] = 0.0, 1.0
+        alone = np.count_nonzero(mixing, axis=1) == 1
+        lowest = np.where(alone, whole.lowest[free] - nominal[free], -np.inf)
+        lowest[-1] = -np.inf
+        model = BodyModel((*names, "mass"), (), rest, lift, len(names), lowest, precision=precision)
+        return cls(problem, (*names, "mass"), mixing, model)
 
-    def positions(self, parameters: Mapping[str, float]) -> list[Floats]:
-        drive = drive_of(self.problem, parameters)
-        return [centre(simulate_drive(drive, run.u, run.dt, 0.0, self.problem.start[1]).x) for run in self.runs]
+    def check_determined(self, fitted: Fitted) -> None:
+        """Raise NotIdentifiableError if runs and prior leave a parameter of the problem open."""
+        J = stack(fitted.problem.linearise(fitted.solution.q, fitted.solution.starts))[1][:, : len(self.names)]
+        known = np.any(J, axis=0) | np.asarray(self.model.precision, bool)
+        open_ = [name for name, shown in zip(self.names, known, strict=True) if not shown]
+        if open_:
+            raise NotIdentifiableError(
+                f"the runs do not determine {', '.join(open_)}; make another run, or remove a parameter from the list "
+                '"unknown"'
+            )
 
-    def data(self, q: Floats) -> Floats:
-        pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
-        return np.asarray(np.concatenate([x - centre(run.y) for x, run in pairs]) / np.sqrt(self.problem.variance))
-
-    def counts(self, q: Floats) -> list[Floats]:
-        """Return the simulated position minus the measured position of each run, in counts."""
-        size = float(self.problem.resolution or 1.0)
-        pairs = zip(self.positions(self.parameters(q)), self.runs, strict=True)
-        return [(x - centre(run.y)) / size for x, run in pairs]
-
-    def __call__(self, q: Floats) -> Floats:
-        return np.asarray(np.r_[self.data(q), self.root @ (q - self.start)])
-
-    def jacobian(self, q: Floats) -> Floats:
-        columns = []
-        for i in range(q.size):
-            low, high = (np.array(q, float) for _ in range(2))
-            # The step is relative to the nominal value, because an estimate may be 0, at its bound.
-            low[i], high[i] = max(q[i] - TUNING.simulated_step, self.lower[i]), q[i] + TUNING.simulated_step
-            columns.append((self.data(high) - self.data(low)) / (high[i] - low[i]))
-        return np.vstack([np.column_stack(columns), self.root])
-
-    def inflation(self, q: Floats) -> float:
-        residual = self.data(q)
-        free = max(1, residual.size - len(self.runs) - q.size)
-        ends = np.cumsum([run.y.size for run in self.runs])[:-1]
-        return float(residual @ residual) / free * correlation_time(np.split(residual, ends))
-
-
-def correlation_time(residuals: Sequence[Floats]) -> float:
-    """Return 1 + 2 sum of the autocorrelations of the residuals, up to the first that white noise explains."""
-    power = sum(float(e @ e) for e in residuals)
-    total = 1.0
-    for lag in range(1, max(e.size for e in residuals)):
-        rho = sum(float(e[lag:] @ e[:-lag]) for e in residuals if e.size > lag) / max(power, 1e-300)
-        if rho <= 2 / np.sqrt(sum(e.size for e in residuals)):  # white noise explains this correlation
-            break
-        total += 2 * rho
-    return total
-
-
-def centre(y: Floats) -> Floats:
-    """Return y (n,) minus its mean."""
-    return np.asarray(y - np.mean(y))
-
-
-def _check(problem: Problem, objective: _Objective, q: Floats, J: Floats) -> None:
-    motion = float(
-        np.linalg.norm(np.concatenate([centre(run.y) for run in objective.runs]) / np.sqrt(problem.variance))
-    )
-    left = float(np.linalg.norm(objective.data(q)))
-    if left > TUNING.worst_fit * motion:
-        raise NotIdentifiableError(
-            f"the simulated position has an error of {left / max(motion, 1e-300):.0%} of the motion; check that "
-            "input_gain has the right sign and size, that the run starts at rest, and that the model has every load"
+    def to_units(self, fitted: Fitted) -> Fitted:
+        """Return a fit with the parameters of the problem, in their units and order."""
+        mass, order = self.problem.nominal["mass"], [self.names.index(name) for name in self.problem.names]
+        lift = mass * self.mixing[order]
+        middle = np.eye(len(self.names))[-1]
+        nominal = np.array([self.problem.nominal[name] for name in self.problem.names])
+        return replace(
+            fitted,
+            theta=nominal + lift @ (fitted.theta - middle),
+            covariance=lift @ fitted.covariance @ lift.T,
+            half=np.abs(lift) @ fitted.half,
+            reach=np.abs(lift) @ fitted.reach,
+            plain=nominal + lift @ (fitted.plain - middle),
         )
-    size = np.linalg.norm(J, axis=0)
-    open_ = [name for name, s in zip(problem.names, size, strict=True) if not s > 1e-9 * size.max()]
-    if open_ or np.linalg.cond(J / size) > 1e6:
-        raise NotIdentifiableError(
-            f"the runs do not determine {', '.join(open_ or problem.names)}; make another run, or remove a parameter "
-            'from the list "unknown"'
+
+    def estimate(self, fitted: Fitted) -> RunsEstimate:
+        """Return the estimate of a fit in units of the problem."""
+        names, std = self.problem.names, np.sqrt(np.diag(fitted.covariance))
+        size = np.array(
+            [max(abs(value), abs(self.problem.nominal[name])) for name, value in zip(names, fitted.theta, strict=True)]
         )
+        positive = np.array([name != "offset" for name in names])
+        half = np.maximum(fitted.half, NORMAL_95 * std)
+        findings = tuple(findings_of(fitted, names, positive, size, TUNING.calibration_negligible))
+        variance = np.concatenate([one.variance for one in fitted.problem.stretches])
+        residual = np.concatenate(fitted.residuals) / np.sqrt(variance)
+        low = np.where(positive, np.maximum(fitted.theta - half, 0.0), fitted.theta - half)
+        intervals = zip(low.tolist(), (fitted.theta + half).tolist(), strict=True)
+        return RunsEstimate(
+            {**self.problem.nominal, **dict(zip(names, fitted.theta.tolist(), strict=True))},
+            np.asarray(np.linalg.inv(fitted.covariance), float),
+            dict(zip(names, intervals, strict=True)),
+            float(np.sqrt(np.mean(residual**2))),
+            findings,
+        )
+
+
+class NominalSearch(FitSearch):
+    """A search from the nominal values, where all coordinates but the mass are zero."""
+
+    def find_start(self, problem: FitProblem) -> tuple[FitProblem, Optimum]:
+        """Return the first fit from the nominal values, to the liveliest run."""
+        stretch = max(problem.stretches, key=lambda one: float(np.sum(np.abs(np.diff(one.y)))))
+        force = float(np.sqrt(np.mean(stretch.drive.u**2)))
+        if not (np.ptp(stretch.y) > 0 and force > 0):
+            raise NotIdentifiableError("the axis does not move in these runs; check the input and the encoder")
+        first = make_first_body(0.0)
+        travel = max(float(np.ptp(stretch.y)) / 2, problem.resolution)
+        prior = np.array([0.0, 0.0, 0.0, (0.5 * force) ** -2, (travel / (0.5 * force)) ** 2])
+        start = FitProblem(first, (stretch,), problem.resolution)
+        body = problem.machine.body(np.eye(len(problem.machine.names))[problem.machine.lead])
+        theta = np.append(body[[MASS, VISCOUS, COULOMB, OFFSET]], 0.0)
+        return start, solve(start, soften((stretch,)), start.start(theta), start.first_starts(), prior, 25, 0.1)
+
+    def first_theta(self, share: float) -> Floats:
+        """Return the nominal values."""
+        return np.asarray(np.eye(self.count)[self.plain.machine.lead])
+
+
+def _prior_of(problem: Problem, names: tuple[str, ...]) -> Floats:
+    """Return the prior information on parameters `names`, zero where there is none."""
+    prior = np.zeros((len(names), len(names)))
+    if problem.prior is not None:
+        places = [names.index(name) for name in problem.names]
+        prior[np.ix_(places, places)] = problem.prior
+    return prior
+
+
+def _separate(prior: Floats) -> tuple[Floats, Floats]:
+    """Return the matrix (p, p) with unit diagonal from independent coordinates to those of a prior (p, p), and the
+    precisions (p,) of the coordinates. The last one of both is the same."""
+    if not np.any(prior - np.diag(np.diag(prior))):
+        return np.eye(len(prior)), np.diag(prior).copy()
+    size = np.sqrt(np.maximum(np.diag(prior), 1e-300))
+    root = np.linalg.cholesky(prior / np.outer(size, size) + 1e-12 * np.eye(len(prior))) * size[:, None]
+    return np.asarray(np.linalg.inv((root / np.diag(root)).T), float), np.diag(root) ** 2

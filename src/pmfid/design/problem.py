@@ -375,6 +375,11 @@ class Problem:
         return self.directions or (1,) * self.intervals
 
     @property
+    def counted(self) -> bool:
+        """Whether the error of the position is the rounding of an encoder."""
+        return self.noise_variance is None
+
+    @property
     def variance(self) -> float:
         """Variance of the measured position [m^2]."""
         if self.noise_variance is not None:

@@ -12,8 +12,9 @@ from pmfid.design.calibration import DesignedRun, RunsEstimate, calibrate
 from pmfid.design.problem import Design, InfeasibleError, Problem
 from pmfid.design.simulated import simulate
 from pmfid.design.solver import solve
-from pmfid.design.tuning import TUNING
 from pmfid.errors import UsageError
+from pmfid.findings import Finding
+from pmfid.fit.terms import SET
 
 __all__ = ["Commissioning", "Experiment", "Round", "redesign", "sequential", "simulated_experiment"]
 
@@ -52,19 +53,18 @@ class Commissioning:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Findings against the estimate."""
-        missing = self.rounds[-1].known.unexplained if self.rounds else 0.0
-        if not missing:
-            return ()
-        return (
-            f"the best motion of the model misses a count by {missing:.2g} counts, so each count was made "
-            f"{2 * missing:.2g} counts wider on both sides. The deviations contain only the visible part of this "
-            "error. The model has the wrong friction, input_gain or start: use pmfid identify, whose models have more "
-            "kinds of friction and a dead time",
-        )
+        findings = self.rounds[-1].known.findings if self.rounds else ()
+        return tuple(_advise(one) for one in findings if one.severity != "note")
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Effects that the intervals contain."""
+        findings = self.rounds[-1].known.findings if self.rounds else ()
+        return tuple(one.text for one in findings if one.severity == "note")
 
     @property
     def reached(self) -> bool:
-        """Whether a model that explains the counts reaches every wanted standard deviation.
+        """Whether a model that lacks nothing reaches every wanted standard deviation.
 
         The value is False without a round or without a wanted deviation.
         """
@@ -78,6 +78,7 @@ class Commissioning:
             "rounds": [self._round(each) for each in self.rounds],
             "next": None if self.choice is None else self._next(self.choice),
             "doubts": list(self.doubts),
+            "notes": list(self.notes),
         }
 
     @staticmethod
@@ -95,8 +96,7 @@ class Commissioning:
             for name in self.problem.names
         }
         travel = float(each.run.y[-1] - each.run.y[0])
-        doubts = {"inflation": known.inflation, "unexplained": known.unexplained}
-        return {"parameters": values, **doubts, "travel": travel}
+        return {"parameters": values, "misfit": known.misfit, "travel": travel}
 
 
 def sequential(
@@ -198,14 +198,9 @@ def redesign(
 
 
 def is_reached(problem: Problem, known: RunsEstimate, wanted: Mapping[str, float]) -> bool:
-    """Return whether every wanted standard deviation is reached, by a model that explains the counts.
-
-    The model may miss a count by `rounds_tolerated` beyond its width.
-    """
-    if known.unexplained > TUNING.rounds_tolerated:
-        return False
+    """Return whether every wanted standard deviation is reached, by a model that lacks nothing."""
     std = known.std(problem.names)
-    return all(std[name] <= value for name, value in wanted.items())
+    return not known.lacking and all(std[name] <= value for name, value in wanted.items())
 
 
 def simulated_experiment(problem: Problem, truth: Mapping[str, float], rng: np.random.Generator) -> Experiment:
@@ -251,6 +246,13 @@ def simulated_experiment(problem: Problem, truth: Mapping[str, float], rng: np.r
         return DesignedRun(motion.u, y, problem.dt / problem.samples_per_interval)
 
     return run
+
+
+def _advise(finding: Finding) -> str:
+    """Return a finding as text. A term that the model lacks belongs into the configuration of `identify`."""
+    if finding.remedy.startswith(SET):
+        return f"{finding.sentence}, but a design has no such term: run pmfid identify, and {finding.remedy}"
+    return finding.text
 
 
 def _few(starts: int) -> int:

@@ -54,29 +54,14 @@ class DesignTuning:
     slack_of_bound: float = 1e-6
 
     # calibration
-    max_evaluations: int = 200
-    #: Ratio of the root mean squares of residual and motion from which the fit is refused.
-    worst_fit: float = 0.2
-    #: Number of standard deviations on each side that hold 95 % of a normal distribution.
-    calibration_normal: float = 1.96
+    #: Negligible error of a parameter, relative to its value.
+    calibration_negligible: float = 0.01
 
     # encoder_error
     #: Largest stretch of a walker's step (Goodman and Weare 2010).
     encoder_error_longest: float = 2.0
     #: Largest number of moves half the way to the middle, for a start at an impossible place.
     encoder_error_halvings: int = 60
-    #: Largest number of steps towards the middle, and the relative gain at which the search stops.
-    encoder_error_steps: int = 20
-    encoder_error_settled: float = 1e-4
-    #: Distance from the middle along an axis [standard deviations] at which the search for a continuing ridge starts.
-    encoder_error_beyond: float = 4.0
-    #: Factor between two steps along a ridge. After a step that leaves the ridge, the step is halved.
-    encoder_error_longer: float = 1.5
-    most_steps: int = 60
-    #: Longest way back to the middle of the ridge [standard deviations].
-    encoder_error_back: float = 30.0
-    #: Part of the first step below which a step ends the ridge.
-    encoder_error_shortest: float = 1 / 8
     #: Number of machines drawn around the nominal one, and two standard deviations as a part of the nominal values.
     #: The first is for the parameters of the machines. The second bounds the parameters of a machine at rest.
     encoder_error_machines: int = 32
@@ -90,21 +75,6 @@ class DesignTuning:
     encoder_error_walkers: int = 12
     encoder_error_spread: int = 80
     walker_steps: int = 120
-    #: Half a count, and the factor of the unexplained distance by which each half count is widened.
-    encoder_error_half: float = 0.5
-    encoder_error_missing: float = 2.0
-    #: Least room that the right model leaves, in counts times samples. The right model leaves less in one run of a
-    #: hundred.
-    least_room: float = 0.25
-    count_walkers: int = 48
-    #: Of `encoder_error_checked` walkers, one is checked.
-    encoder_error_checked: int = 4
-    #: Largest error of the map [counts].
-    encoder_error_lost: float = 0.05
-    #: Rounds of the walk, each on a map around the middle of the last round, with steps to spread and counted steps.
-    encoder_error_rounds: tuple[tuple[int, int], tuple[int, int], tuple[int, int]] = ((100, 60), (60, 60), (60, 240))
-    #: Quantiles of the interval that holds 95 %.
-    encoder_error_within: tuple[float, float] = (0.025, 0.975)
 
     # fisher
     #: Trace below which an information counts as 0.
@@ -121,10 +91,6 @@ class DesignTuning:
     #: Smallest and largest size of a value of a machine, in SI units.
     problem_least: float = 1e-20
     problem_most: float = 1e20
-
-    # rounds
-    #: Number of counts by which the model may miss before no deviation counts as reached.
-    rounds_tolerated: float = 0.5
 
     # simulated
     #: Change of a parameter as a part of its nominal value, far above rounding and too small to bend the motion.

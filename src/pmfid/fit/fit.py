@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -71,8 +72,12 @@ class Fitted:
         return self.problem.residuals(self.solution.q, self.solution.starts)
 
 
-def fit(problem: FitProblem) -> Fitted:
-    """Fit a machine to a record.
+#: Makes the search for the forces that explain a record.
+MakeSearch = Callable[[FitProblem], FitSearch]
+
+
+def fit(problem: FitProblem, search: MakeSearch = FitSearch) -> Fitted:
+    """Fit a machine to a record. A `search` of its own may begin elsewhere.
 
     A model that explains every count is the end. Otherwise the comparison adds or drops one force at a time, in the
     noise of the residuals, until the counts are explained or no force gains evidence.
@@ -85,21 +90,21 @@ def fit(problem: FitProblem) -> Fitted:
     pushes = any(force.kind in ("spring", "wave") for force in problem.machine.forces)
     whole, lost = None, False
     try:
-        whole = _begin(problem, whole=True)
+        whole = _begin(search(problem), whole=True)
     except NotIdentifiableError as error:
         lost = isinstance(error, LostMotionError)
     pending = pushes and whole is not None and whole[1] is None  # pieces may explain what the whole motion does not
     if not pending and (fitted := _follow(whole)) is not None:
         return fitted
     try:
-        pieces = _begin(problem.cut(PIECES))
+        pieces = _begin(search(problem.cut(PIECES)))
         if pending and pieces[1] is None and (fitted := _follow(whole)) is not None:
             return fitted
         return replace(_finish(*pieces), uncut=problem)
     except NotIdentifiableError:
         if not lost:
             raise
-        return _finish(*_begin(problem))
+        return _finish(*_begin(search(problem)))
 
 
 def _follow(begun: tuple[FitSearch, Intervals | None] | None) -> Fitted | None:
@@ -110,8 +115,7 @@ def _follow(begun: tuple[FitSearch, Intervals | None] | None) -> Fitted | None:
     return None
 
 
-def _begin(problem: FitProblem, whole: bool = False) -> tuple[FitSearch, Intervals | None]:
-    search = FitSearch(problem)
+def _begin(search: FitSearch, whole: bool = False) -> tuple[FitSearch, Intervals | None]:
     return search, begin(search, whole)
 
 
@@ -234,8 +238,10 @@ def _estimate_in_region(search: FitSearch, optimum: Optimum) -> tuple[Floats, Fl
     beyond = max(0.0, float(np.max(np.abs(e))) - 0.5)
     bound = 0.5 + 2 * beyond + 1e-5 + _integration_errors(search.problem, optimum, e)
     e, J, bound = (np.concatenate(pair) for pair in zip((e, J, bound), _bound_rows(search, optimum, wide), strict=True))
-    mean, inner = allowed_region(e, J, bound, wide, np.random.default_rng(1))
     count, p = search.count, optimum.q.size
+    precision = np.append(search.prior(search.problem), np.zeros(len(wide) - p))
+    prior = precision, np.append(optimum.q, np.zeros(len(wide) - p))
+    mean, inner = allowed_region(e, J, bound, wide, np.random.default_rng(1), prior)
     if not np.all(np.diag(inner)[:count] < 100 * np.diag(wide)[:count]):
         return search.problem.theta(optimum.q), wide[:count, :count]
     return search.problem.theta(optimum.q + mean[:p]), inner[:count, :count]

@@ -7,6 +7,8 @@ rounding that is neither white nor independent of the motion.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from pmfid.fit.solve import root_of
@@ -19,12 +21,17 @@ STEPS = 2000
 FAR = 30.0
 
 
+#: Precisions (p,) of a Gaussian prior, and the distance (p,) from its mean.
+Prior = tuple[Floats, Floats]
+
+
 def allowed_region(
-    e: Floats, J: Floats, bound: Floats, covariance: Floats, rng: np.random.Generator
+    e: Floats, J: Floats, bound: Floats, covariance: Floats, rng: np.random.Generator, prior: Prior
 ) -> tuple[Floats, Floats]:
     """Return mean (p,) and covariance (p, p) of the steps d with |e + J d| <= bound, from a `covariance` of their size.
 
-    e, bound: (n,); J: (n, p). The covariance only shapes the directions of the walk.
+    e, bound: (n,); J: (n, p). The covariance only shapes the directions of the walk. The distance of the `prior` is
+    that of no step.
     """
     d, p = np.zeros(J.shape[1]), J.shape[1]
     mean = np.zeros(p)
@@ -34,14 +41,19 @@ def allowed_region(
         reach = np.sqrt(np.sum((J @ root) ** 2, axis=1))
         bound = np.maximum(bound, np.abs(e + J @ d) + 1e-9)
         near = bound - np.abs(e + J @ d) < 8.0 * reach
-        path = _walk(d, (e + J @ d)[near], J[near], bound[near], root @ rng.standard_normal((p, steps)), rng)
+        ways = root @ rng.standard_normal((p, steps))
+        path = _walk(d, (e + J @ d)[near], J[near], bound[near], ways, rng, prior)
         d, kept = path[-1], path[steps // 5 :]
         mean, covariance = np.mean(kept, axis=0), np.atleast_2d(np.cov(kept.T)) + 1e-3 * covariance * (run < 3)
     return mean, covariance
 
 
-def _walk(d: Floats, e: Floats, J: Floats, bound: Floats, ways: Floats, rng: np.random.Generator) -> Floats:
+def _walk(
+    d: Floats, e: Floats, J: Floats, bound: Floats, ways: Floats, rng: np.random.Generator, prior: Prior
+) -> Floats:
     """Return the path (steps, p) from d along the directions `ways` (p, steps)."""
+    precision, distance = prior
+    curvature = precision @ ways**2
     along, path = np.ascontiguousarray((J @ ways).T), np.empty((ways.shape[1], d.size))
     chance = rng.random((ways.shape[1],))
     for k in range(path.shape[0]):
@@ -52,7 +64,24 @@ def _walk(d: Floats, e: Floats, J: Floats, bound: Floats, ways: Floats, rng: np.
         low = float(np.fmax.reduce(middle - reach, initial=-FAR))
         high = float(np.fmin.reduce(middle + reach, initial=FAR))
         if high > low:
-            step = low + chance[k] * (high - low)
+            slope_of_prior = float((precision * (distance + d)) @ ways[:, k])
+            step = _draw(low, high, slope_of_prior, float(curvature[k]), float(chance[k]))
             e, d = e + step * slope, d + step * ways[:, k]
         path[k] = d
     return path
+
+
+def _draw(low: float, high: float, slope: float, curvature: float, chance: float) -> float:
+    """Return the place of a step between `low` and `high` with a share `chance` of the probability below it. Minus the
+    log density has a slope and a curvature at 0."""
+    from scipy.special import log_ndtr, ndtri_exp
+
+    size = math.sqrt(curvature)
+    if (size * (high - low)) ** 2 < np.finfo(float).eps:  # flat up to rounding
+        return low + chance * (high - low)
+    middle = -slope / curvature
+    if middle < (low + high) / 2:  # the lower tail keeps its digits
+        return -_draw(-high, -low, -slope, curvature, 1 - chance)
+    below, above = float(log_ndtr(size * (low - middle))), float(log_ndtr(size * (high - middle)))
+    place = float(ndtri_exp(np.logaddexp(below + math.log1p(-chance), above + math.log(max(chance, 1e-300)))))
+    return min(max(middle + place / size, low), high)

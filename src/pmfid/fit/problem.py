@@ -36,6 +36,7 @@ class ObservedStretch:
     `first` is the index of the first sample in the record. `line` (k,) is the number of the encoder's line of each
     edge, or -1; a stretch without it has counts only. `acts` (p,) is 0 for parameters of the machine that belong to
     another log, and 1 for all others. The start position is relative to `origin` [unit], or to the first observation.
+    `speed` is the start velocity [unit/s] if it is known.
     """
 
     drive: Excitation
@@ -47,6 +48,7 @@ class ObservedStretch:
     line: NDArray[np.intp] | None = None
     acts: Floats | None = None
     origin: float | None = None
+    speed: float | None = None
 
     @property
     def base(self) -> float:
@@ -369,6 +371,8 @@ class FitProblem:
         at = body.copy()
         at[list(self.machine.starts)] = state * self.resolution * np.resize([1.0, scale], state.size)
         at[self.machine.starts[0]] += stretch.base
+        if stretch.speed is not None:
+            at[self.machine.starts[1]] = stretch.speed
         return at
 
     def _block(
@@ -389,6 +393,7 @@ class FitProblem:
         m = self.machine
         by_start = np.zeros((at.size, state.size))
         by_start[list(m.starts), range(state.size)] = np.resize([1.0, scale], state.size)
+        by_start[m.starts[1]] *= stretch.speed is None
         lift = np.hstack([lift / self.resolution, by_start])
         y, v, S = simulate(stretch.drive, forces, at, self.parts, lift, m.elastic, m.load)
         if not (np.isfinite(S.sum()) and np.isfinite(v.sum())):

@@ -125,11 +125,7 @@ class FitSearch:
 
     def __init__(self, problem: FitProblem) -> None:
         machine = problem.machine
-        start, solution = (
-            (play_start if machine.plays else elastic_start)(problem)
-            if machine.elastic
-            else blind_start(problem.stretches, problem.resolution, machine.turn)
-        )
+        start, solution = self.find_start(problem)
         self.sizes = sizes_of(problem, start, solution)
         self.columns = problem.stretches[0].drive.columns.shape[0]  # without those of the table
         self.plain, self.table = with_columns(problem, candidates_of(problem.machine, self.sizes))
@@ -144,6 +140,17 @@ class FitSearch:
         self.chosen: list[int] = []
         self.restart(self.chosen)
 
+    def find_start(self, problem: FitProblem) -> tuple[FitProblem, Optimum]:
+        """Return the first fit of a record, to its liveliest stretch."""
+        machine = problem.machine
+        if machine.elastic:
+            return (play_start if machine.plays else elastic_start)(problem)
+        return blind_start(problem.stretches, problem.resolution, machine.turn)
+
+    def first_theta(self, share: float) -> Floats:
+        """Return the machine's parameters (p,) at the first fit. `share` is that of `first_theta`."""
+        return first_theta(self.plain.machine, self.first, self.sizes, share)
+
     @property
     def count(self) -> int:
         """Number of the machine's parameters, which stand before the candidates."""
@@ -152,10 +159,9 @@ class FitSearch:
     def restart(self, chosen: Sequence[int], share: float = SPEEDS[0]) -> None:
         """Return to the blind start, with a set of candidates that may have the load of the start. `share` is that of
         `first_theta`."""
-        theta = first_theta(self.plain.machine, self.first, self.sizes, share)
         self.chosen = list(chosen)
         self.problem = self._chosen_problem()
-        self.q = self.problem.start(theta)
+        self.q = self.problem.start(self.first_theta(share))
         self.starts = self.begin
         for k, candidate in self.problem.place_candidates():
             self.q[k] = self._first_size(candidate)
@@ -289,7 +295,7 @@ class FitSearch:
     @property
     def explains(self) -> bool:
         """Whether a motion that explains every count ends the search."""
-        return True
+        return any(bool(np.any(one.counted)) for one in self.plain.stretches)
 
     def explain(self, tries: int = TRIES) -> Intervals | None:
         """Return the likelihood of the intervals if a motion explains every count."""

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pmfid.design.appraisal import Appraisal, accumulate_value
-from pmfid.design.encoder_error import is_counted
 from pmfid.design.fisher import CRITERIA
 from pmfid.design.problem import Design, Problem
 from pmfid.design.rounds import Commissioning
@@ -152,7 +151,7 @@ def rounds_page(state: Commissioning) -> ResultPage:
     remarks = []
     if state.wanted and state.rounds:
         remarks.append(f"{'every wanted deviation is' if state.reached else 'a wanted deviation is not yet'} reached")
-    remarks += [f"doubt: {text}" for text in state.doubts]
+    remarks += [f"doubt: {text}" for text in state.doubts] + [f"note: {text}" for text in state.notes]
     if state.choice is not None:
         stds = state.choice.std.items()
         expected = ", ".join(
@@ -269,17 +268,14 @@ _STD_TEXT = (
 def rounds_table(state: Commissioning) -> Rows:
     """Return a row for each round, with parameters, standard deviations, travelled distance, and misfit.
 
-    The misfit is the number of missed counts, or the inflation for normal noise.
+    The misfit is the root mean square of the residual, over that of rounding or noise.
     """
-    counted = is_counted(state.problem)
-    last = "misfit [counts]" if counted else "inflation"
-    header = ["round", *(_words(name) for name in state.problem.names), "travel [m]", last]
+    header = ["round", *(_words(name) for name in state.problem.names), "travel [m]", "misfit"]
     rows = []
     for number, each in enumerate(state.rounds, 1):
         std = each.known.std(state.problem.names)
         cells = [_with_std(each.known.parameters[name], std[name]) for name in state.problem.names]
-        left = each.known.unexplained if counted else each.known.inflation
-        rows.append([str(number), *cells, f"{each.run.y[-1] - each.run.y[0]:.4f}", f"{left:.2f}"])
+        rows.append([str(number), *cells, f"{each.run.y[-1] - each.run.y[0]:.4f}", f"{each.known.misfit:.2f}"])
     return header, rows
 
 
