@@ -21,7 +21,7 @@ from studies.service.page_faults import many_browsers, stopped, stuck_browser
 HEAD = """# A service when something else fails
 
 Each fault was played for real: `pmfid serve` with simulated carts at 100 samples a second through Mosquitto, on one
-computer. *The page says* are the notices of `/api/stream` since the fault, in the words of the log, without what the
+computer. *The page says* are the notices of `/api/news` since the fault, in the words of the log, without what the
 motion itself does to the watch (watching, standstill); */metrics* are the totals that grew and the levels that changed,
 without `pmfid_`. The verdict is computed: what must hold, and whether it does. "To the last bit" compares all rows that
 the page has with what `pmfid monitor` says of the samples that were sent. Made by `make service-faults`.

@@ -109,17 +109,11 @@ class Hall:
         return self.served.total(name, metrics)
 
     def notices(self) -> list[Report]:
-        """Return the new notices of the page's stream."""
-        with self.open_stream() as answer:
-            first = json.loads(answer.readline())
-        fresh = [one for one in first["notices"] if one["number"] not in self._seen]
+        """Return the new notices of the page."""
+        news = json.loads(self.served.get("/api/news"))
+        fresh = [one for one in news["notices"] if one["number"] not in self._seen]
         self._seen |= {one["number"] for one in fresh}
         return fresh
-
-    def open_stream(self, query: str = "") -> Any:
-        address = f"http://127.0.0.1:{self.served.port}/api/stream{query}"
-        request = urllib.request.Request(address, headers={"Authorization": f"Bearer {self.served.token}"})
-        return urllib.request.urlopen(request, timeout=30)
 
     def post(self, path: str) -> None:
         """Send a write action to the page."""
@@ -129,7 +123,7 @@ class Hall:
 
     def rows(self, axis: str) -> tuple[NDArray[np.int64], Floats]:
         """Return the page's numbers (m,) and theta (m, p) of an axis."""
-        history = json.loads(self.served.get(f"/api/axis/{axis}/history"))
+        history = json.loads(self.served.get(f"/api/news?axis={axis}"))["rows"]
         theta = np.column_stack([_unpacked(column) for column in history["theta"]])
         return _unpacked(history["number"]).astype(np.int64), theta
 

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -65,7 +66,7 @@ def _no_later(share: Share, alone: Share) -> tuple[str, bool]:
 
 
 def stuck_browser(there: Hall) -> Finding:
-    """Test a browser that requests the stream of an axis, reads nothing, and stays."""
+    """Test a browser that requests the rows of an axis, reads nothing, and stays."""
     before, since = there.served.metrics(), there.at
     there.notices()
     with shared(there) as share:
@@ -75,7 +76,7 @@ def stuck_browser(there: Hall) -> Finding:
         line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
         line.connect(("127.0.0.1", there.served.port))
         host = f"127.0.0.1:{there.served.port}"
-        request = f"GET /api/stream?axis={name_of(0)} HTTP/1.1\r\nHost: {host}\r\n"
+        request = f"GET /api/news?axis={name_of(0)} HTTP/1.1\r\nHost: {host}\r\n"
         line.sendall(f"{request}Authorization: Bearer {there.served.token}\r\n\r\n".encode())
         with shared(there) as share:
             there.play(150.0)
@@ -91,38 +92,42 @@ def stuck_browser(there: Hall) -> Finding:
 
 @dataclass
 class Looking:
-    """Browsers that read; `lines` counts the received lines by browser."""
+    """Browsers that ask for news, as the page does; `answers` counts the answers by browser."""
 
     there: Hall
-    lines: list[int] = field(default_factory=list)
+    answers: list[int] = field(default_factory=list)
+    ended: threading.Event = field(default_factory=threading.Event)
 
-    def look(self, k: int, answer: object) -> None:
-        while answer.readline():  # type: ignore[attr-defined]
-            self.lines[k] += 1
+    def look(self, k: int) -> None:
+        query, pause = (f"axis={name_of(k % self.there.axes)}", 0.25) if k % 2 else ("", 0.5)
+        version = 0
+        while not self.ended.wait(pause):
+            version = json.loads(self.there.served.get(f"/api/news?since={version}&{query}"))["version"]
+            self.answers[k] += 1
 
 
 def many_browsers(there: Hall) -> Finding:
-    """Test BROWSERS streams, half of all axes and half of one axis."""
+    """Test BROWSERS browsers, half of them at all axes and half at one axis."""
     before, since, looking = there.served.metrics(), there.at, Looking(there)
     there.notices()
     with shared(there) as share:
         there.play(LOOKING, speed=1.0)
         alone = share()
-    with ExitStack() as streams:
-        for k in range(BROWSERS):
-            answer = streams.enter_context(there.open_stream(f"?axis={name_of(k % there.axes)}" if k % 2 else ""))
-            looking.lines.append(0)
-            threading.Thread(target=_quietly, args=(looking.look, k, answer), daemon=True).start()
-        with shared(there) as share:
-            there.play(LOOKING, speed=1.0)
-            with_them = share()
-        lines = list(looking.lines)
+    looking.answers = [0] * BROWSERS
+    browsers = [threading.Thread(target=_quietly, args=(looking.look, k), daemon=True) for k in range(BROWSERS)]
+    for browser in browsers:
+        browser.start()
+    with shared(there) as share:
+        there.play(LOOKING, speed=1.0)
+        with_them = share()
+    looking.ended.set()
+    answers = list(looking.answers)
     after, reported = there.through(), there.notices()
     refused = there.total("pmfid_page_refused_total", after) - there.total("pmfid_page_refused_total", before)
     claims = [
         others_unchanged(there, since),
         without_alarm(reported),
-        (f"each got {min(lines)} to {max(lines)} lines in {LOOKING:g} s", min(lines) > LOOKING),
+        (f"each got {min(answers)} to {max(answers)} answers in {LOOKING:g} s", min(answers) > LOOKING),
         (f"{refused:g} were refused", refused == 0),
         (f"the service took {with_them.cores:.2f} cores, {alone.cores:.2f} alone", with_them.cores < 1),
         _no_later(with_them, alone),
@@ -133,7 +138,7 @@ def many_browsers(there: Hall) -> Finding:
 
 
 def _quietly(action: Callable[..., None], *given: object) -> None:
-    """Run an action; a stream that ends during a read is no error here."""
+    """Run an action; an answer that ends during a read is no error here."""
     try:
         action(*given)
     except (OSError, ValueError, AttributeError):

@@ -73,7 +73,7 @@ class FakePlant:
     def __post_init__(self) -> None:
         self.counters = Counters()
         self.groups = kindreds(self.axes)
-        self.board = Board(self.groups, self.counters, every=self.every)
+        self.board = Board(self.groups, every=self.every)
         self._rng = np.random.default_rng(self.seed)
         self._number = 0
         self.samples = 0

@@ -60,19 +60,6 @@ class Served:
         body = json.dumps(content).encode()
         return self.ask(path, method="POST", token=token, body=body, content_type="application/json")[0]
 
-    @contextmanager
-    def stream(self, path: str) -> Iterator[Iterator[dict[str, Any]]]:
-        """Yield the lines of a stream as they arrive."""
-        connection = http.client.HTTPConnection(*self.address, timeout=PATIENCE)
-        try:
-            connection.request("GET", path, headers={"authorization": f"Bearer {self.token}"})
-            answer = connection.getresponse()
-            assert answer.status == 200
-            yield (json.loads(line) for line in answer)
-            answer.close()
-        finally:
-            connection.close()
-
     def raw(self, request: bytes) -> bytes:
         """Return the answer to these bytes, up to the end of the connection or a second of silence."""
         with socket.create_connection(self.address, timeout=PATIENCE) as line:

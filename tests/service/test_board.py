@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pmfid.service.web.board import Board, row_bytes
-from pmfid.stream.outcome import Counters, EstimateRows, Kindred, Notice
+from pmfid.stream.outcome import EstimateRows, Kindred, Notice
 
 
 def kindred(*axes: str, names: tuple[str, ...] = ("mass", "friction")) -> Kindred:
@@ -26,7 +26,7 @@ def rows_of(
 
 
 def board_of(*groups: Kindred, **options: float) -> Board:
-    return Board(groups, Counters(), **options)
+    return Board(groups, **options)
 
 
 def test_news_tell_each_change_once() -> None:

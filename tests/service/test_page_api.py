@@ -9,9 +9,11 @@ import numpy as np
 import pytest
 
 from pmfid.monitor.events import STATES
-from pmfid.service.web.board import Records
+from pmfid.service.web import board as board_module
+from pmfid.service.web.board import Panel, Records
 from tests.service.fake_engine import DT, FakePlant, troubled
-from tests.service.loopback import Served, served, until
+from tests.service.loopback import Served, served
+from tests.tuned import set_tuning
 
 
 @pytest.fixture(scope="module")
@@ -34,39 +36,51 @@ def test_the_plant_is_described(page: Served) -> None:
     assert {"bit", "name", "advice"} == set(plant["status"][0])
 
 
-def test_an_overview_begins_with_everything_and_goes_on_with_changes(page: Served) -> None:
-    with page.stream("/api/stream") as lines:
-        first = next(lines)
-        assert first["first"]
-        assert [alarm["axis"] for alarm in first["alarms"]] == ["gantry-x2", "gantry-z"]
-        assert first["alarms"][1]["note"].startswith("Seal was changed")
-        number = page.plant.tell("gripper", event="gap", missing=3)
-        second = next(line for line in lines if line["notices"])
-        assert not second["first"]
-        assert [notice["number"] for notice in second["notices"]] == [number]
-        assert second["alarms"] == []
+def test_news_begin_with_everything_and_go_on_with_changes(page: Served) -> None:
+    first = page.json("/api/news")
+    assert first["first"]
+    assert [alarm["axis"] for alarm in first["alarms"]] == ["gantry-x2", "gantry-z"]
+    assert first["alarms"][1]["note"].startswith("Seal was changed")
+    number = page.plant.tell("gripper", event="gap", missing=3)
+    second = page.json(f"/api/news?since={first['version']}")
+    assert not second["first"]
+    assert [notice["number"] for notice in second["notices"]] == [number]
+    assert (second["alarms"], second["groups"]) == ([], [])
     axis, deviation = (unpacked(first["groups"][0][name]) for name in ("axis", "deviation"))
     assert axis.tolist() == list(range(6))
     news = page.plant.board.news().groups[0]
     assert deviation.tolist() == news.deviation.astype("f4").tolist()
 
 
-def test_one_axis_is_streamed_bit_by_bit(page: Served) -> None:
+def test_every_row_of_an_axis_that_a_browser_looks_at_arrives_bit_by_bit(
+    page: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
     board = page.plant.board
-    with page.stream("/api/stream?axis=gantry-y") as lines:
-        assert next(lines)["groups"] == []
-        assert until(lambda: board.list_followed() == {"gantry-y"})
-        mine = list[Records]()
-        put = page.page._api.hub._feeds["gantry-y"].put
-        board.follow("gantry-y", lambda rows: mine.append(rows) or put(rows))  # type: ignore[func-returns-value]
-        page.plant.run(2.0)
-        found: list[bytes] = []
-        while sum(map(len, found)) < 8 * round(2.0 / DT):
-            message = next(lines)
-            if message["kind"] == "rows":
-                found.append(unpacked(message["theta"][0]).tobytes())
+
+    def ask(after: float) -> tuple[np.ndarray, np.ndarray]:
+        answer = page.json(f"/api/news?axis=gantry-y&after={after:.0f}")
+        assert answer["groups"] == []
+        return unpacked(answer["rows"]["number"]), unpacked(answer["rows"]["theta"][0])
+
+    kept = board.history("gantry-y")
+    number, theta = ask(-1)
+    assert kept is not None
+    assert (number.tolist(), theta.tobytes()) == (kept["number"].tolist(), kept["theta"][:, 0].tobytes())
+    assert board.list_followed() == {"gantry-y"}
+    made = list[Records]()
+    records = Panel.records
+    monkeypatch.setattr(Panel, "records", lambda panel, rows: made.append(records(panel, rows)) or made[-1])  # type: ignore[func-returns-value]
+    start, found = float(number[-1]), list[bytes]()
+    for _ in range(2):
+        page.plant.run(1.0)
+        number, theta = ask(number[-1])
+        found.append(theta.tobytes())
+    mine = [rows for rows in made if rows.size == round(1.0 / DT)]
     assert b"".join(found) == np.concatenate(mine)["theta"][:, 0].tobytes()
-    assert until(lambda: board.list_followed() == frozenset()), "who left costs nothing"
+    assert number[-1] - start == round(2.0 / DT)
+    set_tuning(monkeypatch, board_module, board_looking=0.0)
+    assert board.list_followed() == frozenset(), "who left costs nothing"
+    assert page.json("/api/news?axis=nobody")["rows"] is None
 
 
 def test_metrics_and_health(page: Served, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -120,6 +134,10 @@ def test_what_is_no_acknowledgement(page: Served, number: str, body: bytes, kind
         *(
             (f"/api/trends?{query}", "GET", 404)
             for query in ("group=9&axes=1", "axes=99", "axes=-1", "group=-1&axes=1", "axes=x", "axes=", "axes=9e9")
+        ),
+        *(
+            (f"/api/news?{query}", "GET", 400)
+            for query in ("since=x", "axis=gantry-y&after=", "axis=gantry-y&after=1.5")
         ),
         ("/api/plant", "DELETE", 405),
         ("/api/plant", "POST", 405),

@@ -81,8 +81,8 @@ def test_hosts_origins_and_tokens(page: Served, path: str, headers: dict[str, st
 
 CLOSED = [
     "/api/plant",
-    "/api/stream",
-    "/api/axis/gantry-y/history",
+    "/api/news",
+    "/api/news?axis=gantry-y",
     "/api/trends?group=0&axes=1",
     "/metrics",
     "/api/none",
@@ -153,20 +153,13 @@ def test_a_body_without_a_length_is_counted_while_it_comes(page: Served) -> None
     assert sent < 16e6
 
 
-def test_a_browser_that_stops_reading_keeps_a_bounded_part_of_the_rows() -> None:
-    with served(FakePlant(2)) as page, socket.socket() as line:
-        line.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        line.connect(page.address)
-        line.sendall(_head(page, "/api/stream?axis=gantry-x1").replace(b"POST", b"GET"))
-        assert until(lambda: page.page._api.hub._feeds)
+def test_a_browser_that_looks_at_an_axis_keeps_a_bounded_part_of_its_rows() -> None:
+    with served(FakePlant(2)) as page:
+        assert page.ask("/api/news?axis=gantry-x1")[0] == 200
         for _ in range(100):
             page.plant.run(10.0)
-        feed = page.page._api.hub._feeds["gantry-x1"]
-        assert len(feed.pieces) <= TUNING.hub_pieces
-        assert page.ask("/api/plant")[0] == 200
-        line.close()
-        assert until(lambda: page.plant.run(1.0) or not page.page._api.hub._feeds), "nothing of it is left"
-    assert page.plant.board.list_followed() == frozenset()
+        (followed,) = page.plant.board._followed.values()
+        assert sum(piece.size for piece in followed.pieces) <= TUNING.board_waiting
 
 
 # --- paths and reflected text -----------------------------------------------------------------------------------------
@@ -185,7 +178,7 @@ OUT = [
     "/static/style.css",
     "/vendor",
     "/api/axis/../../../etc/passwd/reference.csv",
-    "/api/axis/%2fetc%2fpasswd/history",
+    "/api/axis/%2fetc%2fpasswd/reference.csv",
 ]
 
 
@@ -197,7 +190,7 @@ def test_no_path_leads_out(page: Served, path: str) -> None:
     assert b"root:" not in body
 
 
-@pytest.mark.parametrize("path", [f"/{SCRIPT}", f"/api/axis/{SCRIPT}/history", f"/api/stream?axis={SCRIPT}"])
+@pytest.mark.parametrize("path", [f"/{SCRIPT}", f"/api/axis/{SCRIPT}/reference.csv", f"/api/trends?axes={SCRIPT}"])
 def test_nothing_that_was_sent_comes_back(page: Served, path: str) -> None:
     answer = page.raw(
         f"GET {path} HTTP/1.1\r\nHost: {page.host}\r\nAuthorization: Bearer {page.token}\r\n"
@@ -251,7 +244,7 @@ def test_another_address_asks_for_two_decisions() -> None:
 def test_a_page_for_others_says_so_and_shows_no_token(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("PAGE_TOKEN", "a-token-of-our-own-0123456789")
     config = PageConfig(address="0.0.0.0", port=0, token="env:PAGE_TOKEN", hosts=("hall.example:8127",))
-    page = serve(config, "hall-3", Board([], Counters()), Counters(), FakePlant(1), folder=tmp_path)
+    page = serve(config, "hall-3", Board([]), Counters(), FakePlant(1), folder=tmp_path)
     page.stop()
     page.stop()
     assert page.start_url == "http://hall.example:8127/"
@@ -271,7 +264,7 @@ def test_what_cannot_be_served_is_reported(page: Served, tmp_path: Path, monkeyp
         ("cannot be read", lambda: load_token(PageConfig(token="file:none"), tmp_path)),
         (
             "choose another port",
-            lambda: serve(taken, "hall-3", Board([], Counters()), Counters(), FakePlant(1), folder=tmp_path),
+            lambda: serve(taken, "hall-3", Board([]), Counters(), FakePlant(1), folder=tmp_path),
         ),
     )
     monkeypatch.setitem(sys.modules, "uvicorn", None)

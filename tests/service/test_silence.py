@@ -147,7 +147,7 @@ def test_a_restart_neither_repeats_nor_forgets_an_alarm(watched: Watched) -> Non
     assert watched.taken() == []
     assert watched.level("pmfid_axes_silent", group="axis.toml") == 2
     assert watched.level("pmfid_source_silent", source="lab") == watched.level("pmfid_sink_silent", sink="db") == 1
-    board = Board([], Counters())
+    board = Board([])
     for one in watched.engine.notices.replay_alarms(watched.engine.notices.alarms.all()):
         board.notice(one)
     assert [alarm.cleared for alarm in board.news().alarms] == [None] * 4, "the page shows them as open"

@@ -124,7 +124,7 @@ class Service:
 
     def _prepare(self, plant: Plant) -> None:
         """Do all steps that can fail before a thread runs."""
-        self._board = Board([], self.counters, every=max(plant.service.every, 0.1))
+        self._board = Board([], every=max(plant.service.every, 0.1))
         self._log = Queued(self.log, self.counters, lambda notice: None)
         self._log.start()
         self._outlets: list[Outlet] = [self._board, self._log]

@@ -14,9 +14,11 @@ class ServiceTuning:
     arrangement_progress: float = 10.0
 
     # board.board
-    #: Number of kept notices, and number of rows that wait for a viewer.
+    #: Number of kept notices, and of rows of an axis that a browser looks at.
     board_notices: int = 2000
     board_waiting: int = 50_000
+    #: Time after its last request for which a browser still looks at an axis [s].
+    board_looking: float = 5.0
 
     # board.panel
     #: Number of points in a trend, and shortest and longest interval of a point [s], which makes a trend of a day.
@@ -86,21 +88,9 @@ class ServiceTuning:
     #: Number of trends in one request, and number of characters in a note.
     api_trends: int = 200
     api_note: int = 500
-    #: Largest number of displayed rows of a reference record.
+    #: Largest number of displayed rows of a reference record, and of notices in one answer.
     api_rows: int = 50_000
-
-    # web.hub
-    #: Time between two tests of the board [s], and numbers of tests between two overviews, of few and of many axes.
-    hub_tick: float = 0.25
-    hub_overview: int = 2
-    overview_of_many: int = 4
-    hub_many: int = 2000
-    #: Number of pieces of an axis that wait for slow browsers, which are 15 s.
-    hub_pieces: int = 60
-    #: Largest number of notices in a line.
-    hub_notices: int = 300
-    #: Number of different changes that are kept as written lines. Browsers are only a few ticks apart.
-    hub_written: int = 8
+    api_notices: int = 300
 
     # web.security
     #: Least number of characters of a configured token.

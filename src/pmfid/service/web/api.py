@@ -1,22 +1,19 @@
-"""The page's interface, and the streams of the browsers, packed once for all browsers."""
+"""The page's interface. Browsers ask for the changes since their last request."""
 
 from __future__ import annotations
 
-import asyncio
 import io
 import time
 from base64 import b64encode
-from collections import deque
-from collections.abc import AsyncIterator, Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from threading import Lock
 
 import numpy as np
 from numpy.typing import NDArray
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
-from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
 from pmfid.errors import UsageError
@@ -24,7 +21,7 @@ from pmfid.monitor.events import STATES
 from pmfid.records.record import Record
 from pmfid.service.sinks.plain import as_json
 from pmfid.service.tuning import TUNING
-from pmfid.service.web.board import Board, News, Overview, Records
+from pmfid.service.web.board import Board, Overview, Records
 from pmfid.service.web.security import json_body
 from pmfid.status import ADVICE, Status
 from pmfid.stream.engine import StreamEngine
@@ -59,157 +56,6 @@ def pack_overview(group: int, overview: Overview, start: float) -> dict[str, obj
     return {"group": group, "received": pack_array(np.round(10 * (overview.received - start)), "i4"), **packed}
 
 
-def json_line(content: Mapping[str, object]) -> bytes:
-    """Return one line of NDJSON. Numbers that JSON does not have become null."""
-    return as_json(content).encode() + b"\n"
-
-
-@dataclass
-class Feed:
-    """Every row of one axis for all its viewers.
-
-    `rows` is the number of rows so far. `dropped` is the number of rows that the page took too late. `pieces` has
-    lines, each with the number of earlier rows.
-    """
-
-    viewers: int = 0
-    rows: int = 0
-    dropped: int = 0
-    pieces: deque[tuple[int, bytes]] = field(default_factory=lambda: deque(maxlen=TUNING.hub_pieces))
-    _waiting: deque[Records] = field(default_factory=deque, init=False)
-    _lock: Lock = field(default_factory=Lock, init=False)
-
-    def put(self, rows: Records) -> int:
-        """Take rows in the engine's thread, and return the number of older rows that are dropped for them."""
-        with self._lock:
-            self._waiting.append(rows)
-            before, excess = self.dropped, sum(piece.size for piece in self._waiting) - TUNING.board_waiting
-            while self.dropped - before < excess and len(self._waiting) > 1:
-                self.dropped += self._waiting.popleft().size
-            return self.dropped - before
-
-    def take(self) -> None:
-        """Write the rows since the last call, in the page's thread."""
-        with self._lock:  # only for the swap, so that no browser delays the engine
-            pieces, self._waiting = self._waiting, deque()
-        if pieces:  # a changed configuration may have other parameters, so earlier rows are dropped
-            rows = np.concatenate([piece for piece in pieces if piece.dtype == pieces[-1].dtype])
-            self.pieces.append((self.rows, json_line({"kind": "rows", "dropped": self.dropped, **pack_rows(rows)})))
-            self.rows += rows.size
-
-    def get_lines_after(self, seen: int) -> tuple[int, list[bytes]]:
-        """Return the number of missed rows, and the lines of the other rows, after the first `seen` rows."""
-        waiting = [(before, line) for before, line in self.pieces if before >= seen]
-        missed = waiting[0][0] - seen if waiting else 0
-        return missed, [line for _, line in waiting]
-
-
-class Hub:
-    """The hub of all streams, one for the page, in the page's event loop.
-
-    The times of the page count from `start` by `time.monotonic()`.
-    """
-
-    def __init__(self, board: Board, counters: Counters) -> None:
-        self._board, self._counters = board, counters
-        self.start = time.monotonic()
-        self._feeds: dict[str, Feed] = {}
-        self._written: dict[tuple[int, int, bool], tuple[int, bytes]] = {}
-        self._tick = asyncio.Condition()
-        self._ticks = 0
-        self.ended = False
-
-    async def run(self) -> None:
-        while True:
-            await asyncio.sleep(TUNING.hub_tick)
-            async with self._tick:
-                self._ticks += 1
-                for feed in self._feeds.values():
-                    feed.take()
-                self._tick.notify_all()
-
-    async def stop(self) -> None:
-        """End all streams."""
-        async with self._tick:
-            self.ended = True
-            self._tick.notify_all()
-
-    async def _wait(self, ticks: int) -> bool:
-        """Wait for a number of ticks. Returns False at the end."""
-        until = self._ticks + ticks
-        async with self._tick:
-            await self._tick.wait_for(lambda: self.ended or self._ticks >= until)
-        return not self.ended
-
-    def _changes(self, since: int, groups: bool) -> tuple[int, bytes]:
-        """Return a version and a line with the changes. All browsers that ask in one tick share the line."""
-        key = since, self._ticks, groups
-        if key not in self._written:
-            while len(self._written) >= TUNING.hub_written:
-                del self._written[next(iter(self._written))]
-            news = self._board.news(since, groups)
-            self._written[key] = news.version, json_line(self._content(news, since == 0))
-        return self._written[key]
-
-    def _content(self, news: News, first: bool) -> dict[str, object]:
-        changed = [(i, group) for i, group in enumerate(news.groups) if group.axis.size]
-        counters = self._counters.values()
-        return {
-            "kind": "news",
-            "first": first,
-            "layout": news.layout,
-            "now": round(10 * (time.monotonic() - self.start)),
-            "groups": [pack_overview(i, group, self.start) for i, group in changed],
-            "notices": [
-                {"axis": n.axis, "number": n.number, "wall": n.wall, **n.what}
-                for n in news.notices[-TUNING.hub_notices :]
-            ],
-            "alarms": [alarm.to_dict() for alarm in news.alarms],
-            "counters": [[name, dict(labels), value] for (name, labels), value in counters.items()],
-        }
-
-    async def overview(self) -> AsyncIterator[bytes]:
-        """Yield the lines of the stream of all axes.
-
-        A line comes at every turn, so silence means that the service has ended.
-        """
-        many = sum(len(group.axes) for group in self._board.groups) > TUNING.hub_many
-        version = 0
-        while True:
-            version, line = self._changes(version, True)
-            yield line
-            if not await self._wait(TUNING.overview_of_many if many else TUNING.hub_overview):
-                return
-
-    async def axis(self, name: str) -> AsyncIterator[bytes]:
-        """Yield the lines for one axis, with every row of the axis and all notices."""
-        if name not in self._feeds:
-            self._feeds[name] = Feed()
-            self._board.follow(name, self._feeds[name].put)
-        feed = self._feeds[name]
-        feed.viewers += 1
-        try:
-            seen, version, turn = feed.rows, 0, 0
-            while True:
-                if turn % TUNING.hub_overview == 0:
-                    version, line = self._changes(version, False)
-                    yield line
-                (missed, lines), seen = feed.get_lines_after(seen), feed.rows
-                if missed:
-                    self._counters.add("pmfid_page_rows_missed_total", missed)
-                    yield json_line({"kind": "missed", "rows": missed})
-                for line in lines:
-                    yield line
-                turn += 1
-                if not await self._wait(1):
-                    return
-        finally:
-            feed.viewers -= 1
-            if not feed.viewers:
-                self._board.leave(name)
-                del self._feeds[name]
-
-
 NO_AXIS = "no axis has this name; PLANT.toml may have changed"
 
 
@@ -217,17 +63,18 @@ NO_AXIS = "no axis has this name; PLANT.toml may have changed"
 class Api:
     """The interface of the page.
 
-    `name` is the name of the service. The other fields are arguments of `server.serve`.
+    `name` is the name of the service. The times of the page count from `start` by `time.monotonic()`. The other fields
+    are arguments of `server.serve`.
     """
 
     name: str
     board: Board
     counters: Counters
-    hub: Hub
     engine: StreamEngine
     reference: Callable[[str], Record | None]
     metrics: Callable[[], str] | None
     alive: Callable[[], bool]
+    start: float = field(default_factory=time.monotonic, init=False)
 
     def routes(self) -> list[Route]:
         """Return the routes. Names of axes may contain any characters, even slashes, because they are never opened
@@ -235,9 +82,8 @@ class Api:
         """
         return [
             Route("/api/plant", self.plant),
-            Route("/api/stream", self.stream),
+            Route("/api/news", self.news),
             Route("/api/trends", self.trends),
-            Route("/api/axis/{axis:path}/history", self.history),
             Route("/api/axis/{axis:path}/reference.csv", self.reference_csv),
             Route("/api/axis/{axis:path}/reference", self.refer, methods=["POST"]),
             Route("/api/axis/{axis:path}/anew", self.restart_numbers, methods=["POST"]),
@@ -257,15 +103,44 @@ class Api:
             "groups": [{**vars(group), "nominal": group.nominal.tolist()} for group in self.board.groups],
             "referred": self.board.list_referred(),
         }
-        return Response(json_line(content), media_type="application/json")
+        return _answer(content)
 
-    async def stream(self, request: Request) -> Response:
+    async def news(self, request: Request) -> Response:
+        """Answer `?since=5` with the changes since the version 5 of the board, and 0 with everything.
+
+        With `&axis=NAME&after=800`, the answer has the rows of this axis after its sample 800 in place of the groups,
+        or null for an axis that a reload has removed.
+        """
         axis = request.query_params.get("axis")
-        if axis is not None:
-            self._find_axis(axis)
-        if request.method == "HEAD":
-            return Response(media_type=LineResponse.media_type)
-        return LineResponse(self.hub.overview() if axis is None else self.hub.axis(axis))
+        try:
+            since, after = (
+                int(request.query_params.get(key, start)) for key, start in (("since", "0"), ("after", "-1"))
+            )
+            content = await run_in_threadpool(self._news, max(since, 0), axis)
+            if axis is not None:
+                content["rows"] = await run_in_threadpool(self._rows, axis, after)
+        except (ValueError, OverflowError):
+            raise HTTPException(400, "since and after must be whole numbers") from None
+        return _answer(content)
+
+    def _news(self, since: int, axis: str | None) -> dict[str, object]:
+        news = self.board.news(since, axis is None)
+        changed = [(i, group) for i, group in enumerate(news.groups) if group.axis.size]
+        notices = news.notices[-TUNING.api_notices :]
+        return {
+            "version": news.version,
+            "first": since == 0,
+            "layout": news.layout,
+            "now": round(10 * (time.monotonic() - self.start)),
+            "groups": [pack_overview(i, group, self.start) for i, group in changed],
+            "notices": [{"axis": n.axis, "number": n.number, "wall": n.wall, **n.what} for n in notices],
+            "alarms": [alarm.to_dict() for alarm in news.alarms],
+            "counters": [[name, dict(labels), value] for (name, labels), value in self.counters.values().items()],
+        }
+
+    def _rows(self, axis: str, after: int) -> dict[str, object] | None:
+        found = self.board.follow(axis, after)
+        return found and pack_rows(found[0]) | {"received": 10 * (found[1] - self.start)}
 
     async def trends(self, request: Request) -> Response:
         """Answer `?group=0&axes=3,17` with the trends of these axes, in this order."""
@@ -278,20 +153,13 @@ class Api:
         except (ValueError, IndexError, OverflowError):
             raise HTTPException(404, "no axis has this name") from None
         content = {"interval": interval, "points": trends.shape[1], "trends": pack_array(trends, "f4")}
-        return Response(json_line(content), media_type="application/json")
+        return _answer(content)
 
     def _find_axis(self, axis: str) -> str:
         """Return the name of the axis. Raises HTTPException for an unknown axis."""
         if self.board.group_of(axis) is None:
             raise HTTPException(404, NO_AXIS)
         return axis
-
-    async def history(self, request: Request) -> Response:
-        rows = self.board.history(request.path_params["axis"])
-        if rows is None:
-            raise HTTPException(404, NO_AXIS)
-        line = await run_in_threadpool(lambda: json_line({"kind": "history", **pack_rows(rows)}))
-        return Response(line, media_type="application/json")
 
     async def reference_csv(self, request: Request) -> Response:
         axis = self._find_axis(request.path_params["axis"])
@@ -333,19 +201,15 @@ class Api:
         return PlainTextResponse("ok\n" if alive else "the engine does not run\n", 200 if alive else 503)
 
 
+def _answer(content: dict[str, object]) -> Response:
+    """Return JSON. Numbers that JSON does not have become null."""
+    return Response(as_json(content), media_type="application/json")
+
+
 def _answer_command(taken: bool) -> Response:
     if not taken:
         raise HTTPException(503, "the service is too busy at the moment; try again")
     return JSONResponse({"taken": True}, 202)
-
-
-class LineResponse(StreamingResponse):
-    """A response of NDJSON, which no proxy shall buffer."""
-
-    media_type = "application/x-ndjson"
-
-    def __init__(self, lines: AsyncIterator[bytes]) -> None:
-        super().__init__(lines, headers={"x-accel-buffering": "no"})
 
 
 def csv_of(record: Record) -> bytes:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from threading import Lock
+from time import monotonic
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.service.tuning import TUNING
-from pmfid.stream.outcome import AlarmRecord, Alarms, Counters, EstimateRows, Kindred, Notice
+from pmfid.stream.outcome import AlarmRecord, Alarms, EstimateRows, Kindred, Notice
 from pmfid.types import Floats
 
 #: Rows as an array of `row_type`.
@@ -225,6 +226,23 @@ class News:
     alarms: list[AlarmRecord]
 
 
+@dataclass
+class Followed:
+    """Every row of an axis since a browser looks at it. `asked` is the time of its last request [s]."""
+
+    asked: float
+    pieces: deque[Records] = field(default_factory=deque)
+
+    def put(self, rows: Records) -> None:
+        """Append rows. The oldest rows go above `board_waiting`, and at once if the axis began again."""
+        last = self.pieces[-1] if self.pieces else rows[:0]
+        if last.dtype != rows.dtype or (last.size and rows["number"][0] <= last["number"][-1]):
+            self.pieces.clear()
+        self.pieces.append(rows)
+        while len(self.pieces) > 1 and sum(piece.size for piece in self.pieces) > TUNING.board_waiting:
+            self.pieces.popleft()
+
+
 class Board:
     """The board of all `groups`.
 
@@ -234,17 +252,15 @@ class Board:
     holds the lock while it writes to a browser.
     """
 
-    def __init__(
-        self, groups: Sequence[Kindred], counters: Counters, *, budget: float = 64e6, every: float = 1.0
-    ) -> None:
-        self._counters, self._budget, self.every = counters, budget, every
+    def __init__(self, groups: Sequence[Kindred], *, budget: float = 64e6, every: float = 1.0) -> None:
+        self._budget, self.every = budget, every
         self._lock = Lock()
         self._version, self._layout = 0, 0
         self._panels: list[Panel] = []
         self._alarms = Alarms()
         self._notices: deque[tuple[int, Notice]] = deque(maxlen=TUNING.board_notices)
         self._changed: deque[tuple[int, int]] = deque(maxlen=TUNING.board_notices)  # version, and number of an alarm
-        self._followers: Mapping[str, Callable[[Records], int]] = {}
+        self._followed: dict[str, Followed] = {}
         self.arrange(groups)
 
     # --- for the engine ---
@@ -284,10 +300,10 @@ class Board:
         with self._lock:
             self._version += 1
             panel.update(rows, records, self._version)
-        for name, put in self._followers.items():
-            own = records[rows.axis == panel.place.get(name, -1)]
-            if own.size and (dropped := put(own)):
-                self._counters.add("pmfid_page_rows_dropped_total", dropped)
+            for name, followed in self._followed.items():
+                own = records[rows.axis == panel.place.get(name, -1)]
+                if own.size:
+                    followed.put(own)
 
     def notice(self, notice: Notice) -> None:
         with self._lock:
@@ -301,8 +317,12 @@ class Board:
                     self._layout += 1
 
     def list_followed(self) -> frozenset[str]:
-        """Return the names of the axes whose rows all have a viewer."""
-        return frozenset(self._followers)
+        """Return the names of the axes that a browser looks at, whose rows are all given out."""
+        if self._followed:
+            with self._lock:
+                late = monotonic() - TUNING.board_looking
+                self._followed = {name: one for name, one in self._followed.items() if one.asked > late}
+        return frozenset(self._followed)
 
     # --- for the page ---
 
@@ -347,10 +367,33 @@ class Board:
             return panel.group if panel else None
 
     def history(self, axis: str) -> Records | None:
-        """Return the rows of an axis, oldest first, or None for an unknown axis."""
+        """Return the kept rows of an axis, oldest first, or None for an unknown axis."""
         with self._lock:
             panel = self._by_axis.get(axis)
             return panel.history(panel.place[axis]) if panel else None
+
+    def follow(self, axis: str, after: int) -> tuple[Records, float] | None:
+        """Return the rows of an axis after its sample `after`, oldest first, and `time.monotonic()` of the last data.
+
+        From the first call on, these are all rows of the axis, if the next call comes within `board_looking`. Older
+        rows are the kept ones. An axis that began again has only samples before `after`, and all its rows are returned.
+        Returns None for an unknown axis.
+        """
+        with self._lock:
+            panel = self._by_axis.get(axis)
+            if panel is None:
+                return None
+            followed = self._followed.setdefault(axis, Followed(0.0))
+            followed.asked = monotonic()
+            place = panel.place[axis]
+            row = panel.last[place]
+            after = after if after <= row["number"] else -1
+            live = [piece for piece in followed.pieces if piece.dtype == row.dtype]
+            if not live or after + 1 < live[0]["number"][0]:
+                kept = panel.history(place)
+                live = [kept[kept["number"] < live[0]["number"][0]] if live else kept, *live]
+            rows = np.concatenate([piece[piece["number"] > after] for piece in live])
+            return rows, float(panel.received[place])
 
     def trends(self, group: int, axes: NDArray[np.int64]) -> tuple[float, NDArray[np.float32]]:
         """Return the time between two points [s], and the relative deviations (m, points) of the leading parameter.
@@ -360,15 +403,3 @@ class Board:
         with self._lock:
             panel = self._panels[group]
             return panel.interval, panel.trend(axes)
-
-    def follow(self, axis: str, put: Callable[[Records], int]) -> None:
-        """Give every further row of an axis to `put`, in the engine's thread, until `leave`.
-
-        `put` returns the number of rows that it dropped.
-        """
-        with self._lock:
-            self._followers = {**self._followers, axis: put}
-
-    def leave(self, axis: str) -> None:
-        with self._lock:
-            self._followers = {name: put for name, put in self._followers.items() if name != axis}

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
 import logging
 import mimetypes
 import socket
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from threading import Thread
@@ -25,7 +23,7 @@ from uvicorn import Config, Server
 from pmfid.errors import UsageError
 from pmfid.records.record import Record
 from pmfid.service.tuning import TUNING
-from pmfid.service.web.api import Api, Hub
+from pmfid.service.web.api import Api
 from pmfid.service.web.board import Board
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.security import Guard, Token, hosts_of, load_token
@@ -38,16 +36,9 @@ def make_app(api: Api, hosts: frozenset[str], token: Token) -> ASGIApp:
     mimetypes.add_type("text/javascript", ".js")  # the type must not depend on the system
     files = StaticFiles(directory=Path(__file__).parent / "static", html=True)
 
-    @contextlib.asynccontextmanager
-    async def lifespan(app: Starlette) -> AsyncIterator[None]:
-        running = asyncio.create_task(api.hub.run())
-        yield
-        running.cancel()
-
     inner = Starlette(
         routes=[*api.routes(), Mount("/", files)],
         exception_handlers={HTTPException: _answer_error, Exception: _answer_error},
-        lifespan=lifespan,
     )
     return Guard(inner, hosts, token, api.counters)
 
@@ -81,7 +72,7 @@ class Page:
         return f"{self.url}#token={self.made_token}" if self.made_token else self.url
 
     def stop(self) -> None:
-        """End streams and thread, within seconds. This method may be called twice."""
+        """End the thread, within seconds. This method may be called twice."""
         self._server.should_exit = True
         self._thread.join(TUNING.server_ended)
 
@@ -108,9 +99,9 @@ def serve(
     token = load_token(config, folder)
     board.keep(1e6 * config.history_mb)
     listener = _listener(config)
-    port, hub = listener.getsockname()[1], Hub(board, counters)
-    api = Api(name, board, counters, hub, engine, reference, metrics, alive)
-    server = _server(make_app(api, hosts_of(config.address, port, config.hosts), token), hub)
+    port = listener.getsockname()[1]
+    api = Api(name, board, counters, engine, reference, metrics, alive)
+    server = _server(make_app(api, hosts_of(config.address, port, config.hosts), token))
     thread = Thread(target=lambda: server.run([listener]), name="page", daemon=True)
     thread.start()
     end = time.monotonic() + TUNING.server_started
@@ -142,23 +133,17 @@ def _only_failures(record: logging.LogRecord) -> bool:
     return record.exc_info is not None
 
 
-def _server(app: ASGIApp, hub: Hub) -> Server:
-    """Return a server without a log of requests, which ends the streams before it waits for them."""
+def _server(app: ASGIApp) -> Server:
+    """Return a server without a log of requests."""
     logging.getLogger("uvicorn.error").addFilter(_only_failures)
     logging.getLogger("uvicorn.access").disabled = True  # any handler of the process overrides `access_log`
-
-    class Own(Server):
-        async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-            await hub.stop()
-            await super().shutdown(sockets)
-
-    return Own(
+    return Server(
         Config(
             app,
             loop="asyncio",
             http="h11",
             ws="none",
-            lifespan="on",
+            lifespan="off",
             log_config=None,
             access_log=False,
             proxy_headers=False,

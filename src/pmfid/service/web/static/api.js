@@ -1,7 +1,7 @@
-// Requests with the token, and streams of lines that come back by themselves.
+// Requests with the token, and repeated requests for what is new.
 import { token } from "./token.js";
 
-const SILENT = 6000; // a service that says nothing for so long [ms] is gone: it speaks every second
+const SILENT = 6000; // a service that does not answer for so long [ms] is gone
 const PAUSES = [500, 1000, 2000, 4000, 8000, 15000];
 
 export class Problem extends Error {
@@ -25,31 +25,11 @@ export async function ask(path, options = {}) {
 export const tell = (path, content) =>
   ask(path, { method: "POST", body: JSON.stringify(content), headers: { "content-type": "application/json" } });
 
-async function* linesOf(answer, alive) {
-  const reader = answer.body.getReader();
-  const decoder = new TextDecoder();
-  let rest = [];
-  for (;;) {
-    const { done, value } = await reader.read();
-    if (done) return;
-    alive();
-    const parts = decoder.decode(value, { stream: true }).split("\n");
-    while (parts.length > 1) {
-      rest.push(parts.shift());
-      const line = rest.join("");
-      rest = [];
-      if (line) yield JSON.parse(line);
-    }
-    rest.push(parts[0]);
-  }
-}
-
-// Follows a stream until `stop` is called. take(message); tellState({live, retry, problem, status}).
-export class Stream {
-  constructor(path, take, tellState) {
-    this.path = path;
-    this.take = take;
-    this.tellState = tellState;
+// Asks for what is new until `stop` is called. path() says what to ask for, every [ms]; take(message);
+// tellState({live, retry, problem, status}).
+export class Poll {
+  constructor(path, every, take, tellState) {
+    Object.assign(this, { path, every, take, tellState });
     this.stopped = false;
     this.run();
   }
@@ -60,38 +40,29 @@ export class Stream {
   }
 
   async run() {
-    let attempt = 0;
+    let failures = 0;
     while (!this.stopped) {
-      const problem = await this.once(() => (attempt = 0));
+      const problem = await this.once();
       if (this.stopped) return;
-      const pause = PAUSES[Math.min(attempt++, PAUSES.length - 1)] * (0.8 + 0.4 * Math.random());
-      this.tellState({ live: false, retry: pause, problem: problem.message, status: problem.status });
-      if (problem.status === 401) return;
+      let pause = this.every;
+      if (problem) {
+        pause = PAUSES[Math.min(failures++, PAUSES.length - 1)] * (0.8 + 0.4 * Math.random());
+        this.tellState({ live: false, retry: pause, problem: problem.message, status: problem.status });
+        if (problem.status === 401) return;
+      } else failures = 0;
       await new Promise((resolve) => setTimeout(resolve, pause));
     }
   }
 
-  async once(connected) {
+  async once() {
     this.abort = new AbortController();
-    let watchdog;
-    const alive = () => {
-      clearTimeout(watchdog);
-      watchdog = setTimeout(() => this.abort.abort(), SILENT);
-    };
+    const watchdog = setTimeout(() => this.abort.abort(), SILENT);
     try {
-      alive();
-      const answer = await ask(this.path, { signal: this.abort.signal });
-      let first = true;
-      for await (const message of linesOf(answer, alive)) {
-        if (this.stopped) break;
-        if (first) {
-          connected();
-          this.tellState({ live: true });
-          first = false;
-        }
-        this.take(message);
-      }
-      return new Problem(0, "the service ended the stream");
+      const message = await (await ask(this.path(), { signal: this.abort.signal })).json();
+      if (this.stopped) return null;
+      this.tellState({ live: true });
+      this.take(message);
+      return null;
     } catch (error) {
       return error instanceof Problem ? error : new Problem(0, "the service does not answer");
     } finally {

@@ -1,5 +1,5 @@
 // The page: the token, the plant, which view is shown, and how the connection is.
-import { Stream, ask } from "./api.js";
+import { Poll, ask } from "./api.js";
 import { AxisView } from "./axis.js";
 import { causeOf, ownerOf } from "./alarms.js";
 import { el, say } from "./dom.js";
@@ -12,7 +12,8 @@ import { forgetToken, setToken, takeToken } from "./token.js";
 const main = document.getElementById("main");
 const connection = document.getElementById("connection");
 const lost = document.getElementById("lost");
-let plant = null, view = null, stream = null, lostAt = null;
+const OVERVIEW = 500, AXIS = 250; // time between two requests [ms]
+let plant = null, view = null, poll = null, lostAt = null;
 
 function showConnection({ live, retry, problem, status }) {
   document.body.classList.toggle("stale", !live);
@@ -25,6 +26,7 @@ function showConnection({ live, retry, problem, status }) {
   }
   if (status === 401) return askForToken("This token opens nothing here; the service may have been started anew.");
   lostAt ??= new Date();
+  if (plant) plant.version = 0; // the service may have started again
   connection.dataset.live = "no";
   say(connection, "not connected");
   lost.hidden = false;
@@ -48,9 +50,9 @@ function showCount(open) {
 }
 
 function take(message) {
-  if (message.kind !== "news") return view?.take?.(message);
   if (message.layout !== plant.layout) return start();
   announce(plant.take(message));
+  if (message.rows) view?.take?.(message.rows);
   const open = plant.openAlarms().length;
   showCount(open);
   const where = [open ? `▲ ${open} alarm${open > 1 ? "s" : ""}` : null, view?.axis, plant.name];
@@ -61,7 +63,7 @@ function take(message) {
 // arrived: by a link, so that the keyboard and a screen reader go on at the top of what is new.
 function show(arrived = false) {
   if (!plant) return;
-  stream?.stop();
+  poll?.stop();
   view?.stop();
   const axis = location.hash.startsWith("#/axis/") ? decoded(location.hash.slice(7)) : null;
   const known = axis !== null && plant.place.has(axis);
@@ -71,7 +73,9 @@ function show(arrived = false) {
   view.entered?.();
   scrollTo(0, 0);
   if (arrived) main.focus({ preventScroll: true });
-  stream = new Stream(known ? `api/stream?axis=${encodeURIComponent(axis)}` : "api/stream", take, showConnection);
+  plant.version = 0; // the news of an axis leave out the others
+  const rows = known ? () => `&axis=${encodeURIComponent(axis)}&after=${view.after}` : () => "";
+  poll = new Poll(() => `api/news?since=${plant.version}${rows()}`, known ? AXIS : OVERVIEW, take, showConnection);
 }
 
 function decoded(text) {
@@ -83,7 +87,7 @@ function decoded(text) {
 }
 
 async function start() {
-  stream?.stop();
+  poll?.stop();
   try {
     plant = new Plant(await (await ask("api/plant")).json());
   } catch (error) {
@@ -97,7 +101,7 @@ async function start() {
 }
 
 function askForToken(problem) {
-  stream?.stop();
+  poll?.stop();
   view?.stop();
   view = null;
   plant = null;

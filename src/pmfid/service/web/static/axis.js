@@ -1,6 +1,6 @@
 // One axis live: what it is now, charts of all that is known of it, its alarms.
 import { alarmCard, askFirst } from "./alarms.js";
-import { ask, tell } from "./api.js";
+import { tell } from "./api.js";
 import { Chart } from "./charts.js";
 import { Columns } from "./columns.js";
 import { Compare } from "./compare.js";
@@ -29,7 +29,6 @@ export class AxisView {
     this.span = 30;
     this.zoomed = null; // [from, to] while someone looks at a part
     this.paused = null; // the time at its end while it stands still
-    this.missed = 0;
     this.build();
     this.update();
     this.timer = setInterval(() => this.update(), 1000);
@@ -40,7 +39,7 @@ export class AxisView {
   // Called when the element is in the page: charts need its width.
   entered() {
     this.sizes.observe(this.charts);
-    this.load();
+    this.later();
   }
 
   stop() {
@@ -52,38 +51,22 @@ export class AxisView {
     for (const chart of this.all) chart.drop();
   }
 
-  async load() {
-    try {
-      const message = await (await ask(`api/axis/${encodeURIComponent(this.axis)}/history`)).json();
-      const live = this.columns;
-      this.columns = new Columns(this.group.names.length);
-      this.columns.add(message);
-      const columns = Object.fromEntries(live.names.map((name) => [name, live.data[name].subarray(0, live.size)]));
-      const last = this.columns.size ? this.columns.data.number[this.columns.size - 1] : -Infinity;
-      let first = 0;
-      while (first < live.size && columns.number[first] <= last) first++;
-      this.columns.append(columns, first, live.size - first);
-    } catch {
-      // the stream brings what comes from now on, and says what is wrong
-    }
+  // Number of the last sample that is here.
+  get after() {
+    return this.columns.size ? this.columns.data.number[this.columns.size - 1] : -1;
+  }
+
+  take(rows) {
+    if (!this.columns.add(rows)) return;
+    this.noteLast(rows.received / 10);
     this.later();
   }
 
-  take(message) {
-    if (message.kind === "missed") this.missed += message.rows;
-    if (message.kind === "rows") {
-      this.columns.add(message);
-      this.dropped = message.dropped;
-      this.noteLast();
-      this.later();
-    }
-  }
-
-  // The stream of one axis brings no overview: its last row is what the plant knows of it.
-  noteLast() {
+  // The news of one axis bring no overview: its last row is what the plant knows of it.
+  noteLast(received) {
     const { plant, place, columns } = this;
     const last = (name) => columns.data[name][columns.size - 1];
-    plant.received[place] = plant.now();
+    plant.received[place] = received;
     plant.state[place] = last("state");
     plant.status32[place] = last("status");
   }
@@ -296,8 +279,7 @@ export class AxisView {
     }
     const end = this.columns.size ? this.columns.data.number[this.columns.size - 1] : NaN;
     const waiting = this.paused !== null ? `, paused, ${Math.max(0, end - this.pausedAt)} samples since` : "";
-    const lost = (this.dropped ?? 0) + this.missed;
-    say(this.facts, `data ${age(this.age())} old, a sample every ${number(1000 * group.dt)} ms, ${group.config}${lost ? `, ${lost} rows missing here` : ""}${waiting}`);
+    say(this.facts, `data ${age(this.age())} old, a sample every ${number(1000 * group.dt)} ms, ${group.config}${waiting}`);
     this.showAlarms();
   }
 

@@ -2,7 +2,6 @@
 import { unpacked } from "./packed.js";
 
 const MOST = 120000;
-const BEHIND = 8; // messages, some seconds
 const SINGLE = ["number", "time", "u", "counts", "innovation", "status", "state"];
 
 // Root mean square and largest size of numbers.
@@ -37,28 +36,22 @@ export class Columns {
   }
 
   clear() {
-    this.behind = 0;
     this.size = 0;
     this.room = 4096;
     this.data = Object.fromEntries(this.names.map((name) => [name, new Float64Array(this.room)]));
   }
 
-  // Rows of a message behind those that are here; what comes with the history a second time is left out. Numbers that
-  // stay behind are of a run that began anew.
+  // Rows after those that are here; returns whether there are any. Rows with earlier numbers are of a run that began anew.
   add(message) {
     const columns = Object.fromEntries(SINGLE.map((name) => [name, unpacked(message[name])]));
     message.theta.forEach((text, j) => (columns[`theta${j}`] = unpacked(text)));
     message.std.forEach((text, j) => (columns[`std${j}`] = unpacked(text)));
-    const { number } = columns;
-    if (!number.length) return;
-    const behind = this.size && number[number.length - 1] <= this.data.number[this.size - 1];
-    this.behind = behind ? this.behind + 1 : 0;
-    if (this.behind >= BEHIND) this.clear();
-    const last = this.size ? this.data.number[this.size - 1] : -Infinity;
-    let first = 0;
-    while (first < number.length && number[first] <= last) first++;
-    first = this.afterJump(columns.time, first);
+    const { number, time } = columns;
+    if (!number.length) return false;
+    if (this.size && number[0] <= this.data.number[this.size - 1]) this.clear();
+    const first = this.afterJump(time, 0);
     this.append(columns, first, number.length - first);
+    return true;
   }
 
   // A clock that was set back starts the charts anew: two rows of one time cannot stand in one chart.

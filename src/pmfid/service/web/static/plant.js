@@ -31,6 +31,7 @@ export class Plant {
     this.notices = [];
     this.counters = [];
     this.clock = [0, performance.now()];
+    this.version = 0; // of the last news
   }
 
   now() {
@@ -63,6 +64,7 @@ export class Plant {
 
   // Returns the alarms that are new to this page, but for those of the first message.
   take(news) {
+    this.version = news.version;
     this.clock = [news.now / 10, performance.now()];
     for (const group of news.groups) this.takeGroup(group);
     const fresh = news.first ? [] : news.alarms.filter((alarm) => !this.alarms.has(alarm.number));

@@ -31,7 +31,7 @@ export class Trends {
       if (this.kept.size > 2000) this.kept = new Map([...this.kept].slice(-500));
       this.changed();
     } catch {
-      // the stream says what is wrong with the connection
+      // the page says what is wrong with the connection
     } finally {
       this.asking = false;
     }
