@@ -19,6 +19,7 @@ from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import ResidualBlock
 from pmfid.fit.solve import inverse, solve
 from pmfid.fit.within import reach_counts
+from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, simulate_drive
 from pmfid.types import Floats
 from studies.referee.cases import Case, make_cases
 from studies.referee.judge import identify
@@ -160,10 +161,25 @@ def test_a_prior_truncates_to_a_normal_distribution(sd: float) -> None:
     """Bounds on a parameter with a prior about 0.3, for which SciPy has the truncated normal distribution."""
     prior = np.array([sd**-2, 0.0]), np.array([-0.3, 0.0])
     bound = np.array([0.5, 1.0])
-    mean, covariance = allowed_region(np.zeros(2), np.eye(2), bound, np.eye(2) / 12, np.random.default_rng(2), prior)
+    mean, covariance = allowed_region(np.zeros(2), np.eye(2), bound, np.eye(2) / np.sqrt(12), np.random.default_rng(2), prior)
     exact = truncnorm((-0.5 - 0.3) / sd, (0.5 - 0.3) / sd, 0.3, sd)
     np.testing.assert_allclose(mean, [exact.mean(), 0.0], atol=0.05 * float(exact.std()) + 0.02)
     np.testing.assert_allclose(np.diag(covariance), [exact.var(), 4 / 12], rtol=0.15)
+
+
+@pytest.mark.parametrize(("level", "samples"), [(2.0, 1000), (3.0, 3000), (8.0, 1000)])
+def test_a_constant_input_determines_no_mass(level: float, samples: int) -> None:
+    """All parameters with the same ratios of mass, viscous friction and force beyond Coulomb friction move alike."""
+    u = np.full(samples, level)
+    counts = pmfid.quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    settings = {"dt": CART_DT, "encoder": pmfid.Encoder(CART_RESOLUTION)}
+    try:
+        result = pmfid.identify(u, counts, model=pmfid.Drive(CART.input_gain), **settings)
+    except pmfid.NotIdentifiableError as error:
+        assert "standard deviation" in str(error)
+    else:
+        assert "uncertain" in result.status
+        assert result.theta_std[0] > 0.2 * result.theta[0]
 
 
 def test_a_mixture_has_the_length_of_its_parts() -> None:

@@ -148,14 +148,12 @@ def _widen(search: ServoSearch, gradient: Floats, std: Floats) -> Floats:
 
 def _scatter(search: ServoSearch, fitted: Fitted) -> Floats:
     """Return the covariance (p, p) of the coordinates in the chosen model, infinite where the logs say nothing."""
-    normal = fitted.solution.normal
-    A = normal.A + np.diag(search.prior(search.problem))
-    known = np.diag(A) > 0
+    normal, prior = fitted.solution.normal, search.prior(search.problem)
+    known = np.diag(normal.A) + prior > 0
     blocks = [ResidualBlock(block.e, block.J[:, known], block.K) for block in normal.blocks]
     inner = [part[:, np.append(True, known)] for part in normal.inner]
-    part = A[np.ix_(known, known)]
     covariance = np.diag(np.where(known, 0.0, np.inf))
-    covariance[np.ix_(known, known)] = sandwich(part, replace(normal, blocks=blocks, inner=inner))
+    covariance[np.ix_(known, known)] = sandwich(replace(normal, blocks=blocks, inner=inner), prior[known])
     return covariance
 
 

@@ -23,7 +23,7 @@ from pmfid.fit.machine import COULOMB, DIRECTIONAL, OFFSET, VISCOUS, BodyForce, 
 from pmfid.fit.openings import begin
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.search import ROUNDS, TRIES, WANDERING, FitSearch, explain
-from pmfid.fit.solve import inverse, normal_of
+from pmfid.fit.solve import covariance_of, inverse, normal_of
 from pmfid.types import Floats
 
 #: Ends of the bends in parts of the highest speed.
@@ -247,7 +247,7 @@ def _variance(search: CurveSearch, likelihood: Gaussian | Intervals, rows: Float
     """Return the variances (k,) of the products of `rows` (k, r) and the parameters under the present strengths."""
     noise = likelihood if isinstance(likelihood, Gaussian) else Gaussian(search.plain.stretches)
     normal = normal_of(noise(search.problem.linearise(search.q, search.starts))[1], search.starts)
-    return estimate_variance(normal.A + np.diag(search.prior(search.problem)), normal, rows)
+    return estimate_variance(covariance_of(normal, search.prior(search.problem)), normal, rows)
 
 
 def velocities(search: CurveSearch, pieces: int = 8) -> Floats:

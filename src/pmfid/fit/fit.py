@@ -16,10 +16,10 @@ from pmfid.fit.openings import LostMotionError, begin
 from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch
-from pmfid.fit.solve import Normal, Optimum, inverse, normal_of, solve
+from pmfid.fit.solve import Normal, Optimum, covariance_of, has_full_rank, inverse, normal_of, root_of_rows, solve
 from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.fit.weighing import WeighedForce, weigh
-from pmfid.fit.within import covariance_of, stack
+from pmfid.fit.within import information_rows, stack
 from pmfid.types import Floats
 
 #: Blocks of a record whose scores are compared with the information.
@@ -190,7 +190,7 @@ def _weigh(
     """Return the forces of the table in the noise of the residuals, which is rounding if every count is explained."""
     noise = likelihood if isinstance(likelihood, Gaussian) else Gaussian(search.plain.stretches)
     normal = normal_of(noise(search.problem.linearise(optimum.q, optimum.starts))[1], optimum.starts)
-    covariance = sandwich(normal.A + np.diag(search.prior(search.problem)), normal)
+    covariance = sandwich(normal, search.prior(search.problem))
     at = search.problem.places
     return weigh(
         search.local(noise), search.table, search.chosen, optimum.q[at], np.sqrt(np.diag(covariance))[at], lift
@@ -199,31 +199,33 @@ def _weigh(
 
 def _estimate(search: FitSearch, optimum: Optimum, likelihood: Gaussian | Intervals) -> tuple[Floats, Floats]:
     """Return the machine's parameters (p,), and their covariance with the mass as a logarithm."""
-    theta, prior, count = search.problem.theta(optimum.q), np.diag(search.prior(search.problem)), search.count
+    theta, prior, count = search.problem.theta(optimum.q), search.prior(search.problem), search.count
     if isinstance(likelihood, Gaussian):
-        return theta, sandwich(optimum.normal.A + prior, optimum.normal)[:count, :count]
+        return theta, sandwich(optimum.normal, prior)[:count, :count]
     if optimum.q.size + optimum.starts.size < BLOCKS:  # more parameters than that would make the walk long
         return _estimate_in_region(search, optimum)
     blocks = search.problem.linearise(optimum.q, optimum.starts)
     if search.plain.machine.precision is not None:  # the columns leave no error of the counts but their bounds
-        A = normal_of(soften(likelihood)(blocks)[1], optimum.starts).A + prior
-        return theta, inverse(A)[:count, :count]
+        normal = normal_of(soften(likelihood)(blocks)[1], optimum.starts)
+        return theta, covariance_of(normal, prior)[:count, :count]
     plain = normal_of(Gaussian(search.plain.stretches)(blocks)[1], optimum.starts)
-    return theta, sandwich(plain.A + prior, plain)[:count, :count]
+    return theta, sandwich(plain, prior)[:count, :count]
 
 
-def sandwich(A: Floats, normal: Normal) -> Floats:
-    """Return the covariance (p, p) for scores whose sums over blocks of the record scatter more than the information A
-    says (Huber 1967). No parameter has a smaller variance than by A alone."""
-    covariance = inverse(A)
-    wider = np.sqrt(estimate_variance(A, normal, np.eye(len(A))) / np.maximum(np.diag(covariance), 1e-300))
+def sandwich(normal: Normal, prior: Floats) -> Floats:
+    """Return the covariance (p, p) for scores whose sums over blocks of the record scatter more than the information
+    says (Huber 1967). No parameter has a smaller variance than by the information alone. The prior has precisions
+    (p,)."""
+    covariance = covariance_of(normal, prior)
+    scattered = estimate_variance(covariance, normal, np.eye(prior.size))
+    wider = np.sqrt(scattered / np.maximum(np.diag(covariance), 1e-300))
     return np.asarray(covariance * np.outer(wider, wider))
 
 
-def estimate_variance(A: Floats, normal: Normal, rows: Floats) -> Floats:
+def estimate_variance(covariance: Floats, normal: Normal, rows: Floats) -> Floats:
     """Return the variances (k,) of the products of `rows` (k, p) and the parameters, as `sandwich` does for one
-    parameter."""
-    covariance, sums = inverse(A), []
+    parameter, for the `covariance` (p, p) by the information."""
+    sums = []
     for block, inner in zip(normal.blocks, normal.inner, strict=True):
         scores = (block.J - block.K @ inner[:, 1:]) * block.e[:, None]
         sums += [part.sum(axis=0) for part in np.array_split(scores, max(1, round(BLOCKS * len(scores) / normal.rows)))]
@@ -234,14 +236,17 @@ def estimate_variance(A: Floats, normal: Normal, rows: Floats) -> Floats:
 
 def _estimate_in_region(search: FitSearch, optimum: Optimum) -> tuple[Floats, Floats]:
     e, J = stack(search.problem.linearise(optimum.q, optimum.starts))
-    wide = covariance_of(J, search.prior(search.problem), optimum.starts)
+    rows = information_rows(J, search.prior(search.problem), optimum.starts)
+    root, count, p = root_of_rows(rows), search.count, optimum.q.size
+    wide = root @ root.T
+    if not has_full_rank(rows):  # no count bounds the region
+        return search.problem.theta(optimum.q), wide[:count, :count]
     beyond = max(0.0, float(np.max(np.abs(e))) - 0.5)
     bound = 0.5 + 2 * beyond + 1e-5 + _integration_errors(search.problem, optimum, e)
     e, J, bound = (np.concatenate(pair) for pair in zip((e, J, bound), _bound_rows(search, optimum, wide), strict=True))
-    count, p = search.count, optimum.q.size
     precision = np.append(search.prior(search.problem), np.zeros(len(wide) - p))
     prior = precision, np.append(optimum.q, np.zeros(len(wide) - p))
-    mean, inner = allowed_region(e, J, bound, wide, np.random.default_rng(1), prior)
+    mean, inner = allowed_region(e, J, bound, root, np.random.default_rng(1), prior)
     if not np.all(np.diag(inner)[:count] < 100 * np.diag(wide)[:count]):
         return search.problem.theta(optimum.q), wide[:count, :count]
     return search.problem.theta(optimum.q + mean[:p]), inner[:count, :count]

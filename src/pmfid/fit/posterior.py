@@ -26,34 +26,38 @@ Prior = tuple[Floats, Floats]
 
 
 def allowed_region(
-    e: Floats, J: Floats, bound: Floats, covariance: Floats, rng: np.random.Generator, prior: Prior
+    e: Floats, J: Floats, bound: Floats, root: Floats, rng: np.random.Generator, prior: Prior
 ) -> tuple[Floats, Floats]:
-    """Return mean (p,) and covariance (p, p) of the steps d with |e + J d| <= bound, from a `covariance` of their size.
+    """Return mean (p,) and covariance (p, p) of the steps d with |e + J d| <= bound.
 
-    e, bound: (n,); J: (n, p). The covariance only shapes the directions of the walk. The distance of the `prior` is
-    that of no step.
+    e, bound: (n,); J: (n, p). The walk has the coordinates z of d = root z, for the root (p, p) of a covariance. The
+    distance of the `prior` is that of no step.
     """
-    d, p = np.zeros(J.shape[1]), J.shape[1]
-    mean = np.zeros(p)
+    precision, distance = prior
+    J, scale, p = J @ root, np.sqrt(precision), J.shape[1]
+    rows = scale[:, None] * root, scale * distance
+    z, shape = np.zeros(p), np.eye(p)
     for run in range(4):
         steps = STEPS * max(5, p) // 5 >> 3 - run
-        root = root_of(covariance)
-        reach = np.sqrt(np.sum((J @ root) ** 2, axis=1))
-        bound = np.maximum(bound, np.abs(e + J @ d) + 1e-9)
-        near = bound - np.abs(e + J @ d) < 8.0 * reach
-        ways = root @ rng.standard_normal((p, steps))
-        path = _walk(d, (e + J @ d)[near], J[near], bound[near], ways, rng, prior)
-        d, kept = path[-1], path[steps // 5 :]
-        mean, covariance = np.mean(kept, axis=0), np.atleast_2d(np.cov(kept.T)) + 1e-3 * covariance * (run < 3)
-    return mean, covariance
+        reach = np.sqrt(np.sum((J @ shape) ** 2, axis=1))
+        bound = np.maximum(bound, np.abs(e + J @ z) + 1e-9)
+        near = bound - np.abs(e + J @ z) < 8.0 * reach
+        ways = shape @ rng.standard_normal((p, steps))
+        path = _walk(z, (e + J @ z)[near], J[near], bound[near], ways, rng, rows)
+        z, kept = path[-1], path[steps // 5 :]
+        covariance = np.atleast_2d(np.cov(kept.T)) + 1e-3 * shape @ shape.T * (run < 3)
+        mean, shape = np.mean(kept, axis=0), root_of(covariance)
+    return root @ mean, root @ covariance @ root.T
 
 
 def _walk(
     d: Floats, e: Floats, J: Floats, bound: Floats, ways: Floats, rng: np.random.Generator, prior: Prior
 ) -> Floats:
-    """Return the path (steps, p) from d along the directions `ways` (p, steps)."""
-    precision, distance = prior
-    curvature = precision @ ways**2
+    """Return the path (steps, p) from d along the directions `ways` (p, steps). The `prior` has rows (k, p) and values
+    (k,) at no step, whose sums have a normal distribution."""
+    rows, values = prior
+    bends = np.ascontiguousarray((rows @ ways).T)
+    curvature = np.sum(bends**2, axis=1)
     along, path = np.ascontiguousarray((J @ ways).T), np.empty((ways.shape[1], d.size))
     chance = rng.random((ways.shape[1],))
     for k in range(path.shape[0]):
@@ -64,7 +68,7 @@ def _walk(
         low = float(np.fmax.reduce(middle - reach, initial=-FAR))
         high = float(np.fmin.reduce(middle + reach, initial=FAR))
         if high > low:
-            slope_of_prior = float((precision * (distance + d)) @ ways[:, k])
+            slope_of_prior = float((values + rows @ d) @ bends[k])
             step = _draw(low, high, slope_of_prior, float(curvature[k]), float(chance[k]))
             e, d = e + step * slope, d + step * ways[:, k]
         path[k] = d

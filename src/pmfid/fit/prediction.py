@@ -11,8 +11,9 @@ from pmfid.fit.elastic import ROWS
 from pmfid.fit.machine import OFFSET, Excitation, simulate
 from pmfid.fit.problem import PARTS, FitProblem
 from pmfid.fit.shooting import settle_starts
+from pmfid.fit.solve import root_of_rows
 from pmfid.fit.starts import soften
-from pmfid.fit.within import covariance_of, stack
+from pmfid.fit.within import information_rows, stack
 from pmfid.models.controllers import MotorAndLoad
 from pmfid.types import Floats
 
@@ -72,6 +73,7 @@ def predict_fit(problem: FitProblem, theta: Floats) -> Floats:
     q = problem.start(theta)
     starts = settle_starts(problem, soften(problem.stretches), q, problem.first_starts())
     J = stack(problem.linearise(q, starts))[1]
-    std = np.sqrt(np.diag(covariance_of(J, np.zeros(q.size), starts)))[: q.size]
+    root = root_of_rows(information_rows(J, np.zeros(q.size), starts))
+    std = np.sqrt(np.sum(root**2, axis=1))[: q.size]
     relative = np.isin(range(q.size), problem.machine.logs)
     return np.where(relative, std, std / np.abs(theta))
