@@ -36,28 +36,13 @@ class ResidualStretch:
     rows: Places
 
 
-@dataclass(frozen=True)
-class Evidence:
-    """The result of one test.
-
-    `chance` is the probability that noise alone explains at least as much of the residual. `share` is the explained
-    part of the whitened residual's power.
-    """
-
-    chance: float
-    share: float
-
-
-NONE = Evidence(1.0, 0.0)
-
-
-def find_unmodelled_response(parts: Sequence[ResidualStretch], known: Floats, source: int = -1) -> Evidence:
-    """Return how much the present and past input `source` explains of the residual.
+def find_unmodelled_response(parts: Sequence[ResidualStretch], known: Floats, source: int = -1) -> float:
+    """Return the chance that present and past inputs `source` explain so much of the residual by noise alone.
 
     The test ignores all that the known columns (N, k), the sensitivities of the fit, explain.
     """
     past, kept, place = _columns(parts, source)
-    return evidence(_residual(parts)[kept], known[kept], past[kept], place[kept])
+    return chance_of(_residual(parts)[kept], known[kept], past[kept], place[kept])
 
 
 def estimate_residual_noise(parts: Sequence[ResidualStretch], known: Floats) -> Noise | None:
@@ -70,10 +55,8 @@ def estimate_residual_noise(parts: Sequence[ResidualStretch], known: Floats) -> 
     return _estimate_noise(np.column_stack([_residual(parts)[kept], columns]), place[kept])
 
 
-def find_feedback(
-    parts: Sequence[ResidualStretch], known: Floats, direct: tuple[float, float] = (0.0, 0.0)
-) -> Evidence:
-    """Return how much future inputs explain of the residual in addition to present and past inputs.
+def find_feedback(parts: Sequence[ResidualStretch], known: Floats, direct: tuple[float, float] = (0.0, 0.0)) -> float:
+    """Return the chance that future inputs explain so much of the residual, beyond present and past inputs, by noise.
 
     The known columns (N, k) are the sensitivities of the fit. A response of the input within the same sample appears in
     the present input, as does a wrong hold. `direct` is the least and the greatest part of the present input that a
@@ -83,27 +66,28 @@ def find_feedback(
     ahead = np.vstack([_ahead(part) for part in parts])
     kept &= np.all(np.isfinite(ahead), axis=1)
     error, known, past, place = _residual(parts)[kept], known[kept], past[kept], place[kept]
-    later = evidence(error, np.hstack([known, past]), ahead[kept], place)
-    now = evidence(error, np.hstack([known, past[:, 1:]]), past[:, :1], place, direct)
-    return min(later, now, key=lambda found: found.chance)
+    later = chance_of(error, np.hstack([known, past]), ahead[kept], place)
+    now = chance_of(error, np.hstack([known, past[:, 1:]]), past[:, :1], place, direct)
+    return min(later, now)
 
 
-def evidence(
+def chance_of(
     error: Floats, known: Floats, tested: Floats, place: Places, allowed: tuple[float, float] = (0.0, 0.0)
-) -> Evidence:
-    """Test with an F test whether the tested columns (N, b) explain an error (N,) with noise of any colour.
+) -> float:
+    """Return the chance, by an F test, that noise of any colour makes the tested columns (N, b) explain so much of an
+    error (N,).
 
     The known columns (N, a) are given. A coefficient of a single column within `allowed` is no evidence.
     """
     from scipy.special import fdtrc  # slow to import
 
     if error.size < 2 * (known.shape[1] + tested.shape[1]) + 20 or not _rms(error) > 0:
-        return NONE
+        return 1.0
     columns = np.column_stack([error / _rms(error), _basis(known), tested])
     a = columns.shape[1] - tested.shape[1]
     noise = _estimate_noise(columns[:, :a], place)
     if noise is None:
-        return NONE
+        return 1.0
     columns = whiten_columns(noise, columns, place)[_mark_settled(place, noise.coefficients.size)]
     Q = _basis(columns[:, 1:a])
     whole, T = columns[:, 0], _remove_projection(columns[:, a:], Q)
@@ -114,11 +98,10 @@ def evidence(
     P = _basis(T)
     free = e.size - Q.shape[1] - P.shape[1]
     if P.shape[1] == 0 or free < 10:
-        return NONE
+        return 1.0
     gain = float(np.sum((P.T @ e) ** 2))
     rest = max(float(e @ e) - gain, 1e-300)
-    chance = float(fdtrc(P.shape[1], free, gain / P.shape[1] / (rest / free)))
-    return Evidence(chance, gain / max(float(whole @ whole), 1e-300))
+    return float(fdtrc(P.shape[1], free, gain / P.shape[1] / (rest / free)))
 
 
 def _estimate_noise(columns: Floats, place: Places) -> Noise | None:

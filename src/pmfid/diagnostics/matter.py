@@ -108,11 +108,13 @@ def sizes(estimator: Estimator, theta: Floats) -> Floats:
     """Return the size (p,) to which the error of each parameter in theta (p,) is relative.
 
     A positive parameter is compared with its own size. A parameter of either sign, such as a load, may be zero. A
-    parameter of either sign is therefore compared with the largest parameter of its unit.
+    parameter of either sign is therefore compared with the largest parameter of its unit. A parameter beyond those of
+    the equation is compared with its own size.
     """
     own, units = np.abs(theta), np.array(estimator.equation.units)
-    largest = np.array([np.max(own[units == unit]) for unit in units])
-    return np.where(estimator.equation.positive, own, largest)
+    p = units.size
+    largest = np.array([np.max(own[:p][units == unit]) for unit in units])
+    return np.asarray(np.maximum(np.append(np.where(estimator.equation.positive, own[:p], largest), own[p:]), 1e-150))
 
 
 def weigh_findings(findings: Iterable[Finding], matter: Matter) -> tuple[Finding, ...]:

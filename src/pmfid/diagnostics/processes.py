@@ -300,8 +300,8 @@ def _doubts(
         parts.append(ResidualStretch(stretch.inputs[:, delay:], error[inside], stretch.rows[inside]))
     known = point.zeta[np.concatenate(kept)]
     return (
-        find_unmodelled_response(parts, known).chance < TUNING.false_alarm,
-        find_feedback(parts, known, _direct(problem, point)).chance < TUNING.false_alarm,
+        find_unmodelled_response(parts, known) < TUNING.false_alarm,
+        find_feedback(parts, known, _direct(problem, point)) < TUNING.false_alarm,
         depends_on_input(problem, point),
         look_at_hold(problem, point, estimate_residual_noise(parts, known)),
         residual_repeats(problem, point),

@@ -102,10 +102,8 @@ def _spread(fitted: Fitted, theta: Floats, std: Floats) -> Floats:
 def _compare(estimator: Estimator, fitted: Fitted, theta: Floats, std: Floats, tolerance: float) -> Iterator[Finding]:
     """Yield the findings of the fit, and each parameter in which the estimate contradicts the fit."""
     p, equation = theta.size, estimator.equation
-    size = np.append(sizes(estimator, fitted.theta[:p]), np.abs(fitted.theta[p:]))
-    size = np.maximum(size, 1e-150)
-    names = fitted.problem.machine.names
-    positive = np.append(equation.positive, np.zeros(len(names) - p, bool))
+    size = sizes(estimator, fitted.theta)
+    names, positive = fitted.problem.machine.names, np.append(equation.positive, np.zeros(size.size - p, bool))
     yield from findings_of(fitted, names, positive, size, tolerance)
     half = fitted.half[:p] / NORMAL_95
     for name, value, better, own, bar, scale in zip(names, theta, fitted.theta[:p], std, half, size, strict=False):

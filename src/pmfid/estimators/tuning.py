@@ -88,8 +88,6 @@ class EstimatorTuning:
     #: Samples of a record over which the parameters' correlation counts as constant.
     known_piece: int = 200
 
-    #: A fit is invalid if a larger part of the motion stays unexplained.
-    worst_fit: float = 0.5
     #: Least mass, as a part of the start's mass. Without mass the motion has no equation.
     least_mass: float = 1e-3
 

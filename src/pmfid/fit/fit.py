@@ -16,7 +16,7 @@ from pmfid.fit.openings import LostMotionError, begin
 from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch
-from pmfid.fit.solve import Normal, Optimum, covariance_of, has_full_rank, inverse, normal_of, root_of_rows, solve
+from pmfid.fit.solve import Normal, Optimum, covariance_of, inverse, normal_of, root_of_rows, solve
 from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.fit.weighing import WeighedForce, weigh
 from pmfid.fit.within import information_rows, stack
@@ -239,7 +239,8 @@ def _estimate_in_region(search: FitSearch, optimum: Optimum) -> tuple[Floats, Fl
     rows = information_rows(J, search.prior(search.problem), optimum.starts)
     root, count, p = root_of_rows(rows), search.count, optimum.q.size
     wide = root @ root.T
-    if not has_full_rank(rows):  # no count bounds the region
+    size = np.maximum(np.linalg.norm(rows, axis=0), 1e-100)
+    if np.linalg.matrix_rank(rows / size) < size.size:  # no count bounds the region
         return search.problem.theta(optimum.q), wide[:count, :count]
     beyond = max(0.0, float(np.max(np.abs(e))) - 0.5)
     bound = 0.5 + 2 * beyond + 1e-5 + _integration_errors(search.problem, optimum, e)

@@ -74,6 +74,6 @@ def predict_fit(problem: FitProblem, theta: Floats) -> Floats:
     starts = settle_starts(problem, soften(problem.stretches), q, problem.first_starts())
     J = stack(problem.linearise(q, starts))[1]
     root = root_of_rows(information_rows(J, np.zeros(q.size), starts))
-    std = np.sqrt(np.sum(root**2, axis=1))[: q.size]
+    std: Floats = np.linalg.norm(root[: q.size], axis=1)
     relative = np.isin(range(q.size), problem.machine.logs)
     return np.where(relative, std, std / np.abs(theta))

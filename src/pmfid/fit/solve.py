@@ -164,21 +164,15 @@ def inverse(A: Floats) -> Floats:
 
 
 def root_of_rows(rows: Floats) -> Floats:
-    """Return a matrix R (p, p) with R R' = (rows' rows)^-1 for rows (n, p), by orthogonal transformations (Golub 1965).
+    """Return a matrix R (p, p) with R R' = (rows' rows)^-1 for at least p rows (n, p), by orthogonal transformations
+    (Golub 1965).
 
     No product of the rows squares their condition, as in `inverse`. A combination of parameters of which the rows say
     nothing has the variance that the rounding of numbers leaves.
     """
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-100)
     values, vectors = np.linalg.svd(np.linalg.qr(rows / size, mode="r"))[1:]
-    values = np.append(values, np.zeros(size.size - values.size))
     return np.asarray(vectors.T / np.maximum(values, np.finfo(float).eps) / size[:, None])
-
-
-def has_full_rank(rows: Floats) -> bool:
-    """Return whether rows (n, p) say more of each combination of parameters than the rounding of numbers hides."""
-    size = np.maximum(np.linalg.norm(rows, axis=0), 1e-100)
-    return bool(np.linalg.matrix_rank(rows / size) == size.size)
 
 
 def covariance_of(normal: Normal, prior: Floats) -> Floats:
@@ -186,10 +180,10 @@ def covariance_of(normal: Normal, prior: Floats) -> Floats:
     eliminated, and by a prior with precisions (p,)."""
     rows = [np.diag(np.sqrt(prior))]
     for block in normal.blocks:
-        states = block.K.shape[1]
-        weak = np.eye(states, states + prior.size) * np.sqrt(START[:states])[:, None]
-        both = np.vstack([np.column_stack([block.K, block.J]), weak])
-        rows.append(np.linalg.qr(both, mode="r")[states:, states:])
+        weak = np.diag(np.sqrt(START[: block.K.shape[1]]))
+        Q = np.linalg.qr(np.vstack([block.K, weak]))[0]
+        J = np.vstack([block.J, np.zeros((len(weak), prior.size))])
+        rows.append(J - Q @ (Q.T @ J))
     root = root_of_rows(np.vstack(rows))
     return np.asarray(root @ root.T)
 

@@ -10,7 +10,6 @@ from pmfid.diagnostics.matter import OF_LOG, sizes
 from pmfid.findings import Finding
 from pmfid.fit.compare import NORMAL_95
 from pmfid.pipeline.result import ProcessResult, Result, format_value
-from pmfid.types import Floats
 
 __all__ = ["Conclusion", "conclude"]
 
@@ -62,7 +61,8 @@ def _describe_process(result: ProcessResult) -> str:
 def _describe_machine(result: Result) -> str:
     """Return the mass, how sure it is, and the least sure parameter."""
     leading = result.estimator.equation.leading
-    half, size = _half_intervals(result), _sizes(result)
+    spread = 0.0 if result.model_spread is None else np.nan_to_num(result.model_spread)  # unknown: errors alone
+    half, size = NORMAL_95 * np.hypot(result.theta_std, spread), sizes(result.estimator, result.theta)
     with np.errstate(divide="ignore", invalid="ignore"):
         part = half / size
     name, unit = result.names[leading], result.units[leading]
@@ -74,17 +74,6 @@ def _describe_machine(result: Result) -> str:
     worst = max(others, key=lambda index: np.inf if np.isnan(part[index]) else part[index])
     rest = f"the least certain other parameter is {result.names[worst]} {_format_part(float(part[worst]))}"
     return f"{says}; {rest} (95 % intervals)"
-
-
-def _half_intervals(result: Result) -> Floats:
-    """Return half of each 95 % interval (p,), from the standard errors alone if the model spread is unknown."""
-    spread = 0.0 if result.model_spread is None else np.nan_to_num(result.model_spread)
-    return np.asarray(NORMAL_95 * np.hypot(result.theta_std, spread))
-
-
-def _sizes(result: Result) -> Floats:
-    p = len(result.estimator.equation.names)
-    return np.asarray(np.r_[sizes(result.estimator, result.theta[:p]), np.abs(result.theta[p:])])
 
 
 def _format_part(part: float) -> str:

@@ -91,8 +91,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
         estimator, fit = known.estimator, replace(fit, theta=scaled.theta, theta_cov=scaled.theta_cov)
     spread = _spread(fitted, fit.theta_std)
     equation = estimator.equation
-    p = len(equation.names)
-    size = np.maximum(np.append(sizes(estimator, fit.theta[:p]), np.abs(fit.theta[p:])), 1e-150)
+    size = sizes(estimator, fit.theta)
     positive = np.append(equation.positive, [one in equation.second for one in equation.further]).astype(bool)
     findings = list(findings_of(fitted, estimator.names, positive, size, axis.estimator.tolerance, second))
     notes = make_notes("record", record.notes) + make_notes("method", remarks)

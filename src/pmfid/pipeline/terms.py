@@ -8,8 +8,6 @@ from dataclasses import dataclass, fields
 from functools import cached_property
 from typing import cast
 
-import numpy as np
-
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import sizes
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -81,7 +79,7 @@ def make_row(force: WeighedForce, result: DriveResult) -> TermRow:
     turns, names = result.estimator.model.equation.motion.travel == "rad", result.names
     first = force.candidates[0]
     units = [rotary(one.unit) if turns else one.unit for one in force.candidates]
-    scale = sizes_of(result)
+    scale = sizes(result.estimator, result.theta)
     return TermRow(
         first.words,
         first.remedy,
@@ -99,13 +97,6 @@ def make_second_row(second: SecondMass, axis: Axis) -> TermRow:
     size = (second.resonance, math.nan, "Hz") if second.play is None else (*second.play, unit)
     words = second.describe(unit).removesuffix(",")
     return TermRow(words, second.remedy, second.change, True, second.odds, (size,), {})
-
-
-def sizes_of(result: DriveResult) -> np.ndarray:
-    """Return the sizes (p,) to which changes of the parameters are relative."""
-    p = len(result.estimator.equation.names)
-    every = np.append(sizes(result.estimator, result.theta[:p]), np.abs(result.theta[p:]))
-    return np.asarray(np.maximum(every, 1e-150))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
