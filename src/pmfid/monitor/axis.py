@@ -135,7 +135,8 @@ class WatchedAxis:
         self.watching = self._watching()
         self._filter = ScoreFilter(self._front, self.calibration.theta, left_out=self.calibration.left_out)
         p = self.calibration.theta.size
-        self._own, self._rest = Watched.empty(1, p, make_detection(p).rows), Disturbed.empty(1, p)
+        sizes = {"p": p, "width": self._filter.scoring.width, "starts": make_detection(p).rows}
+        self._own, self._rest = Watched.empty(1, **sizes), Disturbed.empty(1, **sizes)
         self.watching.refer(self._own, self.calibration.theta[None])
         self._inputs, self._flagged, self._warmer, self._block_warmer = Inputs(), 0, 0.0, 0.0
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import fields
+from dataclasses import field, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -12,14 +12,30 @@ from numpy.typing import NDArray
 from pmfid._stage import put_rows
 from pmfid.types import Places
 
-#: Metadata of arrays that are derived from others and are not saved.
-DERIVED = {"saved": False}
+
+def rows_of(*sizes: int | str, kind: type = np.float64, start: float = 0, saved: bool = True) -> Any:
+    """Declare an array with a row of these sizes for each axis, filled with `start`. `empty` gets the sizes with a name.
+
+    An array that is derived from others is not `saved`.
+    """
+    return field(metadata={"sizes": sizes, "kind": kind, "start": start, "saved": saved})
 
 
 class RowArrays:
     """Arrays, or groups of such arrays, with one row for each axis, as the fields of a dataclass."""
 
     __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @classmethod
+    def empty(cls, axes: int, **sizes: int) -> Self:
+        """Return the rows of axes without any data. All fields are declared by `rows_of`."""
+        declared = {one.name: one.metadata for one in fields(cls)}
+        return cls(
+            **{
+                name: np.full((axes, *(sizes.get(str(size), size) for size in one["sizes"])), one["start"], one["kind"])
+                for name, one in declared.items()
+            }
+        )
 
     def _map(self, act: Callable[..., NDArray[Any]], *others: Self) -> Self:
         """Return the results of `act` for each array, with the same arrays of `others` as further arguments."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,7 +14,7 @@ from pmfid._stage import ALONE, CHANGED, FRESH, KNOWN, LOST, POWER, SAME, SAMPLE
 from pmfid.estimators.auxiliary import make_auxiliary_kernel
 from pmfid.estimators.base import Estimator
 from pmfid.kernel.saved import set_model, take_guard
-from pmfid.monitor.rows import DERIVED, RowArrays
+from pmfid.monitor.rows import RowArrays, rows_of
 from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Floats
@@ -291,43 +291,21 @@ class Watched(RowArrays):
     are derived from the reference.
     """
 
-    theta: Floats
-    state: NDArray[np.uint8]
-    waiting: NDArray[np.int64]
-    silence: NDArray[np.int64]
-    opened: Floats
-    opening: Floats
-    members: NDArray[np.int64]
-    begun: Floats
-    detection: Floats
-    statistic: Floats
-    units: NDArray[np.int64]
-    line: Floats
-    wait: NDArray[np.int64] = field(metadata=DERIVED)
-    sigma: Floats = field(metadata=DERIVED)
-    tolerance: Floats = field(metadata=DERIVED)
-
-    @classmethod
-    def empty(cls, axes: int, p: int, detection: int) -> Watched:
-        """Return the state of `axes` axes that have no reference yet."""
-        none, nowhere, vector = np.zeros(axes), np.zeros(axes, np.int64), np.zeros((axes, p))
-        return cls(
-            theta=vector,
-            state=np.zeros(axes, np.uint8),
-            waiting=nowhere,
-            silence=nowhere.copy(),
-            opened=none,
-            opening=np.zeros((axes, width_of(p))),
-            members=nowhere.copy(),
-            begun=none.copy(),
-            detection=np.zeros((axes, detection, p)),
-            statistic=none.copy(),
-            units=nowhere.copy(),
-            line=np.zeros((axes, 2, p)),
-            wait=nowhere.copy(),
-            sigma=vector.copy(),
-            tolerance=vector.copy(),
-        )
+    theta: Floats = rows_of("p")
+    state: NDArray[np.uint8] = rows_of(kind=np.uint8)
+    waiting: NDArray[np.int64] = rows_of(kind=np.int64)
+    silence: NDArray[np.int64] = rows_of(kind=np.int64)
+    opened: Floats = rows_of()
+    opening: Floats = rows_of("width")
+    members: NDArray[np.int64] = rows_of(kind=np.int64)
+    begun: Floats = rows_of()
+    detection: Floats = rows_of("starts", "p")
+    statistic: Floats = rows_of()
+    units: NDArray[np.int64] = rows_of(kind=np.int64)
+    line: Floats = rows_of(2, "p")
+    wait: NDArray[np.int64] = rows_of(kind=np.int64, saved=False)
+    sigma: Floats = rows_of("p", saved=False)
+    tolerance: Floats = rows_of("p", saved=False)
 
 
 @dataclass
@@ -345,43 +323,21 @@ class Disturbed(RowArrays):
     `grown` is the number of units that had the deviation of the last alarm before it, by the line.
     """
 
-    units: Floats
-    begun: Floats
-    gathered: Floats
-    suspected: NDArray[np.int64]
-    crossed: Floats
-    refined: NDArray[np.uint8]
-    before: Floats
-    settled: Floats
-    gain: Floats
-    by_gain: NDArray[np.uint8]
-    cause: NDArray[np.int64]
-    since: Floats
-    slow: Floats
-    rate: Floats
-    grown: Floats
-
-    @classmethod
-    def empty(cls, axes: int, p: int) -> Disturbed:
-        """Return the data of `axes` axes without an alarm."""
-        width = width_of(p)
-        return cls(
-            np.zeros((axes, TUNING.look_back, width)),
-            np.zeros((axes, TUNING.look_back)),
-            np.zeros(axes),
-            np.zeros(axes, np.int64),
-            np.zeros(axes),
-            np.zeros(axes, np.uint8),
-            np.zeros((axes, p)),
-            np.zeros((axes, width)),
-            np.ones(axes),
-            np.zeros(axes, np.uint8),
-            np.zeros(axes, np.int64),
-            np.zeros(axes),
-            np.zeros((axes, p)),
-            np.zeros(axes),
-            np.zeros(axes),
-        )
+    units: Floats = rows_of(TUNING.look_back, "width")
+    begun: Floats = rows_of(TUNING.look_back)
+    gathered: Floats = rows_of()
+    suspected: NDArray[np.int64] = rows_of(kind=np.int64)
+    crossed: Floats = rows_of()
+    refined: NDArray[np.uint8] = rows_of(kind=np.uint8)
+    before: Floats = rows_of("p")
+    settled: Floats = rows_of("width")
+    gain: Floats = rows_of(start=1)
+    by_gain: NDArray[np.uint8] = rows_of(kind=np.uint8)
+    cause: NDArray[np.int64] = rows_of(kind=np.int64)
+    since: Floats = rows_of()
+    slow: Floats = rows_of("p")
+    rate: Floats = rows_of()
+    grown: Floats = rows_of()
 
     def recent(self, axis: int, units: int) -> tuple[Floats, Floats]:
         """Return the last units (m, width) of an axis and their times (m,), in order.

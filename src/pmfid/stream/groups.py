@@ -309,7 +309,7 @@ class Group:
     pace: Pace
     seats: list[Seat] = field(default_factory=list, init=False)
     numbers: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64), init=False)
-    positions: Positions = field(default_factory=lambda: Positions.fresh(0), init=False)
+    positions: Positions = field(default_factory=lambda: Positions.empty(0), init=False)
 
     def __post_init__(self) -> None:
         self.dt = self.prepared.dt

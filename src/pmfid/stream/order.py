@@ -10,7 +10,7 @@ from typing import Generic, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.monitor.rows import RowArrays
+from pmfid.monitor.rows import RowArrays, rows_of
 from pmfid.stream.delivery import Block
 from pmfid.stream.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
@@ -31,33 +31,26 @@ class Positions(RowArrays):
     to the source of the last item, or -1.
     """
 
-    epoch: NDArray[np.int64]
-    expected: NDArray[np.int64]
-    time: Floats
-    number: NDArray[np.int64]
-    start: Floats
-    first: NDArray[np.int64]
-    wrong_rate: Flags
-    wrong_period: Flags
-    waits: Flags
-    heard: Floats
-    alarm: NDArray[np.int64]
-    source: NDArray[np.int64]
-
-    @classmethod
-    def fresh(cls, axes: int) -> Positions:
-        zeros, unknown, no = np.zeros(axes, np.int64), np.full(axes, np.nan), np.zeros(axes, np.bool_)
-        clock = unknown, zeros.copy(), unknown.copy(), zeros.copy()
-        flags = no, no.copy(), no.copy()
-        return cls(zeros - 1, zeros, *clock, *flags, unknown.copy(), zeros.copy(), zeros - 1)
+    epoch: NDArray[np.int64] = rows_of(kind=np.int64, start=-1)
+    expected: NDArray[np.int64] = rows_of(kind=np.int64)
+    time: Floats = rows_of(start=math.nan)
+    number: NDArray[np.int64] = rows_of(kind=np.int64)
+    start: Floats = rows_of(start=math.nan)
+    first: NDArray[np.int64] = rows_of(kind=np.int64)
+    wrong_rate: Flags = rows_of(kind=np.bool_)
+    wrong_period: Flags = rows_of(kind=np.bool_)
+    waits: Flags = rows_of(kind=np.bool_)
+    heard: Floats = rows_of(start=math.nan)
+    alarm: NDArray[np.int64] = rows_of(kind=np.int64)
+    source: NDArray[np.int64] = rows_of(kind=np.int64, start=-1)
 
     def add(self, axes: int) -> None:
         """Add rows of axes without any data."""
-        vars(self).update(vars(self.join_rows(Positions.fresh(axes))))
+        vars(self).update(vars(self.join_rows(Positions.empty(axes))))
 
     def forget(self, index: int) -> None:
         """Reset the row of an axis, except for the duration of its silence."""
-        here, fresh = slice(index, index + 1), Positions.fresh(1)
+        here, fresh = slice(index, index + 1), Positions.empty(1)
         fresh.heard, fresh.alarm, fresh.source = self.heard[here], self.alarm[here], self.source[here]
         self.put(here, fresh)
 
@@ -235,7 +228,7 @@ class Order:
 
     def __init__(self, dt: float, window: int, place: PositionRow | None = None) -> None:
         self.dt, self.window = dt, window
-        self.place = place or PositionRow(Positions.fresh(1), 0)
+        self.place = place or PositionRow(Positions.empty(1), 0)
         self._held: list[Block] = []
         self.gaps: list[tuple[int, int]] = []
         self.clock = Clock(dt, self.place)
