@@ -32,53 +32,16 @@ WITHOUT_AGES = (
 )
 
 
-@dataclass
-class Seatings:
-    """A cache of the seatings of tables. `seats` has all axes by name."""
-
-    seats: Mapping[str, Seat]
-    _known: dict[tuple[str, ...], Seating | None] = field(default_factory=dict, init=False)
-    _names: int = field(default=0, init=False)
-
-    def seat_tables(self, tables: Sequence[tuple[str, ...]]) -> Seating | None:
-        """Return the seating of consecutive tables with these names, or None if an axis occurs twice."""
-        seatings = [self._get_seating(names) for names in tables]
-        if len(seatings) == 1:
-            return seatings[0]
-        whole = [one for one in seatings if one is not None]
-        return None if len(whole) < len(seatings) else _join_seatings(whole, [len(names) for names in tables])
-
-    def _get_seating(self, names: tuple[str, ...]) -> Seating | None:
-        if names not in self._known:
-            if self._names > TUNING.intake_most_names:
-                self._known, self._names = {}, 0
-            self._known[names] = self._find_seating(names)
-            self._names += len(names)
-        return self._known[names]
-
-    def _find_seating(self, names: tuple[str, ...]) -> Seating | None:
-        if len(set(names)) < len(names):
-            return None
-        found: dict[int, tuple[Group, NDArray[np.int64]]] = {}
-        for row, name in enumerate(names):
-            seat = self.seats.get(name)
-            if seat is not None:
-                place = found.setdefault(id(seat.group), (seat.group, np.full(len(names), -1, np.int64)))
-                place[1][row] = seat.index
-        return list(found.values())
-
-
-def _join_seatings(parts: Sequence[Seating], sizes: Sequence[int]) -> Seating | None:
-    """Join the seatings of tables with these sizes, or return None if an axis occurs twice."""
-    found = Seating()
-    for group in {id(group): group for part in parts for group, _ in part}.values():
-        own = [next((index for one, index in part if one is group), None) for part in parts]
-        index = np.concatenate([np.full(n, -1) if at is None else at for at, n in zip(own, sizes, strict=True)])
-        known = index[index >= 0]
-        if np.unique(known).size < known.size:
-            return None
-        found.append((group, index))
-    return found
+def seat_names(names: Sequence[str], seats: Mapping[str, Seat]) -> Seating | None:
+    """Return the seating of blocks of these axes, or None if an axis occurs twice."""
+    if len(set(names)) < len(names):
+        return None
+    found = [seats.get(name) for name in names]
+    groups = {id(seat.group): seat.group for seat in found if seat is not None}
+    return [
+        (group, np.array([seat.index if seat is not None and seat.group is group else -1 for seat in found], np.int64))
+        for group in groups.values()
+    ]
 
 
 @dataclass
@@ -121,13 +84,11 @@ class Intake:
     number_source: Callable[[str], int] = lambda source: -1
     seats: dict[str, Seat] = field(default_factory=dict, init=False)
     awaited: frozenset[str] = field(default=frozenset(), init=False)
-    _seatings: Seatings = field(default_factory=lambda: Seatings({}), init=False)
     _unusable: set[tuple[str, str]] = field(default_factory=set, init=False)
     _turn: int = field(default=0, init=False)
 
     def set_seats(self, seats: Iterable[Seat]) -> None:
         self.seats = {seat.name: seat for seat in seats}
-        self._seatings = Seatings(self.seats)
 
     def take(self, deliveries: Iterable[Delivery]) -> Ordered:
         ordered, tables = Ordered(), Tables()
@@ -150,7 +111,7 @@ class Intake:
         """Order consecutive tables, all of them together if no axis occurs twice."""
         if not tables:
             return
-        seating = self._seatings.seat_tables([table.axes for table, _ in tables])
+        seating = seat_names([name for table, _ in tables for name in table.axes], self.seats)
         if seating is not None or len(tables) == 1:
             self._table(tables, seating or [], ordered)
             return

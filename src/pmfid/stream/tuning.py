@@ -41,10 +41,6 @@ class StreamTuning:
     #: after twice as many events as the preceding notice.
     each_notice: int = 10
 
-    # intake
-    #: Largest number of names of tables whose seating is cached.
-    intake_most_names: int = 2**17
-
     # notices
     #: Smallest number of a service's notice, beyond the numbers of all axes, in microseconds since 1970. `of_axis` is
     #: the number of notices reserved for each axis.
