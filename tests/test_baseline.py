@@ -14,7 +14,6 @@ import pytest
 
 from pmfid.monitor import Monitor
 from pmfid.monitor.scores import Scale
-from pmfid.pipeline.monitored.setup import Setup
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.checkpoint import read_snapshot, snapshot
 from pmfid.stream.delivery import Block, Delivery
@@ -30,17 +29,17 @@ PACE = Pace(window=0.0, every=0.0)
 
 def rounded_otherwise(prepared: Prepared) -> Prepared:
     """Return the configuration as a computer with other last bits calibrates it."""
-    setup = prepared.setup
-    assert isinstance(setup, Setup)
-    scale = setup.calibration.scale
+    monitor = prepared.setup.monitor
+    assert isinstance(monitor, Monitor)
+    scale = monitor.calibration.scale
     inverse = scale.inverse * (1 + 4 * np.finfo(float).eps)
     calibration = replace(
-        setup.calibration,
-        theta=np.nextafter(setup.calibration.theta, np.inf),
+        monitor.calibration,
+        theta=np.nextafter(monitor.calibration.theta, np.inf),
         scale=Scale(inverse, scale.energy, scale.sigma),
     )
-    text = json.loads(setup.baseline) | {"calibration": json.dumps(calibration.__dict__, default=_plain)}
-    return prepared.take_baseline(json.dumps(text))
+    text = json.loads(prepared.setup.baseline) | {"calibration": calibration}
+    return prepared.take_baseline(json.dumps(text, default=_plain))
 
 
 def _plain(value: object) -> object:

@@ -15,7 +15,6 @@ from pmfid.errors import UsageError, printable
 
 if TYPE_CHECKING:
     from pmfid.config.axis import Axis
-    from pmfid.pipeline.edges import EdgeSetup
     from pmfid.pipeline.monitored.rows import RowSink
     from pmfid.pipeline.monitored.run import MonitoredRun, RunHistory
     from pmfid.pipeline.monitored.setup import Setup
@@ -72,7 +71,7 @@ def monitor(
     piped = str(record) == "-"
     tell = _Teller(as_json, to_stderr=str(out) == "-")
     from pmfid.config.axis import load_axis
-    from pmfid.pipeline.monitored.setup import check_monitored, set_up_record
+    from pmfid.pipeline.monitored.setup import check_monitored, set_up
     from pmfid.pipeline.monitored.stream import Stop
     from pmfid.records.joining import make_even
     from pmfid.records.record import read_record
@@ -82,7 +81,7 @@ def monitor(
     inputs = [config, *([] if piped else [record])]
     _check_places(out, report, [*inputs, config.parent / axis.monitor.reference] if axis.monitor.reference else inputs)
     data = None if piped else make_even(read_record(record, axis))
-    setup = set_up_record(axis, config.parent, data)
+    setup = set_up(axis, config.parent, data)
     with Stop().handling() as stop:
         run, history, sink = _run(setup, axis, data, out, stop, tell, report is not None)
     if report is not None and history is not None:
@@ -114,9 +113,7 @@ def _check_places(out: Path | None, report: Path | None, inputs: list[Path]) -> 
             raise UsageError(f"--report {report} would overwrite {path}; choose another name")
 
 
-def _write_report(
-    path: Path, name: str, setup: Setup | EdgeSetup, run: MonitoredRun, history: RunHistory, tell: _Teller
-) -> None:
+def _write_report(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory, tell: _Teller) -> None:
     """Write the report. The report of a pipe replaces no other report, because its data exist nowhere else."""
     from pmfid.io.row_file import fresh, is_stream
     from pmfid.report.monitored import write_monitored
@@ -127,7 +124,7 @@ def _write_report(
 
 
 def _run(
-    setup: Setup | EdgeSetup, axis: Axis, data: Record | None, out: Path | None, stop: Stop, tell: _Teller, keep: bool
+    setup: Setup, axis: Axis, data: Record | None, out: Path | None, stop: Stop, tell: _Teller, keep: bool
 ) -> tuple[MonitoredRun, RunHistory | None, RowSink]:
     """Return the run, its history, and the sink of the estimates."""
     from pmfid.pipeline.monitored.rows import open_sink
@@ -180,7 +177,7 @@ class _Teller:
         except OSError as error:
             self._failed = self._failed or _report_failure(error)
 
-    def start(self, setup: Setup | EdgeSetup, out: Path | None) -> None:
+    def start(self, setup: Setup, out: Path | None) -> None:
         """Print the settings of the run, and the file of the estimates."""
         self({**setup.describe_start(), "out": None if out is None else str(out)})
 

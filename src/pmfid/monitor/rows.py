@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import field, fields
+from dataclasses import fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -13,12 +13,12 @@ from pmfid._stage import put_rows
 from pmfid.types import Places
 
 
-def rows_of(*sizes: int | str, kind: type = np.float64, start: float = 0, saved: bool = True) -> Any:
-    """Declare an array with a row of these sizes for each axis, filled with `start`. `empty` gets the sizes with a name.
+def rows_of(*sizes: int | str, kind: type = np.float64, start: float = 0, saved: bool = True) -> dict[str, Any]:
+    """Return the metadata of an array with a row of these sizes for each axis, filled with `start`.
 
-    An array that is derived from others is not `saved`.
+    `RowArrays.empty` gets the sizes that are names. An array that is derived from others is not `saved`.
     """
-    return field(metadata={"sizes": sizes, "kind": kind, "start": start, "saved": saved})
+    return {"sizes": sizes, "kind": kind, "start": start, "saved": saved}
 
 
 class RowArrays:
@@ -28,7 +28,7 @@ class RowArrays:
 
     @classmethod
     def empty(cls, axes: int, **sizes: int) -> Self:
-        """Return the rows of axes without any data. All fields are declared by `rows_of`."""
+        """Return the rows of axes without any data. All fields have the metadata of `rows_of`."""
         declared = {one.name: one.metadata for one in fields(cls)}
         return cls(
             **{

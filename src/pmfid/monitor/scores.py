@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -291,21 +291,21 @@ class Watched(RowArrays):
     are derived from the reference.
     """
 
-    theta: Floats = rows_of("p")
-    state: NDArray[np.uint8] = rows_of(kind=np.uint8)
-    waiting: NDArray[np.int64] = rows_of(kind=np.int64)
-    silence: NDArray[np.int64] = rows_of(kind=np.int64)
-    opened: Floats = rows_of()
-    opening: Floats = rows_of("width")
-    members: NDArray[np.int64] = rows_of(kind=np.int64)
-    begun: Floats = rows_of()
-    detection: Floats = rows_of("starts", "p")
-    statistic: Floats = rows_of()
-    units: NDArray[np.int64] = rows_of(kind=np.int64)
-    line: Floats = rows_of(2, "p")
-    wait: NDArray[np.int64] = rows_of(kind=np.int64, saved=False)
-    sigma: Floats = rows_of("p", saved=False)
-    tolerance: Floats = rows_of("p", saved=False)
+    theta: Floats = field(metadata=rows_of("p"))
+    state: NDArray[np.uint8] = field(metadata=rows_of(kind=np.uint8))
+    waiting: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
+    silence: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
+    opened: Floats = field(metadata=rows_of())
+    opening: Floats = field(metadata=rows_of("width"))
+    members: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
+    begun: Floats = field(metadata=rows_of())
+    detection: Floats = field(metadata=rows_of("starts", "p"))
+    statistic: Floats = field(metadata=rows_of())
+    units: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
+    line: Floats = field(metadata=rows_of(2, "p"))
+    wait: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64, saved=False))
+    sigma: Floats = field(metadata=rows_of("p", saved=False))
+    tolerance: Floats = field(metadata=rows_of("p", saved=False))
 
 
 @dataclass
@@ -323,21 +323,21 @@ class Disturbed(RowArrays):
     `grown` is the number of units that had the deviation of the last alarm before it, by the line.
     """
 
-    units: Floats = rows_of(TUNING.look_back, "width")
-    begun: Floats = rows_of(TUNING.look_back)
-    gathered: Floats = rows_of()
-    suspected: NDArray[np.int64] = rows_of(kind=np.int64)
-    crossed: Floats = rows_of()
-    refined: NDArray[np.uint8] = rows_of(kind=np.uint8)
-    before: Floats = rows_of("p")
-    settled: Floats = rows_of("width")
-    gain: Floats = rows_of(start=1)
-    by_gain: NDArray[np.uint8] = rows_of(kind=np.uint8)
-    cause: NDArray[np.int64] = rows_of(kind=np.int64)
-    since: Floats = rows_of()
-    slow: Floats = rows_of("p")
-    rate: Floats = rows_of()
-    grown: Floats = rows_of()
+    units: Floats = field(metadata=rows_of(TUNING.look_back, "width"))
+    begun: Floats = field(metadata=rows_of(TUNING.look_back))
+    gathered: Floats = field(metadata=rows_of())
+    suspected: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
+    crossed: Floats = field(metadata=rows_of())
+    refined: NDArray[np.uint8] = field(metadata=rows_of(kind=np.uint8))
+    before: Floats = field(metadata=rows_of("p"))
+    settled: Floats = field(metadata=rows_of("width"))
+    gain: Floats = field(metadata=rows_of(start=1))
+    by_gain: NDArray[np.uint8] = field(metadata=rows_of(kind=np.uint8))
+    cause: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
+    since: Floats = field(metadata=rows_of())
+    slow: Floats = field(metadata=rows_of("p"))
+    rate: Floats = field(metadata=rows_of())
+    grown: Floats = field(metadata=rows_of())
 
     def recent(self, axis: int, units: int) -> tuple[Floats, Floats]:
         """Return the last units (m, width) of an axis and their times (m,), in order.

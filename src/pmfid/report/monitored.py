@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from pmfid.estimators.redge import REdge
 from pmfid.models.axes import LINEAR, Units
 from pmfid.monitor.chance import Chance
+from pmfid.monitor.edges import EdgeMonitor
 from pmfid.monitor.events import CANNOT_TELL, SETTLING, STARTING, SUSPICIOUS, WATCHING
-from pmfid.pipeline.edges import EdgeSetup
+from pmfid.monitor.monitor import Monitor
 from pmfid.pipeline.monitored.run import MonitoredRun, Notice, RunHistory, list_skipped
 from pmfid.pipeline.monitored.setup import Setup
 from pmfid.report.figures import (
@@ -177,18 +178,18 @@ def chance_figure(chance: Chance, mtbf_hours: float) -> Figure:
     return figure
 
 
-def write_monitored(path: Path, name: str, setup: Setup | EdgeSetup, run: MonitoredRun, history: RunHistory) -> None:
+def write_monitored(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory) -> None:
     """Write one self-contained HTML file on a run. Raises OSError if the file cannot be written."""
     sections = [_verdict(setup, run)]
     if len(history.rows) > 1:
         sections.append(
             Section("The run", _run_text(history, setup), figure=lambda: run_figure(run_data(setup, run, history)))
         )
-    sections.append(_calibration(setup) if isinstance(setup, Setup) else _describe_threshold(setup))
+    sections.append(_describe_threshold(setup.monitor))
     write_report(path, f"{name}: {_headline(run)}", sections)
 
 
-def run_data(setup: Setup | EdgeSetup, run: MonitoredRun, history: RunHistory) -> RunData:
+def run_data(setup: Setup, run: MonitoredRun, history: RunHistory) -> RunData:
     """Return the columns that the figure shows."""
     time, u, counts, theta, std, innovation, status, state = zip(*history.rows, strict=True)
     estimator = setup.monitor.estimator
@@ -229,7 +230,7 @@ def _headline(run: MonitoredRun) -> str:
     return what + (f", and {more} more alarm{'s' * (more > 1)}" if more else "")
 
 
-def _verdict(setup: Setup | EdgeSetup, run: MonitoredRun) -> Section:
+def _verdict(setup: Setup, run: MonitoredRun) -> Section:
     totals = [
         f"{run.samples} samples",
         f"{run.samples * setup.monitor.estimator.dt:.1f} s",
@@ -267,7 +268,7 @@ def _alarm_rows(run: MonitoredRun, alarm: Notice) -> list[list[str]]:
     ]
 
 
-def _run_text(history: RunHistory, setup: Setup | EdgeSetup) -> str:
+def _run_text(history: RunHistory, setup: Setup) -> str:
     estimator = setup.monitor.estimator
     rate = estimator.rate if isinstance(estimator, REdge) else 1 - estimator.forgetting
     text = (
@@ -277,8 +278,9 @@ def _run_text(history: RunHistory, setup: Setup | EdgeSetup) -> str:
     return text + (f" One row of {history.stride} is shown." if history.stride > 1 else "")
 
 
-def _describe_threshold(setup: EdgeSetup) -> Section:
-    monitor = setup.monitor
+def _describe_threshold(monitor: Monitor | EdgeMonitor) -> Section:
+    if isinstance(monitor, Monitor):
+        return _calibration(monitor)
     text = (
         f"A deviation is an alarm beyond {100 * monitor.watch.tolerance:g} % and {monitor.threshold:.3g} standard "
         f"errors, which chance exceeds once in {monitor.watch.mtbf_hours:g} h."
@@ -286,8 +288,8 @@ def _describe_threshold(setup: EdgeSetup) -> Section:
     return Section("Threshold", text)
 
 
-def _calibration(setup: Setup) -> Section:
-    watch, calibration = setup.monitor.watch, setup.calibration
+def _calibration(monitor: Monitor) -> Section:
+    watch, calibration = monitor.watch, monitor.calibration
     asked = sorted({1.0, 24.0, watch.mtbf_hours, 1000.0})
     rows = [[f"{hours:g}", f"{calibration.chance.threshold(hours):.3g}"] for hours in asked]
     noise, hours = ", ".join(f"{value:.2f}" for value in calibration.noise), calibration.record_hours

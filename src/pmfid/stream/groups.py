@@ -19,8 +19,7 @@ from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
 from pmfid.monitor.events import Event, FleetRows
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.pipeline.edges import EdgeSetup
-from pmfid.pipeline.monitored.setup import VERSION, Setup, set_up_record
+from pmfid.pipeline.monitored.setup import VERSION, Setup, set_up
 from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Line, Metronome, Sample, Saved, Timeline
 from pmfid.stream.delivery import Lines
 from pmfid.stream.order import UNKNOWN_GAP, ItemReport, Order, PositionRow, Positions, SamplePiece
@@ -192,7 +191,7 @@ class Prepared:
 
     path: Path
     axis: Axis
-    setup: Setup | EdgeSetup
+    setup: Setup
     digest: str
 
     @property
@@ -219,7 +218,7 @@ def prepare(path: Path, given: Axis | None = None) -> Prepared:
     does.
     """
     axis = load_axis(path) if given is None else given
-    setup = set_up_record(axis, path.parent, None)
+    setup = set_up(axis, path.parent, None)
     return Prepared(path, axis, setup, _digest(path, axis))
 
 

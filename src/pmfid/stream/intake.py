@@ -14,7 +14,6 @@ from pmfid.stream.groups import Group, Seat
 from pmfid.stream.order import ItemReport, Positions, SamplePiece, clock_runs, period_fits, rate_fits, rate_is_due
 from pmfid.stream.outcome import Counters
 from pmfid.stream.stepping import Batch, FoundEvent, GroupQueue
-from pmfid.stream.tuning import TUNING
 from pmfid.types import Flags
 
 #: Groups of a table's blocks. Each group has the numbers (k,) of its axes, and -1 for axes of other groups.

@@ -31,18 +31,18 @@ class Positions(RowArrays):
     to the source of the last item, or -1.
     """
 
-    epoch: NDArray[np.int64] = rows_of(kind=np.int64, start=-1)
-    expected: NDArray[np.int64] = rows_of(kind=np.int64)
-    time: Floats = rows_of(start=math.nan)
-    number: NDArray[np.int64] = rows_of(kind=np.int64)
-    start: Floats = rows_of(start=math.nan)
-    first: NDArray[np.int64] = rows_of(kind=np.int64)
-    wrong_rate: Flags = rows_of(kind=np.bool_)
-    wrong_period: Flags = rows_of(kind=np.bool_)
-    waits: Flags = rows_of(kind=np.bool_)
-    heard: Floats = rows_of(start=math.nan)
-    alarm: NDArray[np.int64] = rows_of(kind=np.int64)
-    source: NDArray[np.int64] = rows_of(kind=np.int64, start=-1)
+    epoch: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64, start=-1))
+    expected: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
+    time: Floats = field(metadata=rows_of(start=math.nan))
+    number: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
+    start: Floats = field(metadata=rows_of(start=math.nan))
+    first: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
+    wrong_rate: Flags = field(metadata=rows_of(kind=np.bool_))
+    wrong_period: Flags = field(metadata=rows_of(kind=np.bool_))
+    waits: Flags = field(metadata=rows_of(kind=np.bool_))
+    heard: Floats = field(metadata=rows_of(start=math.nan))
+    alarm: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
+    source: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64, start=-1))
 
     def add(self, axes: int) -> None:
         """Add rows of axes without any data."""

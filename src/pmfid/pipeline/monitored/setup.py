@@ -21,12 +21,13 @@ from pmfid.estimators.recursive import RLS, RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.monitor.calibration import Calibration, NormalWork, calibrate
 from pmfid.monitor.chance import Chance
+from pmfid.monitor.edges import EdgeMonitor
 from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.monitor.scores import Scale
 from pmfid.monitor.warmth import Warmth, find_warmth
 from pmfid.pipeline.drives import make_estimator
-from pmfid.pipeline.edges import EdgeSetup, describe_monitor, set_up_edges, takes_edges
+from pmfid.pipeline.edges import learn_edges, make_edge_estimator, takes_edges
 from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.known import finds_gain, known_of, set_gain, try_both_signs
 from pmfid.pipeline.tuning import TUNING
@@ -35,16 +36,11 @@ from pmfid.records.record import Record, read_record
 from pmfid.types import Floats
 
 #: Version of the calibration in saved states. Every change of it needs a new version.
-VERSION = 11
+VERSION = 12
 
 
-def _text_of(calibration: Calibration) -> str:
-    return json.dumps(asdict(calibration), default=lambda array: array.tolist())
-
-
-def _calibration_in(text: str) -> Calibration:
-    """Return the calibration in a text of `_text_of`. Raises ValueError, TypeError or KeyError for another text."""
-    raw: dict[str, Any] = json.loads(text)
+def _calibration_in(raw: dict[str, Any]) -> Calibration:
+    """Return the calibration in a part of a baseline. Raises ValueError, TypeError or KeyError for another object."""
     return Calibration(
         np.array(raw["theta"]),
         _scale(raw["scale"]),
@@ -54,16 +50,6 @@ def _calibration_in(text: str) -> Calibration:
         raw["record_hours"],
         raw["warmth"] and Warmth(**raw["warmth"] | {"rate": np.array(raw["warmth"]["rate"])}),
     )
-
-
-def save_baseline(monitor: Monitor) -> str:
-    """Return the numbers that a monitor got from its reference, as text: nominal values, thresholds and input gain.
-
-    A linear algebra rounds them by the kind of processor and by the number of threads. States of a monitor therefore
-    travel together with its baseline.
-    """
-    gain = monitor.estimator.equation.input_gain
-    return json.dumps({"calibration": _text_of(monitor.calibration), "input_gain": gain})
 
 
 def _scale(raw: dict[str, Any]) -> Scale:
@@ -82,15 +68,14 @@ def _work(raw: dict[str, Any]) -> NormalWork:
 
 @dataclass(frozen=True)
 class Setup:
-    """A monitor at its start.
+    """A monitor at its start, of counts or of edges.
 
     `nominal` (p,) are the normal parameters. `notes` are texts for the user.
     """
 
-    monitor: Monitor
+    monitor: Monitor | EdgeMonitor
     nominal: Floats
-    calibration: Calibration
-    notes: tuple[str, ...]
+    notes: tuple[str, ...] = ()
 
     @property
     def reported(self) -> Floats:
@@ -100,8 +85,15 @@ class Setup:
 
     @cached_property
     def baseline(self) -> str:
-        """Nominal values, thresholds and input gain, as `save_baseline` returns them."""
-        return save_baseline(self.monitor)
+        """The numbers that a monitor got from its reference, as text: nominal values, thresholds and input gain.
+
+        A linear algebra rounds them by the kind of processor and by the number of threads. States of a monitor
+        therefore travel together with its baseline.
+        """
+        if isinstance(self.monitor, EdgeMonitor):
+            return json.dumps({"nominal": self.nominal.tolist()})
+        gain, calibration = self.monitor.estimator.equation.input_gain, asdict(self.monitor.calibration)
+        return json.dumps({"calibration": calibration, "input_gain": gain}, default=lambda array: array.tolist())
 
     def take_baseline(self, text: str) -> Setup:
         """Return the same monitor at its start with the baseline of an earlier run.
@@ -109,37 +101,57 @@ class Setup:
         Raises ValueError, TypeError, KeyError or UsageError for a text that no such monitor has saved.
         """
         raw = json.loads(text)
+        if isinstance(self.monitor, EdgeMonitor):
+            nominal = np.array(raw["nominal"], np.float64)
+            return Setup(EdgeMonitor(self.monitor.estimator, nominal, self.monitor.watch), nominal, self.notes)
         calibration, known = _calibration_in(raw["calibration"]), self.monitor.known
         estimator = self.monitor.estimator
         if known is not None and known.find_gain:
             estimator = replace(estimator, model=replace(estimator.model, input_gain=float(raw["input_gain"])))  # type: ignore[type-var]
             known = replace(known, estimator=estimator)
-        nominal = calibration.theta
-        if isinstance(estimator, RIV):
-            estimator = replace(estimator, initial=dict(zip(estimator.names, nominal.tolist(), strict=True)))
-        monitor = Monitor(estimator, calibration, self.monitor.watch, known)
-        return replace(self, monitor=monitor, nominal=nominal, calibration=calibration)
+        estimator = _begin_at(estimator, calibration.theta)
+        return Setup(Monitor(estimator, calibration, self.monitor.watch, known), calibration.theta, self.notes)
 
     def describe_start(self) -> dict[str, object]:
         """Return the settings of a monitored axis for `--json`."""
-        return describe_monitor(self.monitor, self.reported) | {
-            "record_hours": self.calibration.record_hours,
+        monitor, watch = self.monitor, self.monitor.watch
+        hours = {"record_hours": monitor.calibration.record_hours} if isinstance(monitor, Monitor) else {}
+        return {
+            "event": "start",
+            "method": monitor.estimator.method,
+            "nominal": dict(zip(monitor.names, self.reported.tolist(), strict=True)),
+            "units": dict(zip(monitor.names, monitor.units, strict=True)),
+            "mtbf_hours": watch.mtbf_hours,
+            "tolerance": watch.tolerance,
+            "threshold": monitor.threshold,
+            **hours,
             "notes": list(self.notes),
         }
+
+
+def _begin_at(estimator: RecursiveEstimator, nominal: Floats) -> RecursiveEstimator:
+    """Return the estimator with start values (p,), if it takes any."""
+    if not isinstance(estimator, RIV):
+        return estimator
+    return replace(estimator, initial=dict(zip(estimator.names, nominal.tolist(), strict=True)))
 
 
 def set_up(axis: Axis, folder: Path, record: Record | None) -> Setup:
     """Return the monitor of AXIS.toml in `folder` for a record, or for a pipe if `record` is None.
 
-    Without a reference, the record's own input calibrates the monitor, with the encoder as the only noise. Raises
-    UsageError if both reference and record are missing, or if the nominal values are missing. Raises
-    NotIdentifiableError if the reference cannot identify the nominal values.
+    The monitor is that of edges if the configuration, and the record if there is one, has their ages. Raises UsageError
+    if both reference and record are missing, or if the nominal values are missing. Raises NotIdentifiableError if the
+    reference cannot identify the nominal values.
     """
-    config, notes = axis.monitor, list[str]()
-    check_monitored(axis)
+    edges, config = takes_edges(axis) and (record is None or record.ages is not None), axis.monitor
+    if edges and axis.record.friction_temperature is not None:
+        raise UsageError(
+            'friction_temperature works with the counts alone: set [estimator] method = "riv", or drop the key'
+        )
+    if not edges:
+        check_monitored(axis)
     normal = None if config.reference is None else make_even(read_record(folder / config.reference, axis))
-    source = normal or record
-    if source is None or (normal is None and config.nominal is None):
+    if normal is None and (record is None or config.nominal is None):
         raise UsageError(
             "[monitor] reference is missing: name a record of normal work, 10 minutes or more, "
             'for example reference = "normal.csv"' + ("" if record is None else ", or give the nominal values")
@@ -149,12 +161,34 @@ def set_up(axis: Axis, folder: Path, record: Record | None) -> Setup:
             f"the record has dt = {record.dt:g} s, the reference {normal.dt:g} s; take a reference with the same "
             "sample period"
         )
+    return _set_up_edges(axis, normal, record) if edges else _set_up_counts(axis, normal, record)
+
+
+def _set_up_edges(axis: Axis, normal: Record | None, record: Record | None) -> Setup:
+    """Return the monitor of edges. The normal parameters are given, or those of the reference by the same estimator."""
+    source, config = record or normal, axis.monitor
+    assert source is not None  # as checked
+    estimator = make_edge_estimator(axis, source)
+    if config.nominal is not None or normal is None:
+        nominal = initial_vector(config.nominal or {}, estimator.names)
+    else:
+        nominal = learn_edges(axis, normal)
+    following = replace(estimator, memory=estimator.memory or TUNING.default_memory)
+    return Setup(EdgeMonitor(following, nominal, Watch(config.mtbf_hours, config.tolerance)), nominal)
+
+
+def _set_up_counts(axis: Axis, normal: Record | None, record: Record | None) -> Setup:
+    """Return the monitor of counts.
+
+    Without a reference, the record's own input calibrates the monitor, with the encoder as the only noise.
+    """
+    source, config, notes = normal or record, axis.monitor, list[str]()
+    assert source is not None  # as checked
     on_line = kind_of(axis).prepare_axis(source, _configure_recursive(axis, source.dt))
     estimator = _estimator(_set_normal_gain(on_line, source), source, wraps=record is None)
     known = known_of(axis, estimator)
     nominal = _nominal(estimator, config.nominal, source, known)
-    if isinstance(estimator, RIV):
-        estimator = replace(estimator, initial=dict(zip(estimator.names, nominal.tolist(), strict=True)))
+    estimator = _begin_at(estimator, nominal)
     if normal is None:
         notes.append("no reference record: thresholds hold for the encoder's noise alone; name one in [monitor]")
     counts = None if normal is None else source.counts
@@ -162,16 +196,7 @@ def set_up(axis: Axis, folder: Path, record: Record | None) -> Setup:
     calibration = calibrate(estimator, nominal, source.u, counts, temperature)
     notes += calibration_notes(calibration, config.mtbf_hours)
     watch = Watch(config.mtbf_hours, config.tolerance)
-    return Setup(Monitor(estimator, calibration, watch, known), nominal, calibration, tuple(notes))
-
-
-def set_up_record(axis: Axis, folder: Path, record: Record | None) -> Setup | EdgeSetup:
-    """Return the monitor as `set_up`, or that of edges if the configuration, and the record if there is one, has
-    their ages.
-    """
-    if takes_edges(axis) and (record is None or record.ages is not None):
-        return set_up_edges(axis, folder, record)
-    return set_up(axis, folder, record)
+    return Setup(Monitor(estimator, calibration, watch, known), nominal, tuple(notes))
 
 
 def calibration_notes(calibration: Calibration, mtbf_hours: float) -> list[str]:
