@@ -21,7 +21,6 @@ from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.monitor import Monitor
-from pmfid.pipeline.monitored.rows import Nowhere
 from pmfid.pipeline.monitored.run import MonitoredRun, watch
 from pmfid.pipeline.monitored.stream import Stop, line_samples
 from pmfid.pipeline.monitored.timeline import Line, Sample, Skipped, Timeline
@@ -62,7 +61,7 @@ def found(axis: Axis, body: Text, dt: float = CART_DT) -> Iterator[Any]:
 
 def monitored(axis: Axis, calibration: Calibration, body: Text) -> MonitoredRun:
     monitor = Monitor(make_riv(INCREMENTS, THETA), calibration)
-    return watch(found(axis, body), monitor, Nowhere(), lambda event: None)
+    return watch(found(axis, body), monitor, None, lambda event: None)
 
 
 @pytest.mark.parametrize("name", FAULTS)

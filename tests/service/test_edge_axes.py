@@ -12,7 +12,7 @@ import pytest
 from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.pipeline.monitored.timeline import Sample
 from pmfid.service.arrangement import arrange_groups
-from pmfid.service.wire.messages import Messages, Readers
+from pmfid.service.wire.messages import Messages
 from pmfid.simulation import CART_DT
 from pmfid.stream.blocks import encode
 from pmfid.stream.blocks import items as items_of
@@ -109,7 +109,7 @@ def test_every_form_of_input_gives_the_same_rows(edge_axis: Prepared, motion: Mo
     elif form == "block":
         items = [*items_of(b"".join(messages_of(tuple(part[:400] for part in motion))))]
     else:
-        items = list(Messages(Readers({"x1": config}.get)).items(texts(motion, form)))
+        items = list(Messages({"x1": config}.get).items(texts(motion, form)))
     found = [bits for _, bits in run(edge_axis, [items]).of("x1")]
     samples = [
         Sample(CART_DT * k, *map(float, row[:1]), int(row[1]), further=float(row[2]))
@@ -125,7 +125,7 @@ def test_blocks_without_ages_are_refused_in_one_sentence(edge_axis: Prepared, mo
     engine = StreamEngine(Counters(), [outlet])
     engine.set_groups(arrange_groups([], dict.fromkeys(("x1", "x2"), edge_axis), Pace())[0])
     engine.tell = lambda what, axis="": said.append(what)  # type: ignore[method-assign]
-    items = list(Messages(Readers({}.get)).items(b"".join(plain)))
+    items = list(Messages({}.get).items(b"".join(plain)))
     engine.process([Delivery("hall", items)])
     assert not outlet.rows_of
     assert [one["reason"] for one in said] == ["ages"]

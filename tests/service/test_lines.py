@@ -13,7 +13,7 @@ import pytest
 from pmfid.config.axis import Axis, load_axis
 from pmfid.pipeline.monitored.lines import LineParser
 from pmfid.pipeline.monitored.timeline import Line
-from pmfid.service.wire.messages import Messages, Readers
+from pmfid.service.wire.messages import Messages
 from pmfid.stream.delivery import Item, Lines, Unusable
 
 AXIS = """
@@ -37,7 +37,7 @@ def axis(folder: Path, record: str = "") -> Axis:
 
 @pytest.fixture
 def messages(tmp_path: Path) -> Messages:
-    return Messages(Readers({"x1": axis(tmp_path), "x 2": axis(tmp_path)}.get))
+    return Messages({"x1": axis(tmp_path), "x 2": axis(tmp_path)}.get)
 
 
 def lines_of(items: list[Item], name: str = "x1") -> list[Line]:
@@ -70,7 +70,7 @@ ROWS = [
 )
 def test_fields_are_scaled_as_columns_of_a_pipe(tmp_path: Path, record: str, names: tuple[str, ...]) -> None:
     config = axis(tmp_path, record)
-    parser, form = LineParser(",".join(names).encode(), config), Messages(Readers({"x1": config}.get))
+    parser, form = LineParser(",".join(names).encode(), config), Messages({"x1": config}.get)
     expected = [parser(",".join(map(repr, row)).encode()) for row in ROWS]
     rows = [dict(zip(names, row, strict=True)) for row in ROWS]
     for data in (

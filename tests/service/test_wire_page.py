@@ -15,7 +15,7 @@ from pmfid.service.plant import SINKS, SOURCES
 from pmfid.service.sources.mqtt import MqttSourceSection
 from pmfid.service.sources.stdin import StdinSource
 from pmfid.service.web.config import PORT
-from pmfid.service.wire.messages import LARGEST, MOST_POINTS, Messages, Readers
+from pmfid.service.wire.messages import LARGEST, MOST_POINTS, Messages
 from pmfid.stream.blocks import MOST_SAMPLES
 from pmfid.stream.delivery import Lines
 from tests.service.test_lines import axis
@@ -46,7 +46,7 @@ def test_the_samples_are_read(tmp_path: Path, form: str) -> None:
         "columns": re.findall(r"one object of columns,\s`(.*?)`", PAGE, re.DOTALL),
     }
     (text,) = found[form]
-    (lines,) = Messages(Readers({"x1": axis(tmp_path)}.get)).items(text.encode())
+    (lines,) = Messages({"x1": axis(tmp_path)}.get).items(text.encode())
     assert isinstance(lines, Lines)
     assert len(lines.lines) == (2 if form == "columns" else 1)
     assert all(line.u == 1.5 and not line.problem for line in lines.lines)

@@ -125,7 +125,7 @@ def _write_report(path: Path, name: str, setup: Setup, run: MonitoredRun, histor
 
 def _run(
     setup: Setup, axis: Axis, data: Record | None, out: Path | None, stop: Stop, tell: _Teller, keep: bool
-) -> tuple[MonitoredRun, RunHistory | None, RowSink]:
+) -> tuple[MonitoredRun, RunHistory | None, RowSink | None]:
     """Return the run, its history, and the sink of the estimates."""
     from pmfid.pipeline.monitored.rows import open_sink
     from pmfid.pipeline.monitored.run import RunHistory, header, watch
@@ -134,20 +134,21 @@ def _run(
     sink = open_sink(out, header(setup.monitor), tell)
     history = RunHistory() if keep else None
     try:
-        tell.start(setup, sink.path)
+        tell.start(setup, None if sink is None else sink.path)
         piped = line_samples(sys.stdin.buffer, axis, setup.monitor.estimator.dt, stop)
         samples = piped if data is None else record_samples(data, stop)
         run = watch(samples, setup.monitor, sink, tell, [history] if history else [])
     finally:
-        sink.close()
+        if sink is not None:
+            sink.close()
     return run, history, sink
 
 
-def _complain(run: MonitoredRun, sink: RowSink) -> None:
+def _complain(run: MonitoredRun, sink: RowSink | None) -> None:
     """Raise UsageError for a problem that ended the run early, or for rows that are missing in the file."""
     if run.problem:
         raise UsageError(run.problem)
-    if sink.lost:
+    if sink is not None and sink.lost:
         raise UsageError(f"{sink.lost} rows are missing in {sink.path}; free space there, or choose another file")
 
 
@@ -181,12 +182,12 @@ class _Teller:
         """Print the settings of the run, and the file of the estimates."""
         self({**setup.describe_start(), "out": None if out is None else str(out)})
 
-    def end(self, run: MonitoredRun, sink: RowSink) -> None:
+    def end(self, run: MonitoredRun, sink: RowSink | None) -> None:
         """Print the totals. The number of skipped lines goes to standard error, where a user sees it."""
         from pmfid.pipeline.monitored.run import list_skipped
 
         totals = run.totals()
-        self({"event": "end", **totals, "rows_lost": sink.lost, "problem": run.problem})
+        self({"event": "end", **totals, "rows_lost": 0 if sink is None else sink.lost, "problem": run.problem})
         if parts := list_skipped(totals):
             click.echo(f"skipped: {', '.join(parts)}", err=True)
 

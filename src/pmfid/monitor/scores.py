@@ -185,12 +185,6 @@ class ScoreFilter:
         """Leave the next `samples` samples out."""
         self.kernel.doubt(samples)
 
-    def step(self, u: float, count: int) -> Blocks | None:
-        """Take one sample, and return the block that it completes, or None."""
-        self._u[0], self._count[0] = u, count
-        found = self.run(self._u, self._count)
-        return found if len(found.score) else None
-
 
 @dataclass(frozen=True)
 class Scale:

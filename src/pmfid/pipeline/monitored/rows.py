@@ -6,7 +6,6 @@ import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Protocol
 
 from pmfid.errors import UsageError
 from pmfid.io.row_file import RowFile, Tell, fresh, is_stream
@@ -14,97 +13,58 @@ from pmfid.io.row_file import RowFile, Tell, fresh, is_stream
 Row = tuple[float | int | str, ...]
 
 
-class RowSink(Protocol):
-    """A sink for rows, which are all in the file after `close`.
-
-    `path` is the path of the file, or None without a file. `lost` is the number of rows that could not be written.
-    """
-
-    @property
-    def path(self) -> Path | None: ...
-
-    @property
-    def lost(self) -> int: ...
-
-    def write(self, row: Row) -> None: ...
-
-    def close(self) -> None: ...
-
-
-class Nowhere:
-    """A sink that drops all rows."""
+class StandardOutput:
+    """Standard output in place of a `RowFile`."""
 
     path: Path | None = None
     lost = 0
 
-    def write(self, row: Row) -> None:
-        """Drop a row."""
-
-    def close(self) -> None:
-        """Do nothing."""
-
-
-class StreamSink:
-    """A sink whose rows are in the pipe when `write` returns."""
-
-    path: Path | None = None
-    lost = 0
-
-    def __init__(self, stream: IO[str], header: Sequence[str]) -> None:
-        self._stream = stream
-        self._put(",".join(header))
-
-    def write(self, row: Row) -> None:
-        """Write a line with 9 digits per number."""
-        self._put(_short(row))
-
-    def _put(self, line: str) -> None:
-        self._stream.write(line + "\n")
-        self._stream.flush()
+    def put(self, line: str) -> None:
+        """Write a line, given without its end."""
+        sys.stdout.write(line + "\n")
+        sys.stdout.flush()
 
     def close(self) -> None:
         """Leave the stream open."""
 
 
-class CsvSink:
-    """A sink whose rows are in the CSV file when `write` returns."""
+class RowSink:
+    """Rows as lines of CSV with 9 digits per number, which are in the file or pipe when `write` returns.
 
-    def __init__(self, path: Path, header: Sequence[str], tell: Tell) -> None:
-        self._file = RowFile(path, tell)
-        self.path = path
-        self._file.put(",".join(header))
+    `path` is the path of the result, or None for standard output.
+    """
+
+    def __init__(self, lines: RowFile | StandardOutput, header: Sequence[str]) -> None:
+        self.path, self._lines = lines.path, lines
+        self._lines.put(",".join(header))
 
     @property
     def lost(self) -> int:
-        return self._file.lost
+        """Number of rows that could not be written."""
+        return self._lines.lost
 
     def write(self, row: Row) -> None:
-        """Write a line with 9 digits per number."""
-        self._file.put(_short(row))
+        """Write a row."""
+        self._lines.put(",".join(f"{cell:.9g}" if isinstance(cell, float) else str(cell) for cell in row))
 
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Finish the file, which then has all rows."""
+        self._lines.close()
 
 
-class ParquetSink:
-    """A sink that writes rows to a CSV file in the same folder, and converts it to Parquet in `close`.
+class ParquetSink(RowSink):
+    """A sink that writes rows with all digits to a CSV file in the same folder, and converts it to Parquet in `close`.
 
     The memory stays small, and a killed process loses no row.
     """
 
     def __init__(self, path: Path, header: Sequence[str], tell: Tell) -> None:
-        self.path = path
-        self._target, self._header, self._tell = path, list(header), tell
-        self._rows = RowFile(rows_path(path), tell)
-        self._rows.put(",".join(header))
-
-    @property
-    def lost(self) -> int:
-        return self._rows.lost
+        self._rows, self._header, self._tell = RowFile(rows_path(path), tell), list(header), tell
+        super().__init__(self._rows, header)
+        self.path = self._target = path
 
     def write(self, row: Row) -> None:
-        """Write a row with all digits."""
+        """Write a row."""
         self._rows.put(",".join(map(str, row)))
 
     def close(self) -> None:
@@ -131,28 +91,24 @@ def rows_path(path: Path) -> Path:
     return path.with_name(f"{path.name}.csv")
 
 
-def _short(row: Row) -> str:
-    return ",".join(f"{cell:.9g}" if isinstance(cell, float) else str(cell) for cell in row)
-
-
-def open_sink(out: Path | None, header: Sequence[str], tell: Tell) -> RowSink:
-    """Open the sink for a path, where "-" means CSV on standard output.
+def open_sink(out: Path | None, header: Sequence[str], tell: Tell) -> RowSink | None:
+    """Open the sink for a path, where "-" means CSV on standard output, and None means no sink.
 
     If the file exists, the rows go to path-2, path-3 and so on.
 
     Raises UsageError for another kind of file.
     """
     if out is None:
-        return Nowhere()
+        return None
     if str(out) == "-":
-        return StreamSink(sys.stdout, header)
+        return RowSink(StandardOutput(), header)
     kind = out.suffix.lower()
     if kind not in (".csv", ".parquet"):
         raise UsageError(f"estimates go to a .csv or .parquet file, got {out.name!r}; - is standard output")
     while True:
         try:
             if kind == ".csv":
-                return CsvSink(out if is_stream(out) else fresh(out), header, tell)
+                return RowSink(RowFile(out if is_stream(out) else fresh(out), tell), header)
             return ParquetSink(fresh(out, rows_path), header, tell)
         except FileExistsError:  # another monitor has just taken the name
             continue

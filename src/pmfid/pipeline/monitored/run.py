@@ -13,7 +13,7 @@ from pmfid.estimators.known import Seen
 from pmfid.monitor.edges import EdgeMonitor
 from pmfid.monitor.events import Change, Event, Outlier, Settled, StateChange
 from pmfid.monitor.monitor import Monitor
-from pmfid.pipeline.monitored.rows import Nowhere, RowSink
+from pmfid.pipeline.monitored.rows import RowSink
 from pmfid.pipeline.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
@@ -110,7 +110,7 @@ def header(monitor: Monitored) -> list[str]:
 
 
 def watch(
-    found: Iterable[Found], monitor: Monitored, sink: RowSink, tell: Tell, observers: Sequence[Observer] = ()
+    found: Iterable[Found], monitor: Monitored, sink: RowSink | None, tell: Tell, observers: Sequence[Observer] = ()
 ) -> MonitoredRun:
     """Run the monitor over the samples. `tell` gets each event as an object for JSON, with the times of the samples.
 
@@ -129,7 +129,12 @@ def watch(
 
 
 def _step(
-    sample: Sample, monitor: Monitored, run: MonitoredRun, sink: RowSink, tell: Tell, observers: Sequence[Observer]
+    sample: Sample,
+    monitor: Monitored,
+    run: MonitoredRun,
+    sink: RowSink | None,
+    tell: Tell,
+    observers: Sequence[Observer],
 ) -> None:
     events = _count_interruption(sample, monitor, run, tell) if sample.missing or sample.jump else []
     reported: Estimate | Seen
@@ -140,7 +145,7 @@ def _step(
         estimate, now = monitor.step(sample.u, sample.counts, sample.further)
         reported = monitor.apply_known(estimate)
     run.samples += 1
-    if not isinstance(sink, Nowhere):
+    if sink is not None:
         sink.write(_row(sample.time, reported, monitor.state))
     for observe in observers:
         observe(sample, reported, monitor.state)

@@ -19,7 +19,7 @@ from pydantic import AfterValidator, Field
 
 from pmfid.service.broker import BrokerSection, Text, new_client, pauses
 from pmfid.service.context import Context, FindAxis, ProblemReport, SourceSection, Take, Tell
-from pmfid.service.wire.messages import LARGEST, Form, Messages, Readers
+from pmfid.service.wire.messages import LARGEST, Form, Messages
 from pmfid.stream.delivery import Delivery
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ class MqttSource:
 
     def __post_init__(self) -> None:
         self._report = ProblemReport(self.name, self.tell)
-        self._messages = Messages(Readers(self.axis), self.section.format, self.section.largest)
+        self._messages = Messages(self.axis, self.section.format, self.section.largest)
 
     def run(self, take: Take) -> None:
         """Take messages until `stop`. Raises UsageError for a section that cannot work."""

@@ -24,7 +24,7 @@ from pmfid.pipeline.monitored.stream import Beginning
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.context import CHUNK, Context, Source, SourceSection, Take
 from pmfid.service.tuning import TUNING
-from pmfid.service.wire.messages import LineSplitter, Messages, Readers
+from pmfid.service.wire.messages import LineSplitter, Messages
 from pmfid.stream.delivery import Delivery, Item, Lines
 
 
@@ -48,7 +48,7 @@ class StdinSource(SourceSection):
                 "cat run.csv | pmfid serve AXIS.toml"
             )
         if self.axis is None:
-            messages = Messages(Readers(context.axis), "json")
+            messages = Messages(context.axis, "json")
             return Piped(name, lambda lines: messages.items(b"\n".join(lines)), sys.stdin.buffer)
         return Piped(name, CsvLines(self.axis, context.require(self.axis)), sys.stdin.buffer)
 

@@ -47,68 +47,16 @@ MOST_POINTS = 20_000
 
 @dataclass(frozen=True)
 class Point:
-    """A sample as received.
+    """One sample, or samples of one axis, as received.
 
-    `axis` is the name, `fields` has the values by name. `time` is the time outside the fields [s], or NaN.
+    `axis` is the name, `fields` has the values by name. With `rows`, the fields are columns: lists of at least so many
+    values, and a value that is no list holds for all rows. `time` is the time outside the fields [s], or NaN.
     """
 
     axis: str
     fields: Mapping[str, object]
+    rows: int | None = None
     time: float = math.nan
-
-
-@dataclass(frozen=True)
-class PointColumns:
-    """Samples of one axis as columns.
-
-    `fields` has lists of at least `rows` values. A value that is no list holds for all rows.
-    """
-
-    axis: str
-    fields: Mapping[str, object]
-    rows: int
-
-
-@dataclass
-class Readers:
-    """The readers of each axis's fields, according to [record] in AXIS.toml.
-
-    `find` is called for each sample, because the axis may change. Axes that share an object share a reader.
-    """
-
-    find: FindAxis
-    _made: dict[int, tuple[Axis, FieldReader]] = field(default_factory=dict, init=False)
-
-    def items(self, points: Iterable[Point | PointColumns | Unusable]) -> list[Lines | Unusable]:
-        """Return the lines of each axis, with consecutive lines of an axis together."""
-        found: list[Lines | Unusable] = []
-        for axis, group in groupby(points, lambda point: None if isinstance(point, Unusable) else point.axis):
-            some = list(group)
-            found += [point for point in some if isinstance(point, Unusable)]
-            if axis is not None:
-                found.append(self._lines(axis, [point for point in some if not isinstance(point, Unusable)]))
-        return found
-
-    def _lines(self, axis: str, points: list[Point | PointColumns]) -> Lines | Unusable:
-        config = self.find(axis)
-        if config is None:
-            return Unusable("axis", f"the plant has no axis {axis[:64]!r}", axis[:64])
-        try:
-            reader = self._reader(config)
-        except UsageError as error:
-            return Unusable("axis", str(error), axis)
-        lines: list[Line] = []
-        for point in points:
-            if isinstance(point, PointColumns):
-                lines += reader.rows(point.fields, point.rows)
-            else:
-                lines.append(reader(point.fields, point.time))
-        return Lines(axis, lines)
-
-    def _reader(self, config: Axis) -> FieldReader:
-        if id(config) not in self._made:
-            self._made[id(config)] = config, FieldReader(config)  # the kept object keeps its id
-        return self._made[id(config)][1]
 
 
 #: The key of an object that names the axis.
@@ -116,25 +64,21 @@ AXIS_KEY = "axis"
 _NAMELESS = Unusable("axis", f'the sample does not name its axis: give "{AXIS_KEY}"')
 
 
-def decode_json(data: bytes, axis: str = "") -> list[Point | PointColumns | Unusable]:
-    """Return the samples of a message. `axis` names the axis. With "", the objects name the axis by AXIS_KEY."""
-    found: list[Point | PointColumns | Unusable] = []
+def decode_json(data: bytes, axis: str = "") -> Iterator[Point | Unusable]:
+    """Yield the samples of a message. `axis` names the axis. With "", the objects name the axis by AXIS_KEY."""
     left = MOST_POINTS
     for item in _parse_json(data, axis):
-        rows = item.rows if isinstance(item, PointColumns) else 1
+        rows = 1 if isinstance(item, Unusable) or item.rows is None else item.rows
         if rows > left:
-            if isinstance(item, PointColumns) and left:
-                found.append(replace(item, rows=left))
-            found.append(
-                Unusable("json", f"more than {MOST_POINTS} samples in one message: the service ignores the others")
-            )
-            break
-        found.append(item)
+            if isinstance(item, Point) and item.rows and left:
+                yield replace(item, rows=left)
+            yield Unusable("json", f"more than {MOST_POINTS} samples in one message: the service ignores the others")
+            return
+        yield item
         left -= rows
-    return found
 
 
-def _parse_json(data: bytes, axis: str) -> Iterator[Point | PointColumns | Unusable]:
+def _parse_json(data: bytes, axis: str) -> Iterator[Point | Unusable]:
     if not data.strip():
         return
     try:
@@ -158,7 +102,7 @@ def _unreadable(error: Exception) -> Unusable:
     return Unusable("json", f"the message is not valid JSON: {str(error)[:200]}")
 
 
-def _read_value(value: object, axis: str) -> Iterator[Point | PointColumns | Unusable]:
+def _read_value(value: object, axis: str) -> Iterator[Point | Unusable]:
     for one in value if isinstance(value, list) else [value]:
         if isinstance(one, dict):
             yield from _read_object(one, axis)
@@ -166,7 +110,7 @@ def _read_value(value: object, axis: str) -> Iterator[Point | PointColumns | Unu
             yield Unusable("json", "a sample must be an object with the fields of [record]")
 
 
-def _read_object(fields: dict[str, object], axis: str) -> Iterator[Point | PointColumns | Unusable]:
+def _read_object(fields: dict[str, object], axis: str) -> Iterator[Point | Unusable]:
     nested, tags = fields.get("fields"), fields.get("tags")
     if isinstance(nested, dict) and isinstance(tags, dict):
         yield _read_metric(fields, nested, axis or tags.get(AXIS_KEY, fields.get("name")))
@@ -181,7 +125,7 @@ def _read_object(fields: dict[str, object], axis: str) -> Iterator[Point | Point
     elif len(sizes) > 1:
         yield Unusable("json", "the columns have different lengths", named)
     elif rows := sizes.pop():
-        yield PointColumns(named, fields, rows)
+        yield Point(named, fields, rows)
 
 
 def _read_metric(metric: Mapping[str, object], fields: dict[str, object], axis: object) -> Point | Unusable:
@@ -190,7 +134,7 @@ def _read_metric(metric: Mapping[str, object], fields: dict[str, object], axis: 
         return _NAMELESS
     stamp = metric.get("timestamp")
     known = isinstance(stamp, int | float) and not isinstance(stamp, bool) and abs(stamp) < 10**30
-    return Point(axis, fields, float(stamp) / 10**9 if known else math.nan)  # type: ignore[arg-type]
+    return Point(axis, fields, time=float(stamp) / 10**9 if known else math.nan)  # type: ignore[arg-type]
 
 
 #: Largest size of a message if nothing else is configured [bytes].
@@ -199,17 +143,19 @@ LARGEST = 2**20
 Form = Literal["auto", "block", "json"]
 
 
-@dataclass(frozen=True)
+@dataclass
 class Messages:
-    """A reader of messages.
+    """A reader of messages, according to [record] in the AXIS.toml of their axes.
 
-    `readers` interpret the fields. `form` is the form of all messages. With "auto" each message reveals its form.
-    `largest` is the largest size of a message [bytes].
+    `find` is called for each sample, because the axis may change. Axes that share an object share a reader. `form` is
+    the form of all messages. With "auto" each message reveals its form. `largest` is the largest size of a message
+    [bytes].
     """
 
-    readers: Readers
+    find: FindAxis
     form: Form = "auto"
     largest: int = LARGEST
+    _readers: dict[int, tuple[Axis, FieldReader]] = field(default_factory=dict, init=False)
 
     def items(self, data: bytes, axis: str = "") -> Sequence[Item]:
         """Return the items of a message, without an exception.
@@ -225,9 +171,34 @@ class Messages:
 
     def _items(self, data: bytes, axis: str) -> Sequence[Item]:
         if self.form == "json" or (self.form == "auto" and not data.startswith(MAGIC)):
-            return self.readers.items(decode_json(data, axis))
+            return self._join_points(decode_json(data, axis))
         found = blocks.items(data)
         return [_check_axis(item, axis) for item in split_tables(found)] if axis else found
+
+    def _join_points(self, points: Iterable[Point | Unusable]) -> list[Item]:
+        """Return the lines of each axis, with consecutive lines of an axis together."""
+        found = list[Item]()
+        for axis, some in groupby(points, lambda point: None if isinstance(point, Unusable) else point.axis):
+            own = list(some)
+            found += [point for point in own if isinstance(point, Unusable)]
+            if axis is not None:
+                found.append(self._read_lines(axis, [point for point in own if isinstance(point, Point)]))
+        return found
+
+    def _read_lines(self, axis: str, points: Iterable[Point]) -> Lines | Unusable:
+        config = self.find(axis)
+        if config is None:
+            return Unusable("axis", f"the plant has no axis {axis[:64]!r}", axis[:64])
+        try:
+            if id(config) not in self._readers:
+                self._readers[id(config)] = config, FieldReader(config)  # the kept object keeps its id
+        except UsageError as error:
+            return Unusable("axis", str(error), axis)
+        read, lines = self._readers[id(config)][1], list[Line]()
+        for point in points:
+            single = point.rows is None
+            lines += [read(point.fields, point.time)] if single else read.rows(point.fields, point.rows or 0)
+        return Lines(axis, lines)
 
 
 def _check_axis(item: Block | Lines | Unusable, axis: str) -> Block | Lines | Unusable:
