@@ -49,8 +49,8 @@ MOST_POINTS = 20_000
 class Point:
     """One sample, or samples of one axis, as received.
 
-    `axis` is the name, `fields` has the values by name. With `rows`, the fields are columns: lists of at least so many
-    values, and a value that is no list holds for all rows. `time` is the time outside the fields [s], or NaN.
+    `axis` is the name, `fields` has the values by name. With a number of `rows`, the fields are columns: lists with a
+    value for each row, or a value that holds for all rows. `time` is the time outside the fields [s], or NaN.
     """
 
     axis: str
