@@ -13,19 +13,11 @@ import pytest
 from click.testing import CliRunner, Result
 
 from pmfid.actuators.logs import LogLayout, read_joints
-from pmfid.actuators.tuning import ActuatorTuning
 from pmfid.cli.main import main
 from pmfid.errors import UsageError
 from pmfid.io.tables import ClockedSignals, Signal
 from pmfid.types import Floats
 from tests.test_actuators import STEP, TRUTH, make_log
-
-
-@pytest.fixture(autouse=True)
-def _few_starts(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The landscape of these logs is plain, and the tests are to be quick."""
-    monkeypatch.setattr(ActuatorTuning, "draws", 150)
-    monkeypatch.setattr(ActuatorTuning, "refined", 3)
 
 
 @pytest.fixture(scope="module")

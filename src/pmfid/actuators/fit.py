@@ -221,9 +221,11 @@ def fit_logs(servo: Servo, logs: Sequence[JointLog], per_log: Sequence[str] = ()
         )
     servo = replace(servo, known_force=any(log.force is not None for log in logs))
     used = [_cut_long(log) for log in logs]
-    task = ServoTask(servo, used, tuple(per_log) if len(logs) > 1 else ())
+    task = ServoTask(servo, used, tuple(per_log) if len(logs) > 1 else (), early=1)
     with np.errstate(all="ignore"):  # motions far from the log may overflow
         found = find_search(task, search)
+        if found.is_early:
+            found = find_search(replace(task, early=4), search)
         lags = profile_lags(found) if found.kept else []
         found = max(lags, key=lambda at: at.value).search if lags else found
         try:

@@ -29,13 +29,14 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True, eq=False)
 class ServoTask:
-    """Logs of one servo, and what is known of it. Each name in `per_log` is a parameter of each log, and each one in
-    `extra` is a term in addition to what is known."""
+    """Logs of one servo, and what is known of it. Each name in `per_log` is a parameter of each log. Goals may have the
+    stamps of `early` rows later. A torque that is `limited` has an unknown limit in addition to what is known."""
 
     servo: Servo
     logs: Sequence[JointLog]
-    per_log: tuple[str, ...] = ()
-    extra: tuple[str, ...] = ()
+    per_log: tuple[str, ...]
+    early: int
+    limited: bool = False
 
     @property
     def lag(self) -> float:
@@ -48,11 +49,20 @@ class ServoTask:
         return float(np.median(np.concatenate([np.diff(log.t) for log in self.logs])))
 
     @property
+    def every(self) -> int:
+        """Number of rows from which the starts take one, because two ticks are enough for them."""
+        return max(int(2 * TUNING.tick / self.period), 1)
+
+    def thin(self) -> ServoTask:
+        """Return the task with the rows of the logs that the starts take."""
+        return replace(self, logs=[log.cut(slice(None, None, self.every)) for log in self.logs])
+
+    @property
     def lead(self) -> float:
         """Longest time by which goals act before their stamps [s]. A row of a log that polls has its goal at its start
         and its stamp at its end. Known torques go with the readings."""
         known = "delay" not in self.servo.unknown or any(log.force is not None for log in self.logs)
-        return 0.0 if known else self.period
+        return 0.0 if known else self.early * self.every * self.period
 
     @property
     def load(self) -> float:
@@ -61,11 +71,12 @@ class ServoTask:
 
     @property
     def model(self) -> Servo:
-        """What is known, with the extra terms, with the delay of the loop, and with the friction by the back-EMF if the
-        torque of a log is off in between."""
+        """What is known, with an unknown limit of the torque, with the delay of the loop, and with the friction by the
+        back-EMF if the torque of a log is off in between."""
         switched = any(log.on is not None for log in self.logs)
         more = ["loop_delay", *(["back_emf"] if switched else [])]
-        terms = [*self.servo.terms, *self.extra, *(name for name in more if not self.servo.has(name))]
+        more += ["torque_limit"] if self.limited else []
+        terms = [*self.servo.terms, *(name for name in more if not self.servo.has(name))]
         return replace(self.servo, terms=terms)
 
     @property
@@ -182,6 +193,13 @@ class ServoSearch(FitSearch):
         """Return whether the inertia is at its upper bound, where no motion follows."""
         return bool(self.plain.mass[1] - q[self.plain.machine.lead] < SETTLED)
 
+    @property
+    def is_early(self) -> bool:
+        """Whether goals act as long before their stamps as the task permits."""
+        names = [name.partition(".")[0] for name in self.plain.machine.names]
+        delays = self.q[: self.count][[name == "delay" for name in names]]
+        return self.task.lead > 0 and bool(np.any(delays < SETTLED * self.task.period))
+
     def is_lost(self, q: Floats) -> bool:
         """Return whether the inertia is at its lower bound, where the log shows none of it."""
         return bool(q[self.plain.machine.lead] - self.plain.mass[0] < SETTLED)
@@ -228,7 +246,7 @@ class ServoSearch(FitSearch):
         return (
             noise.evidence(errors_of(self))[0]
             - 0.5 * self.q.size * math.log(self.plain.rows)
-            + len(self.task.extra) * ODDS
+            + self.task.limited * ODDS
         )
 
 

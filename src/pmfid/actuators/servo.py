@@ -146,11 +146,6 @@ class Servo:
         """Return whether a parameter belongs to the model, known or not."""
         return name in self.unknown or name in self.given
 
-    @property
-    def units(self) -> tuple[str, ...]:
-        """Units of the unknown parameters, (p,)."""
-        return tuple(UNITS[name][self.relative] for name in self.unknown)
-
     def values(self, theta: Floats) -> dict[str, float]:
         """Return all parameters by name, with the unknown ones at `theta` (p,)."""
         full = {"kp": 1.0, "loop_delay": 0.5 * self.loop_period, **self.given}

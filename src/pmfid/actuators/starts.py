@@ -22,8 +22,8 @@ from pmfid.fit.search import SETTLED, errors_of
 from pmfid.fit.solve import Optimum, solve
 from pmfid.types import Floats
 
-#: Terms that each have starts of their own, because the motion with them is far from that without.
-EXTRAS = ((), ("torque_limit",), ("ki",), ("torque_limit", "ki"), ("load_friction",), ("motor_friction",))
+#: Terms whose motion is far from that without them, so that the search begins with each of them as well.
+TERMS = ("ki", "load_friction", "motor_friction")
 #: Factors of all torques from which the best servo starts again where a known torque, such as gravity, gives the scale.
 SCALES = (0.25, 0.5, 2.0, 4.0)
 #: Effects that repeat along the travel, which are sought in whole logs.
@@ -59,56 +59,39 @@ def _build_waves(search: ServoSearch) -> ServoSearch:
 
 def _drop_limit(search: ServoSearch, always: bool = False) -> ServoSearch:
     """Return the search without a limit of the torque that nobody named and that never acts, or without any such."""
-    if "torque_limit" not in search.task.extra:
+    if not search.task.limited or (not always and limited_part(search.problem, search.q, search.starts) > 0):
         return search
-    if not always and limited_part(search.problem, search.q, search.starts) > 0:
-        return search
-    noise = search.noise
-    search.task, problem, q = _leave_out(search, "torque_limit")
-    search.take(problem, q, search.starts, search.chosen)
+    place = search.plain.machine.names.index("torque_limit")
+    kept, noise = np.arange(search.count) != place, search.noise
+    parts = (replace(one, acts=None if one.acts is None else one.acts[kept]) for one in search.plain.stretches)
+    search.task = replace(search.task, limited=False)
+    problem = replace(search.plain, machine=search.task.body(), stretches=tuple(parts))
+    search.take(problem, np.delete(search.q, place), search.starts, search.chosen)
     search.noise = replace(noise, stretches=search.plain.stretches)
     return search
 
 
-def _leave_out(search: ServoSearch, name: str) -> tuple[ServoTask, FitProblem, Floats]:
-    """Return task, problem and coordinates without an extra parameter of the model."""
-    place = search.plain.machine.names.index(name)
-    task = replace(search.task, extra=tuple(one for one in search.task.extra if one != name))
-    kept = np.arange(search.count) != place
-    parts = (replace(one, acts=None if one.acts is None else one.acts[kept]) for one in search.plain.stretches)
-    return task, replace(search.plain, machine=task.body(), stretches=tuple(parts)), np.delete(search.q, place)
-
-
 def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
-    """Yield searches at the best starts with extra terms, each with gravity and without."""
-    for extra in EXTRAS if search else EXTRAS[:1]:
-        if any(task.servo.has(name) for name in extra):
-            continue
-        own = replace(task, extra=extra)
+    """Yield searches at the best starts with a limit of the torque and without, each with sets of terms."""
+    for limited in (False, True) if search and not task.servo.has("torque_limit") else (False,):
+        own = replace(task, limited=limited)
         problem = head_of(own.problem())
-        q, starts = find_start(own, problem)
-        at = _drop_limit(ServoSearch(own, problem, q, starts, search))
-        if extra[:1] == ("torque_limit",) != at.task.extra[:1]:
-            continue  # the same model is among the others
-        for name in extra:
-            at = at if name == "torque_limit" else _move_to_terms(at, name)
-        yield at
-        loads = [i for i, one in enumerate(at.table) if one.name == "gravity"]
-        if loads:
-            other = copy(at)
-            other.choose([*at.chosen, *loads])
-            yield other
+        at = _drop_limit(ServoSearch(own, problem, find_start(own.thin()), problem.first_starts(), search))
+        if at.task.limited != limited:
+            continue  # the same model is the other one
+        best = max((at, *_add_term(at, "gravity")), key=_settled_value)
+        yield best
+        for name in TERMS:
+            yield from _add_term(best, name)
 
 
-def _move_to_terms(at: ServoSearch, name: str) -> ServoSearch:
-    """Return the search with a parameter of the model as a term of the table, which has odds and may go again."""
-    size = float(at.q[at.plain.machine.names.index(name)])
-    task, plain, q = _leave_out(at, name)
-    other = ServoSearch(task, plain, q[: len(plain.machine.names)], at.starts, search=True)
-    term = next(i for i, one in enumerate(other.table) if one.name == name)
-    other.choose([*other.chosen, term])
-    other.q[other.problem.places[other.chosen.index(term)]] = size / other.table[term].sd
-    return other
+def _add_term(search: ServoSearch, name: str) -> Iterator[ServoSearch]:
+    """Yield the search with a term, if the table has this term."""
+    rows = [i for i, one in enumerate(search.table) if one.name == name]
+    if rows:
+        other = copy(search)
+        other.choose([*search.chosen, *rows])
+        yield other
 
 
 def _settled_value(search: ServoSearch) -> float:
@@ -144,20 +127,19 @@ def _extend(search: ServoSearch, angle: float) -> ServoSearch:
 # --- starts -----------------------------------------------------------------------------------------------------------
 
 
-def find_start(task: ServoTask, head: FitProblem) -> tuple[Floats, Floats]:
-    """Return parameters (p,) and start states (m, 2) of the best local minimum from random servos.
+def find_start(task: ServoTask) -> Floats:
+    """Return the parameters q (p,) at the best local minimum from random servos.
 
-    The servos are the same in each call. The best servos of one log are starts of all logs as well.
+    The servos are the same in each call.
     """
+    head = head_of(task.problem())
+    if "inertia" in head.machine.names and "kp" not in head.machine.names and not task.load:
+        least = task.servo.given.get("kp", 1.0) / TUNING.frequencies[1] ** 2  # none would follow as well, with a delay
+        head = replace(head, mass=(math.log(least), math.inf))
     draw = ServoDraw(task, head.machine.names, np.random.default_rng(0))
     drawn = [head.clip_to_bounds(head.start(draw())) for _ in range(TUNING.draws)]
-    first = replace(head, stretches=tuple(one.cut(0.0, TUNING.sprint) for one in head.stretches))
-    early = _costs(first, drawn)
-    if len(head.stretches) > 1:
-        for k, one in enumerate(head.stretches):
-            alone = replace(head, stretches=(one,))
-            drawn += [end.q for end in _refine(task, alone, _select(drawn, early[:, k]))[:2]]
-    best = _refine(task, head, [*_select(drawn, early.mean(axis=1)), *drawn[TUNING.draws :]])[:2]
+    likely = np.argsort(_costs(_cut(head, TUNING.sprint), drawn))[: TUNING.selected]
+    best = _refine(task, _cut(head, TUNING.head / len(head.stretches)), [drawn[i] for i in likely])[:2]
     prior, soft = _prior_of(task, head), Gaussian(head.stretches, scale=9.0)
     last = [solve(head, soft, end.q, end.starts, prior, 40, 0.01) for end in best]
     end = min(last, key=lambda end: end.cost)
@@ -165,9 +147,12 @@ def find_start(task: ServoTask, head: FitProblem) -> tuple[Floats, Floats]:
         q = head.clip_to_bounds(head.start(_scale(head.machine.names, head.theta(end.q), scale)))
         last.append(solve(head, soft, q, end.starts, prior, 12, 1.0))
     better = min(last, key=lambda end: end.cost)
-    if better is not end:
-        end = solve(head, soft, better.q, better.starts, prior, 40, 0.01)
-    return end.q, end.starts
+    return (end if better is end else solve(head, soft, better.q, better.starts, prior, 40, 0.01)).q
+
+
+def _cut(head: FitProblem, time: float) -> FitProblem:
+    """Return the first part [s] of each stretch."""
+    return replace(head, stretches=tuple(one.cut(0.0, time) for one in head.stretches))
 
 
 def _scale(names: Sequence[str], theta: Floats, scale: float) -> Floats:
@@ -175,11 +160,6 @@ def _scale(names: Sequence[str], theta: Floats, scale: float) -> Floats:
     torque = [UNITS[name.partition(".")[0]][0].startswith(("N m", "kg")) for name in names]
     loads = [name.partition(".")[0] in ("gravity", "gravity_angle", "offset") for name in names]
     return np.where(np.array(torque) & ~np.array(loads), theta * scale, theta)
-
-
-def _select(drawn: Sequence[Floats], costs: Floats) -> list[Floats]:
-    """Return the servos with the least costs (n,) of the first n."""
-    return [drawn[i] for i in np.argsort(costs)[: TUNING.selected]]
 
 
 def _prior_of(task: ServoTask, head: FitProblem) -> Floats:
@@ -190,19 +170,18 @@ def _refine(task: ServoTask, head: FitProblem, drawn: Sequence[Floats]) -> list[
     """Return what a few steps make of the best of some servos q (p,), the best one first."""
     starts, prior = head.first_starts(), _prior_of(task, head)
     soft = Gaussian(head.stretches, scale=9.0)
-    chosen = np.argsort(_costs(head, drawn).mean(axis=1))[: TUNING.refined]
+    chosen = np.argsort(_costs(head, drawn))[: TUNING.refined]
     return sorted((solve(head, soft, drawn[i], starts, prior, 12, 1.0) for i in chosen), key=lambda end: end.cost)
 
 
 def _costs(head: FitProblem, drawn: Sequence[Floats]) -> Floats:
-    """Return the squares (n, m) that n servos leave of each of m stretches, relative to the mean of all stretches."""
-    starts, rows = head.first_starts(), np.array([one.y.size for one in head.stretches])
-    squares = np.empty((len(drawn), rows.size))
+    """Return the squares (n,) that n servos leave."""
+    starts, squares = head.first_starts(), np.zeros(len(drawn))
     for i, q in enumerate(drawn):
-        for k, ((y, _), one) in enumerate(zip(head.motion(q, starts), head.stretches, strict=True)):
+        for (y, _), one in zip(head.motion(q, starts), head.stretches, strict=True):
             apart = np.nan_to_num(np.clip(y - one.y, -1e6, 1e6), nan=1e6)
-            squares[i, k] = apart @ apart
-    return np.asarray(squares / np.mean(rows))
+            squares[i] += apart @ apart
+    return squares
 
 
 def _draw_positive(rng: np.random.Generator, low: float, high: float) -> float:
@@ -249,13 +228,10 @@ class ServoDraw:
             "gravity": torque * _draw_positive(rng, 0.1, 10.0),
             "gravity_angle": torque * rng.uniform(-1.0, 1.0) if pair else rng.uniform(-math.pi, math.pi),
             "stribeck": torque * _draw_positive(rng, *TUNING.frictions),
-            "stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
-            "load_friction": _draw_positive(rng, 0.01, 0.3),
-            "load_stribeck": _draw_positive(rng, 0.01, 0.3),
-            "load_stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
-            "motor_friction": _draw_positive(rng, 0.01, 0.3),
-            "motor_stribeck": _draw_positive(rng, 0.01, 0.3),
-            "motor_stribeck_speed": speed * _draw_positive(rng, 0.03, 1.0),
             "quadratic": inertia * _draw_positive(rng, 0.01, 1.0),
         }
+        shares = ("load_friction", "load_stribeck", "motor_friction", "motor_stribeck")
+        drawn |= {name: _draw_positive(rng, 0.01, 0.3) for name in shares}
+        speeds = ("stribeck_speed", "load_stribeck_speed", "motor_stribeck_speed")
+        drawn |= {name: speed * _draw_positive(rng, 0.03, 1.0) for name in speeds}
         return np.array([drawn.get(name.partition(".")[0], 0.0) for name in self.names])
