@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.design.appraisal import USUAL, Choice, choose
+from pmfid.design.body import simulate
 from pmfid.design.calibration import DesignedRun, RunsEstimate, calibrate
 from pmfid.design.problem import Limits, Problem
-from pmfid.design.simulated import drive_of, simulate
 from pmfid.design.solver import solve
 from pmfid.design.standard import standard_inputs
 from pmfid.encoder import quantize
 from pmfid.models.drive import Drive
-from pmfid.simulation.drive import Machine, drive_machine
+from pmfid.simulation.drive import DriveParameters, Machine, drive_machine
 from pmfid.types import Flags, Floats
 from studies.paper.truth import table
 from studies.sections import write_page
@@ -97,6 +97,12 @@ def truth_of(problem: Problem, rng: np.random.Generator) -> dict[str, float]:
     return {name: value * (1.0 + WRONG * rng.uniform(-1.0, 1.0)) for name, value in problem.nominal.items()}
 
 
+def drive_of(problem: Problem) -> DriveParameters:
+    """Return the nominal machine of a problem."""
+    mass, viscous, coulomb = (problem.nominal[name] for name in NAMES)
+    return DriveParameters(mass, viscous, coulomb, problem.drive.equation.input_gain)
+
+
 def commissioned(problem: Problem, u: Floats, seed: int) -> tuple[RunsEstimate, dict[str, float]]:
     """Return the estimate from one run of a machine that differs from its data sheet, from a random encoder phase."""
     rng = np.random.default_rng(seed)
@@ -173,7 +179,7 @@ def _lacking(problem: Problem, u: Floats, lack: dict[str, float], runs: int) -> 
     """
     dt, resolution = problem.dt / problem.samples_per_interval, float(problem.resolution or 1.0)
     sizes = {"stribeck": problem.nominal["coulomb_friction"], "quadratic": problem.nominal["viscous_friction"] / 0.3}
-    axis = Machine(drive_of(problem, {}), **{key: value * sizes.get(key, dt) for key, value in lack.items()})
+    axis = Machine(drive_of(problem), **{key: value * sizes.get(key, dt) for key, value in lack.items()})
     held = np.r_[np.repeat(u, problem.samples_per_interval), 0.0]
     ratios, missing = [], []
     for seed in range(runs):

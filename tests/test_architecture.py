@@ -70,7 +70,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "monitor": DIAGNOSTICS | {"lazy_imports"},
     "testing": DIAGNOSTICS,
     "simulation": {"edge_times", "elementary", "errors", "types"},
-    "design": {"errors", "findings", "fit", "lazy_imports", "models", "presentation", "simulation", "types"},
+    "design": {"errors", "findings", "fit", "lazy_imports", "models", "presentation", "types"},
     "actuators": {"_body", "errors", "findings", "fit", "io", "presentation", "records", "types"},
     "export": DIAGNOSTICS | {"pmfid"},
     "pipeline": PIPELINE,

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 import pytest
 
-from pmfid.design.simulated import simulate
+from pmfid.design.body import simulate
 from pmfid.pipeline.designs import load_spec, make_problem
 from tests.command import run_command
 

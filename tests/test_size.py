@@ -13,16 +13,16 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66328,
-    "lines of code in src": 38899,
-    "lines of code in report and cli": 3339,
-    "thresholds in src": 1003,
+    "lines of src": 66157,
+    "lines of code in src": 38800,
+    "lines of code in report and cli": 3338,
+    "thresholds in src": 998,
     "lines of csrc": 8685,
     "defines of csrc": 195,
     "conditionals of csrc": 107,
-    "lines of tests": 28483,
+    "lines of tests": 28481,
     "match= in tests": 25,
-    "lines of studies": 8082,
+    "lines of studies": 8038,
 }
 
 

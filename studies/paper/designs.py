@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pmfid.design.simulated import simulate
+from pmfid.design.body import simulate
 from pmfid.simulation import CART, CART_DT, quantize, resolution_of, simulate_drive
 from pmfid.types import Floats
 from studies.paper.inputs import HORIZON, INTERVALS, designed, experiments, information, miss_end, problem

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.optimize import brentq
 
 from pmfid.design.ascent import Climber
+from pmfid.design.body import simulate, simulated_information
 from pmfid.design.oracle import Oracle
 from pmfid.design.problem import InfeasibleError, Limits, Problem
-from pmfid.design.simulated import simulate, simulated_information
 from pmfid.design.solver import setting, solve
 from pmfid.design.standard import standard_inputs
 from pmfid.design.tuning import TUNING

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.design.encoder_error import expected_covariance, is_counted
+from pmfid.design.body import simulated_information
+from pmfid.design.expected import expected_covariance
 from pmfid.design.fisher import Criterion, affine, criterion_of, eliminate
 from pmfid.design.problem import Design, InfeasibleError, Problem
-from pmfid.design.simulated import simulated_information
 from pmfid.design.solver import Setting, evaluate, setting, solve
 from pmfid.design.standard import StandardInput, standard_inputs
 from pmfid.design.tuning import TUNING
@@ -46,8 +46,7 @@ def choose(design: Design, *, starts: int = 5, seed: int = 0) -> Choice:
     """Choose the best input for the problem of a design.
 
     The candidates are the design, other designs with a larger least speed, and the standard inputs. `starts` and `seed`
-    belong to the search for the other designs. If the noise does not come from an encoder, it counts as white, and the
-    start position as unknown.
+    belong to the search for the other designs. The start position counts as unknown.
     """
     problem = design.problem
     inputs = {"design": design.u} | dict(_others(design, starts, seed))
@@ -110,11 +109,11 @@ class Worth:
 
     `fisher` (p, p) is the information on the unknown parameters in their own units, with the prior. `value` is the
     value of the criterion, over the scenarios if the problem has an average. `surviving` is the part of the claimed
-    information that remains with true stiction. `surviving` is the least value over nominal, slightly larger and
-    slightly smaller parameters, or None without a simulation. `predicted_std` is the standard deviation of each unknown
-    parameter after one run. A standard deviation is infinite if run and prior do not determine the parameter.
-    `std_encoder` is the standard deviation that `pmfid design SPEC RECORD` will reach from the encoder's counts
-    (`encoder_covariance`). The prediction assumes an unknown start position. `std_encoder` is infinite for an
+    information that remains with true stiction. It is the least value over nominal, slightly larger and slightly
+    smaller parameters. `predicted_std` is the standard deviation of each unknown parameter after one run. A standard
+    deviation is infinite if run and prior do not determine the parameter. `std_encoder` is the standard deviation that
+    `pmfid design SPEC RECORD` will reach from the encoder's counts
+    (`expected_covariance`). The prediction assumes an unknown start position. `std_encoder` is infinite for an
     undetermined parameter, and if the noise does not come from an encoder. `covariance` (p, p) belongs to the estimate
     of unknown and nuisance parameters after one run, in their units. `covariance` decides on the choice of an input,
     and is None if a parameter is undetermined.
@@ -122,7 +121,7 @@ class Worth:
 
     fisher: Floats
     value: float
-    surviving: float | None
+    surviving: float
     predicted_std: Mapping[str, float]
     std_encoder: Mapping[str, float]
     covariance: Floats | None = None
@@ -269,7 +268,7 @@ def worth_of(ready: Setting, u: Floats) -> Worth:
         ready.value(u),
         _surviving(problem, ready.rule, u, F - maps.prior),
         _stds(problem, _on_unknown(problem, F)),
-        stds(problem, covariance if is_counted(problem) else None),
+        stds(problem, covariance if problem.counted else None),
         covariance,
     )
 
@@ -293,20 +292,18 @@ def accumulate_value(problem: Problem, criterion: Criterion, u: ArrayLike) -> tu
     return t, np.array(values)
 
 
-def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Floats) -> float | None:
+def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Floats) -> float:
     """Return the part of the run's information that survives stiction, by the criterion of the design.
 
     If the criterion has no value for the run without a prior, the trace decides.
     """
-    if problem.drive.friction != "symmetric":
-        return None
     judge = replace(criterion, name="trace") if criterion.name == "ME" else criterion
     if not judge.value(claimed) > 1e-9 * np.trace(claimed):
         judge = Criterion("trace", len(claimed))
-    scale = np.outer(problem.scale, problem.scale)
-    true = [judge.value(simulated_information(problem, u, side=side) * scale) for side in (-1, 0, 1)]
-    whole = judge.value(claimed)
-    return min(true) / whole if whole > 0 else None
+    scale, whole = np.outer(problem.scale, problem.scale), judge.value(claimed)
+    near = [{name: part * value for name, value in problem.nominal.items()} for part in TUNING.appraisal_near]
+    true = [judge.value(simulated_information(problem, u, each) * scale) for each in near]
+    return min(true) / whole if whole > 0 else 0.0
 
 
 def _stds(problem: Problem, fisher: Floats) -> dict[str, float]:
@@ -319,10 +316,6 @@ def _stds(problem: Problem, fisher: Floats) -> dict[str, float]:
 
 
 def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
-    if worth.surviving is None:
-        return [
-            "the design is not checked with stiction, because the simulation with stiction needs symmetric friction"
-        ]
     careful = design.problem.limits.min_speed > 0
     if worth.surviving >= TUNING.appraisal_survives and careful:
         return []

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.design.body import body_of, excite
+from pmfid.design.body import body_of, excite, prior_of, separate
 from pmfid.design.problem import Problem
 from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
@@ -77,7 +77,7 @@ class DesignedRun:
         the noise."""
         y, counted = np.asarray(self.y, float), np.full(len(self.y), problem.counted)
         variance = np.where(counted, ROUNDING, 1.0)
-        drive = excite(problem, np.asarray(self.u, float)[:-1], self.dt, y.size)
+        drive = excite(problem, np.asarray(self.u, float)[:-1], self.dt)
         drive = replace(drive, u=drive.u / problem.nominal["mass"])
         return ObservedStretch(drive, y - y[0], variance, counted, np.zeros(y.size, bool), speed=problem.start[1])
 
@@ -183,7 +183,7 @@ class DesignedBody:
         names = tuple(name for name in problem.names if name != "mass")
         free = [whole.names.index(name) for name in (*names, "mass")]
         nominal = np.array([problem.nominal[name] for name in whole.names]) / mass
-        mixing, precision = _separate(_prior_of(problem, (*names, "mass")) * mass**2)
+        mixing, precision = separate(prior_of(problem, (*names, "mass")) * mass**2)
         lift, rest = whole.lift[:, free] @ mixing, whole.rest + whole.lift @ nominal
         if "mass" in problem.names:
             rest -= lift[:, -1]
@@ -263,22 +263,3 @@ class NominalSearch(FitSearch):
     def first_theta(self, share: float) -> Floats:
         """Return the nominal values."""
         return np.asarray(np.eye(self.count)[self.plain.machine.lead])
-
-
-def _prior_of(problem: Problem, names: tuple[str, ...]) -> Floats:
-    """Return the prior information on parameters `names`, zero where there is none."""
-    prior = np.zeros((len(names), len(names)))
-    if problem.prior is not None:
-        places = [names.index(name) for name in problem.names]
-        prior[np.ix_(places, places)] = problem.prior
-    return prior
-
-
-def _separate(prior: Floats) -> tuple[Floats, Floats]:
-    """Return the matrix (p, p) with unit diagonal from independent coordinates to those of a prior (p, p), and the
-    precisions (p,) of the coordinates. The last one of both is the same."""
-    if not np.any(prior - np.diag(np.diag(prior))):
-        return np.eye(len(prior)), np.diag(prior).copy()
-    size = np.sqrt(np.maximum(np.diag(prior), 1e-300))
-    root = np.linalg.cholesky(prior / np.outer(size, size) + 1e-12 * np.eye(len(prior))) * size[:, None]
-    return np.asarray(np.linalg.inv((root / np.diag(root)).T), float), np.diag(root) ** 2

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.design.appraisal import Choice, choose
+from pmfid.design.body import simulate
 from pmfid.design.calibration import DesignedRun, RunsEstimate, calibrate
 from pmfid.design.problem import Design, InfeasibleError, Problem
-from pmfid.design.simulated import simulate
 from pmfid.design.solver import solve
 from pmfid.errors import UsageError
 from pmfid.findings import Finding

@@ -17,6 +17,8 @@ class DesignTuning:
     appraisal_faster: tuple[float, ...] = (1.23, 1.57, 2.5, 4.0, 6.0)
     #: Part of the claimed information that must survive stiction. A smaller part gives a warning.
     appraisal_survives: float = 0.95
+    #: Parts of the nominal values for which information must survive. An axis may just stop, or just fail to stop.
+    appraisal_near: tuple[float, ...] = (0.9999, 1.0, 1.0001)
 
     # ascent
     #: Shifts of the motion, in fortieths of the horizon.
@@ -57,24 +59,15 @@ class DesignTuning:
     #: Negligible error of a parameter, relative to its value.
     calibration_negligible: float = 0.01
 
-    # encoder_error
-    #: Largest stretch of a walker's step (Goodman and Weare 2010).
-    encoder_error_longest: float = 2.0
-    #: Largest number of moves half the way to the middle, for a start at an impossible place.
-    encoder_error_halvings: int = 60
-    #: Number of machines drawn around the nominal one, and two standard deviations as a part of the nominal values.
-    #: The first is for the parameters of the machines. The second bounds the parameters of a machine at rest.
-    encoder_error_machines: int = 32
-    encoder_error_wrong: float = 0.06
-    encoder_error_far: float = 1.0
-    #: Largest error of a parameter [standard deviations]. Some machines have this error in all parameters.
-    encoder_error_furthest: float = 2.0
+    # expected
     #: Condition number of an information from which a parameter counts as open.
-    encoder_error_worst: float = 1e12
-    #: Numbers of walkers for each machine, of steps for the spread of walkers, and of counted steps.
-    encoder_error_walkers: int = 12
-    encoder_error_spread: int = 80
-    walker_steps: int = 120
+    expected_open: float = 1e12
+    #: Least number of machines, whose mean standard deviation is then known to 10 %.
+    expected_machines: int = 16
+    #: Deviation of the machines' parameters from the data sheet, as a part of the nominal values.
+    expected_wrong: float = 0.1
+    #: Standard deviation of the parameters of a machine at rest, as a part of the nominal values.
+    expected_far: float = 1.0
 
     # fisher
     #: Trace below which an information counts as 0.
@@ -91,10 +84,6 @@ class DesignTuning:
     #: Smallest and largest size of a value of a machine, in SI units.
     problem_least: float = 1e-20
     problem_most: float = 1e20
-
-    # simulated
-    #: Change of a parameter as a part of its nominal value, far above rounding and too small to bend the motion.
-    simulated_step: float = 1e-4
 
     # solver
     #: Largest violation of a limit, relative to the terms that the limit compares.

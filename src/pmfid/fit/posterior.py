@@ -26,24 +26,32 @@ Prior = tuple[Floats, Floats]
 
 
 def allowed_region(
-    e: Floats, J: Floats, bound: Floats, root: Floats, rng: np.random.Generator, prior: Prior
+    e: Floats,
+    J: Floats,
+    bound: Floats,
+    root: Floats,
+    rng: np.random.Generator,
+    prior: Prior,
+    most: int = STEPS,
 ) -> tuple[Floats, Floats]:
     """Return mean (p,) and covariance (p, p) of the steps d with |e + J d| <= bound.
 
     e, bound: (n,); J: (n, p). The walk has the coordinates z of d = root z, for the root (p, p) of a covariance. The
-    distance of the `prior` is that of no step.
+    distance of the `prior` is that of no step. `most` is the number of steps.
     """
     precision, distance = prior
     J, scale, p = J @ root, np.sqrt(precision), J.shape[1]
     rows = scale[:, None] * root, scale * distance
     z, shape = np.zeros(p), np.eye(p)
     for run in range(4):
-        steps = STEPS * max(5, p) // 5 >> 3 - run
+        steps = most * max(5, p) // 5 >> 3 - run
         reach = np.sqrt(np.sum((J @ shape) ** 2, axis=1))
         bound = np.maximum(bound, np.abs(e + J @ z) + 1e-9)
         near = bound - np.abs(e + J @ z) < 8.0 * reach
         ways = shape @ rng.standard_normal((p, steps))
         path = _walk(z, (e + J @ z)[near], J[near], bound[near], ways, rng, rows)
+        if np.any(np.abs(e + path[:: 1 + steps // 8] @ J.T) > bound):  # a row far away bounds the walk, too
+            path = _walk(z, e + J @ z, J, bound, ways, rng, rows)
         z, kept = path[-1], path[steps // 5 :]
         covariance = np.atleast_2d(np.cov(kept.T)) + 1e-3 * shape @ shape.T * (run < 3)
         mean, shape = np.mean(kept, axis=0), root_of(covariance)

@@ -8,10 +8,12 @@ from numpy.typing import ArrayLike
 from pmfid._body import ELASTIC_BASE
 from pmfid.errors import UsageError
 from pmfid.fit.elastic import ROWS
+from pmfid.fit.likelihood import ROUNDING
 from pmfid.fit.machine import OFFSET, Excitation, simulate
+from pmfid.fit.posterior import STEPS, allowed_region
 from pmfid.fit.problem import PARTS, FitProblem
 from pmfid.fit.shooting import settle_starts
-from pmfid.fit.solve import root_of_rows
+from pmfid.fit.solve import START, root_of_rows
 from pmfid.fit.starts import soften
 from pmfid.fit.within import information_rows, stack
 from pmfid.models.controllers import MotorAndLoad
@@ -19,6 +21,8 @@ from pmfid.types import Floats
 
 #: Places of the parameters of a `MotorAndLoad` in the body, in their order.
 PLACES = [row for row in ROWS if row != OFFSET]
+#: Steps of the walk of a prediction, whose standard deviations have an error of about 7 %.
+FEW_STEPS = STEPS // 5
 
 
 def predict_errors(masses: MotorAndLoad, u: ArrayLike, dt: float, resolution: float) -> dict[str, float]:
@@ -66,6 +70,19 @@ def predict_errors(masses: MotorAndLoad, u: ArrayLike, dt: float, resolution: fl
     root = np.linalg.pinv(slopes - slopes.mean(axis=0), rcond=1e-12)  # the first position is unknown
     errors = resolution / np.sqrt(12) * np.sqrt(np.sum(root**2, axis=1))
     return dict(zip(names, errors.tolist(), strict=True))
+
+
+def expect_covariance(x: Floats, slopes: Floats, precision: Floats) -> Floats:
+    """Return the covariance (p, p) of a fit that explains the counts of a motion x (n,) [counts].
+
+    `slopes` (n, p) are the derivatives of x, and `precision` (p,) those of the parameters' prior. The start position is
+    unknown. The counts leave a region of parameters, which is several times smaller than least squares say.
+    """
+    J, precision = np.column_stack([slopes, np.ones(x.size)]), np.append(precision, START[0])
+    root = root_of_rows(np.vstack([J / np.sqrt(ROUNDING), np.diag(np.sqrt(precision))]))
+    bound, rng, prior = np.full(x.size, 0.5), np.random.default_rng(1), (precision, np.zeros(precision.size))
+    _, covariance = allowed_region(x - np.floor(x) - 0.5, J, bound, root, rng, prior, FEW_STEPS)
+    return covariance[:-1, :-1]
 
 
 def predict_fit(problem: FitProblem, theta: Floats) -> Floats:

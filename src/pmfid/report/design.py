@@ -182,10 +182,9 @@ def criteria_table(appraisal: Appraisal) -> Rows:
     for name in appraisal.ranking:
         worth = appraisal.worths[name]
         standard = appraisal.standard.get(name)
-        surviving = "-" if worth.surviving is None else f"{worth.surviving:.3f}"
         bent = "" if standard is None else "bent" if standard.bent else "exact"
         gain = "" if standard is None or not math.isfinite(appraisal.gain[name]) else f"{appraisal.gain[name]:.3g}"
-        rows.append([name.replace("_", " "), f"{worth.value:.4g}", gain, surviving, bent])
+        rows.append([name.replace("_", " "), f"{worth.value:.4g}", gain, f"{worth.surviving:.3f}", bent])
     return header, rows
 
 

@@ -1,0 +1,64 @@
+"""The covariance that `calibrate` will have after one run of an input."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pmfid.design.body import prior_of, separate, simulate
+from pmfid.design.problem import Problem
+from pmfid.design.tuning import TUNING
+from pmfid.fit.prediction import expect_covariance
+from pmfid.types import Floats
+
+__all__ = ["expected_covariance"]
+
+
+def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
+    """Return the mean covariance (p, p) after one run of u (K,), or None if run and prior leave a parameter open.
+
+    The parameters are the unknown and nuisance ones, in their own units. The mean is over machines around the nominal
+    one, each with another phase of the encoder. A motion that is the best for the nominal values may come to rest on
+    another machine, and bring a hundredth of the information.
+    """
+    prior = prior_of(problem, problem.names) * np.outer(problem.scale, problem.scale)
+    slopes = _centre(simulate(problem, u).slopes * problem.scale)
+    if np.linalg.cond(slopes.T @ slopes / problem.variance + prior) > TUNING.expected_open:
+        return None
+    machines = _machines(problem, prior)
+    found = [_covariance_of(problem, u, each, prior, (k + 0.5) / len(machines)) for k, each in enumerate(machines)]
+    return np.asarray(np.mean(found, axis=0) * np.outer(problem.scale, problem.scale))
+
+
+def _covariance_of(problem: Problem, u: ArrayLike, parameters: Floats, prior: Floats, phase: float) -> Floats:
+    """Return the covariance (p, p) of the scaled parameters for one machine, with the prior (p, p).
+
+    A weak bound holds the parameters of a machine that rests.
+    """
+    motion = simulate(problem, u, dict(zip(problem.names, parameters.tolist(), strict=True)))
+    slopes, known = motion.slopes * problem.scale, prior + np.eye(len(prior)) / TUNING.expected_far**2
+    if not problem.counted:
+        return np.asarray(np.linalg.inv(_centre(slopes).T @ _centre(slopes) / problem.variance + known))
+    count, (mixing, precision) = float(problem.resolution or 1.0), separate(known)
+    covariance = expect_covariance(motion.x / count + phase, slopes / count @ mixing, precision)
+    return np.asarray(mixing @ covariance @ mixing.T)
+
+
+def _machines(problem: Problem, prior: Floats) -> Floats:
+    """Return the parameters (m, p) of machines around the nominal one, with the variance of the prior (p, p) of the
+    scaled parameters. Without a prior, a parameter is `expected_wrong` of its value off."""
+    nominal = np.array([problem.nominal[name] for name in problem.names])
+    wrong = TUNING.expected_wrong * np.where(nominal != 0, np.abs(nominal) / problem.scale, 1.0)
+    spread = np.linalg.cholesky(np.linalg.inv(prior + np.diag(wrong**-2.0)))
+    corners = np.array(list(product((-1.0, 1.0), repeat=nominal.size)))
+    corners = np.tile(corners, (-(-TUNING.expected_machines // len(corners)), 1))
+    values = nominal + corners @ spread.T * problem.scale
+    lower = np.where([name == "offset" for name in problem.names], -np.inf, 0.1 * np.abs(nominal))
+    return np.asarray(np.maximum(values, lower))
+
+
+def _centre(slopes: Floats) -> Floats:
+    """Return slopes (n, p) without their means, which a shift of the unknown start position replaces."""
+    return np.asarray(slopes - slopes.mean(axis=0))
