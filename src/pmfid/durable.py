@@ -1,9 +1,10 @@
-"""Folders with one owner at a time, and crash points for tests."""
+"""Files that are replaced as a whole, folders with one owner at a time, and crash points for tests."""
 
 from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
@@ -79,3 +80,20 @@ def hold(folder: Path, setting: str, other: str) -> IO[bytes]:
         held.close()
         raise UsageError(f"{setting}: {other} already uses {folder}; stop it, or choose another folder")
     return held
+
+
+def replace_file(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` make a file, which then takes the place of the file at `path`.
+
+    A link is replaced, not followed. A device is written to. After an error of `write`, the file is unchanged.
+    """
+    if path.exists() and not path.is_file():
+        write(path)
+        return
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        write(part)
+        part.replace(path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise

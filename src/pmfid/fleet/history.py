@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-import os
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,12 +14,13 @@ import polars as pl
 
 from pmfid.config.axis import Axis, read_axis
 from pmfid.config.keys import AxisKeys
+from pmfid.durable import replace_file
 from pmfid.errors import UsageError, printable
 from pmfid.fleet.evaluate import Work, longest_tables
 from pmfid.fleet.files import Files, Progress
 from pmfid.fleet.plan import ROWS, SLICE, RowProblem, slice_length
 from pmfid.fleet.series import Periods, Series, period_rows, series_of, widen_errors
-from pmfid.fleet.settings import choose, make_settings
+from pmfid.fleet.settings import Settings, choose, make_settings
 from pmfid.fleet.source import AXIS, RESULTS, TYPE, SourceColumns, SparkFrame, is_spark, parts_of
 from pmfid.fleet.tuning import TUNING
 from pmfid.fleet.verdicts import (
@@ -44,54 +43,6 @@ LITTLE, SOUGHT = "little_information", 0.1
 
 if TYPE_CHECKING:
     from pmfid.fleet.spark import SparkRows
-
-
-@dataclass(frozen=True)
-class FleetTables:
-    """The tables of a history, with the fields of `History`."""
-
-    periods: pl.DataFrame
-    axes: pl.DataFrame
-    problems: pl.DataFrame
-    samples: int
-
-
-def summarise(
-    rows: pl.DataFrame,
-    types: Mapping[str, str],
-    problems: Sequence[RowProblem],
-    names: tuple[str, ...],
-    periods: Periods,
-    segment: float,
-    tolerance: float,
-) -> FleetTables:
-    """Judge the segments of all axes.
-
-    `rows` are sorted by axis and time. `types` has the type of every existing axis. `segment` is in s. The other
-    arguments are as in `history.estimate`.
-    """
-    codes: dict[str, set[tuple[float, str]]] = defaultdict(set)
-    for problem in problems:
-        if problem.axis:
-            codes[problem.axis].add((problem.at, problem.code))
-    problems, follows, listed = list(problems), dict[str, Follow](), list[dict[str, object]]()
-    for (axis,), own in rows.partition_by(AXIS, maintain_order=True, as_dict=True).items():
-        estimates = series_of(own, names)
-        series, same = widen_errors(estimates), widen_errors(remove_warmth(estimates, names))
-        problems += _report_mixed_periods(axis, series)
-        follows[axis] = follow = follow_axis(axis, types[axis], same, names, tolerance)
-        dated = codes[axis] | ({(follow.step.since, CHANGED)} if follow.step is not None and follow.stepped else set())
-        listed += period_rows(axis, types[axis], series, names, periods, segment, dated)
-    problems += _others(follows.values())
-    missing = [axis for axis in sorted(types) if axis not in follows]
-    nan, infinite = np.full(len(names), np.nan), np.full(len(names), np.inf)
-    follows |= {axis: Follow(axis, types[axis], 0, nan, infinite, None, None) for axis in missing}
-    everyone = [follows[axis] for axis in sorted(types)]
-    problems += _sorts(everyone, names, tolerance)
-    axes = _axes(everyone, judge_axes(everyone, names, tolerance), names)
-    listed += _nothing(missing, types, codes)
-    whole = pl.DataFrame(listed, schema=_period_schema(names)).sort(AXIS, "period")
-    return FleetTables(whole, axes, _problems(problems), int(rows["samples"].sum()))
 
 
 def _report_mixed_periods(axis: str, series: Series) -> list[RowProblem]:
@@ -259,6 +210,45 @@ class History:
         }
 
 
+def summarise(
+    rows: pl.DataFrame,
+    types: Mapping[str, str],
+    problems: Sequence[RowProblem],
+    settings: Settings,
+    periods: Periods,
+    tolerance: float,
+) -> History:
+    """Judge the segments of all axes.
+
+    `rows` are sorted by axis and time. `types` has the type of every existing axis. The other arguments are as in
+    `estimate`.
+    """
+    names, segment = settings.estimator.names, settings.segment
+    codes: dict[str, set[tuple[float, str]]] = defaultdict(set)
+    for problem in problems:
+        if problem.axis:
+            codes[problem.axis].add((problem.at, problem.code))
+    problems, follows, listed = list(problems), dict[str, Follow](), list[dict[str, object]]()
+    for (axis,), own in rows.partition_by(AXIS, maintain_order=True, as_dict=True).items():
+        estimates = series_of(own, names)
+        series, same = widen_errors(estimates), widen_errors(remove_warmth(estimates, names))
+        problems += _report_mixed_periods(axis, series)
+        follows[axis] = follow = follow_axis(axis, types[axis], same, names, tolerance)
+        dated = codes[axis] | ({(follow.step.since, CHANGED)} if follow.step is not None and follow.stepped else set())
+        listed += period_rows(axis, types[axis], series, names, periods, segment, dated)
+    problems += _others(follows.values())
+    missing = [axis for axis in sorted(types) if axis not in follows]
+    nan, infinite = np.full(len(names), np.nan), np.full(len(names), np.inf)
+    follows |= {axis: Follow(axis, types[axis], 0, nan, infinite, None, None) for axis in missing}
+    everyone = [follows[axis] for axis in sorted(types)]
+    problems += _sorts(everyone, names, tolerance)
+    axes = _axes(everyone, judge_axes(everyone, names, tolerance), names)
+    listed += _nothing(missing, types, codes)
+    whole = pl.DataFrame(listed, schema=_period_schema(names)).sort(AXIS, "period")
+    facts = int(rows["samples"].sum()), segment, periods.name
+    return History(whole, axes, _problems(problems), names, settings.estimator.units, *facts)
+
+
 def estimate(
     data: Frame | pl.LazyFrame | SparkFrame | Path | str,
     *,
@@ -302,7 +292,7 @@ def estimate(
     if out is not None:
         for name in ("periods", "axes", "problems"):
             frame: pl.DataFrame = getattr(found, name)
-            write_whole(out / f"{name}.parquet", frame.write_parquet)
+            _write_table(out / f"{name}.parquet", frame)
     return found
 
 
@@ -325,11 +315,8 @@ def _estimate(
     rows, problems = work.split(data.evaluate(work, tell))
     # If an axis has several types, the first by name counts.
     types = dict(survey.rows.group_by(AXIS).agg(pl.col(TYPE).min()).sort(AXIS).iter_rows())
-    names, units = settings.estimator.names, settings.estimator.units
     problems = [*survey.problems, *_several(survey.rows), *problems]
-    found = summarise(rows, types, problems, names, periods, settings.segment, tolerance)
-    facts = found.samples, settings.segment, periods.name
-    return History(found.periods, found.axes, found.problems, names, units, *facts)
+    return summarise(rows, types, problems, settings, periods, tolerance)
 
 
 def _samples(rows: pl.DataFrame) -> pl.DataFrame:
@@ -364,16 +351,11 @@ def prepare_folder(folder: Path) -> None:
         raise UsageError(f"{folder}: contains other files, for example {strangers[0]}; give an empty or new folder")
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file in one step. Raises UsageError if the file cannot be written."""
+def _write_table(path: Path, frame: pl.DataFrame) -> None:
     from polars.exceptions import PolarsError  # the error that polars raises for a full disk
 
-    part = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        write(part)
-        part.replace(path)
+        replace_file(path, frame.write_parquet)
     except (OSError, PolarsError) as error:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
         reason = getattr(error, "strerror", None) or error
         raise UsageError(f"{path}: {reason}; free some space, or choose another folder") from None

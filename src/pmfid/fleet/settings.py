@@ -78,20 +78,6 @@ def record_at(table: Table, axis: Axis) -> Record:
     return replace(record, dt=float(f"{record.dt:.6g}"))
 
 
-@dataclass(frozen=True)
-class Chosen:
-    """A choice by records of the fleet.
-
-    The choice consists of the filters' pole [rad/s], 0 without filters, and the pre-filters' zeros [1/s]. `dt` is the
-    sample period [s], and `resolution` the resolution of the records.
-    """
-
-    cutoff: float
-    zeros: tuple[float, float] | None
-    dt: float
-    resolution: float
-
-
 def choose_method(axis: Axis) -> Axis:
     """Return the axis with the method that "auto" selects.
 
@@ -108,35 +94,32 @@ def choose_method(axis: Axis) -> Axis:
     return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": method})})
 
 
-def make_settings(given: Axis, chosen: Chosen, most: float, segment: float | None) -> Settings:
-    """Make the settings of a history from the choice of filters.
+def make_settings(given: Axis, estimator: RecursiveEstimator | REdge, most: float, segment: float | None) -> Settings:
+    """Make the settings of a history from the estimator of `choose`.
 
     `most` is the largest duration of a segment [s]. `segment` is its length [s]. By default the length fits the memory
     of [estimator] forgetting, or the filters. Raises UsageError for segments that are too short for the filters.
     """
-    config = choose_method(given).estimator.model_copy(
-        update={"cutoff": chosen.cutoff, "prefilter_zeros": chosen.zeros}
-    )
-    nothing = Record(np.zeros(0), np.zeros(0, np.int64), chosen.dt, chosen.resolution, (), "")
-    if takes_edges(given):
+    if isinstance(estimator, REdge):
         length = min(TUNING.settings_segments[0] if segment is None else segment, most)
-        return Settings(given, replace(make_edge_estimator(given, nothing), memory=None), length, length)
+        return Settings(given, estimator, length, length)
+    filters = {"cutoff": estimator.cutoff, "prefilter_zeros": estimator.prefilter_zeros}
+    config = choose_method(given).estimator.model_copy(update=filters)
     axis = given.model_copy(update={"estimator": config})
-    estimator = recursive(make_estimator(axis, nothing))
-    settled = estimator.settle_samples * chosen.dt
+    settled = estimator.settle_samples * estimator.dt
     if segment is None:
         plain = next(
             (one for one in TUNING.settings_segments if one >= TUNING.settings_settled * settled),
             TUNING.settings_segments[-1],
         )
-        segment = plain if config.forgetting == 1 else TUNING.settings_memories * chosen.dt / (1 - config.forgetting)
+        segment = plain if config.forgetting == 1 else TUNING.settings_memories * estimator.dt / (1 - config.forgetting)
     segment, least = min(segment, most), TUNING.least_settled * settled
     if not segment >= least:
         raise UsageError(
             f"segments of {segment:.3g} s are shorter than the {least:.3g} s that the filters need; use "
             "longer periods or segments, or a higher cutoff"
         )
-    estimator = replace(estimator, forgetting=forgetting_of(segment, chosen.dt))
+    estimator = replace(estimator, forgetting=forgetting_of(segment, estimator.dt))
     return Settings(axis, estimator, segment, max(segment, min(TUNING.settings_span * segment, most)))
 
 
@@ -152,8 +135,8 @@ def quarter_of(settings: Settings, dt: float) -> int:
     return max(1, math.floor(settings.segment / dt / 4))
 
 
-def choose(given: Axis, tables: Iterable[Table]) -> Chosen:
-    """Choose the pole and zeros with which most segments of some records have an estimate.
+def choose(given: Axis, tables: Iterable[Table]) -> RecursiveEstimator | REdge:
+    """Return the estimator with the pole and zeros with which most segments of some records have an estimate.
 
     Among equal choices, the choice with the smallest standard errors wins. The tables belong to different axes. Raises
     UsageError for a method that is not recursive. If no pole fits, the error of the first table is raised.
@@ -165,14 +148,14 @@ def choose(given: Axis, tables: Iterable[Table]) -> Chosen:
         raise kind(f"{reason}; if another column names the axes, correct --axis")
     first = records[0]
     if takes_edges(given):
-        return Chosen(0.0, None, first.dt, first.resolution)
+        return replace(make_edge_estimator(given, first), memory=None)
     poles = (
         [axis.estimator.cutoff] if axis.estimator.cutoff else [1 / (many * first.dt) for many in TUNING.settings_tried]
     )
-    found: list[tuple[tuple[int, float], Chosen]] = []
+    found = list[tuple[tuple[int, float], RecursiveEstimator]]()
     for pole in poles:
         try:
-            found += [(_worth(one, records), _make_choice(one)) for one in _estimators(axis, first, pole)]
+            found += [(_worth(one, records), one) for one in _estimators(axis, first, pole)]
         except (UsageError, NotIdentifiableError) as error:
             refused = refused or error
     if not found:
@@ -180,7 +163,7 @@ def choose(given: Axis, tables: Iterable[Table]) -> Chosen:
     return _best(found)
 
 
-def _best(found: Sequence[tuple[tuple[int, float], Chosen]]) -> Chosen:
+def _best(found: Sequence[tuple[tuple[int, float], RecursiveEstimator]]) -> RecursiveEstimator:
     """Return the quickest filters with an acceptable price, among the filters with the most segments.
 
     Axes outside the sample may move more slowly, and bring less information to slow filters.
@@ -239,12 +222,6 @@ def _estimators(axis: Axis, record: Record, pole: float) -> Iterator[RecursiveEs
     needed = len(estimator.model.simple.equation.noisy)
     for zeros in estimator.plant.candidate_zeros(pole, estimator.memory, needed):
         yield replace(estimator, prefilter_zeros=zeros)
-
-
-def _make_choice(estimator: RecursiveEstimator) -> Chosen:
-    zeros = estimator.prefilter_zeros
-    pair = None if zeros is None else (zeros[0], zeros[1])
-    return Chosen(estimator.cutoff, pair, estimator.dt, estimator.encoder.resolution)
 
 
 def _worth(estimator: RecursiveEstimator, records: Sequence[Record]) -> tuple[int, float]:

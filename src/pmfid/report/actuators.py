@@ -9,7 +9,7 @@ from pmfid.actuators.exports import make_files
 from pmfid.actuators.joints import HEADER, FittedJoint
 from pmfid.errors import printable
 from pmfid.report.figures import followed_figure
-from pmfid.report.html import replace_file
+from pmfid.report.html import write_bytes
 from pmfid.report.page import ResultPage, Section
 
 
@@ -29,7 +29,7 @@ def write_joints(out: Path, found: Sequence[FittedJoint]) -> None:
     """Write the files of simulators into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
     for file, content in make_files(found).items():
-        replace_file(out / file, content.encode("utf-8", "replace"))
+        write_bytes(out / file, content.encode("utf-8", "replace"))
 
 
 def _name_joint(joint: FittedJoint) -> str:

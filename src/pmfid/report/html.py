@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -14,6 +13,7 @@ from typing import TYPE_CHECKING
 
 import jinja2
 
+from pmfid.durable import replace_file
 from pmfid.report.figures import figure_style, narrow_figure
 from pmfid.report.page import ResultPage, Section, format_cell
 from pmfid.report.tuning import TUNING
@@ -22,27 +22,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-def replace_file(path: Path, data: bytes) -> None:
-    """Write `data` in place of the file at the path.
-
-    A link is replaced, not followed. A device is written to. Raises OSError if the data cannot be written, and leaves
-    the file unchanged.
-    """
-    if path.exists() and not path.is_file():
-        path.write_bytes(data)
-        return
-    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+def write_bytes(path: Path, data: bytes) -> None:
+    """Write `data` in place of the file at the path, as `durable.replace_file` does. Raises OSError."""
     try:
-        part.write_bytes(data)
-        part.replace(path)
+        replace_file(path, lambda part: part.write_bytes(data))
     except OSError as error:
-        part.unlink(missing_ok=True)
         raise OSError(error.errno, error.strerror, str(path)) from None
 
 
 def write_json(path: Path, content: Mapping[str, object]) -> None:
-    """Write an object as JSON, as `replace_file` does."""
-    replace_file(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
+    """Write an object as JSON, as `write_bytes` does."""
+    write_bytes(path, (json.dumps(content, indent=2, allow_nan=False) + "\n").encode())
 
 
 def svg(figure: Figure) -> str:
@@ -76,7 +66,7 @@ def write_report(path: Path, title: str, sections: Sequence[Section], lead: Sequ
     parts = [_part(section, f"s{number}-") for number, section in enumerate(sections, 1)]
     page = environment.from_string(source).render(title=title, sections=parts, lead=lead)
     # A file name may contain bytes that are no text. Invalid bytes are shown as a question mark.
-    replace_file(path, (page + "\n").encode("utf-8", "replace"))
+    write_bytes(path, (page + "\n").encode("utf-8", "replace"))
 
 
 def write_page(out: Path, page: ResultPage) -> None:

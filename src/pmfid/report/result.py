@@ -33,7 +33,7 @@ from pmfid.report.figures import (
     signals_figure,
     status_figure,
 )
-from pmfid.report.html import replace_file, write_page
+from pmfid.report.html import write_bytes, write_page
 from pmfid.report.page import ResultPage, Section
 from pmfid.report.tuning import TUNING
 from pmfid.report.validation import run_figure
@@ -85,7 +85,7 @@ def _write_track(path: Path, result: DriveResult) -> None:
     columns |= {"innovation": track.innovation, "status": track.status}
     buffer = io.BytesIO()
     pl.DataFrame(columns).write_parquet(buffer)
-    replace_file(path, buffer.getvalue())
+    write_bytes(path, buffer.getvalue())
 
 
 def _drive_parameters(result: DriveResult) -> Section:
