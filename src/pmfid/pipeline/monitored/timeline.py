@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any, NoReturn
 
 import numpy as np
@@ -20,8 +20,25 @@ FIRST, LATER = 1, 3
 Saved = dict[str, Any]
 
 
+class SavedFields:
+    """A dataclass whose private fields are saved, as numbers, lists and flags."""
+
+    def save_state(self) -> Saved:
+        """Return the state for JSON with NaN."""
+        return {name[1:]: getattr(self, name) for name in self._list_saved()}
+
+    def restore(self, saved: Saved) -> None:
+        """Continue from a saved state. Raises KeyError, TypeError or ValueError for an invalid state."""
+        for name in self._list_saved():
+            kind = type(getattr(self, name))
+            setattr(self, name, kind(saved[name[1:]]))
+
+    def _list_saved(self) -> list[str]:
+        return [one.name for one in fields(self) if one.name.startswith("_")]  # type: ignore[arg-type]
+
+
 @dataclass
-class Period:
+class Period(SavedFields):
     """A check of the sample period in time stamps, with the expected period dt [s].
 
     Every method raises UsageError if the stamps have another period.
@@ -35,24 +52,6 @@ class Period:
     _start: float = field(default=math.nan, init=False)
     _count: int = field(default=0, init=False)
     _checked: bool = field(default=False, init=False)
-
-    def save_state(self) -> Saved:
-        """Return the state for JSON with NaN."""
-        return {
-            "steps": list(self._steps),
-            "last": self._last,
-            "wrong": self._wrong,
-            "patience": self._patience,
-            "start": self._start,
-            "count": self._count,
-            "checked": self._checked,
-        }
-
-    def restore(self, saved: Saved) -> None:
-        """Continue from a saved state. Raises KeyError, TypeError or ValueError for an invalid state."""
-        self._steps, self._last = [float(step) for step in saved["steps"]], float(saved["last"])
-        self._wrong, self._patience = int(saved["wrong"]), int(saved["patience"])
-        self._start, self._count, self._checked = float(saved["start"]), int(saved["count"]), bool(saved["checked"])
 
     def line(self, time: float) -> None:
         """Add the stamp [s] of any line."""
@@ -157,20 +156,12 @@ Found = Sample | Skipped
 
 
 @dataclass
-class Metronome:
+class Metronome(SavedFields):
     """A timeline for lines without a time, where each line follows the preceding line after dt [s]."""
 
     dt: float
     _next: float = field(default=0.0, init=False)
     _counts: int = field(default=0, init=False)
-
-    def save_state(self) -> Saved:
-        """Return the state for JSON."""
-        return {"next": self._next, "counts": self._counts}
-
-    def restore(self, saved: Saved) -> None:
-        """Continue from a saved state. Raises KeyError, TypeError or ValueError for an invalid state."""
-        self._next, self._counts = float(saved["next"]), int(saved["counts"])
 
     def take(self, line: Line) -> list[Found]:
         """Return the sample of a line. Each line, even an unusable one, advances the time by one sample period."""
@@ -186,7 +177,7 @@ class Metronome:
 
 
 @dataclass
-class Timeline:
+class Timeline(SavedFields):
     """A timeline for lines with a time, with a sample period dt [s].
 
     `take` raises UsageError if the lines have another sample period, or if most_strays successive lines have no valid
@@ -201,34 +192,27 @@ class Timeline:
     _counts: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
-        self._period = Period(self.dt)
-        self._recent: deque[Line] = deque(maxlen=TUNING.timeline_remembered)
+        self.period = Period(self.dt)
+        self.recent: deque[Line] = deque(maxlen=TUNING.timeline_remembered)
 
     def save_state(self) -> Saved:
         """Return the state for JSON with NaN."""
-        lines = {"held": self._held, "recent": self._recent}
-        return {
-            "expected": self._expected,
-            "unused": self._unused,
-            "strays": self._strays,
-            "counts": self._counts,
-            "period": self._period.save_state(),
-            **{name: [line.as_list() for line in some] for name, some in lines.items()},
-        }
+        lines = {"held": self._held, "recent": self.recent}
+        texts = {name: [line.as_list() for line in some] for name, some in lines.items()}
+        return super().save_state() | {"period": self.period.save_state()} | texts
 
     def restore(self, saved: Saved) -> None:
         """Continue from a saved state. Raises KeyError, TypeError or ValueError for an invalid state."""
-        self._expected, self._unused = float(saved["expected"]), int(saved["unused"])
-        self._strays, self._counts = int(saved["strays"]), int(saved["counts"])
-        self._held = [Line(*entry) for entry in saved["held"]]
-        self._recent = deque((Line(*entry) for entry in saved["recent"]), TUNING.timeline_remembered)
-        self._period.restore(saved["period"])
+        held, recent = ([Line(*entry) for entry in saved[name]] for name in ("held", "recent"))
+        super().restore(saved | {"held": held})
+        self.recent.extend(recent)
+        self.period.restore(saved["period"])
 
     def take(self, line: Line) -> list[Found]:
         """Return the samples and skipped lines that are known after a line, in the order of time."""
         if math.isnan(line.time):
             return [self._skip(line.problem)]
-        self._period.line(line.time)
+        self.period.line(line.time)
         if math.isnan(self._expected):
             self._expected = line.time
         place = self._place(line.time)
@@ -256,11 +240,11 @@ class Timeline:
     def _regular(self, line: Line, place: int) -> list[Found]:
         found: list[Found] = [Sample(self._expected + k * self.dt, math.nan, self._counts) for k in range(place)]
         self._expected += place * self.dt
-        self._period.slots(place)
+        self.period.slots(place)
         held, self._held = self._held, []
         # Lines with an old time and new values are samples of a clock that was set back by a few periods.
         late = sum(
-            other.time < self._expected - TUNING.timeline_near * self.dt and other not in self._recent for other in held
+            other.time < self._expected - TUNING.timeline_near * self.dt and other not in self.recent for other in held
         )
         found += self._accept(line, late)
         for other in held:  # two lines have changed places
@@ -273,12 +257,12 @@ class Timeline:
         """Return a line as the expected sample, and move the grid."""
         grid = self._expected + TUNING.timeline_follow * (line.time - self._expected)
         self._expected, self._strays = grid + self.dt, 0
-        self._period.sample(line.time)
+        self.period.sample(line.time)
         if line.problem:
             lost = Sample(line.time, math.nan, self._counts, missing, jump)
             return [Skipped(line.time, BAD, line.problem), lost]
         self._counts = line.counts
-        self._recent.append(line)
+        self.recent.append(line)
         return [Sample(line.time, line.u, line.counts, missing, jump, line.further)]
 
     def _irregular(self, line: Line) -> list[Found]:
@@ -307,14 +291,14 @@ class Timeline:
         missing = max(1, round(jump / self.dt)) if gap else 0
         self._expected = first.time
         if gap:
-            self._period.slots(missing)
+            self.period.slots(missing)
         else:
-            self._period.restart()
+            self.period.restart()
         found = self._accept(first, missing, 0.0 if gap else jump)
         for line in others:
             lost = max(0, round(self._offset(line.time)))
             self._expected += lost * self.dt
-            self._period.slots(lost)
+            self.period.slots(lost)
             found += self._accept(line, lost)
         return found
 
