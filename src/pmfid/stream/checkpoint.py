@@ -10,34 +10,26 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.kernel.saved import seal_parts
+from pmfid.monitor.saved import read, write_states
 from pmfid.stream.blocks import encode, items
 from pmfid.stream.delivery import Block, split_tables
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared, Seat
+from pmfid.stream.order import Positions
 from pmfid.stream.outcome import AlarmRecord, Notice
 
 _LENGTH = struct.Struct("<Q")
-#: State of the numbers and the clock of each axis.
-SEAT = np.dtype(
-    [
-        *(("epoch", "<i8"), ("expected", "<i8"), ("time", "<f8"), ("number", "<i8"), ("start", "<f8")),
-        *(("first", "<i8"), ("seat", "<i8"), ("notices", "<i8"), ("wrong_rate", "u1"), ("wrong_period", "u1")),
-    ]
-)
-#: Fields of SEAT that are columns of `Positions`.
-_COLUMNS = tuple(name for name in SEAT.names or () if name not in ("seat", "notices"))
 
 
 @dataclass(frozen=True)
 class Draft:
     """A checkpoint without the checksums of its states, which take longer than a copy of the states.
 
-    `text` is the JSON object. For each group, `states` has the pieces of its state, `seats` its array of SEAT, and
-    `held` its waiting blocks.
+    `text` is the JSON object. For each group, `states` has the pieces of its state, `seats` the bytes of its positions,
+    and `held` its waiting blocks.
     """
 
     text: bytes
@@ -65,14 +57,12 @@ def draft(engine: StreamEngine) -> Draft:
     """
     states = [[bytes(part) for part in group.fleet.unsealed_state()] for group in engine.groups]
     packed, held = (
-        [_pack_seats(group).tobytes() for group in engine.groups],
+        [write_states(group.positions, 0) for group in engine.groups],
         [_held_by(group) for group in engine.groups],
     )
     groups = list[dict[str, Any]]()
     for group in engine.groups:
         seats = {str(seat.index): rare for seat in group.seats if (rare := _collect_rare(seat))}
-        for index in np.flatnonzero(group.positions.alarm).tolist():
-            seats.setdefault(str(index), {})["silent"] = int(group.positions.alarm[index])
         names, prepared = [seat.name for seat in group.seats], group.prepared
         head = {"digest": prepared.digest, "baseline": prepared.setup.baseline, "axes": names}
         groups.append({**head, "seats": seats})
@@ -90,15 +80,6 @@ def draft(engine: StreamEngine) -> Draft:
         }
     ).encode()
     return Draft(text, states, packed, held)
-
-
-def _pack_seats(group: Group) -> NDArray[np.void]:
-    found = np.zeros(len(group.seats), SEAT)
-    for name in _COLUMNS:
-        found[name] = getattr(group.positions, name)
-    found["seat"] = [seat.number for seat in group.seats]
-    found["notices"] = [seat.notices for seat in group.seats]
-    return found
 
 
 def _collect_rare(seat: Seat) -> dict[str, Any]:
@@ -119,7 +100,7 @@ class Saved:
     """A group in a checkpoint.
 
     `baseline` has the nominal values and thresholds of the group. `axes` has the names of the axes, `state` the state
-    of their fleet. `seats` is an array of SEAT. `held` has the
+    of their fleet. `seats` has the bytes of their positions. `held` has the
     waiting blocks. `rare` maps the number of an axis to data that only some axes have.
     """
 
@@ -127,7 +108,7 @@ class Saved:
     baseline: str
     axes: tuple[str, ...]
     state: bytes
-    seats: NDArray[np.void]
+    seats: bytes
     held: bytes
     rare: Mapping[str, Any]
 
@@ -136,13 +117,12 @@ class Saved:
         group = Group(prepared.take_baseline(self.baseline), pace)
         try:
             group.restore(self.axes, self.state)
-            for name in _COLUMNS:
-                getattr(group.positions, name)[:] = self.seats[name]
-            numbers = self.seats["seat"].tolist(), self.seats["notices"].tolist()
-            for seat, *own in zip(group.seats, *numbers, strict=True):
-                seat.number, seat.notices = own
-                if str(seat.index) in self.rare:
-                    _restore_rare(seat, self.rare[str(seat.index)])
+            positions = read(self.seats, Positions.empty(1), 0)
+            if positions.axes != len(self.axes):
+                raise ValueError(f"it has the numbers of {positions.axes} axes for {len(self.axes)} axes")
+            group.positions.restore(positions)
+            for index, rare in self.rare.items():
+                _restore_rare(group.seats[int(index)], rare)
             _restore_held(group.seats, self.held)
         except (UsageError, KeyError, TypeError, IndexError, AttributeError, struct.error, OverflowError) as error:
             raise ValueError(str(error)) from None
@@ -184,7 +164,7 @@ def read_snapshot(body: bytes) -> Snapshot:
                 one["baseline"],
                 tuple(one["axes"]),
                 state,
-                np.frombuffer(seats, SEAT),
+                seats,
                 held,
                 one["seats"],
             )
@@ -216,7 +196,6 @@ def _restore_rare(seat: Seat, rare: Mapping[str, Any]) -> None:
         seat.referred = tuple(map(float, rare["referred"]))
     if "timed" in rare:
         seat.lines(bool(rare["timed"]["timed"])).restore(rare["timed"])
-    seat.group.positions.fall_silent(seat.index, int(rare.get("silent", 0)))
 
 
 def _restore_held(seats: Sequence[Seat], held: bytes) -> None:

@@ -22,7 +22,7 @@ from pmfid.monitor.fleet import MonitorFleet
 from pmfid.pipeline.monitored.setup import VERSION, Setup, set_up
 from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Line, Metronome, Sample, Saved, Timeline
 from pmfid.stream.delivery import Lines
-from pmfid.stream.order import UNKNOWN_GAP, ItemReport, Order, PositionRow, Positions, SamplePiece
+from pmfid.stream.order import UNKNOWN_GAP, Column, ItemReport, Order, PositionRow, Positions, SamplePiece
 from pmfid.stream.outcome import Kindred
 from pmfid.stream.tuning import TUNING
 from pmfid.types import Counts, Floats
@@ -253,13 +253,13 @@ class Seat:
     that `may_tell` limits. `referred` (q,) is a reference set by hand, or None for the reference of the configuration.
     """
 
-    __slots__ = ("group", "name", "notice_counts", "notices", "number", "order", "place", "referred", "timed")
+    __slots__ = ("group", "name", "notice_counts", "order", "place", "referred", "timed")
+    number, notices = Column[int]("seat"), Column[int]("notices")
 
     def __init__(self, group: Group, index: int, name: str) -> None:
         self.group, self.name, self.place = group, name, PositionRow(group.positions, index)
         self.order = Order(group.dt, round(group.pace.window / group.dt), self.place)
         self.timed: Timed | None = None
-        self.number, self.notices = 0, 0
         self.notice_counts: dict[str, int] = {}
         self.referred: tuple[float, ...] | None = None
 

@@ -28,7 +28,7 @@ class Positions(RowArrays):
     `wrong_period` is true after a notice on samples of another period. `waits` is true if some blocks are early.
     `heard` is the time of the last used samples by the clock of `Silence` [s], NaN without samples. `alarm` is the
     number of the alarm on the silence of the axis or of its source, or 0. `source` is the number that `Silence` gives
-    to the source of the last item, or -1.
+    to the source of the last item, or -1. `seat` and `notices` belong to `Seat`.
     """
 
     epoch: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64, start=-1))
@@ -39,28 +39,28 @@ class Positions(RowArrays):
     first: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
     wrong_rate: Flags = field(metadata=rows_of(kind=np.bool_))
     wrong_period: Flags = field(metadata=rows_of(kind=np.bool_))
-    waits: Flags = field(metadata=rows_of(kind=np.bool_))
-    heard: Floats = field(metadata=rows_of(start=math.nan))
+    waits: Flags = field(metadata=rows_of(kind=np.bool_, saved=False))
+    heard: Floats = field(metadata=rows_of(start=math.nan, saved=False))
     alarm: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
-    source: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64, start=-1))
+    source: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64, start=-1, saved=False))
+    seat: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
+    notices: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
 
     def add(self, axes: int) -> None:
         """Add rows of axes without any data."""
         vars(self).update(vars(self.join_rows(Positions.empty(axes))))
 
     def forget(self, index: int) -> None:
-        """Reset the row of an axis, except for the duration of its silence."""
+        """Reset the numbers and the clock of an axis."""
         here, fresh = slice(index, index + 1), Positions.empty(1)
-        fresh.heard, fresh.alarm, fresh.source = self.heard[here], self.alarm[here], self.source[here]
+        for name in ("heard", "alarm", "source", "seat", "notices"):
+            setattr(fresh, name, getattr(self, name)[here])
         self.put(here, fresh)
 
-    def fall_silent(self, index: int, alarm: int) -> None:
-        """Mark an axis that was silent before a restart as silent until new data arrive.
-
-        `alarm` is the number of the alarm, or 0 if the axis was not silent.
-        """
-        if alarm:
-            self.heard[index], self.alarm[index] = -np.inf, alarm
+    def restore(self, saved: Positions) -> None:
+        """Continue from a saved state. Axes that were silent are silent until new data arrive."""
+        saved.heard[saved.alarm != 0] = -math.inf
+        vars(self).update(vars(saved))
 
     def remove(self, index: Sequence[int]) -> None:
         """Remove rows. The other rows keep their order."""
