@@ -13,9 +13,9 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66157,
-    "lines of code in src": 38800,
-    "lines of code in report and cli": 3338,
+    "lines of src": 66087,
+    "lines of code in src": 38750,
+    "lines of code in report and cli": 3332,
     "thresholds in src": 998,
     "lines of csrc": 8685,
     "defines of csrc": 195,
