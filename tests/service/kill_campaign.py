@@ -25,8 +25,6 @@ from pathlib import Path
 from threading import Condition
 from typing import IO, Literal
 
-import numpy as np
-
 from pmfid.durable import arm
 from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service import arrangement
