@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66087,
-    "lines of code in src": 38750,
+    "lines of src": 66086,
+    "lines of code in src": 38748,
     "lines of code in report and cli": 3332,
     "thresholds in src": 998,
     "lines of csrc": 8685,

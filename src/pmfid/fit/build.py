@@ -75,8 +75,10 @@ def settle_either(search: FitSearch) -> Sequence[str]:
 
     The residuals of a poor fit look like an error of the position, even where a force wanders, and a force that wanders
     predicts the next sample of a wrong model well. The likelier end is kept, unless the other one follows pieces of
-    the record better by more than chance (Fisher 1924).
+    the record better by more than chance makes likely in one of 20 cases (Fisher 1924).
     """
+    from scipy.special import fdtri
+
     if len(search.wandering) == 1:
         settle(search, search.wandering)
         return search.wandering
@@ -87,7 +89,7 @@ def settle_either(search: FitSearch) -> Sequence[str]:
         likelihood = search.noise.evidence(errors_of(search))[0]
         ends.append(NoiseEnd(likelihood, square_of_pieces(search), kind, search.q, search.starts, search.noise))
     best, other = sorted(ends, key=lambda end: -end.likelihood)
-    if other.square * _most_by_chance() < best.square:
+    if other.square * fdtri(PIECES, PIECES, 0.95) < best.square:
         best = other
     search.q, search.starts, search.noise = best.q, best.starts, best.noise
     return (best.kind,) if search.noise.wanders else search.wandering
@@ -99,13 +101,6 @@ def square_of_pieces(search: FitSearch) -> float:
     likelihood = Gaussian(problem.stretches)
     starts = settle_starts(problem, likelihood, search.q, problem.first_starts())
     return 2 * likelihood(problem.linearise(search.q, starts))[0] / problem.rows
-
-
-def _most_by_chance() -> float:
-    """Return the ratio of two mean squares over PIECES pieces that chance exceeds in one of 20 cases."""
-    from scipy.stats import f
-
-    return float(f.ppf(0.95, PIECES, PIECES))
 
 
 def settle(search: FitSearch, kinds: Sequence[str]) -> None:

@@ -110,23 +110,21 @@ def _describe(second: SecondMass, fitted: Fitted, names: tuple[str, ...], sizes:
 
 
 def _wandering(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance: float) -> Iterator[Finding]:
-    """Yield a finding on residuals beyond rounding. They matter if errors of their size may move a parameter."""
+    """Yield a finding on residuals beyond rounding. The standard errors contain white noise. Other residuals matter if
+    errors of their size may move a parameter."""
     noise = fitted.likelihood
-    if not (isinstance(noise, Gaussian) and (noise.wanders or noise.scale > 1.5)):
+    if not isinstance(noise, Gaussian) or not (noise.wanders or noise.noisy):
         return
     worst = int(np.argmax(fitted.reach / sizes))
     matters = bool(fitted.reach[worst] > tolerance * sizes[worst])
     reach = format_part(fitted.reach[worst] / sizes[worst])
     detail = "" if matters else f"No error of this size moves {names[worst]} by more than {reach}."
-    if noise.wanders:
-        what = "a force" if noise.force[0] > 0 else "an error of the position"
-        sentence = f"{what} that no term explains wanders, and the intervals include it"
-        remedy = "compare the motion with the record (--out), and add the missing effect to [model]"
-    else:
-        sentence = (
-            f"the motion deviates from the counts by {np.sqrt(noise.scale):.2g} times the rounding of the encoder"
-        )
-        remedy = "check [encoder] resolution, or add the missing effect to [model]"
+    what = "a force" if noise.force[0] > 0 else "an error of the position"
+    sentence = f"{what} that no term explains wanders, and the intervals include it"
+    remedy = "compare the motion with the record (--out), and add the missing effect to [model]"
+    if not noise.wanders:
+        sentence = f"the counts have white noise of {np.sqrt(noise.scale):.2g} times the rounding of the encoder"
+        matters, remedy = False, "check [encoder] resolution, or use a sensor with less noise"
     yield Finding("unmodelled", sentence, remedy, "doubt" if matters else "note", detail)
 
 

@@ -107,7 +107,7 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
         fit=fit,
         forces=fitted.weighed,
         second=second,
-        explained=isinstance(fitted.likelihood, Intervals),
+        explained=isinstance(fitted.likelihood, Intervals) or not fitted.likelihood.wanders,
         model_spread=spread,
     )
     if result.coupling is not None:

@@ -30,8 +30,8 @@ KINDS: dict[str, Kind[Records]] = {
 
 #: Findings on samples that a repair replaced, after which the estimate goes on.
 REPAIRED = {"count_jump", "invalid_input"}
-#: Findings that a counter stops while the axis moves.
-OF_STOPS = ("stuck", "clipped")
+#: Findings that a motion refutes if it leaves nothing but rounding or white noise.
+REFUTED = ("stuck", "clipped", "rate_low")
 
 
 def kind_of(axis: Axis) -> Kind[Records]:
@@ -55,8 +55,8 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     except NotIdentifiableError as error:
         raise _name_speed(explain_error(error, kind.check_record(data, axis)), data, axis) from error
     log = kind.check_record(data, axis)
-    if isinstance(result, DriveResult) and result.explained:  # the motion itself stops there
-        log = tuple(one for one in log if one.code not in OF_STOPS)
+    if isinstance(result, DriveResult) and result.explained:
+        log = tuple(one for one in log if one.code not in REFUTED)
     return result.with_findings(*log, *make_notes("cutoff", describe_choices(given, axis)))
 
 

@@ -315,8 +315,8 @@ class DriveResult(Result):
     `relative_error` belongs to the filtered equation at theta. `fit` or `track` holds details of an off-line or a
     recursive method, without prior information. `known` is the prior information. `matter` says how far unmodelled
     effects may move the parameters, which decides the status. `forces` are those that the fit compared.
-    `explained` says whether a motion explains every count, with the chosen forces. `second` is a second
-    mass that explains the record better.
+    `explained` says whether a motion leaves rounding or white noise alone. `second` is a second mass that explains the
+    record better.
     """
 
     record: Record
