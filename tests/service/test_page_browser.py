@@ -37,6 +37,7 @@ def at_overview(page: Any, served: Served) -> None:
 
 def at_axis(page: Any, served: Served, axis: str) -> None:
     at_overview(page, served)
+    page.fill("#search", axis)  # rows out of sight are not in the page
     page.click(f"a.axis-name:text-is('{axis}')")
     page.wait_for_selector(".u-over")
 
