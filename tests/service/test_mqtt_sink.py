@@ -130,8 +130,8 @@ def broker(tmp_path: Path, stopped_brokers: None) -> Broker:  # noqa: F811
 
 @pytest.fixture
 def started(tmp_path: Path, broker: Broker, monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., Queued]]:
-    set_tuning(monkeypatch, queued, queued_first_pause=0.05)
-    set_tuning(monkeypatch, queued, queued_longest_pause=0.1)
+    set_tuning(monkeypatch, queued, first_pause=0.05)
+    set_tuning(monkeypatch, queued, longest_pause=0.1)
     set_tuning(monkeypatch, queued, queued_idle=0.05)
     running: list[Queued] = []
 

@@ -27,8 +27,8 @@ def host(tmp_path: Path) -> Host:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Shorten the pauses, so that a test can wait for them."""
-    set_tuning(monkeypatch, queued, queued_first_pause=0.005)
-    set_tuning(monkeypatch, queued, queued_longest_pause=0.02)
+    set_tuning(monkeypatch, queued, first_pause=0.005)
+    set_tuning(monkeypatch, queued, longest_pause=0.02)
 
 
 def started(sink: Faulty, host: Host, limits: QueueLimits | None = None) -> Queued:

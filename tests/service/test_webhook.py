@@ -53,7 +53,7 @@ def test_an_alarm_is_posted_as_json(tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 
 def test_each_alarm_goes_out_once_whatever_fails_between(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    set_tuning(monkeypatch, "pmfid.service.sinks.queued", queued_first_pause=0.01)
+    set_tuning(monkeypatch, "pmfid.service.sinks.queued", first_pause=0.01)
     host = Host(tmp_path)
     # the second alarm is tried three times, the third is refused because of its content, once
     with web_server(200, 500, 503, 200, 422, 200) as server:

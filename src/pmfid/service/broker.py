@@ -15,6 +15,7 @@ from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from pmfid.config.toml_file import FileSection
 from pmfid.errors import UsageError
+from pmfid.service.tuning import TUNING
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client
@@ -73,8 +74,8 @@ def read_secret(place: str, folder: Path) -> str:
 
 #: Ports of a broker, without and with TLS.
 PORT, TLS_PORT = 1883, 8883
-#: Time after which an attempt to connect is given up [s].
-_CONNECTING = 10.0
+#: Time after which an attempt to connect is given up, and longest pause before the next one [s].
+CONNECTING = 10.0
 
 
 class BrokerSection(FileSection):
@@ -152,7 +153,7 @@ def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges:
     client = mqtt.Client(
         CallbackAPIVersion.VERSION2, name, protocol=mqtt.MQTTv5, reconnect_on_failure=False, manual_ack=acknowledges
     )
-    client.connect_timeout = _CONNECTING
+    client.connect_timeout = CONNECTING
     if section.user is not None:
         client.username_pw_set(section.user, section.password and read_secret(section.password, folder))
     if section.encrypted:
@@ -167,8 +168,12 @@ def new_client(section: BrokerSection, folder: Path, name: str, *, acknowledges:
     return client
 
 
-def pauses(first: float = 0.5, longest: float = 10.0) -> Iterator[float]:
-    """Yield the pause [s] before each attempt after a failure. Each pause is twice the previous pause."""
+def pauses(longest: float | None = None) -> Iterator[float]:
+    """Yield the pause [s] before each attempt after a failure.
+
+    Each pause is twice the previous one, up to `longest`, by default `longest_pause`.
+    """
+    pause, longest = TUNING.first_pause, longest or TUNING.longest_pause
     while True:
-        yield first
-        first = min(2 * first, longest)
+        yield pause
+        pause = min(2 * pause, longest)

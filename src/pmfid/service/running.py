@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from threading import Event, Thread
 
 from pmfid.errors import PmfidError
+from pmfid.service.broker import pauses
 from pmfid.service.context import Source, Tell
 from pmfid.service.tuning import TUNING
 from pmfid.stream.delivery import Delivery
@@ -43,7 +44,7 @@ class Running:
         return self.inbox.put(delivery)
 
     def _run(self) -> None:
-        pause = TUNING.run_first_pause
+        waiting = pauses()
         while not self._stopped.is_set():
             try:
                 self.source.run(self._take)
@@ -60,8 +61,7 @@ class Running:
                 )
                 self._broken = True
                 self.tell({"event": "source", "source": self.source.name, "problem": problem})
-                self._stopped.wait(pause)
-                pause = min(2 * pause, TUNING.run_longest_pause)
+                self._stopped.wait(next(waiting))
         self.ended = True
 
     def stop(self) -> None:

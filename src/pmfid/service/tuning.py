@@ -31,6 +31,11 @@ class ServiceTuning:
     panel_fewest: int = 4
     panel_most: int = 20_000
 
+    # broker
+    #: First and longest pause after errors of sources and sinks [s].
+    first_pause: float = 0.5
+    longest_pause: float = 60.0
+
     # keeping
     #: Largest number of deliveries that wait for a checkpoint. Brokers have no more than 65535 messages in transit.
     keeping_most: int = 50_000
@@ -47,9 +52,6 @@ class ServiceTuning:
     process_stood: float = 10.0
 
     # run
-    #: First and longest pause after an unexpected error [s].
-    run_first_pause: float = 1.0
-    run_longest_pause: float = 60.0
     #: Time between two tests for signals, and time that sources and sinks have to end [s].
     run_look: float = 0.1
     run_ending: float = 10.0
@@ -68,10 +70,7 @@ class ServiceTuning:
     mqtt_batch: int = 500
 
     # sinks.queued
-    #: First and longest pause after errors [s], and the time for which a sink must work to begin with the first pause
-    #: again.
-    queued_first_pause: float = 0.5
-    queued_longest_pause: float = 60.0
+    #: Time for which a sink must work to begin with the first pause again after an error [s].
     queued_steady: float = 60.0
     #: Shortest time between two notices on a slow sink [s].
     tell_every: float = 60.0
@@ -105,8 +104,6 @@ class ServiceTuning:
     server_ended: float = 3.0
     #: Number of connections that the system may queue until they are accepted.
     server_backlog: int = 1024
-    #: Send buffer of the system for each browser [bytes]. The default would be some megabytes.
-    server_waiting: int = 262_144
 
 
 TUNING = ServiceTuning()

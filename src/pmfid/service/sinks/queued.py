@@ -12,6 +12,7 @@ import numpy as np
 
 from pmfid.config.toml_file import FileSection
 from pmfid.errors import PmfidError, printable
+from pmfid.service.broker import pauses
 from pmfid.service.context import Context, Outcome, Sink, Tell
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import Counters, EstimateRows, Notice
@@ -140,7 +141,7 @@ class Queued:
         self._changed, self._closing = Condition(), Event()
         self._deadline = float("inf")  # deadline of `close`
         self._open = self._failing = False
-        self._pause, self._working_since, self._taken_at = 0.0, 0.0, -TUNING.queued_idle
+        self._pauses, self._working_since, self._taken_at = pauses(), 0.0, -TUNING.queued_idle
         self._alone = 0  # number of next outcomes that are written one by one
         self._lost = Lost()  # dropped rows and notices without a report
         self._reported_at = -TUNING.tell_every
@@ -220,7 +221,7 @@ class Queued:
             if self._failing and self._closing.is_set():
                 break
             if self._failing:
-                self._closing.wait(self._pause)
+                self._closing.wait(next(self._pauses))
         self._end()
 
     def _next(self) -> Sequence[Outcome] | None:
@@ -269,9 +270,8 @@ class Queued:
 
     def _note_failure(self, error: Exception, batch: Sequence[Outcome]) -> None:
         """Report a passing error once. The outcomes wait in front of all others."""
-        steady = not self._failing and time.monotonic() - self._working_since > TUNING.queued_steady
-        again = min(2 * self._pause, TUNING.queued_longest_pause)
-        self._pause = TUNING.queued_first_pause if steady or not self._pause else again
+        if not self._failing and time.monotonic() - self._working_since > TUNING.queued_steady:
+            self._pauses = pauses()
         self._counters.add("pmfid_sink_errors_total", sink=self.name)
         if self._trying is None:
             self._trying = time.monotonic()

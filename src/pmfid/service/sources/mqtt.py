@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from pmfid.service.broker import BrokerSection, Text, new_client, pauses
+from pmfid.service.broker import CONNECTING, BrokerSection, Text, new_client, pauses
 from pmfid.service.context import Context, FindAxis, ProblemReport, SourceSection, Take, Tell
 from pmfid.service.wire.messages import LARGEST, Form, Messages
 from pmfid.stream.delivery import Delivery
@@ -105,7 +105,7 @@ class MqttSource:
 
     def run(self, take: Take) -> None:
         """Take messages until `stop`. Raises UsageError for a section that cannot work."""
-        waiting, brief = pauses(), 0
+        waiting, brief = pauses(CONNECTING), 0
         while not self._stopped.is_set():
             self._since = math.inf
             self._hold_connection(take)
@@ -116,7 +116,7 @@ class MqttSource:
             lasted = time.monotonic() - self._since  # minus infinity without a subscription
             brief = brief + (0 < lasted < _BRIEF) if lasted < _BRIEF else 0
             if lasted > 0 and brief < _TAKEN_OVER:
-                waiting = pauses()
+                waiting = pauses(CONNECTING)
             hint = f"; if another service uses the session {self._session!r} too, give each service its own client"
             self._report.say(self._problem + (hint if brief >= _TAKEN_OVER else ""))
             self._stopped.wait(next(waiting))

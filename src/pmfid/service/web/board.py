@@ -292,9 +292,6 @@ class Board:
     def rows(self, rows: EstimateRows) -> None:
         if rows.axis.size == 0:
             return
-        if id(rows.group) not in self._by_group:  # replaces the groups that share names of axes with this group
-            others = [panel.group for panel in self._panels if not panel.place.keys() & set(rows.group.axes)]
-            self.arrange([*others, rows.group])
         panel = self._by_group[id(rows.group)]
         records = panel.records(rows)
         with self._lock:

@@ -116,9 +116,7 @@ def serve(
 def _listener(config: PageConfig) -> socket.socket:
     family = socket.AF_INET6 if ":" in config.address else socket.AF_INET
     try:
-        listener = socket.create_server((config.address, config.port), family=family, backlog=TUNING.server_backlog)
-        listener.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, TUNING.server_waiting)
-        return listener
+        return socket.create_server((config.address, config.port), family=family, backlog=TUNING.server_backlog)
     except (OSError, OverflowError) as error:
         reason = error.strerror if isinstance(error, OSError) else error
         raise UsageError(
