@@ -15,7 +15,7 @@ import pytest
 from pmfid.monitor import Monitor
 from pmfid.monitor.scores import Scale
 from pmfid.simulation import CART, CART_DT, Schedule
-from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.checkpoint import draft, read_snapshot
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
@@ -53,7 +53,7 @@ def state_of(prepared: Prepared, name: str) -> bytes:
     engine.set_groups([group])
     u, counts = changing(Schedule(((0.0, CART),)), 5, INCREMENTS, 500 * CART_DT)
     engine.process([Delivery("test", [Block(name, 0, 0, 0.0, CART_DT, u, counts)])])
-    return b"".join(snapshot(engine))
+    return b"".join(draft(engine).chunks())
 
 
 def test_a_state_keeps_its_nominal_values_and_thresholds(prepared: Prepared) -> None:

@@ -16,7 +16,7 @@ from pmfid.service.wire.messages import Messages
 from pmfid.simulation import CART_DT
 from pmfid.stream.blocks import encode
 from pmfid.stream.blocks import items as items_of
-from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.checkpoint import draft, read_snapshot
 from pmfid.stream.delivery import Block, Delivery, Item, Lines
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared, prepare
@@ -49,7 +49,7 @@ def run(prepared: Prepared, deliveries: list[list[Item]], restarts: int = 0) -> 
     for k, items in enumerate(deliveries):
         engine.process([Delivery("source", items)])
         if restarts and k % (len(deliveries) // restarts) == 1:
-            found = read_snapshot(b"".join(snapshot(engine)))
+            found = read_snapshot(b"".join(draft(engine).chunks()))
             engine = StreamEngine(Counters(), [outlet])
             found.restore(engine)
             engine.set_groups([one.restore_group(prepared, Pace(WINDOW * CART_DT, 0.0)) for one in found.groups])

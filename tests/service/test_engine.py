@@ -12,7 +12,7 @@ import pytest
 from pmfid.pipeline.monitored.timeline import Sample
 from pmfid.service.arrangement import arrange_groups
 from pmfid.simulation import CART, CART_DT, Schedule
-from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.checkpoint import draft, read_snapshot
 from pmfid.stream.delivery import Block, Delivery, Unusable
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
@@ -74,7 +74,7 @@ class Restarted:
             engine.process(deliveries[k : k + n])
             k = min(k + n, len(deliveries))
             if self.random.random() < 0.3:
-                self.saved = k, b"".join(snapshot(engine))
+                self.saved = k, b"".join(draft(engine).chunks())
             if self.saved is not None and self.random.random() < kills:
                 engine, k = self.again(), max(0, self.saved[0] - self.random.choice([0, 0, 2]))
         return engine

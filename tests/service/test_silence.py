@@ -11,7 +11,7 @@ import pytest
 from pmfid.service.arrangement import arrange_groups
 from pmfid.service.web.board import Board
 from pmfid.simulation import CART_DT
-from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.checkpoint import draft, read_snapshot
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
@@ -83,7 +83,7 @@ class Watched:
 
     def again(self) -> None:
         """Restart from a checkpoint of this moment."""
-        found = read_snapshot(b"".join(snapshot(self.engine)))
+        found = read_snapshot(b"".join(draft(self.engine).chunks()))
         self.engine = self._engine()
         found.restore(self.engine)
         groups = [one.restore_group(self.prepared, Pace(0.0, 1.0)) for one in found.groups]

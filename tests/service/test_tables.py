@@ -12,7 +12,6 @@ from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.arrangement import arrange_groups
 from pmfid.simulation import CART_DT
 from pmfid.stream import order as clock
-from pmfid.stream.checkpoint import snapshot
 from pmfid.stream.delivery import Block, Delivery, Item, Lines, Table, split_tables
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
@@ -85,7 +84,7 @@ def deliveries(random: Random) -> list[Delivery]:
 
 def reported(engine: StreamEngine, outlet: Collected) -> tuple[object, ...]:
     counts = {key: value for key, value in engine.counters.values().items() if "seconds" not in key[0]}
-    return outlet.rows_of, repr(sorted(outlet.notices.items())), counts, snapshot(engine)[2:]
+    return outlet.rows_of, repr(sorted(outlet.notices.items())), counts, draft(engine).chunks()[2:]
 
 
 @pytest.mark.parametrize("seed", range(4))

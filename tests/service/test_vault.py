@@ -15,7 +15,7 @@ from pmfid.service.arrangement import arrange_groups
 from pmfid.service.keeping import Checkpoints
 from pmfid.service.sinks.queued import Queued
 from pmfid.simulation import CART_DT
-from pmfid.stream.checkpoint import read_snapshot, snapshot
+from pmfid.stream.checkpoint import draft, read_snapshot
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
@@ -100,14 +100,14 @@ def block(first: int, n: int = 10, axis: str = "x1") -> Block:
 def test_a_snapshot_is_read_as_it_was_and_nothing_else_is(prepared: Prepared) -> None:
     engine = engine_of(prepared, 0.5)
     engine.process([Delivery("source", [block(0, 60), block(80), block(120), block(5, 70, "x2")])])
-    body = b"".join(snapshot(engine))
+    body = b"".join(draft(engine).chunks())
     found = read_snapshot(body)
     (group,) = [one.restore_group(prepared, Pace(0.5, 1.0)) for one in found.groups]
     again = StreamEngine(Counters())
     found.restore(again)
     again.set_groups([group])
     assert [b.first for b in group.seats[0].order.held] == [80, 120]
-    assert snapshot(again)[2:] == snapshot(engine)[2:]
+    assert draft(again).chunks()[2:] == draft(engine).chunks()[2:]
     rng = np.random.default_rng(0)
     for cut in rng.integers(0, len(body), 60).tolist():
         with pytest.raises(ValueError, match=r".*"):
@@ -143,10 +143,10 @@ def test_alarms_that_a_sink_does_not_have_yet_survive(prepared: Prepared) -> Non
     alarm = Notice("x1", 7, 1.5, {"event": "alarm", "parameter": "mass"})
     queued.notice(alarm)
     queued.notice(Notice("x1", 8, 1.5, {"event": "state", "state": "settling"}))
-    assert read_snapshot(b"".join(snapshot(engine))).unwritten == {"alarms": [alarm]}
+    assert read_snapshot(b"".join(draft(engine).chunks())).unwritten == {"alarms": [alarm]}
     sink.works = True
     queued.close(10.0)
-    assert read_snapshot(b"".join(snapshot(engine))).unwritten == {}
+    assert read_snapshot(b"".join(draft(engine).chunks())).unwritten == {}
 
 
 def wait_for_writer(keeper: Checkpoints) -> None:

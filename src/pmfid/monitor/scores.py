@@ -56,11 +56,6 @@ class Blocks:
         cross, square = (part.reshape(len(rows), p, p) for part in (rows[:, ends[0] : ends[1]], rows[:, ends[1] :]))
         return cls(rows[:, :p], cross, square)
 
-    @property
-    def rows(self) -> Floats:
-        """All numbers of the blocks, (n, p + 2 p^2)."""
-        return np.concatenate([part.reshape(len(part), -1) for part in (self.score, self.cross, self.square)], axis=1)
-
 
 def block_samples(estimator: Estimator) -> int:
     """Return the number of samples in a block.

@@ -46,11 +46,6 @@ class Draft:
         return found
 
 
-def snapshot(engine: StreamEngine) -> list[bytes | memoryview]:
-    """Return the checkpoint of the engine between two ticks."""
-    return draft(engine).chunks()
-
-
 def draft(engine: StreamEngine) -> Draft:
     """Return the checkpoint of the engine between two ticks. Another thread completes the checkpoint while the engine
     runs.
@@ -154,7 +149,7 @@ class Snapshot:
 
 
 def read_snapshot(body: bytes) -> Snapshot:
-    """Read the checkpoint in the bytes of `snapshot`. Raises ValueError for other bytes."""
+    """Read the checkpoint in the bytes of `Draft.chunks`. Raises ValueError for other bytes."""
     try:
         text, *parts = _split_parts(body)
         raw = json.loads(text)

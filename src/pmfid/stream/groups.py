@@ -20,7 +20,7 @@ from pmfid.errors import UsageError
 from pmfid.monitor.events import Event, FleetRows
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.pipeline.monitored.setup import VERSION, Setup, set_up
-from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Line, Metronome, Sample, Saved, Timeline
+from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Line, Metronome, Sample, Saved, SavedFields, Timeline
 from pmfid.stream.delivery import Lines
 from pmfid.stream.order import UNKNOWN_GAP, Column, ItemReport, Order, PositionRow, Positions, SamplePiece
 from pmfid.stream.outcome import Kindred
@@ -30,7 +30,8 @@ from pmfid.types import Counts, Floats
 _LINE = struct.Struct("<ddq")
 
 
-class Timed:
+@dataclass
+class Timed(SavedFields):
     """A converter from lines to samples.
 
     `dt` is the sample period [s]. `window` is the time for which lines wait for older lines [s]. 0 means that no line
@@ -41,16 +42,20 @@ class Timed:
     back.
     """
 
-    def __init__(self, dt: float, window: float, timed: bool) -> None:
-        self.dt, self.window, self.timed = dt, window, timed
+    dt: float
+    window: float
+    timed: bool
+    _held: list[Line] = field(default_factory=list, init=False)
+    _newest: float = field(default=-math.inf, init=False)
+    _late_in_row: int = field(default=0, init=False)
+    _latest: float = field(default=-math.inf, init=False)
+    _doubtful: int = field(default=0, init=False)  # number of consecutive samples that are needed before any is used
+
+    def __post_init__(self) -> None:
         self._grid = self._make_grid()
-        self._held: list[Line] = []
-        self._newest, self._late_in_row = -math.inf, 0
         self._recent: deque[str] = deque(maxlen=TUNING.groups_known)  # digests of lines
-        self._latest = -math.inf
         self._before: frozenset[str] = frozenset()  # digests from before the restart
         self._until = -math.inf  # latest time among the digests from before the restart
-        self._doubtful = 0  # number of consecutive samples that are still needed before samples are used
 
     def _make_grid(self) -> Timeline | Metronome:
         return Timeline(self.dt) if self.timed else Metronome(self.dt)
@@ -132,26 +137,15 @@ class Timed:
 
     def save_state(self) -> Saved:
         """Return the state for JSON with NaN and infinity."""
-        return {
-            "timed": self.timed,
-            "newest": self._newest,
-            "behind": self._late_in_row,
-            "doubtful": self._doubtful,
-            "recent": list(self._recent),
-            "latest": self._latest,
-            "held": [line.as_list() for line in self._held],
-            "grid": self._grid.save_state(),
-        }
+        held, grid = [line.as_list() for line in self._held], self._grid.save_state()
+        return super().save_state() | {"timed": self.timed, "recent": list(self._recent), "held": held, "grid": grid}
 
     def restore(self, saved: Saved) -> None:
         """Restore a saved state. Raises KeyError, TypeError or ValueError for anything else."""
+        super().restore(saved | {"held": [Line(*entry) for entry in saved["held"]]})
         self.timed = bool(saved["timed"])
-        self._newest, self._late_in_row = float(saved["newest"]), int(saved["behind"])
-        self._doubtful = int(saved["doubtful"])
-        self._held = [Line(*entry) for entry in saved["held"]]
-        self._recent = deque((str(digest) for digest in saved["recent"]), TUNING.groups_known)
-        self._latest = self._until = float(saved["latest"])
-        self._before = frozenset(self._recent)
+        self._recent.extend(map(str, saved["recent"]))
+        self._before, self._until = frozenset(self._recent), self._latest
         self._grid = self._make_grid()
         self._grid.restore(saved["grid"])
 
