@@ -12,6 +12,7 @@ from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.arrangement import arrange_groups
 from pmfid.simulation import CART_DT
 from pmfid.stream import order as clock
+from pmfid.stream.checkpoint import draft
 from pmfid.stream.delivery import Block, Delivery, Item, Lines, Table, split_tables
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
