@@ -146,6 +146,3 @@ def test_what_is_no_acknowledgement(page: Served, number: str, body: bytes, kind
 )
 def test_what_is_not_there_and_odd_methods_are_refused(page: Served, path: str, method: str, status: int) -> None:
     assert page.ask(path, method=method)[0] == status
-
-
-# --- written data -----------------------------------------------------------------------------------------------
