@@ -13,10 +13,10 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66067,
-    "lines of code in src": 38730,
+    "lines of src": 66064,
+    "lines of code in src": 38727,
     "lines of code in report and cli": 3332,
-    "thresholds in src": 995,
+    "thresholds in src": 992,
     "lines of csrc": 8685,
     "defines of csrc": 195,
     "conditionals of csrc": 107,

@@ -52,7 +52,7 @@ class Inbox:
 
     @property
     def _full(self) -> bool:
-        return len(self._waiting) >= TUNING.engine_most or self._items >= TUNING.most_items
+        return max(len(self._waiting), self._items) >= TUNING.engine_most
 
     @property
     def _enough(self) -> bool:
@@ -168,7 +168,7 @@ class StreamEngine:
 
         A `Notice` reports the result of a command.
         """
-        return self._command(partial(self._acknowledge, number, note[: TUNING.longest_note]))
+        return self._command(partial(self._acknowledge, number, note))
 
     def refer(self, axis: str) -> bool:
         """Make the present parameters of the axis its reference, and return False if too many commands wait."""

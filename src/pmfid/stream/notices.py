@@ -188,7 +188,7 @@ class Silence:
 
     def _raise_for_many(self, found: Sequence[tuple[Group, NDArray[np.int64]]]) -> None:
         names = [group.kindred.axes[k] for group, index in found for k in index.tolist()]
-        number = self._raise("axes", f"{len(names)} axes", axes=names[: TUNING.notices_most_names])
+        number = self._raise("axes", f"{len(names)} axes", axes=names[: TUNING.notices_most])
         for group, index in found:
             group.positions.alarm[index] = number
 
@@ -214,7 +214,7 @@ class Silence:
             return self._raise(kind, name)
         count = "1 axis has" if len(axes) == 1 else f"{len(axes)} axes have"
         covered = f", so {count} no data ({list_some(axes)})"
-        number = self._raise(kind, name, covered, axes=axes[: TUNING.notices_most_names])
+        number = self._raise(kind, name, covered, axes=axes[: TUNING.notices_most])
         for group, own in here:
             group.positions.alarm[own] = number
         return number

@@ -10,14 +10,12 @@ class StreamTuning:
     """All thresholds of `pmfid.stream`, ordered by module."""
 
     # commands
-    #: Largest number of waiting commands, and the longest note [characters].
+    #: Largest number of waiting commands.
     commands_most: int = 1000
-    longest_note: int = 2000
 
     # engine
-    #: Largest number of waiting deliveries, and of items in them. Above these numbers, the sources wait.
+    #: Largest number of waiting deliveries, and of items in them. Above this number, the sources wait.
     engine_most: int = 8192
-    most_items: int = 8192
     #: Number of items that the engine takes together, apart from the items of the last delivery. An array of this
     #: number of items fits into the processor's cache. More items would be stepped more slowly, and a backlog would
     #: remain.
@@ -52,10 +50,9 @@ class StreamTuning:
     longest_pause: float = 5.0
     #: Number of sample periods for which an axis may be silent, even above a short limit.
     notices_periods: float = 5.0
-    #: Largest number of axes that get their own alarm if they fall silent between two tests. More axes share one alarm,
-    #: which names `notices_most_names` axes.
+    #: Largest number of axes that get their own alarm if they fall silent between two tests. More axes share one alarm.
+    #: No alarm names more axes.
     notices_most: int = 100
-    notices_most_names: int = 100
 
     # order
     #: Largest deviation of a clock that was not set [s]. Time stamps may have a resolution of whole seconds.
