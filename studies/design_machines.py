@@ -129,7 +129,7 @@ def claims(problem: Problem, u: Floats, runs: int) -> Claims:
 
 def chosen(problem: Problem) -> Choice:
     """Return the first choice of `pmfid design SPEC RECORD`."""
-    return choose(solve(problem, "D", starts=STARTS), starts=STARTS)
+    return choose(solve(problem, "D", starts=STARTS))
 
 
 def honesty(runs: int) -> Iterator[list[str]]:

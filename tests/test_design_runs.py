@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from pmfid.design.appraisal import USUAL, appraise
 from pmfid.design.body import simulate, simulated_information
 from pmfid.design.calibration import DesignedRun, calibrate
 from pmfid.design.expected import expected_covariance
-from pmfid.design.fisher import information
+from pmfid.design.fisher import affine, information
 from pmfid.design.polytope import input_set, violations
 from pmfid.design.problem import Design, Limits, Problem
 from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_experiment
@@ -22,7 +21,7 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.models.drive import Drive
 from pmfid.simulation.drive import Machine, drive_machine
 from studies.design_case import NOMINAL, case
-from studies.design_machines import MACHINES, Claims, claims, drive_of
+from studies.design_machines import MACHINES, claims, drive_of
 from tests.refusals import refused
 
 CASE = case("m, d, F_c")
@@ -39,10 +38,12 @@ RETURN = replace(CASE, directions=(1,) * 18 + (0,) * 2 + (-1,) * 18 + (0,) * 2, 
 
 
 @pytest.mark.parametrize("problem", [CASE, FINE, RETURN], ids=["case", "fine", "return"])
-def test_both_informations_agree_where_the_axis_keeps_moving(problem: Problem) -> None:
+def test_both_sensitivities_agree_where_the_axis_keeps_moving(problem: Problem) -> None:
     names = ("trapezoid",) if problem is RETURN else ("trapezoid", "minimum_time", "prbs")
     for each in standard_inputs(problem, names=names).values():
-        assert simulated_information(problem, each.u) == pytest.approx(information(problem, each.u), rel=1e-3)
+        body, linear = simulate(problem, each.u).slopes[1:], affine(problem).weigh_sensitivities(each.u)
+        linear = linear.T * np.sqrt(problem.variance) / problem.scale
+        assert body == pytest.approx(linear, rel=1e-6, abs=1e-8 * np.abs(linear).max())
 
 
 def test_an_axis_that_sticks_tells_nothing() -> None:
@@ -185,24 +186,7 @@ def test_the_expected_deviations_are_those_of_the_fit(increments: int, mass: flo
     found = claims(problem, u, 6)
     ratio = np.sqrt(np.diag(expected) / np.mean(found.stds**2, axis=0)) / list(nominal.values())
     assert np.all((ratio > 0.6) & (ratio < 1.6)), ratio
-
-
-FEW = 8
-
-
-@cache
-def usual_claims(name: str) -> Claims:
-    problem = MACHINES[name]
-    return claims(problem, standard_inputs(problem, names=(USUAL,))[USUAL].u, FEW)
-
-
-@pytest.mark.parametrize("name", ["40 kg", "rotary"])
-@pytest.mark.long
-def test_errors_are_as_large_as_claimed(name: str) -> None:
-    found = usual_claims(name)
-    ratio = np.abs(found.errors / found.stds)
-    assert ratio.max() < 4.0
-    assert 0.4 < np.sqrt(np.mean(ratio**2)) < 1.6  # few runs give parameters with common errors
+    assert np.sqrt(np.mean((found.errors / found.stds) ** 2)) < 1.6, "few runs give parameters with common errors"
     assert found.inside.mean() >= 0.85
     assert not found.lacking.any()
 
@@ -218,15 +202,7 @@ def machine_run(resolution: float, **unmodelled: float) -> tuple[Commissioning, 
     return state, state.rounds[0].known.parameters["mass"]
 
 
-@pytest.mark.parametrize(
-    "unmodelled",
-    [
-        {"stribeck": 0.2},
-        pytest.param({"quadratic": 4.0}, marks=pytest.mark.long),
-        pytest.param({"dead_time": 0.004}, marks=pytest.mark.long),
-    ],
-    ids=lambda d: str(d),
-)
+@pytest.mark.parametrize("unmodelled", [{"stribeck": 0.2}, {"quadratic": 4.0}, {"dead_time": 0.004}], ids=str)
 def test_a_model_that_misses_counts_is_doubted_and_reaches_nothing(unmodelled: dict[str, float]) -> None:
     state, _ = machine_run(22.75e-6, **unmodelled)
     assert state.rounds[0].known.lacking
@@ -259,5 +235,7 @@ def test_an_input_is_chosen_that_leaves_no_parameter_worse_than_the_trapezoid() 
     problem = replace(MACHINES["40 kg"], resolution=50e-6, samples_per_interval=1)
     state = redesign(problem, [], {}, starts=4)
     assert state.choice is not None
-    assert all(state.choice.std[name] <= state.choice.usual[name] for name in problem.unknown)
+    usual = expected_covariance(problem, standard_inputs(problem, names=(USUAL,))[USUAL].u)
+    assert usual is not None
+    assert np.all(list(state.choice.std.values()) <= np.sqrt(np.diag(usual)))
     assert not violations(input_set(problem), state.choice.design.u)

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pmfid
-from pmfid.design.appraisal import appraise
 from pmfid.design.bounds import upper_bound
 from pmfid.design.fisher import motion
 from pmfid.design.oracle import Oracle
@@ -112,22 +111,15 @@ def test_every_concave_criterion_has_a_bound(criterion: str, unknown: int) -> No
     assert many.value <= (found.bound or 0.0)
 
 
-@pytest.mark.parametrize("average", [None, "mean", "worst"])
-def test_a_robust_design_keeps_the_limits_in_every_scenario(average: str | None) -> None:
+def test_a_robust_design_keeps_the_limits_in_every_scenario() -> None:
     scenarios = tuple({"mass": 1.5 * part} for part in (0.8, 1.2))
-    problem = replace(case(1), scenarios=scenarios, end_tolerance=(0.01, 0.01), average=average)
-    found = solve(problem, "trace", starts=5)
+    found = solve(replace(case(1), scenarios=scenarios, end_tolerance=(0.01, 0.01)), "trace", starts=5)
     assert found.feasible
     for scenario in scenarios:
-        x, v = motion(problem, found.u, scenario)
+        x, v = motion(found.problem, found.u, scenario)
         assert x.max() <= 0.4 + 1e-6
         assert v[1:-1].min() >= 0.01 - 1e-6
         assert abs(x[-1] - 0.4) <= 0.01 + 1e-6
-    assert 0.0 < (appraise(found).price or 0.0) < 0.2
-    values = [evaluate(replace(case(1), nominal={**NOMINAL, **s}), found.u, "trace").value for s in ({}, *scenarios)]
-    if average == "worst":
-        parts = np.array([1.0, 0.8, 1.2])  # each case is scaled by the nominal mass
-        assert found.value == pytest.approx(np.min(values / parts**2), rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -55,7 +55,7 @@ WRONG: list[tuple[dict[str, object], str]] = [
     ({"motion__intervals": 10.5}, "valid integer"),
     ({"limits__input": "3"}, "[limits] input = '3'"),
     ({"limits__positions": [0, 1]}, "did you mean 'position'"),
-    ({"limits__mass": 1.0}, "it belongs in [drive]"),
+    ({"limits__viscous_friction": 1.0}, "it belongs in [drive]"),
     ({"limit__input": 3.0}, "did you mean 'limits'"),
     ({"drive__mass": float("nan")}, "[drive] mass = nan"),
     ({"experiment__unknown": []}, "[experiment] unknown = []"),

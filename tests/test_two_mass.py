@@ -12,8 +12,8 @@ from click.testing import CliRunner
 import pmfid
 from pmfid._body import BASE, ELASTIC_BASE, KINDS, run
 from pmfid.cli.main import main
-from pmfid.fit.prediction import predict_errors
-from pmfid.models.controllers import MotorAndLoad
+from pmfid.design.body import simulate as move
+from pmfid.design.problem import Limits, Problem
 from pmfid.types import Counts, Floats
 from tests.command import run_command
 from tests.oracles.two_mass import TwoMasses, simulate_two_masses
@@ -122,8 +122,13 @@ def test_the_command_takes_the_body(tmp_path: Path) -> None:
     found = CliRunner().invoke(main, ["identify", log, "--config", axis, "--json"])
     assert json.loads(found.stdout)["parameters"]["stiffness"]["value"] == pytest.approx(3947.8, rel=0.005)
     choice = json.loads(run_command("encoder", log, "--config", axis, "--parameter", "stiffness", "--json").stdout)
-    masses = MotorAndLoad(*PAIRS[0])
-    predicted = [predict_errors(masses, u, STEP, step)["stiffness"] for step in choice["step"]]
+    names = pmfid.Drive(1.0, body="two-mass").equation.names
+    names += ("load_mass", "load_viscous_friction", "load_coulomb_friction", "stiffness", "damping")
+    nominal = dict(zip(names, PAIRS[0], strict=True))
+    belt = Problem(pmfid.Drive(1.0, body="two-mass"), nominal, names, STEP * u.size, u.size, Limits(), 1.0)
+    slopes = move(belt, u).slopes * PAIRS[0]
+    root = np.linalg.pinv(slopes - slopes.mean(axis=0))[names.index("stiffness")]
+    predicted = np.array(choice["step"]) / np.sqrt(12) * np.linalg.norm(root)
     assert choice["counts"] == pytest.approx(predicted, rel=0.1)
     assert choice["edges"] == []
     for command in (["export", axis, "--out", str(tmp_path / "out")], ["monitor", log, "--config", axis]):

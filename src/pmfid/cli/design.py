@@ -63,15 +63,14 @@ def design(
         _commission(spec, records, want, truth, rounds, out, as_json, read_changes(changes))
         return
     with _infeasible_as_json(as_json), progress("design") as tell:
-        from pmfid.pipeline.designs import load_spec, run_appraisal, run_design
+        from pmfid.pipeline.designs import load_spec, run_comparison
         from pmfid.report.design import design_page, write_inputs
 
         loaded = load_spec(spec, read_changes(changes))
-        found = run_design(loaded, certify=certify or None, progress=lambda done, total, _: tell(done / total))
-        appraisal = run_appraisal(loaded, found)
+        found = run_comparison(loaded, certify=certify or None, progress=lambda done, total, _: tell(done / total))
         if out is not None:
-            write_inputs(out, appraisal)
-    deliver_page(design_page(appraisal), out, as_json, motion="design.csv")
+            write_inputs(out, found)
+    deliver_page(design_page(found), out, as_json, motion="design.csv")
 
 
 def _commission(
@@ -85,7 +84,7 @@ def _commission(
     changes: dict[str, object],
 ) -> None:
     with _infeasible_as_json(as_json), progress("commission"):
-        from pmfid.pipeline.designs import load_spec, read_run, run_appraisal, run_commissioning
+        from pmfid.pipeline.designs import compare, load_spec, read_run, run_commissioning
         from pmfid.report.design import design_page, rounds_page, write_inputs
         from pmfid.report.html import write_page
 
@@ -94,9 +93,9 @@ def _commission(
         wanted, true = read_numbers("want", want, "mass=0.01"), read_numbers("truth", truth, "mass=1.2")
         state = run_commissioning(loaded, runs, wanted, true or None, rounds)
         if out is not None and state.next is not None:
-            appraisal = run_appraisal(loaded, state.next)
-            write_inputs(out, appraisal)
-            write_page(out, design_page(appraisal))
+            found = compare(loaded, state.next)
+            write_inputs(out, found)
+            write_page(out, design_page(found))
     deliver_page(rounds_page(state), None, as_json)
     if out is not None and state.next is not None and not as_json:
         print_text(f"motion: {out / 'design.csv'}\nreport: {out / 'report.html'}")

@@ -117,7 +117,8 @@ def _problem(
         return _entry_problem(f"{label}, term {inside[0] + 1}: {inside[1]}", error, description)
     if error["type"] == "extra_forbidden":
         return _unknown(whole, section, rest)
-    field = _sections(whole)[section].model_fields[rest[0]] if rest else whole.model_fields[section]
+    keys = _sections(whole)[section].model_fields if section in _sections(whole) else {}
+    field = keys.get("".join(rest), whole.model_fields[section])
     if error["type"] == "missing":
         return f"{label} is missing; give {field.description}"
     table = raw[section]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike
 
 from pmfid.design.body import simulated_information
 from pmfid.design.expected import expected_covariance
-from pmfid.design.fisher import Criterion, affine, criterion_of, eliminate
-from pmfid.design.problem import Design, InfeasibleError, Problem
-from pmfid.design.solver import Setting, evaluate, setting, solve
+from pmfid.design.fisher import Criterion
+from pmfid.design.problem import Design, Problem
+from pmfid.design.solver import Setting, evaluate, setting
 from pmfid.design.standard import StandardInput, standard_inputs
 from pmfid.design.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict
@@ -23,37 +23,29 @@ __all__ = ["USUAL", "Choice", "best_input", "choose", "stds"]
 
 #: Engineers usually run the trapezoid, so no parameter may come out worse than with this profile.
 USUAL = "trapezoid"
-#: A design is compared with these standard motions, for which machines are made.
-PROFILES = (USUAL, "s_curve", "minimum_time")
 
 
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """The chosen input and its expected standard deviations.
-
-    `name` is "design", "design, least speed x 1.23" or the name of a standard input. `design` is the motion to run.
-    `std` maps each unknown parameter to its expected standard deviation after one run, in the parameter's unit. `usual`
-    has the standard deviations for the trapezoid, which are infinite if no trapezoid exists.
-    """
+    """The chosen input: its name, the motion to run, and the expected deviations `std` of the unknown parameters."""
 
     name: str
     design: Design
     std: Mapping[str, float]
-    usual: Mapping[str, float]
 
 
-def choose(design: Design, *, starts: int = 5, seed: int = 0) -> Choice:
-    """Choose the best input for the problem of a design.
+def choose(design: Design, seed: int = 0) -> Choice:
+    """Choose the best input among a design and the standard inputs. `seed` is that of `appraise`.
 
-    The candidates are the design, other designs with a larger least speed, and the standard inputs. `starts` and `seed`
-    belong to the search for the other designs. The start position counts as unknown.
+    Without a linear equation, the design itself is the best of the standard inputs, improved.
     """
     problem = design.problem
-    inputs = {"design": design.u} | dict(_others(design, starts, seed))
-    covariances = {name: expected_covariance(problem, u) for name, u in inputs.items()}
-    name = best_input(problem, criterion_of(problem, design.criterion), covariances)
-    chosen = design if name == "design" else evaluate(problem, inputs[name], design.criterion)
-    return Choice(name, chosen, stds(problem, covariances[name]), stds(problem, covariances.get(USUAL)))
+    if not problem.linear:
+        return Choice("design", design, stds(problem, expected_covariance(problem, design.u)))
+    found = appraise(design, seed)
+    name = found.recommended
+    chosen = design if name == "design" else evaluate(problem, found.standard[name].u, design.criterion)
+    return Choice(name, chosen, found.expect_std(name))
 
 
 def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floats | None]) -> str:
@@ -86,44 +78,21 @@ def stds(problem: Problem, covariance: Floats | None) -> dict[str, float]:
     return {name: math.sqrt(value) for name, value in zip(problem.unknown, covariance.diagonal(), strict=False)}
 
 
-def _others(design: Design, starts: int, seed: int) -> Iterator[tuple[str, Floats]]:
-    """Yield the names and values (K,) of other inputs within the limits."""
-    problem = design.problem
-    for factor in TUNING.appraisal_faster if problem.limits.min_speed > 0 else ():
-        limits = replace(problem.limits, min_speed=factor * problem.limits.min_speed)
-        try:
-            faster = solve(replace(problem, limits=limits), design.criterion, starts=starts, seed=seed)
-        except InfeasibleError:
-            continue
-        yield f"design, least speed x {factor}", faster.u
-    for name in PROFILES:
-        try:
-            yield name, standard_inputs(problem, seed, (name,))[name].u
-        except InfeasibleError:  # the limits leave less room than this profile needs
-            continue
-
-
 @dataclass(frozen=True, eq=False)
 class Worth:
     """The information of one run of an input.
 
-    `fisher` (p, p) is the information on the unknown parameters in their own units, with the prior. `value` is the
-    value of the criterion, over the scenarios if the problem has an average. `surviving` is the part of the claimed
-    information that remains with true stiction. It is the least value over nominal, slightly larger and slightly
+    `value` is the value of the criterion. `surviving` is the part of the claimed information that remains with true
+    stiction. It is the least value over nominal, slightly larger and slightly
     smaller parameters. `predicted_std` is the standard deviation of each unknown parameter after one run. A standard
-    deviation is infinite if run and prior do not determine the parameter. `std_encoder` is the standard deviation that
-    `pmfid design SPEC RECORD` will reach from the encoder's counts
-    (`expected_covariance`). The prediction assumes an unknown start position. `std_encoder` is infinite for an
-    undetermined parameter, and if the noise does not come from an encoder. `covariance` (p, p) belongs to the estimate
-    of unknown and nuisance parameters after one run, in their units. `covariance` decides on the choice of an input,
-    and is None if a parameter is undetermined.
+    deviation is infinite if run and prior do not determine the parameter. `covariance` (p, p) belongs to the estimate
+    of unknown and nuisance parameters by `pmfid design SPEC RECORD`, in their units (`expected_covariance`).
+    `covariance` decides on the choice of an input, and is None if a parameter is undetermined.
     """
 
-    fisher: Floats
     value: float
     surviving: float
     predicted_std: Mapping[str, float]
-    std_encoder: Mapping[str, float]
     covariance: Floats | None = None
 
 
@@ -131,8 +100,7 @@ class Worth:
 class Appraisal(Presentable):
     """A design compared with the standard inputs.
 
-    `worths` has the worth of each input by its name, "design" for the design itself. `price` is the part of the nominal
-    information that robustness costs, or None if the design is not robust.
+    `worths` has the worth of each input by its name, "design" for the design itself.
     """
 
     design: Design
@@ -140,7 +108,6 @@ class Appraisal(Presentable):
     standard: Mapping[str, StandardInput]
     worths: Mapping[str, Worth]
     warnings: tuple[str, ...]
-    price: float | None = None
 
     @property
     def gain(self) -> dict[str, float]:
@@ -197,13 +164,12 @@ class Appraisal(Presentable):
                 "gain": self.gain,
                 "surviving": worth.surviving,
                 "predicted_std": worth.predicted_std,
-                "predicted_std_encoder": worth.std_encoder,
+                "predicted_std_encoder": self.expect_std("design"),
                 "recommended": self.recommended,
                 "solve_seconds": design.solve_seconds,
                 "starts": design.starts,
                 "feasible": design.feasible,
                 "warnings": self.warnings,
-                "price_of_robustness": self.price,
             }
         )
 
@@ -246,50 +212,21 @@ def appraise(design: Design, seed: int = 0) -> Appraisal:
     standard = standard_inputs(problem, seed)
     inputs = {"design": design.u} | {name: found.u for name, found in standard.items()}
     worths = {name: worth_of(ready, u) for name, u in inputs.items()}
-    price = _price_of_robustness(design) if problem.scenarios else None
-    found = Appraisal(design, ready.rule, standard, worths, design.warnings, price)
-    warnings = *_stiction_warnings(design, worths["design"]), *_encoder_warnings(worths, found.recommended)
-    return replace(found, warnings=(*design.warnings, *warnings))
-
-
-def _price_of_robustness(design: Design) -> float:
-    """Return 1 - (nominal value of a design with scenarios) / (best nominal value)."""
-    nominal = replace(design.problem, scenarios=(), average=None)
-    return 1.0 - evaluate(nominal, design.u, design.criterion).value / solve(nominal, design.criterion).value
+    warnings = *design.warnings, *_stiction_warnings(design, worths["design"])
+    return Appraisal(design, ready.rule, standard, worths, warnings)
 
 
 def worth_of(ready: Setting, u: Floats) -> Worth:
     """Return the information from one run of the input u (n,)."""
-    problem, maps = ready.problem, ready.maps[0]
+    problem, maps = ready.problem, ready.maps
     covariance = expected_covariance(problem, u)
     F = maps.information(u)
     return Worth(
-        _on_unknown(problem, F),
         ready.value(u),
         _surviving(problem, ready.rule, u, F - maps.prior),
-        _stds(problem, _on_unknown(problem, F)),
-        stds(problem, covariance if problem.counted else None),
+        ready.design(u).predicted_std,
         covariance,
     )
-
-
-def _on_unknown(problem: Problem, F: Floats) -> Floats:
-    """Return the information on the unknown parameters in their own units, from the scaled information on all."""
-    size = len(problem.unknown)
-    return np.asarray(eliminate(F, size)[0] / np.outer(problem.scale[:size], problem.scale[:size]))
-
-
-def accumulate_value(problem: Problem, criterion: Criterion, u: ArrayLike) -> tuple[Floats, Floats]:
-    """Return the sample instants (N,) [s], and the value of the criterion (N,) for the samples up to each instant.
-
-    The values include the prior.
-    """
-    maps = affine(problem)
-    s = maps.weigh_sensitivities(u)
-    F = maps.prior + np.cumsum(np.einsum("in,jn->nij", s, s), axis=0)
-    t = np.arange(1, s.shape[1] + 1) * (problem.horizon / s.shape[1])
-    values = [criterion.value(each) if np.linalg.matrix_rank(each) == len(each) else 0.0 for each in F]
-    return t, np.array(values)
 
 
 def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Floats) -> float:
@@ -306,33 +243,9 @@ def _surviving(problem: Problem, criterion: Criterion, u: ArrayLike, claimed: Fl
     return min(true) / whole if whole > 0 else 0.0
 
 
-def _stds(problem: Problem, fisher: Floats) -> dict[str, float]:
-    scale = problem.scale[: len(problem.unknown)]
-    values, vectors = np.linalg.eigh(fisher * np.outer(scale, scale))
-    known = values > 1e-12 * max(values[-1], 0.0)
-    variance = (vectors[:, known] ** 2 / values[known]).sum(axis=1)
-    variance[np.any(vectors[:, ~known] ** 2 > 0, axis=1)] = math.inf
-    return {name: float(std) for name, std in zip(problem.unknown, scale * np.sqrt(variance), strict=True)}
-
-
 def _stiction_warnings(design: Design, worth: Worth) -> list[str]:
     careful = design.problem.limits.min_speed > 0
     if worth.surviving >= TUNING.appraisal_survives and careful:
         return []
     part = f"{100 * worth.surviving:.0f} % of the claimed information survives a simulation with stiction"
     return [f"{part}; raise min_speed" if careful else f"{part}; set min_speed above 0"]
-
-
-def _encoder_warnings(worths: Mapping[str, Worth], recommended: str) -> list[str]:
-    own, usual = worths["design"].std_encoder, worths[USUAL].std_encoder
-    if not all(map(math.isfinite, own.values())):
-        return []
-    worse = {name: std / usual[name] for name, std in own.items() if std > usual[name] > 0}
-    if not worse:
-        return []
-    worst = max(worse, key=worse.__getitem__)
-    return [
-        f"with this encoder's counts, the design leaves {worst} {worse[worst]:.1f} times as uncertain as a trapezoid "
-        "does. A slightly heavier axis comes to rest on the way, or the counts repeat along the motion. Run the input "
-        f"{recommended!r}, or design with a larger min_speed and no whole number of counts per sample"
-    ]

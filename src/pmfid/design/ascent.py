@@ -22,14 +22,12 @@ STEPS = np.array([1.0, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05, 0.02, 0.005])
 class Climber:
     """A search for local optima that remembers the optima it has met.
 
-    A remembered optimum is not left a second time. `maps` has one entry for each case of the problem. The log value is
-    the mean over the cases, or about the worst case if `worst` is set. Two threads must not share one climber.
+    A remembered optimum is not left a second time. Two threads must not share one climber.
     """
 
-    maps: tuple[Affine, ...]
+    maps: Affine
     criterion: Criterion
     oracle: Oracle
-    worst: bool = False
     _known: list[tuple[float, Floats, float, Floats]] = field(default_factory=list)
 
     def start(self, rng: np.random.Generator) -> tuple[float, Floats]:
@@ -60,22 +58,22 @@ class Climber:
         """Climb from u until no vertex promises a relative gain above the tolerance, and return the log value and
         input.
         """
-        s = [maps.weigh_sensitivities(u) for maps in self.maps]
-        value = float(self._blend(np.array([self.criterion.log_value(F) for F in self._informations(s)])))
+        s = self.maps.weigh_sensitivities(u)
+        value = float(self.criterion.log_value(self._information(s)))
         ahead, drift, change = 0.0, 0, s
         for _ in range(steps):
             # Pulses drift towards their best place interval by interval. The gradient at a point ahead of the present
             # input therefore saves steps.
-            slope = self._slope([here + ahead * there for here, there in zip(s, change, strict=True)] if ahead else s)
+            slope = self._slope(s + ahead * change if ahead else s)
             vertex = self.oracle.maximise(slope)
             gain = float(slope @ (vertex - u))
             if not ahead and gain < tolerance:
                 break
-            change = [maps.weigh_sensitivities(vertex) - here for maps, here in zip(self.maps, s, strict=True)]
+            change = self.maps.weigh_sensitivities(vertex) - s
             part, new = self._line(s, change)
             if new > value + TUNING.ascent_same * bool(ahead):
                 u, value = u + part * (vertex - u), new
-                s = [here + part * there for here, there in zip(s, change, strict=True)]
+                s = s + part * change
                 drift = drift + 1 if part == 1.0 and gain < TUNING.ascent_drift else 0
                 ahead = min(2.0 * ahead + 1.0, TUNING.ascent_furthest) if drift > 1 else 0.0
             elif ahead:
@@ -84,46 +82,25 @@ class Climber:
                 break
         return value, u
 
-    def _informations(self, s: list[Floats]) -> list[Floats]:
-        return [here @ here.T + maps.prior for maps, here in zip(self.maps, s, strict=True)]
+    def _information(self, s: Floats) -> Floats:
+        return np.asarray(s @ s.T + self.maps.prior)
 
-    def _blend(self, values: Floats) -> Floats:
-        """Return one log value for all cases together, from the values (cases, ...) of each case."""
-        if len(values) == 1:
-            return np.asarray(values[0])
-        if not self.worst:
-            return np.asarray(values.mean(axis=0))
-        return np.asarray(
-            values.min(axis=0)
-            - np.log(np.exp(-TUNING.ascent_sharpness * _subtract_least(values)).mean(axis=0)) / TUNING.ascent_sharpness
-        )
+    def _slope(self, s: Floats) -> Floats:
+        """Return the gradient of the log value by the input, from the weighted sensitivities (p, N)."""
+        weight = self.criterion.gradient(self._information(s))
+        return np.asarray(self.maps.matrix.T @ (2.0 * (weight @ s)).ravel())
 
-    def _slope(self, s: list[Floats]) -> Floats:
-        """Return the gradient of the log value by the input, from the weighted sensitivities (p, N) of each case."""
-        informations = self._informations(s)
-        weights = np.ones(1)
-        if len(s) > 1:
-            values = np.array([self.criterion.log_value(F) for F in informations])
-            weights = np.exp(-TUNING.ascent_sharpness * _subtract_least(values)) if self.worst else np.ones(len(s))
-            weights /= weights.sum()
-        slope = np.zeros(self.oracle.inputs.size)
-        for maps, here, F, weight in zip(self.maps, s, informations, weights, strict=True):
-            slope += weight * (maps.matrix.T @ (2.0 * (self.criterion.gradient(F) @ here)).ravel())
-        return slope
-
-    def _line(self, s: list[Floats], change: list[Floats]) -> tuple[float, float]:
+    def _line(self, s: Floats, change: Floats) -> tuple[float, float]:
         """Return the part of the way from s to s + change at which the log value is largest, and this value.
 
         The information F is a quadratic function of this part.
         """
-        cross = [here @ there.T for here, there in zip(s, change, strict=True)]
-        constant = np.array(self._informations(s))[:, None]
-        linear = np.array([c + c.T for c in cross])[:, None]
-        square = np.array([there @ there.T for there in change])[:, None]
+        cross = s @ change.T
+        constant, linear, square = self._information(s), cross + cross.T, change @ change.T
 
         def best(parts: Floats) -> tuple[int, float]:
             a = parts[:, None, None]
-            values = self._blend(self.criterion.log_value(constant + a * linear + a * a * square))
+            values = self.criterion.log_value(constant + a * linear + a * a * square)
             i = int(values.argmax())
             return i, float(values[i])
 
@@ -137,7 +114,7 @@ class Climber:
     def _neighbour(self, value: float, u: Floats, shift: int) -> tuple[float, Floats] | None:
         """Return a better local optimum that the shifted input leads to, or None."""
         moved = np.clip(np.arange(len(u)) - shift, 0, len(u) - 1)
-        vertex = self.oracle.maximise(self._slope([maps.weigh_sensitivities(u[moved]) for maps in self.maps]))
+        vertex = self.oracle.maximise(self._slope(self.maps.weigh_sensitivities(u[moved])))
         if np.allclose(vertex, u, rtol=0.0, atol=1e-6 * np.abs(u).max()):
             return None
         other, u = self.ascend(vertex)
@@ -154,12 +131,6 @@ class Climber:
             if abs(seen - value) < TUNING.ascent_tolerance and np.abs(where - u).max() < scale:
                 return (best, best_u) if best > value else (value, u)
         return None
-
-
-def _subtract_least(values: Floats) -> Floats:
-    """Return the log values (cases, ...) minus the least of all cases, even where values are -inf, as at rest."""
-    least = values.min(axis=0)
-    return np.asarray(np.subtract(values, least, out=np.zeros(values.shape), where=values != least))
 
 
 def proportions(rule: Criterion, informations: Floats, rounds: int = TUNING.ascent_rounds) -> Floats:
@@ -209,7 +180,7 @@ def _largest_share(maps: Affine, weight: Floats, oracle: Oracle, rng: np.random.
 
     Full steps climb, because the trace is a convex function of the input.
     """
-    climber = Climber((_rotate_maps(maps, weight),), Criterion("trace", len(maps.scale)), oracle)
+    climber = Climber(_rotate_maps(maps, weight), Criterion("trace", len(maps.scale)), oracle)
     return max((climber.start(rng) for _ in range(TUNING.ascent_searches)), key=lambda found: found[0])[1]
 
 

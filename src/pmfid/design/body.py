@@ -16,9 +16,9 @@ from pmfid.design.problem import Problem
 from pmfid.errors import UsageError
 from pmfid.fit import machine
 from pmfid.fit.machine import BodyModel, Excitation, machine_of
+from pmfid.fit.problem import PARTS
+from pmfid.fit.tuning import MOTION
 from pmfid.types import Floats
-
-__all__ = ["BodyMotion", "body_of", "excite", "prior_of", "separate", "simulate", "simulated_information"]
 
 
 def body_of(problem: Problem) -> BodyModel:
@@ -56,10 +56,11 @@ def simulate(problem: Problem, u: ArrayLike, parameters: Mapping[str, float] | N
         raise UsageError(f"u must have shape ({problem.intervals},), one value per interval, got {u.shape}")
     model, values = body_of(problem), {**problem.nominal, **(parameters or {})}
     body = model.body(np.array([values[name] for name in model.names]))
-    body[list(model.starts)] = problem.start
+    body[list(model.starts[:2])] = problem.start
     held, dt = np.repeat(u, problem.samples_per_interval), problem.dt / problem.samples_per_interval
     lift = model.lift[:, [model.names.index(name) for name in problem.names]]
-    x, v, slopes = machine.simulate(excite(problem, held, dt), model.forces, body, 1, lift)
+    drive, parts = excite(problem, held, dt), MOTION.parts if model.forces or problem.drive.lag else PARTS
+    x, v, slopes = machine.simulate(drive, model.forces, body, parts, lift, model.elastic, model.load)
     t = np.asarray(dt * np.arange(x.size), np.float64)
     return BodyMotion(t, np.append(held, 0.0), x, v, slopes)
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pmfid.design.body import body_of, excite, prior_of, separate
-from pmfid.design.problem import Problem
+from pmfid.design.problem import Problem, parameters_of
 from pmfid.design.tuning import TUNING
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.findings import Finding
@@ -78,7 +78,7 @@ class DesignedRun:
         y, counted = np.asarray(self.y, float), np.full(len(self.y), problem.counted)
         variance = np.where(counted, ROUNDING, 1.0)
         drive = excite(problem, np.asarray(self.u, float)[:-1], self.dt)
-        drive = replace(drive, u=drive.u / problem.nominal["mass"])
+        drive = replace(drive, u=drive.u / problem.nominal[problem.lead])
         return ObservedStretch(drive, y - y[0], variance, counted, np.zeros(y.size, bool), speed=problem.start[1])
 
 
@@ -168,32 +168,40 @@ class DesignedBody:
     """The body of a problem in the coordinates of the fit.
 
     The p parameters `names` of the fit are those of the problem, the mass as the last one. `mixing` (p, p) is the
-    matrix with unit diagonal that makes their prior independent. A known mass is a coordinate without effect.
+    matrix with unit diagonal that makes their prior independent. `units` (p,) is the nominal mass for a coefficient of
+    the equation of forces, and 1 for a time or a speed. A known mass is a coordinate without effect.
     """
 
     problem: Problem
     names: tuple[str, ...]
+    units: Floats
     mixing: Floats
     model: BodyModel
 
     @classmethod
     def make(cls, problem: Problem) -> DesignedBody:
         """Return the body of a problem."""
-        whole, mass = body_of(problem), problem.nominal["mass"]
-        names = tuple(name for name in problem.names if name != "mass")
-        free = [whole.names.index(name) for name in (*names, "mass")]
-        nominal = np.array([problem.nominal[name] for name in whole.names]) / mass
-        mixing, precision = separate(prior_of(problem, (*names, "mass")) * mass**2)
+        whole = body_of(problem)
+        if whole.elastic:
+            raise UsageError(
+                "designed runs of two masses have no estimate here; run pmfid identify with body = 'two-mass' in "
+                "[model], and put its values into [drive]"
+            )
+        names = (*(name for name in problem.names if name != problem.lead), problem.lead)
+        free = [whole.names.index(name) for name in names]
+        units = np.where(np.isin(whole.names, problem.drive.equation.names), problem.nominal[problem.lead], 1.0)
+        nominal = np.array([problem.nominal[name] for name in whole.names]) / units
+        mixing, precision = separate(prior_of(problem, names) * np.outer(units[free], units[free]))
         lift, rest = whole.lift[:, free] @ mixing, whole.rest + whole.lift @ nominal
-        if "mass" in problem.names:
+        if problem.lead in problem.names:
             rest -= lift[:, -1]
         else:
             lift[:, -1], precision[-1] = 0.0, 1.0
         alone = np.count_nonzero(mixing, axis=1) == 1
         lowest = np.where(alone, whole.lowest[free] - nominal[free], -np.inf)
         lowest[-1] = -np.inf
-        model = BodyModel((*names, "mass"), (), rest, lift, len(names), lowest, precision=precision)
-        return cls(problem, (*names, "mass"), mixing, model)
+        model = BodyModel(names, whole.forces, rest, lift, len(names) - 1, lowest, precision=precision)
+        return cls(problem, names, units[free], mixing, model)
 
     def check_determined(self, fitted: Fitted) -> None:
         """Raise NotIdentifiableError if runs and prior leave a parameter of the problem open."""
@@ -208,8 +216,7 @@ class DesignedBody:
 
     def to_units(self, fitted: Fitted) -> Fitted:
         """Return a fit with the parameters of the problem, in their units and order."""
-        mass, order = self.problem.nominal["mass"], [self.names.index(name) for name in self.problem.names]
-        lift = mass * self.mixing[order]
+        lift = (self.units[:, None] * self.mixing)[[self.names.index(name) for name in self.problem.names]]
         middle = np.eye(len(self.names))[-1]
         nominal = np.array([self.problem.nominal[name] for name in self.problem.names])
         return replace(
@@ -224,10 +231,8 @@ class DesignedBody:
     def estimate(self, fitted: Fitted) -> RunsEstimate:
         """Return the estimate of a fit in units of the problem."""
         names, std = self.problem.names, np.sqrt(np.diag(fitted.covariance))
-        size = np.array(
-            [max(abs(value), abs(self.problem.nominal[name])) for name, value in zip(names, fitted.theta, strict=True)]
-        )
-        positive = np.array([name != "offset" for name in names])
+        size = np.maximum(np.abs(fitted.theta), np.abs([self.problem.nominal[name] for name in names]))
+        positive = np.array([parameters_of(self.problem.drive)[name] for name in names])
         half = np.maximum(fitted.half, NORMAL_95 * std)
         findings = tuple(findings_of(fitted, names, positive, size, TUNING.calibration_negligible))
         variance = np.concatenate([one.variance for one in fitted.problem.stretches])

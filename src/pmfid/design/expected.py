@@ -8,12 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.design.body import prior_of, separate, simulate
-from pmfid.design.problem import Problem
+from pmfid.design.problem import Problem, parameters_of
 from pmfid.design.tuning import TUNING
 from pmfid.fit.prediction import expect_covariance
 from pmfid.types import Floats
-
-__all__ = ["expected_covariance"]
 
 
 def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
@@ -55,7 +53,8 @@ def _machines(problem: Problem, prior: Floats) -> Floats:
     corners = np.array(list(product((-1.0, 1.0), repeat=nominal.size)))
     corners = np.tile(corners, (-(-TUNING.expected_machines // len(corners)), 1))
     values = nominal + corners @ spread.T * problem.scale
-    lower = np.where([name == "offset" for name in problem.names], -np.inf, 0.1 * np.abs(nominal))
+    signs = parameters_of(problem.drive)
+    lower = np.where([signs[name] for name in problem.names], 0.1 * np.abs(nominal), -np.inf)
     return np.asarray(np.maximum(values, lower))
 
 

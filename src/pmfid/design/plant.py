@@ -309,7 +309,7 @@ def solve_plant(problem: PlantProblem, criterion: str = "trace", *, starts: int 
         raise InfeasibleError("no input meets the limits; widen input or states, drop an end, or give a longer horizon")
     size = np.abs(problem.maps.matrix).max() or 1.0
     scaled = replace(problem.maps, matrix=problem.maps.matrix / size, offset=problem.maps.offset / size)
-    climber = Climber((scaled,), rule, oracle)
+    climber = Climber(scaled, rule, oracle)
     seeds = np.random.SeedSequence(seed).spawn(starts)
     results = [climber.start(np.random.default_rng(child)) for child in seeds]
     value, u = max(results, key=lambda result: result[0])

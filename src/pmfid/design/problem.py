@@ -35,47 +35,45 @@ def check_positive(name: str, value: float | None) -> None:
         )
 
 
-#: Fields of a drive that no design supports.
-NOT_YET = {"spring": "a load on a spring", "dead_time": "an input that acts late", "lag": "an input with a lag"}
-
-
 def check_drive(drive: Drive) -> None:
-    for key, what in NOT_YET.items():
-        if getattr(drive, key):
-            raise UsageError(f"a design for {what} is not supported yet; leave {key} out")
     if drive.input_gain == ESTIMATE:
         raise UsageError(
             "a design needs the gain of the input: give input_gain as a number, for example the estimate of pmfid "
             "identify with a known mass"
         )
-    shaped = ", ".join(str(term.name) for term in drive.equation.shaped)
-    if shaped:
-        raise UsageError(f"a design for {shaped} is not supported yet; leave that out")
+
+
+def parameters_of(drive: Drive) -> dict[str, bool]:
+    """Return the names of the parameters, and whether each is never negative."""
+    equation = drive.equation
+    signs = dict(zip(equation.names, map(bool, equation.positive), strict=True))
+    return signs | {name: True for name, _ in equation.further}
 
 
 def check_parameters(problem: Problem) -> None:
     check_drive(problem.drive)
-    known = problem.drive.equation.names
+    signs = parameters_of(problem.drive)
+    known, mass = tuple(signs), problem.lead
     for name in (*problem.names, *problem.nominal, *(name for case in problem.scenarios for name in case)):
         if name not in known:
             raise UsageError(f"{name!r} is no parameter of the drive, which has {known}{did_you_mean(name, known)}")
     for case in (dict.fromkeys(known, math.nan) | dict(problem.nominal), *problem.scenarios):
         for name, value in case.items():
-            if not math.isfinite(value) or (name == "mass" and value <= 0) or (name != "offset" and value < 0):
-                raise UsageError(f"{name} must be given, finite and {_SIGN.get(name, 'at least 0')}, got {value}")
-            if abs(value) > TUNING.problem_most or (name == "mass" and value < TUNING.problem_least):
+            if not math.isfinite(value) or (name == mass and value <= 0) or (signs[name] and value < 0):
+                sign = "positive" if name == mass else "at least 0" if signs[name] else "a number"
+                raise UsageError(f"{name} must be given, finite and {sign}, got {value}")
+            if abs(value) > TUNING.problem_most or (name == mass and value < TUNING.problem_least):
                 raise UsageError(f"{name} = {value:g} is impossible for a machine; give the value in SI units")
     if not problem.unknown or len(set(problem.names)) < len(problem.names):
         raise UsageError(
             f"unknown and nuisance must name different parameters, at least one unknown, got {problem.names}"
         )
-    if problem.scaled and 0.0 in [problem.nominal[name] for name in problem.names]:
+    if problem.drive.spring and "offset" not in problem.names:
+        raise UsageError("an encoder does not show where the spring is at rest; add offset to the nuisance parameters")
+    if problem.scaled and 0.0 in [problem.nominal[name] for name in problem.unknown]:
         raise UsageError(
             "a parameter whose nominal value is 0 cannot be scaled; give a likely value, or scaled = false"
         )
-
-
-_SIGN = {"mass": "positive", "offset": "a number"}
 
 
 def check_grid(problem: Problem) -> None:
@@ -295,8 +293,6 @@ class Problem:
         scenario, only an end with a tolerance counts.
     combination
         {unknown parameter: weight} for the criterion "c".
-    average
-        Criterion over the nominal case and the scenarios: "mean" (geometric) or "worst"; None: the nominal case.
 
     Raises
     ------
@@ -334,24 +330,12 @@ class Problem:
     directions: tuple[int, ...] = ()
     scenarios: tuple[Mapping[str, float], ...] = field(default=())
     combination: Mapping[str, float] = field(default_factory=dict)
-    average: str | None = None
 
     def __post_init__(self) -> None:
         check_parameters(self)
         check_grid(self)
         check_ends(self)
         check_noise(self)
-        if self.average not in (None, "mean", "worst"):
-            raise UsageError(
-                f"average must be 'mean' or 'worst', or left out for the nominal case, got {self.average!r}"
-            )
-
-    @property
-    def cases(self) -> tuple[Mapping[str, float], ...]:
-        """Parameters of each case of the criterion. The nominal case comes first. With an average, a case for each
-        scenario follows.
-        """
-        return (self.nominal, *(({**self.nominal, **case} for case in self.scenarios) if self.average else ()))
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -375,6 +359,18 @@ class Problem:
         return self.directions or (1,) * self.intervals
 
     @property
+    def lead(self) -> str:
+        """The name of the mass, or of that of the motor."""
+        return self.drive.equation.names[self.drive.equation.leading]
+
+    @property
+    def linear(self) -> bool:
+        """Whether the equation is linear in one direction of motion, so that an optimum has a bound."""
+        drive, equation = self.drive, self.drive.equation
+        late = drive.dead_time or drive.lag
+        return not (drive.spring or late or equation.elastic or equation.shaped or drive.axis == "rotary")
+
+    @property
     def counted(self) -> bool:
         """Whether the error of the position is the rounding of an encoder."""
         return self.noise_variance is None
@@ -388,8 +384,8 @@ class Problem:
 
     @property
     def scale(self) -> Floats:
-        """Nominal values (p,), or ones if the criteria are not scaled."""
-        return np.array([abs(self.nominal[name]) if self.scaled else 1.0 for name in self.names])
+        """Nominal values (p,), or ones if the criteria are not scaled. A nuisance parameter of 0 has the scale 1."""
+        return np.array([abs(self.nominal[name]) or 1.0 if self.scaled else 1.0 for name in self.names])
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -460,14 +456,12 @@ class Design(Presentable):
     @property
     def predicted_std(self) -> dict[str, float]:
         """Standard deviation of each unknown parameter after one run (Cramér-Rao), infinite without information."""
-        from numpy.linalg import LinAlgError, inv
-
-        names = self.problem.unknown
-        try:
-            variance = inv(self.fisher).diagonal()
-        except LinAlgError:
-            return dict.fromkeys(names, math.inf)
-        return {name: math.sqrt(v) if v > 0 else math.inf for name, v in zip(names, variance, strict=True)}
+        scale = self.problem.scale[: len(self.fisher)]
+        values, vectors = np.linalg.eigh(self.fisher * np.outer(scale, scale))
+        known = values > 1e-12 * max(values[-1], 0.0)
+        variance = (vectors[:, known] ** 2 / values[known]).sum(axis=1)
+        variance[np.any(vectors[:, ~known] ** 2 > 0, axis=1)] = math.inf
+        return dict(zip(self.problem.unknown, (scale * np.sqrt(variance)).tolist(), strict=True))
 
     def summary(self) -> Summary:
         """Return the predicted standard deviations after one run."""

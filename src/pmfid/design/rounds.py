@@ -11,6 +11,7 @@ from pmfid.design.appraisal import Choice, choose
 from pmfid.design.body import simulate
 from pmfid.design.calibration import DesignedRun, RunsEstimate, calibrate
 from pmfid.design.problem import Design, InfeasibleError, Problem
+from pmfid.design.ranking import rank
 from pmfid.design.solver import solve
 from pmfid.errors import UsageError
 from pmfid.findings import Finding
@@ -53,14 +54,16 @@ class Commissioning:
     @property
     def doubts(self) -> tuple[str, ...]:
         """Findings against the estimate."""
-        findings = self.rounds[-1].known.findings if self.rounds else ()
-        return tuple(_advise(one) for one in findings if one.severity != "note")
+        return tuple(_advise(one) for one in self._findings if one.severity != "note")
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Effects that the intervals contain."""
-        findings = self.rounds[-1].known.findings if self.rounds else ()
-        return tuple(one.text for one in findings if one.severity == "note")
+        return tuple(one.text for one in self._findings if one.severity == "note")
+
+    @property
+    def _findings(self) -> tuple[Finding, ...]:
+        return self.rounds[-1].known.findings if self.rounds else ()
 
     @property
     def reached(self) -> bool:
@@ -159,8 +162,8 @@ def sequential(
     done: list[Round] = []
     current = problem
     while len(done) < rounds and not (done and wanted and is_reached(problem, done[-1].known, wanted)):
-        design = solve(current, criterion, starts=starts, seed=seed + len(done))
-        chosen = choose(design, starts=_few(starts), seed=seed).design
+        design = _design(current, criterion, starts, seed + len(done))
+        chosen = choose(design, seed).design
         run = experiment(chosen)
         known = calibrate(problem, [*(each.run for each in done), run])
         done.append(Round(run, known, chosen))
@@ -188,13 +191,13 @@ def redesign(
         return state
     current = rounds[-1].known.update(problem) if rounds else problem
     try:
-        found = solve(current, criterion, starts=starts, seed=seed + len(runs))
+        found = _design(current, criterion, starts, seed + len(runs))
     except InfeasibleError as error:
         if not rounds:
             raise
         said = ", ".join(f"{name} = {rounds[-1].known.parameters[name]:.6g}" for name in problem.names)
         raise InfeasibleError(f"the runs give {said}; with these values {error}", error.relaxations) from None
-    return replace(state, choice=choose(found, starts=_few(starts), seed=seed))
+    return replace(state, choice=choose(found, seed))
 
 
 def is_reached(problem: Problem, known: RunsEstimate, wanted: Mapping[str, float]) -> bool:
@@ -255,9 +258,11 @@ def _advise(finding: Finding) -> str:
     return finding.text
 
 
-def _few(starts: int) -> int:
-    """Return the number of starts for each design other than the best."""
-    return max(1, starts // 4)
+def _design(problem: Problem, criterion: str, starts: int, seed: int) -> Design:
+    """Return the best input that the search for the drive of a problem finds."""
+    if problem.linear:
+        return solve(problem, criterion, starts=starts, seed=seed)
+    return rank(problem, criterion, seed=seed)["design"]
 
 
 def _check_wanted(problem: Problem, wanted: Mapping[str, float], rounds: int) -> None:

@@ -26,17 +26,16 @@ __all__ = ["Setting", "evaluate", "setting"]
 
 @dataclass(frozen=True, eq=False)
 class Setting:
-    """A problem with the data of a search, which are the maps of the cases, the criterion and the limits' rows."""
+    """A problem with the data of a search, which are the maps, the criterion and the limits' rows."""
 
     problem: Problem
-    maps: tuple[Affine, ...]
+    maps: Affine
     rule: Criterion
     inputs: InputSet
 
     def value(self, u: Floats) -> float:
-        """Return the criterion of an input (K,), as the nominal value, the geometric mean or the worst case."""
-        values = [float(self.rule.log_value(maps.information(u))) for maps in self.maps]
-        return float(np.exp(min(values) if self.problem.average == "worst" else np.mean(values)))
+        """Return the criterion of an input (K,)."""
+        return self.rule.value(self.maps.information(u))
 
     def design(self, u: Floats) -> Design:
         """Return a design with the input, its motion, its information and its value."""
@@ -45,7 +44,7 @@ class Setting:
         warnings = [f"breaks {name} by {amount:.3g}" for name, amount in broken.items()]
         if not broken and _parks(self.problem, v):
             warnings.append("the motion parks at standstill, where no information is real; set min_speed above 0")
-        nominal = self.maps[0]
+        nominal = self.maps
         fisher = eliminate(nominal.information(u) / np.outer(nominal.scale, nominal.scale), self.rule.size)[0]
         common = (self.problem, self.rule.name, self.problem.t, u, x, v, fisher, self.value(u))
         return Design(*common, feasible=not broken, warnings=tuple(warnings))
@@ -54,7 +53,7 @@ class Setting:
 def setting(problem: Problem, criterion: str) -> Setting:
     """Prepare a problem for a search. Raises UsageError for an unknown criterion or a wrong combination."""
     rule = criterion_of(problem, criterion)
-    return Setting(problem, tuple(affine(problem, case) for case in problem.cases), rule, input_set(problem))
+    return Setting(problem, affine(problem), rule, input_set(problem))
 
 
 def evaluate(problem: Problem, u: ArrayLike, criterion: str = "D") -> Design:
@@ -214,7 +213,7 @@ def _energy(problem: Problem, inputs: InputSet) -> list[Relaxation]:
     return [Relaxation(name, value, more, "") for name, value, more in ways if value is not None and more > value]
 
 
-#: A progress function gets the starts done, the number of starts, and the best value so far.
+#: A progress function gets the starts or sweeps done, their number, and the best value so far.
 Progress = Callable[[int, int, float], None]
 
 
@@ -276,10 +275,12 @@ def solve(
     (True, 0.4)
     """
     began = time.perf_counter()
+    if not problem.linear:
+        raise UsageError("this drive has no linear equation; use pmfid.design.rank")
     if starts < 1:
         raise UsageError(f"starts must be at least 1, got {starts}")
     ready = setting(problem, criterion)
-    check_identifiable(problem, ready.maps[0])
+    check_identifiable(problem, ready.maps)
     results = _all_starts(ready, np.random.SeedSequence(seed).spawn(starts), progress)
     best = max(results, key=lambda found: found[0])[1]
     design = ready.design(_climber(ready).ascend(best, tolerance=1e-8, steps=300)[1])
@@ -291,7 +292,7 @@ def solve(
     least = np.log(design.value) + np.log1p(-TUNING.solver_reached)
     reached = float(np.mean([np.log(ready.value(u)) >= least for _, u in results]))
     bound = None
-    if certify is not None and problem.average != "mean":  # the nominal case bounds the worst one
+    if certify is not None:
         bound = upper_bound(problem, ready.rule, design.u, gap=gap, seconds=certify)
     seconds = time.perf_counter() - began
     return replace(design, starts=starts, reached=reached, bound=bound, solve_seconds=seconds)
@@ -313,4 +314,4 @@ def _climber(ready: Setting) -> Climber:
     oracle = Oracle(ready.inputs)
     if not oracle.feasible():
         raise_infeasible(ready.problem)
-    return Climber(ready.maps, ready.rule, oracle, ready.problem.average == "worst")
+    return Climber(ready.maps, ready.rule, oracle)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property, partial
 from itertools import pairwise
@@ -71,29 +71,37 @@ def input_wish(problem: Problem, name: str, low: float, high: float, rng: np.ran
     chirp.
     """
     n = problem.intervals
-    middle, size = (high + low) / 2, (high - low) / 2
-    if name == "pulses":
-        signal = np.where((np.arange(n) * 2 * TUNING.standard_pulses // n) % 2 == 0, 1.0, -1.0)
-    elif name == "prbs":
-        signal = np.repeat(rng.integers(0, 2, size=-(-n // TUNING.standard_clock)) * 2.0 - 1.0, TUNING.standard_clock)[
-            :n
-        ]
-    elif name == "multisine":
-        signal = _multisine(n, max(1, int(TUNING.standard_highest * n)))
-    else:
-        tau = np.arange(n) / n
-        signal = np.cos(2 * np.pi * tau * (1 + (TUNING.standard_highest * n - 1) * tau / 2))
-    return np.asarray(middle + size * signal)
+    tones = int(TUNING.standard_highest * n)
+    lengths = {"pulses": n / (2 * TUNING.standard_pulses), "prbs": TUNING.standard_clock}
+    return np.asarray((high + low) / 2 + (high - low) / 2 * _signal_of(name, n, lengths.get(name, max(1, tones)), rng))
 
 
-def _multisine(samples: int, tones: int) -> Floats:
-    """Return a sum of the tones 1 to `tones` per period (samples,), scaled to a largest value of 1.
+def standard_signals(problem: Problem, rng: np.random.Generator) -> Iterator[tuple[str, Floats]]:
+    """Yield name and values (K,) of signals between -1 and 1, for several times and highest frequencies."""
+    n = problem.intervals
+    for length in TUNING.standard_holds:
+        for name in ("prbs", "pulses"):
+            yield f"{name}, {length * problem.dt:.3g} s", _signal_of(name, n, length, rng)
+    for tones in (max(1, int(part * n)) for part in TUNING.standard_highests):
+        for name in ("multisine", "chirp"):
+            yield f"{name} to {tones / problem.horizon:.3g} Hz", _signal_of(name, n, tones, rng)
 
-    The crest factor is about 1.7 for many tones.
+
+def _signal_of(name: str, samples: int, length: float, rng: np.random.Generator) -> Floats:
+    """Return a signal (samples,) between -1 and 1. `length` is the number of samples that hold a value, or that of the
+    periods of the highest tone.
+
+    The crest factor of a multisine with the phases of Schroeder (1970) is about 1.7 for many tones.
     """
-    k = np.arange(1, tones + 1)
-    phase = -np.pi * k * (k - 1) / tones
-    total = np.cos(2 * np.pi * np.outer(np.arange(samples) / samples, k) + phase).sum(axis=1)
+    tau = np.arange(samples) / samples
+    if name == "pulses":
+        return np.where(np.arange(samples) // length % 2 == 0, 1.0, -1.0)
+    if name == "prbs":
+        return np.repeat(rng.integers(0, 2, size=-(-samples // int(length))) * 2.0 - 1.0, int(length))[:samples]
+    if name == "chirp":
+        return np.asarray(np.cos(2 * np.pi * tau * (1 + (length - 1) * tau / 2)))
+    k = np.arange(1, length + 1)
+    total = np.cos(2 * np.pi * np.outer(tau, k) - np.pi * k * (k - 1) / length).sum(axis=1)
     return np.asarray(total / np.abs(total).max())
 
 

@@ -12,9 +12,6 @@ class DesignTuning:
     # appraisal
     #: Factor for "surely better", because the expected deviations are known only to a few percent.
     appraisal_surely: float = 0.95
-    #: Least speeds of further candidates, as multiples of the least speed in the limits. The first two leave whole
-    #: counts per sample. The others keep a machine moving whose mass or friction is larger than the data sheet says.
-    appraisal_faster: tuple[float, ...] = (1.23, 1.57, 2.5, 4.0, 6.0)
     #: Part of the claimed information that must survive stiction. A smaller part gives a warning.
     appraisal_survives: float = 0.95
     #: Parts of the nominal values for which information must survive. An axis may just stop, or just fail to stop.
@@ -30,8 +27,6 @@ class DesignTuning:
     ascent_furthest: float = 8.0
     #: Relative gain of a full step below which the step is only a drift.
     ascent_drift: float = 0.05
-    #: Weight of the worst of several cases in the soft minimum. A larger weight is nearer to the true minimum.
-    ascent_sharpness: float = 100.0
     #: Largest excess of a motion over its share at which the weights count as converged.
     ascent_enough: float = 1e-6
     ascent_rounds: int = 2000
@@ -85,6 +80,10 @@ class DesignTuning:
     problem_least: float = 1e-20
     problem_most: float = 1e20
 
+    # ranking
+    #: Parts of the limit of the input that a standard input tries.
+    ranking_sizes: tuple[float, ...] = (1.0, 0.7, 0.5, 0.35, 0.25, 0.17, 0.12, 0.08)
+
     # solver
     #: Largest violation of a limit, relative to the terms that the limit compares.
     solver_precision: float = 1e-7
@@ -99,6 +98,9 @@ class DesignTuning:
     standard_clock: int = 3
     #: Highest frequency of multisine and chirp, as a fraction of the interval rate.
     standard_highest: float = 0.2
+    #: Numbers of intervals that hold one value, and highest frequencies as parts of the interval rate, for a ranking.
+    standard_holds: tuple[int, ...] = (1, 2, 4, 8, 16, 32)
+    standard_highests: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     #: Relative violation of a limit that rounding explains.
     standard_rounding: float = 1e-7
     #: Parts of the reachable distance that legs with a free end try to cover.

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from pmfid.config.axis import Axis, EstimatorConfig
 from pmfid.config.model import ModelConfig
@@ -16,10 +17,11 @@ from pmfid.config.record import EncoderConfig, RecordConfig
 from pmfid.config.toml_file import FileSection, load_sections
 from pmfid.design.appraisal import Appraisal, appraise
 from pmfid.design.calibration import DesignedRun
-from pmfid.design.problem import Design, Limits, Problem
+from pmfid.design.problem import Design, Limits, Problem, parameters_of
+from pmfid.design.ranking import rank
 from pmfid.design.rounds import Commissioning, redesign, sequential, simulated_experiment
-from pmfid.design.solver import solve
-from pmfid.errors import UsageError
+from pmfid.design.solver import Progress, solve
+from pmfid.errors import UsageError, did_you_mean
 from pmfid.models.drive import Drive
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.joining import make_even
@@ -31,6 +33,7 @@ __all__ = ["Spec", "load_spec", "make_problem"]
 Criterion = Literal["trace", "D", "A", "E", "ME", "c"]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]
+Part = Annotated[float, Field(ge=0, lt=1)]
 # The type of tuples is not strict, because TOML has lists where a frozen object needs a tuple.
 Pair = Annotated[tuple[float, float], Field(strict=False)]
 Names = Annotated[tuple[str, ...], Field(strict=False)]
@@ -39,13 +42,44 @@ Names = Annotated[tuple[str, ...], Field(strict=False)]
 class DriveSpec(FileSection):
     """[drive]: the nominal values of mass x'' + viscous_friction x' + coulomb_friction sign(x') + offset =
     input_gain u.
+
+    Further keys are the parameters of a spring ("stiffness"), a "dead_time" or a "lag" of the input, or of a second
+    mass, by their names in `Drive`. A spring without an offset has the offset 0.
     """
 
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, float]
+
     input_gain: Positive = Field(description="the force in N per unit of u, for example 2.0")
-    mass: Positive = Field(description="the moving mass in kg, as near as it is known")
-    viscous_friction: NotNegative = Field(description="the viscous friction in N s/m, as near as it is known")
-    coulomb_friction: NotNegative = Field(description="the Coulomb friction in N, as near as it is known")
-    offset: float | None = Field(None, description="the constant load in N, or leave the key out if no load acts")
+    body: Literal["rigid", "two-mass"] = Field("rigid", description='"two-mass" for a load on a spring')
+    viscous_friction: NotNegative = Field(description="the viscous friction in N s/m, of the motor if there is a load")
+    coulomb_friction: NotNegative = Field(description="the Coulomb friction in N, of the motor if there is a load")
+
+    @property
+    def drive(self) -> Drive:
+        """The drive of the keys."""
+        further = self.__pydantic_extra__
+        spring = self.body == "rigid" and "stiffness" in further
+        drive = Drive(self.input_gain, "offset" in further or spring, spring=spring, body=self.body)
+        drive = replace(drive, dead_time="estimate") if "dead_time" in further else drive
+        return replace(drive, lag="estimate") if "lag" in further else drive
+
+    @property
+    def nominal(self) -> dict[str, float]:
+        """The nominal values of the parameters of the drive."""
+        own = {"viscous_friction": self.viscous_friction, "coulomb_friction": self.coulomb_friction}
+        return ({"offset": 0.0} if self.drive.spring else {}) | self.__pydantic_extra__ | own
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        names, given = parameters_of(self.drive), self.nominal
+        for name in names:
+            if name not in given:
+                raise ValueError(f"{name} is missing; give the value as near as it is known")
+        for name in given:
+            if name not in names:
+                raise ValueError(f"{name} is no parameter of this drive{did_you_mean(name, names)}; leave {name} out")
+        return self
 
 
 class EncoderSpec(FileSection):
@@ -127,34 +161,6 @@ class LimitsSpec(FileSection):
         return self
 
 
-class PriorSpec(FileSection):
-    """[prior]: standard deviations from an earlier estimate or a data sheet."""
-
-    mass: Positive | None = Field(None, description="the standard deviation of the mass in kg")
-    viscous_friction: Positive | None = Field(None, description="the standard deviation of the friction in N s/m")
-    coulomb_friction: Positive | None = Field(None, description="the standard deviation in N")
-    offset: Positive | None = Field(None, description="the standard deviation in N")
-
-
-class RobustSpec(FileSection):
-    """[robust]: the possible relative errors of the nominal values. The limits of the machine also hold with wrong
-    nominal values.
-    """
-
-    mass: Annotated[float, Field(ge=0, lt=1)] = Field(
-        0.0, description="the relative error of the nominal value, for example 0.2"
-    )
-    viscous_friction: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.0, description="the relative error of the nominal value"
-    )
-    coulomb_friction: Annotated[float, Field(ge=0, le=1)] = Field(
-        0.0, description="the relative error of the nominal value"
-    )
-    average: Literal["mean", "worst"] | None = Field(
-        None, description='"mean" or "worst" case of the criterion, or leave the key out for the nominal case'
-    )
-
-
 class SearchSpec(FileSection):
     """[search]: the effort of the search."""
 
@@ -175,8 +181,8 @@ class Spec(FileSection):
     motion: MotionSpec = Field(description="a section with at least duration and intervals")
     limits: LimitsSpec = Field(default=LimitsSpec(), description="a section of limits")
     record: RecordConfig = Field(default=RECORD, description="a section that names the columns of recorded runs")
-    prior: PriorSpec = Field(default=PriorSpec(), description="a section of standard deviations")
-    robust: RobustSpec = Field(default=RobustSpec(), description="a section of relative tolerances")
+    prior: dict[str, Positive] = Field(default={}, description="a section of standard deviations of parameters")
+    robust: dict[str, Part] = Field(default={}, description="a section of relative errors of nominal values")
     search: SearchSpec = Field(default=SearchSpec(), description="a section with starts and seed")
 
 
@@ -191,12 +197,12 @@ def load_spec(path: Path, overrides: Mapping[str, object] | None = None) -> Spec
 
 def make_problem(spec: Spec) -> Problem:
     """Return the design problem of a specification. Raises UsageError if its parts contradict each other."""
-    nominal = _nominal(spec.drive)
+    nominal = spec.drive.nominal
     experiment, motion = spec.experiment, spec.motion
     noise = spec.encoder.noise_std
     names = (*experiment.unknown, *experiment.nuisance)
     return Problem(
-        drive=Drive(spec.drive.input_gain, offset="offset" in nominal),
+        drive=spec.drive.drive,
         nominal=nominal,
         unknown=experiment.unknown,
         nuisance=experiment.nuisance,
@@ -214,18 +220,11 @@ def make_problem(spec: Spec) -> Problem:
         directions=motion.directions,
         scenarios=_scenarios(spec.robust, nominal),
         combination=experiment.weights,
-        average=spec.robust.average,
     )
 
 
-def _nominal(drive: DriveSpec) -> dict[str, float]:
-    values: dict[str, float | None] = drive.model_dump(exclude={"input_gain"})
-    return {name: value for name, value in values.items() if value is not None}
-
-
-def _prior(prior: PriorSpec, names: tuple[str, ...]) -> np.ndarray | None:
+def _prior(stds: Mapping[str, float], names: tuple[str, ...]) -> np.ndarray | None:
     """Return the information matrix (p, p) of independent standard deviations."""
-    stds = {name: std for name, std in prior.model_dump().items() if std is not None}
     others = [name for name in stds if name not in names]
     if others:
         raise UsageError(
@@ -235,18 +234,13 @@ def _prior(prior: PriorSpec, names: tuple[str, ...]) -> np.ndarray | None:
     return np.diag([stds[name] ** -2.0 if name in stds else 0.0 for name in names]) if stds else None
 
 
-def _scenarios(robust: RobustSpec, nominal: Mapping[str, float]) -> tuple[dict[str, float], ...]:
-    """Return the nominal values at every corner of the box that the tolerances span."""
-    wrong = {name: part for name, part in robust.model_dump(exclude={"average"}).items() if part > 0}
-    signs = product((-1, 1), repeat=len(wrong)) if wrong else ()
+def _scenarios(robust: Mapping[str, float], nominal: Mapping[str, float]) -> tuple[dict[str, float], ...]:
+    """Return the nominal values at every corner of the box that the relative errors span."""
+    wrong = {name: part for name, part in robust.items() if part > 0}
+    corners = product(*((1 - part, 1 + part) for part in wrong.values())) if wrong else ()
     return tuple(
-        {name: nominal[name] * (1 + sign * part) for (name, part), sign in zip(wrong.items(), corner, strict=True)}
-        for corner in signs
+        {name: nominal.get(name, 0.0) * part for name, part in zip(wrong, corner, strict=True)} for corner in corners
     )
-
-
-#: Callback with the number of finished starts, the number of all starts and the best value so far.
-Progress = Callable[[int, int, float], None]
 
 
 def run_design(spec: Spec, *, certify: float | None = None, progress: Progress | None = None) -> Design:
@@ -264,9 +258,24 @@ def run_design(spec: Spec, *, certify: float | None = None, progress: Progress |
     )
 
 
-def run_appraisal(spec: Spec, design: Design) -> Appraisal:
-    """Compare a design for the specification with the standard inputs."""
-    return appraise(design, spec.search.seed)
+#: A design with the standard inputs: an appraisal, or a ranking of drives without a linear equation.
+Comparison = Appraisal | dict[str, Design]
+
+
+def compare(spec: Spec, design: Design) -> Comparison:
+    """Compare a design for the specification with the standard inputs, if its drive has a linear equation."""
+    return appraise(design, spec.search.seed) if design.problem.linear else {"design": design}
+
+
+def run_comparison(spec: Spec, *, certify: float | None = None, progress: Progress | None = None) -> Comparison:
+    """Return the design for a specification in comparison with the standard inputs.
+
+    `certify` is that of `run_design`. Raises the errors of `solve` and `rank`.
+    """
+    problem = make_problem(spec)
+    if problem.linear:
+        return compare(spec, run_design(spec, certify=certify, progress=progress))
+    return rank(problem, spec.experiment.criterion, seed=spec.search.seed, progress=progress)
 
 
 def run_commissioning(

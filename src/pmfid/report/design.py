@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from functools import partial
-from itertools import combinations, cycle
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pmfid.design.appraisal import Appraisal, accumulate_value
+from pmfid.design.appraisal import Appraisal
 from pmfid.design.fisher import CRITERIA
 from pmfid.design.problem import Design, Problem
+from pmfid.design.ranking import find_hidden
 from pmfid.design.rounds import Commissioning
-from pmfid.report.figures import COLOURS, GREY, MAGENTA, Style, open_figure
+from pmfid.pipeline.designs import Comparison
+from pmfid.presentation import plain_dict
+from pmfid.report.figures import COLOURS, MAGENTA, Style, open_figure
 from pmfid.report.page import ResultPage, Section
 from pmfid.types import Floats
 
@@ -23,12 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["ellipse_figure", "gathering_figure", "motion_figure"]
+__all__ = ["motion_figure"]
 
 LINE_STYLES = ("-", "--", "-.", ":")
-
-#: Quantile at 95 % of the chi-square distribution with two degrees of freedom.
-ELLIPSE = -2 * np.log(0.05)
 
 #: Map from the name to input (n,), position (n+1,) and velocity (n+1,).
 Inputs = Mapping[str, tuple[Floats, Floats, Floats]]
@@ -55,44 +54,6 @@ def motion_figure(problem: Problem, inputs: Inputs) -> Figure:
             panels[2].plot(problem.t, x, **look)
         _finish(figure, panels[0], panels[-1])
     return figure
-
-
-def gathering_figure(curves: Mapping[str, tuple[Floats, Floats]], ylabel: str) -> Figure:
-    """Draw the value of the criterion for the samples so far, from the time (N,) and value (N,) of each curve."""
-    with open_figure(3.2) as (figure, (axes,)):
-        for name, look in _looks(curves):
-            axes.plot(*curves[name], **look)
-        axes.set_ylabel(ylabel)
-        _finish(figure, axes, axes)
-    return figure
-
-
-def ellipse_figure(names: tuple[str, ...], scale: Floats, fishers: Mapping[str, Floats]) -> Figure:
-    """Draw the 95 % confidence ellipse for each pair of parameters, in percent of `scale` (p,).
-
-    `fishers` has the information (p, p) of each input, in the units of the parameters. There are two parameters at
-    least.
-    """
-    pairs = list(combinations(range(len(names)), 2))
-    with open_figure(3.6 if len(pairs) > 1 else 4.4, 1, len(pairs)) as (figure, panels):
-        for axes, (i, j) in zip(panels, pairs, strict=True):
-            for name, look in _looks(fishers):
-                _ellipse(axes, fishers[name] * np.outer(scale, scale) / 1e4, (i, j), look)
-            axes.plot(0.0, 0.0, "+", color=GREY)
-            axes.set_xlabel(f"{_words(names[i])} [%]")
-            axes.set_ylabel(f"{_words(names[j])} [%]")
-            axes.locator_params(nbins=5)
-        _legend(figure, panels[0])
-    return figure
-
-
-def _ellipse(axes: Axes, fisher: Floats, pair: tuple[int, int], look: Style) -> None:
-    if np.linalg.matrix_rank(fisher) < len(fisher):
-        return
-    covariance = np.linalg.inv(fisher)[np.ix_(pair, pair)]
-    angle = np.linspace(0, 2 * np.pi, 200)
-    circle = np.sqrt(ELLIPSE) * np.array([np.cos(angle), np.sin(angle)])
-    axes.plot(*(np.linalg.cholesky(covariance) @ circle), **look)
 
 
 def _looks(names: Iterable[str]) -> list[tuple[str, Style]]:
@@ -129,20 +90,55 @@ Rows = tuple[list[str], list[list[str]]]
 SHOWN = ("trapezoid", "s_curve", "minimum_time", "prbs")
 
 
-def write_inputs(out: Path, appraisal: Appraisal) -> None:
+def write_inputs(out: Path, found: Comparison) -> None:
     """Write design.csv and one CSV for each standard input into the folder `out`."""
     out.mkdir(parents=True, exist_ok=True)
-    for name, columns in motions_of(appraisal).items():
-        _write_csv(out / f"{name}.csv", appraisal.design.t, *columns)
+    design = found["design"] if isinstance(found, dict) else found.design
+    for name, columns in motions_of(found).items():
+        _write_csv(out / f"{name.replace(',', '').replace(' ', '_')}.csv", design.t, *columns)
 
 
-def design_page(appraisal: Appraisal) -> ResultPage:
+def design_page(found: Comparison) -> ResultPage:
     """Return the page of a design in comparison with the standard inputs."""
+    return _ranking_page(found) if isinstance(found, dict) else _appraisal_page(found)
+
+
+def _ranking_page(designs: dict[str, Design]) -> ResultPage:
+    best = designs["design"]
+    unseen = ", ".join(_words(name) for name in find_hidden(designs))
+    header = ["input", f"criterion {best.criterion}", *(f"{_words(name)} [%]" for name in best.problem.unknown)]
+    rows = [[name, f"{one.value:.3g}", *_parts(one)] for name, one in designs.items()]
+    motions = dict(list(motions_of(designs).items())[: len(SHOWN)])
+    sections = [
+        Section("What each input shows: standard deviations after one run", _RANKING_TEXT, (header, rows)),
+        Section("Input and motion", "Limits are dashed.", figure=lambda: motion_figure(best.problem, motions)),
+    ]
+    remarks = [f"warning: no input within these limits shows {unseen}; widen the limits, or give more time"]
+    inputs = {name: {"value": one.value, "std": one.predicted_std} for name, one in designs.items()}
+    data = plain_dict({"criterion": best.criterion, "inputs": inputs, "hidden": find_hidden(designs)})
+    title = f"Input for {', '.join(_words(name) for name in best.problem.unknown)}: criterion {best.criterion}"
+    return ResultPage("report", title, data, sections, remarks=remarks if unseen else [], data="design")
+
+
+def _parts(design: Design) -> list[str]:
+    """Return the deviations in percent of the nominal values, and a dash for more than the value itself."""
+    nominal = design.problem.nominal
+    parts = {name: std / (abs(nominal[name]) or math.inf) for name, std in design.predicted_std.items()}
+    return [f"{100 * part:.2g}" if part < 1 else "-" for part in parts.values()]
+
+
+_RANKING_TEXT = (
+    "The input design is the best standard input after exchanges of its values. Deviations are those of least squares "
+    "in percent of the nominal values, and a fit that explains each count reaches smaller ones. A dash stands for more "
+    "than the value itself. No bound is proved, so another input may be better."
+)
+
+
+def _appraisal_page(appraisal: Appraisal) -> ResultPage:
     design = appraisal.design
     unknown = ", ".join(_words(name) for name in design.problem.unknown)
     title = f"Input for {unknown}: criterion {design.criterion}"
     remarks = [proof(design), recommendation(appraisal), *(f"warning: {text}" for text in appraisal.warnings)]
-    remarks += [price_words(appraisal.price)] if appraisal.price is not None else []
     return ResultPage("report", title, appraisal.to_dict(), _sections(appraisal), remarks=remarks, data="design")
 
 
@@ -188,21 +184,15 @@ def criteria_table(appraisal: Appraisal) -> Rows:
     return header, rows
 
 
-def std_table(appraisal: Appraisal, *, through_encoder: bool = False) -> Rows:
+def std_table(appraisal: Appraisal, *, expected: bool = False) -> Rows:
     """Return the predicted standard deviations of the unknown parameters by input, in percent of the nominal values."""
     problem = appraisal.design.problem
     header = ["input", *(f"{_words(name)} [% of {problem.nominal[name]:.4g}]" for name in problem.unknown)]
     rows = []
     for key in appraisal.ranking:
-        worth = appraisal.worths[key]
-        std = worth.std_encoder if through_encoder else worth.predicted_std
+        std = appraisal.expect_std(key) if expected else appraisal.worths[key].predicted_std
         rows.append([key.replace("_", " "), *(_percent(std[name], problem.nominal[name]) for name in problem.unknown)])
     return header, rows
-
-
-def shows_encoder(appraisal: Appraisal) -> bool:
-    """Return whether an encoder counts the position and the design determines a parameter from the counts."""
-    return any(np.isfinite(std) for std in appraisal.worths["design"].std_encoder.values())
 
 
 def _percent(std: float, nominal: float) -> str:
@@ -212,28 +202,17 @@ def _percent(std: float, nominal: float) -> str:
 def _sections(appraisal: Appraisal) -> list[Section]:
     design = appraisal.design
     motions = {name: columns for name, columns in motions_of(appraisal).items() if name in ("design", *SHOWN)}
-    curves = {name: accumulate_value(design.problem, appraisal.rule, columns[0]) for name, columns in motions.items()}
     problem = design.problem
-    nominal = np.array([abs(problem.nominal[name]) or 1.0 for name in problem.unknown])
-    fishers = {name: appraisal.worths[name].fisher for name in motions}
     sections = [
         Section("Value of the design", _summary(appraisal), criteria_table(appraisal)),
         Section("Predicted standard deviations", _STD_TEXT, std_table(appraisal)),
-        *_encoder_sections(appraisal),
+        Section("Deviations of the fit of a record", _ENCODER_TEXT, std_table(appraisal, expected=True)),
         Section(
             "Input and motion",
             "Limits are dashed, the least speed is dotted.",
             figure=lambda: motion_figure(problem, motions),
         ),
-        Section(
-            "Information gathered over time",
-            figure=lambda: gathering_figure(curves, f"criterion {design.criterion}"),
-        ),
     ]
-    if len(problem.unknown) > 1:
-        text = "Deviation from the nominal values in percent."
-        draw = partial(ellipse_figure, problem.unknown, nominal, fishers)
-        sections.append(Section("Confidence ellipses, 95 %", text, figure=draw))
     return sections
 
 
@@ -250,12 +229,6 @@ def recommendation(appraisal: Appraisal) -> str:
         f"Recommended: {best.replace('_', ' ')}. As estimated from one run, the standard deviation of {_words(worst)} "
         f"is {left} % after this input, and {against}."
     )
-
-
-def _encoder_sections(appraisal: Appraisal) -> list[Section]:
-    if not shows_encoder(appraisal):
-        return []
-    return [Section("Deviations with this encoder", _ENCODER_TEXT, std_table(appraisal, through_encoder=True))]
 
 
 _STD_TEXT = (
@@ -303,22 +276,18 @@ def proof(design: Design) -> str:
     )
 
 
-def price_words(price: float) -> str:
-    """Return a sentence on the price of robustness."""
-    return f"Keeping the limits in every scenario costs {100 * price:.1f} % of the nominal information."
-
-
 def _summary(appraisal: Appraisal) -> str:
     design = appraisal.design
     meaning = f"Criterion {design.criterion}: {CRITERIA[design.criterion]}; larger is better."
-    price = [price_words(appraisal.price)] if appraisal.price is not None else []
     warnings = [f"Warning: {text}." for text in appraisal.warnings]
-    return "\n\n".join([meaning, recommendation(appraisal), proof(design), *price, *warnings])
+    return "\n\n".join([meaning, recommendation(appraisal), proof(design), *warnings])
 
 
-def motions_of(appraisal: Appraisal) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def motions_of(found: Comparison) -> Inputs:
     """Return input, position and velocity of each input by its name."""
-    design = appraisal.design
+    if isinstance(found, dict):
+        return {name: (one.u, one.x, one.v) for name, one in found.items()}
+    design = found.design
     return {"design": (design.u, design.x, design.v)} | {
-        name: (found.u, found.x, found.v) for name, found in appraisal.standard.items()
+        name: (one.u, one.x, one.v) for name, one in found.standard.items()
     }
