@@ -14,9 +14,9 @@ TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css
 #: What is counted -> its largest value.
 MOST = {
     "lines of src": 66022,
-    "lines of code in src": 38726,
+    "lines of code in src": 38725,
     "lines of code in report and cli": 3313,
-    "thresholds in src": 992,
+    "thresholds in src": 991,
     "lines of csrc": 8685,
     "defines of csrc": 195,
     "conditionals of csrc": 107,

@@ -53,16 +53,15 @@ class BoundedQuadratic(Quadratic):
 def cut_below(mean: Floats, covariance: Floats, lowest: Floats) -> tuple[float, Floats, Floats]:
     """Return the logarithm of the part of a normal distribution above the bounds `lowest` (p,), with its mean (p,) and
     covariance (p, p). The coordinates are cut one after the other, and the others follow along their covariance."""
-    from scipy.special import log_ndtr
+    from scipy.special import erfcx, log_ndtr
 
     value = 0.0
     for k in np.flatnonzero(np.isfinite(lowest)):
         sd = math.sqrt(max(float(covariance[k, k]), 1e-300))
         z = (float(mean[k]) - float(lowest[k])) / sd
-        log_part = float(log_ndtr(z))
-        ratio = math.exp(-0.5 * z * z - 0.5 * math.log(2 * math.pi) - log_part)
-        value += log_part
+        ratio = math.sqrt(2 / math.pi) / float(erfcx(-z / math.sqrt(2)))
+        value += float(log_ndtr(z))
         along = covariance[:, k] / sd
         mean = mean + along * ratio
-        covariance = covariance - np.outer(along, along) * min(ratio * (ratio + z), 1 - 1e-9)
+        covariance = covariance - np.outer(along, along) * min(max(ratio * (ratio + z), 0.0), 1 - 1e-9)
     return value, mean, covariance

@@ -10,7 +10,7 @@ import numpy as np
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import UsageError
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
 
 
 def check_joint(log: JointLog, others: Sequence[JointLog]) -> None:
@@ -54,6 +54,23 @@ def correlate(t: Floats, goal: Floats, position: Floats) -> float:
         if abs(found) > abs(best):
             best = found
     return best
+
+
+def find_stops(log: JointLog) -> Flags:
+    """Return the rows (n,) in which the joint rests at a stop: it comes back to one extreme position, to a step of the
+    encoder, under goals beyond it that differ by more than its typical lag."""
+    stopped, low, high = np.zeros(log.t.size, bool), log.position.min(), log.position.max()
+    inside = np.abs(log.position - (low + high) / 2) < (high - low) / 2 - 1.5 * log.resolution
+    lag = np.std((log.goal - log.position)[inside])
+    for side in (1.0, -1.0):
+        y, goal = side * log.position, side * log.goal
+        there = y > y.max() - 1.5 * log.resolution
+        ends = np.flatnonzero(np.diff(there, prepend=False, append=False)).reshape(-1, 2)
+        goals = [float(np.median(goal[slice(*rows)])) for rows in ends if np.ptp(rows) > 2]
+        goals = [one for one in goals if one > y.max()]
+        if len(goals) > 2 and np.ptp(goals) > lag:
+            stopped |= there
+    return stopped
 
 
 def _check_units(log: JointLog) -> None:

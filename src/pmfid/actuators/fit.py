@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pmfid.actuators.checks import find_stops
 from pmfid.actuators.lags import LagFit, profile_lags
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.search import ServoSearch, ServoTask, limited_part
@@ -313,6 +314,9 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
         advice = PER_LOG if shared else advise_log(log.t, log.goal)
         findings.append(Finding("unmodelled", sentence, advice))
     findings += _find_stamps(fit, search.stamps)
+    stopped = sum(int(np.sum(find_stops(log))) for log in search.task.logs)
+    if stopped:
+        findings.append(Finding("stops", f"{stopped} rows at a stop of the joint are left out", severity="note"))
     unclear = [name for name in fit.open if name not in fit.added]
     hard = [name for name in unclear if name in ("inertia", "kp")]
     if hard:

@@ -12,6 +12,7 @@ import numpy as np
 from pmfid._body import BASE
 from pmfid.actuators.body import ServoBody, body_of, excite
 from pmfid.actuators.bounded import BoundedQuadratic
+from pmfid.actuators.checks import find_stops
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.servo import Servo
 from pmfid.actuators.stamps import noise_with_stamps
@@ -19,12 +20,12 @@ from pmfid.actuators.terms import LOOP_FRICTION, odds_of, table_of
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.likelihood import Gaussian
-from pmfid.fit.machine import COULOMB, DELAY, VISCOUS
+from pmfid.fit.machine import COULOMB, DELAY, MASS, VISCOUS
 from pmfid.fit.problem import CONSTANT, FAR, FitProblem, ObservedStretch
 from pmfid.fit.search import SETTLED, FitSearch, errors_of
 from pmfid.fit.solve import Likelihood
 from pmfid.fit.terms import Sizes
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,8 +75,7 @@ class ServoTask:
         """What is known, with an unknown limit of the torque, with the delay of the loop, and with the friction by the
         back-EMF if the torque of a log is off in between."""
         switched = any(log.on is not None for log in self.logs)
-        more = ["loop_delay", *(["back_emf"] if switched else [])]
-        more += ["torque_limit"] if self.limited else []
+        more = ["loop_delay", *(["back_emf"] if switched else []), *(["torque_limit"] if self.limited else [])]
         terms = [*self.servo.terms, *(name for name in more if not self.servo.has(name))]
         return replace(self.servo, terms=terms)
 
@@ -87,7 +87,8 @@ class ServoTask:
 
     def body(self) -> ServoBody:
         """Return the body, in which the delay of the loop is uncertain unless it is given."""
-        return body_of(self.model, dict.fromkeys(self.per_log, len(self.logs)), self.priors, self.load)
+        body = body_of(self.model, dict.fromkeys(self.per_log, len(self.logs)), self.priors, self.load)
+        return replace(body, precision=np.array([float(name in self.priors) for name in body.names]))
 
     def problem(self, tick: float = TUNING.tick) -> FitProblem:
         """Return the logs as a problem, with a start state after each gap."""
@@ -104,10 +105,11 @@ def _stretches(
 ) -> list[ObservedStretch]:
     suffixes = [name.partition(".")[2] for name in names]
     acts = np.array([not suffix or suffix == str(number + 1) for suffix in suffixes], float)
-    breaks = np.flatnonzero(np.diff(log.t) > max(TUNING.gap, 5 * float(np.median(np.diff(log.t))))) + 1
-    found = []
+    gaps = np.diff(log.t) > max(TUNING.gap, 5 * float(np.median(np.diff(log.t))))
+    stopped, found = find_stops(log), []
+    breaks = np.flatnonzero(gaps | np.diff(stopped)) + 1
     for first, last in zip([0, *breaks], [*breaks, log.t.size], strict=True):
-        if last - first < 10:
+        if last - first < 10 or stopped[first]:
             continue
         part, flags = log.cut(slice(first, last)), np.ones(last - first, bool)
         drive = excite(part.t, part.goal, tick, part.force, part.on, *wait)
@@ -119,9 +121,9 @@ def _stretches(
 
 def head_of(problem: FitProblem) -> FitProblem:
     """Return the first part of the motion of the liveliest stretches."""
-    lively = sorted(problem.stretches, key=lambda one: -float(np.sum(np.abs(np.diff(one.y)))))[: TUNING.most_heads]
-    heads = []
-    for one in lively:
+    lively, heads = sorted(problem.stretches, key=lambda one: -float(np.sum(np.abs(np.diff(one.y))))), []
+    times = np.cumsum([0.0, *(min(float(one.times[-1]), TUNING.head) for one in lively[:-1])])
+    for one in lively[: int(np.sum(times < (TUNING.most_heads - 0.5) * TUNING.head))]:
         moving = np.flatnonzero(np.abs(one.y - one.y[0]) > 3 * problem.resolution)
         first = max(0.0, float(one.times[moving[0]]) - 0.5) if moving.size else 0.0
         whole = one.times[-1] <= TUNING.head
@@ -143,7 +145,7 @@ class ServoSearch(FitSearch):
         self.plain = replace(problem, mass=bounds)
         self.columns = problem.stretches[0].drive.columns.shape[0]
         self.sizes = _sizes_of(task, problem, q, starts)
-        self.table = table_of(task.model, self._gain(problem, q), self.sizes) if search else []
+        self.table = table_of(task.model, self.sizes.force / task.lag, self.sizes) if search else []
         if task.servo.known_force:
             self.table = [one for one in self.table if one.name != "gravity"]
         self.kept = tuple(i for i, one in enumerate(self.table) if one.name == LOOP_FRICTION)
@@ -186,8 +188,15 @@ class ServoSearch(FitSearch):
             lowest[k : k + 1 + one.free] = [one.lowest, CONSTANT[0]][: 1 + one.free]
         return lowest
 
-    def _gain(self, problem: FitProblem, q: Floats) -> float:
-        return float(problem._body(q, problem.stretches[0].acts)[0][-problem.machine.loops])
+    @property
+    def body(self) -> Floats:
+        """Parameters (w,) of the body of the first log."""
+        return self.problem._body(self.q, self.plain.stretches[0].acts)[0]
+
+    @property
+    def frequency(self) -> float:
+        """Natural frequency of the servo [rad/s], at least 1."""
+        return math.sqrt(max(float(self.body[-self.plain.machine.loops] / self.body[MASS]), 1.0))
 
     def reaches_bound(self, q: Floats) -> bool:
         """Return whether the inertia is at its upper bound, where no motion follows."""
@@ -196,9 +205,7 @@ class ServoSearch(FitSearch):
     @property
     def is_early(self) -> bool:
         """Whether goals act as long before their stamps as the task permits."""
-        names = [name.partition(".")[0] for name in self.plain.machine.names]
-        delays = self.q[: self.count][[name == "delay" for name in names]]
-        return self.task.lead > 0 and bool(np.any(delays < SETTLED * self.task.period))
+        return bool(self.body[DELAY] < SETTLED * self.task.lead)
 
     def is_lost(self, q: Floats) -> bool:
         """Return whether the inertia is at its lower bound, where the log shows none of it."""
@@ -212,7 +219,8 @@ class ServoSearch(FitSearch):
     def estimate_noise(self, kinds: Sequence[str]) -> Gaussian:
         """Return the noise of the residuals, with the error of the stamps."""
         motion, step = self.problem.motion(self.q, self.starts), self.problem.resolution
-        stretches = tuple(one.resting(v == 0) for one, (_, v) in zip(self.plain.stretches, motion, strict=True))
+        pairs = zip(self.plain.stretches, motion, strict=True)
+        stretches = tuple(one.resting((v == 0) | find_rests(one, 1 / self.frequency)) for one, (_, v) in pairs)
         speeds = [np.clip(np.nan_to_num(v / step), -FAR, FAR) for _, v in motion]
         noise, self.stamps = noise_with_stamps(stretches, errors_of(self), speeds, self.rate, kinds, self.task.period)
         return noise
@@ -220,34 +228,26 @@ class ServoSearch(FitSearch):
     def check_followed(self, noise: Gaussian) -> None:
         """A position under control may follow the goal with any disturbance."""
 
-    def _plain_prior(self) -> Floats:
-        return np.array([float(name in self.task.priors) for name in self.plain.machine.names])
-
-    def prior(self, problem: FitProblem) -> Floats:
-        prior = super().prior(problem)
-        prior[: self.count] = self._plain_prior()
-        return prior
-
     def _odds(self) -> Floats:
         return np.array(odds_of(self.table))
 
     def local(self, likelihood: Likelihood) -> Quadratic:
         local = super().local(likelihood)
-        prior = self._plain_prior()
-        A, g = local.A.copy(), local.g.copy()
-        A[range(self.count), range(self.count)] += prior
-        g[: self.count] += prior * self.q[: self.count]
         pair = tuple(i for i, one in enumerate(self.table) if one.name == "gravity")
-        return BoundedQuadratic(A, g, local.plain, local.odds, local.lowest, pair, self.kept)
+        return BoundedQuadratic(local.A, local.g, local.plain, local.odds, local.lowest, pair, self.kept)
 
     def value(self) -> float:
         """Return the log evidence of the present model in its own noise, with the cost of its parameters."""
-        noise = self.estimate_noise(self.wandering)
-        return (
-            noise.evidence(errors_of(self))[0]
-            - 0.5 * self.q.size * math.log(self.plain.rows)
-            + self.task.limited * ODDS
-        )
+        cost = 0.5 * self.q.size * math.log(self.plain.rows) - self.task.limited * ODDS
+        return self.estimate_noise(self.wandering).evidence(errors_of(self))[0] - cost
+
+
+def find_rests(one: ObservedStretch, longest: float) -> Flags:
+    """Return the rows (k,) at which a count stays for longer than a time [s]. They share one error of rounding, and the
+    likelihood must not prefer simulated motions that creep there."""
+    first = np.flatnonzero(np.diff(one.y, prepend=np.nan))
+    times = np.diff(one.times[first], append=one.times[-1])
+    return np.repeat(times > longest, np.diff(first, append=one.y.size))
 
 
 def _sizes_of(task: ServoTask, problem: FitProblem, q: Floats, starts: Floats) -> Sizes:

@@ -11,21 +11,17 @@ import numpy as np
 
 from pmfid.actuators.lags import choose_lag
 from pmfid.actuators.search import ServoSearch, ServoTask, head_of, limited_part
-from pmfid.actuators.servo import UNITS
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.build import build
 from pmfid.fit.likelihood import Gaussian
-from pmfid.fit.machine import MASS
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.search import SETTLED, errors_of
 from pmfid.fit.solve import Optimum, solve
 from pmfid.types import Floats
 
-#: Terms whose motion is far from that without them, so that the search begins with each of them as well.
+#: Terms that the search begins with as well, because their motion is far from that without them.
 TERMS = ("ki", "load_friction", "motor_friction")
-#: Factors of all torques from which the best servo starts again where a known torque, such as gravity, gives the scale.
-SCALES = (0.25, 0.5, 2.0, 4.0)
 #: Effects that repeat along the travel, which are sought in whole logs.
 WAVES = ("wave", "rub")
 FOLLOW = "no servo model explains the motion: check that goal and position have the same joint, unit and sign"
@@ -111,9 +107,7 @@ def _check_explains(search: ServoSearch) -> None:
 
 def _extend(search: ServoSearch, angle: float) -> ServoSearch:
     """Go to the whole logs, in parts of an interval in which the natural frequency turns by an angle [rad]."""
-    body, _, _ = search.problem._body(search.q, search.plain.stretches[0].acts)
-    frequency = math.sqrt(max(float(body[-search.plain.machine.loops] / body[MASS]), 1.0))
-    whole = search.task.problem(float(np.clip(angle / frequency, 2e-4, TUNING.tick)))
+    whole = search.task.problem(float(np.clip(angle / search.frequency, 2e-4, TUNING.tick)))
     starts = search.starts if whole.rows == search.plain.rows else whole.first_starts()
     noise = replace(search.noise, stretches=whole.stretches)
     search.take(whole, search.q, starts, search.chosen)
@@ -134,20 +128,18 @@ def find_start(task: ServoTask) -> Floats:
     """
     head = head_of(task.problem())
     if "inertia" in head.machine.names and "kp" not in head.machine.names and not task.load:
-        least = task.servo.given.get("kp", 1.0) / TUNING.frequencies[1] ** 2  # none would follow as well, with a delay
+        least = task.servo.given.get("kp", 1.0) / TUNING.frequencies[1] ** 2  # a delay replaces a smaller inertia
         head = replace(head, mass=(math.log(least), math.inf))
     draw = ServoDraw(task, head.machine.names, np.random.default_rng(0))
     drawn = [head.clip_to_bounds(head.start(draw())) for _ in range(TUNING.draws)]
     likely = np.argsort(_costs(_cut(head, TUNING.sprint), drawn))[: TUNING.selected]
-    best = _refine(task, _cut(head, TUNING.head / len(head.stretches)), [drawn[i] for i in likely])[:2]
-    prior, soft = _prior_of(task, head), Gaussian(head.stretches, scale=9.0)
-    last = [solve(head, soft, end.q, end.starts, prior, 40, 0.01) for end in best]
-    end = min(last, key=lambda end: end.cost)
-    for scale in SCALES if "kp" in head.machine.names else ():
-        q = head.clip_to_bounds(head.start(_scale(head.machine.names, head.theta(end.q), scale)))
-        last.append(solve(head, soft, q, end.starts, prior, 12, 1.0))
-    better = min(last, key=lambda end: end.cost)
-    return (end if better is end else solve(head, soft, better.q, better.starts, prior, 40, 0.01)).q
+    best = _refine(_cut(head, TUNING.head / len(head.stretches)), [drawn[i] for i in likely])[:2]
+    return min((_descend(head, end.q, end.starts, 40, 0.01) for end in best), key=lambda end: end.cost).q
+
+
+def _descend(head: FitProblem, q: Floats, starts: Floats, steps: int, small: float) -> Optimum:
+    assert head.machine.precision is not None
+    return solve(head, Gaussian(head.stretches, scale=9.0), q, starts, head.machine.precision, steps, small)
 
 
 def _cut(head: FitProblem, time: float) -> FitProblem:
@@ -155,23 +147,13 @@ def _cut(head: FitProblem, time: float) -> FitProblem:
     return replace(head, stretches=tuple(one.cut(0.0, time) for one in head.stretches))
 
 
-def _scale(names: Sequence[str], theta: Floats, scale: float) -> Floats:
-    """Return parameters (p,) with all torques that are not known larger by a factor. A known load alone tells it."""
-    torque = [UNITS[name.partition(".")[0]][0].startswith(("N m", "kg")) for name in names]
-    loads = [name.partition(".")[0] in ("gravity", "gravity_angle", "offset") for name in names]
-    return np.where(np.array(torque) & ~np.array(loads), theta * scale, theta)
-
-
-def _prior_of(task: ServoTask, head: FitProblem) -> Floats:
-    return np.array([float(name in task.priors) for name in head.machine.names])
-
-
-def _refine(task: ServoTask, head: FitProblem, drawn: Sequence[Floats]) -> list[Optimum]:
+def _refine(head: FitProblem, drawn: Sequence[Floats]) -> list[Optimum]:
     """Return what a few steps make of the best of some servos q (p,), the best one first."""
-    starts, prior = head.first_starts(), _prior_of(task, head)
-    soft = Gaussian(head.stretches, scale=9.0)
-    chosen = np.argsort(_costs(head, drawn))[: TUNING.refined]
-    return sorted((solve(head, soft, drawn[i], starts, prior, 12, 1.0) for i in chosen), key=lambda end: end.cost)
+    ends = [
+        _descend(head, drawn[i], head.first_starts(), 12, 1.0)
+        for i in np.argsort(_costs(head, drawn))[: TUNING.refined]
+    ]
+    return sorted(ends, key=lambda end: end.cost)
 
 
 def _costs(head: FitProblem, drawn: Sequence[Floats]) -> Floats:

@@ -94,7 +94,8 @@ def search_structure(
         if (candidate := _try(trimmed, *place, cutoff, offset, colour)) is not None:
             found.append(candidate)
             bounds[place[0], place[2]] = candidate.bic
-        _report(done, 0.0, count, len(places))
+        if done is not None:
+            done(0.5 * (count + 1) / len(places))
     if not found:
         raise NotIdentifiableError(
             "no transfer function of these orders and delays follows the record: excite the process more, or try "
@@ -112,7 +113,8 @@ def search_structure(
         best = min(candidate.bic for candidate in found)
         if least(place) <= best and (candidate := _try(trimmed, *place, cutoff, offset, colour)) is not None:
             found.append(candidate)
-        _report(done, 0.5, count, len(rest))
+        if done is not None:
+            done(0.5 + 0.5 * (count + 1) / len(rest))
     found = _finish(found, lambda n, m, delay: _try(trimmed, n, m, delay, cutoff, offset, colour, thorough=True))
     ranked = sorted(found, key=lambda candidate: (not candidate.settled, candidate.bic))
     return Search(tuple(ranked), len(places) + len(rest) - len(found), samples)
@@ -148,11 +150,6 @@ def _finish(
     ]
     better = {id(c): again(c.n, c.m, c.delay) or c for c in contenders}
     return [better.get(id(candidate), candidate) for candidate in found]
-
-
-def _report(done: Callable[[float], None] | None, start: float, count: int, total: int) -> None:
-    if done is not None:
-        done(start + (count + 1) / (2 * total))
 
 
 def _drop_start(experiment: Experiment, longest: int) -> Experiment:
