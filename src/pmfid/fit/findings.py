@@ -113,7 +113,7 @@ def _wandering(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance:
     """Yield a finding on residuals beyond rounding. The standard errors contain white noise. Other residuals matter if
     errors of their size may move a parameter."""
     noise = fitted.likelihood
-    if not isinstance(noise, Gaussian) or not (noise.wanders or noise.noisy):
+    if not isinstance(noise, Gaussian) or not (noise.wanders or noise.scale > 1.5):
         return
     worst = int(np.argmax(fitted.reach / sizes))
     matters = bool(fitted.reach[worst] > tolerance * sizes[worst])

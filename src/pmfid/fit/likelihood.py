@@ -38,11 +38,6 @@ class Gaussian:
     def wanders(self) -> bool:
         return self.force[0] > 0 or self.position[0] > 0
 
-    @property
-    def noisy(self) -> bool:
-        """Whether the errors have white noise beyond rounding, which no motion explains."""
-        return self.scale > 1.5
-
     def with_wander(self, kind: str, wander: tuple[float, float]) -> Gaussian:
         """Return the noise with another wandering force or position."""
         return replace(self, force=wander) if kind == "force" else replace(self, position=wander)

@@ -61,12 +61,11 @@ class SecondMass:
 def try_second_mass(fitted: Fitted) -> SecondMass | None:
     """Return the second mass if two masses explain every count of a part of the record, which one mass does not.
 
-    White residuals leave nothing for a motion to explain, and white noise hides the counts. Both models have the same
-    part of the record, free start states, and noise of their own. Two masses that leave more than rounding may only
-    imitate another force.
+    White residuals leave nothing for a motion to explain. Both models have the same part of the record, free start
+    states, and noise of their own. Two masses that leave more than rounding may only imitate another force.
     """
     noise = fitted.likelihood
-    if not isinstance(noise, Gaussian) or not noise.wanders or noise.noisy:
+    if not (isinstance(noise, Gaussian) and noise.wanders):
         return None
     problem = _whole(fitted)
     part = _worst_part(fitted, problem.stretches)
