@@ -183,14 +183,14 @@ class FitProblem:
         return replace(self, stretches=tuple(replace(one.keep(kept), origin=one.base) for one, kept in pairs))
 
     def cut(self, parts: int) -> FitProblem:
-        """Return the problem with stretches of at most 1/`parts` of the record's time, which have their own starts."""
+        """Return the problem with stretches of at most 1/`parts` of the time, or itself if it is too short for them."""
         times = [float(np.sum(one.drive.step)) for one in self.stretches]
         pieces = []
         for stretch, time in zip(self.stretches, times, strict=True):
             ends = np.linspace(0.0, time, math.ceil(parts * time / sum(times) - 1e-9) + 1)
             cuts = [stretch.cut(*pair) for pair in pairwise(ends.tolist())] if ends.size > 2 else [stretch]
             pieces += [piece for piece in cuts if piece.y.size > 2]
-        return replace(self, stretches=tuple(pieces))
+        return replace(self, stretches=tuple(pieces) or self.stretches)
 
     def place_candidates(self) -> Iterator[tuple[int, ExtraForce]]:
         """Yield the index of the size of each candidate, and the candidate."""
