@@ -122,10 +122,10 @@ def replay(text: str, t: Floats, goal: Floats, start: float) -> Floats:
 @pytest.mark.parametrize(
     ("given", "terms", "change", "within"),
     [
-        ({"kd": 0.0}, [], {"gravity": 0.0, "kd": 0.0}, 1.1),
-        ({"kp": 8.0, "kd": 0.02, "gravity_angle": 0.0}, ["gravity"], {}, 1.1),
+        ({"kd": 0.0}, [], {"gravity": 0.0, "kd": 0.0}, 0.3),
+        ({"kp": 8.0, "kd": 0.02, "gravity_angle": 0.0}, ["gravity"], {}, 0.47),
         # The lag of the loop is damping and inertia in MuJoCo, which act at the limit of the torque as well.
-        ({"kp": 8.0, "kd": 0.02, "gravity_angle": 0.0}, ["gravity", "torque_limit"], {"torque_limit": 5.0}, 1.1),
+        ({"kp": 8.0, "kd": 0.02, "gravity_angle": 0.0}, ["gravity", "torque_limit"], {"torque_limit": 5.0}, 1.3),
     ],
     ids=["free", "pendulum", "limited"],
 )
@@ -136,6 +136,6 @@ def test_mujoco_moves_as_the_fit_predicts(
     assert joint.fit is not None
     t, goal, position = make_log(9, **change)
     known = {"kp": 1.0, **dict.fromkeys(joint.fit.raw_names, 0.0), **joint.fit.values}
-    own = simulate_servo(Servo(STEP, known), np.empty(0), t, goal, float(position[0])) - position
-    theirs = replay(make_files([joint])["servos.xml"], t, goal, float(position[0])) - position
-    assert np.sqrt(np.mean(theirs**2)) < within * np.sqrt(np.mean(own**2))
+    own = simulate_servo(Servo(STEP, known), np.empty(0), t, goal, float(position[0]))
+    theirs = replay(make_files([joint])["servos.xml"], t, goal, float(position[0]))
+    assert np.sqrt(np.mean((theirs - own) ** 2)) < within * STEP / np.sqrt(12)  # an encoder rounds by as much

@@ -139,13 +139,13 @@ class ServoSearch(FitSearch):
 
     def __init__(self, task: ServoTask, problem: FitProblem, q: Floats, starts: Floats, search: bool) -> None:
         self.task = task
-        lead = problem.machine.lead
-        load = problem.mass[0] - math.log(TUNING.least_armature)
-        bounds = max(problem.mass[0], q[lead] - TUNING.far), max(load, q[lead]) + TUNING.far
-        self.plain = replace(problem, mass=bounds)
-        self.columns = problem.stretches[0].drive.columns.shape[0]
         self.sizes = _sizes_of(task, problem, q, starts)
-        self.table = table_of(task.model, self.sizes.force / task.lag, self.sizes) if search else []
+        gain, lead = self.sizes.force / task.lag, problem.machine.lead
+        load = problem.mass[0] - math.log(TUNING.least_armature)
+        largest = max(math.exp(max(load, q[lead]) + TUNING.far), gain / TUNING.frequencies[0] ** 2)
+        self.plain = replace(problem, mass=(max(problem.mass[0], q[lead] - TUNING.far), math.log(largest)))
+        self.columns = problem.stretches[0].drive.columns.shape[0]
+        self.table = table_of(task.model, gain, self.sizes) if search else []
         if task.servo.known_force:
             self.table = [one for one in self.table if one.name != "gravity"]
         self.kept = tuple(i for i, one in enumerate(self.table) if one.name == LOOP_FRICTION)

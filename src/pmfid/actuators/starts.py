@@ -149,10 +149,8 @@ def _cut(head: FitProblem, time: float) -> FitProblem:
 
 def _refine(head: FitProblem, drawn: Sequence[Floats]) -> list[Optimum]:
     """Return what a few steps make of the best of some servos q (p,), the best one first."""
-    ends = [
-        _descend(head, drawn[i], head.first_starts(), 12, 1.0)
-        for i in np.argsort(_costs(head, drawn))[: TUNING.refined]
-    ]
+    likely = np.argsort(_costs(head, drawn))[: TUNING.refined]
+    ends = [_descend(head, drawn[i], head.first_starts(), 12, 1.0) for i in likely]
     return sorted(ends, key=lambda end: end.cost)
 
 

@@ -51,8 +51,8 @@ class ActuatorTuning:
     angle: float = 0.1
     #: A gap [s] after which the goal in between is unknown, so that the motion starts again.
     gap: float = 0.25
-    #: Largest distance of the inertia from its start, as a logarithm, and least armature over the known load, below
-    #: which it matters as little as a hundredth of the inertia.
+    #: Largest distance of the inertia from its start, as a logarithm. A start without ki may lose the inertia, so that
+    #: the slowest servo of the ranges is permitted too. Least armature over the known load: less matters as little.
     far: float = 5.0
     least_armature: float = 0.01
     #: Standard deviation of the lag of the velocity in the loop [s].
