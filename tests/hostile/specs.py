@@ -24,9 +24,7 @@ def spec(rng: Rng, resolution: float) -> str:
         "motion": _motion(rng, intervals),
         "limits": _limits(rng),
         "search": {"starts": int(rng.integers(1, 3)), "seed": int(rng.integers(5))},
-        **some(
-            rng, 0.15, prior=[{"mass": 0.1}, {"offset": 1.0}], robust=[{"mass": 0.2}, {"viscous_friction": 0.1}]
-        ),
+        **some(rng, 0.15, prior=[{"mass": 0.1}, {"offset": 1.0}], robust=[{"mass": 0.2}, {"viscous_friction": 0.1}]),
         **some(rng, 0.1, record=[{"input": "u", "output": "counts", "output_kind": "counts", "time": "t"}]),
     }
     return text_of(rng, sections, BROKEN)
