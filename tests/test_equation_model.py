@@ -65,7 +65,7 @@ def test_the_same_terms_give_the_numbers_of_the_drive(method):
     run = cart_run(2, increments=1024, samples=1500)
     cls = ESTIMATORS[method]
     own, drive = (estimates(cls, model, run) for model in (EquationModel(OWN), pmfid.Drive(CART.input_gain)))
-    np.testing.assert_allclose(own, drive, rtol=1e-5 if method == "fit" else 0)  # a tenth of the standard error
+    np.testing.assert_allclose(own, drive, rtol=2e-5 if method == "fit" else 0)  # a fifth of the standard error
 
 
 @pytest.mark.parametrize("method", ["iv", "riv", "fit"])
