@@ -20,7 +20,7 @@ MOST = {
     "lines of csrc": 8685,
     "defines of csrc": 195,
     "conditionals of csrc": 107,
-    "lines of tests": 28474,
+    "lines of tests": 28473,
     "match= in tests": 25,
     "lines of studies": 8038,
 }

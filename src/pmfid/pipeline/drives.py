@@ -393,7 +393,7 @@ def _recursive(
         columns = simulating.columns_at(theta, record.u, record.counts)
     relative = _relative_error(columns, track.theta, track.status)
     occurred = int(np.bitwise_or.reduce(track.status)) & int(Status.SAMPLE_REJECTED | Status.RESET)
-    held = occurred | (last & ~int(Status.SETTLING | Status.DISTORTED))
+    held = occurred | (last & ~int(Status.SETTLING | Status.DISTORTED | Status.STANDSTILL))
     last_estimate: Estimate | Posterior = estimator.estimate
     if known is not None and known.find_gain:
         known, last_estimate = known.rescale(last_estimate)
