@@ -78,13 +78,13 @@ class Claims:
     """The claims on runs of one input, relative to the true values.
 
     `errors` and claimed deviations `stds` are (runs, p). `inside` is whether the interval holds the truth (runs, p).
-    `lacking` (runs,) is whether the fit doubts the model.
+    `unmodelled` (runs,) is whether the fit doubts the model.
     """
 
     errors: Floats
     stds: Floats
     inside: Flags
-    lacking: Flags
+    unmodelled: Flags
 
     @property
     def scatter(self) -> Floats:
@@ -123,7 +123,7 @@ def claims(problem: Problem, u: Floats, runs: int) -> Claims:
         errors.append([known.parameters[name] / truth[name] - 1.0 for name in problem.names])
         stds.append([std[name] / truth[name] for name in problem.names])
         inside.append([known.interval[name][0] <= truth[name] <= known.interval[name][1] for name in problem.names])
-        missing.append(known.lacking)
+        missing.append(known.unmodelled)
     return Claims(np.array(errors), np.array(stds), np.array(inside), np.array(missing))
 
 
@@ -170,10 +170,10 @@ def wrong_models(runs: int) -> Iterator[list[str]]:
             problem = replace(MACHINES[name], resolution=coarser * float(MACHINES[name].resolution or 1.0))
             u = standard_inputs(problem, names=(USUAL,))[USUAL].u
             for lack in ({}, {"stribeck": 0.3}, {"quadratic": 0.15}, {"dead_time": 0.3}):
-                yield [name, f"{1e6 * float(problem.resolution or 0.0):g}", *_lacking(problem, u, lack, runs)]
+                yield [name, f"{1e6 * float(problem.resolution or 0.0):g}", *_fit_unmodelled(problem, u, lack, runs)]
 
 
-def _lacking(problem: Problem, u: Floats, lack: dict[str, float], runs: int) -> list[str]:
+def _fit_unmodelled(problem: Problem, u: Floats, lack: dict[str, float], runs: int) -> list[str]:
     """Return a row; `lack` has Stribeck over Coulomb, quadratic over viscous friction at 0.3 m/s, dead time in
     samples.
     """
@@ -188,7 +188,7 @@ def _lacking(problem: Problem, u: Floats, lack: dict[str, float], runs: int) -> 
         known = calibrate(problem, [DesignedRun(run.u, np.asarray(run.counts * resolution, float), dt)])
         std = known.std(problem.names)
         ratios.append([abs(known.parameters[name] - problem.nominal[name]) / std[name] for name in problem.names])
-        missing.append(known.lacking)
+        missing.append(known.unmodelled)
     what = ", ".join(f"{key.replace('_', ' ')} {value:g}" for key, value in lack.items()) or "nothing"
     return [what, f"{np.mean(missing):.0%}", _cell(np.median(ratios, axis=0), 1)]
 
@@ -227,7 +227,7 @@ def page(runs: int = 100, few: int = 5) -> str:
     lines = INTRODUCTION.format(runs=runs, wrong=WRONG, samples=SAMPLES, held=held).strip().splitlines()
     lines += ["", *table(HEADER, list(honesty(runs))), *PROOFS.format(seconds=SECONDS).splitlines(), ""]
     lines += [*table(("machine", "value of D", "gap", "time [s]"), list(proofs())), *WRONG_MODELS.splitlines(), ""]
-    header = ("machine", "step [um]", "what the model lacks", "doubted", "error / claimed m, d, F_c")
+    header = ("machine", "step [um]", "unmodelled effect", "doubted", "error / claimed m, d, F_c")
     lines += [*table(header, list(wrong_models(few)))]
     lines += [f"Written by `python -m studies.design_machines --out results/commissioning.md --runs {runs}`."]
     return "\n".join(lines) + "\n"

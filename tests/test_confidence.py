@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 from pmfid import SRIVC, Encoder, Experiment, TransferFunction
-from pmfid.diagnostics.causality import ResidualStretch, find_feedback
+from pmfid.diagnostics.causality import ResidualStretch, chance_of_feedback
 from pmfid.simulation.process import simulate_process
 from studies.process_records import estimator_of, identified, open_record, random_plant
 
@@ -73,7 +73,7 @@ def looped(seed: int, noise: float, reference: str) -> Experiment:
 def test_a_loop_is_found_however_small_the_noise(reference, noise):
     record = looped(3, noise, reference)
     fit = SRIVC(TransferFunction(1, 0), Encoder(1.0), DT, 2.0).fit_experiments([record])
-    assert find_feedback(parts(record.u, fit.residual), none_known(1000)) < 1e-6
+    assert chance_of_feedback(parts(record.u, fit.residual), none_known(1000)) < 1e-6
 
 
 # --- what the status and the search say -------------------------------------------------------------------------------

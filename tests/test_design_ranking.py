@@ -70,7 +70,7 @@ def test_a_designed_run_gives_a_spring_or_a_late_input(kind: str) -> None:
     design = rank(problem, sweeps=1)["design"]
     known = calibrate(problem, [simulated_experiment(problem, truth, np.random.default_rng(0))(design)])
     std = known.std(problem.names)
-    assert not known.lacking
+    assert not known.unmodelled
     for name in unknown:
         assert std[name] < 3 * design.predicted_std[name]
         assert known.parameters[name] == pytest.approx(truth[name], abs=4 * std[name])

@@ -156,9 +156,8 @@ def test_the_estimate_of_one_run_as_the_prior_of_the_next_one_is_that_of_both() 
     std = both.std(COARSE.names)
     for name in COARSE.names:
         assert after.parameters[name] == pytest.approx(both.parameters[name], abs=0.5 * std[name])
-        assert after.std(COARSE.names)[name] == pytest.approx(
-            std[name], rel=0.3
-        )  # the counts of a run leave no normal error
+        # The counts of a run leave no normal error.
+        assert after.std(COARSE.names)[name] == pytest.approx(std[name], rel=0.3)
 
 
 @pytest.mark.parametrize("unknown", [("mass",), ("viscous_friction", "coulomb_friction"), ("coulomb_friction", "mass")])
@@ -188,7 +187,7 @@ def test_the_expected_deviations_are_those_of_the_fit(increments: int, mass: flo
     assert np.all((ratio > 0.6) & (ratio < 1.6)), ratio
     assert np.sqrt(np.mean((found.errors / found.stds) ** 2)) < 1.6, "few runs give parameters with common errors"
     assert found.inside.mean() >= 0.85
-    assert not found.lacking.any()
+    assert not found.unmodelled.any()
 
 
 def machine_run(resolution: float, **unmodelled: float) -> tuple[Commissioning, float]:
@@ -205,7 +204,7 @@ def machine_run(resolution: float, **unmodelled: float) -> tuple[Commissioning, 
 @pytest.mark.parametrize("unmodelled", [{"stribeck": 0.2}, {"quadratic": 4.0}, {"dead_time": 0.004}], ids=str)
 def test_a_model_that_misses_counts_is_doubted_and_reaches_nothing(unmodelled: dict[str, float]) -> None:
     state, _ = machine_run(22.75e-6, **unmodelled)
-    assert state.rounds[0].known.lacking
+    assert state.rounds[0].known.unmodelled
     assert not state.reached
     assert "run pmfid identify" in state.doubts[0]
     assert state.to_json()["doubts"] == list(state.doubts)

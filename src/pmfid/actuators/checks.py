@@ -57,8 +57,8 @@ def correlate(t: Floats, goal: Floats, position: Floats) -> float:
 
 
 def find_stops(log: JointLog) -> Flags:
-    """Return the rows (n,) in which the joint rests at a stop: it comes back to one extreme position, to a step of the
-    encoder, under goals beyond it that differ by more than its typical lag."""
+    """Return the rows (n,) in which the joint rests at a stop. There it comes back at least three times to one extreme
+    position, to a step of the encoder, under goals beyond it that differ by more than its typical lag."""
     stopped, low, high = np.zeros(log.t.size, bool), log.position.min(), log.position.max()
     inside = np.abs(log.position - (low + high) / 2) < (high - low) / 2 - 1.5 * log.resolution
     lag = np.std((log.goal - log.position)[inside])

@@ -225,7 +225,7 @@ def fit_logs(servo: Servo, logs: Sequence[JointLog], per_log: Sequence[str] = ()
     task = ServoTask(servo, used, tuple(per_log) if len(logs) > 1 else (), early=1)
     with np.errstate(all="ignore"):  # motions far from the log may overflow
         found = find_search(task, search)
-        if found.is_early:
+        if found.is_early:  # a bus that lags its rows by more than one
             found = find_search(replace(task, early=4), search)
         lags = profile_lags(found) if found.kept else []
         found = max(lags, key=lambda at: at.value).search if lags else found

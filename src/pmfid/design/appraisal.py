@@ -42,10 +42,10 @@ def choose(design: Design, seed: int = 0) -> Choice:
     problem = design.problem
     if not problem.linear:
         return Choice("design", design, stds(problem, expected_covariance(problem, design.u)))
-    found = appraise(design, seed)
-    name = found.recommended
-    chosen = design if name == "design" else evaluate(problem, found.standard[name].u, design.criterion)
-    return Choice(name, chosen, found.expect_std(name))
+    appraisal = appraise(design, seed)
+    name = appraisal.recommended
+    chosen = design if name == "design" else evaluate(problem, appraisal.standard[name].u, design.criterion)
+    return Choice(name, chosen, appraisal.expect_std(name))
 
 
 def best_input(problem: Problem, rule: Criterion, covariances: Mapping[str, Floats | None]) -> str:
@@ -83,11 +83,11 @@ class Worth:
     """The information of one run of an input.
 
     `value` is the value of the criterion. `surviving` is the part of the claimed information that remains with true
-    stiction. It is the least value over nominal, slightly larger and slightly
-    smaller parameters. `predicted_std` is the standard deviation of each unknown parameter after one run. A standard
-    deviation is infinite if run and prior do not determine the parameter. `covariance` (p, p) belongs to the estimate
-    of unknown and nuisance parameters by `pmfid design SPEC RECORD`, in their units (`expected_covariance`).
-    `covariance` decides on the choice of an input, and is None if a parameter is undetermined.
+    stiction. It is the least value over nominal, slightly larger and slightly smaller parameters. `predicted_std` is
+    the standard deviation of each unknown parameter after one run. A standard deviation is infinite if run and prior do
+    not determine the parameter. `covariance` (p, p) belongs to the estimate of unknown and nuisance parameters by
+    `pmfid design SPEC RECORD`, in their units (`expected_covariance`). `covariance` decides on the choice of an input,
+    and is None if a parameter is undetermined.
     """
 
     value: float

@@ -32,7 +32,7 @@ from pmfid.types import Floats
 __all__ = ["DesignedRun", "RunsEstimate", "calibrate"]
 
 #: Findings against the model of a fit.
-LACKING = ("unmodelled", "dead_time", "implausible")
+AGAINST_MODEL = ("unmodelled", "dead_time", "implausible")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +90,7 @@ class RunsEstimate:
     parameters, in their units, includes the prior. The inverse of the information is the covariance of the parameters.
     `interval` maps each of these names to the lowest and highest value of an interval that holds 95 %, over the model
     and the models next to it. `misfit` is the root mean square of the residual over that of rounding, or of the noise.
-    `findings` say what the model lacks.
+    `findings` name the unmodelled effects.
     """
 
     parameters: dict[str, float]
@@ -100,9 +100,9 @@ class RunsEstimate:
     findings: tuple[Finding, ...]
 
     @property
-    def lacking(self) -> bool:
-        """Whether the model lacks an effect that matters."""
-        return any(one.code in LACKING and one.severity != "note" for one in self.findings)
+    def unmodelled(self) -> bool:
+        """Whether an unmodelled effect matters."""
+        return any(one.code in AGAINST_MODEL and one.severity != "note" for one in self.findings)
 
     def std(self, names: tuple[str, ...]) -> dict[str, float]:
         """Return the standard deviation of each parameter in `names`, which follows the order of the information."""

@@ -26,11 +26,12 @@ def expected_covariance(problem: Problem, u: ArrayLike) -> Floats | None:
     if np.linalg.cond(slopes.T @ slopes / problem.variance + prior) > TUNING.expected_open:
         return None
     machines = _machines(problem, prior)
-    found = [_covariance_of(problem, u, each, prior, (k + 0.5) / len(machines)) for k, each in enumerate(machines)]
-    return np.asarray(np.mean(found, axis=0) * np.outer(problem.scale, problem.scale))
+    phases = (np.arange(len(machines)) + 0.5) / len(machines)
+    each = [_covariance_of(problem, u, *pair, prior) for pair in zip(machines, phases.tolist(), strict=True)]
+    return np.asarray(np.mean(each, axis=0) * np.outer(problem.scale, problem.scale))
 
 
-def _covariance_of(problem: Problem, u: ArrayLike, parameters: Floats, prior: Floats, phase: float) -> Floats:
+def _covariance_of(problem: Problem, u: ArrayLike, parameters: Floats, phase: float, prior: Floats) -> Floats:
     """Return the covariance (p, p) of the scaled parameters for one machine, with the prior (p, p).
 
     A weak bound holds the parameters of a machine that rests.

@@ -67,7 +67,7 @@ class Commissioning:
 
     @property
     def reached(self) -> bool:
-        """Whether a model that lacks nothing reaches every wanted standard deviation.
+        """Whether every wanted standard deviation is reached, and no unmodelled effect matters.
 
         The value is False without a round or without a wanted deviation.
         """
@@ -191,19 +191,19 @@ def redesign(
         return state
     current = rounds[-1].known.update(problem) if rounds else problem
     try:
-        found = _design(current, criterion, starts, seed + len(runs))
+        design = _design(current, criterion, starts, seed + len(runs))
     except InfeasibleError as error:
         if not rounds:
             raise
         said = ", ".join(f"{name} = {rounds[-1].known.parameters[name]:.6g}" for name in problem.names)
         raise InfeasibleError(f"the runs give {said}; with these values {error}", error.relaxations) from None
-    return replace(state, choice=choose(found, seed))
+    return replace(state, choice=choose(design, seed))
 
 
 def is_reached(problem: Problem, known: RunsEstimate, wanted: Mapping[str, float]) -> bool:
-    """Return whether every wanted standard deviation is reached, by a model that lacks nothing."""
+    """Return whether every wanted standard deviation is reached, and no unmodelled effect matters."""
     std = known.std(problem.names)
-    return not known.lacking and all(std[name] <= value for name, value in wanted.items())
+    return not known.unmodelled and all(std[name] <= value for name, value in wanted.items())
 
 
 def simulated_experiment(problem: Problem, truth: Mapping[str, float], rng: np.random.Generator) -> Experiment:
@@ -252,7 +252,7 @@ def simulated_experiment(problem: Problem, truth: Mapping[str, float], rng: np.r
 
 
 def _advise(finding: Finding) -> str:
-    """Return a finding as text. A term that the model lacks belongs into the configuration of `identify`."""
+    """Return a finding as text. A further term belongs into the configuration of `identify`."""
     if finding.remedy.startswith(SET):
         return f"{finding.sentence}, but a design has no such term: run pmfid identify, and {finding.remedy}"
     return finding.text

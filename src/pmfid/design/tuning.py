@@ -10,7 +10,7 @@ class DesignTuning:
     """All thresholds of `pmfid.design`, ordered by module."""
 
     # appraisal
-    #: Factor for "surely better", because the expected deviations are known only to a few percent.
+    #: Factor for "better". The expected deviations themselves are known to 10 % at best (`expected_machines`).
     appraisal_surely: float = 0.95
     #: Part of the claimed information that must survive stiction. A smaller part gives a warning.
     appraisal_survives: float = 0.95

@@ -36,13 +36,13 @@ class ResidualStretch:
     rows: Places
 
 
-def find_unmodelled_response(parts: Sequence[ResidualStretch], known: Floats, source: int = -1) -> float:
-    """Return the chance that present and past inputs `source` explain so much of the residual by noise alone.
+def chance_of_response(parts: Sequence[ResidualStretch], known: Floats, source: int = -1) -> float:
+    """Return the chance that the present and past input `source` explains so much of the residual by noise alone.
 
     The test ignores all that the known columns (N, k), the sensitivities of the fit, explain.
     """
     past, kept, place = _columns(parts, source)
-    return chance_of(_residual(parts)[kept], known[kept], past[kept], place[kept])
+    return chance_of_columns(_residual(parts)[kept], known[kept], past[kept], place[kept])
 
 
 def estimate_residual_noise(parts: Sequence[ResidualStretch], known: Floats) -> Noise | None:
@@ -55,7 +55,9 @@ def estimate_residual_noise(parts: Sequence[ResidualStretch], known: Floats) -> 
     return _estimate_noise(np.column_stack([_residual(parts)[kept], columns]), place[kept])
 
 
-def find_feedback(parts: Sequence[ResidualStretch], known: Floats, direct: tuple[float, float] = (0.0, 0.0)) -> float:
+def chance_of_feedback(
+    parts: Sequence[ResidualStretch], known: Floats, direct: tuple[float, float] = (0.0, 0.0)
+) -> float:
     """Return the chance that future inputs explain so much of the residual, beyond present and past inputs, by noise.
 
     The known columns (N, k) are the sensitivities of the fit. A response of the input within the same sample appears in
@@ -66,12 +68,12 @@ def find_feedback(parts: Sequence[ResidualStretch], known: Floats, direct: tuple
     ahead = np.vstack([_ahead(part) for part in parts])
     kept &= np.all(np.isfinite(ahead), axis=1)
     error, known, past, place = _residual(parts)[kept], known[kept], past[kept], place[kept]
-    later = chance_of(error, np.hstack([known, past]), ahead[kept], place)
-    now = chance_of(error, np.hstack([known, past[:, 1:]]), past[:, :1], place, direct)
+    later = chance_of_columns(error, np.hstack([known, past]), ahead[kept], place)
+    now = chance_of_columns(error, np.hstack([known, past[:, 1:]]), past[:, :1], place, direct)
     return min(later, now)
 
 
-def chance_of(
+def chance_of_columns(
     error: Floats, known: Floats, tested: Floats, place: Places, allowed: tuple[float, float] = (0.0, 0.0)
 ) -> float:
     """Return the chance, by an F test, that noise of any colour makes the tested columns (N, b) explain so much of an

@@ -8,12 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.diagnostics.causality import (
-    ResidualStretch,
-    estimate_residual_noise,
-    find_feedback,
-    find_unmodelled_response,
-)
+from pmfid.diagnostics.causality import ResidualStretch, chance_of_feedback, chance_of_response, estimate_residual_noise
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
@@ -300,8 +295,8 @@ def _doubts(
         parts.append(ResidualStretch(stretch.inputs[:, delay:], error[inside], stretch.rows[inside]))
     known = point.zeta[np.concatenate(kept)]
     return (
-        find_unmodelled_response(parts, known) < TUNING.false_alarm,
-        find_feedback(parts, known, _direct(problem, point)) < TUNING.false_alarm,
+        chance_of_response(parts, known) < TUNING.false_alarm,
+        chance_of_feedback(parts, known, _direct(problem, point)) < TUNING.false_alarm,
         depends_on_input(problem, point),
         look_at_hold(problem, point, estimate_residual_noise(parts, known)),
         residual_repeats(problem, point),

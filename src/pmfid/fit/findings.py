@@ -115,6 +115,10 @@ def _wandering(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance:
     noise = fitted.likelihood
     if not isinstance(noise, Gaussian) or not (noise.wanders or noise.scale > 1.5):
         return
+    if not noise.wanders:
+        sentence = f"the counts have white noise of {np.sqrt(noise.scale):.2g} times the rounding of the encoder"
+        yield Finding("unmodelled", sentence, "check [encoder] resolution, or use a sensor with less noise", "note")
+        return
     worst = int(np.argmax(fitted.reach / sizes))
     matters = bool(fitted.reach[worst] > tolerance * sizes[worst])
     reach = format_part(fitted.reach[worst] / sizes[worst])
@@ -122,9 +126,6 @@ def _wandering(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance:
     what = "a force" if noise.force[0] > 0 else "an error of the position"
     sentence = f"{what} that no term explains wanders, and the intervals include it"
     remedy = "compare the motion with the record (--out), and add the missing effect to [model]"
-    if not noise.wanders:
-        sentence = f"the counts have white noise of {np.sqrt(noise.scale):.2g} times the rounding of the encoder"
-        matters, remedy = False, "check [encoder] resolution, or use a sensor with less noise"
     yield Finding("unmodelled", sentence, remedy, "doubt" if matters else "note", detail)
 
 

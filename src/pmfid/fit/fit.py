@@ -19,7 +19,7 @@ from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch
 from pmfid.fit.solve import Normal, Optimum, covariance_of, inverse, normal_of, root_of_rows, solve
 from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.fit.weighing import WeighedForce, weigh
-from pmfid.fit.within import information_rows, stack
+from pmfid.fit.within import information_rows, stack, start_precision
 from pmfid.types import Floats
 
 #: Blocks of a record whose scores are compared with the information.
@@ -236,7 +236,7 @@ def estimate_variance(covariance: Floats, normal: Normal, rows: Floats) -> Float
 
 def _estimate_in_region(search: FitSearch, optimum: Optimum) -> tuple[Floats, Floats]:
     e, J = stack(search.problem.linearise(optimum.q, optimum.starts))
-    rows = information_rows(J, search.prior(search.problem), optimum.starts)
+    rows = information_rows(J, np.append(search.prior(search.problem), start_precision(optimum.starts)))
     root, count, p = root_of_rows(rows), search.count, optimum.q.size
     wide = root @ root.T
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-100)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmfid.fit.likelihood import ROUNDING
 from pmfid.fit.posterior import STEPS, allowed_region
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.shooting import settle_starts
 from pmfid.fit.solve import START, root_of_rows
 from pmfid.fit.starts import soften
-from pmfid.fit.within import information_rows, stack
+from pmfid.fit.within import information_rows, stack, start_precision
 from pmfid.types import Floats
 
 #: Steps of the walk of a prediction, whose standard deviations have an error of about 7 %.
@@ -24,7 +23,7 @@ def expect_covariance(x: Floats, slopes: Floats, precision: Floats) -> Floats:
     unknown. The counts leave a region of parameters, which is several times smaller than least squares say.
     """
     J, precision = np.column_stack([slopes, np.ones(x.size)]), np.append(precision, START[0])
-    root = root_of_rows(np.vstack([J / np.sqrt(ROUNDING), np.diag(np.sqrt(precision))]))
+    root = root_of_rows(information_rows(J, precision))
     bound, rng, prior = np.full(x.size, 0.5), np.random.default_rng(1), (precision, np.zeros(precision.size))
     _, covariance = allowed_region(x - np.floor(x) - 0.5, J, bound, root, rng, prior, FEW_STEPS)
     return covariance[:-1, :-1]
@@ -35,7 +34,7 @@ def predict_fit(problem: FitProblem, theta: Floats) -> Floats:
     q = problem.start(theta)
     starts = settle_starts(problem, soften(problem.stretches), q, problem.first_starts())
     J = stack(problem.linearise(q, starts))[1]
-    root = root_of_rows(information_rows(J, np.zeros(q.size), starts))
+    root = root_of_rows(information_rows(J, np.append(np.zeros(q.size), start_precision(starts))))
     std: Floats = np.linalg.norm(root[: q.size], axis=1)
     relative = np.isin(range(q.size), problem.machine.logs)
     return np.where(relative, std, std / np.abs(theta))

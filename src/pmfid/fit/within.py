@@ -32,7 +32,7 @@ def reach_counts(
         outside = float(np.max(np.abs(e[counted]))) - 0.5
         if outside <= beyond:
             return q, starts
-        rows = information_rows(J * size, prior, starts)
+        rows = information_rows(J * size, np.append(prior, start_precision(starts)))
         step = _shortest_step(e[counted], J[counted], inverse(rows.T @ rows))
         for part in (1.0, 0.5, 0.25, 0.125):
             next_q = problem.clip_to_bounds(q + part * step[: q.size])
@@ -73,10 +73,10 @@ def start_precision(starts: Floats) -> Floats:
     return np.tile(np.maximum(weak, 1.0) if weak.size > 2 else weak, len(starts))
 
 
-def information_rows(J: Floats, prior: Floats, starts: Floats) -> Floats:
-    """Return rows whose products with themselves are the information of least squares on the parameters and start
-    states, for derivatives J (n, p) of counts and a prior with precisions (k,)."""
-    return np.vstack([J / np.sqrt(ROUNDING), np.diag(np.sqrt(np.append(prior, start_precision(starts))))])
+def information_rows(J: Floats, precision: Floats) -> Floats:
+    """Return rows whose products with themselves are the information of least squares, for derivatives J (n, p) of
+    counts and a prior with precisions (p,)."""
+    return np.vstack([J / np.sqrt(ROUNDING), np.diag(np.sqrt(precision))])
 
 
 def stack(blocks: Sequence[ResidualBlock]) -> tuple[Floats, Floats]:

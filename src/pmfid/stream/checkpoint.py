@@ -95,8 +95,8 @@ class Saved:
     """A group in a checkpoint.
 
     `baseline` has the nominal values and thresholds of the group. `axes` has the names of the axes, `state` the state
-    of their fleet. `seats` has the bytes of their positions. `held` has the
-    waiting blocks. `rare` maps the number of an axis to data that only some axes have.
+    of their fleet. `seats` has the bytes of their positions. `held` has the waiting blocks. `rare` maps the number of
+    an axis to data that only some axes have.
     """
 
     digest: str

@@ -41,7 +41,7 @@ export class Columns {
     this.data = Object.fromEntries(this.names.map((name) => [name, new Float64Array(this.room)]));
   }
 
-  // Rows after those that are here; returns whether there are any. Rows with earlier numbers are of a run that began anew.
+  // Rows after those that are here; returns whether there are any. Rows with earlier numbers are of an axis that began again.
   add(message) {
     const columns = Object.fromEntries(SINGLE.map((name) => [name, unpacked(message[name])]));
     message.theta.forEach((text, j) => (columns[`theta${j}`] = unpacked(text)));
