@@ -113,7 +113,7 @@ def test_other_states_and_arguments_are_refused() -> None:
         ("damaged", lambda: monitor.set_state(state[:-1] + bytes([state[-1] ^ 1]))),
         ("not a state of this monitor", lambda: monitor.set_state(b"")),
         ("must forget", lambda: make_monitor(memory=None)),
-        ("reference must contain values", lambda: EdgeMonitor(monitor.estimator, np.array([1.0, 0.0, 1.0]))),
+        ("normal must contain values", lambda: EdgeMonitor(monitor.estimator, np.array([1.0, 0.0, 1.0]))),
     )
     assert monitor.get_state() == state
 

@@ -85,7 +85,7 @@ def test_samples_pieces_and_fleets_agree(monitor: Monitor) -> None:
     again.set_state(single.get_state())
     rest = again.run(u[1234:], counts[1234:], temperature[1234:])
     fleet = MonitorFleet(monitor, 2)
-    both = fleet.run([0, 1], np.tile(u, (2, 1)), np.tile(counts, (2, 1)), temperature=np.tile(temperature, (2, 1)))
+    both = fleet.run([0, 1], np.tile(u, (2, 1)), np.tile(counts, (2, 1)), np.tile(temperature, (2, 1)))
     for name in ("theta", "std", "innovation", "status", "state"):
         assert np.array_equal(getattr(rest, name)[0], getattr(whole, name)[0, 1234:])
         assert np.array_equal(getattr(both, name)[1], getattr(whole, name)[0])

@@ -13,10 +13,10 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66012,
-    "lines of code in src": 38718,
+    "lines of src": 65992,
+    "lines of code in src": 38686,
     "lines of code in report and cli": 3313,
-    "thresholds in src": 991,
+    "thresholds in src": 990,
     "lines of csrc": 8685,
     "defines of csrc": 195,
     "conditionals of csrc": 107,

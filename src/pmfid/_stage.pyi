@@ -86,7 +86,7 @@ class Detection:
     ) -> NDArray[np.float64]: ...
 
 class Watcher:
-    """`watched` is a `monitor.arrays.Watched`, and `disturbed` is a `monitor.arrays.Disturbed`."""
+    """`watched` is a `monitor.states.Watched`, and `disturbed` is a `monitor.states.Disturbed`."""
 
     def __init__(
         self,

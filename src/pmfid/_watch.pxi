@@ -44,7 +44,7 @@ cdef struct Plan:
     int64_t silent_blocks
 
 
-#: The data of an axis: one row of `monitor.arrays.Watched`.
+#: The data of an axis: one row of `monitor.states.Watched`.
 cdef struct Own:
     uint8_t *state
     int64_t *waiting
@@ -228,7 +228,7 @@ cdef inline bint _go_on(const Plan *plan, const Own *own, const Ring *ring, int6
 
 
 cdef class Watcher:
-    """The watch over axes of one configuration, with arrays of `monitor.arrays`.
+    """The watch over axes of one configuration, with arrays of `monitor.states`.
 
     `norms` and `seen` scale blocks and units. `work` holds the size, the offset (p,) and the limit (p,) of units of
     work, or is None. `threshold` applies to the statistic. `block_time` is in [s]. After `silent_blocks` blocks without

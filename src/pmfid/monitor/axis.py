@@ -18,11 +18,13 @@ from pmfid.estimators.facts import INPUT_GAIN, forces_of
 from pmfid.estimators.iv import IV
 from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.monitor.base import AxisMonitor
 from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.cause import Cause, ChangeEvidence, explain, new_gain, start_of
 from pmfid.monitor.detector import EDGE, make_detection, start_detection
-from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Alarm, Event, Settled, StateChange, Watch
-from pmfid.monitor.scores import Blocks, Disturbed, Scale, ScoreFilter, Scoring, Watched, start_blocks
+from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Alarm, Event, Settled, Watch
+from pmfid.monitor.scores import Blocks, Scale, ScoreFilter, Scoring, start_blocks
+from pmfid.monitor.states import Disturbed, Watched
 from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
 from pmfid.types import Floats
@@ -120,7 +122,7 @@ FIRST = np.zeros(1, np.int64)
 
 
 @dataclass(repr=False)
-class WatchedAxis:
+class WatchedAxis(AxisMonitor):
     """The data of a `Monitor` on its axis, and its decisions on each block."""
 
     estimator: RecursiveEstimator
@@ -157,24 +159,8 @@ class WatchedAxis:
         return self._filter.scoring
 
     @property
-    def state(self) -> str:
-        """State of the monitor: STARTING, WATCHING, CANNOT_TELL, SUSPICIOUS or SETTLING."""
-        return STATES[self._own.state[0]]
-
-    @property
     def samples(self) -> int:
-        """Number of samples so far, lost samples included."""
         return self._inputs.samples
-
-    @property
-    def statistic(self) -> float:
-        """Statistic of the detector after the last block."""
-        return float(self._own.statistic[0])
-
-    @property
-    def reference(self) -> Floats:
-        """Parameters (p,) from which deviations are measured."""
-        return np.array(self._own.theta[0])
 
     @property
     def _time(self) -> float:
@@ -194,6 +180,10 @@ class WatchedAxis:
         self.watching.refer(self._own, self._filter.theta[None])
         rest = self._rest
         rest.gathered[0], rest.refined[0], rest.crossed[0], rest.suspected[0] = 0.0, 0, 0.0, 0
+
+    def _take_reference(self, theta: Floats) -> None:
+        self._refer(theta)
+        self._rest.since[0] = self._time
 
     def _on_block(self, rows: Floats, lost: NDArray[np.uint8], estimate: Estimate) -> list[Event]:
         """Return the events after a block (1, width). `lost` (1,) is true if all samples of the block were
@@ -227,12 +217,6 @@ class WatchedAxis:
         """Update the state, which depends on whether changes can be detected now."""
         wanted, reason = self.watching.watcher.looked(self._own, estimate.status)
         return self._enter(STATES[wanted], REASONS[reason])
-
-    def _enter(self, state: str, reason: str) -> list[Event]:
-        if state == self.state:
-            return []
-        self._own.state[0] = STATES.index(state)
-        return [StateChange(self._time, state, reason)]
 
     def _alarm(self, estimate: Estimate) -> list[Event]:
         """Return an alarm once the changes are clear. A deviation that is surely within the tolerance ends the

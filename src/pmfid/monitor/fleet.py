@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.configuration import integer_counts, numbers
+from pmfid.monitor.base import check_further
 from pmfid.monitor.edges import EdgeMonitor
 from pmfid.monitor.events import Event, FleetRows
 from pmfid.monitor.monitor import Monitor
@@ -63,21 +64,16 @@ class MonitorFleet:
     def __init__(self, monitor: Monitor | EdgeMonitor, axes: int) -> None:
         axes = whole_number("axes", axes, 0, "it is the number of axes")
         self._source, self._first = monitor, monitor.pack_state()
-        self.names, self.units, self.longest = monitor.names, monitor.units, monitor.longest
+        self.names, self.units = monitor.names, monitor.units
         self._all: Any = self._first.repeat_rows(axes)
         scratch = monitor.fresh()
         self._scratch: Any = scratch  # acts on one axis at a time
         self._quiet = None if isinstance(scratch, EdgeMonitor) else Quiet(scratch)
 
     @property
-    def takes_ages(self) -> bool:
-        """Whether the monitors need the ages of edges."""
-        return isinstance(self._source, EdgeMonitor)
-
-    @property
-    def takes_temperature(self) -> bool:
-        """Whether the monitors know how friction follows a temperature."""
-        return isinstance(self._source, Monitor) and self._source.takes_temperature
+    def further(self) -> str:
+        """Name of the further column of samples, "ages" or "temperature", or an empty text."""
+        return self._source.further
 
     @property
     def axes(self) -> int:
@@ -96,23 +92,20 @@ class MonitorFleet:
         index: ArrayLike,
         u: ArrayLike,
         counts: ArrayLike,
-        ages: ArrayLike | None = None,
-        temperature: ArrayLike | None = None,
+        further: ArrayLike | None = None,
     ) -> FleetRows:
         """Take the next n samples u, counts (k, n) of the axes `index` (k,), each at most once.
 
-        `ages` (k, n) belong to monitors of edges: an age [s] is NaN without an edge since the last sample, and None
-        means no edges. The `temperature` (k, n) is as in `Monitor.run`. If u is not finite, the sample is lost, as in
-        `step` of a monitor. Raises UsageError if an axis does not exist or comes twice, if the arrays do not fit, or
-        for ages that the monitors do not take.
+        The column `further` (k, n) belongs to monitors with a `further` column: an age [s] is NaN without an edge since
+        the last sample, and a temperature is NaN if it is unknown. If u is not finite, the sample is lost, as in `step`
+        of a monitor. Raises UsageError if an axis does not exist or comes twice, if the arrays do not fit, or for a
+        column that the monitors do not take.
         """
         places, *inputs = self._check_arrays(index, u, counts)
         shape = inputs[0].shape
-        if self.takes_ages:
-            inputs.append(self._check_values("ages", ages, shape))
-        elif self.takes_temperature:
-            inputs.append(self._check_values("temperature", temperature, shape))
-        elif ages is not None:
+        if self.further:
+            inputs.append(check_further(self.further, further, shape))
+        elif further is not None:
             raise UsageError("these monitors compute from counts: leave out ages, or make a fleet of an EdgeMonitor")
         rows = FleetRows.empty(shape[0], shape[1], len(self.names))
         for first in range(0, shape[0], TUNING.fleet_group):
@@ -134,13 +127,6 @@ class MonitorFleet:
             single = self._with(int(index[row]), partial(_run_one, inputs=[array[row] for array in inputs]))
             found.take(single, np.array([row]), slice(0, n))
         (rows.tell if whole else rows.take)(found, group.start + np.arange(k), time)
-
-    @staticmethod
-    def _check_values(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -> Floats:
-        checked = np.full(shape, np.nan) if values is None else np.asarray(numbers(name, values), np.float64)
-        if checked.shape != shape:
-            raise UsageError(f"{name} must have the shape {shape} of u, got {checked.shape}")
-        return checked
 
     def _check_arrays(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> tuple[Places, Floats, Counts]:
         places = self._places(index)
@@ -224,7 +210,7 @@ class MonitorFleet:
         self._all = self._scratch.check_states(read(state, self._first, self._source.configuration_number))
 
     def fill_gap(self, axis: int, missing: int, u: float, counts: int) -> list[Event]:
-        """Call `Monitor.fill_gap` for one axis. At most `longest` samples may be missing."""
+        """Call `fill_gap` of the monitor of one axis, and return the events."""
         return self._with(self._place(axis), lambda monitor: monitor.fill_gap(missing, u, counts))
 
     def samples(self) -> NDArray[np.int64]:

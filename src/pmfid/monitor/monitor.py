@@ -10,21 +10,20 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pmfid._estimate import Estimate
 from pmfid._stage import Inputs
 from pmfid.errors import UsageError
-from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator, numbers
+from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.estimators.known import Seen, choose_naming
-from pmfid.estimators.results import Track
 from pmfid.kernel.saved import fleet_layout
 from pmfid.monitor.axis import FIRST, WatchedAxis
-from pmfid.monitor.events import SETTLING, SUSPICIOUS, WATCHING, Event, FleetRows, Outlier, Settled
-from pmfid.monitor.saved import AxisStates, check_states, read, write_states
-from pmfid.monitor.scores import Sampled, ScoreFilter, reference_kernel
+from pmfid.monitor.events import Event, Outlier
+from pmfid.monitor.saved import IMPLAUSIBLE
+from pmfid.monitor.scores import ScoreFilter, reference_kernel
+from pmfid.monitor.states import AxisStates, Sampled
 from pmfid.monitor.tuning import TUNING
-from pmfid.monitor.warmth import hold_last
 from pmfid.presentation import Parameters, Presentable, Summary, plain, remarks_of
 from pmfid.status import Status
 
@@ -176,7 +175,6 @@ class Monitor(WatchedAxis, Presentable):
         }
 
     def apply_known(self, estimate: Estimate) -> Estimate | Seen:
-        """Return an estimate combined with the prior information."""
         return estimate if self.known is None else Seen(self.known, estimate)
 
     def step(self, u: float, counts: int, temperature: float = math.nan) -> tuple[Estimate, list[Event]]:
@@ -186,8 +184,9 @@ class Monitor(WatchedAxis, Presentable):
         lost sample continue from the last known counts. The counter's change in the gap is ignored.
         """
         own = self._inputs.step(u, counts)
-        if self.takes_temperature:
-            self._warmer = float(self._hold_warmer([temperature], 1)[0])
+        warmth = self.calibration.warmth
+        if warmth is not None and math.isfinite(temperature):
+            self._warmer = temperature - warmth.mean
         estimate = self.estimator.step(u, own)
         rows, disturbed = self._filter.sample(u, own)
         events = self._outliers(estimate.status)
@@ -207,58 +206,8 @@ class Monitor(WatchedAxis, Presentable):
         return Monitor(estimator, self.calibration, copy(self.watch), self.known)
 
     @property
-    def takes_temperature(self) -> bool:
-        """Whether the normal work had a temperature, which each sample may then have, too."""
-        return self.calibration.warmth is not None
-
-    def _hold_warmer(self, temperature: ArrayLike | None, n: int) -> NDArray[np.float64]:
-        """Return temperatures (n,) above the mean of normal work, with the last known value for unknown ones."""
-        warmth = self.calibration.warmth
-        if warmth is None or temperature is None:
-            return np.full(n, self._warmer)
-        measured = np.asarray(numbers("temperature", temperature), np.float64)
-        if measured.shape != (n,):
-            raise UsageError(f"temperature must have the shape ({n},) of u, got {measured.shape}")
-        return hold_last(measured - warmth.mean, self._warmer)
-
-    def run(self, u: ArrayLike, counts: ArrayLike, temperature: ArrayLike | None = None) -> FleetRows:
-        """Take many samples u, counts (n,) at once, and return the rows of a fleet of one axis.
-
-        A `temperature` (n,) may have NaN, for which the last known value holds. The results have the bits of `step` in
-        a loop. Raises UsageError if the arrays do not fit.
-        """
-        inputs, read_counts = check_arrays(u, counts)
-        warmer = self._hold_warmer(temperature, inputs.size)
-        rows = FleetRows.empty(1, inputs.size, len(self.names))
-        start = 0
-        while start < inputs.size:
-            end = min(inputs.size, start + (1 if self.known is not None else self._filter.missing))
-            self._warmer = float(warmer[end - 1])
-            self._run(inputs[start:end], read_counts[start:end], rows, start)
-            start = end
-        return rows
-
-    def _run(self, u: NDArray[np.float64], counts: NDArray[np.int64], rows: FleetRows, start: int) -> None:
-        """Take samples of one block. The last sample may complete the block.
-
-        With prior information, only a single sample is allowed.
-        """
-        before = self.samples - self.estimator.delay
-        own, part = self._inputs.run(u, counts), slice(start, start + u.size)
-        track = Track(self.estimator.names, self.estimator.units, *self.estimator.kernel.run(u, own))
-        blocks, disturbed = self._filter.rows(u, own)
-        result = track if self.known is None else self.apply_known(self.estimator.estimate)
-        rows.theta[0, part], rows.std[0, part] = result.theta, result.theta_std
-        rows.innovation[0, part], rows.status[0, part] = track.innovation, track.status
-        rows.state[0, part] = self._own.state[0]
-        found, self._flagged = outliers(track.status, self._flagged)
-        dt = self.estimator.dt
-        rows.events.extend((0, start + k, Outlier((before + k) * dt, signal)) for k, signal in found)
-        if len(blocks):
-            events = self._on_block(blocks, disturbed, self.estimator.estimate)
-            rows.events.extend((0, part.stop - 1, event) for event in events)
-            rows.state[0, part.stop - 1] = self._own.state[0]
-            self._follow_temperature(self._warmer)
+    def further(self) -> str:
+        return "" if self.calibration.warmth is None else "temperature"
 
     def rebase(self, counts: int) -> None:
         """Continue after a reset of the counter, as if the counter had read `counts` at the last sample.
@@ -280,11 +229,6 @@ class Monitor(WatchedAxis, Presentable):
         """The sample period over the time constant of the filters."""
         return self.estimator.cutoff * self.estimator.dt
 
-    @property
-    def longest(self) -> int:
-        """Largest number of lost samples that `fill_gap` takes. A longer gap needs `skip`."""
-        return longest(self._rate)
-
     def fill_gap(self, missing: int, u: float, counts: int) -> list[Event]:
         """Impute a few samples that were lost before the sample u, counts (`guess`), and return the events.
 
@@ -292,7 +236,8 @@ class Monitor(WatchedAxis, Presentable):
         cannot be guessed are skipped as in `skip`.
         """
         last = self._inputs
-        found = guess(last, self._rate, missing, u, counts + last.zero)
+        few = missing <= longest(self._rate)
+        found = guess(last, self._rate, missing, u, counts + last.zero) if few else None
         if found is None:
             return self.skip(missing)
         if found.doubt:
@@ -302,28 +247,6 @@ class Monitor(WatchedAxis, Presentable):
         for moment in found.samples:
             events += self.step(moment[0], moment[1] - last.zero)[1]
         return events
-
-    def refer(self, theta: ArrayLike | None = None) -> list[Event]:
-        """Make theta (p,) the reference, and return the events. None takes the present estimate.
-
-        The events are the new reference, and a change of state if the axis was suspicious or settling. Raises
-        UsageError, and changes nothing, if no estimate exists or if a machine cannot have the parameters.
-        """
-        estimate = self.estimator.estimate
-        unknown = estimate.status & (Status.STARTING | Status.FALLBACK) or not np.all(np.isfinite(estimate.theta_std))
-        if theta is None and unknown:
-            raise UsageError("no estimate exists yet that could become the reference: let the axis move first")
-        wanted = np.array(self._remove_warmth(estimate) if theta is None else theta, np.float64)
-        if wanted.shape != self.reference.shape or not self.plausible(wanted):
-            raise UsageError(
-                f"no machine has the parameters {wanted.tolist()}; give valid values of {list(self._front.names)}"
-            )
-        before, std = self.reference, np.array(estimate.theta_std) if theta is None else np.zeros(wanted.size)
-        self._refer(wanted)
-        self._rest.since[0] = self._time
-        events: list[Event] = [Settled(self._time, *self._add_known(wanted, std), self._add_known(before, std)[0])]
-        busy = self.state in (SUSPICIOUS, SETTLING)
-        return [*events, *(self._enter(WATCHING, "a new reference was given") if busy else [])]
 
     @cached_property
     def configuration_number(self) -> int:
@@ -379,29 +302,20 @@ class Monitor(WatchedAxis, Presentable):
 
     def check_states(self, saved: AxisStates) -> AxisStates:
         """Return saved states of this configuration. Raises UsageError for numbers that no sample could have made."""
-        return check_states(self, saved)
-
-    def get_state(self) -> bytes:
-        """Return the state with a version and checksums.
-
-        `set_state` of a monitor with the same configuration continues from this state.
-        """
-        return write_states(self.pack_state(), self.configuration_number)
+        watched, kernels = saved.watched, (saved.sampled.estimator, saved.sampled.filter)
+        possible = saved.are_possible(self.scoring.size) and all(map(self.plausible, np.unique(watched.theta, axis=0)))
+        for many, states in zip(self.packers, kernels, strict=True):
+            many.hold(states)
+            possible = possible and many.plausible()
+        if possible:
+            self.watching.derive(watched)
+        if not possible or np.any(watched.waiting > watched.wait):
+            raise UsageError(IMPLAUSIBLE)
+        return saved
 
     def __reduce__(self) -> tuple[object, ...]:
         """Make copies and pickles from the configuration and the saved state."""
         return _resume_monitor, (self.estimator, self.calibration, self.watch, self.known, self.get_state())
-
-    def set_state(self, state: bytes) -> None:
-        """Continue from a saved state.
-
-        Raises UsageError, and changes nothing, for a state of another configuration, a damaged state, and numbers that
-        no sample could have made.
-        """
-        found = self.check_states(read(state, self.pack_state(), self.configuration_number))
-        if found.axes != 1:
-            raise UsageError(f"these bytes contain the states of {found.axes} axes, and a monitor has one axis")
-        self.go_on(found, 0)
 
 
 def _resume_monitor(

@@ -11,8 +11,7 @@ from pmfid._stage import bars, follow_many
 from pmfid.monitor.axis import REASONS
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, Event, FleetRows, Outlier, StateChange
 from pmfid.monitor.monitor import ANY_OUTLIER, Monitor, outliers
-from pmfid.monitor.saved import AxisStates
-from pmfid.monitor.scores import Sampled
+from pmfid.monitor.states import AxisStates, Sampled
 from pmfid.types import Counts, Flags, Floats, Places
 
 #: Numbers of the states in which an axis is not quiet.
@@ -28,7 +27,7 @@ class Quiet:
         self._estimator, self._filter = monitor.packers
         self._scoring, self._dt, self._delay = monitor.scoring, monitor.estimator.dt, monitor.estimator.delay
         # Each estimate needs its own combination with prior information. Each block needs the model of its temperature.
-        alone = monitor.known is not None or monitor.takes_temperature
+        alone = monitor.known is not None or bool(monitor.further)
         self._calm = np.array([state not in UNEASY and not alone for state in range(len(STATES))])
         self._memory = np.empty((0, 0, 0)), np.empty((0, 0, 0)), np.empty((0, 0))
 

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from pmfid._stage import put_rows
 from pmfid.types import Places
 
+#: Largest number of samples and blocks in a state.
+MOST = 2**60
+
 
 def rows_of(*sizes: int | str, kind: type = np.float64, start: float = 0, saved: bool = True) -> dict[str, Any]:
     """Return the metadata of an array with a row of these sizes for each axis, filled with `start`.

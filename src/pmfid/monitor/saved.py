@@ -6,29 +6,20 @@ numbers must be finite. The kernels check their own states.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid._kernel64 import ManyKernel
-from pmfid._stage import KEPT
 from pmfid.errors import UsageError
 from pmfid.kernel.saved import HEAD, check_sealed, make_head, read_bytes, seal_parts
 from pmfid.kernel.structures import layout_number
-from pmfid.monitor.axis import Watching
-from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS
 from pmfid.monitor.rows import RowArrays
-from pmfid.monitor.scores import Disturbed, Sampled, Scoring, Watched
-from pmfid.types import Floats
 
 #: Magic number and version of the saved states.
 KIND = 0x4D464D50, 2  # the bytes "PMFM"
 #: Largest number of axes of a fleet. A header with a larger number is refused.
 MOST_AXES = 2**24
-#: Largest number of samples and blocks in a state.
-MOST = 2**60
 
 FOREIGN = (
     "these bytes are not a state of this monitor; use a state of a monitor with the same "
@@ -44,19 +35,6 @@ IMPLAUSIBLE = (
 
 
 Rows = TypeVar("Rows", bound=RowArrays)
-
-
-@dataclass
-class AxisStates(RowArrays):
-    """The states of some axes."""
-
-    sampled: Sampled
-    watched: Watched
-    disturbed: Disturbed
-
-    @property
-    def samples(self) -> NDArray[np.int64]:
-        return self.sampled.samples
 
 
 def write_states(saved: RowArrays, config: int) -> bytes:
@@ -91,56 +69,3 @@ def read(data: bytes, like: Rows, config: int) -> Rows:
 def _head(saved: RowArrays, config: int, axes: int) -> NDArray[np.void]:
     row = saved.row_type
     return make_head(KIND, layout_number(row), config, (axes, row.itemsize))
-
-
-class Judge(Protocol):
-    """The parts of a `Monitor` that decide whether a state is possible."""
-
-    watching: Watching
-
-    @property
-    def packers(self) -> tuple[ManyKernel, ManyKernel]: ...
-    @property
-    def scoring(self) -> Scoring: ...
-    def plausible(self, theta: Floats) -> bool: ...
-
-
-def check_states(judge: Judge, saved: AxisStates) -> AxisStates:
-    """Return the states with their derived arrays. Raises UsageError for numbers that no sample could have made."""
-    sampled, watched = saved.sampled, saved.watched
-    references = np.unique(watched.theta, axis=0)
-    fine = all(np.all(np.isfinite(array)) for _, array in saved.list_saved() if array.dtype.kind == "f")
-    fine = fine and _counts_fit(judge, saved) and all(judge.plausible(theta) for theta in references)
-    for many, states in zip(judge.packers, (sampled.estimator, sampled.filter), strict=True):
-        many.hold(states)
-        fine = fine and many.plausible()
-    if not fine:
-        raise UsageError(IMPLAUSIBLE)
-    judge.watching.derive(watched)
-    if np.any(watched.waiting > watched.wait):
-        raise UsageError(IMPLAUSIBLE)
-    return saved
-
-
-def _counts_fit(judge: Judge, saved: AxisStates) -> bool:
-    """Return whether the whole numbers, and the real numbers with a given sign, are within their bounds."""
-    sampled, watched, rest = saved.sampled, saved.watched, saved.disturbed
-    samples = sampled.samples
-    uneasy = np.isin(watched.state, [STATES.index(SUSPICIOUS), STATES.index(SETTLING)])
-    counted = (samples, watched.waiting, watched.silence, watched.members, watched.units, rest.suspected)
-    conditions = [
-        *((number >= 0) & (number <= MOST) for number in counted),
-        (sampled.yes_or_no == 0) | (sampled.yes_or_no == 1),
-        (sampled.fresh >= 0) & (sampled.fresh <= np.minimum(samples, KEPT)),
-        sampled.sizes >= 0,
-        (sampled.shares >= 0) & (sampled.shares <= 1),
-        sampled.progress[:, 0] < judge.scoring.size,
-        sampled.progress[:, 1] <= sampled.progress[:, 0],
-        watched.state < len(STATES),
-        rest.refined <= 1,
-        rest.by_gain <= 1,
-        ~uneasy | (watched.units > 0) | (rest.refined == 1),
-        (watched.opened >= 0) & (rest.gathered >= 0),
-        watched.line[:, 1] >= 0,
-    ]
-    return all(np.all(condition) for condition in conditions)

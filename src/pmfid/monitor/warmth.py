@@ -88,9 +88,3 @@ def _solve(blocks: Blocks, warmer: Floats, moves: Flags) -> tuple[Floats, Floats
     change = np.zeros(2 * p)
     change[free] = np.linalg.solve(left[np.ix_(free, free)], (powers.T @ blocks.score).ravel()[free])
     return change[:p], change[p:]
-
-
-def hold_last(values: Floats, before: float) -> Floats:
-    """Return values (n,) in which the last known one replaces those that are not finite. `before` is known."""
-    whole = np.append(before, values)
-    return np.asarray(whole[np.maximum.accumulate(np.where(np.isfinite(whole), np.arange(whole.size), 0))][1:])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
-from pmfid.monitor.events import Event, FleetRows
+from pmfid.monitor.events import Event
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.pipeline.monitored.setup import VERSION, Setup, set_up
 from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Line, Metronome, Sample, Saved, SavedFields, Timeline
@@ -25,7 +25,6 @@ from pmfid.stream.delivery import Lines
 from pmfid.stream.order import UNKNOWN_GAP, Column, ItemReport, Order, PositionRow, Positions, SamplePiece
 from pmfid.stream.outcome import Kindred
 from pmfid.stream.tuning import TUNING
-from pmfid.types import Counts, Floats
 
 _LINE = struct.Struct("<ddq")
 
@@ -309,13 +308,6 @@ class Group:
         self.fleet = MonitorFleet(self.prepared.setup.monitor, 0)
         self.stride = max(1, round(self.pace.every / self.dt))
         self.kindred = self._build_kindred()
-
-    def run(self, index: NDArray[np.int64], u: Floats, counts: Counts, ages: Floats | None) -> FleetRows:
-        """Step the next n samples u, counts (k, n) of the axes `index` (k,). Temperatures may stand for `ages`."""
-        fleet = self.fleet
-        return fleet.run(
-            index, u, counts, *(ages if takes else None for takes in (fleet.takes_ages, fleet.takes_temperature))
-        )
 
     def add(self, names: Iterable[str]) -> None:
         """Add axes without a history."""

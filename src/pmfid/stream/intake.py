@@ -128,7 +128,7 @@ class Intake:
         self._turn += size
         rest = np.ones(size, np.bool_)
         for group, index in seating:
-            if group.fleet.takes_ages and table.ages is None:
+            if group.fleet.further == "ages" and table.ages is None:
                 continue  # each block is refused
             taken = take_expected(group.positions, group.dt, index, table)
             if taken.any():
@@ -137,7 +137,7 @@ class Intake:
                 at, offset = index[rows], np.zeros(np.count_nonzero(taken), np.int64)
                 u, counts, time = table.u[rows], table.counts[rows], table.time[rows]
                 fleet, ages = group.fleet, table.ages
-                ages = ages[rows] if ages is not None and (fleet.takes_ages or fleet.takes_temperature) else None
+                ages = ages[rows] if ages is not None and fleet.further else None
                 ordered.put(group, Batch(at, u, counts, ages, time, offset, turns[rows], received[rows]))
                 rest &= ~taken
         left = np.flatnonzero(rest).tolist()
@@ -170,7 +170,7 @@ class Intake:
         pieces = list[SamplePiece]()
         try:
             if isinstance(item, Block):
-                if seat.group.fleet.takes_ages and item.ages is None:
+                if seat.group.fleet.further == "ages" and item.ages is None:
                     self._refuse(delivery.source, Unusable("ages", WITHOUT_AGES.format(item.axis), item.axis))
                     return
                 verdict = seat.order.take(item, delivery.received, turn, pieces)

@@ -153,7 +153,7 @@ def _run(group: Group, batch: Batch, followed: frozenset[str], done: Stepped) ->
     ]
     index, n = batch.index, batch.counts.shape[1]
     start = group.numbers[index]
-    rows = group.run(index, batch.u, batch.counts, batch.ages)
+    rows = group.fleet.run(index, batch.u, batch.counts, batch.ages if group.fleet.further else None)
     group.numbers[index] += n
     done.samples += batch.counts.size
     done.lost += int(np.count_nonzero(~np.isfinite(batch.u)))
@@ -169,10 +169,9 @@ def _report_interruption(group: Group, index: int, piece: SamplePiece) -> list[E
     """Report missing samples to the monitor, even if their number is unknown, as `pmfid monitor` does."""
     missing = max(1, piece.lead)
     group.numbers[index] += missing
-    fleet = group.fleet
-    if 0 < piece.lead <= fleet.longest and not piece.apart:
-        return fleet.fill_gap(index, missing, float(piece.u[0]), int(piece.counts[0]))
-    return fleet.skip(index, missing)
+    if piece.lead > 0 and not piece.apart:
+        return group.fleet.fill_gap(index, missing, float(piece.u[0]), int(piece.counts[0]))
+    return group.fleet.skip(index, missing)
 
 
 def _build_event(group: Group, batch: Batch, row: int, k: int, start: int, event: Event) -> FoundEvent:

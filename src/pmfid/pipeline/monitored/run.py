@@ -137,13 +137,10 @@ def _step(
     observers: Sequence[Observer],
 ) -> None:
     events = _count_interruption(sample, monitor, run, tell) if sample.missing or sample.jump else []
-    reported: Estimate | Seen
-    if isinstance(monitor, EdgeMonitor):
-        reported, now = monitor.step(sample.u, sample.counts, sample.further)
-    else:
+    if isinstance(monitor, Monitor):
         _compare_temperature(sample, monitor, run, tell)
-        estimate, now = monitor.step(sample.u, sample.counts, sample.further)
-        reported = monitor.apply_known(estimate)
+    estimate, now = monitor.step(sample.u, sample.counts, sample.further)
+    reported = monitor.apply_known(estimate)
     run.samples += 1
     if sink is not None:
         sink.write(_row(sample.time, reported, monitor.state))
@@ -188,9 +185,7 @@ def _count_interruption(sample: Sample, monitor: Monitored, run: MonitoredRun, t
         run.missing += sample.missing
         if run.gaps <= TUNING.most_notices:
             tell({"event": "gap", "time": sample.time, "missing": sample.missing})
-        if isinstance(monitor, Monitor) and sample.missing <= monitor.longest:
-            return monitor.fill_gap(sample.missing, sample.u, sample.counts)
-        return monitor.skip(sample.missing)
+        return monitor.fill_gap(sample.missing, sample.u, sample.counts)
     run.clock_jumps += 1
     if run.clock_jumps <= TUNING.most_notices:
         tell({"event": "clock", "time": sample.time, "jump": sample.jump})
