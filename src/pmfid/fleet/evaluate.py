@@ -16,12 +16,15 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.redge import REdge
 from pmfid.fleet.edge_segments import cut_edge_stretches, estimate_edge_batch, split_at_missing_rows
 from pmfid.fleet.plan import RowProblem
-from pmfid.fleet.segments import RecordPiece, Stretch, cut_stretches, estimate_batch
+from pmfid.fleet.segments import RecordPiece, Stretch, cut_stretches, estimate_batch, look_for_forces
+from pmfid.fleet.series import FORCES
 from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import AXIS, TEMPERATURE, TIME, SourceColumns
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
 from pmfid.types import Floats
+
+Schema = dict[str, pl.DataType | type[pl.DataType]]
 
 
 @dataclass(frozen=True)
@@ -50,7 +53,7 @@ class Work:
         return pl.concat([pl.DataFrame(schema=self.schema), rows, reports], how="diagonal")
 
     @property
-    def schema(self) -> dict[str, type[pl.DataType]]:
+    def schema(self) -> Schema:
         """Columns of the result. A row with a `code` is a problem, any other row a segment."""
         return segment_schema(self.settings) | PROBLEM
 
@@ -62,7 +65,7 @@ class Work:
 
 
 #: Columns of a problem.
-PROBLEM: dict[str, type[pl.DataType]] = {
+PROBLEM: Schema = {
     AXIS: pl.String,
     "part": pl.String,
     "code": pl.String,
@@ -146,14 +149,14 @@ def longest_tables(frame: pl.DataFrame, columns: SourceColumns, length: float) -
     yield from (longest[axis].table for axis in sorted(longest))
 
 
-def segment_schema(settings: Settings) -> dict[str, type[pl.DataType]]:
+def segment_schema(settings: Settings) -> Schema:
     """Return the columns of segments: their axis, times and sample period [s], the lost part of the samples, status and
-    parameters with standard deviations."""
-    kinds: dict[str, type[pl.DataType]] = {"axis": pl.String, "start": pl.Float64, "end": pl.Float64}
+    parameters with standard deviations, and the forces that the model may lack."""
+    kinds: Schema = {"axis": pl.String, "start": pl.Float64, "end": pl.Float64}
     kinds |= {"samples": pl.Int64, "dt": pl.Float64, "lost": pl.Float64, TEMPERATURE: pl.Float64, "status": pl.Int64}
     for name in settings.estimator.names:
         kinds |= {name: pl.Float64, f"{name}_std": pl.Float64}
-    return kinds
+    return kinds | {FORCES: pl.List(pl.Float64)}
 
 
 def solve(pieces: Iterable[RecordPiece], settings: Settings) -> tuple[pl.DataFrame, list[RowProblem]]:
@@ -170,16 +173,26 @@ def solve(pieces: Iterable[RecordPiece], settings: Settings) -> tuple[pl.DataFra
                 groups[one.dt, one.resolution, one.u.size].append(one)
         except (UsageError, NotIdentifiableError) as error:
             problems.append(RowProblem(piece.axis, "", "no_record", " ".join(str(error).split()), piece.start))
-    frames = [pl.DataFrame(schema=segment_schema(settings))]
+    frames, estimated = [pl.DataFrame(schema=segment_schema(settings))], list[Stretch]()
     for (dt, resolution, size), group in groups.items():
         many = max(1, (TUNING.edges_batch if edges else TUNING.segments_batch) // size)
         try:
             estimator = settings.adapt_estimator(dt, resolution)
             frames += [_estimate(group[k : k + many], estimator) for k in range(0, len(group), many)]
+            estimated += group
         except UsageError as error:
             reason = " ".join(str(error).split())
             problems += [RowProblem(one.axis, "", "no_estimate", reason, one.start) for one in group]
-    return pl.concat(frames).sort("axis", "start"), problems
+    rows = pl.concat(frames, how="diagonal")
+    return _add_forces(rows, estimated, settings).sort("axis", "start"), problems
+
+
+def _add_forces(rows: pl.DataFrame, stretches: Sequence[Stretch], settings: Settings) -> pl.DataFrame:
+    """Return the rows of stretches with the forces that their model may lack."""
+    names = settings.estimator.names
+    theta, std = (rows.select(name + end for name in names).to_numpy() for end in ("", "_std"))
+    found = look_for_forces(stretches, theta, std, rows["status"].to_numpy().astype(np.uint32), settings)
+    return rows.with_columns(pl.Series(FORCES, found, pl.List(pl.Float64)))
 
 
 def _estimate(stretches: Sequence[Stretch], estimator: RecursiveEstimator | REdge) -> pl.DataFrame:

@@ -127,10 +127,11 @@ def _axes(follows: Sequence[Follow], verdicts: Sequence[AxisVerdict], names: Seq
         row |= {"since": verdict.since, "until": verdict.until, "why": sentence(verdict), "segments": one.segments}
         codes = one.codes | ({LITTLE} if not verdict.visible < SOUGHT else set())
         row |= {"quality": one.quality, "findings": " ".join(sorted(codes)), "visible": verdict.visible}
+        whole = np.hypot(one.std, one.error)
         for i, name in enumerate(names):
             deviation = float(verdict.deviation[i]) if verdict.deviation.size else math.nan
             changed = math.nan if one.step is None else float(one.step.relative[i])
-            row |= {name: float(one.theta[i]), f"{name}_std": float(one.std[i])}
+            row |= {name: float(one.theta[i]), f"{name}_std": float(whole[i])}
             row |= {f"{name}_deviation": deviation, f"{name}_change": changed}
             slope, std = (math.nan, math.nan) if one.trend is None else (one.trend.slopes[i], one.trend.stds[i])
             row |= {f"{name}_slope": float(slope) * TUNING.plan_day, f"{name}_slope_std": float(std) * TUNING.plan_day}

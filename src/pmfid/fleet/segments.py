@@ -8,23 +8,19 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import expit
 
-from pmfid._stage import first_order
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.configuration import like
 from pmfid.estimators.fleet import Fleet
 from pmfid.estimators.iv import IV, RIV
-from pmfid.estimators.least_squares import inverse_of, long_run_covariance
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.results import Tracks
 from pmfid.estimators.stretches import parts_of
-from pmfid.fleet.series import BACKWARD, FORWARD, LOOKED_AT, MOVED, ONE_SIZE, UNUSABLE
+from pmfid.fleet.missing_forces import measure_forces
+from pmfid.fleet.series import BACKWARD, FORWARD, ONE_SIZE, UNUSABLE
 from pmfid.fleet.settings import Settings, quarter_of, record_at, recursive
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
-from pmfid.models.equation import VISCOUS_BACKWARD, VISCOUS_FORWARD, Equation
-from pmfid.models.shapes import Square
 from pmfid.records.record import Record
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
@@ -48,7 +44,8 @@ class Stretch:
     """Samples (n,) of one segment, without a gap.
 
     `samples` is the slice of the record, including omitted rests. `lost` is the imputed part of the slice. `repeats` is
-    the number of times that each of the n samples occurs. `looked_at` is true if the segment gets a second look.
+    the number of times that each of the n samples occurs. `group` is that of neighbours, one of which is searched for
+    missing forces.
     `ages` (n,) are the ages of edges, if the data have them. `temperature` is the mean that friction follows, or NaN.
     """
 
@@ -62,7 +59,7 @@ class Stretch:
     counts: Counts
     lost: float
     repeats: float
-    looked_at: bool = False
+    group: tuple[str, float, int] = ("", 0.0, 0)
     ages: Floats | None = None
     temperature: float = math.nan
 
@@ -161,104 +158,36 @@ def _cut(samples: int, quarter: int) -> list[slice]:
     )
 
 
-#: Estimates with one of these bits get no second look.
+#: Estimates with one of these bits tell nothing of missing forces.
 SEEN = UNUSABLE | int(Status.UNMODELLED | Status.FALLBACK | Status.DEAD_TIME)
 
 
-def second_looks(
-    stretches: Sequence[Stretch],
-    estimator: RecursiveEstimator,
-    theta: Floats,
-    std: Floats,
-    status: NDArray[np.uint32],
-) -> NDArray[np.uint32]:
-    """Return the status (m,) of stretches, with the results of a second look at some apparently good stretches.
+def look_for_forces(
+    stretches: Sequence[Stretch], theta: Floats, std: Floats, status: NDArray[np.uint32], settings: Settings
+) -> list[list[float] | None]:
+    """Return the missing forces of some stretches, and None for the others.
 
-    The estimates `theta` and their standard deviations `std` are (m, p).
+    The first good estimate of each group counts, from theta and std (m, p) and the status (m,). A list has the rows of
+    `measure_forces` one after the other.
     """
-    if not isinstance(estimator, RIV):
-        return status
-    found, method = status.copy(), like(IV, estimator, prefilter_zeros=None)
-    for k, stretch in enumerate(stretches):
-        if stretch.looked_at and not status[k] & SEEN and np.all(np.isfinite(std[k])):
-            found[k] |= LOOKED_AT | (MOVED if is_moved(stretch, method, theta[k], std[k]) else 0)
+    found: list[list[float] | None] = [None] * len(stretches)
+    good = ((status & SEEN) == 0) & np.all(np.isfinite(std), axis=1)
+    seen = set[tuple[str, float, int]]()
+    for k in sorted(np.flatnonzero(good).tolist(), key=lambda k: (stretches[k].axis, stretches[k].start)):
+        one = stretches[k]
+        estimator = settings.adapt_estimator(one.dt, one.resolution)
+        if one.group in seen or not isinstance(estimator, RIV):
+            continue
+        seen.add(one.group)
+        u, counts, method = one.u[: TUNING.segments_most], one.counts[: TUNING.segments_most], like(IV, estimator)
+        with np.errstate(all="ignore"):  # nothing is known of a motion beyond the range of numbers
+            try:
+                rows = measure_forces(u, counts, one.resolution, method, theta[k], one.repeats)
+            except NotIdentifiableError:
+                continue
+        if np.all(np.isfinite(rows)) and np.all(rows[:, 1] > 0):
+            found[k] = rows.ravel().tolist()
     return found
-
-
-def is_moved(stretch: Stretch, method: IV, theta: Floats, std: Floats) -> bool:
-    """Return whether unmodelled effects may move a parameter too far.
-
-    The limit for theta (p,) comes from the standard deviation std (p,) and the tolerance.
-    """
-    allowed = np.maximum(TUNING.segments_noise * std, TUNING.segments_tolerance * np.abs(theta))
-    with np.errstate(all="ignore"):  # nothing is known of a motion beyond the range of numbers
-        try:
-            moves = _moves(stretch, method, theta)
-        except NotIdentifiableError:
-            return False
-    return bool(np.any(moves > allowed[:, None]))
-
-
-def _moves(stretch: Stretch, method: IV, theta: Floats) -> Floats:
-    """Return the change (p, k) of the parameters that each of k forces may cause."""
-    u, counts = stretch.u[: TUNING.segments_most], stretch.counts[: TUNING.segments_most]
-    columns = method.columns_at(theta, u, counts)
-    speed = velocity(counts) * (stretch.resolution / stretch.dt)
-    forces, plausible = _forces(method.equation, theta, speed, u)
-    # Rows without gaps in memory take half of the time.
-    filtered, phi, zeta = map(
-        np.ascontiguousarray, (_filter_forces(forces, method)[:, columns.used], columns.phi.T, columns.zeta.T)
-    )
-    inverse = inverse_of(zeta @ phi.T)
-    moves = -inverse @ (zeta @ filtered.T)
-    score = filtered - np.linalg.lstsq(zeta @ zeta.T, zeta @ filtered.T)[0].T @ zeta
-    scores = score * (columns.z - inverse @ (zeta @ columns.z) @ phi)
-    information = np.sum(score * (filtered + moves.T @ phi), axis=1)
-    variance = np.diagonal(long_run_covariance(scores.T, method.settle_samples)) * stretch.repeats
-    size, size_std = scores.sum(axis=1) / information, np.sqrt(variance) / np.abs(information)
-    asked = np.abs(size) > TUNING.segments_missed * size_std
-    sizes = np.where(asked, np.abs(size), np.sqrt(believed_square(size, size_std, plausible)))
-    return np.asarray(np.abs(moves) * sizes)
-
-
-def _forces(equation: Equation, theta: Floats, speed: Floats, u: Floats) -> tuple[Floats, Floats]:
-    """Return forces (k, n) per unit of their coefficients, and coefficients (k,) that a machine may plausibly have.
-
-    The first force is an input that does not act in proportion. If the model has no nonlinear friction, the other force
-    is friction that is not linear.
-    """
-    bent, usual = -equation.input_gain * u * np.abs(u) / _rms(u), _rms(speed[speed != 0])
-    if any(isinstance(term.shape, Square) for term in equation.shaped):
-        return bent[None], np.zeros(1)
-    values = equation.role_values(theta)
-    viscous = (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2
-    return np.stack([bent, speed * np.abs(speed) / usual**2]), np.array([0.0, TUNING.segments_curved * viscous * usual])
-
-
-def _filter_forces(forces: Floats, method: IV) -> Floats:
-    """Return forces (k, n) after the filters of a method. Its columns come one sample later than the forces."""
-    rate = 2 / method.dt
-    pole, gain = (rate - method.cutoff) / (rate + method.cutoff), method.cutoff / (rate + method.cutoff)
-    late = np.concatenate([np.zeros((forces.shape[0], 1)), forces[:, :-1]], axis=1)
-    for stage in range(method.order):
-        b = (0.0, 2 * gain) if stage == 0 else (gain, gain)
-        late = np.array([first_order(row, pole, *b)[0] for row in late])
-    return late
-
-
-def _rms(signal: Floats) -> float:
-    """Return the root mean square of a signal (n,)."""
-    return float(np.sqrt(np.mean(signal**2)))
-
-
-def velocity(counts: Counts) -> Floats:
-    """Return counts per sample (n,), each averaged over the time of a few counts at the usual speed."""
-    change = np.diff(counts, append=counts[-1]).astype(np.float64)
-    width = 2 * math.ceil(TUNING.segments_counts / max(_rms(change), 1e-3) / 2) - 1
-    if width < 3:
-        return change
-    total = np.cumsum(np.r_[np.zeros(width // 2 + 1), change, np.zeros(width // 2)])
-    return np.asarray((total[width:] - total[:-width]) / width)
 
 
 def settled_std(tracks: Tracks) -> Floats:
@@ -312,7 +241,7 @@ def cut_stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
         for share in shares_of(record.counts[whole], settled, quarter, span)
     )
     found = [
-        _stretch(piece, record, filled, first, share, k % TUNING.one_of == 0) for k, (first, share) in enumerate(shares)
+        _stretch(piece, record, filled, first, share, k // TUNING.one_of) for k, (first, share) in enumerate(shares)
     ]
     if not found:
         raise UsageError(
@@ -322,9 +251,7 @@ def cut_stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
     return found
 
 
-def _stretch(
-    piece: RecordPiece, record: Record, filled: Flags | None, first: int, share: Share, looked_at: bool
-) -> Stretch:
+def _stretch(piece: RecordPiece, record: Record, filled: Flags | None, first: int, share: Share, group: int) -> Stretch:
     """Return a stretch whose share starts at the sample `first` of the record. `filled` marks the imputed samples."""
     begin, end = first + int(share.places[0]), first + int(share.places[-1]) + 1
     return Stretch(
@@ -338,7 +265,7 @@ def _stretch(
         share.counts(record.counts[first:]),
         0.0 if filled is None else float(filled[first:][share.rows].mean()),
         share.repeats,
-        looked_at,
+        (piece.axis, piece.start, group),
         temperature=math.nan if record.temperature is None else float(record.temperature[first:][share.rows].mean()),
     )
 
@@ -352,17 +279,4 @@ def estimate_batch(
     tracks = fleet.run(u, counts, every=max(1, u.shape[1] // TUNING.segments_marks))
     theta = tracks.theta[:, -1]
     std = settled_std(tracks) * np.sqrt([[one.repeats] for one in stretches])
-    status = lasting_status(tracks) | evidence_gaps(u, counts)
-    return theta, std, second_looks(stretches, estimator, theta, std, status)
-
-
-def believed_square(size: Floats, std: Floats, plausible: Floats) -> Floats:
-    """Return the mean squares (k,) of coefficients with estimates `size` (k,) and standard deviations `std` (k,).
-
-    `plausible` (k,) is the usual size of each force. In a given machine, a force may also be absent.
-    """
-    prior, variance = plausible**2, std**2
-    share = prior / (prior + variance)
-    evidence = (np.log(variance / (prior + variance)) + share * (size / std) ** 2) / 2
-    weight = expit(evidence + math.log(TUNING.segments_odds))
-    return np.asarray(weight * (share * variance + (share * size) ** 2))
+    return theta, std, lasting_status(tracks) | evidence_gaps(u, counts)

@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
+from pmfid.fleet.missing_forces import ModelError, model_error
 from pmfid.fleet.source import TEMPERATURE, seconds
 from pmfid.fleet.tuning import TUNING
 from pmfid.status import Status
@@ -19,9 +20,10 @@ from pmfid.types import Flags, Floats
 #: An estimate with one of these bits at its end is not used.
 UNUSABLE = int(Status.STARTING | Status.SETTLING | Status.POOR_EXCITATION | Status.COMPENSATION_HELD | Status.RESET)
 #: Bits of a segment beyond `Status`. The first two mean motion in only one direction, where a load looks like friction.
-#: The third means an input of only one size, where saturation or a dead zone looks like another force per input. The
-#: fourth means a second look, the fifth that this look found a possible effect of an unmodelled force.
-FORWARD, BACKWARD, ONE_SIZE, LOOKED_AT, MOVED = 1 << 31, 1 << 30, 1 << 29, 1 << 28, 1 << 27
+#: The third means an input of only one size, where saturation or a dead zone looks like another force per input.
+FORWARD, BACKWARD, ONE_SIZE = 1 << 31, 1 << 30, 1 << 29
+#: Column of the forces that the model of a segment may lack.
+FORCES = "missing forces"
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class Series:
 
     `start`, `end` and `dt` (n,) are in s. `samples` is (n,). `lost` (n,) is the imputed part of the samples. `status`
     is (n,), and `theta` and `std` are (n, p). `temperature` (n,) is that of each segment, if
-    the friction follows one.
+    the friction follows one. `forces` (n, k, 2 + p) are those that the model may lack, NaN for most segments.
     """
 
     start: Floats
@@ -42,6 +44,7 @@ class Series:
     theta: Floats
     std: Floats
     temperature: Floats | None = None
+    forces: Floats | None = None
 
     def __getitem__(self, kept: Flags | slice) -> Series:
         if not isinstance(kept, slice) and kept.all():
@@ -63,6 +66,14 @@ class Series:
         return clean if 2 * np.count_nonzero(clean) > np.count_nonzero(self.known) else self.known
 
     @cached_property
+    def model_error(self) -> ModelError:
+        """The error of the parameters by forces that the model may lack. All segments share this error."""
+        p = self.theta.shape[1]
+        if self.forces is None or not self.forces.size:
+            return ModelError(np.zeros(p), np.zeros(p))
+        return model_error(self.forces[np.isfinite(self.forces).all(axis=(1, 2))], p)
+
+    @cached_property
     def known(self) -> Flags:
         """The segments with a usable estimate, as flags (n,).
 
@@ -81,7 +92,19 @@ def series_of(rows: pl.DataFrame, names: tuple[str, ...]) -> Series:
     status = rows["status"].to_numpy().astype(np.uint32)
     warm = rows[TEMPERATURE].to_numpy()
     temperature = warm if np.all(np.isfinite(warm)) else None
-    return Series(start, end, rows["samples"].to_numpy(), lost, dt, status, theta, std, temperature)
+    whole = start, end, rows["samples"].to_numpy(), lost, dt, status, theta, std, temperature
+    return Series(*whole, _forces_of(rows[FORCES], len(names)))
+
+
+def _forces_of(column: pl.Series, p: int) -> Floats:
+    """Return the forces (n, k, 2 + p) of all segments, NaN where the segment was not searched."""
+    values = column.to_list()
+    size = max((len(one) for one in values if one is not None), default=0)
+    forces = np.full((len(values), size), np.nan)
+    for k, one in enumerate(values):
+        if one is not None:
+            forces[k] = one
+    return forces.reshape(len(values), -1, 2 + p) if size else forces.reshape(len(values), 0, 2 + p)
 
 
 def widen_errors(series: Series) -> Series:
@@ -198,18 +221,21 @@ def period_rows(
 
     `kind` is the type of the axis. `codes` has times [s] and names of findings in its rows.
     """
-    numbers, always = periods.numbers(series, segment), standing(series)
+    numbers, always, error = periods.numbers(series, segment), standing(series), series.model_error.std
     for number in np.unique(numbers):
         part = series[numbers == number]
         begin = periods.begin(int(number), float(part.start[0]))
         end = float(part.end[-1]) if periods.length is None else begin + periods.length
         own = always | {code for at, code in codes if not at < begin and at < end}
-        yield _row(axis, kind, part, names, begin, own)
+        yield _row(axis, kind, part, names, begin, own, error)
 
 
-def _row(axis: str, kind: str, part: Series, names: Sequence[str], begin: float, codes: set[str]) -> dict[str, object]:
+def _row(
+    axis: str, kind: str, part: Series, names: Sequence[str], begin: float, codes: set[str], error: Floats
+) -> dict[str, object]:
     used = part[part.usable]
     theta, std = mean_of(used)
+    std = np.hypot(std, error)
     lost = float(np.average(part.lost, weights=part.samples))
     findings = codes | codes_of(part)
     row: dict[str, object] = {"axis": axis, "type": kind, "period": begin}
@@ -231,8 +257,8 @@ def standing(series: Series) -> set[str]:
     many = {bit: np.count_nonzero(used.status & int(bit)) for bit in REPORTED}
     which = (bit for bit in REPORTED if many[bit] >= max(SEVERAL, SHARE[bit] * used.start.size))
     names = {str(bit.name).lower() for bit in which} | ({"one_way"} if _uneven(used) else set())
-    looked_at, moved = (np.count_nonzero(used.status & bit) for bit in (LOOKED_AT, MOVED))
-    return names | ({"unmodelled"} if moved > TUNING.series_looks * looked_at else set())
+    moved = series.model_error.likely > TUNING.model_tolerance * np.abs(mean_of(used)[0])
+    return names | ({"unmodelled"} if np.any(moved) else set())
 
 
 def _uneven(used: Series) -> bool:

@@ -105,7 +105,7 @@ class SparkRows:
 
         day = sql.floor(sql.col(SLICE) / TUNING.plan_block).alias("day")
         rows = self._number_slices(work.length).where(sql.col(SLICE).isNotNull()).select(*self.columns.carried, day)
-        kinds = {pl.String: "string", pl.Float64: "double", pl.Int64: "long"}
+        kinds = {pl.String: "string", pl.Float64: "double", pl.Int64: "long", pl.List(pl.Float64): "array<double>"}
         schema = ", ".join(f"`{name}` {kinds[kind]}" for name, kind in work.schema.items())
         grouped = rows.groupBy(AXIS, "day").applyInArrow(act, schema)
         return arrow_of(grouped)

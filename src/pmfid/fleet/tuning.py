@@ -28,6 +28,17 @@ class FleetTuning:
     #: Least part of the axes that makes a kind. Fewer axes are outliers.
     least_part: float = 0.1
 
+    # missing_forces
+    #: Plausible sizes: a gain that falls at the usual input, friction beyond viscous friction at the usual speed, and
+    #: friction at rest beyond Coulomb friction, each as a part. `slow_speed` is the usual Stribeck speed as a part of
+    #: the usual speed.
+    input_bends: float = 0.15
+    friction_bends: float = 0.15
+    friction_at_rest: float = 0.3
+    slow_speed: float = 0.1
+    #: Part of its size by which a missing force may move a parameter before the axis reports the force.
+    model_tolerance: float = 0.02
+
     # plan
     #: Length of a day [s], and of a slice [s].
     plan_day: float = 86_400.0
@@ -59,21 +70,9 @@ class FleetTuning:
     #: Least duration of a few moves with the ends of the rests on both sides, in settling times. Of a shorter motion
     #: the filters see only begin and end. Repetitions of one motion have the same error.
     segments_between: int = 3
-    #: Part of its size by which a parameter may move. With a controller that feeds the encoder's error back, absent
-    #: forces seem to move a parameter by up to 2 %.
-    segments_tolerance: float = 0.02
-    #: Standard errors within which a change of a parameter is noise.
-    segments_noise: float = 3.0
-    #: A force is missed if its score exceeds this number of standard deviations. Chance does so once in a thousand.
-    segments_missed: float = 4.0
-    #: Usual friction that is not linear at the usual speed, as a part of viscous friction, and the odds that a machine
-    #: has it.
-    segments_curved: float = 0.15
-    segments_odds: float = 10.0
     #: Least number of counts over which a velocity is computed, at the usual speed.
     segments_counts: float = 4.0
-    #: Largest number of samples for a second look. A few samples suffice, and a second look takes longer than the
-    #: estimate.
+    #: Largest number of samples that are searched for missing forces. The search takes longer than the estimate.
     segments_most: int = 2**15
     #: Number of estimates of a segment that are kept.
     segments_marks: int = 16
@@ -92,7 +91,7 @@ class FleetTuning:
     edges_least: int = 100
     #: Number of samples with edge times that are estimated at once, whose results are all in memory.
     edges_batch: int = 2**18
-    #: One segment in `one_of` of a piece has a second look.
+    #: One segment in `one_of` of a piece is searched for missing forces.
     one_of: int = 16
 
     # series
@@ -108,8 +107,6 @@ class FleetTuning:
     series_median: float = 0.6745
     #: Pause after which a new run begins [s]. For long segments, the pause is as long as a segment.
     series_pause: float = 60.0
-    #: Part of the second looks that may find a deviation, because a change lies in one of the segments.
-    series_looks: float = 0.25
     #: Largest allowed difference between estimates from opposite directions, in standard deviations and as a part of
     #: their size.
     series_agrees: float = 4.0

@@ -29,7 +29,8 @@ class Follow:
 
     `theta` and `std` (p,) are the estimate at the end, since the last step. `segments` is the number of usable
     segments. `wander` is the evidence of step and trend beyond wandering, or None if neither is clear. `dt` is the
-    median sample period [s]. `codes` has the findings on theta.
+    median sample period [s]. `codes` has the findings on theta. `error` (p,) is the error of theta by forces that the
+    model may lack.
     """
 
     axis: str
@@ -44,6 +45,7 @@ class Follow:
     codes: frozenset[str] = frozenset()
     last: float = math.nan
     pause: float = math.inf
+    error: Floats | float = 0.0
 
     @property
     def quality(self) -> str:
@@ -117,7 +119,8 @@ def follow_axis(axis: str, kind: str, series: Series, names: Sequence[str], tole
     last = float(series.end.max()) if series.end.size else math.nan
     pauses = series.start[1:] - series.end[:-1]
     pause = float(np.max(pauses, initial=0.0)) if series.end.size >= TUNING.verdicts_sure else math.inf
-    return Follow(axis, kind, int(used.start.size), theta, std, step, trend, wander, dt, codes, last, pause)
+    facts = axis, kind, int(used.start.size), theta, std, step, trend, wander, dt, codes, last, pause
+    return Follow(*facts, series.model_error.std)
 
 
 def judge_axes(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[AxisVerdict]:
