@@ -62,14 +62,12 @@ distinguished: the spread of the type is then wider, and it takes more to be nam
 
 Files in which many axes are mixed row by row are sorted by Polars into temporary files, in the folder of `--out`. A
 Delta table is read by its log (`pip install 'pmfid[delta]'`).
-One segment in 16 is searched for forces that the model may lack: an input that bends, quadratic friction and friction
-at rest. The bars of periods and axes contain the errors by these forces, weighted with the odds that they exist.
-Changes are still found against the axis's own past, without this common error. Other gaps of the model the bars do not
-hold. The findings say so, and the quality of a period and of an axis is then `doubt`: `unmodelled`,
-`dead_time` and `feedback` if at least half of the segments of a period have it, and of all periods of an axis if a part
-of its segments has it (a tenth, a quarter, a quarter); `one_way` if estimates from moves forward contradict those
-from moves backward, as with a load, or if there is one direction alone; `one_size` if the input has one size alone,
-where saturation or a dead zone looks like another force per input.
+One segment in 16 is searched for missing forces: an input that bends, quadratic friction, friction at rest. The bars
+contain the errors by these forces. The findings say what else is off, and the quality of a period and of an axis is
+then `doubt`: `unmodelled`, `dead_time` and `feedback` if at least half of the segments of a period have it, and of all
+periods of an axis if a part of its segments has it (a tenth, a quarter, a quarter); `one_way` if estimates from moves
+forward contradict those from moves backward, as with a load, or if there is one direction alone; `one_size` if the
+input has one size alone, where saturation or a dead zone looks like another force per input.
 
 Rests longer than four settling times of the filters take no place in a segment, so that a segment may span up to ten
 times its length, and no more than a period. A few moves from rest to rest are gone through more than once, until the

@@ -15,11 +15,11 @@ from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.redge import REdge
 from pmfid.fleet.edge_segments import cut_edge_stretches, estimate_edge_batch, split_at_missing_rows
-from pmfid.fleet.plan import RowProblem
 from pmfid.fleet.segments import RecordPiece, Stretch, cut_stretches, estimate_batch, look_for_forces
 from pmfid.fleet.series import FORCES
 from pmfid.fleet.settings import Settings
 from pmfid.fleet.source import AXIS, TEMPERATURE, TIME, SourceColumns
+from pmfid.fleet.survey import RowProblem
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
 from pmfid.types import Floats
@@ -29,17 +29,16 @@ Schema = dict[str, pl.DataType | type[pl.DataType]]
 
 @dataclass(frozen=True)
 class Work:
-    """The work on rows, with its settings and columns. `length` is the duration of a slice [s]."""
+    """The work on rows, with its settings and columns."""
 
     settings: Settings
     columns: SourceColumns
-    length: float
     version: str = __version__
 
     def evaluate(self, frame: pl.DataFrame) -> pl.DataFrame:
         """Return the segments of some axes, and the problems with their rows, in the columns of `schema`.
 
-        `frame` has the columns of `source`, in any order, and whole slices of each axis. Raises UsageError if another
+        `frame` has the columns of `source`, in any order, and whole hours of each axis. Raises UsageError if another
         version of the package has prepared the work.
         """
         if self.version != __version__:
@@ -47,7 +46,7 @@ class Work:
                 f"the executors have pmfid {__version__}, but the driver has {self.version}: install the same version "
                 "on both"
             )
-        pieces, problems = pieces_of(frame, self.columns, self.length)
+        pieces, problems = pieces_of(frame, self.columns)
         rows, found = solve(pieces, self.settings)
         reports = pl.DataFrame([asdict(one) for one in (*problems, *found)], PROBLEM)
         return pl.concat([pl.DataFrame(schema=self.schema), rows, reports], how="diagonal")
@@ -74,10 +73,8 @@ PROBLEM: Schema = {
 }
 
 
-def pieces_of(
-    frame: pl.DataFrame, columns: SourceColumns, length: float
-) -> tuple[Iterator[RecordPiece], list[RowProblem]]:
-    """Return the pieces of rows in any order, and the problems of repeated rows. `length` is that of a slice [s].
+def pieces_of(frame: pl.DataFrame, columns: SourceColumns) -> tuple[Iterator[RecordPiece], list[RowProblem]]:
+    """Return the pieces of rows in any order, and the problems of repeated rows.
 
     Of equal rows one is kept, of contradictory rows none.
     """
@@ -97,7 +94,7 @@ def pieces_of(
             time = own[TIME].to_numpy()
         if time.size:
             axes.append((axis, time, {columns.named[name]: own[name].to_numpy() for name in columns.carried[2:]}))
-    return (piece for one in axes for piece in _cut_rows(*one, columns.time, length)), problems
+    return (piece for one in axes for piece in _cut_rows(*one, columns.time)), problems
 
 
 def _order_rows(own: pl.DataFrame, axis: str) -> tuple[pl.DataFrame, list[RowProblem]]:
@@ -118,12 +115,12 @@ def _order_rows(own: pl.DataFrame, axis: str) -> tuple[pl.DataFrame, list[RowPro
     ]
 
 
-def _cut_rows(axis: str, time: Floats, others: Mapping[str, Floats], name: str, length: float) -> Iterator[RecordPiece]:
-    """Yield the pieces of the rows of an axis, in order: records without a gap within a slice.
+def _cut_rows(axis: str, time: Floats, others: Mapping[str, Floats], name: str) -> Iterator[RecordPiece]:
+    """Yield the pieces of the rows of an axis, in order: records without a gap within an hour.
 
     `name` is the name of the time in the table of a piece.
     """
-    ends = np.flatnonzero(np.diff(np.floor(time / length))) + 1
+    ends = np.flatnonzero(np.diff(np.floor(time / TUNING.hour))) + 1
     for first, last in zip([0, *ends], [*ends, time.size], strict=True):
         cuts = _find_gaps(time[first:last]) + first
         for low, high in zip([first, *cuts], [*cuts, last], strict=True):
@@ -139,10 +136,10 @@ def _find_gaps(time: Floats) -> NDArray[np.intp]:
     return np.flatnonzero(steps > TUNING.rows_apart * np.median(steps)) + 1
 
 
-def longest_tables(frame: pl.DataFrame, columns: SourceColumns, length: float) -> Iterator[Table]:
+def longest_tables(frame: pl.DataFrame, columns: SourceColumns) -> Iterator[Table]:
     """Yield the longest piece of each axis in the rows of some axes, in the order of their names."""
     longest = dict[str, RecordPiece]()
-    for piece in pieces_of(frame, columns, length)[0]:
+    for piece in pieces_of(frame, columns)[0]:
         before = longest.setdefault(piece.axis, piece)
         if len(piece.table[columns.time]) > len(before.table[columns.time]):  # type: ignore[arg-type]
             longest[piece.axis] = piece

@@ -17,11 +17,11 @@ from pmfid.config.keys import AxisKeys
 from pmfid.durable import replace_file
 from pmfid.errors import UsageError, printable
 from pmfid.fleet.evaluate import Work, longest_tables
-from pmfid.fleet.files import Files, Progress
-from pmfid.fleet.plan import ROWS, SLICE, RowProblem, slice_length
+from pmfid.fleet.local import Files, Progress
 from pmfid.fleet.series import Periods, Series, period_rows, series_of, widen_errors
 from pmfid.fleet.settings import Settings, choose, make_settings
 from pmfid.fleet.source import AXIS, RESULTS, TYPE, SourceColumns, SparkFrame, is_spark, parts_of
+from pmfid.fleet.survey import HOUR, ROWS, RowProblem
 from pmfid.fleet.tuning import TUNING
 from pmfid.fleet.verdicts import (
     CHANGED,
@@ -308,11 +308,10 @@ def _rows_of(data: object, columns: SourceColumns, out: Path | None, workers: in
 def _estimate(
     axis: Axis, data: Files | SparkRows, periods: Periods, segment: float | None, tolerance: float, tell: Progress
 ) -> History:
-    length = slice_length(periods.length)
-    survey = data.survey(length)
-    chosen = choose(axis, longest_tables(data.read(_samples(survey.rows), length), data.given, length))
-    settings = make_settings(axis, chosen, min(length / 2, periods.length or length), segment)
-    work = Work(settings, data.given, length)
+    survey = data.survey()
+    chosen = choose(axis, longest_tables(data.read(_samples(survey.rows)), data.given))
+    settings = make_settings(axis, chosen, min(TUNING.hour / 2, periods.length or TUNING.hour), segment)
+    work = Work(settings, data.given)
     rows, problems = work.split(data.evaluate(work, tell))
     # If an axis has several types, the first by name counts.
     types = dict(survey.rows.group_by(AXIS).agg(pl.col(TYPE).min()).sort(AXIS).iter_rows())
@@ -321,12 +320,10 @@ def _estimate(
 
 
 def _samples(rows: pl.DataFrame) -> pl.DataFrame:
-    """Return the first slice of some axes, which decide on the filters."""
-    first = (
-        rows.group_by(AXIS, SLICE).agg(pl.sum(ROWS)).sort(AXIS, SLICE).unique(AXIS, keep="first", maintain_order=True)
-    )
+    """Return the first hour of some axes, which decide on the filters."""
+    first = rows.group_by(AXIS, HOUR).agg(pl.sum(ROWS)).sort(AXIS, HOUR).unique(AXIS, keep="first", maintain_order=True)
     fitting = first.filter(pl.col(ROWS).cum_sum() <= TUNING.plan_rows)
-    return (fitting if fitting.height else first.head(1)).head(TUNING.tried_axes).select(AXIS, SLICE)
+    return (fitting if fitting.height else first.head(1)).head(TUNING.tried_axes).select(AXIS, HOUR)
 
 
 def _several(rows: pl.DataFrame) -> Iterator[RowProblem]:

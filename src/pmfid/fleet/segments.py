@@ -28,7 +28,7 @@ from pmfid.types import Counts, Flags, Floats
 
 @dataclass(frozen=True)
 class RecordPiece:
-    """Rows of one axis and one slice without a gap.
+    """Rows of one axis and one hour without a gap.
 
     `start` is the time of the first sample [s]. `table` has the columns by their name in the data, with the time
     counted from the start.
@@ -43,7 +43,7 @@ class RecordPiece:
 class Stretch:
     """Samples (n,) of one segment, without a gap.
 
-    `samples` is the slice of the record, including omitted rests. `lost` is the imputed part of the slice. `repeats` is
+    `samples` is their number in the record, including omitted rests. `lost` is the imputed part. `repeats` is
     the number of times that each of the n samples occurs. `group` is that of neighbours, one of which is searched for
     missing forces.
     `ages` (n,) are the ages of edges, if the data have them. `temperature` is the mean that friction follows, or NaN.

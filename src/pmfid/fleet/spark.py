@@ -12,8 +12,8 @@ import polars as pl
 
 from pmfid.errors import UsageError
 from pmfid.fleet.evaluate import Work
-from pmfid.fleet.plan import END, FIRST, LAST, ROWS, SLICE, START, Survey, join_surveys, survey_of
 from pmfid.fleet.source import AXIS, FRAME, TIME, TYPE, Part, SourceColumns
+from pmfid.fleet.survey import FIRST, HOUR, LAST, ROWS, Survey, join_surveys, survey_of
 from pmfid.fleet.tuning import TUNING
 
 if TYPE_CHECKING:
@@ -66,36 +66,33 @@ class SparkRows:
         kinds = ", ".join(f"`{key}` {'string' if key in (AXIS, TYPE) else 'double'}" for key in names)
         return self._frame.select(chosen).mapInArrow(read, kinds)
 
-    def _number_slices(self, length: float) -> DataFrame:
-        """The rows with the number of their slice, null for rows without an axis or a valid time."""
+    def _number_hours(self) -> DataFrame:
+        """The rows with the number of their hour, null for rows without an axis or a valid time."""
         from pyspark.sql import functions as sql
 
         known = sql.col(AXIS).isNotNull() & (sql.abs(TIME) < float("inf"))
-        return self._rows.withColumn(SLICE, sql.when(known, sql.floor(sql.col(TIME) / length)))
+        return self._rows.withColumn(HOUR, sql.when(known, sql.floor(sql.col(TIME) / TUNING.hour)))
 
-    def survey(self, length: float) -> Survey:
+    def survey(self) -> Survey:
         from pyspark.sql import functions as sql
 
         ends = [sql.min(TIME).alias(FIRST), sql.max(TIME).alias(LAST)]
         kind = sql.coalesce(sql.min(TYPE), sql.lit("")) if self.columns.type else sql.lit("")
         counts = (
-            self._number_slices(length)
-            .groupBy(AXIS, SLICE)
-            .agg(sql.count(sql.lit(1)).alias(ROWS), *ends, kind.alias(TYPE))
+            self._number_hours().groupBy(AXIS, HOUR).agg(sql.count(sql.lit(1)).alias(ROWS), *ends, kind.alias(TYPE))
         )
-        found = arrow_of(counts).with_columns(pl.lit(0, pl.Int64).alias(START), pl.lit(0, pl.Int64).alias(END))
-        return join_surveys([survey_of(FRAME, found, self._part.other_types(self.given), self.given.factor)])
+        return join_surveys([survey_of(FRAME, arrow_of(counts), self._part.other_types(self.given), self.given.factor)])
 
-    def read(self, wanted: pl.DataFrame, length: float) -> pl.DataFrame:
-        """Return the rows of some axes and slices."""
+    def read(self, wanted: pl.DataFrame) -> pl.DataFrame:
+        """Return the rows of some axes and hours."""
         from pyspark.sql import functions as sql
 
-        pairs = self._frame.sparkSession.createDataFrame(wanted.select(AXIS, SLICE).to_arrow())
-        chosen = self._number_slices(length).join(sql.broadcast(pairs), [AXIS, SLICE])
+        pairs = self._frame.sparkSession.createDataFrame(wanted.select(AXIS, HOUR).to_arrow())
+        chosen = self._number_hours().join(sql.broadcast(pairs), [AXIS, HOUR])
         return arrow_of(chosen.select(self.columns.carried))
 
     def evaluate(self, work: Work, tell: Callable[[float], None]) -> pl.DataFrame:
-        """Return the results for all axes. Spark brings the slices of a day of each axis together."""
+        """Return the results for all axes. Spark brings the hours of a day of each axis together."""
         from pyspark.sql import functions as sql
 
         def act(table: pa.Table) -> pa.Table:
@@ -103,8 +100,8 @@ class SparkRows:
 
             return pyarrow.Table.from_batches(_batches(work.evaluate(cast(pl.DataFrame, pl.from_arrow(table)))))
 
-        day = sql.floor(sql.col(SLICE) / TUNING.plan_block).alias("day")
-        rows = self._number_slices(work.length).where(sql.col(SLICE).isNotNull()).select(*self.columns.carried, day)
+        day = sql.floor(sql.col(HOUR) * TUNING.hour / TUNING.plan_day).alias("day")
+        rows = self._number_hours().where(sql.col(HOUR).isNotNull()).select(*self.columns.carried, day)
         kinds = {pl.String: "string", pl.Float64: "double", pl.Int64: "long", pl.List(pl.Float64): "array<double>"}
         schema = ", ".join(f"`{name}` {kinds[kind]}" for name, kind in work.schema.items())
         grouped = rows.groupBy(AXIS, "day").applyInArrow(act, schema)
@@ -112,10 +109,11 @@ class SparkRows:
 
 
 def _batches(frame: pl.DataFrame) -> list[pa.RecordBatch]:
-    """Return record batches with the types of Spark, which has only one type of text."""
+    """Return record batches with the types of Spark, which has only one type of text and one of lists."""
     import pyarrow as pa
 
     table = frame.to_arrow()
     kinds = {pa.large_string(): pa.string(), pa.string_view(): pa.string()}
+    kinds[pa.large_list(pa.float64())] = pa.list_(pa.float64())
     schema = pa.schema([(field.name, kinds.get(field.type, field.type)) for field in table.schema])
     return list(table.cast(schema).to_batches())

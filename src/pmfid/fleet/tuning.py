@@ -39,23 +39,21 @@ class FleetTuning:
     #: Part of its size by which a missing force may move a parameter before the axis reports the force.
     model_tolerance: float = 0.02
 
-    # plan
-    #: Length of a day [s], and of a slice [s].
+    # local
+    #: Length of a day and of an hour [s]. A day of an axis comes before the day of the next axis.
     plan_day: float = 86_400.0
-    plan_slice: float = 3600.0
-    #: Number of slices of an axis that come before those of the next axis.
-    plan_block: int = 24
+    hour: float = 3600.0
     #: Number of rows that all threads have in memory together, and least number of one thread. A row takes 40 bytes,
     #: and as much again while rows are sorted and estimates computed.
     plan_rows: int = 2**22
     plan_least: int = 2**18
-    #: Multiple of the rows of a part above which its rows are sorted first, because chunks would read more.
+    #: Number of chunks with rows of one part above which the rows are sorted first, because each chunk reads the part.
     plan_times: int = 3
     #: Free space below which a failed write means a full disk [bytes].
     plan_free: int = 2**24
 
     # rows
-    #: Longest step within a piece, in medians of a slice. After a longer step, the next sample starts a new piece.
+    #: Longest step within a piece, in medians of an hour. After a longer step, the next sample starts a new piece.
     #: Shorter gaps stay within a record.
     rows_apart: float = 8.5
 
@@ -132,7 +130,7 @@ class FleetTuning:
     settings_tried: tuple[int, int, int] = (10, 3, 30)
     #: Factor by which standard errors may grow as the price of quicker filters.
     settings_cheap: float = 3.0
-    #: Largest number of axes whose first slice may decide, number of examined records, and of segments in each.
+    #: Largest number of axes whose first hour may decide, number of examined records, and of segments in each.
     tried_axes: int = 25
     settings_records: int = 8
     settings_most: int = 5

@@ -1,0 +1,189 @@
+"""Files and frames with the rows of a history, and the work on them by threads of this machine."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, nullcontext
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, TypeVar
+
+import polars as pl
+
+from pmfid.errors import UsageError, whole_number
+from pmfid.estimators.fleet import processors
+from pmfid.fleet.evaluate import PROBLEM, Work
+from pmfid.fleet.source import AXIS, Part, SourceColumns
+from pmfid.fleet.survey import HOUR, PART, ROWS, RowProblem, Survey, hour_of, join_surveys, survey_part, unreadable
+from pmfid.fleet.tuning import TUNING
+from pmfid.io.safety import readable
+
+A = TypeVar("A")
+B = TypeVar("B")
+#: A function that is called with the completed part of the work, 0 to 1.
+Progress = Callable[[float], None]
+CHUNK = "chunk"
+#: Problem of a file that changed while it was read.
+REWRITTEN = "the file changed while pmfid read it: run the command again once the file is complete"
+
+
+@dataclass(frozen=True)
+class Chunk:
+    """Rows that are in memory together: hours of axes in `wanted`. `reads` has what returns the rows of each part."""
+
+    wanted: pl.DataFrame
+    reads: Sequence[tuple[Part, Callable[[], pl.LazyFrame]]]
+    rows: int
+
+    def read(self) -> tuple[pl.DataFrame, list[RowProblem]]:
+        """Return the rows, in the order of the parts. Parts that cannot be read have problems in place of rows."""
+        frames, problems = list[pl.DataFrame](), list[RowProblem]()
+        for part, rows in self.reads:
+            try:
+                with readable("data"):
+                    found = rows().with_columns(hour_of()).join(self.wanted.lazy(), on=[AXIS, HOUR], how="semi")
+                    frames.append(found.drop(HOUR).collect())
+            except UsageError as error:
+                problems.append(unreadable(part, error))
+            if part.rewritten:
+                problems.append(RowProblem("", part.name, "rewritten", REWRITTEN))
+        return pl.concat(frames) if frames else pl.DataFrame(), problems
+
+
+class Files:
+    """Files, or frames in memory. `SparkRows` has the same methods for rows that stay in Spark.
+
+    `folder` takes the rows of files that mix their axes; None takes the folder for temporary files. `workers` is the
+    number of threads, by default one for each processor. Raises UsageError for a number below 1.
+    """
+
+    def __init__(
+        self, parts: Sequence[Part], columns: SourceColumns, folder: Path | None, workers: int | None = None
+    ) -> None:
+        if workers is not None:
+            whole_number("workers", workers, 1, "it is the number of threads; None uses one for each processor")
+        self._parts, self.given, self._folder = {part.name: part for part in parts}, columns, folder
+        self._threads = workers or processors()
+
+    def _map(self, work: Callable[[A], B], items: Sequence[A]) -> Iterator[B]:
+        """Yield the result of `work` for each item, in the order of the items."""
+        pool = ThreadPoolExecutor(self._threads)
+        try:
+            yield from pool.map(work, items)
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+    def survey(self) -> Survey:
+        """Find all axes and their times. This call comes first.
+
+        Raises UsageError if a column is missing everywhere, or if no part can be read.
+        """
+        try:
+            parts = list(self._parts.values())
+            self._survey = join_surveys(list(self._map(partial(survey_part, columns=self.given), parts)))
+        except UsageError:
+            refusals = list(self._refusals())
+            if not refusals:
+                raise
+            # A column that is missing everywhere is the likelier mistake than a damaged file.
+            raise UsageError(next((one for one in refusals if "no column" in one), refusals[0])) from None
+        return self._survey
+
+    def _refusals(self) -> Iterator[str]:
+        """Yield the reasons why parts have no such columns."""
+        for part in self._parts.values():
+            try:
+                part.rows(self.given)
+            except UsageError as error:
+                yield f"{part.name}: {error}"
+
+    def _rows(self, part: Part) -> pl.LazyFrame:
+        return part.rows(self.given).select(self.given.carried)
+
+    def read(self, wanted: pl.DataFrame) -> pl.DataFrame:
+        """Return the rows of some axes and hours."""
+        rows = self._survey.rows.join(wanted, on=[AXIS, HOUR], how="semi")
+        return self._chunk(rows, {}).read()[0]
+
+    def _chunk(self, rows: pl.DataFrame, sorted_rows: Mapping[str, Callable[[], pl.LazyFrame]]) -> Chunk:
+        """Return the chunk with some rows of the survey. `sorted_rows` has the rows of parts that mix their axes."""
+        parts = [self._parts[name] for name in rows[PART].unique().sort()]
+        reads = [(part, sorted_rows.get(part.name, partial(self._rows, part))) for part in parts]
+        return Chunk(rows.select(AXIS, HOUR).unique(), reads, int(rows[ROWS].sum()))
+
+    def evaluate(self, work: Work, tell: Progress) -> pl.DataFrame:
+        """Return the results for all rows."""
+        numbered = number_chunks(self._survey.rows, max(TUNING.plan_rows // self._threads, TUNING.plan_least))
+        results, done, total = [pl.DataFrame(schema=work.schema)], 0, int(numbered[ROWS].sum())
+        with self._sort_mixed(numbered) as folders:
+            chunks = list[Chunk]()
+            for (number,), rows in numbered.group_by(CHUNK, maintain_order=True):
+                inside = {name: partial(_scan, folder / f"{CHUNK}={number}") for name, folder in folders.items()}
+                chunks.append(self._chunk(rows, inside))
+            for chunk, found in zip(chunks, self._map(partial(_evaluate_chunk, work), chunks), strict=True):
+                results.append(found)
+                done += chunk.rows
+                tell(done / total)
+        return pl.concat(results)
+
+    @contextmanager
+    def _sort_mixed(self, numbered: pl.DataFrame) -> Iterator[dict[str, Path]]:
+        """Open a context with a folder for each part of which many chunks have rows. The folder has a folder for each
+        chunk.
+
+        Raises UsageError if the disk is full. A damaged part has no folder, so that each chunk reports the part.
+        """
+        many = numbered.group_by(PART).agg(pl.col(CHUNK).n_unique()).filter(pl.col(CHUNK) > TUNING.plan_times)
+        mixed = sorted(many[PART])
+        with TemporaryDirectory(prefix="pmfid-", dir=self._folder) if mixed else nullcontext("") as there:
+            folders = {name: Path(there) / str(k) for k, name in enumerate(mixed)}
+            yield {name: to for name, to in folders.items() if self._sort(self._parts[name], numbered, to)}
+
+    def _sort(self, part: Part, numbered: pl.DataFrame, folder: Path) -> bool:
+        """Write the rows of a part into a folder for each chunk, and return whether the part can be read."""
+        places = numbered.filter(pl.col(PART) == part.name).select(AXIS, HOUR, CHUNK).lazy()
+        try:
+            with readable("data"):
+                rows = self._rows(part).with_columns(hour_of()).join(places, on=[AXIS, HOUR]).drop(HOUR)
+                rows.sink_parquet(_folders_by_chunk(folder), compression="lz4", mkdir=True)
+        except UsageError:
+            if shutil.disk_usage(folder.parent).free < TUNING.plan_free:
+                raise UsageError(
+                    f"{folder.parent.parent}: no space left on this disk; {part.name} mixes the rows of its axes, and "
+                    "pmfid sorts them there: free some space, or choose another folder"
+                ) from None
+            return False
+        return True
+
+
+def number_chunks(rows: pl.DataFrame, most: int) -> pl.DataFrame:
+    """Return the survey's rows with the number of their chunk. A chunk has about `most` rows.
+
+    A chunk holds the hours of a day of an axis, then those of the next axis, so that files by time and files by axis
+    are each read in one piece.
+    """
+    whole = rows.group_by(AXIS, HOUR).agg(pl.sum(ROWS)).sort(pl.col(HOUR) * TUNING.hour // TUNING.plan_day, AXIS, HOUR)
+    number = ((pl.col(ROWS).cum_sum() - pl.col(ROWS)) // most).alias(CHUNK)
+    return rows.join(whole.select(AXIS, HOUR, number), on=[AXIS, HOUR]).sort(CHUNK, AXIS, HOUR, PART)
+
+
+def _folders_by_chunk(folder: Path) -> Any:
+    """Return the target of Polars for a folder for each chunk, whose name differs between its versions."""
+    if hasattr(pl, "PartitionBy"):
+        return pl.PartitionBy(folder, key=CHUNK, include_key=False)
+    return getattr(pl, "PartitionByKey")(folder, by=[CHUNK], include_key=False)  # noqa: B009  unknown to later versions
+
+
+def _scan(folder: Path) -> pl.LazyFrame:
+    return pl.scan_parquet(folder, hive_partitioning=False)
+
+
+def _evaluate_chunk(work: Work, chunk: Chunk) -> pl.DataFrame:
+    rows, problems = chunk.read()
+    reports = pl.DataFrame([asdict(one) for one in problems], PROBLEM)
+    segments = pl.DataFrame(schema=work.schema) if not rows.height else work.evaluate(rows)
+    return pl.concat([segments, reports], how="diagonal")
