@@ -1,6 +1,6 @@
 # Each target makes the environment that it needs, in .venv.
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
-FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang valgrind
+FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck clang clang-tidy valgrind
 SERVICE_TOOLS = mosquitto chromium nginx-light
 SPARK_TOOLS = openjdk-17-jre-headless
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check

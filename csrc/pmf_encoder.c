@@ -68,8 +68,9 @@ static whole_t note_motion(const pmf_encoder_config_t *config, pmf_encoder_state
 {
     uint32_t still = config->standstill_samples;
     truth_t counted = change != 0, rest = PMF_NOT(counted);
-    whole_t left = still - state->idle, passed = PMF_W(ticks);
+    whole_t passed = PMF_W(ticks);
     if (PMF_SAMPLE(config) != 1U) {
+        whole_t left = still - state->idle;
         passed = PMF_IF(left < ticks, left, passed);
     }
     if (PMF_ANY(counted)) {

@@ -32,6 +32,37 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
         }                                \
     } while (0)
 #endif
+/* Numbers for float32 and for float64. */
+#ifdef PMF_FLOAT32
+#define PMF_EITHER(single, twice) PMF_R(single)
+#else
+#define PMF_EITHER(single, twice) PMF_R(twice)
+#endif
+#define PMF_NOT(truth) ((truth) == 0)
+#define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
+
+#if defined(__GNUC__)
+#define PMF_ATTRIBUTE(words) __attribute__(words)
+#else
+#define PMF_ATTRIBUTE(words)
+#endif
+/* Rarely used code is compiled for size. */
+#define PMF_SELDOM PMF_ATTRIBUTE((cold, noinline)) static
+/* Firmware has code with branches, but without long loops. Small code is then also fast on a microcontroller. Elsewhere
+ * loops over a constant number of parameters unroll. */
+#if defined(PMF_PARAMETERS) && !defined(PMF_STRAIGHT)
+#define PMF_FOR_SIZE PMF_ATTRIBUTE((cold))
+#define PMF_INLINE static
+#else
+#define PMF_FOR_SIZE
+#define PMF_INLINE static inline PMF_ATTRIBUTE((always_inline))
+#endif
+
+#ifdef PMF_WITH_EDGES
+#define PMF_STATUS(state) ((state)->edge.status)
+#else
+#define PMF_STATUS(state) ((state)->status)
+
 /* Lanes and straight steps (many/pmf_straight.c) leave out the code of some parts, but not their room in the
  * structures. */
 #if defined(PMF_LANES) || defined(PMF_STRAIGHT)
@@ -73,36 +104,6 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_SAMPLE(config) 1U
 #define PMF_SPAN(config, state) ((config)->dt)
 #endif
-/* Numbers for float32 and for float64. */
-#ifdef PMF_FLOAT32
-#define PMF_EITHER(single, twice) PMF_R(single)
-#else
-#define PMF_EITHER(single, twice) PMF_R(twice)
-#endif
-#define PMF_NOT(truth) ((truth) == 0)
-#define PMF_BIT(truth, bit) PMF_IF(truth, PMF_W(bit), PMF_W(0))
-
-#if defined(__GNUC__)
-#define PMF_ATTRIBUTE(words) __attribute__(words)
-#else
-#define PMF_ATTRIBUTE(words)
-#endif
-/* Rarely used code is compiled for size. */
-#define PMF_SELDOM PMF_ATTRIBUTE((cold, noinline)) static
-/* Firmware has code with branches, but without long loops. Small code is then also fast on a microcontroller. Elsewhere
- * loops over a constant number of parameters unroll. */
-#if defined(PMF_PARAMETERS) && !defined(PMF_STRAIGHT)
-#define PMF_FOR_SIZE PMF_ATTRIBUTE((cold))
-#define PMF_INLINE static
-#else
-#define PMF_FOR_SIZE
-#define PMF_INLINE static inline PMF_ATTRIBUTE((always_inline))
-#endif
-
-#ifdef PMF_WITH_EDGES
-#define PMF_STATUS(state) ((state)->edge.status)
-#else
-#define PMF_STATUS(state) ((state)->status)
 
 /* Periods, and limits of the values in a state. */
 enum pmf_limits {

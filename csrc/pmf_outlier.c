@@ -159,13 +159,25 @@ static uint32_t take_back(path_t *path)
     return path->place[path->chosen] + 1U;
 }
 
+/* Begin a path without counts. Every place has a value, so that no code can read memory without one. */
+PMF_SELDOM void begin_path(const pmf_view_t *view, uint32_t moved, path_t *path, scalar_t *most)
+{
+    uint32_t i;
+    for (i = 0; i < PMF_PAST + PMF_VIEW; ++i) {
+        path->place[i] = (uint8_t)i;
+        most[i] = view->step;
+    }
+    most[PMF_PAST + PMF_VIEW] = path->most = path->cost = view->step;
+    path->chosen = path->past = 0U;
+    path->moved = moved;
+}
+
 /* Make `best` the path through all counts. */
 PMF_SELDOM void choose_all(const pmf_view_t *view, path_t *best)
 {
     scalar_t most[PMF_PAST + PMF_VIEW + 1U];
     uint32_t place;
-    best->chosen = best->past = best->moved = 0U;
-    most[0] = view->step;
+    begin_path(view, 0U, best, most);
     for (place = PMF_PAST - view->past; place < PMF_PAST + view->readings; ++place) {
         choose(view, place, best, most);
     }
@@ -196,9 +208,7 @@ PMF_SELDOM void search(const pmf_view_t *view, uint32_t places, uint32_t moved, 
     uint32_t begin = PMF_PAST - view->past, end = PMF_PAST + view->readings, next = begin,
              shift = moved != 0U ? (uint32_t)SHIFT : 0U;
     demand(doubt, factor);
-    path.chosen = path.past = 0U;
-    path.moved = moved;
-    most[0] = view->step;
+    begin_path(view, moved, &path, most);
     for (;;) {
         uint32_t skipped = next - begin - path.chosen + shift, left_out = end - begin - path.chosen - 1U + shift;
         if (next < end && skipped <= LEFT_OUT + shift &&
@@ -224,10 +234,10 @@ PMF_SELDOM void search(const pmf_view_t *view, uint32_t places, uint32_t moved, 
     }
 }
 
-/* Return the whole number next to a change of the counts, or 0 if no count can change so much. */
+/* Return the whole number next to a change of the counts, or 0 if no count can change so much or if x is NaN. */
 PMF_SELDOM pmf_relative_t rounded(scalar_t x)
 {
-    if (size_of(x) > MOST) {
+    if (x != x || x < -MOST || x > MOST) {
         return 0;
     }
     return x < PMF_SCALAR(0.0) ? -(pmf_relative_t)(PMF_SCALAR(0.5) - x) : (pmf_relative_t)(x + PMF_SCALAR(0.5));
@@ -237,12 +247,13 @@ PMF_SELDOM pmf_relative_t rounded(scalar_t x)
  * Return whether it is replaced. */
 PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t *verdict)
 {
-    uint32_t first = path->place[path->past], second = path->place[path->past + 1U], last, before_last;
+    uint32_t first = path->place[path->past], second, last, before_last;
     scalar_t after = view->time[first] - view->time[PMF_PAST], before, explained, slope, apart;
-    pmf_relative_t end = view->count[first], count;
+    pmf_relative_t end = view->count[first], count, moves;
     if (first == PMF_PAST && path->moved == 0U) {
         return 0;
     }
+    second = path->place[path->past + 1U];
     if (path->past == 0U) {
         explained = PMF_SCALAR(0.5) * path->most * after * (after + PMF_SCALAR(1.0));
         count = end - rounded(after * speed(view, first, second));
@@ -250,13 +261,15 @@ PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t
         last = path->place[path->past - 1U];
         before = view->time[PMF_PAST] - view->time[last];
         explained = PMF_SCALAR(0.5) * path->most * before * after;
+        moves = end - view->count[last];
         if (path->moved != 0U) {
             before_last = path->place[path->past - 2U];
             slope = PMF_SCALAR(0.5) * (speed(view, before_last, last) + speed(view, first, second));
-            end = view->count[last] + rounded(slope * (before + after));
+            moves = rounded(slope * (before + after));
+            end = view->count[last] + moves;
             explained = PMF_SCALAR(0.5) * path->most * (before + after) * (before + after);
         }
-        slope = (scalar_t)(end - view->count[last]) / (before + after);
+        slope = (scalar_t)moves / (before + after);
         count = view->count[last] + rounded(slope * before);
     }
     apart = path->moved != 0U ? (scalar_t)view->count[first] - (scalar_t)end
@@ -300,7 +313,6 @@ PMF_SELDOM void follow_best(const pmf_view_t *view, uint32_t doubt, path_t *best
     moved = *best;
     do { /* a large wrong count hides smaller ones */
         cost = moved.cost;
-        cheaper = 0U;
         if (best->most <= FIRST * view->step) { /* no path is cheap enough */
             break;
         }

@@ -272,7 +272,7 @@ PMF_INLINE whole_t checked(const pmf_recursion_config_t *config, pmf_recursion_s
         return checked(config, state, column, p##U, instrumental##U);                                                  \
     }
 #define CALL(p, instrumental) \
-    case p * 2 + instrumental: return checked_##p##_##instrumental(config, state, column);
+    case (p) * 2 + (instrumental): return checked_##p##_##instrumental(config, state, column);
 SIZES(FIXED)
 
 static whole_t dispatch(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, const real_t *column)

@@ -39,6 +39,7 @@ from tests.firmware.build import (
 from tests.firmware.replay import PREFIX, difference, exported
 from tests.refusals import refused
 from tests.test_many import process_record
+from tests.test_redge import estimator_of, swing
 
 DT, CUTOFF = 0.01, 100 / 3
 PRECISIONS = ("float32", "float64")
@@ -122,7 +123,6 @@ VARIANTS = {
     "order": {"order": 4},
 }
 
-
 #: Variants of `make test`: each part of the kernel that an export may leave out.
 OFTEN_VARIED = ("offset", "shapes", "late")
 
@@ -163,7 +163,6 @@ PROCESSES = {
     "order": (pmfid.BCRLS, {"model": pmfid.TransferFunction(3, 1)}),
 }
 
-
 #: Numbers of the samples of `hostile` that follow a gap: in motion, after a bad input, in a rest, and twice in a row.
 GAPS = (250, 302, 850, 1100, 1101)
 
@@ -176,22 +175,11 @@ def gaps_differ(estimator: RecursiveEstimator, folder: Path, u: np.ndarray, coun
 
 
 @needs(GCC)
-@pytest.mark.parametrize(
-    ("cls", "variant", "precision"),
-    [
-        (pmfid.RIV, "plain", "float32"),
-        pytest.param(pmfid.RIV, "plain", "float64", marks=pytest.mark.long),
-        pytest.param(pmfid.BCRLS, "plain", "float32", marks=pytest.mark.long),
-        pytest.param(pmfid.RLS, "plain", "float64", marks=pytest.mark.long),
-    ],
-)
-def test_lost_samples_have_the_bits_of_python(
-    cls: type[RecursiveEstimator], variant: str, precision: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize(("cls", "precision"), long_unless(lambda *kernel: kernel == OFTEN[0], OFTEN))
+def test_lost_samples_have_the_bits_of_python(cls: type[RecursiveEstimator], precision: str, tmp_path: Path) -> None:
     """pmf_gap() on the drive equals the `gap` of the kernel: the estimates and the whole state have the same bits."""
     u, counts = (np.delete(column, slice(1000, 1090)) for column in hostile())
-    estimator = make(cls, precision, **VARIANTS.get(variant, {}))
-    assert gaps_differ(estimator, tmp_path, u, counts) == (False, True)
+    assert gaps_differ(make(cls, precision), tmp_path, u, counts) == (False, True)
 
 
 @needs(GCC)
@@ -225,13 +213,8 @@ def test_lost_samples_of_a_linear_process_have_the_bits_of_python(tmp_path: Path
 
 def process_estimator(name: str, precision: str) -> RecursiveEstimator:
     cls, options = PROCESSES[name]
-    settings = {
-        "model": PROCESS,
-        "encoder": pmfid.Encoder(1e-3, bits=16),
-        "dt": DT,
-        "cutoff": 10.0,
-        "forgetting": 0.999,
-    }
+    encoder = pmfid.Encoder(1e-3, bits=16)
+    settings = {"model": PROCESS, "encoder": encoder, "dt": DT, "cutoff": 10.0, "forgetting": 0.999}
     return cls(**(settings | options), precision=precision)
 
 
@@ -244,9 +227,7 @@ def process_estimator(name: str, precision: str) -> RecursiveEstimator:
     ),
 )
 def test_linear_processes_are_exported(name: str, precision: str, tmp_path: Path) -> None:
-    """The methods have both precisions; their variants have only float32, not optimized, like those of a drive
-    above.
-    """
+    """Variants of the methods have only float32, not optimized."""
     optimize = "-O2" if name == PROCESSES[name][0].method else "-O0"
     estimator = process_estimator(name, precision)
     u, counts = (table[0].copy() for table in process_record())
@@ -350,13 +331,25 @@ def test_every_file_compiles_without_a_warning(target: Target, optimize: str, pr
 MISRA = set(re.findall(r"^\| (\d+\.\d+) \|", FIRMWARE_PAGE.read_text(encoding="utf-8"), re.MULTILINE))
 
 
+def export_files(kind: str, folder: Path) -> list[str]:
+    """Export the drive or the process with the most code, or edges, and return the C files."""
+    if kind == "edges":
+        *record, step = swing(16)
+        pmfid.export_firmware(estimator_of(step, precision="float32", memory=8.0), folder, record=tuple(record))
+    else:
+        pmfid.export_firmware(make(pmfid.RIV) if kind == "drive" else process_estimator("bcrls", "float32"), folder)
+    return sorted(path.name for path in folder.glob("*.c"))
+
+
+KINDS = pytest.mark.parametrize("kind", ["drive", "process", "edges"])
+
+
 @needs(Target("", "cppcheck"))
-@pytest.mark.parametrize("kind", ["drive", pytest.param("process", marks=pytest.mark.long)])
+@KINDS
 @pytest.mark.long
 def test_misra_finds_only_what_is_justified(kind: str, tmp_path: Path) -> None:
-    """The drive and the process with the most code are checked, each with only the macros of its export."""
-    pmfid.export_firmware(make(pmfid.RIV) if kind == "drive" else process_estimator("bcrls", "float32"), tmp_path)
-    files = sorted(path.name for path in tmp_path.glob("*.c"))
+    """Each export is checked with only its own macros."""
+    files = export_files(kind, tmp_path)
     options = [
         "--std=c99",
         "-UPMF_LANES",
@@ -369,6 +362,15 @@ def test_misra_finds_only_what_is_justified(kind: str, tmp_path: Path) -> None:
     found = set(re.findall(r"misra-c2012-(\d+\.\d+)", done.stderr))
     assert "15.5" in found, "the checker has looked at nothing"
     assert found <= MISRA
+
+
+@needs(Target("", "clang-tidy"))
+@KINDS
+@pytest.mark.long
+def test_clang_tidy_finds_nothing(kind: str, tmp_path: Path) -> None:
+    options = [f"--config-file={Path(__file__).parents[1] / '.clang-tidy'}", "--quiet", *export_files(kind, tmp_path)]
+    done = command(["clang-tidy", *options, "--", "-std=c99", "-I."], tmp_path)
+    assert (done.returncode, done.stdout) == (0, "")
 
 
 @needs(GCC)
@@ -454,10 +456,9 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
     rls, whole = make(pmfid.RLS), [cls(pmfid.Drive(2.0), pmfid.Encoder(1e-5), DT, CUTOFF) for cls in OFF_LINE]
     (full := tmp_path / "full").mkdir()
     (full / "thesis.tex").write_text("")
-    name = r"prefix must consist of .* begin with a letter"
     names = ("", "1st", "Axis", "a-b", "pmf", "pmf_x")
     refused(
-        *((name, partial(pmfid.export_firmware, rls, tmp_path, prefix=prefix)) for prefix in names),
+        *(("begin with a letter", partial(pmfid.export_firmware, rls, tmp_path, prefix=prefix)) for prefix in names),
         *(("needs a whole record", partial(pmfid.export_firmware, made, tmp_path)) for made in whole),
         (r"thesis\.tex", lambda: pmfid.export_firmware(rls, full)),
         ("at least one; take another record", lambda: record_run(rls, [], [])),
@@ -482,4 +483,3 @@ def test_two_axes_in_one_program(tmp_path: Path) -> None:
     (tmp_path / "main.c").write_text(f"{declared} int main(void) {{ return (int)(x_selftest() | y_selftest()); }}")
     assert command(["gcc", "main.c", *objects, "-o", "both"], tmp_path).returncode == 0
     assert command(["./both"], tmp_path).returncode == 0
-    assert (HERE / "mps2.ld").exists()
