@@ -111,7 +111,7 @@ PMF_SELDOM scalar_t roughness(const pmf_view_t *view, uint32_t first, uint32_t l
  * rest before the first readings, and then start with a jerk. A path without one of them therefore starts from rest. */
 PMF_SELDOM scalar_t price(const pmf_view_t *view, const path_t *path, scalar_t most)
 {
-    uint32_t n = path->chosen, apart = path->moved != 0U && n == path->past + 2U ? 1U : 0U, start, end;
+    uint32_t n = path->chosen, apart = path->moved != 0U && n == path->past + 2U ? 1U : 0U, start, end, middle;
     if (n < 2U || (path->moved != 0U && n == path->past + 1U)) {
         return most;
     }
@@ -124,7 +124,9 @@ PMF_SELDOM scalar_t price(const pmf_view_t *view, const path_t *path, scalar_t m
         int from_rest = view->past < 2U && end > PMF_PAST - view->past + 1U;
         return from_rest ? larger(most, size_of(speed(view, start, end))) : most;
     }
-    return larger(most, acceleration(view, path->place[n - 3U - apart], path->place[n - 2U - apart], start, end));
+    middle = n - 2U - apart;
+    return middle == 0U ? most
+                        : larger(most, acceleration(view, path->place[middle - 1U], path->place[middle], start, end));
 }
 
 /* Write the factors by which paths must be cheaper, by the number of readings that they leave out: for a verdict, or
@@ -211,12 +213,12 @@ PMF_SELDOM void search(const pmf_view_t *view, uint32_t places, uint32_t moved, 
     begin_path(view, moved, &path, most);
     for (;;) {
         uint32_t skipped = next - begin - path.chosen + shift, left_out = end - begin - path.chosen - 1U + shift;
-        if (next < end && skipped <= LEFT_OUT + shift &&
+        if (next < end && path.chosen < PMF_PAST + PMF_VIEW && skipped <= LEFT_OUT + shift &&
             (moved == 0U || path.past < path.chosen || next <= PMF_PAST + LATEST)) {
             choose(view, next, &path, most);
             next += 1U;
             if (left_out != 0U && left_out <= LEFT_OUT + shift && path.chosen >= path.past + 2U + moved &&
-                path.chosen >= LEAST && factor[left_out] * most[path.chosen] < best->cost) {
+                path.past <= PMF_PAST && path.chosen >= LEAST && factor[left_out] * most[path.chosen] < best->cost) {
                 path.most = most[path.chosen];
                 path.cost = factor[left_out] * path.most;
                 *best = path;
@@ -262,7 +264,7 @@ PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t
         before = view->time[PMF_PAST] - view->time[last];
         explained = PMF_SCALAR(0.5) * path->most * before * after;
         moves = end - view->count[last];
-        if (path->moved != 0U) {
+        if (path->moved != 0U && path->past >= 2U) {
             before_last = path->place[path->past - 2U];
             slope = PMF_SCALAR(0.5) * (speed(view, before_last, last) + speed(view, first, second));
             moves = rounded(slope * (before + after));

@@ -53,7 +53,7 @@ static uint32_t is_of_another_line(const pmf_redge_config_t *config, pmf_redge_s
 {
     real_t away = absolute(edge->value);
     integer_t counts;
-    if (!(edge->variance < SURE && away > NOT_A_STEP)) {
+    if (away != away || !(edge->variance < SURE && away > NOT_A_STEP)) {
         state->lost = state->astray = 0U;
         return 0U;
     }

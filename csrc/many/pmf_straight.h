@@ -7,12 +7,10 @@
 
 typedef uint32_t pmf_stepper_t(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 
-/* Return whether a configuration is one for which a method's code is compiled. */
-uint32_t pmf_is_rls(const pmf_config_t *config);
-uint32_t pmf_is_bcrls(const pmf_config_t *config);
-uint32_t pmf_is_riv(const pmf_config_t *config);
-/* Return whether a configuration has a fixed step, no shapes and no dead time. */
-uint32_t pmf_is_plain(const pmf_config_t *config);
+/* Return whether a method's code is compiled for a configuration. `plain` needs a fixed step, no shapes and no dead
+ * time. */
+typedef uint32_t pmf_condition_t(const pmf_config_t *config);
+pmf_condition_t pmf_is_rls, pmf_is_bcrls, pmf_is_riv, pmf_is_plain;
 /* The steps of the methods, and their encoder and filters. */
 pmf_stepper_t pmf_step_rls, pmf_step_bcrls, pmf_step_riv, pmf_step_plain;
 pmf_stepper_t pmf_filter_rls, pmf_filter_bcrls, pmf_filter_riv, pmf_filter_plain;
