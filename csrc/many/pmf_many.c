@@ -108,15 +108,13 @@ uint32_t pmf_method_of(const pmf_config_t *config)
 pmf_stepper_t *pmf_fastest_step(const pmf_config_t *config)
 {
     static pmf_stepper_t *const STEPS[PMF_METHODS] = {pmf_step, pmf_step_rls, pmf_step_bcrls, pmf_step_riv};
-    uint32_t method = pmf_method_of(config);
-    return method == PMF_GENERAL && pmf_is_plain(config) ? pmf_step_plain : STEPS[method];
+    return STEPS[pmf_method_of(config)];
 }
 
 pmf_stepper_t *pmf_fastest_filter(const pmf_config_t *config)
 {
     static pmf_stepper_t *const FILTERS[PMF_METHODS] = {pmf_filter, pmf_filter_rls, pmf_filter_bcrls, pmf_filter_riv};
-    uint32_t method = pmf_method_of(config);
-    return method == PMF_GENERAL && pmf_is_plain(config) ? pmf_filter_plain : FILTERS[method];
+    return FILTERS[pmf_method_of(config)];
 }
 
 static void run_one(const pmf_config_t *config, const pmf_many_t *many, pmf_stepper_t *step, uint64_t axis,

@@ -1,7 +1,6 @@
 /* The parts of the kernel for a drive with mass, viscous and Coulomb friction. PMF_STRAIGHT names the recursive method.
- * The code has no tests for absent parts, unrolled loops over parameters, and the network as straight code. The method
- * `plain`, for every equation and method, only leaves out the tests for rare parts. SPDX-License-Identifier: Apache-2.0
- */
+ * The code has no tests for absent parts, unrolled loops over parameters, and the network as straight code.
+ * SPDX-License-Identifier: Apache-2.0 */
 #define METHOD_rls 1
 #define METHOD_bcrls 2
 #define METHOD_riv 3

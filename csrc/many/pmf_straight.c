@@ -1,5 +1,4 @@
-/* The step of one axis, compiled again for each recursive method and for all plain configurations.
- * SPDX-License-Identifier: Apache-2.0 */
+/* The step of one axis, compiled again for each recursive method. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_method.h"
 #define PMF_API static __attribute__((unused))
 
@@ -14,7 +13,6 @@
 
 #include "pmf_straight.h"
 
-#ifdef PMF_NETWORK
 #define ALIKE_STAGE(k, from) \
     n_stages += 1U;          \
     alike &= network->stage[k].source == (from);
@@ -52,13 +50,6 @@ static uint32_t has_method(const pmf_config_t *config)
            has_network(&config->network) && has_recursion(&config->direct) &&
            (PMF_WITH_MODEL == 0 || has_recursion(&config->instrument));
 }
-#else
-static uint32_t has_method(const pmf_config_t *config)
-{
-    (void)config;
-    return 1U;
-}
-#endif
 
 uint32_t JOIN(pmf_step, PMF_STRAIGHT)(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count)
 {

@@ -7,13 +7,18 @@
 
 typedef uint32_t pmf_stepper_t(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 
-/* Return whether a method's code is compiled for a configuration. `plain` needs a fixed step, no shapes and no dead
- * time. */
-typedef uint32_t pmf_condition_t(const pmf_config_t *config);
-pmf_condition_t pmf_is_rls, pmf_is_bcrls, pmf_is_riv, pmf_is_plain;
-/* The steps of the methods, and their encoder and filters. */
-pmf_stepper_t pmf_step_rls, pmf_step_bcrls, pmf_step_riv, pmf_step_plain;
-pmf_stepper_t pmf_filter_rls, pmf_filter_bcrls, pmf_filter_riv, pmf_filter_plain;
+/* Return whether a configuration is one for which a method's code is compiled. */
+uint32_t pmf_is_rls(const pmf_config_t *config);
+uint32_t pmf_is_bcrls(const pmf_config_t *config);
+uint32_t pmf_is_riv(const pmf_config_t *config);
+/* The steps of the methods. */
+uint32_t pmf_step_rls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+uint32_t pmf_step_bcrls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+uint32_t pmf_step_riv(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+/* Encoder and filters of the methods. */
+uint32_t pmf_filter_rls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+uint32_t pmf_filter_bcrls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+uint32_t pmf_filter_riv(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 
 /* Return PMF_GENERAL or the method of a configuration. */
 uint32_t pmf_method_of(const pmf_config_t *config);

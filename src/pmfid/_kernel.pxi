@@ -204,7 +204,7 @@ cdef class Kernel:
         for i in range(n):
             estimate._theta[i], estimate._diagonal[i] = last.theta[i], last.variance_factor[i]
             estimate._inflation[i] = last.inflation[i]
-        if self._step != pmf_step and last == &recursion.estimate:  # P is computed when it is read
+        if last == &recursion.estimate:  # P is computed when it is read
             estimate._form = OF_DOUBLE if sizeof(real_t) == sizeof(double) else OF_SINGLE
             for i in range(n):
                 for j in range(i):
