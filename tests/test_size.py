@@ -20,7 +20,7 @@ MOST = {
     "lines of csrc": 8678,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
-    "lines of tests": 28470,
+    "lines of tests": 28467,
     "match= in tests": 25,
     "lines of studies": 8038,
 }
