@@ -18,7 +18,7 @@ from pmfid.fit.likelihood import interval_terms
 from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import ResidualBlock
 from pmfid.fit.solve import inverse, solve
-from pmfid.fit.within import reach_counts
+from pmfid.fit.within import reach_counts, start_precision
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, simulate_drive
 from pmfid.types import Floats
 from studies.referee.cases import Case, make_cases
@@ -257,7 +257,8 @@ def test_a_record_without_counts_bounds_no_motion() -> None:
     (case,) = make_cases(51, "right", [1])
     fitted = examine(case)
     floats = [replace(one, counted=np.zeros_like(one.counted)) for one in fitted.problem.stretches]
-    at = fitted.solution.q, fitted.solution.starts, np.ones(fitted.solution.q.size), 0.01
+    q, starts = fitted.solution.q, fitted.solution.starts
+    at = q, starts, np.append(np.ones(q.size), start_precision(starts)), 0.01
     assert reach_counts(fitted.problem, *at) is not None
     assert reach_counts(replace(fitted.problem, stretches=tuple(floats)), *at) is None
 

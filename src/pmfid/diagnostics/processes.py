@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from pmfid.diagnostics.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
 from pmfid.estimators.base import Estimator
 from pmfid.findings import Finding, make_notes
+from pmfid.linear.counts import explain_counts
 from pmfid.linear.experiment import Experiment, Grid, RecordStretch, transition
 from pmfid.linear.order import Search
 from pmfid.linear.process import Process
@@ -91,7 +93,7 @@ def _best(problem: ProcessProblem, theta: NDArray[np.float64], noise: Noise) -> 
     if problem.structure.offset:
         theta[problem.structure.linear - 1] *= float(np.sum(noise.whitener))
     start = visit(problem, theta, np.zeros((len(problem.stretches), problem.structure.n)))
-    return descend(problem, start, TUNING.processes_settled).point
+    return descend(problem, start).point
 
 
 def depends_on_input(problem: ProcessProblem, point: ProcessPoint) -> bool:
@@ -154,7 +156,7 @@ def second_look(problem: ProcessProblem, theta: Floats) -> Second:
             if structure.offset and white is not problem:
                 scale[structure.linear - 1] = float(np.sum(noise.whitener))
             start = visit(white, point.theta * scale, np.zeros((len(white.stretches), structure.n)))
-            full = descend(white, start, TUNING.processes_settled).point
+            full = descend(white, start).point
             surplus = structure.n > least and not _reduces_residual(
                 settle(replace(white, structure=smaller), settled=TUNING.processes_settled).point.cost,
                 full.cost,
@@ -243,12 +245,15 @@ class Assessment:
         return not self.unmodelled
 
 
-def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment:
+def assess(problem: ProcessProblem, theta: Floats, delay: int = 0, resolution: float = 0.0) -> Assessment:
     """Assess theta (p,), given in the problem's units. `delay` is the delay of the inputs in samples.
+
+    A response within every count of a `resolution` leaves rounding alone in the residual. Noise then cannot move the
+    estimate. Without such a response, the resolution is 0.
 
     Raises NotIdentifiableError if the simulated output exceeds the range of numbers.
     """
-    second = second_look(problem, theta)
+    second = _look_within(problem, resolution) if resolution else second_look(problem, theta)
     problem, theta = fix_dead_time(problem, theta)
     count = len(problem.stretches)
     point = visit(problem, theta, np.zeros((count, problem.structure.n)))
@@ -276,7 +281,7 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0) -> Assessment
         bounds[0],
         cross,
         bounds[1],
-        *_doubts(problem, point, residual, delay),
+        *(_doubts_within(problem, point, resolution) if resolution else _doubts(problem, point, residual, delay)),
         second,
     )
 
@@ -301,6 +306,31 @@ def _doubts(
         look_at_hold(problem, point, estimate_residual_noise(parts, known)),
         residual_repeats(problem, point),
     )
+
+
+def _look_within(problem: ProcessProblem, resolution: float) -> Second:
+    """Return whether a model with one pole and one zero less stays within every count, too."""
+    structure = problem.structure
+    if structure.n <= max(structure.integrators, 1):
+        return Second(False, False)
+    smaller = replace(problem, structure=replace(structure, n=structure.n - 1, m=max(structure.m - 1, 0)))
+    with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError, ValueError):
+        start = settle(smaller, settled=TUNING.processes_settled).point
+        return Second(explain_counts(smaller, start, resolution) is not None, False)
+    return Second(False, False)
+
+
+def _doubts_within(
+    problem: ProcessProblem, point: ProcessPoint, resolution: float
+) -> tuple[bool, bool, bool, Hold, bool]:
+    """Return the findings of `_doubts` for a response within every count."""
+    other, hidden = _swap_hold(problem.without_reference), False
+    with np.errstate(all="ignore"), suppress(np.linalg.LinAlgError, ValueError):
+        start = descend(other, visit(other, point.theta, point.initial)).point
+        if (within := explain_counts(other, start, resolution)) is not None:
+            apart = within[0].theta - point.theta
+            hidden = bool(np.any(apart**2 > TUNING.processes_far**2 * np.diag(within[1])))
+    return False, False, depends_on_input(problem, point), Hold(False, hidden), False
 
 
 def _direct(problem: ProcessProblem, point: ProcessPoint) -> tuple[float, float]:

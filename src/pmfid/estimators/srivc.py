@@ -16,6 +16,7 @@ from pmfid.estimators.configuration import check_arrays, check_size, hold_last_i
 from pmfid.estimators.least_squares import parts_of_their_own
 from pmfid.estimators.results import Fit
 from pmfid.estimators.tuning import TUNING
+from pmfid.linear.counts import explain_counts
 from pmfid.linear.experiment import Experiment
 from pmfid.linear.process import Process
 from pmfid.linear.residuals import covariance
@@ -35,10 +36,11 @@ from pmfid.models.transfer_function import MAX_DELAY, TransferFunction
 @dataclass(frozen=True)
 class ProcessFit(Fit):
     """A `Fit` of a transfer function. `process` is the transfer function itself, with poles, zeros and responses.
-    `passes` counts the iterations."""
+    `passes` counts the iterations. `explained` says whether the response stays within every count of the output."""
 
     process: Process
     passes: int
+    explained: bool
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,9 @@ class SRIVC(BatchEstimator):
     instruments zeta come from the output that the estimate simulates from the input. The iteration starts from least
     squares with filters of the pole `cutoff`. Unstable intermediate models are reflected. If the iteration does not
     converge, the method minimises the output error (Levenberg and Marquardt) and tries further filters.
+
+    If the output is rounded, and a response stays within every count, the estimate is the mean of all parameters with
+    such a response, and theta_cov is their covariance. Rounding then is no noise (`linear/counts.py`).
 
     The method has no discretisation error. Initial conditions are always unknown and part of the fit. The method is
     efficient for white output noise, and consistent for any noise without correlation to the input. theta_cov holds for
@@ -187,10 +192,11 @@ def check_signals(problem: ProcessProblem, names: tuple[str, ...]) -> None:
 
 def result(estimator: Estimator, problem: ProcessProblem, solution: Solution) -> ProcessFit:
     """Return the `ProcessFit` in seconds. Raises NotIdentifiableError if a sensitivity depends on the others."""
-    point = solution.point
-    check_apart(point, estimator.names)
+    check_apart(solution.point, estimator.names)
     scale = problem.structure.scale(problem.rate)
-    cov = covariance(point, problem) * np.outer(scale, scale)
+    within = explain_counts(problem, solution.point, estimator.encoder.resolution)
+    point, cov = within or (solution.point, covariance(solution.point, problem))
+    cov = cov * np.outer(scale, scale)
     theta = point.theta * scale
     residual = point.error
     relative = float(np.sqrt(point.cost / max(spread(problem), 1e-300)))
@@ -206,6 +212,7 @@ def result(estimator: Estimator, problem: ProcessProblem, solution: Solution) ->
         0,
         process,
         solution.passes,
+        within is not None,
     )
 
 

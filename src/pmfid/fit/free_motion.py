@@ -25,7 +25,7 @@ from pmfid.fit.machine import (
 from pmfid.fit.problem import PARTS, FitProblem, ObservedStretch, ResidualBlock
 from pmfid.fit.search import EXPLAINED, GAIN, MOST_SQUARES
 from pmfid.fit.solve import solve
-from pmfid.fit.within import reach_counts
+from pmfid.fit.within import reach_counts, start_precision
 from pmfid.models.equation import Equation
 from pmfid.types import Floats
 
@@ -103,7 +103,8 @@ class FreeMotion:
             if not _explains(longer, self.theta, start):
                 break
             problem, starts = longer, start
-        inside = reach_counts(problem, problem.start(self.theta), starts, np.ones(problem.size), EXPLAINED)
+        precision = np.append(np.ones(problem.size), start_precision(starts))
+        inside = reach_counts(problem, problem.start(self.theta), starts, precision, EXPLAINED)
         starts = (starts if inside is None else inside[1]) * _units(problem)
         away = (problem.stretches[0].y[0] - stretch.y[0]) / self.resolution
         starts[0, 0] += away

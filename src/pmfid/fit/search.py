@@ -21,7 +21,7 @@ from pmfid.fit.solve import Likelihood, Optimum, inverse, normal_of, scale_matri
 from pmfid.fit.starts import blind_start, sizes_of
 from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, free_constants
 from pmfid.fit.tuning import MOTION, TUNING
-from pmfid.fit.within import reach_counts
+from pmfid.fit.within import reach_counts, start_precision
 from pmfid.types import Floats
 
 #: Spreads of a white error in addition to rounding [counts], in falling order.
@@ -398,7 +398,8 @@ def narrow(search: FitSearch, steps: int = 30) -> Intervals | None:
     search.move_constants()
     if mean_square(search) > ROUNDING:
         search.solve(Gaussian(search.plain.stretches), steps)
-    inside = reach_counts(search.problem, search.q, search.starts, search.prior(search.problem), EXPLAINED)
+    precision = np.append(search.prior(search.problem), start_precision(search.starts))
+    inside = reach_counts(search.problem, search.q, search.starts, precision, EXPLAINED)
     if inside is not None:
         search.q, search.starts = inside
         return Intervals(search.plain.stretches, EXPLAINED)

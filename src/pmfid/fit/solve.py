@@ -10,12 +10,20 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
-from pmfid.fit.problem import FitProblem, ResidualBlock
+from pmfid.fit.problem import ResidualBlock
 from pmfid.types import Floats
 
 #: Precisions of the start states about zero [1/counts^2, and of counts per mean step]: weak, because an axis at rest
-#: says nothing about its start velocity. A second mass at rest says little of its place.
-START = np.array([1e-2, 1e-6, 1e-8, 1e-6])
+#: says nothing about its start velocity. A second mass at rest says little of its place. Further states are those of a
+#: transfer function.
+START = np.array([1e-2, 1e-6, 1e-8, 1e-6, 1e-6, 1e-6, 1e-6])
+
+
+class Simulator(Protocol):
+    """A model of a record: its residuals and derivatives, and the bounds of its parameters."""
+
+    def linearise(self, q: Floats, starts: Floats) -> list[ResidualBlock]: ...
+    def clip_to_bounds(self, q: Floats) -> Floats: ...
 
 
 class Likelihood(Protocol):
@@ -80,7 +88,7 @@ class Optimum:
 
 
 def solve(
-    problem: FitProblem,
+    problem: Simulator,
     likelihood: Likelihood,
     q: Floats,
     starts: Floats,
@@ -109,7 +117,7 @@ def solve(
 class _Point:
     """A point of the search with its cost and its weighted blocks."""
 
-    def __init__(self, problem: FitProblem, likelihood: Likelihood, q: Floats, starts: Floats, prior: Floats) -> None:
+    def __init__(self, problem: Simulator, likelihood: Likelihood, q: Floats, starts: Floats, prior: Floats) -> None:
         self.problem, self.likelihood, self.q, self.starts, self.prior = problem, likelihood, q, starts, prior
         cost, self.blocks = likelihood(problem.linearise(q, starts))
         self.cost = float(cost + 0.5 * prior @ q**2 + 0.5 * np.sum(START[: starts.shape[1]] * starts**2))

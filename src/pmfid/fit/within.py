@@ -3,21 +3,41 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Protocol
 
 import numpy as np
 
 from pmfid.fit.likelihood import ROUNDING
-from pmfid.fit.problem import FitProblem, ResidualBlock
+from pmfid.fit.problem import ResidualBlock
 from pmfid.fit.solve import START, inverse, root_of
 from pmfid.fit.tuning import WITHIN_TUNING
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
+
+
+class CountedRows(Protocol):
+    """The rows of a stretch: which of them are counts, and their variances [counts^2]."""
+
+    @property
+    def counted(self) -> Flags: ...
+    @property
+    def variance(self) -> Floats: ...
+
+
+class CountedModel(Protocol):
+    """A simulator of a record with counts, and its derivatives."""
+
+    @property
+    def stretches(self) -> Sequence[CountedRows]: ...
+    def linearise(self, q: Floats, starts: Floats) -> list[ResidualBlock]: ...
+    def clip_to_bounds(self, q: Floats) -> Floats: ...
 
 
 def reach_counts(
-    problem: FitProblem, q: Floats, starts: Floats, prior: Floats, beyond: float
+    problem: CountedModel, q: Floats, starts: Floats, precision: Floats, beyond: float
 ) -> tuple[Floats, Floats] | None:
     """Return parameters (p,) and start states (m, s) near the given ones whose motion is at most `beyond` [counts]
-    outside of each count, or None. Observations that are no counts bound no motion.
+    outside of each count, or None. Observations that are no counts bound no motion. The prior of parameters and start
+    states has precisions (p + m s,).
 
     Each round solves a linear program: the step of least sum of absolute values, in standard errors of least squares,
     after which the linearised motion is within every count. Stops, starts and contacts bend the true motion, so that a
@@ -32,7 +52,7 @@ def reach_counts(
         outside = float(np.max(np.abs(e[counted]))) - 0.5
         if outside <= beyond:
             return q, starts
-        rows = information_rows(J * size, np.append(prior, start_precision(starts)))
+        rows = information_rows(J * size, precision)
         step = _shortest_step(e[counted], J[counted], inverse(rows.T @ rows))
         for part in (1.0, 0.5, 0.25, 0.125):
             next_q = problem.clip_to_bounds(q + part * step[: q.size])

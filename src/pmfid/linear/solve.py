@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.fit.likelihood import ROUNDING
+from pmfid.fit.problem import ResidualBlock
+from pmfid.fit.solve import solve as minimise
 from pmfid.linear.experiment import RecordStretch
 from pmfid.linear.responses import Structure, linearise, stable
 from pmfid.linear.tuning import TUNING
-from pmfid.types import Floats
+from pmfid.types import Flags, Floats
 
 
 @dataclass(frozen=True)
@@ -117,26 +121,12 @@ def step_from(point: ProcessPoint, phi: Floats) -> Floats:
         return np.full(size.size, np.nan)
 
 
-def movable(problem: ProcessProblem, point: ProcessPoint, step: Floats) -> Floats:
-    """Mark the parameters (p,) that may move. A dead time at its bound may not move beyond the bound, as the step
-    (p,) would.
-    """
-    free, latest = np.ones(step.size, bool), problem.structure.latest
-    if latest is not None:
-        free[-1] = not (point.theta[-1] <= 0.0 and step[-1] < 0.0) and not (
-            point.theta[-1] >= latest and step[-1] > 0.0
-        )
-    return free
-
-
-def _possible_step(problem: ProcessProblem, point: ProcessPoint, phi: Floats) -> Floats:
-    """Return the step from a point, with a dead time that remains within its bounds."""
-    step = step_from(point, phi)
-    free = movable(problem, point, step)
-    if not np.all(free):
-        step = np.zeros(step.size)
-        step[free] = step_from(replace(point, zeta=point.zeta[:, free]), phi[:, free])
-    return step
+def _possible_step(problem: ProcessProblem, point: ProcessPoint) -> Floats:
+    """Return the step from a point. A dead time at its bound moves no further."""
+    step, latest = step_from(point, point.phi), problem.structure.latest
+    if latest is None or 0.0 < point.theta[-1] + step[-1] < latest or 0.0 < point.theta[-1] < latest:
+        return step
+    return np.append(step_from(replace(point, zeta=point.zeta[:, :-1]), point.phi[:, :-1]), 0.0)
 
 
 def filter_problem(problem: ProcessProblem, pole: float) -> ProcessPoint:
@@ -187,7 +177,7 @@ def refine(
     """
     point = best = start
     for passes in range(1, most + 1):
-        step = _possible_step(problem, point, point.phi)
+        step = _possible_step(problem, point)
         if small(point, step, settled):
             return Solution(replace(point, theta=point.theta + step), True, passes)
         if not np.all(np.isfinite(step)):
@@ -200,30 +190,96 @@ def refine(
     return Solution(best, False, most)
 
 
-def descend(problem: ProcessProblem, start: ProcessPoint, settled: float = TUNING.solve_settled) -> Solution:
-    """Minimise the sum of squares of the output error by damped Gauss-Newton steps (Levenberg and Marquardt)."""
-    point, damping = start, 1e-3
-    for passes in range(1, TUNING.solve_descents + 1):
-        size = np.maximum(np.linalg.norm(point.zeta, axis=0), 1e-300)
-        scaled = point.zeta / size
-        normal, slope = scaled.T @ scaled, scaled.T @ point.error
-        if small(point, last := _possible_step(problem, point, point.zeta), settled):
-            return Solution(replace(point, theta=point.theta + last), True, passes)
-        slope = np.where(last == 0.0, 0.0, slope)
-        normal = np.where((last == 0.0) | (last == 0.0)[:, None], 0.0, normal)
-        while damping < 1e12:
-            step = np.linalg.solve(normal + damping * np.eye(size.size), slope) / size
-            if not np.all(np.isfinite(step)):
-                return Solution(point, False, passes)
-            trial = _visit_possible(problem, point.theta + step, point.initial)
-            if np.isfinite(trial.cost) and trial.cost <= point.cost:
-                point, damping = trial, damping / 5
-                break
-            damping *= 4
-        else:
-            # If no step decreases the sum of squares, the cause is rounding or a descent toward unstable models.
-            return Solution(point, not _has_pole_at_edge(problem, point.theta), passes)
-    return Solution(point, False, TUNING.solve_descents)
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """The rows of a stretch in the form of the fit: which of them are counts, and their variances [counts^2]."""
+
+    counted: Flags
+    variance: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessSimulator:
+    """A process in the form of the fit of a machine. Its residuals have the unit `scale`, such as a count.
+
+    The parameters are those of the process. The start states (stretches, s) are changes of the initial conditions from
+    those of a point. A state of 1 moves the output by a root mean square of one unit: `basis` (stretches, n, n) holds
+    the initial conditions of such states. If `shifted`, the zero of the output has an unknown place within a count of
+    its place, as between devices that round and that truncate. The place is a further start state of each stretch, and
+    its bound is a row of its own.
+    """
+
+    problem: ProcessProblem
+    initial: Floats
+    basis: Floats
+    scale: float
+    shifted: bool
+
+    @classmethod
+    def at_point(
+        cls, problem: ProcessProblem, point: ProcessPoint, scale: float, shifted: bool = False
+    ) -> ProcessSimulator:
+        pairs = zip(problem.stretches, point.initial, strict=True)
+        free = [linearise(problem.structure, point.theta, initial, stretch).free for stretch, initial in pairs]
+        basis = np.array([np.linalg.pinv(np.linalg.qr(K / np.sqrt(len(K)), mode="r")) for K in free])
+        return cls(problem, point.initial, scale * basis, scale, shifted)
+
+    @property
+    def stretches(self) -> tuple[Rows, ...]:
+        sizes = [stretch.rows.size + self.shifted for stretch in self.problem.stretches]
+        return tuple(Rows(np.ones(size, bool), np.full(size, ROUNDING)) for size in sizes)
+
+    @property
+    def first_starts(self) -> Floats:
+        """The start states (stretches, s) of the point."""
+        return np.zeros((len(self.problem.stretches), self.problem.structure.n + self.shifted))
+
+    def clip_to_bounds(self, q: Floats) -> Floats:
+        """Return possible parameters (p,)."""
+        return possible(self.problem, q)
+
+    def initial_at(self, starts: Floats) -> Floats:
+        """Return the initial conditions (stretches, n) for start states (stretches, s)."""
+        return np.asarray(self.initial + np.einsum("mij,mj->mi", self.basis, starts[:, : self.initial.shape[1]]))
+
+    @np.errstate(over="ignore", invalid="ignore")  # a step may lead to a response beyond the range of numbers
+    def linearise(self, q: Floats, starts: Floats) -> list[ResidualBlock]:
+        """Return residuals and their derivatives at parameters (p,) and start states (stretches, s)."""
+        pairs, blocks = zip(self.problem.stretches, self.initial_at(starts), strict=True), []
+        for (stretch, initial), basis, start in zip(pairs, self.basis, starts, strict=True):
+            here = linearise(self.problem.structure, q, initial, stretch)
+            e, J, K = (rows / self.scale for rows in (-here.error, here.zeta, here.free @ basis))
+            if self.shifted:
+                e, J = np.append(e + start[-1], start[-1] / 2), np.vstack([J, np.zeros(q.size)])
+                K = np.column_stack([np.vstack([K, np.zeros(K.shape[1])]), np.append(np.ones(e.size - 1), 0.5)])
+            blocks.append(ResidualBlock(np.nan_to_num(e, nan=np.inf), J, K))
+        return blocks
+
+    def visit(self, optimum: tuple[Floats, Floats]) -> ProcessPoint:
+        """Return the point with given parameters (p,) and start states (stretches, s)."""
+        return visit(self.problem, optimum[0], self.initial_at(optimum[1]))
+
+
+def descend(problem: ProcessProblem, start: ProcessPoint) -> Solution:
+    """Minimise the sum of squares of the output error by the solver of the fit.
+
+    The unit of the errors is their root mean square, which the first turn brings down.
+    """
+    point, settled = start, False
+    for _ in range(2):
+        scale = np.sqrt((point.cost + TUNING.solve_rounding * point.power) / max(point.error.size, 1))
+        if not 0 < scale < np.inf:
+            break
+        simulator = ProcessSimulator.at_point(problem, point, float(scale))
+        prior = np.zeros(point.theta.size)
+        end = minimise(simulator, sum_squares, point.theta, simulator.first_starts, prior, TUNING.solve_descents)
+        point, settled = simulator.visit((end.q, end.starts)), end.settled
+    return Solution(point, settled and not _has_pole_at_edge(problem, point.theta), 0)
+
+
+def sum_squares(blocks: Sequence[ResidualBlock]) -> tuple[float, list[ResidualBlock]]:
+    """Return minus the log likelihood of white errors of one unit, and the blocks."""
+    return 0.5 * sum(float(block.e @ block.e) for block in blocks), list(blocks)
 
 
 def _has_pole_at_edge(problem: ProcessProblem, theta: Floats) -> bool:
@@ -243,7 +299,7 @@ def small(point: ProcessPoint, step: Floats, settled: float = TUNING.solve_settl
 def settle(problem: ProcessProblem, pole: float = 1.0, settled: float = TUNING.solve_settled) -> Solution:
     """Return the refined solution from the filter 1/(s + pole)^n. If the refinement does not converge, it descends."""
     solution = refine(problem, first_guess(problem, pole), settled)
-    return solution if solution.settled or problem.referenced else descend(problem, solution.point, settled)
+    return solution if solution.settled or problem.referenced else descend(problem, solution.point)
 
 
 def solve(problem: ProcessProblem) -> Solution:

@@ -9,6 +9,15 @@ from dataclasses import dataclass
 class LinearTuning:
     """Thresholds and counts of `pmfid.linear`, grouped by module."""
 
+    # counts
+    #: Distance of a rounded output from its count, in counts, by the digits of a log.
+    counts_digits: float = 1e-5
+    #: Most parameters and start states, which bound the time. Rounds of the linearisation of a response in them, and
+    #: the relative change of mean and standard deviations that the random walk may cause.
+    counts_parameters: int = 40
+    counts_rounds: int = 6
+    counts_settled: float = 0.4
+
     # experiment
     #: Number of terms of the exponential series for an argument below series_norm. Further terms are below the accuracy
     #: of float64.

@@ -29,6 +29,7 @@ from pmfid.linear.experiment import Experiment
 from pmfid.linear.order import DELAYS, ORDERS, UNSTABLE, OrderCandidate, Search, accepted_first, search_structure
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.pipeline.checks.inputs import note_one_level
+from pmfid.pipeline.guess.columns import step_of
 from pmfid.pipeline.kinds import Kind, Progress, method_of, settings
 from pmfid.pipeline.result import ProcessResult, delay_of, expects_unstable
 from pmfid.pipeline.stored import Stored
@@ -75,12 +76,12 @@ class Processes(Kind[Sequence[Experiment]]):
         method = estimator.method
         if isinstance(estimator, SRIVC):
             fit = estimator.fit_experiments(data)
-            theta, cov, bits = fit.theta, fit.theta_cov, fit.status
+            theta, cov, bits, explained = fit.theta, fit.theta_cov, fit.status, fit.explained
         else:
-            theta, cov, bits = _from_counts(estimator, data)
+            (theta, cov, bits), explained = _from_counts(estimator, data), False
         problem = make_problem(estimator, data)
         scaled = theta[: problem.structure.size] / problem.structure.scale(problem.rate)
-        checks = assess(problem, scaled, delay_of(estimator))
+        checks = assess(problem, scaled, delay_of(estimator), estimator.encoder.resolution * explained)
         process = process_of(estimator, theta, cov)
         check_known(estimator, theta, cov, checks)
         std, unstable = np.sqrt(np.diagonal(cov)), expects_unstable(estimator)
@@ -115,13 +116,22 @@ def make_process_estimator(experiments: Sequence[Experiment], axis: Axis) -> Est
         raise UsageError(f"{method} does not suit a transfer function; use one of {', '.join(methods_for(model))}")
     cls = ESTIMATORS[method]
     options = settings(axis, cls)
-    own = {"model": model, "encoder": Encoder(axis.encoder.resolution), "dt": dt, "cutoff": config.pole}
+    own = {"model": model, "encoder": Encoder(_resolution_of(experiments, axis)), "dt": dt, "cutoff": config.pole}
     estimator = construct_estimator(cls, own | options)
     if cls.instrumental and config.prefilter_zeros is None:
         encoder, counts = fine_counts(_plain(experiments, method).y)
         zeros = choose_prefilter_zeros(replace(estimator, encoder=encoder), experiments[0].u, counts)
         return replace(estimator, prefilter_zeros=zeros)
     return estimator
+
+
+def _resolution_of(experiments: Sequence[Experiment], axis: Axis) -> float:
+    """Return the resolution of the encoder, or without one the step of an output that a log has rounded."""
+    if axis.encoder.resolution != NO_ENCODER:
+        return axis.encoder.resolution
+    outputs = np.concatenate([experiment.y for experiment in experiments])
+    step, rounded = step_of(outputs[np.isfinite(outputs)])
+    return step if rounded else NO_ENCODER
 
 
 def _plain(experiments: Sequence[Experiment], method: str) -> Experiment:

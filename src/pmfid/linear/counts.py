@@ -1,0 +1,83 @@
+"""The responses of a transfer function that stay within every count of a rounded output."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.fit.posterior import allowed_region
+from pmfid.fit.problem import ResidualBlock
+from pmfid.fit.search import EXPLAINED
+from pmfid.fit.solve import root_of_rows
+from pmfid.fit.solve import solve as minimise
+from pmfid.fit.within import information_rows, reach_counts, stack
+from pmfid.linear.solve import ProcessPoint, ProcessProblem, ProcessSimulator, solve, sum_squares
+from pmfid.linear.tuning import TUNING
+from pmfid.types import Floats
+
+
+def explain_counts(
+    problem: ProcessProblem, start: ProcessPoint, resolution: float
+) -> tuple[ProcessPoint, Floats] | None:
+    """Return the mean of all parameters whose response stays within every count, and their covariance (p, p).
+
+    The result is None if the output is no count of this `resolution`, if no response near the start explains every
+    count, or if the response bends too much within the region for its linearisation.
+    """
+    problem = problem.without_reference
+    shifted = not (problem.structure.offset or problem.structure.integrators)
+    if problem.structure.size + len(problem.stretches) * (problem.structure.n + shifted) > TUNING.counts_parameters:
+        return None
+    if not _is_rounded(problem, resolution):
+        return None
+    process = ProcessSimulator.at_point(problem, start, resolution, shifted)
+    q = _start_with_offset(problem) if shifted else start.theta
+    return None if q is None else _explain(process, q)
+
+
+def _start_with_offset(problem: ProcessProblem) -> Floats | None:
+    """Return the parameters (p,) of the best response with a constant output, which is the place of a count's zero."""
+    structure = problem.structure
+    with suppress(NotIdentifiableError):
+        shifted = replace(problem, structure=replace(structure, offset=True))
+        return np.delete(solve(shifted).point.theta, structure.linear)
+    return None
+
+
+def _explain(process: ProcessSimulator, q: Floats) -> tuple[ProcessPoint, Floats] | None:
+    """Return the mean of the parameters whose response stays within every count, and their covariance (p, p)."""
+    p = q.size
+    least = minimise(process, sum_squares, q, process.first_starts, np.zeros(p))
+    precision = np.zeros(p + least.starts.size)
+    at, size = reach_counts(process, least.q, least.starts, precision, EXPLAINED), np.full(p, np.inf)
+    for _ in range(TUNING.counts_rounds):
+        if at is None or not _is_within(blocks := process.linearise(*at)):
+            return None
+        mean, covariance = _allowed(blocks, precision)
+        before, size = size, np.sqrt(np.diag(covariance)[:p])
+        at = at[0] + mean[:p], at[1] + mean[p:].reshape(least.starts.shape)
+        settled = np.abs(mean[:p]) <= TUNING.counts_settled * size
+        if np.all(settled & (size <= (1 + TUNING.counts_settled) * before)) and _is_within(process.linearise(*at)):
+            return process.visit(at), covariance[:p, :p]
+    return None
+
+
+def _is_rounded(problem: ProcessProblem, resolution: float) -> bool:
+    """Return whether every output is a count, up to the rounding of its digits."""
+    counts = [(stretch.y[stretch.rows] - stretch.y[stretch.rows[0]]) / resolution for stretch in problem.stretches]
+    return all(bool(np.max(np.abs(y - np.rint(y))) < TUNING.counts_digits) for y in counts)
+
+
+def _is_within(blocks: list[ResidualBlock]) -> bool:
+    return all(bool(np.max(np.abs(block.e)) <= 0.5 + EXPLAINED) for block in blocks)
+
+
+def _allowed(blocks: list[ResidualBlock], precision: Floats) -> tuple[Floats, Floats]:
+    """Return mean and covariance of the steps of all parameters and start states that every count allows."""
+    e, J = stack(blocks)
+    bound = np.full(e.size, 0.5 + 2 * max(0.0, float(np.max(np.abs(e))) - 0.5) + TUNING.counts_digits)
+    root = root_of_rows(information_rows(J, precision))
+    return allowed_region(e, J, bound, root, np.random.default_rng(1), (precision, precision))
