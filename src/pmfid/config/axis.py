@@ -149,10 +149,6 @@ class Axis(FileSection):
                 cure = f"drop it{_CURE.get(key, '')}"
                 raise UsageError(f'[{section}] {key} = {value!r} is not used with kind = "{kind}"; {cure}')
         self._check_units()
-        if kind == "transfer_function" and self.estimator.cutoff is None:
-            raise UsageError(
-                "[estimator] cutoff is missing (cutoff= in Python); give a pole in rad/s near the poles of the process"
-            )
         self._check_known()
         return self
 

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.batch import BatchEstimator
@@ -25,10 +26,12 @@ from pmfid.linear.solve import (
     ProcessPoint,
     ProcessProblem,
     Solution,
+    cost_at,
     keep_outputs_after,
     solve,
     solve_dead_time,
 )
+from pmfid.models.drive import Model
 from pmfid.models.equation import ESTIMATE, Equation
 from pmfid.models.transfer_function import MAX_DELAY, TransferFunction
 
@@ -166,6 +169,18 @@ def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Pro
     if not usable:
         raise UsageError("no record has a stretch with enough samples of input and output; record longer")
     return ProcessProblem(structure, usable, estimator.cutoff)
+
+
+def choose_start_pole(model: Model, experiments: Sequence[Experiment]) -> float:
+    """Return the pole [rad/s] of the filters from which the refinement comes nearest to the records in a few passes.
+
+    The poles rise by octaves, from two time constants in the longest record to half the inverse of the sample period.
+    """
+    dt = experiments[0].period
+    longest = max(float(part.times[-1] - part.times[0]) for part in experiments)
+    poles = 0.5 / dt * 0.5 ** np.arange(max(1, round(np.log2(max(longest / dt, 8.0))) - 1))
+    problems = (make_problem(SRIVC(model, Encoder(1.0), dt, pole), experiments) for pole in poles.tolist())
+    return float(poles[np.argmin([cost_at(problem, problem.structure.dead_time) for problem in problems])])
 
 
 def make_structure(model: TransferFunction, dt: float, rate: float) -> Structure:

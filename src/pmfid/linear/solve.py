@@ -384,7 +384,7 @@ def solve_dead_time(problem: ProcessProblem) -> tuple[ProcessProblem, Solution]:
     latest, step = structure.latest or 0.0, float(np.median(problem.stretches[0].grid.steps))
     places = np.arange(0.0, latest + 1e-6 * step, step)
     trimmed = replace(problem, stretches=keep_outputs_after(problem.stretches, latest, least))
-    starts = _minima(places, np.array([_cost(trimmed, float(place)) for place in places]))
+    starts = _minima(places, np.array([cost_at(trimmed, float(place)) for place in places]))
     bound = min(latest, float(np.max(starts)) + TUNING.solve_beyond * step)
     wide = replace(problem, stretches=keep_outputs_after(problem.stretches, bound, least))
     best: tuple[ProcessProblem, Solution] | None = None
@@ -405,7 +405,7 @@ def solve_dead_time(problem: ProcessProblem) -> tuple[ProcessProblem, Solution]:
     return best
 
 
-def _cost(problem: ProcessProblem, dead_time: float) -> float:
+def cost_at(problem: ProcessProblem, dead_time: float) -> float:
     """Return the remaining cost after a few passes with a given dead time."""
     fixed = replace(problem, structure=replace(problem.structure, dead_time=dead_time, latest=None))
     with np.errstate(all="ignore"):

@@ -21,7 +21,7 @@ from pmfid.estimators.configuration import construct_estimator
 from pmfid.estimators.cutoff import choose_prefilter_zeros
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS, methods_for
-from pmfid.estimators.srivc import SRIVC, make_problem, process_of
+from pmfid.estimators.srivc import SRIVC, choose_start_pole, make_problem, process_of
 from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.findings import make_notes, sort_findings
 from pmfid.io.tables import Table
@@ -57,6 +57,12 @@ class Processes(Kind[Sequence[Experiment]]):
 
     def read_table(self, table: Table, axis: Axis) -> Sequence[Experiment]:
         return [experiment_of(table, axis)]
+
+    def prepare_axis(self, data: Sequence[Experiment], axis: Axis) -> Axis:
+        if axis.estimator.cutoff is not None:
+            return axis
+        cutoff = choose_start_pole(axis.model.make(), data)
+        return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"cutoff": cutoff})})
 
     def name_and_samples(self, data: Sequence[Experiment]) -> tuple[str, int]:
         return ", ".join(experiment.name for experiment in data), sum(part.u.size for part in data)
@@ -165,6 +171,7 @@ def _from_counts(estimator: Estimator, experiments: Sequence[Experiment]) -> tup
 
 def search_order(experiments: Sequence[Experiment], axis: Axis, done: Callable[[float], None] | None = None) -> Search:
     """Return the structures with 1 to 5 poles, any number of zeros and dead times up to 5 samples, best first."""
+    axis = Processes().prepare_axis(experiments, axis)
     cutoff, offset = axis.estimator.pole, axis.model.offset
     check_sampling(axis, experiments[0].period)
     found = search_structure(experiments, cutoff, orders=ORDERS, delays=DELAYS, offset=offset, done=done)
