@@ -61,7 +61,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "encoder": GROUND,
     "edge_times": {"errors", "types"},
     "filters": FILTERS,
-    "linear": {"errors", "types", "presentation", "_stage"},
+    "linear": {"errors", "types", "presentation", "_stage", "fit"},
     "io": {"errors", "types"},
     "estimators": ESTIMATORS,
     "diagnostics": DIAGNOSTICS,

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.fit.fit import BLOCKS
 from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import ResidualBlock
 from pmfid.fit.search import EXPLAINED
@@ -29,13 +30,12 @@ def explain_counts(
     """
     problem = problem.without_reference
     shifted = not (problem.structure.offset or problem.structure.integrators)
-    if problem.structure.size + len(problem.stretches) * (problem.structure.n + shifted) > TUNING.counts_parameters:
+    parameters = problem.structure.size + len(problem.stretches) * (problem.structure.n + shifted)
+    if parameters > BLOCKS or not (off := _find_distance(problem, resolution)) < EXPLAINED:
         return None
-    if not _is_rounded(problem, resolution):
-        return None
-    process = ProcessSimulator.at_point(problem, start, resolution, shifted)
+    process = ProcessSimulator.make_at(problem, start, resolution, shifted)
     q = _start_with_offset(problem) if shifted else start.theta
-    return None if q is None else _explain(process, q)
+    return None if q is None else _explain(process, q, off)
 
 
 def _start_with_offset(problem: ProcessProblem) -> Floats | None:
@@ -47,8 +47,11 @@ def _start_with_offset(problem: ProcessProblem) -> Floats | None:
     return None
 
 
-def _explain(process: ProcessSimulator, q: Floats) -> tuple[ProcessPoint, Floats] | None:
-    """Return the mean of the parameters whose response stays within every count, and their covariance (p, p)."""
+def _explain(process: ProcessSimulator, q: Floats, off: float) -> tuple[ProcessPoint, Floats] | None:
+    """Return the mean of the parameters whose response stays within every count, and their covariance (p, p).
+
+    The digits of a log move an output by up to `off` [counts].
+    """
     p = q.size
     least = minimise(process, sum_squares, q, process.first_starts, np.zeros(p))
     precision = np.zeros(p + least.starts.size)
@@ -56,7 +59,7 @@ def _explain(process: ProcessSimulator, q: Floats) -> tuple[ProcessPoint, Floats
     for _ in range(TUNING.counts_rounds):
         if at is None or not _is_within(blocks := process.linearise(*at)):
             return None
-        mean, covariance = _allowed(blocks, precision)
+        mean, covariance = _find_region(blocks, precision, off)
         before, size = size, np.sqrt(np.diag(covariance)[:p])
         at = at[0] + mean[:p], at[1] + mean[p:].reshape(least.starts.shape)
         settled = np.abs(mean[:p]) <= TUNING.counts_settled * size
@@ -65,19 +68,19 @@ def _explain(process: ProcessSimulator, q: Floats) -> tuple[ProcessPoint, Floats
     return None
 
 
-def _is_rounded(problem: ProcessProblem, resolution: float) -> bool:
-    """Return whether every output is a count, up to the rounding of its digits."""
+def _find_distance(problem: ProcessProblem, resolution: float) -> float:
+    """Return the largest distance of an output from its count [counts]."""
     counts = [(stretch.y[stretch.rows] - stretch.y[stretch.rows[0]]) / resolution for stretch in problem.stretches]
-    return all(bool(np.max(np.abs(y - np.rint(y))) < TUNING.counts_digits) for y in counts)
+    return max(float(np.max(np.abs(y - np.rint(y)))) for y in counts)
 
 
 def _is_within(blocks: list[ResidualBlock]) -> bool:
     return all(bool(np.max(np.abs(block.e)) <= 0.5 + EXPLAINED) for block in blocks)
 
 
-def _allowed(blocks: list[ResidualBlock], precision: Floats) -> tuple[Floats, Floats]:
+def _find_region(blocks: list[ResidualBlock], precision: Floats, off: float) -> tuple[Floats, Floats]:
     """Return mean and covariance of the steps of all parameters and start states that every count allows."""
     e, J = stack(blocks)
-    bound = np.full(e.size, 0.5 + 2 * max(0.0, float(np.max(np.abs(e))) - 0.5) + TUNING.counts_digits)
+    bound = np.full(e.size, 0.5 + 2 * max(0.0, float(np.max(np.abs(e))) - 0.5) + off)
     root = root_of_rows(information_rows(J, precision))
     return allowed_region(e, J, bound, root, np.random.default_rng(1), (precision, precision))

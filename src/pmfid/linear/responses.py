@@ -82,12 +82,12 @@ def _places(grid: Grid, t: Floats, steps: Floats, dead_time: float) -> tuple[NDA
     The number of the instant is negative if no such instant exists.
     """
     if isinstance(grid.steps, float):
-        whole = int(np.ceil(dead_time / grid.steps - TUNING.responses_same))
+        whole = int(np.ceil(dead_time / grid.steps - TUNING.experiment_same))
         rest = max(0.0, whole * grid.steps - dead_time)
         return np.arange(grid.size) - whole, np.full(
-            grid.size, rest if rest > TUNING.responses_same * grid.steps else 0.0
+            grid.size, rest if rest > TUNING.experiment_same * grid.steps else 0.0
         )
-    wanted, close = t - dead_time, TUNING.responses_same * float(np.median(steps))
+    wanted, close = t - dead_time, TUNING.experiment_same * float(np.median(steps))
     index = np.searchsorted(t, wanted + close, side="right") - 1
     return index, np.maximum(0.0, wanted - t[np.maximum(index, 0)]) * (index >= 0)
 

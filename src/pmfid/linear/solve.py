@@ -216,7 +216,7 @@ class ProcessSimulator:
     shifted: bool
 
     @classmethod
-    def at_point(
+    def make_at(
         cls, problem: ProcessProblem, point: ProcessPoint, scale: float, shifted: bool = False
     ) -> ProcessSimulator:
         pairs = zip(problem.stretches, point.initial, strict=True)
@@ -270,7 +270,7 @@ def descend(problem: ProcessProblem, start: ProcessPoint) -> Solution:
         scale = np.sqrt((point.cost + TUNING.solve_rounding * point.power) / max(point.error.size, 1))
         if not 0 < scale < np.inf:
             break
-        simulator = ProcessSimulator.at_point(problem, point, float(scale))
+        simulator = ProcessSimulator.make_at(problem, point, float(scale))
         prior = np.zeros(point.theta.size)
         end = minimise(simulator, sum_squares, point.theta, simulator.first_starts, prior, TUNING.solve_descents)
         point, settled = simulator.visit((end.q, end.starts)), end.settled
@@ -328,12 +328,10 @@ def solve(problem: ProcessProblem) -> Solution:
 
 
 def _better(solution: Solution, best: Solution) -> bool:
-    """Return whether a solution is better: it alone has converged, or its sum of squares is lower by more than
-    rounding.
-    """
+    """Return whether a solution is better: it alone has converged, or its sum of squares is lower."""
     if solution.settled != best.settled:
         return solution.settled
-    return solution.point.cost < (1 - TUNING.solve_lower) * best.point.cost
+    return solution.point.cost < best.point.cost
 
 
 def _reason(problem: ProcessProblem) -> str:

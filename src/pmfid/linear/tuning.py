@@ -10,11 +10,8 @@ class LinearTuning:
     """Thresholds and counts of `pmfid.linear`, grouped by module."""
 
     # counts
-    #: Distance of a rounded output from its count, in counts, by the digits of a log.
-    counts_digits: float = 1e-5
-    #: Most parameters and start states, which bound the time. Rounds of the linearisation of a response in them, and
-    #: the relative change of mean and standard deviations that the random walk may cause.
-    counts_parameters: int = 40
+    #: Rounds of the linearisation of a response, and the relative change of mean and standard deviations that the
+    #: random walk may cause.
     counts_rounds: int = 6
     counts_settled: float = 0.4
 
@@ -26,7 +23,7 @@ class LinearTuning:
     #: Relative deviation from an even spacing below which instants are evenly spaced. Clocks and rounded decimals cause
     #: small deviations from an even spacing.
     experiment_even: float = 5e-3
-    #: Distance, relative to the median step, below which two instants are equal.
+    #: Distance, relative to the median step, below which two instants are equal, or a dead time ends at an instant.
     experiment_same: float = 1e-9
     #: Longest step without a gap, in median steps. The input within a gap is unknown.
     experiment_gap: float = 1.75
@@ -93,10 +90,6 @@ class LinearTuning:
     #: and Student's t has a larger variance than a normal deviate.
     least_free: float = 4.0
 
-    # responses
-    #: Relative distance from an instant, in parts of the step, below which a dead time ends at this instant.
-    responses_same: float = 1e-9
-
     # solve
     solve_refinements: int = 30
     solve_descents: int = 60
@@ -109,8 +102,6 @@ class LinearTuning:
     solve_edge: float = 0.9
     #: Number of unknown poles above which the first optimum may be local.
     solve_several: int = 3
-    #: Relative decrease of the sum of squares above which another optimum is better.
-    solve_lower: float = 1e-9
     #: Poles of further start filters relative to the first filter, used if the first filter does not lead to
     #: convergence.
     solve_starts: tuple[float, ...] = (1.0, 3.0, 1 / 3, 10.0)
