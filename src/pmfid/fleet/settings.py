@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,12 +11,11 @@ import numpy as np
 from pmfid.config.axis import Axis, check_sampling
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
-from pmfid.estimators.fleet import Fleet
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.redge import REdge
 from pmfid.estimators.registry import ESTIMATORS
 from pmfid.estimators.stretches import parts_of
-from pmfid.fleet.series import UNUSABLE
+from pmfid.estimators.tuning import TUNING as ESTIMATOR_TUNING
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
 from pmfid.pipeline.drives import make_estimator, match_kind
@@ -24,7 +23,6 @@ from pmfid.pipeline.edges import make_edge_estimator, takes_edges
 from pmfid.pipeline.known import finds_gain
 from pmfid.records.joining import make_even
 from pmfid.records.record import Record, record_of
-from pmfid.status import Status
 
 
 @dataclass(frozen=True)
@@ -136,102 +134,33 @@ def quarter_of(settings: Settings, dt: float) -> int:
 
 
 def choose(given: Axis, tables: Iterable[Table]) -> RecursiveEstimator | REdge:
-    """Return the estimator with the pole and zeros with which most segments of some records have an estimate.
+    """Return the estimator with the pole and zeros that suit the first record with motion.
 
-    Among equal choices, the choice with the smallest standard errors wins. The tables belong to different axes. Raises
-    UsageError for a method that is not recursive. If no pole fits, the error of the first table is raised.
+    The tables belong to different axes. Raises UsageError for a method that is not recursive. If no record is suitable,
+    the error of the first table is raised.
     """
     axis = choose_method(given)
-    records, refused = _records(axis, tables)
-    if not records:
-        kind, reason = (type(refused), refused) if refused else (UsageError, "no axis has any rows")
-        raise kind(f"{reason}; if another column names the axes, correct --axis")
-    first = records[0]
-    if takes_edges(given):
-        return replace(make_edge_estimator(given, first), memory=None)
-    poles = (
-        [axis.estimator.cutoff] if axis.estimator.cutoff else [1 / (many * first.dt) for many in TUNING.settings_tried]
-    )
-    found = list[tuple[tuple[int, float], RecursiveEstimator]]()
-    for pole in poles:
+    refused: UsageError | NotIdentifiableError = UsageError("no axis has any rows")
+    for number, table in enumerate(tables):
         try:
-            found += [(_worth(one, records), one) for one in _estimators(axis, first, pole)]
+            return _choose_for(given, axis, _without_gap(record_at(table, axis)))
         except (UsageError, NotIdentifiableError) as error:
-            refused = refused or error
-    if not found:
-        raise refused or UsageError("no record of the fleet is suitable to choose the filters; give [estimator] cutoff")
-    return _best(found)
+            refused = error if number == 0 else refused
+    raise type(refused)(f"{refused}; if another column names the axes, correct --axis")
 
 
-def _best(found: Sequence[tuple[tuple[int, float], RecursiveEstimator]]) -> RecursiveEstimator:
-    """Return the quickest filters with an acceptable price, among the filters with the most segments.
-
-    Axes outside the sample may move more slowly, and bring less information to slow filters.
-    """
-    most = max(usable for (usable, _), _ in found)
-    known = [(stds, chosen) for (usable, stds), chosen in found if usable == most]
-    least = max(stds for stds, _ in known)
-    cheap = [
-        (chosen.cutoff, stds, chosen)
-        for stds, chosen in known
-        if stds >= least - math.log(TUNING.settings_cheap) or not most
-    ]
-    return max(cheap, key=lambda one: one[:2])[2]
-
-
-def _records(axis: Axis, tables: Iterable[Table]) -> tuple[list[Record], UsageError | NotIdentifiableError | None]:
-    """Return the liveliest parts of the first valid records, at one sample period, and the error of an invalid one."""
-    found = list[Record]()
-    refused: UsageError | NotIdentifiableError | None = None
-    for table in tables:
-        try:
-            record = liveliest(record_at(table, axis))
-        except (UsageError, NotIdentifiableError) as error:
-            refused = refused or error
-            continue
-        if np.ptp(record.counts) == 0:
-            refused = refused or NotIdentifiableError(
-                "the first axes do not move, so their parameters cannot be estimated"
-            )
-        elif not found or record.dt == found[0].dt:
-            found.append(record)
-        if len(found) == TUNING.settings_records:
-            break
-    return found, refused
-
-
-def liveliest(record: Record) -> Record:
-    """Return the part of a record with most motion, without a gap, a few segments long."""
-    whole = max(parts_of(record.u), key=lambda part: part.stop - part.start, default=slice(0, 0))
-    size = max(1, round(TUNING.settings_most * TUNING.settings_segments[0] / record.dt))
-    starts = range(whole.start, max(whole.start + 1, whole.stop - size + 1), size)
-    parts = [slice(start, min(start + size, whole.stop)) for start in starts]
-    travel = [int(np.abs(np.diff(record.counts[part])).sum()) for part in parts]
-    part = parts[int(np.argmax(travel))]
+def _without_gap(record: Record) -> Record:
+    """Return the longest part of a record without a gap. Raises NotIdentifiableError for a part without motion."""
+    part = max(parts_of(record.u), key=lambda part: part.stop - part.start, default=slice(0, 0))
+    if not np.any(np.diff(record.counts[part])):
+        raise NotIdentifiableError("the first axes do not move, so their parameters cannot be estimated")
     return replace(record, u=record.u[part], counts=record.counts[part], there=None)
 
 
-def _estimators(axis: Axis, record: Record, pole: float) -> Iterator[RecursiveEstimator]:
-    """Yield the estimators with all candidate zeros of the pre-filters, if none are given."""
-    update = {"cutoff": pole, "forgetting": forgetting_of(TUNING.settings_segments[0], record.dt)}
+def _choose_for(given: Axis, axis: Axis, record: Record) -> RecursiveEstimator | REdge:
+    if takes_edges(given):
+        return replace(make_edge_estimator(given, record), memory=None)
+    cutoff = axis.estimator.cutoff or 1 / (ESTIMATOR_TUNING.cutoff_tried[0] * record.dt)
+    update = {"cutoff": cutoff, "forgetting": forgetting_of(TUNING.settings_segments[0], record.dt)}
     own = axis.model_copy(update={"estimator": axis.estimator.model_copy(update=update)})
-    estimator = recursive(make_estimator(match_kind(record, own), record))
-    if not estimator.instrumental or axis.estimator.prefilter_zeros is not None:
-        yield estimator
-        return
-    needed = len(estimator.model.simple.equation.noisy)
-    for zeros in estimator.plant.candidate_zeros(pole, estimator.memory, needed):
-        yield replace(estimator, prefilter_zeros=zeros)
-
-
-def _worth(estimator: RecursiveEstimator, records: Sequence[Record]) -> tuple[int, float]:
-    """Return the number of usable segments in all records, and the negative mean logarithm of their standard errors."""
-    size = min([round(TUNING.settings_segments[0] / estimator.dt), *(record.u.size for record in records)])
-    cuts = [(record, k) for record in records for k in range(0, record.u.size - size + 1, size)]
-    u = np.stack([record.u[k : k + size] for record, k in cuts])
-    counts = np.stack([record.counts[k : k + size] for record, k in cuts])
-    tracks = Fleet(estimator.start(), len(cuts), workers=1).run(u, counts)
-    status, std = tracks.status[:, -1], tracks.theta_std[:, -1]
-    known = ((status & (UNUSABLE | int(Status.FALLBACK))) == 0) & np.all(np.isfinite(std) & (std > 0), axis=1)
-    stds = np.log(std[known]).mean() if np.any(known) else math.inf
-    return int(np.count_nonzero(known)), -float(stds)
+    return recursive(make_estimator(match_kind(record, own), record))

@@ -126,14 +126,8 @@ class FleetTuning:
     least_settled: int = 4
     #: Largest part of missing samples in a piece.
     most_missing: float = 0.2
-    #: Time constants of the filters that are tried [samples].
-    settings_tried: tuple[int, int, int] = (10, 3, 30)
-    #: Factor by which standard errors may grow as the price of quicker filters.
-    settings_cheap: float = 3.0
-    #: Largest number of axes whose first hour may decide, number of examined records, and of segments in each.
+    #: Largest number of axes whose first hour may decide.
     tried_axes: int = 25
-    settings_records: int = 8
-    settings_most: int = 5
 
     # source
     source_nanosecond: float = 1e-9
