@@ -16,7 +16,7 @@ from pmfid.config.axis import Axis, read_axis
 from pmfid.config.keys import AxisKeys
 from pmfid.durable import replace_file
 from pmfid.errors import UsageError, printable
-from pmfid.fleet.evaluate import Work, longest_tables
+from pmfid.fleet.evaluate import Work, longest_tables, split_results
 from pmfid.fleet.local import Files, Progress
 from pmfid.fleet.series import Periods, Series, period_rows, series_of, widen_errors
 from pmfid.fleet.settings import Settings, choose, make_settings
@@ -312,7 +312,7 @@ def _estimate(
     chosen = choose(axis, longest_tables(data.read(_samples(survey.rows)), data.given))
     settings = make_settings(axis, chosen, min(TUNING.hour / 2, periods.length or TUNING.hour), segment)
     work = Work(settings, data.given)
-    rows, problems = work.split(data.evaluate(work, tell))
+    rows, problems = split_results(data.evaluate(work, tell))
     # If an axis has several types, the first by name counts.
     types = dict(survey.rows.group_by(AXIS).agg(pl.col(TYPE).min()).sort(AXIS).iter_rows())
     problems = [*survey.problems, *_several(survey.rows), *problems]

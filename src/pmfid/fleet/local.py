@@ -184,6 +184,6 @@ def _scan(folder: Path) -> pl.LazyFrame:
 
 def _evaluate_chunk(work: Work, chunk: Chunk) -> pl.DataFrame:
     rows, problems = chunk.read()
+    found = [work.evaluate(own) for own in rows.partition_by(AXIS)] if rows.height else []
     reports = pl.DataFrame([asdict(one) for one in problems], PROBLEM)
-    segments = pl.DataFrame(schema=work.schema) if not rows.height else work.evaluate(rows)
-    return pl.concat([segments, reports], how="diagonal")
+    return pl.concat([pl.DataFrame(schema=work.schema), *found, reports], how="diagonal")

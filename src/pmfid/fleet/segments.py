@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pmfid._stage import bars
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.configuration import like
 from pmfid.estimators.fleet import Fleet
 from pmfid.estimators.iv import IV, RIV
 from pmfid.estimators.recursive import RecursiveEstimator
+from pmfid.estimators.redge import REdge
 from pmfid.estimators.results import Tracks
 from pmfid.estimators.stretches import parts_of
 from pmfid.fleet.missing_forces import measure_forces
 from pmfid.fleet.series import BACKWARD, FORWARD, ONE_SIZE, UNUSABLE
 from pmfid.fleet.settings import Settings, quarter_of, record_at, recursive
 from pmfid.fleet.tuning import TUNING
-from pmfid.io.tables import Table
 from pmfid.records.record import Record
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
@@ -34,22 +35,20 @@ class RecordPiece:
     counted from the start.
     """
 
-    axis: str
     start: float
-    table: Table
+    table: Mapping[str, Floats]
 
 
 @dataclass(frozen=True)
 class Stretch:
     """Samples (n,) of one segment, without a gap.
 
-    `samples` is their number in the record, including omitted rests. `lost` is the imputed part. `repeats` is
-    the number of times that each of the n samples occurs. `group` is that of neighbours, one of which is searched for
-    missing forces.
-    `ages` (n,) are the ages of edges, if the data have them. `temperature` is the mean that friction follows, or NaN.
+    `samples` is their number in the record, including omitted rests. `lost` is the imputed part. `repeats` is the
+    number of times that each of the n samples occurs. `group` is that of neighbours, one of which is searched for
+    missing forces. `temperature` is the mean that friction follows, or NaN. `ages` (n,) are the ages of edges, if the
+    estimate uses them.
     """
 
-    axis: str
     start: float
     end: float
     samples: int
@@ -59,9 +58,9 @@ class Stretch:
     counts: Counts
     lost: float
     repeats: float
-    group: tuple[str, float, int] = ("", 0.0, 0)
-    ages: Floats | None = None
-    temperature: float = math.nan
+    group: tuple[float, int]
+    temperature: float
+    ages: Floats | None
 
 
 @dataclass(frozen=True)
@@ -165,21 +164,21 @@ SEEN = UNUSABLE | int(Status.UNMODELLED | Status.FALLBACK | Status.DEAD_TIME)
 def look_for_forces(
     stretches: Sequence[Stretch], theta: Floats, std: Floats, status: NDArray[np.uint32], settings: Settings
 ) -> list[list[float] | None]:
-    """Return the missing forces of some stretches, and None for the others.
+    """Return the missing forces of some stretches of an axis, and None for the others.
 
     The first good estimate of each group counts, from theta and std (m, p) and the status (m,). A list has the rows of
     `measure_forces` one after the other.
     """
     found: list[list[float] | None] = [None] * len(stretches)
-    good = ((status & SEEN) == 0) & np.all(np.isfinite(std), axis=1)
-    seen = set[tuple[str, float, int]]()
-    for k in sorted(np.flatnonzero(good).tolist(), key=lambda k: (stretches[k].axis, stretches[k].start)):
+    good = np.flatnonzero(((status & SEEN) == 0) & np.all(np.isfinite(std), axis=1)).tolist()
+    seen = set[tuple[float, int]]()
+    for k in sorted(good, key=lambda k: stretches[k].start):
         one = stretches[k]
-        estimator = settings.adapt_estimator(one.dt, one.resolution)
-        if one.group in seen or not isinstance(estimator, RIV):
+        if one.group in seen or not isinstance(settings.estimator, RIV):
             continue
         seen.add(one.group)
-        u, counts, method = one.u[: TUNING.segments_most], one.counts[: TUNING.segments_most], like(IV, estimator)
+        method = like(IV, recursive(settings.adapt_estimator(one.dt, one.resolution)))
+        u, counts = one.u[: TUNING.segments_most], one.counts[: TUNING.segments_most]
         with np.errstate(all="ignore"):  # nothing is known of a motion beyond the range of numbers
             try:
                 rows = measure_forces(u, counts, one.resolution, method, theta[k], one.repeats)
@@ -196,20 +195,20 @@ def settled_std(tracks: Tracks) -> Floats:
     The deviations are larger if the estimates still moved by more than chance explains. A biased start, or a change
     within the segment, is forgotten no faster than the samples.
     """
-    std = tracks.theta_std[:, -1]
-    moved = np.ptp(tracks.theta[:, _first_after(tracks, 4) :], axis=1)
+    std, first = tracks.theta_std[:, -1], (tracks.samples.size - 1) // 4
+    moved = np.ptp(tracks.theta[:, first:], axis=1)
     return np.asarray(np.hypot(std, np.maximum(moved - TUNING.segments_usual * std, 0.0)))
 
 
-def lasting_status(tracks: Tracks) -> NDArray[np.uint32]:
-    """Return the status (n,) at the end of the segments.
+def lasting_status(status: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """Return the status (n,) at the end of segments, from their status (n, times).
 
     The status includes UNMODELLED if a part of the second half had this bit. The verdict of the kernel concerns only
     the last motion.
     """
-    off = (tracks.status[:, _first_after(tracks, 2) :] & Status.UNMODELLED) != 0
+    off = (status[:, (status.shape[1] - 1) // 2 :] & Status.UNMODELLED) != 0
     wrong = np.mean(off, axis=1) >= TUNING.segments_off
-    return np.asarray(tracks.status[:, -1] | np.where(wrong, Status.UNMODELLED, 0), np.uint32)
+    return np.asarray(status[:, -1] | np.where(wrong, Status.UNMODELLED, 0), np.uint32)
 
 
 def evidence_gaps(u: Floats, counts: Counts) -> NDArray[np.uint32]:
@@ -223,39 +222,41 @@ def evidence_gaps(u: Floats, counts: Counts) -> NDArray[np.uint32]:
     return np.asarray(way | np.where(one_size, ONE_SIZE, 0), np.uint32)
 
 
-def _first_after(tracks: Tracks, part: int) -> int:
-    """Return the index of the first kept estimate after 1/part of the segment."""
-    return (tracks.samples.size - 1) // part
-
-
 def cut_stretches(piece: RecordPiece, settings: Settings) -> list[Stretch]:
-    """Return the stretches of a piece. Raises UsageError for a piece that is no record, or too short for an
-    estimate."""
+    """Return the stretches of a piece. Raises UsageError for a piece that is no record, that is too short for an
+    estimate, or whose ages of edges are unusable."""
     record = record_at(piece.table, settings.axis)
-    quarter, settled = quarter_of(settings, record.dt), recursive(settings.estimator).settle_samples
-    span = round(settings.span / record.dt)
-    filled = None if record.there is None else ~record.there
-    shares = (
-        (whole.start, share)
-        for whole in parts_of(record.u)
-        for share in shares_of(record.counts[whole], settled, quarter, span)
-    )
-    found = [
-        _stretch(piece, record, filled, first, share, k // TUNING.one_of) for k, (first, share) in enumerate(shares)
-    ]
-    if not found:
+    quarter = quarter_of(settings, record.dt)
+    if isinstance(settings.estimator, REdge):
+        if record.ages is None:
+            raise UsageError(record.notes[-1] if record.notes else "the ages of edges in this record cannot be used")
+        n, least = record.u.size, TUNING.edges_least
+        parts = _cut(n, quarter) or [slice(0, n)] if n >= least else []
+        shares = [(0, Share(np.arange(part.start, part.stop), part.stop - part.start)) for part in parts]
+    else:
+        least, span = quarter, round(settings.span / record.dt)
+        settled = recursive(settings.estimator).settle_samples
+        shares = [
+            (whole.start, share)
+            for whole in parts_of(record.u)
+            for share in shares_of(record.counts[whole], settled, quarter, span)
+        ]
+    if not shares:
         raise UsageError(
             f"the longest stretch without a gap has {record.u.size} samples, too few: record at least "
-            f"{quarter * record.dt:.3g} s without a gap"
+            f"{least * record.dt:.3g} s without a gap"
         )
-    return found
+    return [
+        _stretch(piece, record, first, share, (piece.start, k // TUNING.one_of))
+        for k, (first, share) in enumerate(shares)
+    ]
 
 
-def _stretch(piece: RecordPiece, record: Record, filled: Flags | None, first: int, share: Share, group: int) -> Stretch:
-    """Return a stretch whose share starts at the sample `first` of the record. `filled` marks the imputed samples."""
+def _stretch(piece: RecordPiece, record: Record, first: int, share: Share, group: tuple[float, int]) -> Stretch:
+    """Return a stretch whose share starts at the sample `first` of the record."""
     begin, end = first + int(share.places[0]), first + int(share.places[-1]) + 1
+    there, warm = record.there, record.temperature
     return Stretch(
-        piece.axis,
         piece.start + begin * record.dt,
         piece.start + end * record.dt,
         end - begin,
@@ -263,20 +264,37 @@ def _stretch(piece: RecordPiece, record: Record, filled: Flags | None, first: in
         record.resolution,
         share.input(record.u[first:]),
         share.counts(record.counts[first:]),
-        0.0 if filled is None else float(filled[first:][share.rows].mean()),
+        0.0 if there is None else 1 - float(there[first:][share.rows].mean()),
         share.repeats,
-        (piece.axis, piece.start, group),
-        temperature=math.nan if record.temperature is None else float(record.temperature[first:][share.rows].mean()),
+        group,
+        math.nan if warm is None else float(warm[first:][share.rows].mean()),
+        None if record.ages is None else record.ages[first:][share.rows],
     )
 
 
 def estimate_batch(
-    stretches: Sequence[Stretch], estimator: RecursiveEstimator
+    stretches: Sequence[Stretch], estimator: RecursiveEstimator | REdge
 ) -> tuple[Floats, Floats, NDArray[np.uint32]]:
     """Return the parameters and their standard deviations (m, p), and the status (m,), of m stretches of one length."""
     u, counts = np.stack([one.u for one in stretches]), np.stack([one.counts for one in stretches])
-    fleet = Fleet(estimator.start(), len(stretches), workers=1)
-    tracks = fleet.run(u, counts, every=max(1, u.shape[1] // TUNING.segments_marks))
-    theta = tracks.theta[:, -1]
-    std = settled_std(tracks) * np.sqrt([[one.repeats] for one in stretches])
-    return theta, std, lasting_status(tracks) | evidence_gaps(u, counts)
+    if isinstance(estimator, REdge):
+        theta, std, status = _estimate_edges(
+            estimator, u, counts, np.stack([one.ages for one in stretches if one.ages is not None])
+        )
+    else:
+        fleet = Fleet(estimator.start(), len(stretches), workers=1)
+        tracks = fleet.run(u, counts, every=max(1, u.shape[1] // TUNING.segments_marks))
+        theta, status = tracks.theta[:, -1], lasting_status(tracks.status)
+        std = settled_std(tracks) * np.sqrt([[one.repeats] for one in stretches])
+    return theta, std, status | evidence_gaps(u, counts)
+
+
+def _estimate_edges(
+    estimator: REdge, u: Floats, counts: Counts, ages: Floats
+) -> tuple[Floats, Floats, NDArray[np.uint32]]:
+    """Return the same as `estimate_batch`, from inputs, counts and ages of edges (m, n)."""
+    states = np.tile(np.frombuffer(estimator.kernel.raw_state(), np.uint8), (len(u), 1))
+    theta, variance, _, known, status = estimator.kernel.run_many(states, u, counts, ages)
+    last = np.ascontiguousarray(variance[:, -1])
+    std = bars(last, np.ascontiguousarray(known[:, -1]), np.zeros_like(last))
+    return theta[:, -1], std, lasting_status(status)

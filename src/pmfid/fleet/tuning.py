@@ -82,13 +82,11 @@ class FleetTuning:
     #: input with several sizes.
     segments_back: float = 0.05
     segments_level: float = 0.98
-    #: Largest number of samples in a batch [axes times samples].
-    segments_batch: int = 2**22
+    #: Largest number of samples that are estimated at once. All results of samples with edge times are in memory.
+    segments_batch: int = 2**18
     #: Step of the time, in median steps, at which a row with an edge may be missing, and least number of samples.
     edges_apart: float = 1.5
     edges_least: int = 100
-    #: Number of samples with edge times that are estimated at once, whose results are all in memory.
-    edges_batch: int = 2**18
     #: One segment in `one_of` of a piece is searched for missing forces.
     one_of: int = 16
 
