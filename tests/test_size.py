@@ -13,10 +13,10 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66212,
-    "lines of code in src": 38804,
+    "lines of src": 66055,
+    "lines of code in src": 38690,
     "lines of code in report and cli": 3313,
-    "thresholds in src": 990,
+    "thresholds in src": 984,
     "lines of csrc": 8678,
     "defines of csrc": 195,
     "conditionals of csrc": 106,

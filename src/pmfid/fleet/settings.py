@@ -1,4 +1,4 @@
-"""Settings of a history, and the choice of method and filters."""
+"""Settings of a history, and its method and filters."""
 
 from __future__ import annotations
 
@@ -134,22 +134,23 @@ def quarter_of(settings: Settings, dt: float) -> int:
 
 
 def choose(given: Axis, tables: Iterable[Table]) -> RecursiveEstimator | REdge:
-    """Return the estimator with the pole and zeros that suit the first record with motion.
+    """Return the estimator whose pre-filter has the zeros that suit the first record with motion.
 
-    The tables belong to different axes. Raises UsageError for a method that is not recursive. If no record is suitable,
-    the error of the first table is raised.
+    The filters are the quickest, because axes outside the sample may move in any way. The tables belong to different
+    axes. Raises UsageError for a method that is not recursive, and the error of the first table if no record is
+    suitable.
     """
     axis = choose_method(given)
     refused: UsageError | NotIdentifiableError = UsageError("no axis has any rows")
     for number, table in enumerate(tables):
         try:
-            return _choose_for(given, axis, _without_gap(record_at(table, axis)))
+            return _choose_for(given, axis, _cut_gaps(record_at(table, axis)))
         except (UsageError, NotIdentifiableError) as error:
             refused = error if number == 0 else refused
     raise type(refused)(f"{refused}; if another column names the axes, correct --axis")
 
 
-def _without_gap(record: Record) -> Record:
+def _cut_gaps(record: Record) -> Record:
     """Return the longest part of a record without a gap. Raises NotIdentifiableError for a part without motion."""
     part = max(parts_of(record.u), key=lambda part: part.stop - part.start, default=slice(0, 0))
     if not np.any(np.diff(record.counts[part])):
@@ -160,7 +161,7 @@ def _without_gap(record: Record) -> Record:
 def _choose_for(given: Axis, axis: Axis, record: Record) -> RecursiveEstimator | REdge:
     if takes_edges(given):
         return replace(make_edge_estimator(given, record), memory=None)
-    cutoff = axis.estimator.cutoff or 1 / (ESTIMATOR_TUNING.cutoff_tried[0] * record.dt)
+    cutoff = axis.estimator.cutoff or 1 / (min(ESTIMATOR_TUNING.cutoff_tried) * record.dt)
     update = {"cutoff": cutoff, "forgetting": forgetting_of(TUNING.settings_segments[0], record.dt)}
     own = axis.model_copy(update={"estimator": axis.estimator.model_copy(update=update)})
     return recursive(make_estimator(match_kind(record, own), record))
