@@ -11,10 +11,11 @@ from pmfid import Drive
 from pmfid.models.equation import Equation
 from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.cause import Cause, ChangeEvidence, candidates_of, compare, explain
-from pmfid.monitor.events import Alarm, Watch
+from pmfid.monitor.events import Alarm, Settled, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.simulation import CART, CART_DT, Schedule, position_control, quantize, resolution_of
 from pmfid.simulation.scenarios import CART_CONTROL
+from studies.alarms import NAMES, bench
 from studies.monitoring.axis import make_riv, normal_work, random_stop_and_go
 
 THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
@@ -117,3 +118,16 @@ def test_an_encoder_of_four_times_the_step_is_no_mass(calibration: Calibration) 
     assert (alarm.parameter, alarm.unit, alarm.others) == ("encoder_scale", "", ("mass and viscous_friction",))
     assert alarm.relative == pytest.approx(-0.75, abs=0.02)
     assert alarm.advice.startswith("Check the resolution of the encoder")
+
+
+@pytest.mark.parametrize(("name", "factor"), [("coulomb_friction", 1.1), ("mass", 0.8)])
+def test_the_new_reference_and_its_cause_are_right(name: str, factor: float) -> None:
+    """The model once kept its first, wrong friction, so that the new reference was wrong and a false alarm followed."""
+    machine, when = bench("stage"), 40 * bench("stage").move
+    changed = replace(machine.drive, **{name: factor * getattr(machine.drive, name)})
+    record = machine.record(Schedule(((0.0, machine.drive), (when, changed))), 90, np.random.default_rng(7))
+    events = [event for *_, event in Monitor(machine.estimator(), machine.calibration(), Watch()).run(*record).events]
+    settled = next(event for event in events if isinstance(event, Settled))
+    assert np.all(np.abs(settled.theta - [getattr(changed, one) for one in NAMES]) < 4 * settled.std)
+    assert [one.parameter for one in settled.changes] == [name]
+    assert sum(isinstance(event, Alarm) for event in events) == 1

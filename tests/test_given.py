@@ -229,6 +229,3 @@ def test_the_monitor_names_the_gain_and_keeps_the_mass(calibration: Calibration)
     assert settled.theta == pytest.approx([1.07, 12.8, 0.8, 1.7], rel=0.03)
     assert settled.theta[0] == settled.before[0] == CART.mass
     assert monitor.names[-1] == "input_gain"
-
-
-# --- files and commands -----------------------------------------------------------------------------------------------

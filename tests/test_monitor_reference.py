@@ -93,6 +93,3 @@ def test_the_right_machine_keeps_its_thresholds() -> None:
     found, plain = calibrate(riv, theta, u, counts), calibrate(riv, theta, u, None)
     assert found.record_hours == 0
     assert found.chance.threshold(24.0) == pytest.approx(plain.chance.threshold(24.0), rel=0.05)
-
-
-# --- thresholds of known sequences ------------------------------------------------------------------------------------

@@ -139,6 +139,3 @@ def test_a_signal_ends_with_a_whole_file(folder: Path, kind: str, number: signal
     assert 100 < table.height <= n
     assert table["t"].to_numpy() == pytest.approx(np.arange(table.height) * CART_DT)
     assert not list(folder.glob("*.parquet.csv"))
-
-
-# --- parts ------------------------------------------------------------------------------------------------------------

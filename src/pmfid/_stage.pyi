@@ -34,7 +34,6 @@ def follow_states(
 class Inputs:
     counts: int
     zero: int
-    change: int
     samples: int
     lost: bool
     input: float
@@ -46,7 +45,6 @@ class Inputs:
     power: float
     numbers: tuple[NDArray[np.int64], NDArray[np.float64]]
     def step(self, u: float, counts: int) -> int: ...
-    def run(self, u: NDArray[np.float64], counts: NDArray[np.int64]) -> NDArray[np.int64]: ...
     def rebase(self, counts: int) -> None: ...
     def before(self, samples: int) -> int: ...
     def pass_over(self, samples: int) -> None: ...
@@ -93,7 +91,7 @@ class Watcher:
         norms: Norms,
         seen: Norms,
         detection: Detection,
-        work: tuple[float, NDArray[np.float64], NDArray[np.float64]] | None,
+        work: tuple[float, NDArray[np.float64], NDArray[np.float64]],
         threshold: float,
         block_time: float,
         silent_blocks: int,

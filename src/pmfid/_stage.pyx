@@ -116,14 +116,13 @@ def follow_states(phis, nows, changes, const double[:, :] w, const double[:, :] 
     return found
 
 
-#: Indices of an axis's integers. COUNTS to SAMPLES hold the last counts, the shift of the counter, the last change of
-#: the counts, and the number of samples. LOST, KNOWN and CHANGED say whether the last sample was lost, whether any
+#: Indices of an axis's integers. COUNTS to SAMPLES hold the last counts, the shift of the counter, and the number of
+#: samples. LOST, KNOWN and CHANGED say whether the last sample was lost, whether any
 #: input is known, and whether the last known input changed. FRESH is the number of consecutive kept counts. The kept
 #: counts begin at RECENT, each at its sample number modulo KEPT.
 cpdef enum:
     COUNTS = 0
     ZERO
-    CHANGE
     SAMPLES
     LOST
     KNOWN
@@ -131,7 +130,7 @@ cpdef enum:
     FRESH
     RECENT
     KEPT = 64
-    WHOLE = 72
+    WHOLE = 71
 #: Indices of an axis's real numbers: the last input, the mean size of its changes, the share of samples without a
 #: change, the share of isolated changes, and the mean square.
 cpdef enum:
@@ -172,7 +171,6 @@ cdef inline int64_t _follow(int64_t *whole, double *real, double u, int64_t coun
     if whole[LOST] and not lost:
         whole[ZERO] = _sum(whole[COUNTS], -<uint64_t> counts)
     counts = whole[COUNTS] if lost else _sum(counts, whole[ZERO])
-    whole[CHANGE] = 0 if lost or whole[SAMPLES] == 0 else _sum(counts, -<uint64_t> whole[COUNTS])
     whole[LOST], whole[COUNTS] = lost, counts
     whole[SAMPLES] += 1
     whole[FRESH] = 1 if lost else min(whole[FRESH] + 1, <int64_t> KEPT)
@@ -203,16 +201,6 @@ cdef class Inputs:
         if isfinite(u):
             read = <int64_t> PyLong_AsUnsignedLongLongMask(PyNumber_Index(counts))
         return _follow(self._whole, self._real, u, read)
-
-    def run(self, cnp.ndarray[double, mode="c"] u not None, cnp.ndarray[int64_t, mode="c"] counts not None):
-        """Return the estimator's counts (n,) for the samples u, counts (n,)."""
-        cdef Py_ssize_t k
-        if u.shape[0] != counts.shape[0]:
-            raise ValueError(f"u and counts must have one length, got {u.shape[0]} and {counts.shape[0]}")
-        cdef cnp.ndarray[int64_t, mode="c"] found = np.empty(u.shape[0], np.int64)
-        for k in range(u.shape[0]):
-            found[k] = _follow(self._whole, self._real, u[k], counts[k])
-        return found
 
     def rebase(self, counts):
         """Set the counter's reading at the last sample. Raises TypeError unless the reading is an integer."""
@@ -245,11 +233,6 @@ cdef class Inputs:
     def zero(self):
         """The difference between the axis's scale and the counter."""
         return self._whole[ZERO]
-
-    @property
-    def change(self):
-        """The change of the counts in the last sample."""
-        return self._whole[CHANGE]
 
     @property
     def samples(self):

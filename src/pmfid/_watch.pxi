@@ -36,7 +36,6 @@ cdef struct Plan:
     Norm blocks
     Norm units
     Rule detector
-    bint work
     double size
     const double *offset
     const double *limit
@@ -71,8 +70,7 @@ cdef inline double _inform(const Plan *plan, const Own *own, bint lost, const do
         counted[i] = block[i] * used
     information = _information(&plan.blocks, counted + plan.p * (1 + plan.p))
     own.silence[0] = 0 if information > INFORMATIVE else own.silence[0] + 1
-    if plan.work:
-        _centre(plan.p, counted, counted + plan.p, plan.offset)
+    _centre(plan.p, counted, counted + plan.p, plan.offset)
     return information
 
 
@@ -80,9 +78,6 @@ cdef inline bint _gather(const Plan *plan, const Own *own, const double *counted
     cdef Py_ssize_t i
     if own.members[0] == 0:
         own.begun[0] = time - plan.block_time
-    if not plan.work:
-        memcpy(unit, counted, plan.width * sizeof(double))
-        return True
     for i in range(plan.width):
         own.opening[i] = unit[i] = counted[i] if own.members[0] == 0 else own.opening[i] + counted[i]
     own.opened[0] += information
@@ -104,22 +99,19 @@ cdef inline double _count(const Plan *plan, const Own *own, const double *unit) 
     cdef const double *square = unit + p + p * p
     cdef double weight
     _deviations(&plan.units, score, own.sigma, x)
-    if plan.work:
-        weight = _weight(p, x, plan.limit)
-        for i in range(p):
-            weighed[i] = score[i] * weight
-        for i in range(p * p):
-            weighed[p + i] = square[i] * weight
-        _deviations(&plan.units, weighed, own.sigma, x)
-        _expect(&plan.units, weighed + p, w)
-    else:
-        _expect(&plan.units, square, w)
+    weight = _weight(p, x, plan.limit)
+    for i in range(p):
+        weighed[i] = score[i] * weight
+    for i in range(p * p):
+        weighed[p + i] = square[i] * weight
+    _deviations(&plan.units, weighed, own.sigma, x)
+    _expect(&plan.units, weighed + p, w)
     own.statistic[0] = _detect(&plan.detector, x, w, own.tolerance, own.detection)
     for i in range(p):  # sums for a line through zero at the reference
         own.line[i] += place * x[i]
         own.line[p + i] += place * place * w[i]
     own.units[0] += 1
-    return _information(&plan.units, square) if plan.work else _mean(w, p)
+    return _information(&plan.units, square)
 
 
 cdef inline bint _crossed(const Plan *plan, const Own *own, double information, uint32_t status) noexcept nogil:
@@ -230,8 +222,8 @@ cdef inline bint _go_on(const Plan *plan, const Own *own, const Ring *ring, int6
 cdef class Watcher:
     """The watch over axes of one configuration, with arrays of `monitor.states`.
 
-    `norms` and `seen` scale blocks and units. `work` holds the size, the offset (p,) and the limit (p,) of units of
-    work, or is None. `threshold` applies to the statistic. `block_time` is in [s]. After `silent_blocks` blocks without
+    `norms` and `seen` scale blocks and units. `work` holds the size, the offset (p,) and the limit (p,) of units.
+    `threshold` applies to the statistic. `block_time` is in [s]. After `silent_blocks` blocks without
     information an axis cannot be judged. Raises ValueError for shapes that do not fit.
     """
 
@@ -243,14 +235,12 @@ cdef class Watcher:
         p = norms.norm.p
         _check(seen.norm.p == p and detection.rule.p == p)
         self.detection = detection
-        self.plan.p, self.plan.width, self.plan.work = p, p + 2 * p * p, work is not None
+        self.plan.p, self.plan.width = p, p + 2 * p * p
         self.plan.blocks, self.plan.units, self.plan.detector = norms.norm, seen.norm, detection.rule
-        self._kept = norms, seen
-        if work is not None:
-            self.plan.size, offset, limit = work[0], _numbers(work[1]), _numbers(work[2])
-            _check(offset.shape == limit.shape == (p,))
-            self.plan.offset, self.plan.limit = _data(offset), _data(limit)
-            self._kept = norms, seen, offset, limit
+        self.plan.size, offset, limit = work[0], _numbers(work[1]), _numbers(work[2])
+        _check(offset.shape == limit.shape == (p,))
+        self.plan.offset, self.plan.limit = _data(offset), _data(limit)
+        self._kept = norms, seen, offset, limit
         self.plan.threshold, self.plan.block_time, self.plan.silent_blocks = threshold, block_time, silent_blocks
 
     cdef Own _hold(self, watched) except *:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pmfid.monitor.events import describe_rate
+from pmfid.monitor.events import describe_changes, describe_rate
 from pmfid.pipeline.monitored.run import Notice, list_skipped
 
 
@@ -48,7 +48,7 @@ def _change(event: Notice) -> str:
 
 def _describe_reference(event: Notice) -> str:
     values = (_value(name, found) for name, found in event["parameters"].items())
-    return f"{event['time']:.2f} s  now {', '.join(values)}{describe_rate(event.get('rate'))}"
+    return f"{event['time']:.2f} s  now {', '.join(values)}{describe_changes(event)}{describe_rate(event.get('rate'))}"
 
 
 def _value(name: str, found: Notice) -> str:

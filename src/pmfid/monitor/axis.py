@@ -20,7 +20,7 @@ from pmfid.estimators.known import Known, Posterior
 from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.base import AxisMonitor
 from pmfid.monitor.calibration import Calibration
-from pmfid.monitor.cause import Cause, ChangeEvidence, explain, new_gain, start_of
+from pmfid.monitor.cause import Cause, ChangeEvidence, explain, start_of
 from pmfid.monitor.detector import EDGE, make_detection, start_detection
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Alarm, Event, Settled, Watch
 from pmfid.monitor.scores import Blocks, Scale, ScoreFilter, Scoring, start_blocks
@@ -118,7 +118,6 @@ class Watching:
 
 #: Status bits of estimates that are not used.
 UNUSABLE = Status.NOT_AN_ESTIMATE | Status.FALLBACK
-FIRST = np.zeros(1, np.int64)
 
 
 @dataclass(repr=False)
@@ -140,6 +139,7 @@ class WatchedAxis(AxisMonitor):
         sizes = {"p": p, "width": self._filter.scoring.width, "starts": make_detection(p).rows}
         self._own, self._rest = Watched.empty(1, **sizes), Disturbed.empty(1, **sizes)
         self.watching.refer(self._own, self.calibration.theta[None])
+        self._rest.model[0] = self.calibration.theta
         self._inputs, self._flagged, self._warmer, self._block_warmer = Inputs(), 0, 0.0, 0.0
 
     def _watching(self) -> Watching:
@@ -180,6 +180,7 @@ class WatchedAxis(AxisMonitor):
         self.watching.refer(self._own, self._filter.theta[None])
         rest = self._rest
         rest.gathered[0], rest.refined[0], rest.crossed[0], rest.suspected[0] = 0.0, 0, 0.0, 0
+        rest.model[0] = theta
 
     def _take_reference(self, theta: Floats) -> None:
         self._refer(theta)
@@ -224,8 +225,7 @@ class WatchedAxis(AxisMonitor):
         evidence, gathered = self._evidence(estimate), float(self._rest.gathered[0])
         if evidence is None or gathered < TUNING.cause_information:
             return []
-        fixed = () if self.known is None else tuple(self.known.given)
-        cause = explain(evidence, self.reference, self.estimator.equation, self.watch.tolerance, fixed)
+        cause = self._explain(evidence, self.reference)
         ends = cause.largest <= self.watch.tolerance
         growth = max(TUNING.cause_units, TUNING.cause_blocks / max(self.calibration.work.size, 1.0)) / gathered
         if not ends and growth > 1 and cause.is_open(growth):
@@ -235,7 +235,6 @@ class WatchedAxis(AxisMonitor):
             return self._enter(WATCHING, "the deviation is within the tolerance")
         alarm, rest = self._make_alarm(cause), self._rest
         rest.refined[0] = 0  # the information since the suspicion counts for the new model
-        rest.by_gain[0] = cause.names == (INPUT_GAIN,)
         goes_on = self._note_course(alarm, cause.deviation)
         way = cause.deviation / self._own.sigma[0] ** 2
         rest.slow[0] = alarm.relative * way / (way @ cause.deviation) if goes_on else 0.0
@@ -301,50 +300,77 @@ class WatchedAxis(AxisMonitor):
         return None if silent else found
 
     def _settle(self, rows: Floats, information: float, estimate: Estimate) -> list[Event]:
-        """Make the estimate the model. Later the model, corrected by the blocks, becomes the reference."""
+        """Make the estimate the model. Later the model, corrected by the blocks, becomes the reference.
+
+        The model follows the estimate meanwhile, because a model with other friction reverses at other instants, which
+        hides a part of its error.
+        """
         rest = self._rest
         rest.gathered[0] += information
+        usable = self._usable(estimate)
         if rest.refined[0]:
-            rest.settled += rows
-        if not rest.refined[0] and rest.gathered[0] >= TUNING.model_information and self._usable(estimate):
+            self._collect(rows)
+            if rest.gathered[0] >= TUNING.reference_information:
+                return self._correct()
+        elif rest.gathered[0] >= TUNING.model_information and usable:
             rest.before[0] = self.reference
             self.estimator.open_memory(1.0)  # standard errors need not remember the change
             self._refer(self._remove_warmth(estimate))
             rest.settled[:], rest.refined[0] = 0.0, 1
-        elif rest.refined[0] and rest.gathered[0] >= TUNING.reference_information:
-            return self._end_settling()
+        if rest.refined[0] and usable:
+            rest.model[0] = self._remove_warmth(estimate)
         return []
 
-    def _end_settling(self) -> list[Event]:
-        reference, gathered = self.reference, float(self._rest.gathered[0])
-        p, found = reference.size, Blocks.from_rows(self._rest.settled, reference.size)
-        theta = reference + solve(found.cross[0] + 1e-12 * np.eye(p), found.score[0])
-        size = float(self.watching.sizes(reference[None])[0])
-        std = size * self.calibration.scale.sigma / np.sqrt(gathered)
+    def _collect(self, rows: Floats) -> None:
+        """Add a block (1, width) to the sums, with its score about the reference in place of the model."""
+        block = Blocks.from_rows(rows.copy(), self.reference.size)
+        block.score[0] += block.cross[0] @ (self._rest.model[0] - self.reference)
+        self._rest.settled[0, : block.score.size] += block.score[0]
+        self._rest.settled[0, block.score.size :] += rows[0, block.score.size :]
+
+    def _correct(self) -> list[Event]:
+        """Correct the model by the blocks. The result is the reference."""
+        model, blocks = self.reference, Blocks.from_rows(self._rest.settled, self.reference.size)
+        cross = blocks.cross[0] + 1e-12 * np.eye(model.size)
+        theta = model + solve(cross, blocks.score[0])
+        size = float(self.watching.sizes(model[None])[0])
+        std = size * self.calibration.scale.sigma / np.sqrt(float(self._rest.gathered[0]))
         if not self.plausible(theta):
-            theta = reference
+            theta = model
+        return self._end_settling(theta, std, self._judge_again(theta, std, cross, blocks.square[0]))
+
+    def _end_settling(self, theta: Floats, std: Floats, cause: Cause) -> list[Event]:
+        """Make theta (p,) the reference, with standard errors and the cause of its difference from the last one."""
+        rest = self._rest
         self._refer(theta)
-        now, errors = self._add_known(theta, std)
-        before, _ = self._add_known(self._rest.before[0].copy(), std)
+        (now, errors), (before, _) = self._add_known(theta, std), self._add_known(rest.before[0].copy(), std)
         if self.known is not None and self.known.find_gain:
-            self._rest.gain[0] = float(now[-1]) / self.estimator.equation.input_gain
-        change, elapsed = (
-            float(self._rest.slow[0] @ (theta - self._rest.before[0])),
-            self._time - float(self._rest.since[0]),
-        )
-        rate, self._rest.since[0] = 3600 * change / elapsed if change else None, self._time
-        event = Settled(self._time, now, errors, before, self._gain(theta, std), rate)
+            rest.gain[0] = float(now[-1]) / self.estimator.equation.input_gain
+        change, elapsed = float(rest.slow[0] @ (theta - rest.before[0])), self._time - float(rest.since[0])
+        rate, rest.since[0] = 3600 * change / elapsed if change else None, self._time
+        event = Settled(self._time, now, errors, before, self._gain(cause), rate, cause.changes, cause.others)
         return [event, *self._enter(WATCHING, "")]
 
-    def _gain(self, theta: Floats, std: Floats) -> tuple[float, float, float] | None:
-        """Return the new gain, its standard deviation and the previous gain after an alarm on the input gain, else
-        None.
+    def _judge_again(self, theta: Floats, std: Floats, cross: Floats, square: Floats) -> Cause:
+        """Return the changes from the previous reference to theta (p,), for which the blocks since the alarm have the
+        sums `cross` and `square` (p, p). They give the correlations of the errors."""
+        inverse = np.linalg.inv(cross)
+        spread = inverse @ square @ inverse.T
+        size = std / np.sqrt(np.maximum(np.diagonal(spread), np.finfo(float).tiny))
+        covariance = spread * np.outer(size, size) + np.diag(self.calibration.work.spread**2)
+        return self._explain(ChangeEvidence(theta, covariance), self._rest.before[0].copy())
 
-        The new gain turns the previous reference into theta (p,).
-        """
-        if not self._rest.by_gain[0] or self.known is not None:
+    def _explain(self, evidence: ChangeEvidence, theta: Floats) -> Cause:
+        """Return the changes from theta (p,) that explain the evidence best. Given parameters do not change."""
+        fixed = () if self.known is None else tuple(self.known.given)
+        return explain(evidence, theta, self.estimator.equation, self.watch.tolerance, fixed)
+
+    def _gain(self, cause: Cause) -> tuple[float, float, float] | None:
+        """Return the new gain, its standard deviation and the previous gain if only the gain has changed, else None."""
+        if cause.names != (INPUT_GAIN,) or self.known is not None:
             return None
-        return new_gain(ChangeEvidence(theta, np.diag(std**2)), self._rest.before[0], self.estimator.equation)
+        gain, change = self.estimator.equation.input_gain, cause.changes[0]
+        return gain + change.change, change.std, gain
 
     def _usable(self, estimate: Estimate) -> bool:
         return not estimate.status & UNUSABLE and self.plausible(self._remove_warmth(estimate))
@@ -357,8 +383,7 @@ class WatchedAxis(AxisMonitor):
     def _follow_temperature(self, warmer: float) -> None:
         """Simulate the next block with the friction of a temperature above the mean of normal work."""
         warmth, self._block_warmer = self.calibration.warmth, warmer
-        if warmth is not None:
-            self._filter.move(self._filter.theta * warmth.factor(warmer))
+        self._filter.move(self._rest.model[0] * (1.0 if warmth is None else warmth.factor(warmer)))
 
     def plausible(self, theta: Floats) -> bool:
         """Return whether a machine can have the parameters (p,), with a positive mass and without negative friction."""

@@ -222,17 +222,6 @@ def _find_equal_pair(names: tuple[str, ...], candidates: Candidates) -> list[tup
     return [moved] if names == (ENCODER_SCALE,) and len(moved) == 2 else []
 
 
-def new_gain(evidence: ChangeEvidence, theta: Floats, equation: Equation) -> tuple[float, float, float]:
-    """Return the new input gain, its standard deviation and the previous gain.
-
-    A changed gain must explain the whole move from theta (p,).
-    """
-    information, score, candidates = _relative(evidence, theta, equation, ())
-    size, std = measure(information, score, candidates, (INPUT_GAIN,), 1e3, 0.0)  # a flat prior
-    gain = equation.input_gain
-    return gain * (1 + float(size[0])), abs(gain) * float(std[0]), gain
-
-
 def start_of(blocks: Blocks, deviation: Floats, latest: int) -> int:
     """Return the index of the first block that shows a deviation (p,), at most `latest`.
 

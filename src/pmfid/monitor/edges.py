@@ -293,8 +293,13 @@ class EdgeMonitor(AxisMonitor):
         if own.since[0] < self.patience or not (sure or own.since[0] >= TUNING.edge_settled * self.patience):
             return []
         self._take_reference(self._bound(theta))
-        rate = float(own.rate[0]) if own.goes_on[0] else None
-        return [Settled(self._time, theta, std, own.before[0].copy(), rate=rate), *self._enter(WATCHING, "")]
+        rate, before = float(own.rate[0]) if own.goes_on[0] else None, own.before[0].copy()
+        evidence = ChangeEvidence(theta, np.array(estimate.theta_cov))
+        cause = explain(evidence, before, self.estimator.equation, self.watch.tolerance)
+        return [
+            Settled(self._time, theta, std, before, None, rate, cause.changes, cause.others),
+            *self._enter(WATCHING, ""),
+        ]
 
     def _take_reference(self, theta: Floats) -> None:
         self._own.theta[0] = self._own.base[0] = theta

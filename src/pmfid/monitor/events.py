@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
 from pmfid.estimators.facts import INPUT_GAIN
-from pmfid.types import Flags, Floats
+from pmfid.types import Floats
 
 #: The measured motion over the true motion, as a cause of a change.
 ENCODER_SCALE = "encoder_scale"
@@ -198,11 +200,14 @@ class Settled:
     before
         (q,) previous reference.
     gain
-        New gain, its standard deviation and the previous gain after an alarm on the input gain, otherwise None. After
-        such an alarm, theta refers to the previous gain.
+        New gain, its standard deviation and the previous gain if only the input gain has changed, otherwise None. Then
+        theta refers to the previous gain.
     rate
         Relative change per hour of the parameter in the last alarm, while its slow change goes on without a further
         alarm; otherwise None.
+    changes, others
+        The changes since `before` and other causes, as in `Alarm`, by all samples since the alarm. They are empty for a
+        reference on demand.
 
     Examples
     --------
@@ -219,6 +224,8 @@ class Settled:
     before: Floats
     gain: tuple[float, float, float] | None = None
     rate: float | None = None
+    changes: tuple[Change, ...] = ()
+    others: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -279,6 +286,13 @@ def describe_rate(rate: float | None) -> str:
     return f"; it keeps changing by about {100 * hours * rate:+.2g} % {unit}"
 
 
+def describe_changes(settled: Mapping[str, Any]) -> str:
+    """Return the words for the changes of a `settled` object of JSON, or an empty text."""
+    changes = [f"{one['parameter']} {100 * one['relative']:+.1f} %" for one in settled.get("changes", ())]
+    others = f", or {settled['others']}" if settled.get("others") else ""
+    return f"; the change is {' and '.join(changes)}{others}".replace("_", " ") if changes else ""
+
+
 @dataclass(frozen=True)
 class FleetRows:
     """Results for n samples of k axes.
@@ -319,25 +333,8 @@ class FleetRows:
         theta, std = np.empty((*shape, parameters)), np.empty((*shape, parameters))
         return cls(theta, std, np.empty(shape), np.empty(shape, np.uint32), np.empty(shape, np.uint8), [])
 
-    def part(self, rows: slice) -> FleetRows:
-        """Return views of some rows, without events."""
-        theta, std, innovation = self.theta[rows], self.std[rows], self.innovation[rows]
-        return FleetRows(theta, std, innovation, self.status[rows], self.state[rows], [])
-
-    def take(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags | None = None) -> None:
-        """Copy `part` into the rows `rows` (k,), in rising order, and the samples `time`.
-
-        Only the rows with a true entry in `kept` (k,) are copied. None copies all rows.
-        """
-        taken = np.ones(rows.size, np.bool_) if kept is None else kept
-        whole = taken.all() and rows[-1] - rows[0] == rows.size - 1  # consecutive rows, because rows rise
-        place, source = (slice(rows[0], rows[-1] + 1), slice(None)) if whole else (rows[taken], taken)
+    def take(self, part: FleetRows, rows: slice, time: slice) -> None:
+        """Copy `part` with its events into some rows and samples."""
         for name in ("theta", "std", "innovation", "status", "state"):
-            getattr(self, name)[place, time] = getattr(part, name)[source]
-        self.tell(part, rows, time, taken)
-
-    def tell(self, part: FleetRows, rows: NDArray[np.int64], time: slice, kept: Flags | None = None) -> None:
-        """Append the events of a part, as `take` does."""
-        for row, sample, event in part.events:
-            if kept is None or kept[row]:
-                self.events.append((int(rows[row]), time.start + sample, event))
+            getattr(self, name)[rows, time] = getattr(part, name)
+        self.events.extend((rows.start + row, (time.start or 0) + sample, event) for row, sample, event in part.events)

@@ -111,22 +111,20 @@ class MonitorFleet:
         for first in range(0, shape[0], TUNING.fleet_group):
             for begin in range(0, shape[1], TUNING.fleet_piece):
                 part = slice(first, first + TUNING.fleet_group), slice(begin, begin + TUNING.fleet_piece)
-                self._run_piece(places[part[0]], rows, part, [array[part] for array in inputs])
+                rows.take(self._run_piece(places[part[0]], [array[part] for array in inputs]), *part)
         rows.events.sort(key=lambda one: one[:2])
         return rows
 
-    def _run_piece(
-        self, index: Places, rows: FleetRows, part: tuple[slice, slice], inputs: Sequence[NDArray[Any]]
-    ) -> None:
+    def _run_piece(self, index: Places, inputs: Sequence[NDArray[Any]]) -> FleetRows:
         """Run a piece of a group of axes. Quiet axes run together, and all other axes one by one."""
-        (group, time), (k, n) = part, inputs[0].shape
-        whole = n == rows.status.shape[1]
-        found = rows.part(group) if whole else FleetRows.empty(k, n, len(self.names))
-        quiet = np.zeros(k, np.bool_) if self._quiet is None else self._quiet.run(self._all, index, found, *inputs[:2])
+        rows = FleetRows.empty(index.size, inputs[0].shape[1], len(self.names))
+        quiet = np.zeros(index.size, np.bool_)
+        if self._quiet is not None:
+            quiet = self._quiet.run(self._all, index, rows, *inputs[:2])
         for row in np.flatnonzero(~quiet).tolist():
             single = self._with(int(index[row]), partial(_run_one, inputs=[array[row] for array in inputs]))
-            found.take(single, np.array([row]), slice(0, n))
-        (rows.tell if whole else rows.take)(found, group.start + np.arange(k), time)
+            rows.take(single, slice(row, row + 1), slice(None))
+        return rows
 
     def _check_arrays(self, index: ArrayLike, u: ArrayLike, counts: ArrayLike) -> tuple[Places, Floats, Counts]:
         places = self._places(index)

@@ -18,7 +18,7 @@ from pmfid.errors import UsageError
 from pmfid.estimators.configuration import configuration_of, construct_estimator
 from pmfid.estimators.known import Seen, choose_naming
 from pmfid.kernel.saved import fleet_layout
-from pmfid.monitor.axis import FIRST, WatchedAxis
+from pmfid.monitor.axis import WatchedAxis
 from pmfid.monitor.events import Event, Outlier
 from pmfid.monitor.saved import IMPLAUSIBLE
 from pmfid.monitor.scores import ScoreFilter, reference_kernel
@@ -282,7 +282,7 @@ class Monitor(WatchedAxis, Presentable):
         flagged, now = np.array([self._flagged], np.uint32), self._filter
         block, warmer = (now.sums.copy(), now.progress.copy()), np.array([[self._block_warmer, self._warmer]])
         sampled = Sampled(whole[None], real[None], flagged, warmer, estimator, filtered, *block)
-        return AxisStates(sampled, self._own.take_rows(FIRST), self._rest.take_rows(FIRST))
+        return AxisStates(sampled, self._own.copy_rows(), self._rest.copy_rows())
 
     def go_on(self, saved: AxisStates, axis: int) -> None:
         """Continue from the state of an axis, without a check of its numbers."""
@@ -303,7 +303,8 @@ class Monitor(WatchedAxis, Presentable):
     def check_states(self, saved: AxisStates) -> AxisStates:
         """Return saved states of this configuration. Raises UsageError for numbers that no sample could have made."""
         watched, kernels = saved.watched, (saved.sampled.estimator, saved.sampled.filter)
-        possible = saved.are_possible(self.scoring.size) and all(map(self.plausible, np.unique(watched.theta, axis=0)))
+        models = np.unique(np.concatenate([watched.theta, saved.disturbed.model]), axis=0)
+        possible = saved.are_possible(self.scoring.size) and all(map(self.plausible, models))
         for many, states in zip(self.packers, kernels, strict=True):
             many.hold(states)
             possible = possible and many.plausible()

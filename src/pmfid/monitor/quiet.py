@@ -34,37 +34,18 @@ class Quiet:
     def run(self, every: AxisStates, index: Places, rows: FleetRows, u: Floats, counts: Counts) -> Flags:
         """Run a piece u, counts (k, n) of the axes `index` (k,), and return whether each axis was quiet, (k,).
 
-        Only the states and rows of quiet axes change.
+        Only the states of quiet axes change. The rows of the other axes have no meaning.
         """
-        quiet = self._calm[every.watched.state[index]]
-        if quiet.all():
-            quiet = self._run_together(every, index, rows, u, counts)
-            rows.events[:] = [event for event in rows.events if quiet[event[0]]]
-        elif quiet.any():
-            calm = np.flatnonzero(quiet)
-            found = FleetRows.empty(calm.size, u.shape[1], rows.theta.shape[2])
-            kept = self._run_together(every, index[calm], found, u[calm], counts[calm])
-            rows.take(found, calm, slice(0, u.shape[1]), kept)
-            quiet[calm] = kept
+        calm = self._calm[every.watched.state[index]]
+        if not calm.any():
+            return calm
+        before, sampled = every.take_rows(index[~calm]) if not calm.all() else None, every.sampled.take_rows(index)
+        quiet = calm & self._run(every, index, sampled, np.ascontiguousarray(u), np.ascontiguousarray(counts), rows)
+        every.sampled.put(index[quiet], sampled if quiet.all() else sampled.take_rows(np.flatnonzero(quiet)))
+        if before is not None:
+            every.put(index[~calm], before)
+        rows.events[:] = [event for event in rows.events if quiet[event[0]]]
         return quiet
-
-    def _run_together(self, every: AxisStates, index: Places, rows: FleetRows, u: Floats, counts: Counts) -> Flags:
-        """Run a piece u, counts (k, n) of the axes `index` (k,), and return whether each axis stayed quiet, (k,).
-
-        Only the states and rows of axes that stayed quiet change. Consecutive axes are computed in place.
-        """
-        u, counts = np.ascontiguousarray(u), np.ascontiguousarray(counts)
-        if index[-1] - index[0] == index.size - 1 and (np.diff(index) == 1).all():
-            sampled = every.sampled.take_rows(slice(int(index[0]), int(index[-1]) + 1))
-            before = sampled.copy_rows()
-            kept = self._run(every, index, sampled, u, counts, rows)
-            back = np.flatnonzero(~kept)
-            sampled.put(back, before.take_rows(back))
-        else:
-            sampled = every.sampled.take_rows(index)
-            kept = self._run(every, index, sampled, u, counts, rows)
-            every.sampled.put(index[kept], sampled if kept.all() else sampled.take_rows(np.flatnonzero(kept)))
-        return kept
 
     def _run(
         self, every: AxisStates, index: Places, sampled: Sampled, u: Floats, counts: Counts, rows: FleetRows

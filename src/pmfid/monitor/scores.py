@@ -100,7 +100,7 @@ class Scoring:
     @property
     def width(self) -> int:
         """Number of values in a block."""
-        return width_of(self.parameters)
+        return self.parameters * (1 + 2 * self.parameters)
 
     def start(self, axes: int = 1) -> tuple[Floats, NDArray[np.uint32]]:
         """Return the empty sums (axes, width) of the open blocks, and the counters (axes, 2) of their samples.
@@ -108,11 +108,6 @@ class Scoring:
         The counters are the number of samples and the number of disturbed samples.
         """
         return np.zeros((axes, self.width)), np.zeros((axes, 2), np.uint32)
-
-
-def width_of(p: int) -> int:
-    """Return the number of values in a block of p parameters."""
-    return p + 2 * p * p
 
 
 def scores(
@@ -141,11 +136,6 @@ class ScoreFilter:
         self.wait = self.waiting = start_blocks(estimator, self.theta)
         self._now, self._roles = self.theta, estimator.equation.role_values
         self._u, self._count = np.empty(1), np.empty(1, np.int64)
-
-    @property
-    def missing(self) -> int:
-        """Number of samples until the open block is whole."""
-        return self.scoring.size - int(self.progress[0, 0])
 
     def rows(self, u: Floats, counts: NDArray[np.int64]) -> tuple[Floats, NDArray[np.uint8]]:
         """Return the blocks (m, width) that samples u, counts (n,) complete.

@@ -98,13 +98,14 @@ class Disturbed(RowArrays):
 
     `units` (n, look_back, width) is a ring with the last units, and `begun` (n, look_back) has their times. `gathered`
     is the information since the suspicion or the alarm. `suspected` is the number of units since the suspicion, and
-    `crossed` the statistic at the suspicion. `refined` is true if the estimate is already the model. `before` (n, p) is
-    the reference before the change. `settled` (n, width) is the sum of the blocks relative to this model. `gain` is the
-    input gain over the gain of the estimator. `by_gain` is true after an alarm on the input gain. `cause` identifies
-    parameter and direction of the last alarm, or is 0. `since` is the time of the reference [s]. `slow` (n, p) times a
-    change of the parameters is the relative change of the last alarm's cause, while this change goes on slowly;
-    otherwise `slow` is 0. `rate` is the relative change per hour at the last alarm if it was slow, otherwise 0.
-    `grown` is the number of units that had the deviation of the last alarm before it, by the line.
+    `crossed` the statistic at the suspicion. `refined` is true if the estimate is already the model. `model` (n, p) has
+    the parameters of the simulation, which follow the estimate while the new value is measured. `before` (n, p) is the
+    reference before the change. `settled` (n, width) is the sum of the blocks about the present reference. `gain` is
+    the input gain over the gain of the estimator. `cause` identifies parameter and direction of the last alarm, or is
+    0. `since` is the time of the reference [s]. `slow` (n, p) times a change of the parameters is the relative change
+    of the last alarm's cause, while this change goes on slowly; otherwise `slow` is 0. `rate` is the relative change
+    per hour at the last alarm if it was slow, otherwise 0. `grown` is the number of units that had the deviation of the
+    last alarm before it, by the line.
     """
 
     units: Floats = field(metadata=rows_of(TUNING.look_back, "width"))
@@ -114,9 +115,9 @@ class Disturbed(RowArrays):
     crossed: Floats = field(metadata=rows_of())
     refined: NDArray[np.uint8] = field(metadata=rows_of(kind=np.uint8))
     before: Floats = field(metadata=rows_of("p"))
+    model: Floats = field(metadata=rows_of("p"))
     settled: Floats = field(metadata=rows_of("width"))
     gain: Floats = field(metadata=rows_of(start=1))
-    by_gain: NDArray[np.uint8] = field(metadata=rows_of(kind=np.uint8))
     cause: NDArray[np.int64] = field(metadata=rows_of(kind=np.int64))
     since: Floats = field(metadata=rows_of())
     slow: Floats = field(metadata=rows_of("p"))
@@ -163,7 +164,6 @@ class AxisStates(RowArrays):
             sampled.progress[:, 1] <= sampled.progress[:, 0],
             watched.state < len(STATES),
             rest.refined <= 1,
-            rest.by_gain <= 1,
             ~uneasy | (watched.units > 0) | (rest.refined == 1),
             (watched.opened >= 0) & (rest.gathered >= 0),
             watched.line[:, 1] >= 0,

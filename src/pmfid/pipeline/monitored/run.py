@@ -203,8 +203,14 @@ def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> No
     if isinstance(event, StateChange):
         return {"event": "state", "time": event.time + shift, "state": event.state, "reason": event.reason}
     if isinstance(event, Settled):
-        rate = {} if event.rate is None else {"rate": event.rate}
-        return {"event": "settled", "time": event.time + shift, "parameters": _format_settled(event, names), **rate}
+        return {
+            "event": "settled",
+            "time": event.time + shift,
+            "parameters": _format_settled(event, names),
+            **({} if event.rate is None else {"rate": event.rate}),
+            **({"changes": [_format_change(one) for one in event.changes]} if event.changes else {}),
+            **({"others": ", or ".join(event.others)} if event.others else {}),
+        }
     if isinstance(event, Outlier):
         return {"event": "outlier", "time": event.time + shift, "signal": event.signal}
     return {

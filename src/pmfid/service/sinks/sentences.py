@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pmfid.monitor.events import describe_rate
+from pmfid.monitor.events import describe_changes, describe_rate
 from pmfid.stream.outcome import Notice
 
 Fields = Mapping[str, Any]
@@ -45,7 +45,7 @@ def _describe_end(what: Fields) -> str:
 def _describe_values(what: Fields) -> str:
     values = what.get("parameters", {}).items()
     words = ", ".join(f"{_write_words(name)} {found['value']:.4g}" for name, found in values)
-    return f"now {words}{describe_rate(what.get('rate'))}"
+    return f"now {words}{describe_changes(what)}{describe_rate(what.get('rate'))}"
 
 
 def _describe_acknowledgement(what: Fields) -> str:

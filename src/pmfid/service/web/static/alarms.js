@@ -42,12 +42,19 @@ const sureOf = (alarm) =>
   `How sure: the evidence is ${number(alarm.statistic / alarm.threshold, 2)} times what an alarm needs. ` +
   "While nothing is wrong, an alarm occurs about once in the time that mtbf_hours in AXIS.toml sets.";
 
+// The changes by all samples since the alarm, or those of the alarm while these are not known.
+const judgedOf = (alarm) => (alarm.settled?.changes?.length ? alarm.settled.changes : changesOf(alarm));
+
 function settledOf(alarm) {
-  const settled = changesOf(alarm).flatMap((change) => {
+  const settled = judgedOf(alarm).flatMap((change) => {
     const found = alarm.settled?.parameters?.[change.parameter];
     return found ? [`${words(change.parameter)} ${withError(found.value, found.std)}${unitOf(change.unit)}`] : [];
   });
-  return settled.length ? `Now ${settled.join(", ")}.` : null;
+  const values = settled.length ? [`Now ${settled.join(", ")}.`] : [];
+  if (!alarm.settled?.changes?.length) return values.join(" ") || null;
+  const others = alarm.settled.others ? `, or ${words(alarm.settled.others)}` : "";
+  const changes = alarm.settled.changes.map((change) => `${words(change.parameter)} ${percent(change.relative)}`);
+  return [...values, `By all samples since, the change is ${changes.join(" and ")}${others}.`].join(" ");
 }
 
 export function alarmCard(alarm, withAxis = true) {
