@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from zlib import crc32
@@ -21,9 +20,9 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.base import AxisMonitor
 from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.cause import Cause, ChangeEvidence, explain, start_of
-from pmfid.monitor.detector import EDGE, make_detection, start_detection
+from pmfid.monitor.detector import EDGE, make_detection
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Alarm, Event, Settled, Watch
-from pmfid.monitor.scores import Blocks, Scale, ScoreFilter, Scoring, start_blocks
+from pmfid.monitor.scores import Blocks, ScoreFilter, Scoring, start_blocks
 from pmfid.monitor.states import Disturbed, Watched
 from pmfid.monitor.tuning import TUNING
 from pmfid.status import Status
@@ -37,83 +36,6 @@ REASONS = (
     "standstill",
     "the motion contains no information on the parameters",
 )
-
-
-@dataclass(frozen=True)
-class Watching:
-    """The configuration that all axes share.
-
-    The statistic raises a suspicion above `threshold`. A relative deviation up to `relative` is no
-    change. `noise` (p, p) belongs to the estimator. `wait` returns the number of blocks to wait for a reference (p,).
-    After `silent_blocks` blocks without information the state is CANNOT_TELL. `block_time` is the length of a block
-    [s].
-    """
-
-    calibration: Calibration
-    threshold: float
-    relative: float
-    noise: Floats
-    wait: Callable[[Floats], int]
-    silent_blocks: int
-    block_time: float
-
-    @property
-    def _seen(self) -> Scale:
-        """Scale of the units that the detector takes."""
-        return self.calibration.work.scale
-
-    def rescale(self, sigma: Floats) -> Scale:
-        """Return the scale for axes with other references, from the sigma (n, p) or (p,) of these axes."""
-        return replace(self._seen, sigma=sigma)
-
-    def sizes(self, theta: Floats) -> Floats:
-        """Return the noise (n,) at references (n, p), over the noise at the calibration's reference."""
-        first = float(self._square(self.calibration.theta[None])[0])
-        return np.asarray(np.sqrt(self._square(theta) / max(first, 1e-300)))
-
-    def _square(self, theta: Floats) -> Floats:
-        total = np.zeros(len(theta))
-        for i, j in np.ndindex(self.noise.shape):
-            total = total + theta[:, i] * self.noise[i, j] * theta[:, j]
-        return total
-
-    def derive(self, own: Watched) -> None:
-        """Derive sigma, tolerance and waiting time of each axis from the references."""
-        own.sigma[:] = self.sizes(own.theta)[:, None] * self._seen.sigma
-        own.tolerance[:] = self.relative * np.abs(own.theta) / own.sigma
-        known: dict[bytes, int] = {}
-        for axis, theta in enumerate(own.theta):
-            key = theta.tobytes()
-            if key not in known:
-                known[key] = self.wait(theta)
-            own.wait[axis] = known[key]
-
-    def refer(self, own: Watched, theta: Floats) -> None:
-        """Start to watch for deviations from references (n, p)."""
-        own.theta[:] = theta
-        self.derive(own)
-        own.waiting[:] = own.wait
-        own.silence[:] = own.members[:] = own.units[:] = 0
-        own.opened[:] = own.opening[:] = own.begun[:] = own.statistic[:] = own.line[:] = 0.0
-        self.restart(own)
-
-    def restart(self, own: Watched) -> None:
-        """Reset the detector."""
-        own.detection[:] = start_detection(own.theta.shape)
-
-    @cached_property
-    def watcher(self) -> Watcher:
-        """The kernel that makes the decisions of these axes."""
-        work = self.calibration.work
-        return Watcher(
-            self.calibration.scale.norms,
-            self._seen.norms,
-            make_detection(self.calibration.theta.size),
-            (work.size, work.offset, work.limit),
-            self.threshold,
-            self.block_time,
-            self.silent_blocks,
-        )
 
 
 #: Status bits of estimates that are not used.
@@ -130,28 +52,47 @@ class WatchedAxis(AxisMonitor):
     known: Known | None = None
 
     def __post_init__(self) -> None:
+        theta = self.calibration.theta
         self.threshold = self.calibration.chance.threshold(self.watch.mtbf_hours)
         self._front = like(IV, self.estimator, prefilter_zeros=None)
-        self._block_time = self._front.settle_samples * self._front.dt
-        self.watching = self._watching()
-        self._filter = ScoreFilter(self._front, self.calibration.theta, left_out=self.calibration.left_out)
-        p = self.calibration.theta.size
-        sizes = {"p": p, "width": self._filter.scoring.width, "starts": make_detection(p).rows}
+        self._noise = self._front.noise()
+        self._filter = ScoreFilter(self._front, theta, left_out=self.calibration.left_out)
+        sizes = {"p": theta.size, "width": self._filter.scoring.width, "starts": make_detection(theta.size).rows}
         self._own, self._rest = Watched.empty(1, **sizes), Disturbed.empty(1, **sizes)
-        self.watching.refer(self._own, self.calibration.theta[None])
-        self._rest.model[0] = self.calibration.theta
+        self._start_at(theta)
         self._inputs, self._flagged, self._warmer, self._block_warmer = Inputs(), 0, 0.0, 0.0
 
-    def _watching(self) -> Watching:
-        return Watching(
-            self.calibration,
+    @cached_property
+    def watcher(self) -> Watcher:
+        """The kernel that makes the decisions of all axes with this configuration."""
+        work, block_time = self.calibration.work, self._front.settle_samples * self._front.dt
+        return Watcher(
+            self.calibration.scale.norms,
+            work.scale.norms,
+            make_detection(self.calibration.theta.size),
+            (work.size, work.offset, work.limit),
             self.threshold,
-            self.watch.tolerance,
-            self._front.noise(),
-            lambda theta: start_blocks(self._front, theta),
-            max(TUNING.silent_blocks, round(TUNING.silent_time / self._block_time)),
-            self._block_time,
+            block_time,
+            max(TUNING.silent_blocks, round(TUNING.silent_time / block_time)),
         )
+
+    def _sizes(self, theta: Floats) -> Floats:
+        """Return the noise (n,) at references (n, p), over the noise at the calibration's reference."""
+        first = float(self._square(self.calibration.theta[None])[0])
+        return np.asarray(np.sqrt(self._square(theta) / max(first, 1e-300)))
+
+    def _square(self, theta: Floats) -> Floats:
+        total = np.zeros(len(theta))
+        for i, j in np.ndindex(self._noise.shape):
+            total = total + theta[:, i] * self._noise[i, j] * theta[:, j]
+        return total
+
+    def derive(self, watched: Watched) -> None:
+        """Derive sigma, tolerance and waiting time of each axis from the references."""
+        watched.sigma[:] = self._sizes(watched.theta)[:, None] * self.calibration.work.scale.sigma
+        watched.tolerance[:] = self.watch.tolerance * np.abs(watched.theta) / watched.sigma
+        references, axes = np.unique(watched.theta, axis=0, return_inverse=True)
+        watched.wait[:] = np.array([start_blocks(self._front, theta) for theta in references], np.int64)[axes.ravel()]
 
     @property
     def scoring(self) -> Scoring:
@@ -177,10 +118,17 @@ class WatchedAxis(AxisMonitor):
     def _refer(self, theta: Floats) -> None:
         """Start to watch for deviations from theta (p,)."""
         self._filter = ScoreFilter(self._front, theta, self._filter, self.calibration.left_out)
-        self.watching.refer(self._own, self._filter.theta[None])
-        rest = self._rest
-        rest.gathered[0], rest.refined[0], rest.crossed[0], rest.suspected[0] = 0.0, 0, 0.0, 0
-        rest.model[0] = theta
+        self._start_at(theta)
+
+    def _start_at(self, theta: Floats) -> None:
+        """Let the decisions begin at the reference theta (p,)."""
+        own, rest = self._own, self._rest
+        own.theta[0] = rest.model[0] = theta
+        self.derive(own)
+        own.waiting[:] = own.wait
+        own.silence[:] = own.members[:] = own.units[:] = 0
+        own.opened[:] = own.opening[:] = own.begun[:] = own.statistic[:] = own.line[:] = own.detection[:] = 0.0
+        rest.gathered[:] = rest.refined[:] = rest.crossed[:] = rest.suspected[:] = 0
 
     def _take_reference(self, theta: Floats) -> None:
         self._refer(theta)
@@ -189,7 +137,7 @@ class WatchedAxis(AxisMonitor):
     def _on_block(self, rows: Floats, lost: NDArray[np.uint8], estimate: Estimate) -> list[Event]:
         """Return the events after a block (1, width). `lost` (1,) is true if all samples of the block were
         disturbed."""
-        watcher, own = self.watching.watcher, self._own
+        watcher, own = self.watcher, self._own
         rows, information = watcher.informed(own, rows, bool(lost[0]))
         if self.state == SETTLING:
             return self._settle(rows, information, estimate)
@@ -198,7 +146,7 @@ class WatchedAxis(AxisMonitor):
         return [*events, *self._on_unit(unit, estimate)] if whole else events
 
     def _on_unit(self, unit: Floats, estimate: Estimate) -> list[Event]:
-        own, rest, watcher = self._own, self._rest, self.watching.watcher
+        own, rest, watcher = self._own, self._rest, self.watcher
         information = watcher.counted(own, rest, unit)
         if self.state == SUSPICIOUS:
             rest.gathered[0] += min(information, TUNING.most_information)
@@ -216,7 +164,7 @@ class WatchedAxis(AxisMonitor):
 
     def _look_around(self, estimate: Estimate) -> list[Event]:
         """Update the state, which depends on whether changes can be detected now."""
-        wanted, reason = self.watching.watcher.looked(self._own, estimate.status)
+        wanted, reason = self.watcher.looked(self._own, estimate.status)
         return self._enter(STATES[wanted], REASONS[reason])
 
     def _alarm(self, estimate: Estimate) -> list[Event]:
@@ -231,7 +179,7 @@ class WatchedAxis(AxisMonitor):
         if not ends and growth > 1 and cause.is_open(growth):
             return []
         if ends or cause.size <= self.watch.tolerance:
-            self.watching.restart(self._own)
+            self._own.detection[:] = 0.0
             return self._enter(WATCHING, "the deviation is within the tolerance")
         alarm, rest = self._make_alarm(cause), self._rest
         rest.refined[0] = 0  # the information since the suspicion counts for the new model
@@ -266,7 +214,7 @@ class WatchedAxis(AxisMonitor):
         """Return whether a line since the reference explains the units better than a step among the last units."""
         own, p = self._own, self.reference.size
         units, _ = self._rest.recent(0, int(own.units[0]))
-        x, w = self.watching.rescale(own.sigma[0]).standardise(Blocks.from_rows(units, p))
+        x, w = replace(self.calibration.work.scale, sigma=own.sigma[0]).standardise(Blocks.from_rows(units, p))
         sums, known = (np.cumsum(part[::-1], axis=0) for part in (x, w))
         edge = EDGE * float(own.units[0]) ** 2
         line = own.line[0, 0] ** 2 / (own.line[0, 1] + edge)
@@ -333,7 +281,7 @@ class WatchedAxis(AxisMonitor):
         model, blocks = self.reference, Blocks.from_rows(self._rest.settled, self.reference.size)
         cross = blocks.cross[0] + 1e-12 * np.eye(model.size)
         theta = model + solve(cross, blocks.score[0])
-        size = float(self.watching.sizes(model[None])[0])
+        size = float(self._sizes(model[None])[0])
         std = size * self.calibration.scale.sigma / np.sqrt(float(self._rest.gathered[0]))
         if not self.plausible(theta):
             theta = model

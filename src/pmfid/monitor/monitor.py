@@ -309,7 +309,7 @@ class Monitor(WatchedAxis, Presentable):
             many.hold(states)
             possible = possible and many.plausible()
         if possible:
-            self.watching.derive(watched)
+            self.derive(watched)
         if not possible or np.any(watched.waiting > watched.wait):
             raise UsageError(IMPLAUSIBLE)
         return saved

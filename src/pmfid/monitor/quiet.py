@@ -23,7 +23,7 @@ class Quiet:
     monitor."""
 
     def __init__(self, monitor: Monitor) -> None:
-        self._watching = monitor.watching
+        self._watcher = monitor.watcher
         self._estimator, self._filter = monitor.packers
         self._scoring, self._dt, self._delay = monitor.scoring, monitor.estimator.dt, monitor.estimator.delay
         # Each estimate needs its own combination with prior information. Each block needs the model of its temperature.
@@ -63,7 +63,7 @@ class Quiet:
         self._filter.hold(sampled.filter)
         theta = every.watched.theta[index]
         scored = self._filter.score(u, own, self._scoring.numbers, theta, sampled.sums, sampled.progress)
-        wanted, reason, crossed = self._watching.watcher.run(
+        wanted, reason, crossed = self._watcher.run(
             every.watched, every.disturbed, index, scored, rows.status, samples, filled, self._scoring.size, self._dt
         )
         self._changes(rows, wanted, reason, filled, samples)
