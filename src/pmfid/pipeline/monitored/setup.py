@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, is_dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import numpy as np
 
@@ -19,13 +19,11 @@ from pmfid.estimators.iv import IV, RIV, initial_vector
 from pmfid.estimators.known import Known
 from pmfid.estimators.recursive import RLS, RecursiveEstimator
 from pmfid.estimators.registry import ESTIMATORS
-from pmfid.monitor.calibration import Calibration, NormalWork, calibrate
-from pmfid.monitor.chance import Chance
+from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.monitor.edges import EdgeMonitor
 from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
-from pmfid.monitor.scores import Scale
-from pmfid.monitor.warmth import Warmth, find_warmth
+from pmfid.monitor.warmth import find_warmth
 from pmfid.pipeline.drives import make_estimator
 from pmfid.pipeline.edges import learn_edges, make_edge_estimator, takes_edges
 from pmfid.pipeline.identify import kind_of
@@ -39,31 +37,19 @@ from pmfid.types import Floats
 VERSION = 12
 
 
-def _calibration_in(raw: dict[str, Any]) -> Calibration:
-    """Return the calibration in a part of a baseline. Raises ValueError, TypeError or KeyError for another object."""
-    return Calibration(
-        np.array(raw["theta"]),
-        _scale(raw["scale"]),
-        _work(raw["work"]),
-        _chance(raw["chance"]),
-        np.array(raw["noise"]),
-        raw["record_hours"],
-        raw["warmth"] and Warmth(**raw["warmth"] | {"rate": np.array(raw["warmth"]["rate"])}),
-    )
+def _read_fields(kind: Any, raw: dict[str, Any]) -> Any:
+    """Return a dataclass of numbers, arrays and such dataclasses from a part of a baseline.
+
+    Raises ValueError, TypeError or KeyError for another object.
+    """
+    hints = get_type_hints(kind)
+    return kind(**{name: _read_value(hint, raw[name]) for name, hint in hints.items()})
 
 
-def _scale(raw: dict[str, Any]) -> Scale:
-    return Scale(**{name: np.array(value) for name, value in raw.items()})
-
-
-def _chance(raw: dict[str, Any]) -> Chance:
-    variance, error, information = (np.array(raw[name]) for name in ("variance", "error", "information"))
-    return Chance(raw["time"], raw["lengths"], variance, error, information, raw["inflation"])
-
-
-def _work(raw: dict[str, Any]) -> NormalWork:
-    arrays = (np.array(raw[name]) for name in ("limit", "spread"))
-    return NormalWork(raw["size"], np.array(raw["offset"]), _scale(raw["scale"]), *arrays)
+def _read_value(hint: Any, raw: Any) -> Any:
+    if isinstance(raw, dict):
+        return _read_fields(next(filter(is_dataclass, (hint, *get_args(hint))), None), raw)
+    return np.array(raw) if isinstance(raw, list) else raw
 
 
 @dataclass(frozen=True)
@@ -104,7 +90,7 @@ class Setup:
         if isinstance(self.monitor, EdgeMonitor):
             nominal = np.array(raw["nominal"], np.float64)
             return Setup(EdgeMonitor(self.monitor.estimator, nominal, self.monitor.watch), nominal, self.notes)
-        calibration, known = _calibration_in(raw["calibration"]), self.monitor.known
+        calibration, known = _read_fields(Calibration, raw["calibration"]), self.monitor.known
         estimator = self.monitor.estimator
         if known is not None and known.find_gain:
             estimator = replace(estimator, model=replace(estimator.model, input_gain=float(raw["input_gain"])))  # type: ignore[type-var]
