@@ -19,7 +19,7 @@ from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch
 from pmfid.fit.solve import Normal, Optimum, covariance_of, inverse, normal_of, root_of_rows, solve
 from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.fit.weighing import WeighedForce, weigh
-from pmfid.fit.within import information_rows, stack, start_precision
+from pmfid.fit.within import information_rows, reach_counts, stack, start_precision
 from pmfid.types import Floats
 
 #: Blocks of a record whose scores are compared with the information.
@@ -128,6 +128,8 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     search.move_constants()
     allowed, prior = range(len(search.table)), search.prior(search.problem)
     optimum = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
+    if isinstance(likelihood, Intervals):
+        optimum = _move_inside(search, likelihood, optimum)
     if search.reaches_bound(optimum.q):
         raise NotIdentifiableError(f"no motion of the model follows the record; {FOLLOW}")
     if isinstance(likelihood, Gaussian):
@@ -152,6 +154,16 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
         search.table[rival].words if rival is not None else "",
         _weigh(search, optimum, likelihood, lift),
     )
+
+
+def _move_inside(search: FitSearch, likelihood: Intervals, optimum: Optimum) -> Optimum:
+    """Return an optimum within every count, or the optimum itself if there is none nearby."""
+    precision = np.append(search.prior(search.problem), start_precision(optimum.starts))
+    at = reach_counts(search.problem, optimum.q, optimum.starts, precision, 0.0)
+    if at is None:
+        return optimum
+    cost, blocks = likelihood(search.problem.linearise(*at))
+    return Optimum(*at, cost, normal_of(blocks, at[1]), settled=True)
 
 
 def _shift_by_noise(search: FitSearch, optimum: Optimum, likelihood: Gaussian | Intervals) -> Floats:
