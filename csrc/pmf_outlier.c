@@ -26,6 +26,7 @@ static const scalar_t FIRST = PMF_SCALAR(3.2); /* above BLOW */
 static const scalar_t FURTHER =
     PMF_SCALAR(1.5); /* above (m + 3) / (m + 2), which is the same bound for each further reading */
 static const uint32_t MANY = 3U; /* most readings left out before a fast oscillation may look smooth */
+static const uint32_t CHOICES = 2048U; /* most choices of a search, which bound its time; a wrong count takes fewer */
 enum pmf_shift { SHIFT = 3 };
 static const uint32_t LATEST = 2U; /* most wrong readings before a shift */
 enum pmf_demands { DEMANDS = (int)LEFT_OUT + (int)SHIFT + 1 };
@@ -202,8 +203,9 @@ PMF_SELDOM uint32_t suspects(const pmf_view_t *view, const path_t *path)
 }
 
 /* Improve the best path by all paths with a shift of the zero, or all without. A path that is too expensive has no
- * cheap continuation. */
-PMF_SELDOM void search(const pmf_view_t *view, uint32_t places, uint32_t moved, uint32_t doubt, path_t *best)
+ * cheap continuation. The search ends after `choices` choices, which are counted down. */
+PMF_SELDOM void search(const pmf_view_t *view, uint32_t places, uint32_t moved, uint32_t doubt, uint32_t *choices,
+                       path_t *best)
 {
     scalar_t most[PMF_PAST + PMF_VIEW + 1U], factor[DEMANDS];
     path_t path;
@@ -211,11 +213,12 @@ PMF_SELDOM void search(const pmf_view_t *view, uint32_t places, uint32_t moved, 
              shift = moved != 0U ? (uint32_t)SHIFT : 0U;
     demand(doubt, factor);
     begin_path(view, moved, &path, most);
-    for (;;) {
+    while (*choices > 0U) {
         uint32_t skipped = next - begin - path.chosen + shift, left_out = end - begin - path.chosen - 1U + shift;
         if (next < end && path.chosen < PMF_PAST + PMF_VIEW && skipped <= LEFT_OUT + shift &&
             (moved == 0U || path.past < path.chosen || next <= PMF_PAST + LATEST)) {
             choose(view, next, &path, most);
+            *choices -= 1U;
             next += 1U;
             if (left_out != 0U && left_out <= LEFT_OUT + shift && path.chosen >= path.past + 2U + moved &&
                 path.past <= PMF_PAST && path.chosen >= LEAST && factor[left_out] * most[path.chosen] < best->cost) {
@@ -283,7 +286,7 @@ PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t
     verdict->count = count;
     verdict->first = first;
     verdict->end = end;
-    verdict->unsure = first > PMF_PAST + LONGEST;
+    verdict->unsure |= first > PMF_PAST + LONGEST ? 1U : 0U;
     return 1;
 }
 
@@ -309,7 +312,7 @@ PMF_SELDOM int was_wrong(const pmf_view_t *view, const path_t *path)
 PMF_SELDOM void follow_best(const pmf_view_t *view, uint32_t doubt, path_t *best, pmf_verdict_t *verdict)
 {
     path_t moved;
-    uint32_t places = 0U, cheaper;
+    uint32_t places = 0U, choices = CHOICES, cheaper;
     scalar_t cost;
     choose_all(view, best);
     moved = *best;
@@ -319,13 +322,14 @@ PMF_SELDOM void follow_best(const pmf_view_t *view, uint32_t doubt, path_t *best
             break;
         }
         places |= suspects(view, best);
-        search(view, places, 0U, doubt, best);
+        search(view, places, 0U, doubt, &choices, best);
         moved = best->cost < moved.cost ? *best : moved;
         if (view->past >= 2U) {
-            search(view, places, 1U, doubt, &moved);
+            search(view, places, 1U, doubt, &choices, &moved);
         }
         cheaper = moved.cost < cost ? 1U : 0U;
     } while (cheaper != 0U);
+    verdict->unsure |= choices == 0U ? 1U : 0U;
     if (moved.moved != 0U && replace(view, &moved, verdict) != 0) {
         *best = moved;
         return;

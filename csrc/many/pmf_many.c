@@ -100,21 +100,28 @@ static void keep(const pmf_config_t *config, const pmf_state_t *state, const pmf
     many->status[row] = state->status;
 }
 
+static const pmf_straight_t *const STRAIGHT[PMF_METHODS] = {0, &pmf_straight_rls, &pmf_straight_bcrls,
+                                                            &pmf_straight_riv};
+
 uint32_t pmf_method_of(const pmf_config_t *config)
 {
-    return pmf_is_rls(config) ? PMF_RLS : pmf_is_bcrls(config) ? PMF_BCRLS : pmf_is_riv(config) ? PMF_RIV : PMF_GENERAL;
+    uint32_t method = PMF_METHODS - 1U;
+    while (method != PMF_GENERAL && STRAIGHT[method]->is_for(config) == 0U) {
+        --method;
+    }
+    return method;
 }
 
 pmf_stepper_t *pmf_fastest_step(const pmf_config_t *config)
 {
-    static pmf_stepper_t *const STEPS[PMF_METHODS] = {pmf_step, pmf_step_rls, pmf_step_bcrls, pmf_step_riv};
-    return STEPS[pmf_method_of(config)];
+    uint32_t method = pmf_method_of(config);
+    return method == PMF_GENERAL ? pmf_step : STRAIGHT[method]->step;
 }
 
 pmf_stepper_t *pmf_fastest_filter(const pmf_config_t *config)
 {
-    static pmf_stepper_t *const FILTERS[PMF_METHODS] = {pmf_filter, pmf_filter_rls, pmf_filter_bcrls, pmf_filter_riv};
-    return FILTERS[pmf_method_of(config)];
+    uint32_t method = pmf_method_of(config);
+    return method == PMF_GENERAL ? pmf_filter : STRAIGHT[method]->filter;
 }
 
 static void run_one(const pmf_config_t *config, const pmf_many_t *many, pmf_stepper_t *step, uint64_t axis,

@@ -46,23 +46,10 @@ static uint32_t has_recursion(const pmf_recursion_config_t *config)
 
 static uint32_t has_method(const pmf_config_t *config)
 {
-    return config->encoder.process == 0U && config->auxiliary.enabled == PMF_WITH_MODEL &&
+    return config->encoder.rate == 0 && config->late.kept == 0U && config->auxiliary.shapes.n == 0U &&
+           config->encoder.process == 0U && config->auxiliary.enabled == PMF_WITH_MODEL &&
            has_network(&config->network) && has_recursion(&config->direct) &&
            (PMF_WITH_MODEL == 0 || has_recursion(&config->instrument));
 }
 
-uint32_t JOIN(pmf_step, PMF_STRAIGHT)(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count)
-{
-    return pmf_step(config, state, input, count);
-}
-
-uint32_t JOIN(pmf_filter, PMF_STRAIGHT)(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count)
-{
-    return pmf_filter(config, state, input, count);
-}
-
-uint32_t JOIN(pmf_is, PMF_STRAIGHT)(const pmf_config_t *config)
-{
-    return config->encoder.rate == 0 && config->late.kept == 0U && config->auxiliary.shapes.n == 0U &&
-           has_method(config);
-}
+const pmf_straight_t JOIN(pmf_straight, PMF_STRAIGHT) = {has_method, pmf_step, pmf_filter};

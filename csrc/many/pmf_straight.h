@@ -7,18 +7,13 @@
 
 typedef uint32_t pmf_stepper_t(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
 
-/* Return whether a configuration is one for which a method's code is compiled. */
-uint32_t pmf_is_rls(const pmf_config_t *config);
-uint32_t pmf_is_bcrls(const pmf_config_t *config);
-uint32_t pmf_is_riv(const pmf_config_t *config);
-/* The steps of the methods. */
-uint32_t pmf_step_rls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
-uint32_t pmf_step_bcrls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
-uint32_t pmf_step_riv(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
-/* Encoder and filters of the methods. */
-uint32_t pmf_filter_rls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
-uint32_t pmf_filter_bcrls(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
-uint32_t pmf_filter_riv(const pmf_config_t *config, pmf_state_t *state, scalar_t input, uint32_t count);
+/* The code of a method: whether a configuration is one for which it is compiled, step, and encoder with filters. */
+typedef struct {
+    uint32_t (*is_for)(const pmf_config_t *config);
+    pmf_stepper_t *step, *filter;
+} pmf_straight_t;
+
+extern const pmf_straight_t pmf_straight_rls, pmf_straight_bcrls, pmf_straight_riv;
 
 /* Return PMF_GENERAL or the method of a configuration. */
 uint32_t pmf_method_of(const pmf_config_t *config);
