@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
-from types import MappingProxyType
+from itertools import combinations, pairwise, product
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from pmfid.errors import PmfidError
 from pmfid.estimators.iv import RIV
 from pmfid.models.drive import Drive
 from pmfid.monitor.calibration import Calibration, calibrate
-from pmfid.monitor.events import Alarm, Watch
+from pmfid.monitor.events import Alarm, Settled, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.simulation import DriveParameters, Schedule, position_control, prbs, quantize, simulate_drive
 from pmfid.types import Counts, Floats
@@ -36,12 +35,9 @@ CHANGES: tuple[Mapping[str, float], ...] = (
 )
 #: Parameters of a machine.
 NAMES = ("mass", "viscous_friction", "coulomb_friction")
-#: Benches on which several parameters change, and limits of the factors (or of their inverses).
-SEVERAL, FACTORS = ("cart", "rotary", "stage", "gantry"), (1.06, 1.4)
-NAMED: tuple[Mapping[str, float], ...] = (
-    {"viscous_friction": 1.15, "coulomb_friction": 1.15},
-    {"mass": 1.1, "coulomb_friction": 1.1},
-)
+#: Causes and sizes of the changes on the benches.
+CAUSES = (*NAMES, "input_gain", "encoder_scale")
+SIZES = (0.05, 0.1, 0.2)
 #: Limits of Coulomb friction on random machines, as a fraction of the force.
 LEAST, MOST = 0.05, 0.6
 #: Times in moves: length of the calibration record, earliest change and its variation, and time after the change.
@@ -100,50 +96,42 @@ class Watched:
 
 @dataclass(frozen=True)
 class Said:
-    """The first alarm after changes by these factors, or None; `delay` is in moves."""
+    """The first alarm after changes by these factors, or None, and the judgement with its new reference.
+
+    `delay` is in moves. `before` and `more` count the alarms before the change and after the first alarm.
+    """
 
     truth: Mapping[str, float]
     alarm: Alarm | None
+    settled: Settled | None
     delay: float
     before: int
+    more: int
 
-    @property
-    def named(self) -> bool:
-        """Return whether the alarm names the right set of parameters first."""
-        return self.alarm is not None and self._is_truth(self.alarm.causes)
-
-    @property
-    def right(self) -> bool:
-        """Return whether the alarm names the right set of parameters, and no other."""
-        return self.named and self.alarm is not None and not self.alarm.others
-
-    @property
-    def open(self) -> bool:
-        """Return whether the right set is one of several that the alarm names."""
-        sets = (
-            [] if self.alarm is None else [self.alarm.causes, *(set(one.split(" and ")) for one in self.alarm.others)]
-        )
-        return not self.right and any(self._is_truth(one) for one in sets)
+    def judge(self, event: Alarm | Settled) -> str:
+        """Return "right" if an event names the right set of parameters first, "one of" if it is another of the sets,
+        and "wrong" otherwise."""
+        sets = [{one.parameter for one in event.changes}, *(set(one.split(" and ")) for one in event.others)]
+        places = [k for k, one in enumerate(sets) if self._is_truth(one)]
+        return "wrong" if not places else "one of" if places[0] else "right"
 
     def _is_truth(self, causes: Collection[str]) -> bool:
         kinds = {"viscous_friction", "coulomb_friction"}
         return {part for one in causes for part in (kinds if one == "friction" else {one})} == set(self.truth)
 
-    @property
-    def bars(self) -> float:
+    def bars(self, event: Alarm | Settled) -> float:
         """Return the largest error of a size, divided by its bar."""
-        assert self.alarm is not None
         true = {**self.truth, "friction": float(np.mean([self.truth.get(name, 1.0) for name in NAMES[1:]]))}
-        return max(abs(one.relative + 1 - true[one.parameter]) / one.relative_std for one in self.alarm.changes)
+        return max(abs(one.relative + 1 - true[one.parameter]) / one.relative_std for one in event.changes)
 
 
-def drawn_changes(seed: int) -> Mapping[str, float]:
-    """Return two parameters with random factors. Each fourth pair is one of two that were once misread."""
+def drawn_changes(seed: int) -> Iterator[Mapping[str, float]]:
+    """Yield each cause with each size, and each pair of causes with random sizes. The directions are random."""
     rng = np.random.default_rng([seed, 91])
-    if seed % 4 == 3:
-        return NAMED[seed // 4 % 2]
-    sizes = np.exp(rng.choice([-1, 1], 2) * rng.uniform(np.log(FACTORS[0]), np.log(FACTORS[1]), 2))
-    return dict(zip(rng.choice(NAMES, 2, replace=False).tolist(), sizes.tolist(), strict=True))
+    for cause, size in product(CAUSES, SIZES):
+        yield {cause: 1 + size * rng.choice([-1, 1])}
+    for pair in combinations(CAUSES, 2):
+        yield dict(zip(pair, 1 + rng.choice([-1, 1], 2) * rng.choice(SIZES, 2), strict=True))
 
 
 def drawn(seed: int) -> tuple[Watched, float]:
@@ -186,11 +174,14 @@ def said(machine: Watched, calibration: Calibration, factors: Mapping[str, float
     when = moves * machine.move
     plant = Schedule(((0.0, machine.drive), (when, replace(machine.drive, **changed))))
     u, counts = machine.record(plant, moves + AFTER, rng, (when, factors.get("encoder_scale", 1.0)))
-    rows = Monitor(machine.estimator(), calibration, Watch()).run(u, counts)
-    alarms = [event for _, _, event in rows.events if isinstance(event, Alarm)]
-    found = [alarm for alarm in alarms if alarm.time >= when]
-    delay = (found[0].time - when) / machine.move if found else np.inf
-    return Said(factors, found[0] if found else None, delay, len(alarms) - len(found))
+    events = [event for *_, event in Monitor(machine.estimator(), calibration, Watch()).run(u, counts).events]
+    alarms = [event for event in events if isinstance(event, Alarm)]
+    after = [alarm for alarm in alarms if alarm.time >= when]
+    alarm = after[0] if after else None
+    values = [event for event in events if isinstance(event, Settled) and alarm and event.time > alarm.time]
+    delay = np.inf if alarm is None else (alarm.time - when) / machine.move
+    judged = values[0] if values else None
+    return Said(factors, alarm, judged, delay, len(alarms) - len(after), max(0, len(after) - 1))
 
 
 def sizes(runs: int, first: int) -> tuple[list[tuple[float, Said]], int]:
@@ -214,80 +205,73 @@ def sizes_rows(found: list[tuple[float, Said]]) -> Iterator[list[str]]:
         yield [f"{100 * low:.0f} to {100 * high:.0f} %", *_cells([one for part, one in found if low <= part < high])]
 
 
-def causes_rows(
-    names: Iterable[str], seeds: range, changes: Callable[[int], Mapping[str, float]]
-) -> Iterator[list[str]]:
-    """Yield a row for each bench, and one for all."""
+def causes_rows(seeds: range) -> Iterator[list[str]]:
+    """Yield a row for each bench, for single causes and pairs, and for all."""
     every = list[Said]()
-    for name in names:
+    for name in AXES:
         machine = bench(name)
         calibration = machine.calibration()
-        found = [said(machine, calibration, changes(seed), seed) for seed in seeds]
-        every += found
-        row = [name, *_cells(found)]
+        changes = [(seed, one) for seed in seeds for one in drawn_changes(seed)]
+        every += [said(machine, calibration, one, 100 * seed + k) for k, (seed, one) in enumerate(changes)]
+        row = [name, *_cells(every[-len(changes) :])]
         print(" | ".join(row), flush=True)
         yield row
+    for number, title in ((1, "single"), (2, "pairs")):
+        yield [title, *_cells([one for one in every if len(one.truth) == number])]
     yield ["all", *_cells(every)]
 
 
 def _cells(found: list[Said]) -> list[str]:
     reported = [one for one in found if one.alarm is not None]
-    bars = np.array([one.bars for one in reported if one.named])
     delay = f"{np.median([one.delay for one in reported]):.1f}" if reported else ""
-    right, open_ = sum(one.right for one in found), sum(one.open for one in found)
-    counts = [len(found), len(reported), right, open_, len(reported) - right - open_]
-    within = f"{np.sum(bars <= 3)} of {bars.size}"
-    return [*map(str, counts), within, f"{bars.max(initial=0):.1f}", delay, str(sum(one.before for one in found))]
+    further = [str(sum(getattr(one, name) for one in found)) for name in ("before", "more")]
+    first = _judged([(one, one.alarm) for one in found if one.alarm is not None])
+    last = _judged([(one, one.settled) for one in found if one.settled is not None])
+    return [str(len(found)), str(len(reported)), *first, *last, delay, *further]
 
 
-HEADER = MappingProxyType(
-    dict.fromkeys(
-        ("runs", "alarms", "right cause", "one of", "wrong", "sizes within 3 bars", "worst", "delay", "before")
-    )
-)
+def _judged(pairs: Sequence[tuple[Said, Alarm | Settled]]) -> list[str]:
+    """Return the numbers of right sets, of right ones among several, and of wrong ones, and the errors of sizes."""
+    words = [one.judge(event) for one, event in pairs]
+    bars = np.array([one.bars(event) for one, event in pairs if one.judge(event) == "right"])
+    numbers = " / ".join(str(words.count(word)) for word in ("right", "one of", "wrong"))
+    return [numbers, f"{np.sum(bars <= 3)} of {bars.size}, {bars.max(initial=0):.1f}"]
+
+
+HEADER = ("runs", "alarms", "cause", "sizes", "cause, settled", "sizes, settled", "delay", "before", "more")
 TEXT = """
 # What an alarm says
 
-One change in each run: {changes}.
-`riv` with a memory of {memory} moves, tolerance 2 %, calibrated
-from {reference} moves of normal work. *Right cause*: named alone; *one of*: several are named, as the samples do not
-tell them apart, and the right one is among them; *wrong*: it is not. *Sizes*: of the alarms whose first cause is the
-right one. *Delay*: median, in moves; *before*: alarms before the change.
+`riv` with a memory of {memory} moves, tolerance 2 %, calibrated from {reference} moves of normal work. *Cause*: the
+right set of changes named first / among others / not named. Sets with the same effect are among them. *Sizes*: of
+the right sets, those within three standard errors, and the largest error in standard errors. *Settled*: the same,
+when the new values are known. *Delay*: median, in moves; *before* and *more*: alarms before the change and after the
+first alarm.
 
 ## Sizes, by what Coulomb friction takes of the force
 
 Machines drawn at random: 0.5 to 500 kg, time constants of 0.08 to 1 s, half of them under position control, half
-under a binary input. {refused} could not be calibrated.
+under a binary input. Changes: {changes}. {refused} could not be calibrated.
 """
-CAUSES = """
+BENCHES = """
 ## Causes, on the benches
 
-Moves to and fro that vary at random, position control through {increments} increments per turn. A run without an alarm
-has none within {after} moves after the change: 40 % of the spindle's Coulomb friction are 0.4 % of its force. If the
-delay is more than ten moves, the monitor learns from the record (units of work, see docs/howto/monitoring.md).
-"""
-PAIRS = """
-## Two parameters at once, on the benches
-
-Two of mass, viscous and Coulomb friction change at the same moment, by 6 to 40 % up or down; each fourth pair is both
-frictions +15 %, or mass and Coulomb friction +10 %. Friction as a whole counts as both frictions.
+Each cause by 5, 10 and 20 % up or down, and each pair of causes. Moves to and fro that vary at random, position control
+through {increments} increments per turn. A run without an alarm has none within {after} moves after the change.
 """
 
 
 def page(runs: int = 100, first: int = 0) -> str:
     found, refused = sizes(runs, first)
     single = [(name.replace("_", " "), 100 * factor - 100) for one in CHANGES for name, factor in one.items()]
-    changes, seeds = ", ".join(f"{name} {size:+.0f} %" for name, size in single), range(first, first + runs)
+    changes = ", ".join(f"{name} {size:+.0f} %" for name, size in single)
     text = TEXT.format(changes=changes, memory=MEMORY, reference=REFERENCE, refused=refused)
     lines = [*text.strip().splitlines(), "", *table(["Coulomb friction", *HEADER], list(sizes_rows(found)))]
     print("\n".join(lines), flush=True)
     lines += [
-        *CAUSES.format(increments=INCREMENTS, after=AFTER).splitlines(),
+        *BENCHES.format(increments=INCREMENTS, after=AFTER).splitlines(),
         "",
-        *table(["bench", *HEADER], list(causes_rows(AXES, seeds, lambda seed: CHANGES[seed % len(CHANGES)]))),
-        *PAIRS.splitlines(),
-        "",
-        *table(["bench", *HEADER], list(causes_rows(SEVERAL, seeds, drawn_changes))),
+        *table(["bench", *HEADER], list(causes_rows(range(first, first + max(1, runs // 25))))),
     ]
     lines += ["", f"Written by `python -m studies.alarms --out results/alarms.md --runs {runs} --first {first}`."]
     return "\n".join(lines) + "\n"

@@ -285,6 +285,9 @@ class WatchedAxis(AxisMonitor):
         std = size * self.calibration.scale.sigma / np.sqrt(float(self._rest.gathered[0]))
         if not self.plausible(theta):
             theta = model
+        # Scores are linear in the deviation of the model, so a large correction has an error of second order.
+        moved = np.abs(theta - model)
+        std = np.hypot(std, moved**2 / np.maximum(np.maximum(np.abs(theta), moved), np.finfo(float).tiny))
         return self._end_settling(theta, std, self._judge_again(theta, std, cross, blocks.square[0]))
 
     def _end_settling(self, theta: Floats, std: Floats, cause: Cause) -> list[Event]:

@@ -224,20 +224,14 @@ class Monitor(WatchedAxis, Presentable):
         self._inputs.pass_over(samples - few)
         return events
 
-    @property
-    def _rate(self) -> float:
-        """The sample period over the time constant of the filters."""
-        return self.estimator.cutoff * self.estimator.dt
-
     def fill_gap(self, missing: int, u: float, counts: int) -> list[Event]:
         """Impute a few samples that were lost before the sample u, counts (`guess`), and return the events.
 
         If a held input switched in the gap, learning stops for a while, because the instant is unknown. Samples that
         cannot be guessed are skipped as in `skip`.
         """
-        last = self._inputs
-        few = missing <= longest(self._rate)
-        found = guess(last, self._rate, missing, u, counts + last.zero) if few else None
+        last, rate = self._inputs, self.estimator.cutoff * self.estimator.dt
+        found = guess(last, rate, missing, u, counts + last.zero) if missing <= longest(rate) else None
         if found is None:
             return self.skip(missing)
         if found.doubt:
