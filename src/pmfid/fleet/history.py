@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -55,20 +55,6 @@ def _report_mixed_periods(axis: str, series: Series) -> list[RowProblem]:
         f"the sample period changes between {low:.6g} and {high:.6g} s: each stretch is estimated with its own period"
     )
     return [RowProblem(axis, "", "mixed_dt", text, at)]
-
-
-def _others(follows: Iterable[Follow]) -> list[RowProblem]:
-    """Return a problem for each axis with another sample period than most axes."""
-    known = [one for one in follows if one.segments]
-    if not known:
-        return []
-    usual = float(np.quantile([one.dt for one in known], 0.5, method="lower"))
-    text = "the sample period is {:.6g} s, but {:.6g} s for most axes: this axis is estimated with its own period"
-    return [
-        RowProblem(one.axis, "", "other_dt", text.format(one.dt, usual))
-        for one in known
-        if abs(one.dt - usual) > TUNING.series_same * usual
-    ]
 
 
 def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[RowProblem]:
@@ -237,7 +223,6 @@ def summarise(
         follows[axis] = follow = follow_axis(axis, types[axis], same, names, tolerance)
         dated = codes[axis] | ({(follow.step.since, CHANGED)} if follow.step is not None and follow.stepped else set())
         listed += period_rows(axis, types[axis], series, names, periods, segment, dated)
-    problems += _others(follows.values())
     missing = [axis for axis in sorted(types) if axis not in follows]
     nan, infinite = np.full(len(names), np.nan), np.full(len(names), np.inf)
     follows |= {axis: Follow(axis, types[axis], 0, nan, infinite, None, None) for axis in missing}

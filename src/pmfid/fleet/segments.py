@@ -75,22 +75,13 @@ class Share:
         """Number of times that each sample is processed."""
         return self.size / self.places.size
 
-    @property
-    def rows(self) -> slice | NDArray[np.intp]:
-        """The samples as a slice, if no sample lies between them, so that they need no copy."""
-        first, end = int(self.places[0]), int(self.places[-1]) + 1
-        return slice(first, end) if end - first == self.places.size else self.places
-
     def input(self, u: Floats) -> Floats:
         """Return the input (size,) of this share from the input (samples,) of the record."""
-        own = u[self.rows]
-        return own if own.size == self.size else np.resize(own, self.size)
+        return np.resize(u[self.places], self.size)
 
     def counts(self, counts: Counts) -> Counts:
         """Return the counts (size,) of this share. Each repetition starts where the previous one ended."""
-        own = counts[self.rows]
-        if own.size == self.size:
-            return own
+        own = counts[self.places]
         again = np.arange(self.size) // own.size
         return np.asarray(np.resize(own, self.size) + again * (own[-1] - own[0]))
 
@@ -264,11 +255,11 @@ def _stretch(piece: RecordPiece, record: Record, first: int, share: Share, group
         record.resolution,
         share.input(record.u[first:]),
         share.counts(record.counts[first:]),
-        0.0 if there is None else 1 - float(there[first:][share.rows].mean()),
+        0.0 if there is None else 1 - float(there[first:][share.places].mean()),
         share.repeats,
         group,
-        math.nan if warm is None else float(warm[first:][share.rows].mean()),
-        None if record.ages is None else record.ages[first:][share.rows],
+        math.nan if warm is None else float(warm[first:][share.places].mean()),
+        None if record.ages is None else record.ages[first:][share.places],
     )
 
 

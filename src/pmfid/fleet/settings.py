@@ -99,17 +99,14 @@ def make_settings(given: Axis, estimator: RecursiveEstimator | REdge, most: floa
     of [estimator] forgetting, or the filters. Raises UsageError for segments that are too short for the filters.
     """
     if isinstance(estimator, REdge):
-        length = min(TUNING.settings_segments[0] if segment is None else segment, most)
+        length = min(TUNING.settings_segment if segment is None else segment, most)
         return Settings(given, estimator, length, length)
     filters = {"cutoff": estimator.cutoff, "prefilter_zeros": estimator.prefilter_zeros}
     config = choose_method(given).estimator.model_copy(update=filters)
     axis = given.model_copy(update={"estimator": config})
     settled = estimator.settle_samples * estimator.dt
     if segment is None:
-        plain = next(
-            (one for one in TUNING.settings_segments if one >= TUNING.settings_settled * settled),
-            TUNING.settings_segments[-1],
-        )
+        plain = max(TUNING.settings_segment, TUNING.settings_settled * settled)
         segment = plain if config.forgetting == 1 else TUNING.settings_memories * estimator.dt / (1 - config.forgetting)
     segment, least = min(segment, most), TUNING.least_settled * settled
     if not segment >= least:
@@ -162,6 +159,6 @@ def _choose_for(given: Axis, axis: Axis, record: Record) -> RecursiveEstimator |
     if takes_edges(given):
         return replace(make_edge_estimator(given, record), memory=None)
     cutoff = axis.estimator.cutoff or 1 / (min(ESTIMATOR_TUNING.cutoff_tried) * record.dt)
-    update = {"cutoff": cutoff, "forgetting": forgetting_of(TUNING.settings_segments[0], record.dt)}
+    update = {"cutoff": cutoff, "forgetting": forgetting_of(TUNING.settings_segment, record.dt)}
     own = axis.model_copy(update={"estimator": axis.estimator.model_copy(update=update)})
     return recursive(make_estimator(match_kind(record, own), record))

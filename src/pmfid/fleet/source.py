@@ -32,28 +32,21 @@ def walk_folder(folder: Path) -> tuple[list[Path], list[Path], list[Path]]:
     """Return the folders, all other entries in them, and the folders that cannot be listed.
 
     The other entries include pipes and broken links. The results of a history are left out. A folder with several links
-    counts once, by the shortest of its names, then by the first.
+    counts once, by the first of its names.
     """
     folders, others, closed, seen = list[Path](), list[Path](), list[Path](), set[str]()
-    waiting = [folder]
-    while waiting:
-        deeper = list[Path]()
-        for one in waiting:
-            if (real := os.path.realpath(one)) in seen:
-                continue
-            seen.add(real)
-            try:
-                inside = sorted(one.iterdir())
-            except OSError:
-                closed.append(one)
-                continue
-            if {path.name for path in inside} >= RESULTS:  # results of another history
-                continue
-            folders.append(one)
-            below = [path for path in inside if path.is_dir()]
-            deeper += below
-            others += [path for path in inside if path not in set(below)]
-        waiting = deeper
+
+    def note(error: OSError) -> None:
+        closed.append(Path(error.filename))
+
+    for name, below, names in os.walk(folder, onerror=note, followlinks=True):
+        if (real := os.path.realpath(name)) in seen or set(names) >= RESULTS:
+            below.clear()
+            continue
+        seen.add(real)
+        below.sort()
+        folders.append(Path(name))
+        others += [Path(name) / one for one in names]
     return folders, others, closed
 
 
@@ -236,21 +229,20 @@ class SourceColumns:
 class Part:
     """One file, or one frame in memory.
 
-    `name` identifies the part in messages. `stamp` changes with the content, and is empty for a frame. `constants` has
-    the values that the names of the folders give to all rows. `stamp_now` returns the present stamp, and is None for a
-    part that cannot change.
+    `name` identifies the part in messages. `constants` has the values that the names of the folders give to all rows.
+    `stamp` returns a text that changes with the content, and `listed` is the text when the part was listed.
     """
 
     name: str
-    stamp: str
-    open: Callable[[], pl.LazyFrame] = field(repr=False, compare=False)
+    open: Callable[[], pl.LazyFrame]
     constants: Mapping[str, str] = field(default_factory=dict)
-    stamp_now: Callable[[], str] | None = field(default=None, repr=False, compare=False)
+    stamp: Callable[[], str] = lambda: ""
+    listed: str = ""
 
     @property
     def rewritten(self) -> bool:
         """Return whether the part has changed since it was listed."""
-        return self.stamp_now is not None and self.stamp_now() != self.stamp
+        return self.stamp() != self.listed
 
     def rows(self, columns: SourceColumns) -> pl.LazyFrame:
         """Return the rows of a part. Axis and type are text, and all other columns are float64.
@@ -341,7 +333,7 @@ def parts_of(source: object, out: Path | None = None) -> list[Part]:
     if isinstance(source, str | Path):
         return _files(Path(source), out)
     lazy = source if isinstance(source, pl.LazyFrame) else pl.DataFrame(dict(table_of(source))).lazy()
-    return [Part(FRAME, "", lambda: lazy)]
+    return [Part(FRAME, lambda: lazy)]
 
 
 def _files(source: Path, out: Path | None) -> list[Part]:
@@ -351,7 +343,7 @@ def _files(source: Path, out: Path | None) -> list[Part]:
         return [_part(source, source.parent)]
     if is_delta(source):
         table = scan_delta(source)
-        return [Part(source.name, "", lambda: table)]
+        return [Part(source.name, lambda: table)]
     folders, paths, closed = walk_folder(source)
     check_no_table(folders)
     known = {*READERS, *ENDINGS}
@@ -368,11 +360,11 @@ def _files(source: Path, out: Path | None) -> list[Part]:
 
 def _part(path: Path, root: Path) -> Part:
     """Return one file as a part."""
-    inside, stamp = path.relative_to(root), _stamp(path)
+    inside = path.relative_to(root)
     pairs = (part.partition("=") for part in inside.parent.parts if "=" in part)
     constants = {unquote(key): "" if value == _NOTHING else unquote(value) for key, _, value in pairs}
     name = inside.as_posix().encode("utf-8", "backslashreplace").decode()  # a file name may contain any bytes
-    return Part(name, stamp, lambda: _open_file(path), constants, lambda: _stamp(path))
+    return Part(name, lambda: _open_file(path), constants, lambda: _stamp(path), _stamp(path))
 
 
 def _kind(path: Path) -> str:

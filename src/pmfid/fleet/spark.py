@@ -43,7 +43,7 @@ class SparkRows:
 
     def __init__(self, frame: object, columns: SourceColumns) -> None:
         self._frame, self.given, self.columns = cast("DataFrame", frame), columns, columns.own
-        self._part = Part(FRAME, "", arrow_of(self._frame.limit(0)).lazy)
+        self._part = Part(FRAME, arrow_of(self._frame.limit(0)).lazy)
         try:
             self._part.rows(columns)
         except UsageError as error:
@@ -61,7 +61,7 @@ class SparkRows:
         def read(batches: Iterator[pa.RecordBatch]) -> Iterator[pa.RecordBatch]:
             for batch in batches:
                 frame = cast(pl.DataFrame, pl.from_arrow(batch))
-                yield from _batches(Part(FRAME, "", frame.lazy).rows(own).collect())
+                yield from _batches(Part(FRAME, frame.lazy).rows(own).collect())
 
         kinds = ", ".join(f"`{key}` {'string' if key in (AXIS, TYPE) else 'double'}" for key in names)
         return self._frame.select(chosen).mapInArrow(read, kinds)

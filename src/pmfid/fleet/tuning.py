@@ -113,8 +113,8 @@ class FleetTuning:
     series_lost: float = 0.01
 
     # settings
-    #: Lengths of a segment [s] for one estimate, if the configuration has no memory of its own.
-    settings_segments: tuple[float, ...] = (60.0, 120.0, 300.0, 600.0, 1800.0)
+    #: Usual length of a segment [s], if the configuration has no memory of its own.
+    settings_segment: float = 60.0
     #: Length of a segment in memories of the estimator.
     settings_memories: float = 2.5
     #: Factor by which omitted rests may lengthen a segment.

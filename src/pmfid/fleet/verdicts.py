@@ -28,9 +28,9 @@ class Follow:
     """The findings on one axis without regard to other axes.
 
     `theta` and `std` (p,) are the estimate at the end, since the last step. `segments` is the number of usable
-    segments. `wander` is the evidence of step and trend beyond wandering, or None if neither is clear. `dt` is the
-    median sample period [s]. `codes` has the findings on theta. `error` (p,) is the error of theta by forces that the
-    model may lack.
+    segments. `wander` is the evidence of step and trend beyond wandering, or None if neither is clear. `codes` has the
+    findings on theta. `last` is the end of the data, and `pause` the longest pause [s]. `error` (p,) is the error of
+    theta by forces that the model may lack.
     """
 
     axis: str
@@ -41,7 +41,6 @@ class Follow:
     step: Step | None
     trend: Trend | None
     wander: Beyond | None = None
-    dt: float = math.nan
     codes: frozenset[str] = frozenset()
     last: float = math.nan
     pause: float = math.inf
@@ -115,11 +114,10 @@ def follow_axis(axis: str, kind: str, series: Series, names: Sequence[str], tole
     late = late if late.start.size else used
     theta, std = mean_of(late)
     codes = frozenset(standing(series) | (codes_of(late) if late.start.size else set()))
-    dt = float(np.median(used.dt)) if used.dt.size else math.nan
     last = float(series.end.max()) if series.end.size else math.nan
     pauses = series.start[1:] - series.end[:-1]
     pause = float(np.max(pauses, initial=0.0)) if series.end.size >= TUNING.verdicts_sure else math.inf
-    facts = axis, kind, int(used.start.size), theta, std, step, trend, wander, dt, codes, last, pause
+    facts = axis, kind, int(used.start.size), theta, std, step, trend, wander, codes, last, pause
     return Follow(*facts, series.model_error.std)
 
 
