@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import polars as pl
 
@@ -18,7 +18,19 @@ from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.fleet import processors
 from pmfid.fleet.evaluate import PROBLEM, Work
 from pmfid.fleet.source import AXIS, Part, SourceColumns
-from pmfid.fleet.survey import HOUR, PART, ROWS, RowProblem, Survey, hour_of, join_surveys, survey_part, unreadable
+from pmfid.fleet.survey import (
+    END,
+    HOUR,
+    PART,
+    ROWS,
+    START,
+    RowProblem,
+    Survey,
+    hour_of,
+    join_surveys,
+    survey_part,
+    unreadable,
+)
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
 
@@ -33,9 +45,8 @@ REWRITTEN = "the file changed while pmfid read it: run the command again once th
 
 @dataclass(frozen=True)
 class Chunk:
-    """Rows that are in memory together: hours of axes in `wanted`. `reads` has what returns the rows of each part."""
+    """Rows that are in memory together. `reads` has the rows of each part, and `rows` is the number of rows."""
 
-    wanted: pl.DataFrame
     reads: Sequence[tuple[Part, Callable[[], pl.LazyFrame]]]
     rows: int
 
@@ -45,8 +56,7 @@ class Chunk:
         for part, rows in self.reads:
             try:
                 with readable("data"):
-                    found = rows().with_columns(hour_of()).join(self.wanted.lazy(), on=[AXIS, HOUR], how="semi")
-                    frames.append(found.drop(HOUR).collect())
+                    frames.append(rows().collect())
             except UsageError as error:
                 problems.append(unreadable(part, error))
             if part.rewritten:
@@ -104,16 +114,27 @@ class Files:
     def _rows(self, part: Part) -> pl.LazyFrame:
         return part.rows(self.given).select(self.given.carried)
 
+    def _choose_rows(self, part: Part, hours: pl.DataFrame) -> pl.LazyFrame:
+        """Return the rows of some hours in the survey of a part, from the first to the last of them."""
+        first = cast(int, hours[START].min())
+        many = cast(int, hours[END].max()) + 1 - first
+        rows = self._rows(part).slice(first, many)
+        if many == hours[ROWS].sum():
+            return rows
+        return rows.with_columns(hour_of()).join(hours.lazy(), on=[AXIS, HOUR], how="semi").drop(HOUR)
+
     def read(self, wanted: pl.DataFrame) -> pl.DataFrame:
         """Return the rows of some axes and hours."""
-        rows = self._survey.rows.join(wanted, on=[AXIS, HOUR], how="semi")
-        return self._chunk(rows, {}).read()[0]
+        return self._make_chunk(self._survey.rows.join(wanted, on=[AXIS, HOUR], how="semi"), {}).read()[0]
 
-    def _chunk(self, rows: pl.DataFrame, sorted_rows: Mapping[str, Callable[[], pl.LazyFrame]]) -> Chunk:
-        """Return the chunk with some rows of the survey. `sorted_rows` has the rows of parts that mix their axes."""
-        parts = [self._parts[name] for name in rows[PART].unique().sort()]
-        reads = [(part, sorted_rows.get(part.name, partial(self._rows, part))) for part in parts]
-        return Chunk(rows.select(AXIS, HOUR).unique(), reads, int(rows[ROWS].sum()))
+    def _make_chunk(self, rows: pl.DataFrame, ready: Mapping[str, Callable[[], pl.LazyFrame]]) -> Chunk:
+        """Return the chunk with some rows of the survey. `ready` has the rows of parts that were sorted."""
+        reads = [
+            (self._parts[name], ready.get(name) or partial(self._choose_rows, self._parts[name], own))
+            for (name,), own in rows.sort(PART).group_by(PART, maintain_order=True)
+            if isinstance(name, str)
+        ]
+        return Chunk(reads, int(rows[ROWS].sum()))
 
     def evaluate(self, work: Work, tell: Progress) -> pl.DataFrame:
         """Return the results for all rows."""
@@ -123,7 +144,7 @@ class Files:
             chunks = list[Chunk]()
             for (number,), rows in numbered.group_by(CHUNK, maintain_order=True):
                 inside = {name: partial(_scan, folder / f"{CHUNK}={number}") for name, folder in folders.items()}
-                chunks.append(self._chunk(rows, inside))
+                chunks.append(self._make_chunk(rows, inside))
             for chunk, found in zip(chunks, self._map(partial(_evaluate_chunk, work), chunks), strict=True):
                 results.append(found)
                 done += chunk.rows
@@ -184,6 +205,18 @@ def _scan(folder: Path) -> pl.LazyFrame:
 
 def _evaluate_chunk(work: Work, chunk: Chunk) -> pl.DataFrame:
     rows, problems = chunk.read()
-    found = [work.evaluate(own) for own in rows.partition_by(AXIS)] if rows.height else []
+    found = [work.evaluate(own) for own in _split_by_axis(rows)] if rows.height else []
     reports = pl.DataFrame([asdict(one) for one in problems], PROBLEM)
     return pl.concat([pl.DataFrame(schema=work.schema), *found, reports], how="diagonal")
+
+
+def _split_by_axis(rows: pl.DataFrame) -> Iterator[pl.DataFrame]:
+    """Yield the rows of each axis, without a copy if they lie together."""
+    runs = rows[AXIS].rle().struct.unnest()
+    if runs["value"].n_unique() < runs.height:
+        yield from rows.partition_by(AXIS, maintain_order=True)
+        return
+    start = 0
+    for many in runs["len"]:
+        yield rows[start : start + many]
+        start += many

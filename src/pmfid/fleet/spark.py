@@ -13,7 +13,7 @@ import polars as pl
 from pmfid.errors import UsageError
 from pmfid.fleet.evaluate import Work
 from pmfid.fleet.source import AXIS, FRAME, TIME, TYPE, Part, SourceColumns
-from pmfid.fleet.survey import FIRST, HOUR, LAST, ROWS, Survey, join_surveys, survey_of
+from pmfid.fleet.survey import END, FIRST, HOUR, LAST, ROWS, START, Survey, join_surveys, survey_of
 from pmfid.fleet.tuning import TUNING
 
 if TYPE_CHECKING:
@@ -81,7 +81,8 @@ class SparkRows:
         counts = (
             self._number_hours().groupBy(AXIS, HOUR).agg(sql.count(sql.lit(1)).alias(ROWS), *ends, kind.alias(TYPE))
         )
-        return join_surveys([survey_of(FRAME, arrow_of(counts), self._part.other_types(self.given), self.given.factor)])
+        found = arrow_of(counts).with_columns(pl.lit(0, pl.Int64).alias(START), pl.lit(0, pl.Int64).alias(END))
+        return join_surveys([survey_of(FRAME, found, self._part.other_types(self.given), self.given.factor)])
 
     def read(self, wanted: pl.DataFrame) -> pl.DataFrame:
         """Return the rows of some axes and hours."""

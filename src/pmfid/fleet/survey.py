@@ -14,6 +14,8 @@ from pmfid.fleet.tuning import TUNING
 from pmfid.io.safety import readable
 
 PART, HOUR, ROWS, FIRST, LAST = "part", "hour", "rows", "first", "last"
+#: Numbers of the first and the last row in the part.
+START, END = "start", "end"
 
 
 @dataclass(frozen=True)
@@ -35,9 +37,9 @@ class RowProblem:
 class Survey:
     """The axes and hours in the parts of a data set.
 
-    `rows` has a row for each axis and hour in each part, with its number of rows, first and last time [s], and type.
-    Records end at the ends of hours, so that the division of the work changes no estimate. `problems` has parts that
-    are left out, and peculiarities of other parts.
+    `rows` has a row for each axis and hour in each part, with its number of rows, first and last time [s], type, and
+    the places of its first and last row. `problems` has parts that are left out, and peculiarities of other parts.
+    Records end at the ends of hours, so that the division of the work changes no estimate.
     """
 
     rows: pl.DataFrame
@@ -53,10 +55,17 @@ def hour_of() -> pl.Expr:
 def survey_part(part: Part, columns: SourceColumns) -> Survey:
     """Return the survey of one part. A part that cannot be read has no rows and a problem."""
     kind, time = pl.col(TYPE).min().fill_null("") if columns.type else pl.lit(""), pl.col(TIME)
+    place = pl.col(START).cast(pl.Int64)
     facts = pl.len().cast(pl.Int64).alias(ROWS), time.min().alias(FIRST), time.max().alias(LAST), kind.alias(TYPE)
     try:
         with readable("data"):
-            found = part.rows(columns).group_by(AXIS, hour_of()).agg(facts).collect()
+            found = (
+                part.rows(columns)
+                .with_row_index(START)
+                .group_by(AXIS, hour_of())
+                .agg(*facts, place.min(), place.max().alias(END))
+                .collect()
+            )
             odd = part.other_types(columns)
     except UsageError as error:
         return Survey(_empty(), (unreadable(part, error),))
@@ -98,7 +107,7 @@ def join_surveys(surveys: Sequence[Survey]) -> Survey:
 
 def _empty() -> pl.DataFrame:
     kinds = {PART: pl.String, AXIS: pl.String, HOUR: pl.Int64, ROWS: pl.Int64, FIRST: pl.Float64, LAST: pl.Float64}
-    return pl.DataFrame(schema=kinds | {TYPE: pl.String})
+    return pl.DataFrame(schema=kinds | {TYPE: pl.String, START: pl.Int64, END: pl.Int64})
 
 
 def unreadable(part: Part, error: UsageError) -> RowProblem:
