@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -43,25 +43,22 @@ CHUNK = "chunk"
 REWRITTEN = "the file changed while pmfid read it: run the command again once the file is complete"
 
 
-@dataclass(frozen=True)
-class Chunk:
-    """Rows that are in memory together. `reads` has the rows of each part, and `rows` is the number of rows."""
+#: Parts with what returns their rows, which are in memory together.
+Reads = Sequence[tuple[Part, Callable[[], pl.LazyFrame]]]
 
-    reads: Sequence[tuple[Part, Callable[[], pl.LazyFrame]]]
-    rows: int
 
-    def read(self) -> tuple[pl.DataFrame, list[RowProblem]]:
-        """Return the rows, in the order of the parts. Parts that cannot be read have problems in place of rows."""
-        frames, problems = list[pl.DataFrame](), list[RowProblem]()
-        for part, rows in self.reads:
-            try:
-                with readable("data"):
-                    frames.append(rows().collect())
-            except UsageError as error:
-                problems.append(unreadable(part, error))
-            if part.rewritten:
-                problems.append(RowProblem("", part.name, "rewritten", REWRITTEN))
-        return pl.concat(frames) if frames else pl.DataFrame(), problems
+def read_parts(reads: Reads) -> tuple[pl.DataFrame, list[RowProblem]]:
+    """Return the rows, in the order of the parts. Parts that cannot be read have problems in place of rows."""
+    frames, problems = list[pl.DataFrame](), list[RowProblem]()
+    for part, rows in reads:
+        try:
+            with readable("data"):
+                frames.append(rows().collect())
+        except UsageError as error:
+            problems.append(unreadable(part, error))
+        if part.rewritten:
+            problems.append(RowProblem("", part.name, "rewritten", REWRITTEN))
+    return pl.concat(frames) if frames else pl.DataFrame(), problems
 
 
 class Files:
@@ -125,30 +122,31 @@ class Files:
 
     def read(self, wanted: pl.DataFrame) -> pl.DataFrame:
         """Return the rows of some axes and hours."""
-        return self._make_chunk(self._survey.rows.join(wanted, on=[AXIS, HOUR], how="semi"), {}).read()[0]
+        return read_parts(self._reads(self._survey.rows.join(wanted, on=[AXIS, HOUR], how="semi"), {}))[0]
 
-    def _make_chunk(self, rows: pl.DataFrame, ready: Mapping[str, Callable[[], pl.LazyFrame]]) -> Chunk:
-        """Return the chunk with some rows of the survey. `ready` has the rows of parts that were sorted."""
-        reads = [
-            (self._parts[name], ready.get(name) or partial(self._choose_rows, self._parts[name], own))
-            for (name,), own in rows.sort(PART).group_by(PART, maintain_order=True)
+    def _reads(self, rows: pl.DataFrame, ready: Mapping[str, Callable[[], pl.LazyFrame]]) -> Reads:
+        """Return what reads some rows of the survey. `ready` has the rows of parts that were sorted."""
+        return [
+            (self._parts[name], ready.get(name) or partial(self._choose_rows, self._parts[name], hours))
+            for (name,), hours in rows.sort(PART).group_by(PART, maintain_order=True)
             if isinstance(name, str)
         ]
-        return Chunk(reads, int(rows[ROWS].sum()))
 
     def evaluate(self, work: Work, tell: Progress) -> pl.DataFrame:
         """Return the results for all rows."""
         numbered = number_chunks(self._survey.rows, max(TUNING.plan_rows // self._threads, TUNING.plan_least))
-        results, done, total = [pl.DataFrame(schema=work.schema)], 0, int(numbered[ROWS].sum())
+        results = [pl.DataFrame(schema=work.schema)]
         with self._sort_mixed(numbered) as folders:
-            chunks = list[Chunk]()
+            chunks = list[Reads]()
             for (number,), rows in numbered.group_by(CHUNK, maintain_order=True):
-                inside = {name: partial(_scan, folder / f"{CHUNK}={number}") for name, folder in folders.items()}
-                chunks.append(self._make_chunk(rows, inside))
-            for chunk, found in zip(chunks, self._map(partial(_evaluate_chunk, work), chunks), strict=True):
+                ready = {
+                    name: partial(pl.scan_parquet, folder / f"{CHUNK}={number}", hive_partitioning=False)
+                    for name, folder in folders.items()
+                }
+                chunks.append(self._reads(rows, ready))
+            for found in self._map(partial(_evaluate_chunk, work), chunks):
                 results.append(found)
-                done += chunk.rows
-                tell(done / total)
+                tell((len(results) - 1) / len(chunks))
         return pl.concat(results)
 
     @contextmanager
@@ -199,12 +197,8 @@ def _folders_by_chunk(folder: Path) -> Any:
     return getattr(pl, "PartitionByKey")(folder, by=[CHUNK], include_key=False)  # noqa: B009  unknown to later versions
 
 
-def _scan(folder: Path) -> pl.LazyFrame:
-    return pl.scan_parquet(folder, hive_partitioning=False)
-
-
-def _evaluate_chunk(work: Work, chunk: Chunk) -> pl.DataFrame:
-    rows, problems = chunk.read()
+def _evaluate_chunk(work: Work, chunk: Reads) -> pl.DataFrame:
+    rows, problems = read_parts(chunk)
     found = [work.evaluate(own) for own in _split_by_axis(rows)] if rows.height else []
     reports = pl.DataFrame([asdict(one) for one in problems], PROBLEM)
     return pl.concat([pl.DataFrame(schema=work.schema), *found, reports], how="diagonal")
