@@ -68,8 +68,6 @@ def test_a_state_keeps_its_nominal_values_and_thresholds(prepared: Prepared) -> 
 
 PROGRAM = """
 import sys
-from pmfid.pipeline.monitored import setup
-setup.simulated_hours = lambda hours: 0.5
 from pmfid.cli.main import main
 main(["serve", sys.argv[1], "--until-end", "--json"])
 """
