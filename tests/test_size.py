@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 65968,
-    "lines of code in src": 38647,
+    "lines of src": 65969,
+    "lines of code in src": 38645,
     "lines of code in report and cli": 3313,
     "thresholds in src": 984,
     "lines of csrc": 8671,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from operator import methodcaller
 from typing import Any, TypeVar
 
 import numpy as np
@@ -122,7 +122,7 @@ class MonitorFleet:
         if self._quiet is not None:
             quiet = self._quiet.run(self._all, index, rows, *inputs[:2])
         for row in np.flatnonzero(~quiet).tolist():
-            single = self._with(int(index[row]), partial(_run_one, inputs=[array[row] for array in inputs]))
+            single = self._with(int(index[row]), methodcaller("run", *(array[row] for array in inputs)))
             rows.take(single, slice(row, row + 1), slice(None))
         return rows
 
@@ -214,7 +214,3 @@ class MonitorFleet:
     def samples(self) -> NDArray[np.int64]:
         """Number of samples of each axis so far, (axes,)."""
         return np.array(self._all.samples, np.int64)
-
-
-def _run_one(monitor: Monitor | EdgeMonitor, inputs: list[Any]) -> FleetRows:
-    return monitor.run(*inputs)

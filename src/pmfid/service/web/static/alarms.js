@@ -45,16 +45,21 @@ const sureOf = (alarm) =>
 // The changes by all samples since the alarm, or those of the alarm while these are not known.
 const judgedOf = (alarm) => (alarm.settled?.changes?.length ? alarm.settled.changes : changesOf(alarm));
 
+// The words for the changes of new values, or an empty text.
+export function describeChanges(settled) {
+  const others = settled.others ? `, or ${words(settled.others)}` : "";
+  const changes = (settled.changes ?? []).map((change) => `${words(change.parameter)} ${percent(change.relative)}`);
+  return changes.length ? `the change is ${changes.join(" and ")}${others}` : "";
+}
+
 function settledOf(alarm) {
   const settled = judgedOf(alarm).flatMap((change) => {
     const found = alarm.settled?.parameters?.[change.parameter];
     return found ? [`${words(change.parameter)} ${withError(found.value, found.std)}${unitOf(change.unit)}`] : [];
   });
   const values = settled.length ? [`Now ${settled.join(", ")}.`] : [];
-  if (!alarm.settled?.changes?.length) return values.join(" ") || null;
-  const others = alarm.settled.others ? `, or ${words(alarm.settled.others)}` : "";
-  const changes = alarm.settled.changes.map((change) => `${words(change.parameter)} ${percent(change.relative)}`);
-  return [...values, `By all samples since, the change is ${changes.join(" and ")}${others}.`].join(" ");
+  const judged = alarm.settled ? describeChanges(alarm.settled) : "";
+  return [...values, ...(judged ? [`By all samples since, ${judged}.`] : [])].join(" ") || null;
 }
 
 export function alarmCard(alarm, withAxis = true) {

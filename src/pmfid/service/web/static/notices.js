@@ -1,5 +1,5 @@
 // Events in one line each.
-import { causeOf, rateOf } from "./alarms.js";
+import { causeOf, describeChanges, rateOf } from "./alarms.js";
 import { el } from "./dom.js";
 import { number, wall, words } from "./format.js";
 
@@ -7,7 +7,7 @@ const SENTENCES = {
   alarm: (what) => `alarm: ${causeOf(what)}`,
   cleared: (what) => `alarm ${what.alarm} is over: ${what.silent === "axis" ? "" : `${what.name} `}was silent for ${number(what.seconds)} s`,
   state: (what) => `${what.state}${what.reason ? `: ${what.reason}` : ""}`,
-  settled: (what) => `now ${Object.entries(what.parameters ?? {}).map(([name, found]) => `${words(name)} ${number(found?.value)}`).join(", ")}${what.rate ? `. ${rateOf(what.rate)}` : ""}`,
+  settled: (what) => `now ${Object.entries(what.parameters ?? {}).map(([name, found]) => `${words(name)} ${number(found?.value)}`).join(", ")}${describeChanges(what) ? `; ${describeChanges(what)}` : ""}${what.rate ? `. ${rateOf(what.rate)}` : ""}`,
   acknowledged: (what) => `alarm ${what.alarm ?? what.number} acknowledged${what.note ? `: “${what.note}”` : ""}`,
   gap: (what) => `${what.missing} samples are missing`,
   clock: (what) => `the clock was set by ${number(what.jump)} s`,
