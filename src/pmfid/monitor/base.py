@@ -28,10 +28,7 @@ def check_further(name: str, values: ArrayLike | None, shape: tuple[int, ...]) -
 
 
 class AxisMonitor(ABC):
-    """Base class of monitors of one axis.
-
-    `_own` has the state after each block or edge as arrays of one row.
-    """
+    """Base class of monitors of one axis. `_own` has the state after each block or edge as arrays of one row."""
 
     estimator: Any
     watch: Watch
