@@ -176,10 +176,10 @@ def choose_start_pole(model: Model, experiments: Sequence[Experiment]) -> float:
 
     The poles rise by octaves, from two time constants in the longest record to half the inverse of the sample period.
     """
-    dt = experiments[0].period
-    longest = max(float(part.times[-1] - part.times[0]) for part in experiments)
-    poles = 0.5 / dt * 0.5 ** np.arange(max(1, round(np.log2(max(longest / dt, 8.0))) - 1))
-    problems = (make_problem(SRIVC(model, Encoder(1.0), dt, pole), experiments) for pole in poles.tolist())
+    dt, most = experiments[0].period, TUNING.srivc_start_samples
+    poles = 0.5 / dt * 0.5 ** np.arange(max(1, round(np.log2(max(part.u.size for part in experiments))) - 2))
+    parts = [part.cut(most) for part in experiments]
+    problems = (make_problem(SRIVC(model, Encoder(1.0), dt, pole), parts) for pole in poles.tolist())
     return float(poles[np.argmin([cost_at(problem, problem.structure.dead_time) for problem in problems])])
 
 

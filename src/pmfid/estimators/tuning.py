@@ -147,6 +147,8 @@ class EstimatorTuning:
     same_period: float = 0.05
     #: Least part of a sensitivity that must be independent of the others.
     srivc_apart: float = 1e-6
+    #: Samples of each record that choose the pole of the first filters. They bound the time.
+    srivc_start_samples: int = 20_000
 
     # stretches
     #: Samples of the longest record that is used as a whole in each step. A longer record is represented by its

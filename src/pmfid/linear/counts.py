@@ -33,6 +33,9 @@ def explain_counts(
     parameters = problem.structure.size + len(problem.stretches) * (problem.structure.n + shifted)
     if parameters > BLOCKS or not (off := _find_distance(problem, resolution)) < EXPLAINED:
         return None
+    # within every count, no residual exceeds half a count, and least squares leaves no more
+    if start.cost > start.error.size * (resolution * (1.5 if shifted else 0.5)) ** 2:
+        return None
     process = ProcessSimulator.make_at(problem, start, resolution, shifted)
     q = _start_with_offset(problem) if shifted else start.theta
     return None if q is None else _explain(process, q, off)
@@ -54,6 +57,8 @@ def _explain(process: ProcessSimulator, q: Floats, off: float) -> tuple[ProcessP
     """
     p = q.size
     least = minimise(process, sum_squares, q, process.first_starts, np.zeros(p))
+    if 2 * least.cost > 0.25 * least.normal.rows:
+        return None
     precision = np.zeros(p + least.starts.size)
     at, size = reach_counts(process, least.q, least.starts, precision, EXPLAINED), np.full(p, np.inf)
     for _ in range(TUNING.counts_rounds):

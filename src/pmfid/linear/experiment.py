@@ -198,6 +198,14 @@ class Experiment(Presentable):
         own = {"name": self.name, "hold": self.hold, "gap": self.gap, "dt": self.dt}
         return {key: plain(value) for key, value in (own | self.columns()).items()}
 
+    def cut(self, samples: int) -> Experiment:
+        """Return at most a number of samples, from the first change of the input on."""
+        first = int(np.argmax(self.u != self.u[0]))
+        first = max(0, min(first - 1, self.u.size - samples))
+        kept = slice(first, first + samples)
+        t, reference = (None if column is None else column[kept] for column in (self.t, self.reference))
+        return replace(self, u=self.u[kept], y=self.y[kept], t=t, reference=reference)
+
     @cached_property
     def times(self) -> Floats:
         """The instants (N,) [s]."""
