@@ -13,10 +13,10 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 65966,
-    "lines of code in src": 38645,
+    "lines of src": 65981,
+    "lines of code in src": 38656,
     "lines of code in report and cli": 3313,
-    "thresholds in src": 984,
+    "thresholds in src": 985,
     "lines of csrc": 8671,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
