@@ -14,6 +14,7 @@ from pmfid.fit.problem import ResidualBlock
 from pmfid.fit.search import EXPLAINED
 from pmfid.fit.solve import root_of_rows
 from pmfid.fit.solve import solve as minimise
+from pmfid.fit.tuning import WITHIN_TUNING
 from pmfid.fit.within import information_rows, reach_counts, stack
 from pmfid.linear.solve import ProcessPoint, ProcessProblem, ProcessSimulator, solve, sum_squares
 from pmfid.linear.tuning import TUNING
@@ -64,7 +65,9 @@ def _explain(process: ProcessSimulator, q: Floats, off: float) -> tuple[ProcessP
     for _ in range(TUNING.counts_rounds):
         if at is None or not _is_within(blocks := process.linearise(*at)):
             return None
-        mean, covariance = _find_region(blocks, precision, off)
+        if (region := _find_region(blocks, precision, off)) is None:
+            return None
+        mean, covariance = region
         before, size = size, np.sqrt(np.diag(covariance)[:p])
         at = at[0] + mean[:p], at[1] + mean[p:].reshape(least.starts.shape)
         settled = np.abs(mean[:p]) <= TUNING.counts_settled * size
@@ -83,9 +86,33 @@ def _is_within(blocks: list[ResidualBlock]) -> bool:
     return all(bool(np.max(np.abs(block.e)) <= 0.5 + EXPLAINED) for block in blocks)
 
 
-def _find_region(blocks: list[ResidualBlock], precision: Floats, off: float) -> tuple[Floats, Floats]:
-    """Return mean and covariance of the steps of all parameters and start states that every count allows."""
+def _find_region(blocks: list[ResidualBlock], precision: Floats, off: float) -> tuple[Floats, Floats] | None:
+    """Return mean and covariance of the steps of all parameters and start states that every count allows.
+
+    Let d be the largest distance from all bounds at once [counts]. Rounding alone leaves n residuals uniform between
+    their bounds, so that 2 n d has about a gamma distribution with as many degrees of freedom as there are parameters.
+    Noise makes the region shallower. The result is None for a region that rounding alone hardly leaves. A region that
+    is shallower than usual is widened to the mean of the distribution.
+    """
+    from scipy.special import gammainc  # slow to import
+
     e, J = stack(blocks)
-    bound = np.full(e.size, 0.5 + 2 * max(0.0, float(np.max(np.abs(e))) - 0.5) + off)
     root = root_of_rows(information_rows(J, precision))
+    depth = _find_depth(e, J @ root)
+    if gammainc(precision.size, 2 * e.size * max(depth + off, 0.0)) < TUNING.counts_chance:
+        return None
+    bound = np.full(e.size, 0.5 + off + max(0.0, precision.size / (2 * e.size) - depth))
     return allowed_region(e, J, bound, root, np.random.default_rng(1), (precision, precision))
+
+
+def _find_depth(e: Floats, J: Floats) -> float:
+    """Return the largest distance from the bounds of all residuals e (n,) at once, by steps with derivatives J (n, p)
+    of unit size [counts]."""
+    from scipy.optimize import linprog
+
+    near = np.abs(e) + WITHIN_TUNING.longest * np.sqrt(np.sum(J**2, axis=1)) > 0.5 - e.size**-0.5
+    e, J, ones = e[near], J[near], np.ones(np.count_nonzero(near))
+    sides, room = np.vstack([np.column_stack([J, ones]), np.column_stack([-J, ones])]), np.append(0.5 - e, 0.5 + e)
+    bounds = [(-WITHIN_TUNING.longest, WITHIN_TUNING.longest)] * J.shape[1] + [(None, 0.5)]
+    program = linprog(np.append(np.zeros(J.shape[1]), -1.0), sides, room, bounds=bounds, method="highs")
+    return -np.inf if program.x is None else float(program.x[-1])

@@ -14,6 +14,8 @@ class LinearTuning:
     #: random walk may cause.
     counts_rounds: int = 6
     counts_settled: float = 0.4
+    #: Chance of rounding alone to leave so small a region, below which noise is the cause.
+    counts_chance: float = 0.005
 
     # experiment
     #: Number of terms of the exponential series for an argument below series_norm. Further terms are below the accuracy
