@@ -19,7 +19,7 @@ from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch
 from pmfid.fit.solve import Normal, Optimum, covariance_of, inverse, normal_of, root_of_rows, solve
 from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.fit.weighing import WeighedForce, weigh
-from pmfid.fit.within import information_rows, reach_counts, stack, start_precision
+from pmfid.fit.within import find_depth, information_rows, reach_counts, stack, start_precision
 from pmfid.types import Floats
 
 #: Blocks of a record whose scores are compared with the information.
@@ -254,8 +254,9 @@ def _estimate_in_region(search: FitSearch, optimum: Optimum) -> tuple[Floats, Fl
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-100)
     if np.linalg.matrix_rank(rows / size) < size.size:  # no count bounds the region
         return search.problem.theta(optimum.q), wide[:count, :count]
-    beyond = max(0.0, float(np.max(np.abs(e))) - 0.5)
-    bound = 0.5 + 2 * beyond + 1e-5 + _integration_errors(search.problem, optimum, e)
+    # the depth that rounding alone leaves in the mean (`linear/counts.py`); noise leaves less, or none
+    shallow = max(0.0, size.size / (2 * e.size) - find_depth(e, J @ root))
+    bound = 0.5 + shallow + 1e-5 + _integration_errors(search.problem, optimum, e)
     e, J, bound = (np.concatenate(pair) for pair in zip((e, J, bound), _bound_rows(search, optimum, wide), strict=True))
     precision = np.append(search.prior(search.problem), np.zeros(len(wide) - p))
     prior = precision, np.append(optimum.q, np.zeros(len(wide) - p))

@@ -86,6 +86,19 @@ def _shortest_step(e: Floats, J: Floats, covariance: Floats) -> Floats:
     return np.zeros(p) if program.x is None else np.asarray(root @ (program.x[:p] - program.x[p : 2 * p]))
 
 
+def find_depth(e: Floats, J: Floats) -> float:
+    """Return the largest distance from the bounds of all residuals e (n,) at once, by steps with derivatives J (n, p)
+    of unit size [counts]."""
+    from scipy.optimize import linprog
+
+    near = np.abs(e) + WITHIN_TUNING.longest * np.sqrt(np.sum(J**2, axis=1)) > 0.5 - e.size**-0.5
+    e, J, ones = e[near], J[near], np.ones(np.count_nonzero(near))
+    sides, room = np.vstack([np.column_stack([J, ones]), np.column_stack([-J, ones])]), np.append(0.5 - e, 0.5 + e)
+    bounds = [(-WITHIN_TUNING.longest, WITHIN_TUNING.longest)] * J.shape[1] + [(None, 0.5)]
+    program = linprog(np.append(np.zeros(J.shape[1]), -1.0), sides, room, bounds=bounds, method="highs")
+    return -np.inf if program.x is None else float(program.x[-1])
+
+
 def start_precision(starts: Floats) -> Floats:
     """Return the precisions (m s,) of the start states (m, s). A second mass whose start no count shows stays within a
     count of it, because its motion is far from linear."""

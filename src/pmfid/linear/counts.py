@@ -14,8 +14,7 @@ from pmfid.fit.problem import ResidualBlock
 from pmfid.fit.search import EXPLAINED
 from pmfid.fit.solve import root_of_rows
 from pmfid.fit.solve import solve as minimise
-from pmfid.fit.tuning import WITHIN_TUNING
-from pmfid.fit.within import information_rows, reach_counts, stack
+from pmfid.fit.within import find_depth, information_rows, reach_counts, stack
 from pmfid.linear.solve import ProcessPoint, ProcessProblem, ProcessSimulator, solve, sum_squares
 from pmfid.linear.tuning import TUNING
 from pmfid.types import Floats
@@ -98,21 +97,8 @@ def _find_region(blocks: list[ResidualBlock], precision: Floats, off: float) -> 
 
     e, J = stack(blocks)
     root = root_of_rows(information_rows(J, precision))
-    depth = _find_depth(e, J @ root)
+    depth = find_depth(e, J @ root)
     if gammainc(precision.size, 2 * e.size * max(depth + off, 0.0)) < TUNING.counts_chance:
         return None
     bound = np.full(e.size, 0.5 + off + max(0.0, precision.size / (2 * e.size) - depth))
     return allowed_region(e, J, bound, root, np.random.default_rng(1), (precision, precision))
-
-
-def _find_depth(e: Floats, J: Floats) -> float:
-    """Return the largest distance from the bounds of all residuals e (n,) at once, by steps with derivatives J (n, p)
-    of unit size [counts]."""
-    from scipy.optimize import linprog
-
-    near = np.abs(e) + WITHIN_TUNING.longest * np.sqrt(np.sum(J**2, axis=1)) > 0.5 - e.size**-0.5
-    e, J, ones = e[near], J[near], np.ones(np.count_nonzero(near))
-    sides, room = np.vstack([np.column_stack([J, ones]), np.column_stack([-J, ones])]), np.append(0.5 - e, 0.5 + e)
-    bounds = [(-WITHIN_TUNING.longest, WITHIN_TUNING.longest)] * J.shape[1] + [(None, 0.5)]
-    program = linprog(np.append(np.zeros(J.shape[1]), -1.0), sides, room, bounds=bounds, method="highs")
-    return -np.inf if program.x is None else float(program.x[-1])
