@@ -272,7 +272,8 @@ class WatchedAxis(AxisMonitor):
     def _collect(self, rows: Floats) -> None:
         """Add a block (1, width) to the sums, with its score about the reference in place of the model."""
         block = Blocks.from_rows(rows.copy(), self.reference.size)
-        block.score[0] += block.cross[0] @ (self._rest.model[0] - self.reference)
+        for row, change in zip(block.cross[0], self._rest.model[0] - self.reference, strict=True):  # BLAS changes bits
+            block.score[0] += row * change
         self._rest.settled[0, : block.score.size] += block.score[0]
         self._rest.settled[0, block.score.size :] += rows[0, block.score.size :]
 
