@@ -17,10 +17,12 @@ from hypothesis import HealthCheck, settings
 
 import pmfid
 from pmfid.findings import Finding
+from pmfid.monitor.calibration import Calibration, calibrate
 from pmfid.simulation.drive import quantize, simulate_drive
 from pmfid.simulation.scenarios import CART, CART_DT, resolution_of
 from pmfid.simulation.signals import prbs
 from pmfid.stream.groups import Prepared, prepare
+from studies.monitoring.axis import make_riv, normal_work
 from studies.monitoring.pipe import write_axis
 
 #: The time of an example measures the machine, which may be busy with other work.
@@ -52,6 +54,12 @@ def short_findings() -> Iterator[None]:
 
 
 TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
+
+
+@pytest.fixture(scope="session")
+def calibration() -> Calibration:
+    """The calibration of twelve minutes of a cart's normal work at 1024 increments."""
+    return calibrate(make_riv(1024), TRUTH, *normal_work(7, 1024, 0.2))
 
 
 def pytest_configure(config: pytest.Config) -> None:

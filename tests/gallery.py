@@ -14,7 +14,7 @@ from pmfid.monitor.events import Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.presentation import Presentable
 from pmfid.simulation import CART, CART_DT
-from tests.conftest import cart_run, unjudged
+from tests.conftest import TRUTH, cart_run, unjudged
 
 CUTOFF = 100 / 3
 RUN = cart_run(3, samples=1200)
@@ -22,7 +22,6 @@ DRIVE = pmfid.Drive(CART.input_gain)
 NOMINAL = {"mass": CART.mass, "viscous_friction": CART.viscous_friction, "coulomb_friction": CART.coulomb_friction}
 LIMITS = Limits(input=3.0, position=(0.0, 0.4), min_speed=0.01)
 PROBLEM = Problem(DRIVE, NOMINAL, ("mass", "viscous_friction"), 2.0, 40, LIMITS, resolution=91e-6)
-THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 
 
 def _result(**settings: object) -> pmfid.Result:
@@ -49,9 +48,9 @@ def _monitor() -> Monitor:
         CART_DT,
         CUTOFF,
         forgetting=0.99,
-        initial=dict(zip(("mass", "viscous_friction", "coulomb_friction"), THETA.tolist(), strict=True)),
+        initial=dict(zip(("mass", "viscous_friction", "coulomb_friction"), TRUTH.tolist(), strict=True)),
     )
-    monitor = Monitor(riv, calibrate(riv, THETA, RUN.u, None), Watch(mtbf_hours=1.0))
+    monitor = Monitor(riv, calibrate(riv, TRUTH, RUN.u, None), Watch(mtbf_hours=1.0))
     for u, count in zip(RUN.u[:600].tolist(), RUN.counts[:600].tolist(), strict=True):
         monitor.step(u, count)
     return monitor

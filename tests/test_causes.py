@@ -17,15 +17,15 @@ from pmfid.simulation import CART, CART_DT, Schedule, position_control, quantize
 from pmfid.simulation.scenarios import CART_CONTROL
 from studies.alarms import NAMES, bench
 from studies.monitoring.axis import make_riv, normal_work, random_stop_and_go
+from tests.conftest import TRUTH
 
-THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 PLAIN = Drive(2.0).equation
 INCREMENTS, WHEN = 1024, 12.0
 
 
 def found(factors: list[float], percent: float = 1.0, equation: Equation = PLAIN) -> Cause:
     """Explain an estimate whose parameters are known to a standard deviation."""
-    theta = np.ones(len(factors)) if equation is not PLAIN else THETA
+    theta = np.ones(len(factors)) if equation is not PLAIN else TRUTH
     covariance = np.diag((percent / 100 * theta) ** 2)
     return explain(ChangeEvidence(theta * factors, covariance), theta, equation, 0.02)
 
@@ -67,7 +67,7 @@ def test_the_likelihood_is_that_of_a_gaussian_prior() -> None:
 
     covariance, deviation = np.diag([1e-3, 2e-3, 3e-3]) + 5e-4, np.array([0.1, 0.02, 0.15])
     information = np.linalg.inv(covariance)
-    candidates = candidates_of(PLAIN, THETA, information)
+    candidates = candidates_of(PLAIN, TRUTH, information)
     odds = {one.sets[0]: one.log_odds for one in compare(information, information @ deviation, candidates, 0.02)}
 
     def log_density(columns: list[int]) -> float:
@@ -82,7 +82,7 @@ def test_the_likelihood_is_that_of_a_gaussian_prior() -> None:
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     u, counts = normal_work(7, INCREMENTS, 0.1)
-    return calibrate(make_riv(INCREMENTS), THETA, u, counts)
+    return calibrate(make_riv(INCREMENTS), TRUTH, u, counts)
 
 
 def alarm_after(calibration: Calibration, seed: int, scale: float = 1.0, **factors: float) -> Alarm:
@@ -94,7 +94,7 @@ def alarm_after(calibration: Calibration, seed: int, scale: float = 1.0, **facto
     motion, _ = position_control(plant, reference, CART_DT, **CART_CONTROL, resolution=resolution, phase=0.0)
     x, k = np.array(motion.x), round(WHEN / CART_DT)
     x[k:] = x[k] + scale * (x[k:] - x[k])
-    rows = Monitor(make_riv(INCREMENTS, THETA), calibration, Watch()).run(
+    rows = Monitor(make_riv(INCREMENTS, TRUTH), calibration, Watch()).run(
         motion.u, quantize(x, resolution, 0.3 * resolution)
     )
     return next(event for _, _, event in rows.events if isinstance(event, Alarm))

@@ -59,12 +59,6 @@ def test_keys_that_are_left_out_given_and_replaced(tmp_path: Path) -> None:
     assert (axis.estimator.forgetting, axis.estimator.precision) == (1.0, "float64")
 
 
-def test_a_transfer_function_needs_no_pole_of_its_filters(tmp_path: Path) -> None:
-    process = MINIMAL.replace("input_gain = 2", 'kind = "transfer_function"\nn = 1\nm = 0')
-    assert load_axis(write(tmp_path, process)).estimator.pole == 50.0
-    assert load_axis(write(tmp_path, process.replace("cutoff = 50.0", ""))).estimator.cutoff is None
-
-
 CUTOFF, STEP, GAIN, OUTPUT = "cutoff = 50.0", "resolution = 1e-3", "input_gain = 2", 'output = "y"'
 #: Text of MINIMAL, what stands there instead, and the beginning and the end of what is said.
 WRONG = [

@@ -10,6 +10,9 @@ from scipy.signal import lfilter
 
 import pmfid
 from pmfid import SRIVC, Drive, Encoder, TransferFunction, quantize
+from pmfid.config.axis import Axis
+from pmfid.pipeline.export import drive_estimator
+from pmfid.records.record import Record
 from pmfid.report.result import write_result
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
 from pmfid.simulation.process import simulate_process
@@ -44,12 +47,12 @@ def test_counts_are_scaled_by_the_encoder(resolution: float) -> None:
 RESONANT = ([8.0], [1.0, 1.6, 16.0])
 
 
-def second_order(place: float) -> pmfid.Result:
-    """Identify 8 / (s^2 + 1.6 s + 16) from 20 levels, whose zero lies at a place within a count."""
+def second_order(place: float, noise: Floats | float = 0.0) -> pmfid.Result:
+    """Identify 8 / (s^2 + 1.6 s + 16) from 20 levels, with the zero at a place within a count and noise in counts."""
     u = prbs(2000, clock=25, amplitude=1.0, rng=np.random.default_rng(7))
     y = simulate_process(*RESONANT, u, DT)
     resolution = float(np.ptp(y)) / 20
-    counts = np.rint(y / resolution + place).astype(int)
+    counts = np.rint(y / resolution + noise + place).astype(int)
     return pmfid.identify(u, counts, model=TransferFunction(2, 0), dt=DT, encoder=Encoder(resolution), cutoff=5.0)
 
 
@@ -61,6 +64,14 @@ def test_rounding_is_no_noise(place: float) -> None:
     error = found.theta - [16.0, 1.6, 8.0]
     assert np.all(np.abs(error) < 3 * found.theta_std)
     assert np.all(found.theta_std < 2e-3 * found.theta)
+
+
+@pytest.mark.parametrize("size", [0.001, 0.004, 0.02])
+def test_noise_far_below_a_count_is_in_the_error_bars(size: float) -> None:
+    """Noise makes the region of the counts too small, and errors were up to 300 error bars."""
+    for seed in range(4):
+        found = second_order(0.0, size * np.random.default_rng(seed).standard_normal(2000))
+        assert np.all(np.abs(found.theta - [16.0, 1.6, 8.0]) < 3.5 * found.theta_std)
 
 
 def test_a_log_that_rounds_its_output_needs_no_resolution() -> None:
@@ -86,6 +97,15 @@ def test_an_interval_of_a_transfer_function_holds_the_truth() -> None:
         low, high = found.interval_95.T
         inside += (low <= [A0, B0]) & (high >= [A0, B0])
     assert inside.min() >= 16  # 95 % less three standard deviations
+
+
+def test_a_record_chooses_the_cutoff_of_an_export() -> None:
+    """The command ended in a traceback."""
+    u, y = run(1)
+    record = {"input": "u", "output": "y", "output_kind": "counts", "dt": DT}
+    model = {"kind": "transfer_function", "n": 1, "m": 0}
+    axis = Axis.model_validate({"record": record, "encoder": {"resolution": 0.01}, "model": model})
+    assert 0.1 < drive_estimator(axis, Record(u, quantize(y, 0.01), DT, 0.01, (), "")).cutoff < 50
 
 
 def cart(u: Floats, **settings: object) -> pmfid.Result:

@@ -11,6 +11,7 @@ from pmfid import Drive, EdgeFit, Encoder, NotIdentifiableError, sample_edges
 from pmfid.config.axis import load_axis
 from pmfid.pipeline.identify import identify, kind_of
 from pmfid.simulation import CART, capture_edges, prbs, quantize, simulate_drive
+from tests.conftest import TRUTH
 from tests.refusals import refused
 
 DT, EVERY, RESOLUTION = 1e-3, 10, 1e-4
@@ -49,9 +50,6 @@ def swing(
     errors = off * step * rng.uniform(-1.0, 1.0, turn)
     counts, ages = capture_edges(motion, step, 0.3 * step, every=EVERY, tick=tick, line_errors=errors)
     return u, counts, ages, Encoder(step)
-
-
-TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 
 
 @pytest.mark.parametrize(("turn", "off"), [(16, 0.0), (16, 0.03), (64, 0.1)])

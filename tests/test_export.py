@@ -47,10 +47,6 @@ SELFTEST, EXAMPLE = "examples/selftest/selftest.c", "examples/main/main.c"
 FIRMWARE_PAGE = Path(__file__).parents[1] / "docs" / "howto" / "firmware.md"
 
 
-def needs(target: Target) -> pytest.MarkDecorator:
-    return pytest.mark.skipif(bool(target.missing), reason=target.missing)
-
-
 def make(cls: type[RecursiveEstimator], precision: str = "float32", **options: object) -> RecursiveEstimator:
     encoder = pmfid.Encoder(cart_run(1, samples=10, increments=512).encoder.resolution, bits=16, max_speed=5.0)
     drive = options.pop("drive", pmfid.Drive(input_gain=2.0))
@@ -92,7 +88,7 @@ def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFact
         pytest.param(
             kernel,
             *build,
-            marks=[needs(build[0]), *([] if kernel in often else [pytest.mark.long])],
+            marks=[build[0].needed, *([] if kernel in often else [pytest.mark.long])],
             id=f"{kernel[0].__name__}-{kernel[1]}-{build[0].name}{build[1]}",
         )
         for kernel in KERNELS
@@ -127,7 +123,7 @@ VARIANTS = {
 OFTEN_VARIED = ("offset", "shapes", "late")
 
 
-@needs(GCC)
+@GCC.needed
 @pytest.mark.parametrize(
     ("variant", "cls"),
     long_unless(
@@ -146,7 +142,7 @@ def test_every_configuration_is_exported(variant: str, cls: type[RecursiveEstima
 @pytest.mark.parametrize("variant", ["shapes", "after a lag"])
 @pytest.mark.parametrize(
     "target",
-    [pytest.param(t, marks=[needs(t), *([pytest.mark.long] if t is M4F else [])], id=t.name) for t in (CLANG, M4F, M7)],
+    [pytest.param(t, marks=[t.needed, *([pytest.mark.long] if t is M4F else [])], id=t.name) for t in (CLANG, M4F, M7)],
 )
 @pytest.mark.long
 def test_shapes_and_dead_times_have_the_bits_of_python_everywhere(target: Target, variant: str, tmp_path: Path) -> None:
@@ -174,7 +170,7 @@ def gaps_differ(estimator: RecursiveEstimator, folder: Path, u: np.ndarray, coun
     return difference(folder, GCC, "-O2", reported, *WARNINGS) is not None, difference(folder, GCC, "-O2") is not None
 
 
-@needs(GCC)
+@GCC.needed
 @pytest.mark.parametrize(("cls", "precision"), long_unless(lambda *kernel: kernel == OFTEN[0], OFTEN))
 def test_lost_samples_have_the_bits_of_python(cls: type[RecursiveEstimator], precision: str, tmp_path: Path) -> None:
     """pmf_gap() on the drive equals the `gap` of the kernel: the estimates and the whole state have the same bits."""
@@ -182,7 +178,7 @@ def test_lost_samples_have_the_bits_of_python(cls: type[RecursiveEstimator], pre
     assert gaps_differ(make(cls, precision), tmp_path, u, counts) == (False, True)
 
 
-@needs(GCC)
+@GCC.needed
 @pytest.mark.parametrize(
     ("cls", "precision"),
     long_unless(
@@ -204,7 +200,7 @@ def test_a_step_that_varies_has_the_bits_of_python(
     assert ["PMF_WITH_STEPS 1" in text for text in sizes] == [True, False]
 
 
-@needs(GCC)
+@GCC.needed
 @pytest.mark.long
 def test_lost_samples_of_a_linear_process_have_the_bits_of_python(tmp_path: Path) -> None:
     u, counts = (np.delete(table[0], slice(1000, 1090)) for table in process_record())
@@ -218,7 +214,7 @@ def process_estimator(name: str, precision: str) -> RecursiveEstimator:
     return cls(**(settings | options), precision=precision)
 
 
-@needs(GCC)
+@GCC.needed
 @pytest.mark.parametrize(
     ("name", "precision"),
     long_unless(
@@ -241,7 +237,7 @@ def test_linear_processes_are_exported(name: str, precision: str, tmp_path: Path
     assert np.array_equal(resumed.run(u[1700:], counts[1700:]).theta, estimator.run(u[1700:], counts[1700:]).theta)
 
 
-@needs(M4F)
+@M4F.needed
 @pytest.mark.long
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_a_linear_process_on_a_microcontroller(precision: str, tmp_path: Path) -> None:
@@ -260,7 +256,7 @@ def selftest(folder: Path, target: Target, *options: str, optimize: str = "-O2")
     return run(compiled(folder, prefix, target, folder / SELFTEST, optimize, *options), target)
 
 
-@needs(GCC)
+@GCC.needed
 @pytest.mark.parametrize("options", [{}, {"steps": "given"}])
 def test_make_selftest_and_example_as_a_stranger_would(options: dict[str, object], tmp_path: Path) -> None:
     pmfid.export_firmware(make(pmfid.RIV, **options), tmp_path)
@@ -270,7 +266,7 @@ def test_make_selftest_and_example_as_a_stranger_would(options: dict[str, object
     assert command(["./example"], tmp_path).returncode == 0
 
 
-@needs(GCC)
+@GCC.needed
 def test_every_export_has_a_self_test_and_an_example_that_run(folder: Path) -> None:
     """The test uses the objects of the test above."""
     assert selftest(folder, GCC, *WARNINGS, optimize="-O3").stdout == "800 samples, the same bits\n"
@@ -280,7 +276,7 @@ def test_every_export_has_a_self_test_and_an_example_that_run(folder: Path) -> N
 
 @pytest.mark.parametrize("precision", PRECISIONS)
 @pytest.mark.parametrize(
-    "target", [pytest.param(target, marks=needs(target), id=target.name) for target in (GCC, CLANG)]
+    "target", [pytest.param(target, marks=target.needed, id=target.name) for target in (GCC, CLANG)]
 )
 @pytest.mark.long
 def test_the_canary_finds_spoilt_arithmetic(target: Target, precision: str, tmp_path: Path) -> None:
@@ -298,7 +294,7 @@ def test_the_canary_finds_spoilt_arithmetic(target: Target, precision: str, tmp_
     ("target", "optimize", "precision"),
     [
         pytest.param(
-            target, optimize, precision, marks=[needs(target), *often[precision]], id=f"{target.name}-{precision}"
+            target, optimize, precision, marks=[target.needed, *often[precision]], id=f"{target.name}-{precision}"
         )
         for target, optimize, often in (
             (GCC, "-O3", {"float32": [pytest.mark.long], "float64": []}),
@@ -344,7 +340,7 @@ def export_files(kind: str, folder: Path) -> list[str]:
 KINDS = pytest.mark.parametrize("kind", ["drive", "process", "edges"])
 
 
-@needs(Target("", "cppcheck"))
+@Target("", "cppcheck").needed
 @KINDS
 @pytest.mark.long
 def test_misra_finds_only_what_is_justified(kind: str, tmp_path: Path) -> None:
@@ -364,7 +360,7 @@ def test_misra_finds_only_what_is_justified(kind: str, tmp_path: Path) -> None:
     assert found <= MISRA
 
 
-@needs(Target("", "clang-tidy"))
+@Target("", "clang-tidy").needed
 @KINDS
 @pytest.mark.long
 def test_clang_tidy_finds_nothing(kind: str, tmp_path: Path) -> None:
@@ -373,14 +369,14 @@ def test_clang_tidy_finds_nothing(kind: str, tmp_path: Path) -> None:
     assert (done.returncode, done.stdout) == (0, "")
 
 
-@needs(GCC)
+@GCC.needed
 @pytest.mark.long
 def test_sanitizers_find_nothing(tmp_path: Path) -> None:
     folder = exported(make(pmfid.RIV), tmp_path, *hostile())
     assert difference(folder, GCC, "-O1", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover") is None
 
 
-@needs(CLANG)
+@CLANG.needed
 @pytest.mark.parametrize("cls", [pmfid.BCRLS, pmfid.RIV])
 def test_fuzzing_for_a_while_finds_nothing(cls: type[RecursiveEstimator], tmp_path: Path) -> None:
     sanitize = ("-fsanitize=fuzzer,undefined", "-fno-sanitize-recover=all")
@@ -467,7 +463,7 @@ def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
     assert len(record_run(rls, [1.0], [0]).u) == 1
 
 
-@needs(GCC)
+@GCC.needed
 def test_two_axes_in_one_program(tmp_path: Path) -> None:
     """The axes have different methods and precisions, each with its own kernel."""
     pmfid.export_firmware(make(pmfid.BCRLS, "float32"), tmp_path / "x", prefix="x")

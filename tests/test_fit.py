@@ -19,11 +19,11 @@ from pmfid.fit.posterior import allowed_region
 from pmfid.fit.problem import ResidualBlock
 from pmfid.fit.solve import inverse, solve
 from pmfid.fit.within import reach_counts, start_precision
-from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, simulate_drive
+from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_drive
 from pmfid.types import Floats
 from studies.referee.cases import Case, make_cases
 from studies.referee.judge import identify
-from tests.conftest import long_unless
+from tests.conftest import TRUTH, long_unless
 from tests.refusals import refused
 
 STEPS = 600
@@ -251,6 +251,19 @@ def test_cogging_that_pushes_the_motion_away_is_followed_through_parts() -> None
     assert result.status == ()
     truth = [true.mass, true.viscous_friction, true.coulomb_friction]
     np.testing.assert_allclose(result.theta[:3], truth, rtol=1e-4)
+
+
+@pytest.mark.parametrize("seed", [15, 17, 20])
+def test_noise_far_below_a_count_is_in_the_intervals(seed: int) -> None:
+    """Noise makes the region of the counts too small, and errors were up to 4 half lengths of the intervals."""
+    rng = np.random.default_rng([5, seed])
+    u = prbs(1000, clock=20, amplitude=4.0, rng=rng)
+    x, resolution = simulate_drive(CART, u, CART_DT).x, 1e-3
+    counts = np.rint(x / resolution + 0.002 * rng.standard_normal(u.size)).astype(int)
+    found = pmfid.identify(u, counts, model=pmfid.Drive(CART.input_gain), dt=CART_DT, encoder=pmfid.Encoder(resolution))
+    assert found.interval_95 is not None
+    low, high = found.interval_95[:3].T
+    assert np.all(np.abs(TRUTH - (low + high) / 2) < 0.6 * (high - low))
 
 
 def test_a_record_without_counts_bounds_no_motion() -> None:

@@ -5,32 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pmfid import Drive, Encoder
 from pmfid._stage import Inputs
 from pmfid.estimators.iv import RIV
 from pmfid.monitor.monitor import guess
-from pmfid.simulation import DriveParameters, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Flags, Floats
+from tests.test_gaps import CUTOFF, DT, SETTINGS, TRUTH, kept, run
 
-DT, STEP, CUTOFF = 0.004, 2e-5, 20.0
 RATE = CUTOFF * DT
-STAGE = DriveParameters(6.3, 9.0, 2.6, 3.34)
-TRUTH = np.array([STAGE.mass, STAGE.viscous_friction, STAGE.coulomb_friction])
-SETTINGS = {"model": Drive(STAGE.input_gain), "dt": DT, "encoder": Encoder(STEP), "cutoff": CUTOFF}
-
-
-def kept(samples: int, part: float, burst: int = 1, seed: int = 1) -> Flags:
-    rng, there = np.random.default_rng(seed), np.ones(samples, bool)
-    for first in rng.integers(50, samples - 100, round(part * samples / burst)):
-        there[first : first + burst] = False
-    return there
-
-
-def held(samples: int, seed: int = 0) -> tuple[Floats, Counts]:
-    rng = np.random.default_rng(seed)
-    u = prbs(samples, clock=25, amplitude=4.0, rng=rng)
-    return u, quantize(simulate_drive(STAGE, u, DT).x, STEP, STEP * rng.random())
 
 
 # --- on-line ----------------------------------------------------------------------------------------------------------
@@ -55,7 +37,7 @@ def online(there: Flags, u: Floats, counts: Counts) -> tuple[Floats, np.ndarray]
 @pytest.mark.parametrize(("part", "used"), [(0.1, 0.7), (0.3, 0.4)])
 def test_on_line_a_hidden_switch_costs_some_samples_and_no_spike(part: float, used: float) -> None:
     """Filters that restart lost half of the samples at 10 %, and all but a tenth at 30 %."""
-    u, counts = held(4000)
+    u, counts = run(4000)
     theta, status = online(kept(4000, part), u, counts)
     settled, own = (status & int(Status.SETTLING)) == 0, (status & int(Status.FALLBACK | Status.STARTING)) == 0
     assert np.mean(settled) > used

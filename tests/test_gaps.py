@@ -28,8 +28,8 @@ def run(samples: int = 5000, seed: int = 0) -> tuple[Floats, Counts]:
     return u, quantize(simulate_drive(STAGE, u, DT).x, STEP, STEP * rng.random())
 
 
-def kept(samples: int, part: float, burst: int = 1) -> Flags:
-    rng, there = np.random.default_rng(1), np.ones(samples, bool)
+def kept(samples: int, part: float, burst: int = 1, seed: int = 1) -> Flags:
+    rng, there = np.random.default_rng(seed), np.ones(samples, bool)
     for first in rng.integers(50, samples - 100, round(part * samples / burst)):
         there[first : first + burst] = False
     return there

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 import pmfid
 from pmfid import BCRLS, IV, LS, RIV, RLS, Drive, Encoder, Status
 from pmfid._stage import find_outliers
-from pmfid.monitor.calibration import Calibration, calibrate
+from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.events import Alarm, Outlier, Watch
 from pmfid.monitor.monitor import Monitor
 from pmfid.simulation import CART, CART_DT, Schedule, make_scenario, prbs, quantize, resolution_of, simulate_drive
 from pmfid.simulation.scenarios import SCENARIOS
 from studies.glitches import FAR, FORGOTTEN, MACHINES, Case, clean_records, harm, make, run, wrong_places, wrong_sizes
 from studies.machines import AXES, machine_record
-from studies.monitoring.axis import changing, make_riv, normal_work
+from studies.monitoring.axis import changing, make_riv
 from tests.conftest import TRUTH, cart_run, long_unless
 from tests.firmware.build import GCC, M4F, Target
 from tests.firmware.replay import difference, exported
@@ -296,12 +296,6 @@ def test_off_line_they_are_left_out_as_well(cls: Any, kind: str) -> None:
 
 
 # --- the monitor ------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture(scope="module")
-def calibration() -> Calibration:
-    u, counts = normal_work(7, 1024, 0.2)
-    return calibrate(make_riv(1024), TRUTH, u, counts)
 
 
 @pytest.mark.parametrize("kind", KINDS)

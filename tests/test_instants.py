@@ -13,6 +13,7 @@ from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.result import DriveResult
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.types import Counts, Floats
+from tests.conftest import TRUTH
 from tests.refusals import refused
 
 #: Parts of a period in the simulation.
@@ -54,9 +55,6 @@ def identified(
     found = identify(kind_of(axis).read([folder / "run.csv"], axis), axis)
     assert isinstance(found, DriveResult)
     return found
-
-
-TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 
 
 @pytest.mark.parametrize("clock", ["bursts", "in turn", "host"])

@@ -17,16 +17,10 @@ from pmfid.monitor.scores import scores
 from pmfid.simulation import CART, CART_DT, Schedule, prbs, quantize, resolution_of, simulate_drive
 from studies.monitoring.axis import changing, drive, make_riv, normal_work, random_stop_and_go
 from studies.monitoring.false_alarms import count_alarms, poisson_interval
+from tests.conftest import TRUTH
 from tests.refusals import refused
 
-THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 INCREMENTS = 1024
-
-
-@pytest.fixture(scope="module")
-def calibration() -> Calibration:
-    u, counts = normal_work(7, INCREMENTS, 0.2)
-    return calibrate(make_riv(INCREMENTS), THETA, u, counts)
 
 
 def front(increments: int = INCREMENTS) -> IV:
@@ -39,10 +33,10 @@ def front(increments: int = INCREMENTS) -> IV:
 def test_scores_are_the_information_times_the_deviation() -> None:
     """Without noise E S = W (theta - theta0), apart from the effect of the model's own stops."""
     u, counts = normal_work(1, 100_000, 0.05)
-    away = THETA * [1.002, 1.0, 1.0]
+    away = TRUTH * [1.002, 1.0, 1.0]
     blocks = scores(front(100_000), away, u, counts)[5:]
     found = np.linalg.solve(blocks.cross.sum(axis=0), blocks.score.sum(axis=0))
-    assert np.abs(found - (THETA - away)) / THETA == pytest.approx(np.zeros(3), abs=1e-3)
+    assert np.abs(found - (TRUTH - away)) / TRUTH == pytest.approx(np.zeros(3), abs=1e-3)
     assert found[0] == pytest.approx(-0.002 * CART.mass, rel=0.1)
 
 
@@ -67,8 +61,8 @@ def test_alarms_are_as_rare_as_asked() -> None:
     """This is a small form of the study: one false alarm in a quarter of an hour, over nine hours under control."""
     u, counts = normal_work(7, INCREMENTS, 0.5)
     riv = make_riv(INCREMENTS)
-    found = calibrate(riv, THETA, u, counts)
-    pairs = [found.scale.standardise(scores(riv, THETA, *normal_work(seed, INCREMENTS, 0.5))) for seed in range(30, 48)]
+    found = calibrate(riv, TRUTH, u, counts)
+    pairs = [found.scale.standardise(scores(riv, TRUTH, *normal_work(seed, INCREMENTS, 0.5))) for seed in range(30, 48)]
     x, w = np.stack([pair[0] for pair in pairs]), np.stack([pair[1] for pair in pairs])
     assert 18 <= count_alarms(x, w, found.chance.threshold(0.25), 88) <= 72
     low, high = poisson_interval(36, 9.0)
@@ -97,7 +91,7 @@ def test_opening_keeps_the_estimate_and_lets_go_of_the_past(cls: Any, parameter:
 def test_opening_one_parameter_leaves_the_others() -> None:
     """R - (1 - keep) r r^T / R_ii keeps the information on the other parameters."""
     u, counts = normal_work(4, INCREMENTS, 0.01)
-    estimator = make_riv(INCREMENTS, THETA)
+    estimator = make_riv(INCREMENTS, TRUTH)
     estimator.run(u[:-1], counts[:-1])
     closed = estimator.get_state()
     estimator.open_memory(1.0)  # without the correction of the error bars by the blocks
@@ -107,7 +101,7 @@ def test_opening_one_parameter_leaves_the_others() -> None:
     estimator.open_memory(0.01, "mass")
     estimator.run(u[-1:], counts[-1:])
     after = np.linalg.inv(estimator.estimate.theta_cov / estimator.estimate.innovation_variance)
-    assert estimator.estimate.theta == pytest.approx(THETA, rel=0.05)
+    assert estimator.estimate.theta == pytest.approx(TRUTH, rel=0.05)
     assert after[0, 0] < 0.05 * before[0, 0]
     schur = [R[1:, 1:] - np.outer(R[1:, 0], R[0, 1:]) / R[0, 0] for R in (before, after)]
     assert schur[1] == pytest.approx(schur[0], rel=0.1)
@@ -128,7 +122,7 @@ def test_what_cannot_be_opened_is_said() -> None:
 
 def run(calibration: Calibration, schedule: Any, watch: Watch, seconds: float = 30.0, seed: int = 1) -> list[Any]:
     u, counts = changing(schedule, seed, INCREMENTS, seconds)
-    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration, watch)
+    monitor = Monitor(make_riv(INCREMENTS, TRUTH), calibration, watch)
     return [event for a, b in zip(u.tolist(), counts.tolist(), strict=True) for event in monitor.step(a, b)[1]]
 
 
@@ -172,7 +166,7 @@ def test_at_standstill_it_cannot_tell(calibration: Calibration) -> None:
     rng = np.random.default_rng(6)
     moving = random_stop_and_go(2000, rng)
     u, counts = drive(CART, np.concatenate([moving, np.full(6000, moving[-1])]), INCREMENTS, rng)
-    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration, Watch(tolerance=0.0))
+    monitor = Monitor(make_riv(INCREMENTS, TRUTH), calibration, Watch(tolerance=0.0))
     events = []
     for a, b in zip(u.tolist(), counts.tolist(), strict=True):
         estimate, now = monitor.step(a, b)
@@ -180,12 +174,12 @@ def test_at_standstill_it_cannot_tell(calibration: Calibration) -> None:
     assert [event.state for event in events if isinstance(event, StateChange)][-2:] == [WATCHING, CANNOT_TELL]
     assert not [event for event in events if isinstance(event, Alarm)]
     assert estimate.status & Status.STANDSTILL
-    assert estimate.theta == pytest.approx(THETA, rel=0.02)
+    assert estimate.theta == pytest.approx(TRUTH, rel=0.02)
 
 
 def test_lost_samples_are_no_change(calibration: Calibration) -> None:
     u, counts = normal_work(9, INCREMENTS, 40 / 3600)
-    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration, Watch())
+    monitor = Monitor(make_riv(INCREMENTS, TRUTH), calibration, Watch())
     events, k = [], 0
     while k < u.size:
         if k % 500 == 300:
@@ -203,7 +197,7 @@ def test_lost_samples_are_no_change(calibration: Calibration) -> None:
 def test_a_change_of_mass_is_reported_at_1_volt_after_ten_seconds_at_12(calibration: Calibration, seed: int) -> None:
     """The mass changes two memories after the input has become small."""
     start, change = 1000, 1200
-    estimator = make_riv(INCREMENTS, THETA)
+    estimator = make_riv(INCREMENTS, TRUTH)
     assert (change - start) * (1 - estimator.forgetting) == pytest.approx(2.0)
     u = prbs(change + 3000, clock=10, amplitude=1.0, rng=np.random.default_rng(seed))
     u[:start] *= 12.0

@@ -52,15 +52,11 @@ class Firmware:
         return theta, (self._folder / "saved").read_bytes()
 
 
-def needs(target: Target) -> pytest.MarkDecorator:
-    return pytest.mark.skipif(bool(target.missing), reason=target.missing)
-
-
 @pytest.mark.parametrize(
     "target",
     [
-        pytest.param(GCC, marks=needs(GCC), id=GCC.name),
-        pytest.param(M7, marks=[needs(M7), pytest.mark.long], id=M7.name),
+        pytest.param(GCC, marks=GCC.needed, id=GCC.name),
+        pytest.param(M7, marks=[M7.needed, pytest.mark.long], id=M7.name),
     ],
 )
 def test_a_state_goes_from_firmware_through_everything_and_back(

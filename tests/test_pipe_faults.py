@@ -27,9 +27,9 @@ from pmfid.pipeline.monitored.timeline import Line, Sample, Skipped, Timeline
 from pmfid.simulation import CART, CART_DT, Schedule
 from studies.monitoring.axis import INCREMENTS, changing, make_riv, normal_work
 from studies.monitoring.pipe import write_axis
+from tests.conftest import TRUTH
 from tests.pipe_faults import FAULTS, HEADER, Row, Text, lines, restamped
 
-THETA = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 CHANGE, SECONDS = 8.0, 13.5
 #: Good lines that a fault may cost.
 COST = 10
@@ -45,7 +45,7 @@ def axis(tmp_path_factory: pytest.TempPathFactory) -> Axis:
 @pytest.fixture(scope="module")
 def calibration() -> Calibration:
     u, _ = normal_work(7, INCREMENTS, 0.05)
-    return calibrate(make_riv(INCREMENTS), THETA, u, None)
+    return calibrate(make_riv(INCREMENTS), TRUTH, u, None)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def found(axis: Axis, body: Text, dt: float = CART_DT) -> Iterator[Any]:
 
 
 def monitored(axis: Axis, calibration: Calibration, body: Text) -> MonitoredRun:
-    monitor = Monitor(make_riv(INCREMENTS, THETA), calibration)
+    monitor = Monitor(make_riv(INCREMENTS, TRUTH), calibration)
     return watch(found(axis, body), monitor, None, lambda event: None)
 
 

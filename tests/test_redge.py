@@ -14,13 +14,13 @@ from pmfid import Drive, Encoder, REdge, Status, UsageError
 from pmfid.edge_times import Lattice, Trajectory, read_edge_times
 from pmfid.kernel.saved import _write_saved, edge_configuration, tight_edge_structures
 from pmfid.simulation import CART, DriveParameters, Machine, capture_edges, drive_machine, prbs, simulate_drive
+from tests.conftest import TRUTH
 from tests.refusals import refused
 
 HOSTILE = (0.0, np.nan, np.inf, -np.inf, 1e30, -1e30, 1e-40)
 
 
 DT, EVERY = 0.01, 10
-TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 HEAVY = DriveParameters(300.0, 200.0, 90.0, 100.0)
 
 

@@ -10,8 +10,8 @@ from pmfid.pipeline.arrays import identify
 from pmfid.records.repeats import find_stale_rows, miss_stale_rows
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.types import Flags, Floats
+from tests.conftest import TRUTH
 
-TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 SAMPLES = 3000
 
 

@@ -10,10 +10,10 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.status import Status
 from pmfid.types import Counts, Floats
+from tests.conftest import TRUTH
 
 #: Parts of a period in the simulation, and samples.
 PARTS, SAMPLES = 50, 1500
-TRUTH = np.array([CART.mass, CART.viscous_friction, CART.coulomb_friction])
 
 
 def jittered(spread: float, seed: int = 3) -> tuple[Floats, Counts, Floats]:

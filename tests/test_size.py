@@ -13,14 +13,14 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66011,
-    "lines of code in src": 38672,
+    "lines of src": 66005,
+    "lines of code in src": 38667,
     "lines of code in report and cli": 3313,
     "thresholds in src": 986,
     "lines of csrc": 8671,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
-    "lines of tests": 28505,
+    "lines of tests": 28504,
     "match= in tests": 25,
     "lines of studies": 8022,
 }

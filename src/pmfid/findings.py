@@ -100,6 +100,17 @@ def codes(findings: Iterable[Finding]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(finding.code for finding in findings if finding.severity != "note"))
 
 
+class Judged:
+    """A result with findings."""
+
+    findings: tuple[Finding, ...]
+
+    @property
+    def status(self) -> tuple[str, ...]:
+        """The words of the findings that are more than notes."""
+        return codes(self.findings)
+
+
 def texts(findings: Iterable[Finding]) -> tuple[str, ...]:
     """Return the texts of the findings, without duplicates."""
     return tuple(dict.fromkeys(finding.text for finding in findings))

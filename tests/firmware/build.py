@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 HERE = Path(__file__).parent
 REQUIRED = ("-std=c99", "-ffp-contract=off")
 WARNINGS = ("-Wall", "-Wextra", "-Wvla", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion")
@@ -32,6 +34,11 @@ class Target:
         needed = [self.compiler, *(["qemu-system-arm"] if self.board else [])]
         absent = [name for name in needed if shutil.which(name) is None]
         return f"not installed: {', '.join(absent)} (make firmware-tools INSTALL_TOOLS=1)" if absent else ""
+
+    @property
+    def needed(self) -> pytest.MarkDecorator:
+        """The mark that skips a test without these tools."""
+        return pytest.mark.skipif(bool(self.missing), reason=self.missing)
 
 
 ARM = ("-mthumb", "-mfloat-abi=hard")

@@ -17,7 +17,7 @@ from pmfid.actuators.starts import FOLLOW, find_search
 from pmfid.actuators.tuning import TUNING
 from pmfid.actuators.values import read_parameters
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.findings import Finding, codes, sort_findings, texts
+from pmfid.findings import Finding, Judged, sort_findings, texts
 from pmfid.fit.fit import Fitted, conclude
 from pmfid.presentation import PresentableParameters, Summary, plain_dict, remarks_of
 from pmfid.types import Floats
@@ -46,7 +46,7 @@ MORE_TERMS = "add a term to the model, or move one joint at a time"
 
 
 @dataclass(frozen=True, repr=False)
-class ServoFit(PresentableParameters):
+class ServoFit(PresentableParameters, Judged):
     """Parameters of a servo with standard errors.
 
     Attributes
@@ -118,11 +118,6 @@ class ServoFit(PresentableParameters):
         """The parameters that the logs determine, by raw name, and the given ones."""
         found = dict(zip(self.raw_names, self.theta.tolist(), strict=True))
         return {**self.servo.given, **{name: value for name, value in found.items() if name not in self.open}}
-
-    @property
-    def status(self) -> tuple[str, ...]:
-        """Words of the status; empty if nothing was found."""
-        return codes(self.findings)
 
     def summary(self) -> Summary:
         """Return the title, the table and the remarks of the result."""

@@ -21,7 +21,7 @@ from pmfid.actuators.joints import format_pair
 from pmfid.actuators.logs import find_step, measure_scatter
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import UsageError
-from pmfid.findings import Finding, codes, sort_findings, texts
+from pmfid.findings import Finding, Judged, sort_findings, texts
 from pmfid.fit.findings import findings_of
 from pmfid.fit.fit import Fitted, fit
 from pmfid.fit.machine import COULOMB, MASS, OFFSET, VISCOUS, BodyForce, BodyModel, Excitation
@@ -52,7 +52,7 @@ class SysIdLog:
 
 
 @dataclass(frozen=True, repr=False)
-class Feedforward(PresentableParameters):
+class Feedforward(PresentableParameters, Judged):
     """Feedforward gains of a mechanism by name, with standard errors [V and the unit of the position].
 
     `residual` is the root mean square of the simulated minus the measured position [unit].
@@ -66,11 +66,6 @@ class Feedforward(PresentableParameters):
     residual: float
     findings: tuple[Finding, ...]
     notes: tuple[str, ...]
-
-    @property
-    def status(self) -> tuple[str, ...]:
-        """Words of the status; empty if nothing was found."""
-        return codes(self.findings)
 
     @property
     def rows(self) -> list[list[str]]:

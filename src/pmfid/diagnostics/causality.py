@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pmfid._stage import first_order
+from pmfid.diagnostics.free_run import rms
 from pmfid.diagnostics.tuning import TUNING
 from pmfid.linear.residuals import Noise, fit_noise, whiten_columns
 from pmfid.types import Flags, Floats, Places
@@ -83,9 +84,9 @@ def chance_of_columns(
     """
     from scipy.special import fdtrc  # slow to import
 
-    if error.size < 2 * (known.shape[1] + tested.shape[1]) + 20 or not _rms(error) > 0:
+    if error.size < 2 * (known.shape[1] + tested.shape[1]) + 20 or not rms(error) > 0:
         return 1.0
-    columns = np.column_stack([error / _rms(error), _basis(known), tested])
+    columns = np.column_stack([error / rms(error), _basis(known), tested])
     a = columns.shape[1] - tested.shape[1]
     noise = _estimate_noise(columns[:, :a], place)
     if noise is None:
@@ -95,7 +96,7 @@ def chance_of_columns(
     whole, T = columns[:, 0], _remove_projection(columns[:, a:], Q)
     e = whole - Q @ (Q.T @ whole)
     if T.shape[1] == 1:
-        limits = (allowed[0] / _rms(error), allowed[1] / _rms(error))
+        limits = (allowed[0] / rms(error), allowed[1] / rms(error))
         e = e - T[:, 0] * np.clip(float(T[:, 0] @ e) / float(T[:, 0] @ T[:, 0]), *limits)
     P = _basis(T)
     free = e.size - Q.shape[1] - P.shape[1]
@@ -113,7 +114,7 @@ def _estimate_noise(columns: Floats, place: Places) -> Noise | None:
     """
     error, known = columns[:, 0], columns[:, 1:]
     left = error - known @ (known.T @ error)
-    if not _rms(left) > TUNING.causality_apart:
+    if not rms(left) > TUNING.causality_apart:
         return None
     noise = fit_noise(left, place)
     for _ in range(TUNING.causality_passes - 1):
@@ -224,10 +225,6 @@ def _fit_subset(columns: Floats, target: Floats, trial: int) -> Floats:
 
 def _residual(parts: Sequence[ResidualStretch]) -> Floats:
     return np.concatenate([part.residual for part in parts])
-
-
-def _rms(x: Floats) -> float:
-    return float(np.sqrt(np.mean(x**2))) if x.size else 0.0
 
 
 def _remove_projection(columns: Floats, Q: Floats) -> Floats:

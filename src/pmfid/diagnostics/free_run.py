@@ -24,7 +24,8 @@ from pmfid.types import Counts, Flags, Floats
 
 
 def rms(signal: Floats) -> float:
-    return float(np.sqrt(np.mean(signal**2)))
+    """Return the root mean square of a signal (n,), 0 if it is empty."""
+    return float(np.sqrt(np.mean(signal**2))) if signal.size else 0.0
 
 
 @dataclass(frozen=True)

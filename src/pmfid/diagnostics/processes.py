@@ -135,10 +135,8 @@ def second_look(problem: ProcessProblem, theta: Floats) -> Second:
     """
     if problem.referenced:  # the noise does not correlate with the instruments
         return Second(False, False)
+    problem = _begin_at_dead_time(problem, theta)
     structure, least = problem.structure, max(problem.structure.integrators, 1)
-    if structure.latest is not None:  # the dead time of the estimate is the start of each fit
-        structure = replace(structure, dead_time=float(theta[-1]))
-        problem = replace(fix_dead_time(problem, theta)[0], structure=structure)
     point = visit(problem, theta, np.zeros((len(problem.stretches), structure.n)))
     smaller = replace(structure, n=max(structure.n - 1, least), m=max(structure.m - 1, 0))
     with np.errstate(all="ignore"):
@@ -166,6 +164,14 @@ def second_look(problem: ProcessProblem, theta: Floats) -> Second:
             return Second(surplus, _exceeds_chance(full.theta / scale - point.theta, covariance(point, problem)))
         except (np.linalg.LinAlgError, ValueError):
             return Second(False, False)
+
+
+def _begin_at_dead_time(problem: ProcessProblem, theta: Floats) -> ProcessProblem:
+    """Return the problem whose fits begin at the dead time in theta (p,), if it is unknown."""
+    if problem.structure.latest is None:
+        return problem
+    structure = replace(problem.structure, dead_time=float(theta[-1]))
+    return replace(fix_dead_time(problem, theta)[0], structure=structure)
 
 
 def _exceeds_chance(difference: Floats, cov: Floats) -> bool:
@@ -253,7 +259,7 @@ def assess(problem: ProcessProblem, theta: Floats, delay: int = 0, resolution: f
 
     Raises NotIdentifiableError if the simulated output exceeds the range of numbers.
     """
-    second = _look_within(problem, resolution) if resolution else second_look(problem, theta)
+    second = _look_within(problem, theta, resolution) if resolution else second_look(problem, theta)
     problem, theta = fix_dead_time(problem, theta)
     count = len(problem.stretches)
     point = visit(problem, theta, np.zeros((count, problem.structure.n)))
@@ -308,8 +314,9 @@ def _doubts(
     )
 
 
-def _look_within(problem: ProcessProblem, resolution: float) -> Second:
-    """Return whether a model with one pole and one zero less stays within every count, too."""
+def _look_within(problem: ProcessProblem, theta: Floats, resolution: float) -> Second:
+    """Return whether a model with one pole and one zero less than that of theta (p,) stays within every count, too."""
+    problem = _begin_at_dead_time(problem, theta)
     structure = problem.structure
     if structure.n <= max(structure.integrators, 1):
         return Second(False, False)

@@ -174,7 +174,8 @@ def make_problem(estimator: Estimator, experiments: Sequence[Experiment]) -> Pro
 def choose_start_pole(model: Model, experiments: Sequence[Experiment]) -> float:
     """Return the pole [rad/s] of the filters from which the refinement comes nearest to the records in a few passes.
 
-    The poles rise by octaves, from two time constants in the longest record to half the inverse of the sample period.
+    The poles are octaves apart, from four time constants in the longest record to half the inverse of the sample
+    period. Raises UsageError without a usable record.
     """
     dt, most = experiments[0].period, TUNING.srivc_start_samples
     poles = 0.5 / dt * 0.5 ** np.arange(max(1, round(np.log2(max(part.u.size for part in experiments))) - 2))

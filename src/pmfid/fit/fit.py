@@ -19,7 +19,7 @@ from pmfid.fit.search import EXPLAINED, FOLLOW, GAIN, FitSearch
 from pmfid.fit.solve import Normal, Optimum, covariance_of, inverse, normal_of, root_of_rows, solve
 from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.fit.weighing import WeighedForce, weigh
-from pmfid.fit.within import find_depth, information_rows, reach_counts, stack, start_precision
+from pmfid.fit.within import find_depth, information_rows, reach_counts, stack, start_precision, usual_depth
 from pmfid.types import Floats
 
 #: Blocks of a record whose scores are compared with the information.
@@ -254,8 +254,7 @@ def _estimate_in_region(search: FitSearch, optimum: Optimum) -> tuple[Floats, Fl
     size = np.maximum(np.linalg.norm(rows, axis=0), 1e-100)
     if np.linalg.matrix_rank(rows / size) < size.size:  # no count bounds the region
         return search.problem.theta(optimum.q), wide[:count, :count]
-    # the depth that rounding alone leaves in the mean (`linear/counts.py`); noise leaves less, or none
-    shallow = max(0.0, size.size / (2 * e.size) - find_depth(e, J @ root))
+    shallow = max(0.0, usual_depth(J) - find_depth(e, J @ root))  # noise leaves too shallow a region
     bound = 0.5 + shallow + 1e-5 + _integration_errors(search.problem, optimum, e)
     e, J, bound = (np.concatenate(pair) for pair in zip((e, J, bound), _bound_rows(search, optimum, wide), strict=True))
     precision = np.append(search.prior(search.problem), np.zeros(len(wide) - p))

@@ -1,4 +1,4 @@
-"""The shortest way to a motion within every count, by linear programs."""
+"""Motions within every count, by linear programs: the shortest way to one, and the room that the counts leave."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from pmfid.fit.likelihood import ROUNDING
 from pmfid.fit.problem import ResidualBlock
-from pmfid.fit.solve import START, inverse, root_of
+from pmfid.fit.solve import START, Simulator, inverse, root_of
 from pmfid.fit.tuning import WITHIN_TUNING
 from pmfid.types import Flags, Floats
 
@@ -23,17 +23,15 @@ class CountedRows(Protocol):
     def variance(self) -> Floats: ...
 
 
-class CountedModel(Protocol):
-    """A simulator of a record with counts, and its derivatives."""
+class CountedSimulator(Simulator, Protocol):
+    """A simulator of a record with counts."""
 
     @property
     def stretches(self) -> Sequence[CountedRows]: ...
-    def linearise(self, q: Floats, starts: Floats) -> list[ResidualBlock]: ...
-    def clip_to_bounds(self, q: Floats) -> Floats: ...
 
 
 def reach_counts(
-    problem: CountedModel, q: Floats, starts: Floats, precision: Floats, beyond: float
+    problem: CountedSimulator, q: Floats, starts: Floats, precision: Floats, beyond: float
 ) -> tuple[Floats, Floats] | None:
     """Return parameters (p,) and start states (m, s) near the given ones whose motion is at most `beyond` [counts]
     outside of each count, or None. Observations that are no counts bound no motion. The prior of parameters and start
@@ -87,8 +85,12 @@ def _shortest_step(e: Floats, J: Floats, covariance: Floats) -> Floats:
 
 
 def find_depth(e: Floats, J: Floats) -> float:
-    """Return the largest distance from the bounds of all residuals e (n,) at once, by steps with derivatives J (n, p)
-    of unit size [counts]."""
+    """Return the depth [counts] of the region that all bounds of residuals e (n,) leave: the largest distance from all
+    bounds at once, negative if no step is inside. J (n, p) are derivatives by steps of unit size.
+
+    Rounding alone leaves residuals that are uniform between their bounds. The depth d then has n chances to be small,
+    and 2 n d has about a gamma distribution of order p. Noise makes the region shallower.
+    """
     from scipy.optimize import linprog
 
     near = np.abs(e) + WITHIN_TUNING.longest * np.sqrt(np.sum(J**2, axis=1)) > 0.5 - e.size**-0.5
@@ -97,6 +99,11 @@ def find_depth(e: Floats, J: Floats) -> float:
     bounds = [(-WITHIN_TUNING.longest, WITHIN_TUNING.longest)] * J.shape[1] + [(None, 0.5)]
     program = linprog(np.append(np.zeros(J.shape[1]), -1.0), sides, room, bounds=bounds, method="highs")
     return -np.inf if program.x is None else float(program.x[-1])
+
+
+def usual_depth(J: Floats) -> float:
+    """Return the mean depth [counts] of the region that rounding alone leaves, for derivatives J (n, p)."""
+    return float(J.shape[1] / (2 * len(J)))
 
 
 def start_precision(starts: Floats) -> Floats:

@@ -9,6 +9,7 @@ import numpy as np
 from scipy.special import expit
 
 from pmfid._stage import first_order
+from pmfid.diagnostics.free_run import rms
 from pmfid.estimators.iv import IV
 from pmfid.estimators.least_squares import inverse_of, long_run_covariance
 from pmfid.fleet.tuning import TUNING
@@ -43,10 +44,10 @@ def _forces(equation: Equation, theta: Floats, speed: Floats, u: Floats) -> Floa
 
     An input may act less than in proportion, friction may grow faster than the speed, and it may be larger at rest.
     """
-    values, usual, way = equation.role_values(theta), _rms(speed[speed != 0]), np.sign(speed)
+    values, usual, way = equation.role_values(theta), rms(speed[speed != 0]), np.sign(speed)
     coulomb = (values[COULOMB_FORWARD] + values[COULOMB_BACKWARD]) / 2
     viscous = (values[VISCOUS_FORWARD] + values[VISCOUS_BACKWARD]) / 2
-    forces = [-TUNING.input_bends * equation.input_gain * u * np.abs(u) / _rms(u)]
+    forces = [-TUNING.input_bends * equation.input_gain * u * np.abs(u) / rms(u)]
     if not any(isinstance(term.shape, Square) for term in equation.shaped):
         forces.append(TUNING.friction_bends * viscous * speed * np.abs(speed) / usual)
     if not any(isinstance(term.shape, Stribeck) for term in equation.shaped):
@@ -66,15 +67,10 @@ def _filter_forces(forces: Floats, method: IV) -> Floats:
     return late
 
 
-def _rms(signal: Floats) -> float:
-    """Return the root mean square of a signal (n,)."""
-    return float(np.sqrt(np.mean(signal**2)))
-
-
 def velocity(counts: Counts) -> Floats:
     """Return counts per sample (n,), each averaged over the time of a few counts at the usual speed."""
     change = np.diff(counts, append=counts[-1]).astype(np.float64)
-    width = 2 * math.ceil(TUNING.segments_counts / max(_rms(change), 1e-3) / 2) - 1
+    width = 2 * math.ceil(TUNING.segments_counts / max(rms(change), 1e-3) / 2) - 1
     if width < 3:
         return change
     total = np.cumsum(np.r_[np.zeros(width // 2 + 1), change, np.zeros(width // 2)])

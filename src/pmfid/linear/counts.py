@@ -14,7 +14,7 @@ from pmfid.fit.problem import ResidualBlock
 from pmfid.fit.search import EXPLAINED
 from pmfid.fit.solve import root_of_rows
 from pmfid.fit.solve import solve as minimise
-from pmfid.fit.within import find_depth, information_rows, reach_counts, stack
+from pmfid.fit.within import find_depth, information_rows, reach_counts, stack, usual_depth
 from pmfid.linear.solve import ProcessPoint, ProcessProblem, ProcessSimulator, solve, sum_squares
 from pmfid.linear.tuning import TUNING
 from pmfid.types import Floats
@@ -33,7 +33,7 @@ def explain_counts(
     parameters = problem.structure.size + len(problem.stretches) * (problem.structure.n + shifted)
     if parameters > BLOCKS or not (off := _find_distance(problem, resolution)) < EXPLAINED:
         return None
-    # within every count, no residual exceeds half a count, and least squares leaves no more
+    # A response within every count leaves at most half a count, and least squares leaves no more.
     if start.cost > start.error.size * (resolution * (1.5 if shifted else 0.5)) ** 2:
         return None
     process = ProcessSimulator.make_at(problem, start, resolution, shifted)
@@ -57,21 +57,21 @@ def _explain(process: ProcessSimulator, q: Floats, off: float) -> tuple[ProcessP
     """
     p = q.size
     least = minimise(process, sum_squares, q, process.first_starts, np.zeros(p))
-    if 2 * least.cost > 0.25 * least.normal.rows:
+    if 2 * least.cost > 0.5**2 * least.normal.rows:
         return None
-    precision = np.zeros(p + least.starts.size)
-    at, size = reach_counts(process, least.q, least.starts, precision, EXPLAINED), np.full(p, np.inf)
+    flat = np.zeros(p + least.starts.size)
+    at, size = reach_counts(process, least.q, least.starts, flat, EXPLAINED), np.full(p, np.inf)
     for _ in range(TUNING.counts_rounds):
         if at is None or not _is_within(blocks := process.linearise(*at)):
             return None
-        if (region := _find_region(blocks, precision, off)) is None:
+        if (region := _find_region(blocks, off)) is None:
             return None
         mean, covariance = region
         before, size = size, np.sqrt(np.diag(covariance)[:p])
         at = at[0] + mean[:p], at[1] + mean[p:].reshape(least.starts.shape)
         settled = np.abs(mean[:p]) <= TUNING.counts_settled * size
         if np.all(settled & (size <= (1 + TUNING.counts_settled) * before)) and _is_within(process.linearise(*at)):
-            return process.visit(at), covariance[:p, :p]
+            return process.visit(*at), covariance[:p, :p]
     return None
 
 
@@ -85,20 +85,19 @@ def _is_within(blocks: list[ResidualBlock]) -> bool:
     return all(bool(np.max(np.abs(block.e)) <= 0.5 + EXPLAINED) for block in blocks)
 
 
-def _find_region(blocks: list[ResidualBlock], precision: Floats, off: float) -> tuple[Floats, Floats] | None:
+def _find_region(blocks: list[ResidualBlock], off: float) -> tuple[Floats, Floats] | None:
     """Return mean and covariance of the steps of all parameters and start states that every count allows.
 
-    Let d be the largest distance from all bounds at once [counts]. Rounding alone leaves n residuals uniform between
-    their bounds, so that 2 n d has about a gamma distribution with as many degrees of freedom as there are parameters.
-    Noise makes the region shallower. The result is None for a region that rounding alone hardly leaves. A region that
-    is shallower than usual is widened to the mean of the distribution.
+    The result is None for a region that is shallower than rounding alone leaves by chance. A region that is shallower
+    than the mean is widened to it.
     """
     from scipy.special import gammainc  # slow to import
 
     e, J = stack(blocks)
-    root = root_of_rows(information_rows(J, precision))
+    flat = np.zeros(J.shape[1])
+    root = root_of_rows(information_rows(J, flat))
     depth = find_depth(e, J @ root)
-    if gammainc(precision.size, 2 * e.size * max(depth + off, 0.0)) < TUNING.counts_chance:
+    if gammainc(flat.size, 2 * e.size * max(depth + off, 0.0)) < TUNING.counts_chance:
         return None
-    bound = np.full(e.size, 0.5 + off + max(0.0, precision.size / (2 * e.size) - depth))
-    return allowed_region(e, J, bound, root, np.random.default_rng(1), (precision, precision))
+    bound = np.full(e.size, 0.5 + off + max(0.0, usual_depth(J) - depth))
+    return allowed_region(e, J, bound, root, np.random.default_rng(1), (flat, flat))

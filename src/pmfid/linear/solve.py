@@ -191,7 +191,7 @@ def refine(
 
 
 @dataclass(frozen=True, eq=False)
-class Rows:
+class CountedStretch:
     """The rows of a stretch in the form of the fit: which of them are counts, and their variances [counts^2]."""
 
     counted: Flags
@@ -219,15 +219,16 @@ class ProcessSimulator:
     def make_at(
         cls, problem: ProcessProblem, point: ProcessPoint, scale: float, shifted: bool = False
     ) -> ProcessSimulator:
+        """Return a simulator whose start states are changes from those of a point."""
         pairs = zip(problem.stretches, point.initial, strict=True)
         free = [linearise(problem.structure, point.theta, initial, stretch).free for stretch, initial in pairs]
         basis = np.array([np.linalg.pinv(np.linalg.qr(K / np.sqrt(len(K)), mode="r")) for K in free])
         return cls(problem, point.initial, scale * basis, scale, shifted)
 
     @property
-    def stretches(self) -> tuple[Rows, ...]:
+    def stretches(self) -> tuple[CountedStretch, ...]:
         sizes = [stretch.rows.size + self.shifted for stretch in self.problem.stretches]
-        return tuple(Rows(np.ones(size, bool), np.full(size, ROUNDING)) for size in sizes)
+        return tuple(CountedStretch(np.ones(size, bool), np.full(size, ROUNDING)) for size in sizes)
 
     @property
     def first_starts(self) -> Floats:
@@ -255,9 +256,9 @@ class ProcessSimulator:
             blocks.append(ResidualBlock(np.nan_to_num(e, nan=np.inf), J, K))
         return blocks
 
-    def visit(self, optimum: tuple[Floats, Floats]) -> ProcessPoint:
-        """Return the point with given parameters (p,) and start states (stretches, s)."""
-        return visit(self.problem, optimum[0], self.initial_at(optimum[1]))
+    def visit(self, q: Floats, starts: Floats) -> ProcessPoint:
+        """Return the point with parameters (p,), from start states (stretches, s)."""
+        return visit(self.problem, q, self.initial_at(starts))
 
 
 def descend(problem: ProcessProblem, start: ProcessPoint) -> Solution:
@@ -273,7 +274,7 @@ def descend(problem: ProcessProblem, start: ProcessPoint) -> Solution:
         simulator = ProcessSimulator.make_at(problem, point, float(scale))
         prior = np.zeros(point.theta.size)
         end = minimise(simulator, sum_squares, point.theta, simulator.first_starts, prior, TUNING.solve_descents)
-        point, settled = simulator.visit((end.q, end.starts)), end.settled
+        point, settled = simulator.visit(end.q, end.starts), end.settled
     return Solution(point, settled and not _has_pole_at_edge(problem, point.theta), 0)
 
 

@@ -16,6 +16,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.estimators.redge import REdge
 from pmfid.estimators.registry import ESTIMATORS, methods_for
 from pmfid.estimators.sample_steps import GIVEN
+from pmfid.linear.experiment import Experiment
 from pmfid.pipeline.drives import make_estimator
 from pmfid.pipeline.edges import make_edge_estimator, takes_edges
 from pmfid.pipeline.identify import kind_of
@@ -37,7 +38,7 @@ def drive_estimator(
         check_exportable(axis)
         return make_edge_estimator(axis, record or _no_record(axis, dt), steps)
     if record is not None:
-        axis = kind_of(axis).prepare_axis(record, axis)
+        axis = _prepare(axis, record)
     config, model = check_exportable(axis), axis.model.make()
     if record is None:
         record = _no_record(axis, dt)
@@ -88,6 +89,14 @@ def drive_samples(estimator: RecursiveEstimator | REdge, record: Record) -> tupl
             "out"
         )
     return record.u, record.counts, record.ages
+
+
+def _prepare(axis: Axis, record: Record) -> Axis:
+    """Return the configuration with values for all settings that the counts of a record determine."""
+    if axis.model.kind != "transfer_function":
+        return kind_of(axis).prepare_axis(record, axis)
+    output = np.asarray(record.counts * record.resolution, np.float64)
+    return kind_of(axis).prepare_axis([Experiment(record.u, output, dt=record.dt)], axis)
 
 
 def _no_record(axis: Axis, dt: float | None) -> Record:

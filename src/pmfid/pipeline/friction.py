@@ -12,7 +12,7 @@ from pmfid.encoder import Encoder
 from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.configuration import like
 from pmfid.estimators.motion_fit import MotionFit
-from pmfid.findings import MOVE, Finding, codes, make_notes, sort_findings, texts
+from pmfid.findings import MOVE, Finding, Judged, make_notes, sort_findings, texts
 from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.curve import CurveFit, fit_curve
 from pmfid.fit.findings import findings_of
@@ -30,7 +30,7 @@ from pmfid.types import Floats
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FrictionCurve(Presentable):
+class FrictionCurve(Presentable, Judged):
     """Friction over velocity, with error bars.
 
     `velocity` (k,) [m/s] are in rising order, the backward ones first. `force` and `std` (k,) [N] are the friction and
@@ -62,11 +62,6 @@ class FrictionCurve(Presentable):
         v = np.asarray(velocity, np.float64)
         inside = np.any([(low <= v) & (v <= high) for low, high in self.visited], axis=0)
         return np.where(inside, np.interp(v, self.velocity, self.force), np.nan)
-
-    @property
-    def status(self) -> tuple[str, ...]:
-        """The words of the findings that are more than notes."""
-        return codes(self.findings)
 
     def summary(self) -> Summary:
         units = self.motion

@@ -22,7 +22,7 @@ from pmfid.estimators.known import Known, choose_naming
 from pmfid.estimators.motion_fit import MotionFit
 from pmfid.estimators.results import Fit, Track
 from pmfid.estimators.sample_steps import SampleSteps
-from pmfid.findings import Finding, codes, sort_findings, texts
+from pmfid.findings import Finding, Judged, sort_findings, texts
 from pmfid.fit.compare import NORMAL_95
 from pmfid.fit.second_mass import SecondMass
 from pmfid.fit.weighing import WeighedForce
@@ -124,7 +124,7 @@ def _list_intervals(result: Parametric) -> list[list[str]]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Result(Presentable):
+class Result(Presentable, Judged):
     """The parameters of a plant, their uncertainty, and the findings on them.
 
     Attributes
@@ -159,11 +159,6 @@ class Result(Presentable):
     theta_std: Floats
     findings: tuple[Finding, ...]
     model_spread: Floats | None = field(default=None, kw_only=True)
-
-    @property
-    def status(self) -> tuple[str, ...]:
-        """The words of the findings that are more than notes."""
-        return codes(self.findings)
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.free_run import FreeRun
 from pmfid.errors import NotIdentifiableError, UsageError
-from pmfid.findings import MOVE, Finding, codes, sort_findings
+from pmfid.findings import MOVE, Finding, Judged, sort_findings
 from pmfid.fit.compare import NORMAL_95
 from pmfid.pipeline.drives import Drives
 from pmfid.pipeline.identify import describe_refusal, identify, kind_of
@@ -46,7 +46,7 @@ class Recovery:
 
 
 @dataclass(frozen=True)
-class SelfTest:
+class SelfTest(Judged):
     """Recoveries by parameter over `runs` simulated records, of which `refused` had no estimate, and findings."""
 
     record: str
@@ -54,11 +54,6 @@ class SelfTest:
     refused: int
     recoveries: tuple[Recovery, ...]
     findings: tuple[Finding, ...]
-
-    @property
-    def status(self) -> tuple[str, ...]:
-        """The words of the findings that are more than notes."""
-        return codes(self.findings)
 
     @property
     def coverage(self) -> float:

@@ -12,7 +12,7 @@ from pmfid.config.axis import Axis
 from pmfid.diagnostics.free_run import FreeRun, Horizon
 from pmfid.diagnostics.matter import is_small_doubt
 from pmfid.errors import UsageError
-from pmfid.findings import Finding, codes, sort_findings, texts
+from pmfid.findings import Finding, Judged, sort_findings, texts
 from pmfid.pipeline.identify import check, kind_of
 from pmfid.pipeline.kinds import Records, parameters_of
 from pmfid.pipeline.known import set_stored_gain
@@ -25,7 +25,7 @@ __all__ = ["Validation", "read_records", "validate_parameters", "validate_stored
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Validation(Presentable):
+class Validation(Presentable, Judged):
     """Free runs of a result over one or more records.
 
     Attributes
@@ -63,11 +63,6 @@ class Validation(Presentable):
     unit: str
     runs: tuple[FreeRun, ...]
     findings: tuple[Finding, ...] = ()
-
-    @property
-    def status(self) -> tuple[str, ...]:
-        """The words of the findings that are more than notes."""
-        return codes(self.findings)
 
     @property
     def notes(self) -> tuple[str, ...]:

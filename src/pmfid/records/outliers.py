@@ -12,7 +12,7 @@ from pmfid._stage import find_outliers
 from pmfid.config.axis import Axis
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.stretches import parts_of
-from pmfid.findings import Finding, codes, texts
+from pmfid.findings import Finding, Judged, texts
 from pmfid.records.record import Record
 from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
@@ -102,7 +102,7 @@ def _spans(change: NDArray[np.int64], jumps: NDArray[np.bool_], usual: int, exte
 
 
 @dataclass(frozen=True)
-class RepairedRecord:
+class RepairedRecord(Judged):
     """A record without the samples that no motion explains, and findings on these samples.
 
     `used` (n,) marks the counts that were measured and that no repair replaced. `shifted` (n,) marks the first count
@@ -118,10 +118,6 @@ class RepairedRecord:
     def sentence(self) -> str:
         """All findings as one sentence."""
         return "; ".join(texts(self.findings))
-
-    @property
-    def status(self) -> tuple[str, ...]:
-        return codes(self.findings)
 
 
 def repair_record(record: Record, max_speed: float | None = None) -> RepairedRecord:
