@@ -10,7 +10,6 @@ import pytest
 import pmfid
 from pmfid.simulation import CART, capture_edges, prbs, resolution_of, simulate_drive
 from tests.firmware.build import GCC, HERE, M4F, REQUIRED, Target, command, run
-from tests.test_export import needs
 
 TURN, DT, FINE, SAMPLES = 16, 0.01, 20, 1500
 PLATFORMS = HERE / "platforms"
@@ -79,7 +78,7 @@ def build(folder: Path, program: str, target: Target, *options: str) -> Path:
     return out
 
 
-@pytest.mark.parametrize("target", [pytest.param(t, marks=needs(t), id=t.name) for t in (GXX, M4FXX)])
+@pytest.mark.parametrize("target", [pytest.param(t, marks=t.needed, id=t.name) for t in (GXX, M4FXX)])
 def test_the_sketch_for_arduino_finds_the_mass(target: Target, export: Path) -> None:
     done = run(build(export, "sketch.cpp", target, "-std=gnu++17", "-fno-exceptions"), target)
     masses = [float(line) for line in done.stdout.splitlines()]
@@ -87,7 +86,7 @@ def test_the_sketch_for_arduino_finds_the_mass(target: Target, export: Path) -> 
     assert masses[-1] == pytest.approx(CART.mass, rel=1e-3)
 
 
-@pytest.mark.parametrize("target", [pytest.param(t, marks=needs(t), id=t.name) for t in (GCC, M4F)])
+@pytest.mark.parametrize("target", [pytest.param(t, marks=t.needed, id=t.name) for t in (GCC, M4F)])
 def test_the_application_of_zephyr_finds_the_mass(target: Target, export: Path) -> None:
     done = run(build(export, "zephyr.c", target, "-std=gnu17"), target)
     words = done.stdout.split()

@@ -11,7 +11,7 @@ import pmfid
 from pmfid.export.firmware import ParameterAlarm
 from tests.firmware.build import CLANG, GCC, HERE, M4F, M7, WARNINGS, Target, command, compiled, run
 from tests.firmware.replay import PREFIX, difference, exported_edges
-from tests.test_export import needs, selftest
+from tests.test_export import selftest
 from tests.test_redge import DT, estimator_of, swing
 
 CXX = Target("g++", "g++", ("-x", "c++", "-std=c++17"))
@@ -33,12 +33,12 @@ def hostile(turn: int = 16, samples: int = 1600) -> tuple[Columns, float]:
 @pytest.mark.parametrize(
     ("precision", "target", "optimize", "turn"),
     [
-        pytest.param("float32", GCC, "-O3", 16, marks=needs(GCC)),
-        pytest.param("float64", GCC, "-O1", 64, marks=needs(GCC)),
-        pytest.param("float32", CLANG, "-O2", 64, marks=needs(CLANG)),
-        pytest.param("float32", M4F, "-O2", 16, marks=needs(M4F)),
-        pytest.param("float32", M4F, "-O3", 64, marks=[needs(M4F), pytest.mark.long]),
-        pytest.param("float64", M7, "-O3", 16, marks=[needs(M7), pytest.mark.long]),
+        pytest.param("float32", GCC, "-O3", 16, marks=GCC.needed),
+        pytest.param("float64", GCC, "-O1", 64, marks=GCC.needed),
+        pytest.param("float32", CLANG, "-O2", 64, marks=CLANG.needed),
+        pytest.param("float32", M4F, "-O2", 16, marks=M4F.needed),
+        pytest.param("float32", M4F, "-O3", 64, marks=[M4F.needed, pytest.mark.long]),
+        pytest.param("float64", M7, "-O3", 16, marks=[M7.needed, pytest.mark.long]),
     ],
 )
 def test_exported_code_computes_the_bits_of_python(
@@ -52,7 +52,7 @@ def test_exported_code_computes_the_bits_of_python(
     assert track.status[-1] & pmfid.Status.STARTING == 0, "and has found the motion again"
 
 
-@needs(GCC)
+@GCC.needed
 def test_states_move_between_python_and_firmware(tmp_path: Path) -> None:
     u, counts, ages, step = swing(16)
     estimator = estimator_of(step)
@@ -72,7 +72,7 @@ def test_states_move_between_python_and_firmware(tmp_path: Path) -> None:
     assert np.array_equal(estimator.theta, whole[-1])
 
 
-@needs(GCC)
+@GCC.needed
 def test_an_alarm_follows_the_estimate_of_the_edges(tmp_path: Path) -> None:
     before, after = swing(64, seed=1), swing(64, seed=2, drive=pmfid.simulation.DriveParameters(1.44, 12.8, 0.8, 2.0))
     u = np.r_[before[0], after[0]]
@@ -87,7 +87,7 @@ def test_an_alarm_follows_the_estimate_of_the_edges(tmp_path: Path) -> None:
     assert np.all(alarms[-300:] == 1)
 
 
-@pytest.mark.parametrize("target", [pytest.param(t, marks=needs(t), id=t.name) for t in (GCC, CXX)])
+@pytest.mark.parametrize("target", [pytest.param(t, marks=t.needed, id=t.name) for t in (GCC, CXX)])
 def test_every_file_compiles_without_a_warning(target: Target, tmp_path: Path) -> None:
     pmfid.export_firmware(estimator_of(0.0058, precision="float32"), tmp_path)
     files = [*(path.name for path in tmp_path.glob("*.c")), "examples/main/main.c", "examples/selftest/selftest.c"]

@@ -15,7 +15,7 @@ from pmfid.export.firmware import ParameterAlarm
 from tests.conftest import long_unless
 from tests.firmware.build import CLANG, GCC, M4F, REQUIRED, WARNINGS, Target, calls, command, objects
 from tests.refusals import refused
-from tests.test_export import make, needs
+from tests.test_export import make
 
 #: What a sketch sees of Arduino.
 ARDUINO = """
@@ -68,7 +68,7 @@ def succeed(arguments: list[str], folder: Path) -> str:
     return done.stdout
 
 
-@needs(GCC)
+@GCC.needed
 @pytest.mark.parametrize("options", [{}, {"steps": "given"}])
 def test_a_sketch_links_with_every_source_of_the_folder(options: dict[str, object], tmp_path: Path) -> None:
     estimator = make(pmfid.RIV, **options)
@@ -85,7 +85,7 @@ def test_a_sketch_links_with_every_source_of_the_folder(options: dict[str, objec
     assert succeed(["./sketch"], tmp_path) == "two samples\n"
 
 
-@needs(Target("", "cmake"))
+@Target("", "cmake").needed
 def test_zephyr_builds_the_folder_as_a_module(tmp_path: Path) -> None:
     pmfid.export_firmware(make(pmfid.RIV), tmp_path / "module")
     assert (tmp_path / "module/zephyr/module.yml").read_text() == "name: axis\nbuild:\n  cmake: .\n"
@@ -142,7 +142,6 @@ REFUSED = [
     "Ax",
 ]
 NAMES = ["mass", "Mass_2", "max", "init", "step", "main", "printf", "int", "NULL", "EOF", "MIN", "t", "config"]
-needs_gcc = pytest.mark.skipif(bool(GCC.missing), reason=GCC.missing)
 
 
 def estimator_of(name: str, unit: str = "kg", second: str = "drag") -> pmfid.RLS:
@@ -157,7 +156,7 @@ def compile_all(folder: Path, prefix: str) -> None:
     assert done.returncode == 0, done.stderr[:500]
 
 
-@needs_gcc
+@GCC.needed
 @pytest.mark.parametrize("prefix", long_unless([*PREFIXES][::3].__contains__, PREFIXES))
 def test_a_prefix_that_is_taken_compiles(tmp_path: Path, prefix: str) -> None:
     pmfid.export_firmware(estimator_of("mass"), tmp_path, prefix=prefix)
@@ -170,7 +169,7 @@ def test_a_prefix_that_would_not_compile_is_refused(tmp_path: Path, prefix: str)
     assert not (tmp_path / "out").exists()
 
 
-@needs_gcc
+@GCC.needed
 @pytest.mark.parametrize("name", long_unless(NAMES[::3].__contains__, NAMES))
 def test_a_name_that_is_taken_compiles(tmp_path: Path, name: str) -> None:
     pmfid.export_firmware(estimator_of(name), tmp_path, prefix="axis")
@@ -202,9 +201,11 @@ BUILDS = [(GCC, "-O2"), (CLANG, "-O2"), (M4F, "-O3"), *OFTEN]
     ("target", "optimize"),
     [
         pytest.param(
-            *one, marks=[needs(one[0]), *([] if one in OFTEN else [pytest.mark.long])], id=f"{one[0].name}{one[1]}"
+            *build,
+            marks=[build[0].needed, *([] if build in OFTEN else [pytest.mark.long])],
+            id=f"{build[0].name}{build[1]}",
         )
-        for one in BUILDS
+        for build in BUILDS
     ],
 )
 def test_no_call_of_a_library(target: Target, optimize: str, tmp_path: Path) -> None:
