@@ -69,11 +69,7 @@ OFTEN = [(pmfid.RIV, "float32"), (pmfid.RIV, "float64"), (pmfid.BCRLS, "float32"
 BUILDS = {(GCC, "-O3"): OFTEN[2:], (CLANG, "-O2"): OFTEN[2:3], (M4F, "-O2"): OFTEN[:1], (M7, "-O3"): OFTEN[1:2]}
 
 
-@pytest.fixture(
-    scope="module",
-    params=[pytest.param(one, marks=[] if one in OFTEN else pytest.mark.long) for one in KERNELS],
-    ids=str,
-)
+@pytest.fixture(scope="module")
 def folder(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
     cls, precision = request.param
     return exported(make(cls, precision), tmp_path_factory.mktemp("export"), *hostile())
@@ -167,7 +163,9 @@ def gaps_differ(estimator: RecursiveEstimator, folder: Path, u: np.ndarray, coun
     """Return whether the exported C differs from Python, with the gaps reported to it and without."""
     exported(estimator, folder, u, counts, GAPS)
     reported = f"-DGAPS={','.join(map(str, GAPS))}"
-    return difference(folder, GCC, "-O2", reported, *WARNINGS) is not None, difference(folder, GCC, "-O2") is not None
+    programs = ([reported, *WARNINGS], WARNINGS)
+    with_gaps, without = (difference(folder, GCC, "-O0", *options) is not None for options in programs)
+    return with_gaps, without
 
 
 @GCC.needed
@@ -194,7 +192,7 @@ def test_a_step_that_varies_has_the_bits_of_python(
     steps[[400, 900]] = np.nan, 1e9  # invalid steps of a clock
     estimator = make(cls, precision, steps="given")
     exported(estimator, tmp_path, u, counts, steps=steps)
-    assert difference(tmp_path, GCC, "-O2", *WARNINGS) is None
+    assert difference(tmp_path, GCC, "-O0", *WARNINGS) is None
     exported(make(cls, precision), tmp_path / "even", u, counts)
     sizes = [(folder / "pmf_sizes.h").read_text() for folder in (tmp_path, tmp_path / "even")]
     assert ["PMF_WITH_STEPS 1" in text for text in sizes] == [True, False]
@@ -223,14 +221,13 @@ def process_estimator(name: str, precision: str) -> RecursiveEstimator:
     ),
 )
 def test_linear_processes_are_exported(name: str, precision: str, tmp_path: Path) -> None:
-    """Variants of the methods have only float32, not optimized."""
-    optimize = "-O2" if name == PROCESSES[name][0].method else "-O0"
+    """Variants of the methods have only float32."""
     estimator = process_estimator(name, precision)
     u, counts = (table[0].copy() for table in process_record())
     u[1500], u[1501], counts[1600:] = np.nan, 1e30, counts[1600:] + 70_000
-    assert difference(exported(estimator, tmp_path, u, counts), GCC, optimize, *WARNINGS) is None
+    assert difference(exported(estimator, tmp_path, u, counts), GCC, "-O0", *WARNINGS) is None
     assert "y'' + a0 y" in (tmp_path / "axis.h").read_text() or name == "order"
-    assert selftest(tmp_path, GCC, *WARNINGS, optimize=optimize).returncode == 0
+    assert selftest(tmp_path, GCC, *WARNINGS, optimize="-O0").returncode == 0
     resumed = process_estimator(name, precision)
     estimator.run(u[:1700], counts[:1700])
     resumed.set_state(estimator.get_state())
@@ -257,18 +254,26 @@ def selftest(folder: Path, target: Target, *options: str, optimize: str = "-O2")
 
 
 @GCC.needed
-@pytest.mark.parametrize("options", [{}, {"steps": "given"}])
-def test_make_selftest_and_example_as_a_stranger_would(options: dict[str, object], tmp_path: Path) -> None:
+@pytest.mark.parametrize(("options", "words"), [({}, []), ({"steps": "given"}, ["OPTIMIZE=-O0"])])
+def test_make_selftest_and_example_as_a_stranger_would(
+    options: dict[str, object], words: list[str], tmp_path: Path
+) -> None:
     pmfid.export_firmware(make(pmfid.RIV, **options), tmp_path)
-    done = command(["make", "-s", "selftest", "all", "example"], tmp_path)
+    done = command(["make", "-s", *words, "selftest", "all", "example"], tmp_path)
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
     assert command(["./selftest"], tmp_path).stdout == "800 samples, the same bits\n"
     assert command(["./example"], tmp_path).returncode == 0
 
 
 @GCC.needed
+@pytest.mark.parametrize(
+    "folder",
+    [pytest.param(kernel, marks=[] if kernel in BUILDS[GCC, "-O3"] else pytest.mark.long) for kernel in KERNELS],
+    indirect=True,
+    ids=str,
+)
 def test_every_export_has_a_self_test_and_an_example_that_run(folder: Path) -> None:
-    """The test uses the objects of the test above."""
+    """The test uses the objects of the test of bits. RIV has them in the test above."""
     assert selftest(folder, GCC, *WARNINGS, optimize="-O3").stdout == "800 samples, the same bits\n"
     example = compiled(folder, PREFIX, GCC, folder / EXAMPLE, "-O3", *WARNINGS)
     assert run(example, GCC).returncode == 0
@@ -470,7 +475,7 @@ def test_two_axes_in_one_program(tmp_path: Path) -> None:
     pmfid.export_firmware(make(pmfid.RIV, "float64"), tmp_path / "y", prefix="y")
     objects = []
     for name in ("x", "y"):
-        done = command(["make", "-s", f"lib{name}.a"], tmp_path / name)
+        done = command(["make", "-s", "OPTIMIZE=-O0", f"lib{name}.a"], tmp_path / name)
         assert (done.returncode, done.stderr) == (0, "")
         flags = ["-I.", "-c", SELFTEST, "-DSELFTEST_NO_MAIN", "-o", f"{name}_selftest.o"]
         assert command(["gcc", *REQUIRED, *flags], tmp_path / name).returncode == 0

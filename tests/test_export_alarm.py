@@ -25,7 +25,7 @@ def watched(estimator: RecursiveEstimator, folder: Path, u: NDArray[np.float64],
     """Return alarm, up and down after each sample, from the exported C."""
     exported(estimator, folder, u, counts)
     pmfid.export_firmware(estimator, folder / "c", alarms=[ALARM])
-    program = compiled(folder / "c", "axis", GCC, HERE / "watch.c", "-O2", *WARNINGS)
+    program = compiled(folder / "c", "axis", GCC, HERE / "watch.c", "-O0", *WARNINGS)
     assert run(program, GCC, "../in.bin", "out.bin").returncode == 0
     real = np.float32 if estimator.precision == "float32" else np.float64
     dtype = np.dtype([("alarm", np.int32), ("up", real), ("down", real)], align=True)

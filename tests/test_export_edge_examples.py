@@ -61,14 +61,14 @@ def build(folder: Path, program: str, target: Target, *options: str) -> Path:
     out = folder / f"{program}-{target.name}"
     kernel = target.compiler.replace("g++", "gcc")
     sources = sorted(str(path) for path in (folder / "axis").glob("*.c"))
-    done = command([kernel, *REQUIRED, *target.options, "-O2", "-c", *sources], folder)
+    done = command([kernel, *REQUIRED, *target.options, "-O1", "-c", *sources], folder)
     assert done.returncode == 0, done.stderr
     board = []
     if target.board:
-        done = command([kernel, *target.options, "-O2", "-c", str(HERE / "startup.c"), "-o", "startup.obj"], folder)
+        done = command([kernel, *target.options, "-O1", "-c", str(HERE / "startup.c"), "-o", "startup.obj"], folder)
         board = ["startup.obj", "--specs=rdimon.specs", f"-T{HERE / 'mps2.ld'}"]
     objects = [*sorted(path.name for path in folder.glob("pmf_*.o")), "axis_config.o"]
-    words = [target.compiler, *options, *target.options, *WARNINGS, "-O2", "-I.", "-Iaxis", f"-I{PLATFORMS}"]
+    words = [target.compiler, *options, *target.options, *WARNINGS, "-O1", "-I.", "-Iaxis", f"-I{PLATFORMS}"]
     done = command([*words, "-c", program, "-o", "program.obj"], folder)
     assert done.returncode == 0, done.stderr
     done = command(

@@ -38,7 +38,7 @@ class Firmware:
         export_firmware(estimator, folder, prefix=PREFIX)
         self._folder, self._target, self._p = folder, target, len(estimator.names)
         self._real = np.float32 if estimator.precision == "float32" else np.float64
-        self._program = compiled(folder, PREFIX, target, HERE / "moved.c", "-O2")
+        self._program = compiled(folder, PREFIX, target, HERE / "moved.c", "-O0")
 
     def run(self, state: bytes | None, u: Floats, counts: Counts) -> tuple[np.ndarray, bytes]:
         """Return theta (n, p), and the saved state."""

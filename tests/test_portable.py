@@ -16,16 +16,20 @@ from pmfid.elementary import cos_sin, exp, expm1, log, tanh
 from pmfid.filters.chain import euler_frobenius, sampling_zeros
 from tests.golden.constants import HEADER, PLACE, rows
 
-#: Settings under which NumPy, BLAS and the C library choose other code. NumPy renamed the features in version 2.4.
+#: Settings under which NumPy, BLAS and the C library choose other code: of this processor, of one with AVX2, and of one
+#: without. NumPy renamed the features in version 2.4.
 SETTINGS = [
     {},
-    {"NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SKX AVX512F"},
-    {"NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SKX AVX512F AVX2 FMA3"},
-    {"OPENBLAS_CORETYPE": "Haswell"},
-    {"OPENBLAS_CORETYPE": "SkylakeX"},
-    {"OPENBLAS_CORETYPE": "Prescott"},
-    {"OPENBLAS_NUM_THREADS": "2"},
-    {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX2_Usable,-FMA_Usable"},
+    {
+        "NPY_DISABLE_CPU_FEATURES": "X86_V4 AVX512_ICL AVX512_SKX AVX512F",
+        "OPENBLAS_CORETYPE": "Haswell",
+        "OPENBLAS_NUM_THREADS": "2",
+    },
+    {
+        "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4 AVX512_ICL AVX512_SKX AVX512F AVX2 FMA3",
+        "OPENBLAS_CORETYPE": "Prescott",
+        "GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4,-AVX2_Usable,-FMA_Usable",
+    },
 ]
 
 

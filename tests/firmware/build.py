@@ -59,8 +59,9 @@ _MADE: dict[str, bytes] = {}
 def objects(folder: Path, target: Target, *options: str) -> list[str]:
     """Return the compiled objects of an exported kernel, cached by source and options.
 
-    Raises RuntimeError with the compiler's output.
+    Macros are for the main program: the kernel has none of them. Raises RuntimeError with the compiler's output.
     """
+    options = tuple(option for option in options if not option.startswith("-D"))
     words = [target.compiler, *REQUIRED, *target.options, *options]
     headers = b"".join(path.read_bytes() for path in sorted([*folder.glob("pmf*.h"), *folder.glob("pmf*.inl")]))
     out = folder / "objects"
