@@ -22,6 +22,7 @@ from pmfid.models.drive import Drive
 from pmfid.simulation.drive import Machine, drive_machine
 from studies.design_case import NOMINAL, case
 from studies.design_machines import MACHINES, claims, drive_of
+from tests.conftest import long_unless
 from tests.refusals import refused
 
 CASE = case("m, d, F_c")
@@ -62,7 +63,9 @@ def test_a_design_with_a_least_speed_survives(best: Design) -> None:
     assert found.gain["minimum_time"] >= 1 - 1e-6
 
 
-@pytest.mark.parametrize(("unknown", "criterion"), [("m", "trace"), ("m, d, F_c", "D")])
+@pytest.mark.parametrize(
+    ("unknown", "criterion"), [pytest.param("m", "trace", marks=pytest.mark.long), ("m, d, F_c", "D")]
+)
 def test_without_a_least_speed_there_is_a_warning_with_the_fraction(unknown: str, criterion: str) -> None:
     problem = case(unknown, min_speed=0.0)
     found = appraise(solve(problem, criterion, starts=5))
@@ -87,11 +90,11 @@ def run(truth: dict[str, float], noise: float = 0.0, seed: int = 0) -> DesignedR
 def test_the_scatter_is_that_of_the_information() -> None:
     noise = np.sqrt(CASE.variance)
     errors = []
-    for seed in range(60):
+    for seed in range(30):
         found = calibrate(NOISY, [run({}, noise, seed)])
         root = np.linalg.cholesky(found.information)
         errors.append(root.T @ [found.parameters[name] - NOMINAL[name] for name in CASE.names])
-    # 180 squares of standard normal variables, reduced by the inflation
+    # 90 squares of standard normal variables, reduced by the inflation
     assert np.mean(np.square(errors)) == pytest.approx(0.9, abs=0.3)
 
 
@@ -100,7 +103,7 @@ def test_the_second_round_mends_a_wrong_mass(factor: float) -> None:
     problem = case("m")
     start = replace(problem, nominal={**NOMINAL, "mass": factor * NOMINAL["mass"]})
     experiment = simulated_experiment(start, NOMINAL, np.random.default_rng(0))
-    state = sequential(start, experiment, {"mass": 1e-9}, criterion="trace", rounds=2, starts=10)
+    state = sequential(start, experiment, {"mass": 1e-9}, criterion="trace", rounds=2, starts=3)
     assert len(state.rounds) == 2
     assert not state.reached
     first, second = (each.run.y[-1] - each.run.y[0] for each in state.rounds)
@@ -172,7 +175,10 @@ def test_what_is_known_stays(unknown: tuple[str, ...]) -> None:
 
 @pytest.mark.parametrize(
     ("increments", "mass", "name"),
-    [(512, 1e-4, USUAL), (2048, 3e-3, "prbs"), (8192, 0.2, "s_curve"), (65536, 5.0, USUAL)],
+    long_unless(
+        lambda increments, *_: increments in (512, 2048),
+        [(512, 1e-4, USUAL), (2048, 3e-3, "prbs"), (8192, 0.2, "s_curve"), (65536, 5.0, USUAL)],
+    ),
 )
 def test_the_expected_deviations_are_those_of_the_fit(increments: int, mass: float, name: str) -> None:
     nominal = {"mass": mass, "viscous_friction": 2.0 * mass, "coulomb_friction": 8.0 * mass}
@@ -201,7 +207,11 @@ def machine_run(resolution: float, **unmodelled: float) -> tuple[Commissioning, 
     return state, state.rounds[0].known.parameters["mass"]
 
 
-@pytest.mark.parametrize("unmodelled", [{"stribeck": 0.2}, {"quadratic": 4.0}, {"dead_time": 0.004}], ids=str)
+@pytest.mark.parametrize(
+    "unmodelled",
+    long_unless(lambda effect: "stribeck" in effect, [{"stribeck": 0.2}, {"quadratic": 4.0}, {"dead_time": 0.004}]),
+    ids=str,
+)
 def test_a_model_that_misses_counts_is_doubted_and_reaches_nothing(unmodelled: dict[str, float]) -> None:
     state, _ = machine_run(22.75e-6, **unmodelled)
     assert state.rounds[0].known.unmodelled

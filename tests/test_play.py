@@ -52,7 +52,7 @@ def test_the_derivatives_are_those_of_the_motion() -> None:
 
 
 def record(gap: float, seed: int = 4) -> tuple[Floats, Counts]:
-    u = np.random.default_rng(seed).uniform(-1, 1, 100).repeat(12)
+    u = np.random.default_rng(seed).uniform(-1, 1, 60).repeat(12)
     y = simulate_two_masses(TwoMasses(*PAIR, gap=gap), u[:-1], STEP, np.zeros(4), 20)[:, 0]
     return u, np.floor(y / RESOLUTION + 0.4).astype(np.int64)
 

@@ -13,7 +13,7 @@ from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, simulate_driv
 from pmfid.types import Counts, Floats
 from tests.tuned import set_tuning
 
-STRETCH, SAMPLES = 4000, 7000
+STRETCH, SAMPLES = 900, 1500
 METHOD = IV(Drive(CART.input_gain), Encoder(CART_RESOLUTION), CART_DT, 20.0)
 
 
@@ -38,7 +38,9 @@ def test_a_long_record_settles_where_the_whole_iteration_does(monkeypatch: pytes
     np.testing.assert_allclose(found, METHOD.settle_iteration(u, counts)[1], rtol=1e-6)
 
 
-@pytest.mark.parametrize(("method", "name"), [("auto", "coulomb_friction"), ("ls", "mass")])
+@pytest.mark.parametrize(
+    ("method", "name"), [pytest.param("auto", "coulomb_friction", marks=pytest.mark.long), ("ls", "mass")]
+)
 def test_a_parameter_that_changes_late_in_a_long_record_is_found(method: str, name: str) -> None:
     u, counts = record(7, **{name: 1.1})
     result = identify(u, counts, model=METHOD.model, dt=CART_DT, encoder=METHOD.encoder, method=method)
