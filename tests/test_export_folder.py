@@ -110,37 +110,13 @@ def test_the_manifests_name_the_header_and_the_version(tmp_path: Path) -> None:
 
 
 PREFIXES = [
-    "axis",
-    "main",
-    "step",
-    "exit",
-    "alarm",
-    "int",
-    "for",
-    "selftest",
-    "sample",
-    "x",
-    "status",
-    "config",
-    "h",
-    "t",
-]
+    "axis", "main", "step", "exit", "alarm", "int", "for", "selftest", "sample", "x", "status", "config", "h",
+    "t"
+]  # fmt: skip
 REFUSED = [
-    "int8",
-    "uint32",
-    "int_least64",
-    "size",
-    "real",
-    "truth",
-    "whole",
-    "integer",
-    "scalar",
-    "time",
-    "intmax",
-    "float",
-    "pmf",
-    "Ax",
-]
+    "int8", "uint32", "int_least64", "size", "real", "truth", "whole", "integer", "scalar", "time", "intmax",
+    "float", "pmf", "Ax"
+]  # fmt: skip
 NAMES = ["mass", "Mass_2", "max", "init", "step", "main", "printf", "int", "NULL", "EOF", "MIN", "t", "config"]
 
 
