@@ -14,7 +14,7 @@ TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css
 #: What is counted -> its largest value.
 MOST = {
     "lines of src": 66005,
-    "lines of code in src": 38667,
+    "lines of code in src": 38663,
     "lines of code in report and cli": 3313,
     "thresholds in src": 986,
     "lines of csrc": 8671,

@@ -1,33 +1,35 @@
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
+Floats = NDArray[np.float64]
+
+#: Length of a step, from its bounds, the slope and the curvature of the prior, and a chance.
+Draw = Callable[[float, float, float, float, float], float]
 BASE: int
 LOOP: int
 ELASTIC_BASE: int
 KINDS: dict[str, int]
 
 def run(
-    forces: list[tuple[int, int, bool, NDArray[np.float64], float, float, bool]],
-    step: NDArray[np.float64],
-    u: NDArray[np.float64],
+    forces: list[tuple[int, int, bool, Floats, float, float, bool]],
+    step: Floats,
+    u: Floats,
     row: NDArray[np.int32],
-    columns: NDArray[np.float64],
-    theta: NDArray[np.float64],
+    columns: Floats,
+    theta: Floats,
     parts: int,
-    lift: NDArray[np.float64] | None,
+    lift: Floats | None,
     tick: float = 0.0,
-    on: NDArray[np.float64] | None = None,
+    on: Floats | None = None,
     elastic: bool = False,
     load: bool = False,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int]: ...
-def drive_load(
-    x: NDArray[np.float64], step: float, substeps: int, loads: NDArray[np.float64]
-) -> NDArray[np.float64]: ...
+) -> tuple[Floats, Floats, Floats, int]: ...
+def drive_load(x: Floats, step: float, substeps: int, loads: Floats) -> Floats: ...
 def whiten(
-    X: NDArray[np.float64],
-    step: NDArray[np.float64],
-    variance: NDArray[np.float64],
-    rate: float,
-    force: tuple[float, float],
-    position: tuple[float, float],
+    X: Floats, step: Floats, variance: Floats, rate: float, force: tuple[float, float], position: tuple[float, float]
 ) -> float: ...
+def walk(
+    e: Floats, bound: Floats, along: Floats, pull: Floats, bends: Floats, chances: list[float], far: float, draw: Draw
+) -> Floats: ...

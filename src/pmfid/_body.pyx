@@ -4,6 +4,7 @@
 import numpy as np
 
 cimport numpy as cnp
+from libc.math cimport fabs
 from libc.stdlib cimport calloc, free
 
 cnp.import_array()
@@ -173,3 +174,35 @@ def whiten(cnp.ndarray[double, ndim=2, mode="c"] X not None, cnp.ndarray[double,
         total = pmf_whiten(&wander, n, w, <double *>step.data, <double *>variance.data, <double *>X.data,
                            <double *>work.data)
     return total
+
+
+def walk(cnp.ndarray[double, mode="c"] e not None, cnp.ndarray[double, mode="c"] bound not None,
+         cnp.ndarray[double, ndim=2, mode="c"] along not None, cnp.ndarray[double, mode="c"] pull not None,
+         cnp.ndarray[double, ndim=2, mode="c"] bends not None, list chances, double far, draw):
+    """Return the lengths (m,) of m steps, after each of which |e| <= bound (n,).
+
+    Step k changes e (n,) by along[k] and the residual `pull` (p,) of a prior by bends[k]. Its length follows from
+    `draw`, for the interval within `far` that the bounds leave.
+    """
+    cdef Py_ssize_t n = along.shape[1], p = bends.shape[1], i, k
+    cdef double low, high, size, ahead, slope, curvature, length
+    if e.shape[0] != n or bound.shape[0] != n or pull.shape[0] != p or bends.shape[0] != along.shape[0]:
+        raise ValueError("residuals, bounds, directions and prior must fit each other")
+    lengths = np.zeros(along.shape[0])
+    for k in range(along.shape[0]):
+        low, high, slope, curvature = -far, far, 0.0, 0.0
+        for i in range(n):
+            size, ahead = fabs(along[k, i]), e[i] if along[k, i] > 0.0 else -e[i]
+            if bound[i] - ahead < high * size:
+                high = (bound[i] - ahead) / size
+            if bound[i] + ahead < -low * size:
+                low = -(bound[i] + ahead) / size
+        for i in range(p):
+            slope, curvature = slope + pull[i] * bends[k, i], curvature + bends[k, i] * bends[k, i]
+        length = draw(low, high, slope, curvature, chances[k]) if high > low else 0.0
+        for i in range(n):
+            e[i] += length * along[k, i]
+        for i in range(p):
+            pull[i] += length * bends[k, i]
+        lengths[k] = length
+    return lengths

@@ -5,6 +5,9 @@ from numpy.typing import NDArray
 
 from pmfid._estimate import Estimate as Estimate
 
+Counts = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
 class Kernel:
     dtype: np.dtype[np.floating]
     max_parameters: int
@@ -22,27 +25,18 @@ class Kernel:
     def step(self, u: float, counts: int, dt: float | None = None) -> Estimate: ...
     def estimate(self) -> Estimate: ...
     def run(
-        self, u: NDArray[np.float64], counts: NDArray[np.int64], steps: NDArray[np.float64] | None = None
-    ) -> tuple[
-        NDArray[np.float64],
-        NDArray[np.float64],
-        NDArray[np.float64],
-        NDArray[np.float64],
-        NDArray[np.float64],
-        NDArray[np.uint32],
-    ]: ...
-    def filter(
-        self, u: NDArray[np.float64], counts: NDArray[np.int64], steps: NDArray[np.float64] | None = None
-    ) -> tuple[NDArray[np.float64], NDArray[np.uint32]]: ...
+        self, u: Floats, counts: Counts, steps: Floats | None = None
+    ) -> tuple[Floats, Floats, Floats, Floats, Floats, NDArray[np.uint32]]: ...
+    def filter(self, u: Floats, counts: Counts, steps: Floats | None = None) -> tuple[Floats, NDArray[np.uint32]]: ...
     def score(
         self,
-        u: NDArray[np.float64],
-        counts: NDArray[np.int64],
+        u: Floats,
+        counts: Counts,
         scoring: tuple[int, int, int, int, int],
-        theta: NDArray[np.float64],
-        sums: NDArray[np.float64],
+        theta: Floats,
+        sums: Floats,
         progress: NDArray[np.uint32],
-    ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]: ...
+    ) -> tuple[Floats, NDArray[np.uint8]]: ...
     def many(self, axes: int, layout: bytes) -> ManyKernel: ...
     def raw_config(self) -> bytes: ...
     def raw_state(self, kept: bool = False) -> bytes: ...
@@ -62,13 +56,13 @@ class ManyKernel:
     def gap(self, axis: int, counts: int) -> None: ...
     def score(
         self,
-        u: NDArray[np.float64],
-        counts: NDArray[np.int64],
+        u: Floats,
+        counts: Counts,
         scoring: tuple[int, int, int, int, int],
-        theta: NDArray[np.float64],
-        sums: NDArray[np.float64],
+        theta: Floats,
+        sums: Floats,
         progress: NDArray[np.uint32],
-    ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]: ...
+    ) -> tuple[Floats, NDArray[np.uint8]]: ...
     def run(
         self,
         u: NDArray[np.floating],
@@ -76,7 +70,7 @@ class ManyKernel:
         first: int,
         end: int,
         every: int,
-        results: Sequence[NDArray[np.float64] | NDArray[np.uint32]],
+        results: Sequence[Floats | NDArray[np.uint32]],
         way: int,
     ) -> None: ...
     def reset(self) -> None: ...
@@ -85,8 +79,8 @@ class ManyKernel:
     packing: int
 
 def simulate(
-    parameters: Sequence[float], input_gain: float, dt: float, u: NDArray[np.float64], velocity: float = 0.0
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]: ...
+    parameters: Sequence[float], input_gain: float, dt: float, u: Floats, velocity: float = 0.0
+) -> tuple[Floats, Floats, Floats]: ...
 
 class EdgeKernel:
     def __init__(
@@ -101,23 +95,15 @@ class EdgeKernel:
         sign: int,
     ) -> None: ...
     def reset(self) -> None: ...
-    def expect(self, theta: NDArray[np.float64]) -> None: ...
+    def expect(self, theta: Floats) -> None: ...
     def raw_config(self) -> bytes: ...
     def raw_state(self) -> bytes: ...
     def set_raw_state(self, data: bytes) -> None: ...
     def estimate(self) -> Estimate: ...
     def step(self, u: float, counts: int, age: float) -> Estimate: ...
     def run(
-        self, u: NDArray[np.float64], counts: NDArray[np.int64], ages: NDArray[np.float64]
-    ) -> tuple[
-        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint32]
-    ]: ...
+        self, u: Floats, counts: Counts, ages: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.uint32]]: ...
     def run_many(
-        self,
-        states: NDArray[np.uint8],
-        u: NDArray[np.float64],
-        counts: NDArray[np.int64],
-        ages: NDArray[np.float64],
-    ) -> tuple[
-        NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.uint32]
-    ]: ...
+        self, states: NDArray[np.uint8], u: Floats, counts: Counts, ages: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats, NDArray[np.uint32]]: ...

@@ -8,9 +8,12 @@ rounding that is neither white nor independent of the motion.
 from __future__ import annotations
 
 import math
+import sys
+from statistics import NormalDist
 
 import numpy as np
 
+from pmfid._body import walk
 from pmfid.fit.solve import root_of
 from pmfid.types import Floats
 
@@ -19,6 +22,8 @@ from pmfid.types import Floats
 STEPS = 2000
 #: Longest step in standard deviations, which only bounds directions without any count.
 FAR = 30.0
+#: Quantiles of the standard normal distribution.
+QUANTILE = NormalDist().inv_cdf
 
 
 #: Precisions (p,) of a Gaussian prior, and the distance (p,) from its mean.
@@ -64,36 +69,28 @@ def _walk(
     """Return the path (steps, p) from d along the directions `ways` (p, steps). The `prior` has rows (k, p) and values
     (k,) at no step, whose sums have a normal distribution."""
     rows, values = prior
-    bends = np.ascontiguousarray((rows @ ways).T)
-    curvature = np.sum(bends**2, axis=1)
-    along, path = np.ascontiguousarray((J @ ways).T), np.empty((ways.shape[1], d.size))
-    chance = rng.random((ways.shape[1],))
-    for k in range(path.shape[0]):
-        slope: Floats = along[k]
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-            reach = bound / np.abs(slope)
-            middle = -e / slope
-        low = float(np.fmax.reduce(middle - reach, initial=-FAR))
-        high = float(np.fmin.reduce(middle + reach, initial=FAR))
-        if high > low:
-            slope_of_prior = float((values + rows @ d) @ bends[k])
-            step = _draw(low, high, slope_of_prior, float(curvature[k]), float(chance[k]))
-            e, d = e + step * slope, d + step * ways[:, k]
-        path[k] = d
-    return path
+    along, bends = np.ascontiguousarray((J @ ways).T), np.ascontiguousarray((rows @ ways).T)
+    chances = rng.random((ways.shape[1],)).tolist()
+    lengths = walk(e.copy(), bound, along, values + rows @ d, bends, chances, FAR, _draw)
+    return np.asarray(d + np.cumsum(lengths[:, None] * ways.T, axis=0))
 
 
 def _draw(low: float, high: float, slope: float, curvature: float, chance: float) -> float:
     """Return the place of a step between `low` and `high` with a share `chance` of the probability below it. Minus the
     log density has a slope and a curvature at 0."""
-    from scipy.special import log_ndtr, ndtri_exp
-
     size = math.sqrt(curvature)
-    if (size * (high - low)) ** 2 < np.finfo(float).eps:  # flat up to rounding
+    if (size * (high - low)) ** 2 < sys.float_info.epsilon:  # flat up to rounding
         return low + chance * (high - low)
     middle = -slope / curvature
     if middle < (low + high) / 2:  # the lower tail keeps its digits
         return -_draw(-high, -low, -slope, curvature, 1 - chance)
-    below, above = float(log_ndtr(size * (low - middle))), float(log_ndtr(size * (high - middle)))
-    place = float(ndtri_exp(np.logaddexp(below + math.log1p(-chance), above + math.log(max(chance, 1e-300)))))
+    first, last = size * (low - middle), size * (high - middle)
+    share = 0.5 * ((1 - chance) * math.erfc(-first / math.sqrt(2)) + chance * math.erfc(-last / math.sqrt(2)))
+    if sys.float_info.min < share < 1.0:
+        place = QUANTILE(share)
+    else:
+        from scipy.special import log_ndtr, ndtri_exp
+
+        logs = float(log_ndtr(first)) + math.log1p(-chance), float(log_ndtr(last)) + math.log(max(chance, 1e-300))
+        place = float(ndtri_exp(np.logaddexp(*logs)))
     return min(max(middle + place / size, low), high)
