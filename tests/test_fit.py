@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -68,6 +69,12 @@ def test_the_derivatives_are_those_of_the_motion(names: list[str], lag: float) -
         below[k] -= step
         quotient = (simulate(above, names)[0] - simulate(below, names)[0]) / (2 * step)
         assert np.max(np.abs(quotient - S[:, k])) < 3e-3 * np.max(np.abs(S[:, k])), (names, k)
+
+
+@cache
+def right_case(index: int = 1) -> Case:
+    """Return a machine of the referee that the plain drive describes."""
+    return make_cases(51, "right", [index])[0]
 
 
 def examine(case: Case) -> Fitted:
@@ -180,7 +187,7 @@ def test_a_mixture_has_the_length_of_its_parts() -> None:
 @pytest.mark.parametrize("index", long_unless((1).__eq__, range(7)))
 def test_the_right_model_explains_every_count(index: int) -> None:
     """One machine of each motion of the referee: an empty status, and the truth within the intervals."""
-    (case,) = make_cases(51, "right", [index])
+    case = right_case(index)
     answer = identify(case)
     assert list(answer.status) == []
     for name, true in case.truth.items():
@@ -206,7 +213,7 @@ def test_a_force_that_the_model_lacks_is_named(kind: str, word: str) -> None:
 
 
 def test_missing_counts_and_a_gap_of_the_input_cost_little() -> None:
-    (case,) = make_cases(51, "right", [1])
+    case = right_case()
     counts, u = case.counts.copy(), case.u.copy()
     counts[300:340], u[900:950] = np.nan, np.nan
     fitted = examine(replace(case, counts=counts, u=u))
@@ -244,6 +251,7 @@ def test_a_force_is_found_from_the_blind_start(kind: str, seed: int, index: int,
     np.testing.assert_allclose(examine(case).theta, list(case.truth.values()), rtol=bound)
 
 
+@pytest.mark.long
 def test_cogging_that_pushes_the_motion_away_is_followed_through_parts() -> None:
     """Without parts of the record first, the mass is 0.08 % off and the record unmodelled."""
     case = make_case("cogging", 2)
@@ -267,8 +275,7 @@ def test_noise_far_below_a_count_is_in_the_intervals(seed: int) -> None:
 
 
 def test_a_record_without_counts_bounds_no_motion() -> None:
-    (case,) = make_cases(51, "right", [1])
-    fitted = examine(case)
+    fitted = examine(right_case())
     floats = [replace(one, counted=np.zeros_like(one.counted)) for one in fitted.problem.stretches]
     q, starts = fitted.solution.q, fitted.solution.starts
     at = q, starts, np.append(np.ones(q.size), start_precision(starts)), 0.01

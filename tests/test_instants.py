@@ -13,7 +13,7 @@ from pmfid.pipeline.identify import identify, kind_of
 from pmfid.pipeline.result import DriveResult
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, prbs, quantize, simulate_drive
 from pmfid.types import Counts, Floats
-from tests.conftest import TRUTH
+from tests.conftest import TRUTH, long_unless
 from tests.refusals import refused
 
 #: Parts of a period in the simulation.
@@ -57,7 +57,7 @@ def identified(
     return found
 
 
-@pytest.mark.parametrize("clock", ["bursts", "in turn", "host"])
+@pytest.mark.parametrize("clock", long_unless("host".__eq__, ["bursts", "in turn", "host"]))
 def test_the_step_that_was_is_taken_where_stamps_are_true(tmp_path: Path, clock: str) -> None:
     result = identified(tmp_path, *run(clock))
     np.testing.assert_allclose(result.theta, TRUTH, rtol=3e-3)
@@ -65,9 +65,7 @@ def test_the_step_that_was_is_taken_where_stamps_are_true(tmp_path: Path, clock:
     assert result.status == ()
 
 
-@pytest.mark.parametrize(
-    "clock", ["in turn", *(pytest.param(clock, marks=pytest.mark.long) for clock in ("bursts", "host"))]
-)
+@pytest.mark.parametrize("clock", long_unless("in turn".__eq__, ["bursts", "in turn", "host"]))
 def test_gaps_between_uneven_steps_stay_gaps(tmp_path: Path, clock: str) -> None:
     time, u, counts = run(clock)
     kept = np.ones(SAMPLES, bool)
@@ -79,7 +77,7 @@ def test_gaps_between_uneven_steps_stay_gaps(tmp_path: Path, clock: str) -> None
     assert "uneven_clock" not in result.status
 
 
-@pytest.mark.parametrize("delay", [0.2, pytest.param(1.0, marks=pytest.mark.long), 3.0])
+@pytest.mark.parametrize("delay", long_unless((3.0).__eq__, [0.2, 1.0, 3.0]))
 def test_stamps_of_arrival_give_what_even_stamps_give(tmp_path: Path, delay: float) -> None:
     method = '[estimator]\nmethod = "iv"\n'
     even, late = (identified(tmp_path, *run("even", by), method) for by in (0.0, delay))

@@ -44,7 +44,7 @@ def test_the_fit_finds_it_and_instruments_that_are_given_it_agree(axis: str, lag
 
 
 def test_next_to_a_dead_time() -> None:
-    run = run_lagged("cart", 0.8, 1.3)
+    run = run_lagged("cart", 0.8, 1.3, switches=120)
     fit = made(MotionFit, "cart", lag="estimate", dead_time="estimate").fit(run.u, run.counts)
     assert fit.names[-2:] == ("dead_time", "lag")
     np.testing.assert_allclose(fit.theta[-2:] / 0.01, [1.3, 0.8], atol=0.03)

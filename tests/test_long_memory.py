@@ -13,7 +13,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.kernel.structures import structures
 from pmfid.simulation import CART, CART_DT
 from pmfid.simulation.drive import quantize, simulate_drive
-from tests.conftest import cart_run
+from tests.conftest import cart_run, long_unless
 
 SAMPLES, REPEATED = 20_000, 50
 HEAVY = replace(CART, mass=1.3)
@@ -43,7 +43,7 @@ def after_millions(cls: type[RecursiveEstimator], precision: str) -> RecursiveEs
     return estimator
 
 
-@pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.BCRLS])
+@pytest.mark.parametrize("cls", long_unless(lambda cls: cls is pmfid.BCRLS, [pmfid.RLS, pmfid.BCRLS]))
 def test_float32_still_gathers(cls: type[RecursiveEstimator]) -> None:
     fleet = pmfid.Fleet(after_millions(cls, "float32"), 1)
     u, counts = motion(heavy=True)
@@ -53,7 +53,7 @@ def test_float32_still_gathers(cls: type[RecursiveEstimator]) -> None:
     assert last.status[0, -1] == 0
 
 
-@pytest.mark.parametrize("cls", [pmfid.RLS, pmfid.BCRLS])
+@pytest.mark.parametrize("cls", long_unless(lambda cls: cls is pmfid.BCRLS, [pmfid.RLS, pmfid.BCRLS]))
 def test_float32_agrees_with_float64_after_two_million_samples(cls: type[RecursiveEstimator]) -> None:
     u, counts = motion(heavy=False)
     single, double = (

@@ -116,7 +116,7 @@ def test_a_pipe_without_its_columns(folder: Path, stdin: bytes, message: str) ->
 @pytest.mark.parametrize(
     ("kind", "number"),
     [
-        ("csv", signal.SIGINT),
+        pytest.param("csv", signal.SIGINT, marks=pytest.mark.long),
         ("parquet", signal.SIGTERM),
         pytest.param("parquet", signal.SIGHUP, marks=pytest.mark.long),
     ],
@@ -128,7 +128,7 @@ def test_a_signal_ends_with_a_whole_file(folder: Path, kind: str, number: signal
         process.stdin.write(b"".join(lines(n * CART_DT)))
         process.stdin.flush()
         assert any(b"watching" in line for line in iter(process.stdout.readline, b""))
-        time.sleep(1.0)
+        time.sleep(0.2)
         assert resident(process.pid) > 10
         process.send_signal(number)
         rest, _ = process.communicate(timeout=PATIENCE)

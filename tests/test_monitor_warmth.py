@@ -67,7 +67,7 @@ def test_a_cycle_of_the_temperature_is_no_change(monitor: Monitor) -> None:
     assert alarms(monitor.fresh().run(u, counts))[0][0] == "coulomb_friction"
 
 
-@pytest.mark.parametrize("growth", [0.1, -0.1])
+@pytest.mark.parametrize("growth", [0.1, pytest.param(-0.1, marks=pytest.mark.long)])
 def test_friction_that_changes_on_top_of_the_cycle_is_named(monitor: Monitor, growth: float) -> None:
     rows = monitor.fresh().run(*record(3, 12.0, 0.3, -5 * growth))
     assert set(alarms(rows)) == {("coulomb_friction", growth > 0)}

@@ -20,7 +20,7 @@ def identify(case: Case) -> pmfid.Result:
     return pmfid.identify(case.u, case.counts, model=drive, dt=case.dt, encoder=pmfid.Encoder(case.resolution))
 
 
-@pytest.mark.parametrize("index", [0, 9])
+@pytest.mark.parametrize("index", [0, pytest.param(9, marks=pytest.mark.long)])
 def test_an_eccentric_encoder_is_named_with_amplitude_and_phase(index: int) -> None:
     """Without the row of the table, the mass is off, or a wave of an unknown period is named."""
     (case,), effect = make_cases(5, "eccentric encoder", [index]), draw_machine(5, "eccentric encoder", index).effect
@@ -36,7 +36,7 @@ def test_an_eccentric_encoder_is_named_with_amplitude_and_phase(index: int) -> N
     assert abs(np.degrees(np.angle(off))) < 3 * across + 0.05
 
 
-def warm_axis(seed: int, n: int = 1500) -> tuple[dict[str, Floats], float]:
+def warm_axis(seed: int, n: int = 1000) -> tuple[dict[str, Floats], float]:
     """Return columns of an axis whose Coulomb friction falls by 0.02 N/K, from 0.8 N at 30 degrees, and the mean
     temperature."""
     rng, dt, resolution = np.random.default_rng(seed), 0.01, 1e-4

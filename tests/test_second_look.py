@@ -118,7 +118,7 @@ TURRET = axis_of((0.8, 3.0, 1.7, 5.0), 0.003, 2e-4, 1.1, 0.6)
 
 
 @pytest.mark.parametrize("axis", [TABLE, LIFT, TURRET], ids=["table", "lift", "turret"])
-@pytest.mark.parametrize("motion", ["stop-and-go", "multisine"])
+@pytest.mark.parametrize("motion", ["stop-and-go", pytest.param("multisine", marks=pytest.mark.long)])
 def test_the_right_model_has_no_status(axis: Axis, motion: str) -> None:
     """Each case once had model_spread and feedback, at errors of at most 0.05 %."""
     record = record_of(axis, Machine(axis.drive), motion, 1024, 21)
@@ -168,7 +168,7 @@ def result_of(method: str, increments: int = 16384, forgetting: float = 1.0) -> 
 
 
 @pytest.mark.parametrize(
-    "method", long_unless(lambda method: method in ("riv", "bcls", "fit"), sorted(methods_for(Drive(1.0))))
+    "method", long_unless(lambda method: method in ("riv", "fit"), sorted(methods_for(Drive(1.0))))
 )
 def test_the_right_model_follows(method: str) -> None:
     run = result_of(method).free_run()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -66,6 +67,7 @@ def test_the_derivatives_are_those_of_the_motion(pair: tuple[float, ...], load: 
         assert np.max(np.abs(quotient - slopes[:, index])) < 2e-4 * np.max(np.abs(quotient)), index
 
 
+@cache
 def record(seed: int = 3, pair: int = 0, hold: int = 12, load: bool = False) -> tuple[Floats, Counts, float]:
     u, resolution = np.random.default_rng(seed).uniform(-1, 1, 1800 // hold).repeat(hold), 1e-5
     y = simulate_two_masses(TwoMasses(*PAIRS[pair]), u[:-1], STEP, np.zeros(4), 10)[:, 2 * load]
