@@ -21,7 +21,6 @@ import pytest
 import scipy.io
 from click.testing import CliRunner, Result
 
-from examples.demo import main as demo
 from pmfid import Drive
 from pmfid.cli.main import main
 from pmfid.estimators.recursive import RecursiveEstimator
@@ -30,7 +29,7 @@ from pmfid.pipeline.result import format_value
 from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, make_scenario, write_csv
 from pmfid.simulation.drive import Schedule, quantize, simulate_drive
 from tests.command import run_command
-from tests.conftest import PROGRESS, long_unless, unjudged
+from tests.conftest import PROGRESS, long_unless
 from tests.patience import PATIENCE
 
 METHODS = ["auto", *methods_for(Drive(1.0))]
@@ -366,17 +365,6 @@ def test_every_command_says_what_it_does_in_one_line() -> None:
         not command.hidden for command in main.commands.values()
     )
     assert "..." not in text.partition("Commands:\n")[2]
-
-
-def test_what_the_demo_writes_can_be_identified_as_it_stands(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    with unjudged():
-        demo(["--out", str(tmp_path)])
-    command = capsys.readouterr().out.partition("next: ")[2].split()[:-2]
-    assert command[:2] == ["pmfid", "identify"]
-    result = run_command(*command[1:])
-    assert "mass" in result.output
 
 
 def spawned(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -8,6 +8,8 @@ import re
 import runpy
 import tomllib
 from collections.abc import Iterator
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from docs.stage import WORDS, describe_commands, list_words, program
 from examples.demo import INCREMENTS, METHODS, RECORD, estimate_mass, main, rms_error, simulate_run
 from pmfid.config.axis import load_axis
 from pmfid.simulation import CART, CART_LOADED
+from tests.command import run_command
 
 
 def blocks(language: str, page: str) -> list[str]:
@@ -77,17 +80,23 @@ def check_output(printed: str, shown: str) -> None:
     assert values[first : first + len(expected)] == pytest.approx(expected, rel=0.01, abs=0.02)
 
 
-def test_the_readme_shows_what_its_commands_print(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from examples import demo
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Return the folder that the demo wrote, and its printed text."""
+    place, text = tmp_path_factory.mktemp("demo"), StringIO()
+    with redirect_stdout(text):
+        main(["--out", str(place), "--images", str(place / "images")])
+    return place, text.getvalue()
 
+
+def test_the_readme_shows_what_its_commands_print(tmp_path: Path, demo: tuple[Path, str]) -> None:
     command, python, table = blocks("text", "README.md")
     shell = (ROOT / "README.md").read_text(encoding="utf-8").partition("    pip install")[2].partition("```")[0]
     lines = "\n".join(line.strip() for line in shell.splitlines()[1:] if line)
     (outcome,) = run_blocks(f"```sh\n{lines}\n```\n", tmp_path)
     check_output(outcome.text, command)
     assert [outcome.text for outcome in run_page("README.md", tmp_path, {})] == [python]
-    demo.main(["--out", str(tmp_path)])
-    check_output(capsys.readouterr().out, table)
+    check_output(demo[1], table)
 
 
 def test_the_skill_works_when_followed_literally(tmp_path: Path) -> None:
@@ -248,15 +257,17 @@ def test_the_error_is_that_of_both_loads() -> None:
     assert rms_error(mass) == pytest.approx(10 / np.sqrt(2))
 
 
-def test_the_command_prints_one_table_and_writes_its_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    main(["--out", str(tmp_path), "--images", str(tmp_path / "images")])
-    text = capsys.readouterr().out
+def test_the_command_prints_one_table_and_writes_its_files(demo: tuple[Path, str]) -> None:
+    place, text = demo
     assert max(map(len, text.partition("\npicture:")[0].splitlines())) <= 80
     assert [line.split()[0] for line in text.splitlines()[2 : 2 + len(INCREMENTS)]] == [str(n) for n in INCREMENTS]
-    assert (tmp_path / "images" / "first.png").stat().st_size > 10_000
-    assert (tmp_path / "images" / "demo.png").read_bytes() == (tmp_path / "demo.png").read_bytes()
-    t, u, counts = np.loadtxt(tmp_path / "cart.csv", delimiter=",", skiprows=1, unpack=True)
+    assert (place / "images" / "first.png").stat().st_size > 10_000
+    assert (place / "images" / "demo.png").read_bytes() == (place / "demo.png").read_bytes()
+    t, u, counts = np.loadtxt(place / "cart.csv", delimiter=",", skiprows=1, unpack=True)
     estimator = pmfid.BCRLS(
         pmfid.Drive(2.0), pmfid.Encoder(22.75e-6 * 4096 / RECORD), t[1] - t[0], 50.0, forgetting=0.99
     )
     assert estimator.run(u, counts.astype(int))["mass"][-1] == pytest.approx(1.44, rel=0.02)
+    command = text.partition("next: ")[2].split()[:-2]
+    assert command[:2] == ["pmfid", "identify"]
+    assert "mass" in run_command(*command[1:]).output

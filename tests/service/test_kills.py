@@ -13,7 +13,7 @@ REPOSITORY = Path(__file__).parents[2]
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="this system cannot fork")
-@pytest.mark.parametrize("what", ["", " --edges"])
+@pytest.mark.parametrize("what", ["", pytest.param(" --edges", marks=pytest.mark.long)])
 def test_a_service_that_is_killed_ends_as_one_that_was_not(what: str) -> None:
     words = f"-m tests.service.kill_campaign --kills 4 --round 4 --seconds 6 --seed 7{what}"
     done = subprocess.run([sys.executable, *words.split()], cwd=REPOSITORY, capture_output=True, text=True)
