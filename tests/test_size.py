@@ -13,7 +13,7 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66005,
+    "lines of src": 66003,
     "lines of code in src": 38663,
     "lines of code in report and cli": 3313,
     "thresholds in src": 986,

@@ -180,41 +180,23 @@ def excite(
 ) -> Excitation:
     """Return the input of a servo at times t (n,) [s] from goals (n,) [rad], known torques and switches.
 
-    A known torque moves along a line from row to row, in a few steps. Without one, the observations may come a time
-    `lead` [s] after the goals of their rows. A goal that acts at most `same` [s] before or after an observation acts
-    with it.
+    A known torque moves along a line from row to row, in a few steps. The observations come a time `lead` [s] after the
+    goals of their rows. A goal that acts at most `same` [s] before or after an observation acts with it.
     """
-    if lead > 0:
-        return _excite_ahead(t, goal, tick, on, lead, same)
-    pieces = 1 if force is None else TUNING.pieces
-    switch = np.repeat(np.ones(t.size - 1) if on is None else np.asarray(on[:-1], float), pieces)
-    columns = [switch]
-    if force is not None:
-        share = (np.arange(pieces) + 0.5) / pieces
-        columns.append((force[:-1, None] + share * np.diff(force)[:, None]).ravel())
-    return Excitation(
-        np.repeat(np.diff(t) / pieces, pieces),
-        np.repeat(np.asarray(goal[:-1], float), pieces),
-        pieces * np.arange(t.size, dtype=np.int32),
-        np.ascontiguousarray(columns),
-        tick,
-        None if on is None else switch,
-    )
-
-
-def _excite_ahead(t: Floats, goal: Floats, tick: float, on: Floats | None, lead: float, same: float) -> Excitation:
-    """Return the input whose observations come a time `lead` [s] after the goals and switches of their rows."""
     seen = t + lead
     after = np.minimum(np.searchsorted(seen, t), t.size - 1)
     apart = np.minimum(np.abs(t - seen[after]), np.abs(t - seen[np.maximum(after - 1, 0)]))
-    times = np.sort(np.concatenate([t[apart > same], seen]))
+    steps = np.arange(1, 1 if force is None else TUNING.pieces) / TUNING.pieces
+    between = (t[:-1, None] + steps * np.diff(t)[:, None]).ravel()
+    times = np.sort(np.concatenate([t[apart > same], seen, between]))
     at = np.searchsorted(t, times[:-1] + same, side="right") - 1
     switch = np.ones(at.size) if on is None else np.asarray(on[at], float)
+    columns = [switch] if force is None else [switch, np.interp((times[:-1] + times[1:]) / 2, t, force)]
     return Excitation(
         np.diff(times),
         np.asarray(goal[at], float),
         np.searchsorted(times, seen).astype(np.int32),
-        switch[None, :],
+        np.ascontiguousarray(columns),
         tick,
         None if on is None else switch,
     )

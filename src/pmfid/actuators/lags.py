@@ -33,15 +33,10 @@ class LagFit:
     search: ServoSearch
 
 
-def choose_lag(search: ServoSearch) -> ServoSearch:
-    """Return the search at the likeliest of a few lags, or itself without such a term."""
-    return max(_fit_lags(search), key=lambda fit: fit.value).search if search.kept else search
-
-
 def profile_lags(search: ServoSearch) -> list[LagFit]:
     """Return the fits at lags that are close enough to each other near the best one, in rising order. A motion that
     overflows has no fit."""
-    fits = [fit for fit in _fit_lags(search) if math.isfinite(fit.value)]
+    fits = [fit for fit in fit_lags(search) if math.isfinite(fit.value)]
     for _ in range(TUNING.halvings):
         best = max(range(len(fits)), key=lambda k: fits[k].value, default=0)
         sides = [k for k in (best - 1, best + 1) if 0 <= k < len(fits)]
@@ -51,7 +46,7 @@ def profile_lags(search: ServoSearch) -> list[LagFit]:
     return fits
 
 
-def _fit_lags(search: ServoSearch) -> list[LagFit]:
+def fit_lags(search: ServoSearch) -> list[LagFit]:
     """Return the fits at the first lags, each one from the nearest fit, until the evidence falls on either side."""
     fits = [_fit_at(search, search.lag)]
     longer = sorted(lag for lag in TUNING.lags if lag > search.lag)
@@ -66,8 +61,10 @@ def _fit_lags(search: ServoSearch) -> list[LagFit]:
 
 def _fit_at(search: ServoSearch, lag: float) -> LagFit:
     """Return the fit at a lag."""
-    at = copy(search)
-    at.set_lag(lag)
+    begins = [copy(search) for _ in range(2)]
+    for begin, power in zip(begins, (0.0, 2.0), strict=True):
+        begin.set_lag(lag, power)
+    at = min(begins, key=lambda begin: begin.noise(begin.problem.linearise(begin.q, begin.starts))[0])
     optimum, lowest = at.solve(at.noise, 15), at.lowest()
     prior = at.prior(at.problem)
     covariance = inverse(optimum.normal.A + np.diag(prior))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -16,12 +16,12 @@ from pmfid.actuators.checks import find_stops
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.servo import Servo
 from pmfid.actuators.stamps import noise_with_stamps
-from pmfid.actuators.terms import LOOP_FRICTION, odds_of, table_of
+from pmfid.actuators.terms import COMMON, LOOP_FRICTION, table_of
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.likelihood import Gaussian
-from pmfid.fit.machine import COULOMB, DELAY, MASS, VISCOUS
-from pmfid.fit.problem import CONSTANT, FAR, FitProblem, ObservedStretch
+from pmfid.fit.machine import COULOMB, DELAY, MASS, VISCOUS, BodyForce
+from pmfid.fit.problem import CONSTANT, FAR, FitProblem, ObservedStretch, ResidualBlock
 from pmfid.fit.search import SETTLED, FitSearch, errors_of
 from pmfid.fit.solve import Likelihood
 from pmfid.fit.terms import Sizes
@@ -54,10 +54,6 @@ class ServoTask:
         """Number of rows from which the starts take one, because two ticks are enough for them."""
         return max(int(2 * TUNING.tick / self.period), 1)
 
-    def thin(self) -> ServoTask:
-        """Return the task with the rows of the logs that the starts take."""
-        return replace(self, logs=[log.cut(slice(None, None, self.every)) for log in self.logs])
-
     @property
     def lead(self) -> float:
         """Longest time by which goals act before their stamps [s]. A row of a log that polls has its goal at its start
@@ -83,28 +79,44 @@ class ServoTask:
     def priors(self) -> dict[str, tuple[float, float]]:
         """Mean and standard deviation of what the logs hardly show."""
         half = 0.5 * self.servo.loop_period
-        return {"loop_delay": (half, half), "velocity_filter": (half, TUNING.filter)}
+        return {"loop_delay": (half, half), "velocity_filter": (half, TUNING.lag)}
 
     def body(self) -> ServoBody:
         """Return the body, in which the delay of the loop is uncertain unless it is given."""
         body = body_of(self.model, dict.fromkeys(self.per_log, len(self.logs)), self.priors, self.load)
         return replace(body, precision=np.array([float(name in self.priors) for name in body.names]))
 
-    def problem(self, tick: float = TUNING.tick) -> FitProblem:
+    def problem(self, tick: float = TUNING.tick) -> ServoProblem:
         """Return the logs as a problem, with a start state after each gap."""
         body = self.body()
         quick = self.period < TUNING.tick  # more parts take time there, and a goal waits for the next tick of the loop
         wait = self.lead, 0.5 * self.servo.loop_period if quick else 1e-6 * self.period
         stretches = tuple(one for k, log in enumerate(self.logs) for one in _stretches(log, body.names, k, tick, wait))
         least = TUNING.least_armature * self.load if "inertia" in body.names else 0.0
-        return FitProblem(body, stretches, self.servo.resolution, mass=(math.log(least) if least else -np.inf, np.inf))
+        lightest = math.log(least) if least else -np.inf
+        return ServoProblem(body, stretches, self.servo.resolution, mass=(lightest, np.inf))
+
+
+@dataclass(frozen=True, eq=False)
+class ServoProblem(FitProblem):
+    """A problem that remembers its last motions, because each fit begins where the one before it ended."""
+
+    last: dict[bytes, list[tuple[ResidualBlock, Floats]]] = field(init=False, default_factory=dict)
+
+    def linearise_motion(self, q: Floats, starts: Floats) -> list[tuple[ResidualBlock, Floats]]:
+        point = q.tobytes() + starts.tobytes()
+        found = self.last.pop(point, None) or super().linearise_motion(q, starts)
+        self.last[point] = found
+        for old in list(self.last)[: -TUNING.remembered]:
+            del self.last[old]
+        return [(ResidualBlock(block.e.copy(), block.J.copy(), block.K.copy()), v) for block, v in found]
 
 
 def _stretches(
     log: JointLog, names: Sequence[str], number: int, tick: float, wait: tuple[float, float]
 ) -> list[ObservedStretch]:
     suffixes = [name.partition(".")[2] for name in names]
-    acts = np.array([not suffix or suffix == str(number + 1) for suffix in suffixes], float)
+    acts = np.array([suffix in ("", str(number + 1)) for suffix in suffixes], float) if any(suffixes) else None
     gaps = np.diff(log.t) > max(TUNING.gap, 5 * float(np.median(np.diff(log.t))))
     stopped, found = find_stops(log), []
     breaks = np.flatnonzero(gaps | np.diff(stopped)) + 1
@@ -120,10 +132,12 @@ def _stretches(
 
 
 def head_of(problem: FitProblem) -> FitProblem:
-    """Return the first part of the motion of the liveliest stretches."""
-    lively, heads = sorted(problem.stretches, key=lambda one: -float(np.sum(np.abs(np.diff(one.y))))), []
-    times = np.cumsum([0.0, *(min(float(one.times[-1]), TUNING.head) for one in lively[:-1])])
-    for one in lively[: int(np.sum(times < (TUNING.most_heads - 0.5) * TUNING.head))]:
+    """Return the first part of the motion of the liveliest stretches, in the order of the logs."""
+    lively, heads = np.argsort([-float(np.sum(np.abs(np.diff(one.y)))) for one in problem.stretches]), []
+    times = [min(float(one.times[-1]), TUNING.head) for one in problem.stretches]
+    before = np.cumsum([0.0, *(times[k] for k in lively[:-1])])
+    for k in sorted(lively[before < (TUNING.most_heads - 0.5) * TUNING.head].tolist()):
+        one = problem.stretches[k]
         moving = np.flatnonzero(np.abs(one.y - one.y[0]) > 3 * problem.resolution)
         first = max(0.0, float(one.times[moving[0]]) - 0.5) if moving.size else 0.0
         whole = one.times[-1] <= TUNING.head
@@ -148,6 +162,7 @@ class ServoSearch(FitSearch):
         self.table = table_of(task.model, gain, self.sizes) if search else []
         if task.servo.known_force:
             self.table = [one for one in self.table if one.name != "gravity"]
+        self.lag = 0.5 * task.servo.loop_period  # of the velocity in the loop [s]
         self.kept = tuple(i for i, one in enumerate(self.table) if one.name == LOOP_FRICTION)
         self.take(problem, q, starts, [])
         self.choose(self.kept)
@@ -160,25 +175,29 @@ class ServoSearch(FitSearch):
         self.q, self.starts, self.noise = q, starts, Gaussian(problem.stretches)
         self.stamps = 0.0  # standard deviation of their error [s]
 
-    @property
-    def lag(self) -> float:
-        """Lag of the velocity in the loop [s]."""
-        force = self.table[self.kept[0]].force
-        assert force is not None
-        return force.p
+    def set_lag(self, lag: float, power: float) -> None:
+        """Give the velocity in the loop a lag [s], and let the motion stay nearly the same.
 
-    def set_lag(self, lag: float) -> None:
-        """Give the velocity in the loop a lag [s]. The inertia takes what the gain hides at the new lag."""
-        i, change = self.kept[0], lag - self.lag
-        force = self.table[i].force
-        assert force is not None
-        gain = self._sizes()[i][0] * self.table[i].sd
-        self.table = [*self.table[:i], replace(self.table[i], force=replace(force, p=lag)), *self.table[i + 1 :]]
+        Slow motion shows the friction of the loop and the joint together, and the inertia without the friction of the
+        loop times its lag. The friction of the loop falls with a `power` of the lag: fast motion shows the product with
+        the square of the lag, and a limit of the torque shows the friction itself.
+        """
+        i, before, self.lag = self.kept[0], self.lag, lag
+        row, place = self.table[i], self.problem.places[self.chosen.index(i)]
+        self.table = [*self.table[:i], replace(row, force=BodyForce("loop_filtered", lag)), *self.table[i + 1 :]]
         self.problem = self._chosen_problem()
-        if "inertia" in self.plain.machine.names:
-            q, place = self.q.copy(), self.plain.machine.names.index("inertia")
-            q[place] += math.log1p(float(np.clip(gain * change / math.exp(max(q[place], -300.0)), -0.5, 1.0)))
-            self.q = q
+        names, q, period = self.plain.machine.names, self.q.copy(), self.task.servo.loop_period
+        gain = after = q[place] * row.sd
+        if "viscous" in names:
+            viscous = names.index("viscous")
+            after = min(gain * ((before + period) / (lag + period)) ** power, gain + 0.5 * q[viscous])
+            q[viscous] += gain - after
+            q[place] = after / row.sd
+        if "inertia" in names:
+            inertia = names.index("inertia")
+            change = (after * lag - gain * before) / math.exp(max(q[inertia], -300.0))
+            q[inertia] += math.log1p(float(np.clip(change, -0.5, 1.0)))
+        self.q = q
 
     def lowest(self) -> Floats:
         """Return the lowest values (p,) of the coordinates."""
@@ -218,18 +237,18 @@ class ServoSearch(FitSearch):
 
     def estimate_noise(self, kinds: Sequence[str]) -> Gaussian:
         """Return the noise of the residuals, with the error of the stamps."""
-        motion, step = self.problem.motion(self.q, self.starts), self.problem.resolution
+        motion, step = self.problem.linearise_motion(self.q, self.starts), self.problem.resolution
         pairs = zip(self.plain.stretches, motion, strict=True)
         stretches = tuple(one.resting((v == 0) | find_rests(one, 1 / self.frequency)) for one, (_, v) in pairs)
-        speeds = [np.clip(np.nan_to_num(v / step), -FAR, FAR) for _, v in motion]
-        noise, self.stamps = noise_with_stamps(stretches, errors_of(self), speeds, self.rate, kinds, self.task.period)
+        errors, speeds = [block.e for block, _ in motion], [np.clip(v / step, -FAR, FAR) for _, v in motion]
+        noise, self.stamps = noise_with_stamps(stretches, errors, speeds, self.rate, kinds, self.task.period)
         return noise
 
     def check_followed(self, noise: Gaussian) -> None:
         """A position under control may follow the goal with any disturbance."""
 
     def _odds(self) -> Floats:
-        return np.array(odds_of(self.table))
+        return super()._odds() - ODDS * np.array([one.name in COMMON for one in self.table])
 
     def local(self, likelihood: Likelihood) -> Quadratic:
         local = super().local(likelihood)

@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from pmfid.actuators.lags import choose_lag
+from pmfid.actuators.lags import fit_lags
 from pmfid.actuators.search import ServoSearch, ServoTask, head_of, limited_part
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
-from pmfid.fit.build import build
+from pmfid.fit.build import build, settle
 from pmfid.fit.likelihood import Gaussian
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.search import SETTLED, errors_of
@@ -29,18 +29,17 @@ FOLLOW = "no servo model explains the motion: check that goal and position have 
 
 def find_search(task: ServoTask, search: bool) -> ServoSearch:
     """Return the search at the best model of the logs, with a limit of the torque and gravity or without."""
-    found = list(_start_searches(task, search))
-    best = max(found, key=_settled_value)
+    best = max(_start_searches(task, search), key=ServoSearch.value)
     _check_explains(best)
-    best = choose_lag(best)
+    best = max(fit_lags(best), key=lambda fit: fit.value).search if best.kept else best
     if search:
         build(best)
-    best = choose_lag(_extend(_drop_limit(best), 2 * TUNING.angle))
+    best = _extend(_drop_limit(best), 2 * TUNING.angle)
     if search:
         best = _build_waves(best)
     best = _extend(_drop_limit(best), TUNING.angle)
     free = _drop_limit(copy(best), always=True)
-    return best if free.task is best.task else max((best, free), key=_settled_value)
+    return best if free.task is best.task else max((best, _settle(free)), key=ServoSearch.value)
 
 
 def _build_waves(search: ServoSearch) -> ServoSearch:
@@ -59,42 +58,45 @@ def _drop_limit(search: ServoSearch, always: bool = False) -> ServoSearch:
         return search
     place = search.plain.machine.names.index("torque_limit")
     kept, noise = np.arange(search.count) != place, search.noise
-    parts = (replace(one, acts=None if one.acts is None else one.acts[kept]) for one in search.plain.stretches)
+    plain, noisy = (
+        tuple(replace(one, acts=None if one.acts is None else one.acts[kept]) for one in stretches)
+        for stretches in (search.plain.stretches, noise.stretches)
+    )
     search.task = replace(search.task, limited=False)
-    problem = replace(search.plain, machine=search.task.body(), stretches=tuple(parts))
+    problem = replace(search.plain, machine=search.task.body(), stretches=plain)
     search.take(problem, np.delete(search.q, place), search.starts, search.chosen)
-    search.noise = replace(noise, stretches=search.plain.stretches)
+    search.noise = replace(noise, stretches=noisy)
     return search
 
 
 def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
-    """Yield searches at the best starts with a limit of the torque and without, each with sets of terms."""
+    """Yield settled searches at the best starts with a limit of the torque and without, each with sets of terms."""
     for limited in (False, True) if search and not task.servo.has("torque_limit") else (False,):
         own = replace(task, limited=limited)
-        problem = head_of(own.problem())
-        at = _drop_limit(ServoSearch(own, problem, find_start(own.thin()), problem.first_starts(), search))
+        problem, thin = head_of(own.problem()), [log.cut(slice(None, None, own.every)) for log in own.logs]
+        q = find_start(replace(own, logs=thin))
+        at = _drop_limit(ServoSearch(own, problem, q, problem.first_starts(), search))
         if at.task.limited != limited:
             continue  # the same model is the other one
-        best = max((at, *_add_term(at, "gravity")), key=_settled_value)
+        at.solve(at.noise)  # in no noise but rounding, because a poor fit hides in the noise of its own residuals
+        best = max((_settle(at), *_add_term(at, "gravity")), key=ServoSearch.value)
         yield best
         for name in TERMS:
             yield from _add_term(best, name)
 
 
 def _add_term(search: ServoSearch, name: str) -> Iterator[ServoSearch]:
-    """Yield the search with a term, if the table has this term."""
+    """Yield the settled search with a term, if the table has this term."""
     rows = [i for i, one in enumerate(search.table) if one.name == name]
     if rows:
         other = copy(search)
         other.choose([*search.chosen, *rows])
-        yield other
+        yield _settle(other)
 
 
-def _settled_value(search: ServoSearch) -> float:
-    search.solve(search.noise)
-    search.noise = search.estimate_noise(search.wandering)
-    search.solve(search.noise, 15)
-    return search.value()
+def _settle(search: ServoSearch) -> ServoSearch:
+    settle(search, search.wandering)
+    return search
 
 
 def _check_explains(search: ServoSearch) -> None:
@@ -108,14 +110,10 @@ def _check_explains(search: ServoSearch) -> None:
 def _extend(search: ServoSearch, angle: float) -> ServoSearch:
     """Go to the whole logs, in parts of an interval in which the natural frequency turns by an angle [rad]."""
     whole = search.task.problem(float(np.clip(angle / search.frequency, 2e-4, TUNING.tick)))
-    starts = search.starts if whole.rows == search.plain.rows else whole.first_starts()
-    noise = replace(search.noise, stretches=whole.stretches)
-    search.take(whole, search.q, starts, search.chosen)
-    search.solve(noise, 15)
-    for _ in range(2):
-        search.noise = search.estimate_noise(search.wandering)
-        search.solve(search.noise, 15)
-    return search
+    same, noise = whole.rows == search.plain.rows, search.noise
+    search.take(whole, search.q, search.starts if same else whole.first_starts(), search.chosen)
+    search.solve(noise if same else replace(noise, stretches=whole.stretches))
+    return _settle(search)
 
 
 # --- starts -----------------------------------------------------------------------------------------------------------
@@ -130,10 +128,13 @@ def find_start(task: ServoTask) -> Floats:
     if "inertia" in head.machine.names and "kp" not in head.machine.names and not task.load:
         least = task.servo.given.get("kp", 1.0) / TUNING.frequencies[1] ** 2  # a delay replaces a smaller inertia
         head = replace(head, mass=(math.log(least), math.inf))
-    draw = ServoDraw(task, head.machine.names, np.random.default_rng(0))
-    drawn = [head.clip_to_bounds(head.start(draw())) for _ in range(TUNING.draws)]
-    likely = np.argsort(_costs(_cut(head, TUNING.sprint), drawn))[: TUNING.selected]
-    best = _refine(_cut(head, TUNING.head / len(head.stretches)), [drawn[i] for i in likely])[:2]
+    rng, names = np.random.default_rng(0), head.machine.names
+    drawn = [head.clip_to_bounds(head.start(draw_servo(task, names, rng))) for _ in range(TUNING.draws)]
+    for time, kept in ((TUNING.sprint, TUNING.selected), (TUNING.head / len(head.stretches), TUNING.refined)):
+        part = replace(head, stretches=tuple(one.cut(0.0, time) for one in head.stretches))
+        drawn = [drawn[i] for i in np.argsort(_costs(part, drawn))[:kept]]
+    ends = [_descend(part, q, part.first_starts(), 12, 1.0) for q in drawn]
+    best = sorted(ends, key=lambda end: end.cost)[:2]
     return min((_descend(head, end.q, end.starts, 40, 0.01) for end in best), key=lambda end: end.cost).q
 
 
@@ -142,25 +143,12 @@ def _descend(head: FitProblem, q: Floats, starts: Floats, steps: int, small: flo
     return solve(head, Gaussian(head.stretches, scale=9.0), q, starts, head.machine.precision, steps, small)
 
 
-def _cut(head: FitProblem, time: float) -> FitProblem:
-    """Return the first part [s] of each stretch."""
-    return replace(head, stretches=tuple(one.cut(0.0, time) for one in head.stretches))
-
-
-def _refine(head: FitProblem, drawn: Sequence[Floats]) -> list[Optimum]:
-    """Return what a few steps make of the best of some servos q (p,), the best one first."""
-    likely = np.argsort(_costs(head, drawn))[: TUNING.refined]
-    ends = [_descend(head, drawn[i], head.first_starts(), 12, 1.0) for i in likely]
-    return sorted(ends, key=lambda end: end.cost)
-
-
 def _costs(head: FitProblem, drawn: Sequence[Floats]) -> Floats:
     """Return the squares (n,) that n servos leave."""
     starts, squares = head.first_starts(), np.zeros(len(drawn))
     for i, q in enumerate(drawn):
-        for (y, _), one in zip(head.motion(q, starts), head.stretches, strict=True):
-            apart = np.nan_to_num(np.clip(y - one.y, -1e6, 1e6), nan=1e6)
-            squares[i] += apart @ apart
+        apart = np.concatenate([y - one.y for (y, _), one in zip(head.motion(q, starts), head.stretches, strict=True)])
+        squares[i] = np.sum(np.square(np.nan_to_num(np.clip(apart, -1e6, 1e6), nan=1e6)))
     return squares
 
 
@@ -169,49 +157,44 @@ def _draw_positive(rng: np.random.Generator, low: float, high: float) -> float:
     return float(np.exp(rng.uniform(np.log(low), np.log(high))))
 
 
-class ServoDraw:
-    """A random servo (p,) for each call, in the ranges of `TUNING` and with what is given."""
+def _draw_gain(task: ServoTask, frequency: float, rng: np.random.Generator) -> float:
+    """Draw a gain [N m/rad] that agrees with what is given."""
+    given = task.servo.given
+    if task.servo.relative or "kp" in given:
+        return given.get("kp", 1.0)
+    if "inertia" in given:
+        return given["inertia"] * frequency**2
+    known = (given[name] for name in ("gravity", "torque_limit", "coulomb", "kd") if given.get(name))
+    forces = (float(np.abs(log.force).max()) for log in task.logs if log.force is not None)
+    torque = next(known, None) or max(forces, default=1.0)
+    return torque / task.lag * _draw_positive(rng, 0.03, 30.0)
 
-    def __init__(self, task: ServoTask, names: Sequence[str], rng: np.random.Generator) -> None:
-        self.task, self.names, self.rng, self.lag, self.period = task, names, rng, task.lag, task.period
-        self.speed = max(float(np.std(np.diff(log.position) / np.diff(log.t))) for log in task.logs) + 1e-9
-        self.largest = max(float(np.max(np.abs(log.goal - log.position))) for log in task.logs)
-        self.force = max((float(np.abs(log.force).max()) for log in task.logs if log.force is not None), default=1.0)
 
-    def _draw_gain(self, frequency: float) -> float:
-        """Draw a gain [N m/rad] that agrees with what is given."""
-        given = self.task.servo.given
-        if self.task.servo.relative or "kp" in given:
-            return given.get("kp", 1.0)
-        if "inertia" in given:
-            return given["inertia"] * frequency**2
-        torque = next((given[name] for name in ("gravity", "torque_limit", "coulomb", "kd") if given.get(name)), None)
-        return (torque or self.force) / self.lag * _draw_positive(self.rng, 0.03, 30.0)
-
-    def __call__(self) -> Floats:
-        rng, task, lag, speed = self.rng, self.task, self.lag, self.speed
-        frequency, damping = _draw_positive(rng, *TUNING.frequencies), _draw_positive(rng, *TUNING.dampings)
-        gain = self._draw_gain(frequency)
-        inertia = task.servo.given.get("inertia", gain / frequency**2)
-        torque = gain * lag
-        pair = "gravity" in self.names and "gravity_angle" in self.names
-        drawn = {
-            "inertia": max(inertia - task.load, 0.03 * inertia),
-            "viscous": 2 * damping * frequency * inertia,
-            "coulomb": torque * _draw_positive(rng, *TUNING.frictions),
-            "kp": gain,
-            "back_emf": 2 * damping * frequency * inertia * rng.uniform(0.0, 1.0),
-            "kd": damping * frequency * inertia,
-            "ki": gain * _draw_positive(rng, 0.1, 10.0),
-            "torque_limit": gain * self.largest * _draw_positive(rng, 0.1, 1.5),
-            "delay": task.lead + max(rng.uniform(0.0, TUNING.delays) * self.period, 1e-6),
-            "gravity": torque * _draw_positive(rng, 0.1, 10.0),
-            "gravity_angle": torque * rng.uniform(-1.0, 1.0) if pair else rng.uniform(-math.pi, math.pi),
-            "stribeck": torque * _draw_positive(rng, *TUNING.frictions),
-            "quadratic": inertia * _draw_positive(rng, 0.01, 1.0),
-        }
-        shares = ("load_friction", "load_stribeck", "motor_friction", "motor_stribeck")
-        drawn |= {name: _draw_positive(rng, 0.01, 0.3) for name in shares}
-        speeds = ("stribeck_speed", "load_stribeck_speed", "motor_stribeck_speed")
-        drawn |= {name: speed * _draw_positive(rng, 0.03, 1.0) for name in speeds}
-        return np.array([drawn.get(name.partition(".")[0], 0.0) for name in self.names])
+def draw_servo(task: ServoTask, names: Sequence[str], rng: np.random.Generator) -> Floats:
+    """Draw a random servo (p,) in the ranges of `TUNING` and with what is given."""
+    speed = max(float(np.std(np.diff(log.position) / np.diff(log.t))) for log in task.logs) + 1e-9
+    frequency, damping = _draw_positive(rng, *TUNING.frequencies), _draw_positive(rng, *TUNING.dampings)
+    gain = _draw_gain(task, frequency, rng)
+    inertia = task.servo.given.get("inertia", gain / frequency**2)
+    torque, largest = gain * task.lag, max(float(np.max(np.abs(log.goal - log.position))) for log in task.logs)
+    pair = "gravity" in names and "gravity_angle" in names
+    drawn = {
+        "inertia": max(inertia - task.load, 0.03 * inertia),
+        "viscous": 2 * damping * frequency * inertia,
+        "coulomb": torque * _draw_positive(rng, *TUNING.frictions),
+        "kp": gain,
+        "back_emf": 2 * damping * frequency * inertia * rng.uniform(0.0, 1.0),
+        "kd": damping * frequency * inertia,
+        "ki": gain * _draw_positive(rng, 0.1, 10.0),
+        "torque_limit": gain * largest * _draw_positive(rng, 0.1, 1.5),
+        "delay": task.lead + max(rng.uniform(0.0, TUNING.delays) * task.period, 1e-6),
+        "gravity": torque * _draw_positive(rng, 0.1, 10.0),
+        "gravity_angle": torque * rng.uniform(-1.0, 1.0) if pair else rng.uniform(-math.pi, math.pi),
+        "stribeck": torque * _draw_positive(rng, *TUNING.frictions),
+        "quadratic": inertia * _draw_positive(rng, 0.01, 1.0),
+    }
+    shares = ("load_friction", "load_stribeck", "motor_friction", "motor_stribeck")
+    drawn |= {name: _draw_positive(rng, 0.01, 0.3) for name in shares}
+    speeds = ("stribeck_speed", "load_stribeck_speed", "motor_stribeck_speed")
+    drawn |= {name: speed * _draw_positive(rng, 0.03, 1.0) for name in speeds}
+    return np.array([drawn.get(name.partition(".")[0], 0.0) for name in names])

@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterator
 
 from pmfid.actuators.servo import Servo
-from pmfid.fit.compare import ODDS
 from pmfid.fit.machine import DIRECTIONAL, OFFSET, BodyForce
 from pmfid.fit.terms import ExtraForce, Sizes
 
@@ -25,12 +24,6 @@ def table_of(servo: Servo, gain: float, s: Sizes) -> list[ExtraForce]:
     """Return the terms that a servo does not have yet, with priors for a gain kp [N m/rad] and the sizes of a log."""
     rows = [*_loads(s), *_loop(servo, gain, s), *_frictions(s)]
     return [row for row in rows if not servo.has({LOOP_FRICTION: "kd"}.get(row.name, row.name))]
-
-
-def odds_of(table: list[ExtraForce]) -> list[float]:
-    """Return the log odds of each term. The candidates of one name share those of their row."""
-    names = [one.name for one in table]
-    return [(0.0 if name in COMMON else ODDS) - math.log(names.count(name)) for name in names]
 
 
 def _row(name: str, words: str, sd: float, **more: object) -> ExtraForce:

@@ -30,6 +30,8 @@ class ActuatorTuning:
     no_limit: float = 1e12
     pieces: int = 4
     # search
+    #: Motions that a problem remembers.
+    remembered: int = 8
     #: Starts and terms are compared on this much of the motion of a log [s], and on this number of logs.
     head: float = 12.0
     most_heads: int = 4
@@ -55,8 +57,6 @@ class ActuatorTuning:
     #: the slowest servo of the ranges is permitted too. Least armature over the known load: less matters as little.
     far: float = 5.0
     least_armature: float = 0.01
-    #: Standard deviation of the lag of the velocity in the loop [s].
-    filter: float = 3e-3
     # lags
     #: Lags of the velocity in a loop at which the fit is tried first [s], and the standard deviation of the lag.
     lags: tuple[float, ...] = (0.0, 0.5e-3, 1e-3, 2e-3, 4e-3, 7e-3, 11e-3)

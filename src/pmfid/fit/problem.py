@@ -273,14 +273,19 @@ class FitProblem:
 
     def linearise(self, q: Floats, starts: Floats) -> list[ResidualBlock]:
         """Return a block for each stretch at q (p,) and the start states (m, s)."""
+        return [block for block, _ in self.linearise_motion(q, starts)]
+
+    def linearise_motion(self, q: Floats, starts: Floats) -> list[tuple[ResidualBlock, Floats]]:
+        """Return the blocks, each with the velocities (k,) [unit/s]."""
         same = self._body(q)
         blocks = [
             self._block(stretch, state, scale, *(same if stretch.acts is None else self._body(q, stretch.acts)))
             for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True)
         ]
         if any(one.reads for one in self.candidates):
-            return [self._read(*block, one, q) for block, one in zip(blocks, self.stretches, strict=True)]
-        return [block for block, _ in blocks]
+            pairs = zip(blocks, self.stretches, strict=True)
+            return [(self._read(block, v, one, q), v) for (block, v), one in pairs]
+        return blocks
 
     def residuals(self, q: Floats, starts: Floats) -> list[Floats]:
         """Return the residuals (k,) of each stretch [counts], in less time than with their derivatives."""
@@ -319,9 +324,9 @@ class FitProblem:
 
     def motion(self, q: Floats, starts: Floats) -> list[tuple[Floats, Floats]]:
         """Return the positions and velocities (k,) at the observations of each stretch [unit, unit/s]."""
-        found = []
+        found, same = [], self._body(q)
         for stretch, state, scale in zip(self.stretches, starts, self.scales(), strict=True):
-            body, forces, _ = self._body(q, stretch.acts)
+            body, forces, _ = same if stretch.acts is None else self._body(q, stretch.acts)
             at = self._start_body(stretch, state, scale, body)
             m = self.machine
             motion = simulate(stretch.drive, forces, at, self.parts, elastic=m.elastic, load=m.load)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -128,23 +129,41 @@ class _Point:
 
 
 def _descend(at: _Point, damping: float, small: float) -> tuple[_Point | None, float]:
-    """Return a better point or None, and the next damping. A step whose slope promises less than `small` ends it."""
+    """Return a better point or None, and the next damping. A step whose slope promises less than `small` ends it.
+
+    After a step that fails, no other is tried whose parameters move more than half as far.
+    """
+    longest = math.inf
     for _ in range(12):
         normal = normal_of(at.blocks, at.starts, damping)
         A, g = normal.A + np.diag(at.prior), normal.g + at.prior * at.q
-        step = find_step(A, g, damping)
-        held = (step != 0) & (at.problem.clip_to_bounds(at.q + step) == at.q)
-        if np.any(held):  # the others step along the bound (Bertsekas 1982)
-            free = ~held
-            g = g * free
-            step = find_step(A * np.outer(free, free), g, damping)
+        step = bounded_step(at.problem, at.q, A, g, damping)
         if not np.all(np.isfinite(step)) or normal.fall - float(g @ step) < small:
             return None, damping
+        length = float(np.linalg.norm(np.sqrt(np.maximum(np.diag(A), 0.0)) * step))
+        if length > longest:
+            damping *= 10
+            continue
         tried = at.move(step, normal.starts(step))
         if np.isfinite(tried.cost) and tried.cost < at.cost:
-            return tried, max(damping / 10, 1e-10)
-        damping *= 10
+            return tried, max(damping / 10, 1e-10) if longest == math.inf else damping
+        damping, longest = 10 * damping, length / 2
     return None, damping
+
+
+def bounded_step(problem: Simulator, q: Floats, A: Floats, g: Floats, damping: float) -> Floats:
+    """Return the step from q (p,). The parameters that it would take beyond a bound go to their bounds, and the step of
+    the others goes with theirs (Bertsekas 1982)."""
+    fixed, step = np.zeros(q.size, bool), find_step(A, g, damping)
+    for _ in range(q.size):
+        inside = problem.clip_to_bounds(q + step) - q
+        beyond = ~fixed & (np.abs(inside - step) > 1e-12 * np.abs(step))
+        if not np.any(beyond):
+            break
+        fixed |= beyond
+        ends, free = np.where(fixed, inside, 0.0), ~fixed
+        step = np.where(fixed, ends, find_step(A * np.outer(free, free), (g + A @ ends) * free, damping))
+    return step
 
 
 def find_step(A: Floats, g: Floats, damping: float) -> Floats:
