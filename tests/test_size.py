@@ -20,7 +20,7 @@ MOST = {
     "lines of csrc": 8671,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
-    "lines of tests": 28474,
+    "lines of tests": 28472,
     "match= in tests": 25,
     "lines of studies": 8022,
 }
