@@ -3,7 +3,6 @@
 
 #define N PMF_MAX_PARAMETERS
 #define PIVOT_FLOOR PMF_EITHER(1e-6, 1e-14)
-#define TINY PMF_EITHER(1e-30, 1e-200)
 
 /* Factorise a symmetric matrix, given by its lower half, as L D L^T. */
 PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], real_t inverse[N])
@@ -11,7 +10,7 @@ PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], r
     real_t scaled[N];
     uint32_t i, j, k;
     for (i = 0; i < p; ++i) {
-        real_t pivot = matrix[i][i], floor = PIVOT_FLOOR * matrix[i][i] + TINY;
+        real_t pivot = matrix[i][i], floor = PIVOT_FLOOR * matrix[i][i] + PMF_TINY;
         for (j = 0; j < i; ++j) {
             real_t sum = matrix[i][j];
             for (k = 0; k < j; ++k) {
@@ -32,7 +31,7 @@ PMF_SELDOM real_t smallest_pivot(uint32_t p, real_t matrix[N][N], const real_t i
     real_t smallest = PMF_R(1.0), relative;
     uint32_t i;
     for (i = 0; i < p; ++i) {
-        relative = PMF_IF(matrix[i][i] > TINY, PMF_R(1.0) / (inverse[i] * matrix[i][i]), PMF_R(0.0));
+        relative = PMF_IF(matrix[i][i] > PMF_TINY, PMF_R(1.0) / (inverse[i] * matrix[i][i]), PMF_R(0.0));
         smallest = PMF_IF(relative < smallest, relative, smallest);
     }
     return smallest;
@@ -76,52 +75,36 @@ typedef struct {
     real_t lower[N][N], inverse[N], half[N][N];
 } projection_t;
 
-/* Compute information = W^T Z^-1 W (lower half) and move = W^T Z^-1 move. The factors stay for `project_more`. */
-PMF_INLINE void project(pmf_recursion_state_t *state, uint32_t p, projection_t *projection, real_t information[N][N],
-                        real_t move[N])
+/* Compute the projection and information = W^T Z^-1 W (lower half). */
+PMF_INLINE void project_information(pmf_recursion_state_t *state, uint32_t p, projection_t *projection,
+                                    real_t information[N][N])
 {
-    real_t projected[N];
     uint32_t i, j, k;
     factorise(p, state->sums.square, projection->lower, projection->inverse);
-    forward(p, projection->lower, move);
-    for (i = 0; i < p; ++i) {
-        projected[i] = PMF_R(0.0);
-        for (j = 0; j <= i; ++j) {
-            information[i][j] = PMF_R(0.0);
-        }
-    }
     for (k = 0; k < p; ++k) {
-        real_t scaled = move[k] * projection->inverse[k];
         forward_row(p, k, state->sums.cross, projection->lower, projection->half);
         for (i = 0; i < p; ++i) {
             real_t weighted = projection->half[k][i] * projection->inverse[k];
-            projected[i] += projection->half[k][i] * scaled;
             for (j = 0; j <= i; ++j) {
-                information[i][j] += weighted * projection->half[k][j];
+                information[i][j] = (k > 0U ? information[i][j] : PMF_R(0.0)) + weighted * projection->half[k][j];
             }
         }
     }
-    for (i = 0; i < p; ++i) {
-        move[i] = projected[i];
-    }
 }
 
-/* Apply the same projection to another vector. */
-PMF_INLINE void project_more(uint32_t p, projection_t *projection, real_t move[N])
+/* Compute move = W^T Z^-1 move. */
+PMF_INLINE void project(uint32_t p, projection_t *projection, real_t move[N])
 {
-    real_t projected[N];
+    real_t scaled[N];
     uint32_t i, k;
     forward(p, projection->lower, move);
     for (i = 0; i < p; ++i) {
-        move[i] *= projection->inverse[i];
+        scaled[i] = move[i] * projection->inverse[i];
     }
     for (i = 0; i < p; ++i) {
-        projected[i] = PMF_R(0.0);
+        move[i] = PMF_R(0.0);
         for (k = 0; k < p; ++k) {
-            projected[i] += projection->half[k][i] * move[k];
+            move[i] += projection->half[k][i] * scaled[k];
         }
-    }
-    for (i = 0; i < p; ++i) {
-        move[i] = projected[i];
     }
 }

@@ -143,7 +143,7 @@ PMF_SELDOM void end_block(const pmf_recursion_config_t *config, pmf_recursion_st
         state->score[i] = PMF_IF(where, PMF_R(0.0), state->score[i]);
     }
     if (instrumental != 0U) {
-        project_more(p, projection, move);
+        project(p, projection, move);
     }
     solve(state, p, move);
     note_block(config, state, where, move);
@@ -185,7 +185,7 @@ PMF_INLINE void note_misread(const pmf_recursion_config_t *config, pmf_recursion
         move[i] = zeta[i] * sum;
     }
     if (instrumental != 0U) {
-        project_more(p, projection, move);
+        project(p, projection, move);
     }
     solve(state, p, move);
     for (i = 0; i < p; ++i) {

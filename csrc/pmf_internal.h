@@ -107,6 +107,7 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 
 /* Periods, and limits of the values in a state. */
 enum pmf_limits {
+    PMF_CLEARED = 64, /* updates between two searches for traces of zero signals in the filters, a power of two */
     PMF_FOLLOWED = 4, /* samples between two steps of the slow copy, a power of two */
     PMF_FAST_SAMPLES = 3, /* samples that count as fast after two or more counts in one sample */
     PMF_BLOCK_MEMORY = 100, /* memory of the statistics, in blocks of innovations */
@@ -116,6 +117,7 @@ enum pmf_limits {
 };
 static const scalar_t PMF_LEAST_RATIO = PMF_SCALAR(1e-6); /* least ratio of a step to the sample period */
 static const scalar_t PMF_MOST_RATIO = PMF_SCALAR(100.0);
+#define PMF_TINY PMF_EITHER(1e-30, 1e-200) /* a smaller number is nothing */
 #define PMF_LARGEST_INPUT PMF_EITHER(1e15, 1e100)
 
 /* Return a count modulo mask + 1 with its sign. */

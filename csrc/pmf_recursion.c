@@ -79,7 +79,7 @@ PMF_INLINE whole_t judge(const pmf_recursion_config_t *config, pmf_recursion_sta
     }
     for (i = 0; i < p; ++i) {
         real_t part = state->estimate.variance_factor[i] * threshold * state->peak[i];
-        poor |= PMF_BIT((PMF_R(1.0) < part) | (state->peak[i] <= TINY), PMF_POOR_EXCITATION);
+        poor |= PMF_BIT((PMF_R(1.0) < part) | (state->peak[i] <= PMF_TINY), PMF_POOR_EXCITATION);
     }
     return poor;
 }
@@ -154,7 +154,8 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
     accumulate(config, state, column, p, instrumental);
     residual(config, state, instrumental != 0U ? &column[p + 1U] : column, p, instrumental, move);
     if (instrumental != 0U) {
-        project(state, p, &projection, information, move);
+        project_information(state, p, &projection, information);
+        project(p, &projection, move);
     } else {
         for (i = 0; i < p; ++i) {
             for (j = 0; j <= i; ++j) {

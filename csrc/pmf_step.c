@@ -31,6 +31,18 @@ static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
     }
 }
 
+/* Clear the traces of signals that have stayed zero. Rounding never lowers the least numbers of a filter to zero, and
+ * many processors compute with such numbers ten times slower. */
+static void clear_traces(pmf_state_t *state)
+{
+    truth_t looks = (state->direct.updates & (PMF_CLEARED - 1U)) == 0U;
+    uint32_t i;
+    for (i = 0; PMF_ANY(looks) && i < (uint32_t)PMF_MAX_STAGES; ++i) {
+        real_t memory = state->network.memory[i];
+        state->network.memory[i] = PMF_IF(looks & (PMF_SIZE(memory) < PMF_TINY), PMF_R(0.0), memory);
+    }
+}
+
 /* Run encoder, auxiliary model and network on a sample that the guard has passed. */
 static whole_t filter_sample(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
@@ -48,6 +60,7 @@ static whole_t filter_sample(const pmf_config_t *config, pmf_state_t *state, rea
     }
     pass_step(config, state);
     pmf_network_step(&config->network, &state->network);
+    clear_traces(state);
     if (PMF_MODELLED(config)) {
         pmf_instrument_correct(config, state);
     }

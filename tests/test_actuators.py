@@ -149,7 +149,7 @@ def test_friction_by_the_motors_torque_and_a_limit_by_the_voltage_are_found(slow
 
 
 def test_gravity_that_the_model_lacks_is_found() -> None:
-    log = make_log(seed=5, time=4.0)
+    log = make_log(seed=5)
     fit = fit_servo(Servo(STEP, given={"kp": 8.0, "kd": 0.02}), *log)
     assert "gravity" in fit.added
     check_estimates(fit, 0.02)

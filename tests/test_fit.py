@@ -251,6 +251,7 @@ def test_a_force_is_found_from_the_blind_start(kind: str, seed: int, index: int,
     np.testing.assert_allclose(examine(case).theta, list(case.truth.values()), rtol=bound)
 
 
+@pytest.mark.long
 def test_cogging_that_pushes_the_motion_away_is_followed_through_parts() -> None:
     """Without parts of the record first, the mass is 0.08 % off and the record unmodelled."""
     case = make_case("cogging", 2)

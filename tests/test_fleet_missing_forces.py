@@ -18,7 +18,7 @@ from tests.oracles.axis import Axes, Excitation, simulate_axes
 #: Mass, viscous and Coulomb friction, in counts, samples and parts of the largest input.
 MASS, VISCOUS, COULOMB = TRUE = np.array([0.12, 0.0024, 0.15])
 SPEED = (1 - COULOMB) / VISCOUS
-SAMPLES, DT, RESOLUTION = 3000, 0.02, 1e-5
+SAMPLES, DT, RESOLUTION = 6000, 0.02, 1e-5
 
 
 def make_log(motion: str, seed: int, quadratic: float) -> pl.DataFrame:

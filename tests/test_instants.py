@@ -57,7 +57,7 @@ def identified(
     return found
 
 
-@pytest.mark.parametrize("clock", long_unless(("in turn", "host").__contains__, ["bursts", "in turn", "host"]))
+@pytest.mark.parametrize("clock", long_unless("host".__eq__, ["bursts", "in turn", "host"]))
 def test_the_step_that_was_is_taken_where_stamps_are_true(tmp_path: Path, clock: str) -> None:
     result = identified(tmp_path, *run(clock))
     np.testing.assert_allclose(result.theta, TRUTH, rtol=3e-3)
@@ -77,7 +77,7 @@ def test_gaps_between_uneven_steps_stay_gaps(tmp_path: Path, clock: str) -> None
     assert "uneven_clock" not in result.status
 
 
-@pytest.mark.parametrize("delay", long_unless((0.2, 3.0).__contains__, [0.2, 1.0, 3.0]))
+@pytest.mark.parametrize("delay", long_unless((3.0).__eq__, [0.2, 1.0, 3.0]))
 def test_stamps_of_arrival_give_what_even_stamps_give(tmp_path: Path, delay: float) -> None:
     method = '[estimator]\nmethod = "iv"\n'
     even, late = (identified(tmp_path, *run("even", by), method) for by in (0.0, delay))

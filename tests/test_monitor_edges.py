@@ -82,6 +82,7 @@ def test_a_gap_is_no_suspicion_and_hides_no_change(factor: float) -> None:
     assert (suspected, monitor.state) == (factor > 1, "watching")
 
 
+@pytest.mark.long
 def test_a_slow_change_is_one_alarm_with_a_rate() -> None:
     """Each sound estimate has a part of the change, so that only the reference shows it. A step is another alarm."""
     slow = [(20.0 + 1.5 * k, replace(CART, mass=(1 + 0.002 * k) * CART.mass)) for k in range(101)]

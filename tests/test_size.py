@@ -17,10 +17,10 @@ MOST = {
     "lines of code in src": 38663,
     "lines of code in report and cli": 3313,
     "thresholds in src": 986,
-    "lines of csrc": 8671,
+    "lines of csrc": 8670,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
-    "lines of tests": 28472,
+    "lines of tests": 28474,
     "match= in tests": 25,
     "lines of studies": 8022,
 }
