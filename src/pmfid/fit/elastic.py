@@ -1,10 +1,9 @@
-"""Blind starts of two masses on a spring, from the measured motion and from a scan of resonances."""
+"""Blind starts of two masses on a spring or with play, from the measured motion and from scans."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator
 from itertools import product
 
 import numpy as np
@@ -28,9 +27,9 @@ from pmfid.fit.machine import (
     BodyModel,
 )
 from pmfid.fit.problem import FitProblem, ObservedStretch
-from pmfid.fit.shooting import count_parts, join, rejoin, settle
-from pmfid.fit.solve import Optimum, solve
-from pmfid.fit.starts import soften
+from pmfid.fit.release import release
+from pmfid.fit.solve import Optimum
+from pmfid.fit.starts import blind_start
 from pmfid.fit.tuning import PLAY_TUNING, TUNING
 from pmfid.types import Floats
 
@@ -42,7 +41,7 @@ def elastic_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProb
     """Return the fit of two masses with friction and a load to the liveliest stretch.
 
     Where no guess by the measured motion explains it, a scan of resonances takes several times as long. With a `bound`
-    of the cost, there is no such scan if there are guesses, and a first fit beyond it ends the search.
+    of the cost, there is no such scan if there are guesses.
 
     Raises NotIdentifiableError if the axis does not move, or if the input is zero.
     """
@@ -52,12 +51,33 @@ def elastic_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProb
     bounds = (math.log(guess[0]) - TUNING.far, math.log(guess[0]) + TUNING.far)
     plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=resonances(stretch))
     prior = prior_of(plain, force)
-    best = _follow_guesses(plain, prior, bound)
+    guesses = [] if problem.machine.load else driven_guesses(stretch, problem.resolution)
+    points = distinct([start_at(plain, one) for one in guesses], 0.02)[: TUNING.followed]
+    best = release(plain, points, prior, bound) if points else None
     if best is None or (math.isinf(bound) and best.cost > TUNING.rounded * stretch.y.size):
-        parts = (PLAY_TUNING.part * float(np.mean(stretch.steps)), PLAY_TUNING.parts)
-        end = follow(plain, list(_scan(plain, guess)), prior, parts, bound)
+        end = release(plain, list(_scan(plain, guess)), prior, bound)
         best = end if best is None or end.cost < best.cost else best
     return plain, best
+
+
+def play_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProblem, Optimum]:
+    """Return the fit of two masses with play to the liveliest stretch. A first fit beyond a `bound` ends the search.
+
+    The contact is stiff at first: it swings once in a few steps.
+
+    Raises NotIdentifiableError if the axis does not move, or if the input is zero.
+    """
+    stretch, force = liveliest(problem)
+    step = float(np.mean(stretch.drive.step))
+    start, rigid = blind_start((stretch,), problem.resolution, 0.0)
+    theta, smooth = start.theta(rigid.q)[:4], np.array([*guess_sum(stretch, force), 0.0])
+    pair = make_first_pair(problem.machine, plays=True)
+    logs = np.log([theta[0], smooth[0]])
+    bounds = (float(np.min(logs)) - TUNING.far, float(np.max(logs)) + TUNING.far)
+    rates = (PLAY_TUNING.rates[0] / step, PLAY_TUNING.rates[1] / step)
+    plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=rates)
+    points = [q for one in (theta, smooth) for q in _scan_gaps(plain, one, step)]
+    return plain, release(plain, points, prior_of(plain, force), bound)
 
 
 def make_first_pair(machine: BodyModel, plays: bool = False) -> BodyModel:
@@ -88,50 +108,6 @@ def start_at(plain: FitProblem, guess: Floats) -> Floats:
     """Return q (p,) at a guess, with a dead time of half a step if it is free."""
     late = [0.5 * float(np.mean(plain.stretches[0].drive.step))] * (plain.size - guess.size)
     return plain.clip_to_bounds(plain.start(np.append(guess, late)))
-
-
-def _follow_guesses(plain: FitProblem, prior: Floats, bound: float) -> Optimum | None:
-    """Return the best fit of the whole stretch from guesses by the measured motion of the motor, or None without a
-    guess."""
-    (stretch,) = plain.stretches
-    guesses = [] if plain.machine.load else driven_guesses(stretch, plain.resolution)
-    points = distinct([start_at(plain, guess) for guess in guesses], 0.02)[: TUNING.followed]
-    if not points:
-        return None
-    period = 2 * math.pi / resonance_of(plain.theta(points[0]))
-    length = max(TUNING.periods * period, TUNING.shortest * float(np.mean(stretch.steps)))
-    return follow(plain, points, prior, (length, TUNING.parts), bound)
-
-
-def follow(
-    plain: FitProblem, points: Sequence[Floats], prior: Floats, parts: tuple[float, int], bound: float
-) -> Optimum:
-    """Return the best fit of the whole stretch from starts that first follow `parts` of it, of a length [s] and up to a
-    number. It ends where the first fit costs more than a `bound`.
-
-    Parts with start states of their own (Bock 1983) keep wrong parameters near the record.
-    Raises NotIdentifiableError if there is a bound, and even the parts leave more than a count. A few guesses, which
-    may be far away, still follow the whole stretch.
-    """
-    (length, most), enough = parts, TUNING.rounded * plain.rows
-    problem = plain.cut(count_parts(plain, length))
-    problem = replace(problem, stretches=problem.stretches[:: math.ceil(len(problem.stretches) / most)])
-    first, like = problem.first_starts(), soften(problem.stretches)
-    ends = sorted((solve(problem, like, q, first, prior, 4, 0.1) for q in points), key=lambda end: end.cost)
-    ends = [settle(problem, end.q, end.starts, prior, 12) for end in ends[: TUNING.kept]]
-    ends, tried = sorted(ends, key=lambda end: end.cost), list[Optimum]()
-    if ends[0].cost > problem.rows and len(points) > TUNING.followed and math.isfinite(bound):
-        raise NotIdentifiableError("two masses do not follow")
-    for end in ends[:2]:
-        tried.append(join(plain, problem, end, length, prior))
-        best = min(tried, key=lambda one: one.cost)
-        if best.cost < enough or best.cost > bound:
-            return best
-    for number in TUNING.rejoined:
-        before, best = best, min(rejoin(plain, best.q, prior, number), best, key=lambda one: one.cost)
-        if best.cost < enough or best.cost > max(before.cost / 2, plain.rows):  # a whole count, and hardly better
-            break
-    return best
 
 
 def liveliest(problem: FitProblem) -> tuple[ObservedStretch, float]:
@@ -187,3 +163,16 @@ def _scan(plain: FitProblem, guess: tuple[float, float, float]) -> Iterator[Floa
         motor, load = mass * (1 - share), mass * share
         spring = (reduced * rate**2, 2 * TUNING.ratio * rate * reduced)
         yield start_at(plain, np.array([motor, viscous / 2, coulomb / 2, 0.0, load, viscous / 2, coulomb / 2, *spring]))
+
+
+def _scan_gaps(plain: FitProblem, theta: Floats, step: float) -> Iterator[Floats]:
+    """Yield starts q (p,) over gaps and shares of the load."""
+    mass, viscous, coulomb, load = theta.tolist()
+    (stretch,), rate = plain.stretches, PLAY_TUNING.contact[0] / step
+    gaps = np.geomspace(1, max(2, PLAY_TUNING.widest * float(np.ptp(stretch.y)) / plain.resolution), PLAY_TUNING.gaps)
+    for gap, share in product((gaps * plain.resolution).tolist(), PLAY_TUNING.shares):
+        reduced = mass * share * (1 - share)
+        contact = (reduced * rate**2, 2 * PLAY_TUNING.contact[1] * rate * reduced, gap)
+        motor, second = mass * (1 - share), mass * share
+        pair = (motor, viscous / 2, coulomb / 2, load, second, viscous / 2, coulomb / 2, *contact)
+        yield start_at(plain, np.array(pair))

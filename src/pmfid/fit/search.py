@@ -11,13 +11,12 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import ODDS, Quadratic
-from pmfid.fit.elastic import elastic_start
+from pmfid.fit.elastic import elastic_start, play_start
 from pmfid.fit.likelihood import ROUNDING, Gaussian, Intervals, noise_of
 from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
-from pmfid.fit.play import play_start
 from pmfid.fit.problem import FitProblem
 from pmfid.fit.shooting import rejoin
-from pmfid.fit.solve import Likelihood, Optimum, inverse, normal_of, scale_matrix, solve
+from pmfid.fit.solve import Likelihood, Optimum, inverse, normal_of, random_step, solve
 from pmfid.fit.starts import blind_start, sizes_of
 from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, free_constants
 from pmfid.fit.tuning import MOTION, TUNING
@@ -441,9 +440,7 @@ def _nearby(search: FitSearch, q: Floats, starts: Floats, rng: np.random.Generat
     noise = Gaussian(search.plain.stretches)
     normal = normal_of(noise(search.problem.linearise(q, starts))[1], starts)
     A = normal.A + np.diag(search.prior(search.problem))
-    values, vectors = np.linalg.eigh(scale_matrix(A)[0])
-    step = vectors @ (rng.standard_normal(q.size) / np.sqrt(np.maximum(values, 1e-6)))
-    return search.problem.clip_to_bounds(q + NEARBY * step / scale_matrix(A)[1])
+    return search.problem.clip_to_bounds(q + NEARBY * random_step(A, rng))
 
 
 def _nearby_starts(search: FitSearch, rng: np.random.Generator) -> Floats:

@@ -11,11 +11,10 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import NORMAL_95, ODDS
-from pmfid.fit.elastic import ROWS, elastic_start, resonance_of
+from pmfid.fit.elastic import ROWS, elastic_start, play_start, resonance_of
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import ROUNDING, Gaussian, noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
-from pmfid.fit.play import play_start
 from pmfid.fit.problem import FitProblem, ObservedStretch, ResidualBlock
 from pmfid.fit.search import with_columns
 from pmfid.fit.shooting import settle

@@ -226,3 +226,11 @@ def scale_matrix(A: Floats) -> tuple[Floats, Floats]:
     """Return a matrix with a unit diagonal, and the roots of the diagonal."""
     size = np.sqrt(np.maximum(np.diag(A), 1e-200))
     return A / np.outer(size, size), size
+
+
+def random_step(A: Floats, rng: np.random.Generator) -> Floats:
+    """Return a random step (p,) with the covariance that belongs to an information A (p, p). Directions without
+    information have a bound."""
+    scaled, size = scale_matrix(A)
+    values, vectors = np.linalg.eigh(scaled)
+    return np.asarray(vectors @ (rng.standard_normal(size.size) / np.sqrt(np.maximum(values, 1e-6))) / size)

@@ -27,12 +27,8 @@ class ElasticTuning:
     kept: int = 5
     turns: int = 5
     step: float = 1e-3
-    #: Guesses that are followed, through parts of some periods of the resonance and of some steps at least, most of
-    #: the first parts, and the factor by which their length grows.
+    #: Guesses that are followed, and the factor by which the length of parts of a record grows.
     followed: int = 3
-    periods: float = 5.0
-    shortest: float = 40.0
-    parts: int = 40
     joined: float = 6.0
     #: Parts of the record that a motion next to rounding starts again from.
     rejoined: tuple[int, ...] = (36, 72, 144)
@@ -61,7 +57,7 @@ class ElasticTuning:
 
 @dataclass(frozen=True)
 class PlayTuning:
-    """Sizes of `fit.play`."""
+    """Sizes of the scan for play."""
 
     #: Scan: number of gaps from one count to a part of the travel, shares of the load in the inertia, and rate [1/step]
     #: and damping ratio of the contact.
@@ -73,9 +69,23 @@ class PlayTuning:
     narrowest: float = 0.01
     #: Bounds of the contact's rate [1/step].
     rates: tuple[float, float] = (0.1, 3.0)
-    #: Length [steps] and number of the parts that a start of a scan follows.
-    part: int = 100
-    parts: int = 20
+
+
+@dataclass(frozen=True)
+class ReleaseTuning:
+    """Sizes of `fit.release`."""
+
+    #: Rates of the spring [1/step], and the width of the kernel that smooths the counts [steps].
+    rates: tuple[float, ...] = (0.3, 0.1, 0.05, 0.025, 0.012, 0.006, 0.003)
+    width: float = 1.0
+    #: Steps of the solver with the first spring and with the others, and the least distance of fits that are followed
+    #: in the logarithms of the share of the load, and of gap or stiffness.
+    first: int = 5
+    steps: int = 15
+    apart: float = 0.15
+    #: Search near an optimum: rounds, and random parameters.
+    rounds: int = 2
+    tries: int = 20
 
 
 @dataclass(frozen=True)
@@ -101,4 +111,5 @@ class WithinTuning:
     penalty: float = 1e4
 
 
-TUNING, PLAY_TUNING, MOTION, WITHIN_TUNING = ElasticTuning(), PlayTuning(), MotionTuning(), WithinTuning()
+TUNING, PLAY_TUNING, RELEASE_TUNING = ElasticTuning(), PlayTuning(), ReleaseTuning()
+MOTION, WITHIN_TUNING = MotionTuning(), WithinTuning()

@@ -1,0 +1,118 @@
+"""Fits whose motion a spring holds near the measured one. The spring becomes weaker until the motion is free.
+
+Masses that bounce make the likelihood of a free motion rough, because each wrong contact shifts all later ones. A held
+motion comes into contact when the measured one does (synchronisation; Abarbanel, Creveling, Farsian and Kostuk 2009).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pmfid.errors import NotIdentifiableError
+from pmfid.fit.machine import LOAD_VISCOUS, VISCOUS, BodyForce
+from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.shooting import rejoin
+from pmfid.fit.solve import Optimum, random_step, solve
+from pmfid.fit.starts import soften
+from pmfid.fit.tuning import RELEASE_TUNING, TUNING
+from pmfid.types import Floats
+
+
+def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, bound: float) -> Optimum:
+    """Return the best fit of two masses from starts q (p,), whose motion is held less and less.
+
+    A cost within the `bound` cannot come from a held motion that leaves more than a count.
+    Raises NotIdentifiableError if there is a bound, and even held motions leave that.
+    """
+    rng, enough, starts = np.random.default_rng(1), TUNING.rounded * plain.rows, plain.first_starts()
+    ends = [_descend(hold(plain, q, RELEASE_TUNING.rates[0]), q, starts, prior, RELEASE_TUNING.first) for q in points]
+    ends.sort(key=lambda end: end.cost)
+    for number, rate in enumerate(RELEASE_TUNING.rates[1:], 1):
+        tried = []
+        for end in _distinct(plain, ends)[: len(RELEASE_TUNING.rates) - number]:
+            held = hold(plain, end.q, rate)
+            tried.append(_search(held, _descend(held, end.q, end.starts, prior), prior, rng))
+            if tried[-1].cost < enough and (free := _let_go(plain, tried[-1], prior, rng)).cost < enough:
+                return free
+        ends = sorted(tried, key=lambda end: end.cost)
+        if ends[0].cost > plain.rows and np.isfinite(bound):
+            raise NotIdentifiableError("two masses do not follow")
+    best = min((_let_go(plain, end, prior, rng) for end in ends), key=lambda end: end.cost)
+    for number in TUNING.rejoined:
+        before, best = best, min(rejoin(plain, best.q, prior, number), best, key=lambda end: end.cost)
+        if best.cost < enough or best.cost > max(before.cost / 2, plain.rows):  # a whole count, and hardly better
+            break
+    return best
+
+
+def hold(plain: FitProblem, q: Floats, rate: float) -> FitProblem:
+    """Return the problem with a spring and a damper between the shown mass and its measured motion, through a smooth
+    line. Both masses together swing with the `rate` [1/step] on the spring."""
+    machine = plain.machine
+    mass = float(np.sum(np.exp(q[[machine.lead, machine.further[0]]])))
+    rate /= float(np.mean(plain.stretches[0].drive.step))
+    spring, damper = mass * rate**2, 2 * mass * rate
+    rest = np.append(machine.rest, [spring, -1.0])
+    rest[LOAD_VISCOUS if machine.load else VISCOUS] += damper
+    lift = np.vstack([machine.lift, np.zeros((2, machine.lift.shape[1]))])
+    column = plain.stretches[0].drive.columns.shape[0]
+    forces = BodyForce("spring", load=machine.load), BodyForce("column", column=column, load=machine.load)
+    return replace(
+        plain,
+        machine=replace(machine, rest=rest, lift=lift, forces=forces),
+        stretches=tuple(one.with_columns(_pull(one, spring, damper)[None]) for one in plain.stretches),
+        parts=1,
+    )
+
+
+def _pull(stretch: ObservedStretch, spring: float, damper: float) -> Floats:
+    """Return the force (n,) of spring and damper on a mass at rest at zero."""
+    from scipy.ndimage import gaussian_filter1d
+
+    step = stretch.drive.step
+    y = np.interp(np.append(0.0, np.cumsum(step)), stretch.times, stretch.y)
+    y = gaussian_filter1d(y, RELEASE_TUNING.width, mode="nearest")
+    return np.asarray(spring * (y[1:] + y[:-1]) / 2 + damper * np.diff(y) / step)
+
+
+def _descend(
+    problem: FitProblem, q: Floats, starts: Floats, prior: Floats, steps: int = RELEASE_TUNING.steps
+) -> Optimum:
+    return solve(problem, soften(problem.stretches), q, starts, prior, steps, 0.1)
+
+
+def _let_go(plain: FitProblem, end: Optimum, prior: Floats, rng: np.random.Generator) -> Optimum:
+    return _search(plain, _descend(plain, end.q, end.starts, prior), prior, rng)
+
+
+def _search(problem: FitProblem, end: Optimum, prior: Floats, rng: np.random.Generator) -> Optimum:
+    """Return a better optimum near an optimum. A contact more or less parts them, so that no slope leads there."""
+    for _ in range(RELEASE_TUNING.rounds):
+        if end.cost < TUNING.rounded * problem.rows:
+            break
+        A = end.normal.A + np.diag(prior)
+        sizes = 10 ** -rng.random(RELEASE_TUNING.tries)
+        near = [problem.clip_to_bounds(end.q + size * random_step(A, rng)) for size in sizes]
+        costs = [sum(float(e @ e) for e in problem.residuals(q, end.starts)) for q in near]
+        best = _descend(problem, near[int(np.argmin(costs))], end.starts, prior)
+        if not best.cost < end.cost:
+            break
+        end = best
+    return end
+
+
+def _distinct(plain: FitProblem, ends: Sequence[Optimum]) -> list[Optimum]:
+    """Return the first ends with a share of the load, and a gap or else a stiffness, of their own."""
+    load, stiffness, _, *gap = plain.machine.further
+    kept: list[Optimum] = []
+    places: list[Floats] = []
+    for end in ends:
+        size = np.log(end.q[gap[0]]) if gap else end.q[stiffness]
+        place = np.array([size, end.q[load] - end.q[plain.machine.lead]])
+        if all(np.max(np.abs(place - other)) > RELEASE_TUNING.apart for other in places):
+            kept.append(end)
+            places.append(place)
+    return kept
