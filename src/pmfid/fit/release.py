@@ -24,8 +24,7 @@ from pmfid.types import Floats
 def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, bound: float) -> Optimum:
     """Return the best fit of two masses from starts q (p,), whose motion is held less and less.
 
-    A cost within the `bound` cannot come from a held motion that leaves more than a count.
-    Raises NotIdentifiableError if there is a bound, and even held motions leave that.
+    Raises NotIdentifiableError if there is a `bound`, and even held motions leave twice the cost of rounding.
     """
     rng, enough, starts = np.random.default_rng(1), TUNING.rounded * plain.rows, plain.first_starts()
     ends = [_descend(hold(plain, q, RELEASE_TUNING.rates[0]), q, starts, prior, RELEASE_TUNING.first) for q in points]
@@ -34,11 +33,13 @@ def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, bound: f
         tried = []
         for end in _distinct(plain, ends)[: len(RELEASE_TUNING.rates) - number]:
             held = hold(plain, end.q, rate)
-            tried.append(_search(held, _descend(held, end.q, end.starts, prior), prior, rng))
+            tried.append(_descend(held, end.q, end.starts, prior))
+            if np.isinf(bound) or tried[-1].cost < 2 * enough:
+                tried[-1] = _search(held, tried[-1], prior, rng)
             if tried[-1].cost < enough and (free := _let_go(plain, tried[-1], prior, rng)).cost < enough:
                 return free
         ends = sorted(tried, key=lambda end: end.cost)
-        if ends[0].cost > plain.rows and np.isfinite(bound):
+        if ends[0].cost > 2 * enough and np.isfinite(bound):
             raise NotIdentifiableError("two masses do not follow")
     best = min((_let_go(plain, end, prior, rng) for end in ends), key=lambda end: end.cost)
     for number in TUNING.rejoined:
