@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66076,
-    "lines of code in src": 38711,
+    "lines of src": 66072,
+    "lines of code in src": 38702,
     "lines of code in report and cli": 3313,
     "thresholds in src": 988,
     "lines of csrc": 8670,

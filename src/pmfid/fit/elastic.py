@@ -37,47 +37,50 @@ from pmfid.types import Floats
 ROWS = (MASS, VISCOUS, COULOMB, OFFSET, LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
 
 
-def elastic_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProblem, Optimum]:
-    """Return the fit of two masses with friction and a load to the liveliest stretch.
+def elastic_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem, Optimum]:
+    """Return the fit of two masses on a spring, with friction and a load, to the liveliest stretch.
 
-    Where no guess by the measured motion explains it, a scan of resonances takes several times as long. With a `bound`
-    of the cost, there is no such scan if there are guesses.
+    Where no guess by the measured motion explains it, a scan of resonances takes several times as long. A `trial` has
+    no such scan if there are guesses, and asks only whether rounding explains the rest.
 
-    Raises NotIdentifiableError if the axis does not move, or if the input is zero.
+    Raises NotIdentifiableError if the axis does not move, if the input is zero, or if a trial fails.
     """
     stretch, force = liveliest(problem)
-    pair = make_first_pair(problem.machine)
-    guess = guess_sum(stretch, force)
-    bounds = (math.log(guess[0]) - TUNING.far, math.log(guess[0]) + TUNING.far)
-    plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=resonances(stretch))
+    total = np.array([*guess_sum(stretch, force), 0.0])
+    plain = _plain_pair(problem, stretch, total[:1], resonances(stretch))
     prior = prior_of(plain, force)
     guesses = [] if problem.machine.load else driven_guesses(stretch, problem.resolution)
-    points = distinct([start_at(plain, one) for one in guesses], 0.02)[: TUNING.followed]
-    best = release(plain, points, prior, bound) if points else None
-    if best is None or (math.isinf(bound) and best.cost > TUNING.rounded * stretch.y.size):
-        end = release(plain, list(_scan(plain, guess)), prior, bound)
+    points = distinct([start_at(plain, guess) for guess in guesses], 0.02)[: TUNING.followed]
+    best = release(plain, points, prior, trial) if points else None
+    if best is None or not (trial or best.cost < TUNING.rounded * stretch.y.size):
+        end = release(plain, list(_scan(plain, total)), prior, trial)
         best = end if best is None or end.cost < best.cost else best
     return plain, best
 
 
-def play_start(problem: FitProblem, bound: float = math.inf) -> tuple[FitProblem, Optimum]:
-    """Return the fit of two masses with play to the liveliest stretch. A first fit beyond a `bound` ends the search.
+def play_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem, Optimum]:
+    """Return the fit of two masses with play to the liveliest stretch. A `trial` is that of `elastic_start`.
 
     The contact is stiff at first: it swings once in a few steps.
 
-    Raises NotIdentifiableError if the axis does not move, or if the input is zero.
+    Raises NotIdentifiableError if the axis does not move, if the input is zero, or if a trial fails.
     """
     stretch, force = liveliest(problem)
     step = float(np.mean(stretch.drive.step))
     start, rigid = blind_start((stretch,), problem.resolution, 0.0)
-    theta, smooth = start.theta(rigid.q)[:4], np.array([*guess_sum(stretch, force), 0.0])
-    pair = make_first_pair(problem.machine, plays=True)
-    logs = np.log([theta[0], smooth[0]])
-    bounds = (float(np.min(logs)) - TUNING.far, float(np.max(logs)) + TUNING.far)
-    rates = (PLAY_TUNING.rates[0] / step, PLAY_TUNING.rates[1] / step)
-    plain = FitProblem(pair, (stretch,), problem.resolution, mass=bounds, rate=rates)
-    points = [q for one in (theta, smooth) for q in _scan_gaps(plain, one, step)]
-    return plain, release(plain, points, prior_of(plain, force), bound)
+    totals = np.array([start.theta(rigid.q)[:4], [*guess_sum(stretch, force), 0.0]])
+    low, high = PLAY_TUNING.rates
+    plain = _plain_pair(problem, stretch, totals[:, 0], (low / step, high / step), plays=True)
+    points = [q for total in totals for q in _scan_gaps(plain, total, step)]
+    return plain, release(plain, points, prior_of(plain, force), trial)
+
+
+def _plain_pair(
+    problem: FitProblem, stretch: ObservedStretch, masses: Floats, rate: tuple[float, float], plays: bool = False
+) -> FitProblem:
+    """Return the problem of two masses near first guesses of their sum (k,), with bounds of the resonance [1/s]."""
+    mass = math.log(np.min(masses)) - TUNING.far, math.log(np.max(masses)) + TUNING.far
+    return FitProblem(make_first_pair(problem.machine, plays), (stretch,), problem.resolution, mass=mass, rate=rate)
 
 
 def make_first_pair(machine: BodyModel, plays: bool = False) -> BodyModel:
@@ -154,25 +157,27 @@ def _smooth(column: Floats, kernel: Floats) -> Floats:
     return column
 
 
-def _scan(plain: FitProblem, guess: tuple[float, float, float]) -> Iterator[Floats]:
+def _scan(plain: FitProblem, total: Floats) -> Iterator[Floats]:
     """Yield starts q (p,) over resonances and shares of the load."""
-    (low, high), (mass, viscous, coulomb) = plain.rate, guess
+    low, high = plain.rate
     count = max(2, round(TUNING.per_octave * math.log2(high / low)))
     for rate, share in product(np.geomspace(low, high, count).tolist(), TUNING.shares):
-        reduced = mass * share * (1 - share)
-        motor, load = mass * (1 - share), mass * share
-        spring = (reduced * rate**2, 2 * TUNING.ratio * rate * reduced)
-        yield start_at(plain, np.array([motor, viscous / 2, coulomb / 2, 0.0, load, viscous / 2, coulomb / 2, *spring]))
+        yield _share_out(plain, total, share, (rate, TUNING.ratio))
 
 
-def _scan_gaps(plain: FitProblem, theta: Floats, step: float) -> Iterator[Floats]:
+def _scan_gaps(plain: FitProblem, total: Floats, step: float) -> Iterator[Floats]:
     """Yield starts q (p,) over gaps and shares of the load."""
-    mass, viscous, coulomb, load = theta.tolist()
-    (stretch,), rate = plain.stretches, PLAY_TUNING.contact[0] / step
+    (stretch,), (rate, ratio) = plain.stretches, PLAY_TUNING.contact
     gaps = np.geomspace(1, max(2, PLAY_TUNING.widest * float(np.ptp(stretch.y)) / plain.resolution), PLAY_TUNING.gaps)
     for gap, share in product((gaps * plain.resolution).tolist(), PLAY_TUNING.shares):
-        reduced = mass * share * (1 - share)
-        contact = (reduced * rate**2, 2 * PLAY_TUNING.contact[1] * rate * reduced, gap)
-        motor, second = mass * (1 - share), mass * share
-        pair = (motor, viscous / 2, coulomb / 2, load, second, viscous / 2, coulomb / 2, *contact)
-        yield start_at(plain, np.array(pair))
+        yield _share_out(plain, total, share, (rate / step, ratio), gap)
+
+
+def _share_out(plain: FitProblem, total: Floats, share: float, swing: tuple[float, float], *gap: float) -> Floats:
+    """Return q (p,) for the sums of mass, viscous and Coulomb friction and the load force (4,), a share of the load in
+    the mass, and the resonance [1/s] and damping ratio of the pair."""
+    (mass, viscous, coulomb, load), (rate, ratio) = total.tolist(), swing
+    motor, second, reduced = mass * (1 - share), mass * share, mass * share * (1 - share)
+    spring = (reduced * rate**2, 2 * ratio * rate * reduced)
+    pair = (motor, viscous / 2, coulomb / 2, load, second, viscous / 2, coulomb / 2, *spring, *gap)
+    return start_at(plain, np.array(pair))

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
+from pmfid.fit.driven import distinct
 from pmfid.fit.machine import LOAD_VISCOUS, VISCOUS, BodyForce
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.shooting import rejoin
@@ -21,10 +22,11 @@ from pmfid.fit.tuning import RELEASE_TUNING, TUNING
 from pmfid.types import Floats
 
 
-def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, bound: float) -> Optimum:
+def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: bool) -> Optimum:
     """Return the best fit of two masses from starts q (p,), whose motion is held less and less.
 
-    Raises NotIdentifiableError if there is a `bound`, and even held motions leave twice the cost of rounding.
+    A `trial` asks only whether rounding explains the rest. It takes less time.
+    Raises NotIdentifiableError in a trial if even held motions leave twice the cost of rounding.
     """
     rng, enough, starts = np.random.default_rng(1), TUNING.rounded * plain.rows, plain.first_starts()
     ends = [_descend(hold(plain, q, RELEASE_TUNING.rates[0]), q, starts, prior, RELEASE_TUNING.first) for q in points]
@@ -34,12 +36,12 @@ def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, bound: f
         for end in _distinct(plain, ends)[: len(RELEASE_TUNING.rates) - number]:
             held = hold(plain, end.q, rate)
             tried.append(_descend(held, end.q, end.starts, prior))
-            if np.isinf(bound) or tried[-1].cost < 2 * enough:
+            if not trial or tried[-1].cost < 2 * enough:
                 tried[-1] = _search(held, tried[-1], prior, rng)
             if tried[-1].cost < enough and (free := _let_go(plain, tried[-1], prior, rng)).cost < enough:
                 return free
         ends = sorted(tried, key=lambda end: end.cost)
-        if ends[0].cost > 2 * enough and np.isfinite(bound):
+        if trial and ends[0].cost > 2 * enough:
             raise NotIdentifiableError("two masses do not follow")
     best = min((_let_go(plain, end, prior, rng) for end in ends), key=lambda end: end.cost)
     for number in TUNING.rejoined:
@@ -108,12 +110,7 @@ def _search(problem: FitProblem, end: Optimum, prior: Floats, rng: np.random.Gen
 def _distinct(plain: FitProblem, ends: Sequence[Optimum]) -> list[Optimum]:
     """Return the first ends with a share of the load, and a gap or else a stiffness, of their own."""
     load, stiffness, _, *gap = plain.machine.further
-    kept: list[Optimum] = []
-    places: list[Floats] = []
-    for end in ends:
-        size = np.log(end.q[gap[0]]) if gap else end.q[stiffness]
-        place = np.array([size, end.q[load] - end.q[plain.machine.lead]])
-        if all(np.max(np.abs(place - other)) > RELEASE_TUNING.apart for other in places):
-            kept.append(end)
-            places.append(place)
-    return kept
+    sizes = [np.log(end.q[gap[0]]) if gap else end.q[stiffness] for end in ends]
+    places = [np.array([size, end.q[load] - end.q[plain.machine.lead]]) for size, end in zip(sizes, ends, strict=True)]
+    kept = {id(place) for place in distinct(places, RELEASE_TUNING.apart)}
+    return [end for end, place in zip(ends, places, strict=True) if id(place) in kept]

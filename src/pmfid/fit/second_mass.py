@@ -15,11 +15,10 @@ from pmfid.fit.elastic import ROWS, elastic_start, play_start, resonance_of
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import ROUNDING, Gaussian, noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
-from pmfid.fit.problem import FitProblem, ObservedStretch, ResidualBlock
+from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.search import with_columns
 from pmfid.fit.shooting import settle
 from pmfid.fit.solve import Optimum, inverse
-from pmfid.fit.starts import soften
 from pmfid.fit.tuning import TUNING
 from pmfid.types import Floats
 
@@ -71,7 +70,7 @@ def try_second_mass(fitted: Fitted) -> SecondMass | None:
     one = _fit_one_mass(problem, fitted.solution.q, part)
     if _leaves_rounding(one[0].residuals(one[1].q, one[1].starts)[0]):
         return None
-    pair = _fit_two_masses(problem, part, one[1].cost)
+    pair = _fit_two_masses(problem, part)
     if pair is None:
         return None
     odds = _evidence(*pair) - _evidence(*one) + ODDS
@@ -83,24 +82,19 @@ def find_second_mass(problem: FitProblem) -> SecondMass | None:
     """Return the second mass of a record that no motion of one mass follows, if that of two masses explains every
     count."""
     stretch = max(problem.stretches, key=lambda one: one.y.size)
-    pair = _fit_two_masses(problem, stretch.part(*_windows(stretch.drive.step.size)[0]), math.inf)
+    pair = _fit_two_masses(problem, stretch.part(*_windows(stretch.drive.step.size)[0]))
     return None if pair is None else _read(*pair, math.inf)
 
 
-def _fit_two_masses(problem: FitProblem, part: ObservedStretch, bound: float) -> tuple[FitProblem, Optimum] | None:
+def _fit_two_masses(problem: FitProblem, part: ObservedStretch) -> tuple[FitProblem, Optimum] | None:
     """Return the fit of two masses to a part of the record, on a spring or else with play, or None if both leave more
-    than rounding.
-
-    The search ends early where one mass, whose cost is the `bound`, or an axis at rest is better.
-    """
+    than rounding."""
     if part.y.size < TUNING.fewest:
         return None
     problem = replace(problem, stretches=(part,), candidates=())
-    still = ResidualBlock((part.y - part.y[0]) / problem.resolution, *np.zeros((2, part.y.size, 1)))
-    bound = min(bound, soften((part,))([still])[0])
     for start in (elastic_start, play_start):
         with suppress(NotIdentifiableError):
-            pair, end = start(problem, bound)
+            pair, end = start(problem, trial=True)
             if end.cost < TUNING.rounded * part.y.size:
                 return pair, end
     return None
