@@ -13,10 +13,10 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66072,
-    "lines of code in src": 38702,
+    "lines of src": 66040,
+    "lines of code in src": 38675,
     "lines of code in report and cli": 3313,
-    "thresholds in src": 988,
+    "thresholds in src": 986,
     "lines of csrc": 8670,
     "defines of csrc": 195,
     "conditionals of csrc": 106,

@@ -83,9 +83,7 @@ def driven_guesses(stretch: ObservedStretch, resolution: float) -> list[Floats]:
     forces -= basis @ (basis.T @ forces)
     gains = (forces.T @ rest) ** 2 / np.maximum(np.sum(forces**2, axis=0), 1e-300)
     likely = [loads[i] for i in np.argsort(-gains).tolist() if forces[:, i] @ rest > 0]
-    kept = distinct(likely, 0.3)[: TUNING.kept]
-    refined = _refine(record, basis, rest, np.array(kept)) if kept else []
-    guesses = [_complete(record, load) for load in refined]
+    guesses = [_complete(record, load) for load in distinct(likely, 0.3)[: TUNING.kept]]
     return [one for one in guesses if one[0] > 0 and one[4] > 0]
 
 
@@ -101,34 +99,6 @@ def _list_loads(record: SmoothRecord) -> Floats:
             for w, part in product(rates.tolist(), TUNING.frictions)
         ]
     )
-
-
-def _refine(record: SmoothRecord, basis: Floats, rest: Floats, loads: Floats) -> list[Floats]:
-    """Return the loads (4,) after some steps of variable projection (Kaufman 1975), the best one first."""
-    count = len(loads)
-    damping, cost, best, tried = np.full(count, 1e-2), np.full(count, np.inf), loads.copy(), loads.copy()
-    normal: list[tuple[Floats, Floats]] = [(np.eye(5), np.zeros(5))] * count
-    steps = np.vstack([np.zeros(4), TUNING.step * np.eye(4)])
-    for _ in range(TUNING.turns):
-        forces = record.loads((tried[:, None, :] + steps).reshape(-1, 4))
-        forces = (forces - basis @ (basis.T @ forces)).reshape(-1, count, 5)
-        for k in range(count):
-            of_mass = forces[:, k, 0]
-            mass = float(of_mass @ rest) / max(float(of_mass @ of_mass), 1e-300)
-            left = rest - mass * of_mass
-            if left @ left < cost[k]:
-                cost[k], best[k], damping[k] = left @ left, tried[k], damping[k] / 5
-                J = np.column_stack([of_mass, (forces[:, k, 1:] - of_mass[:, None]) / TUNING.step * mass])
-                normal[k] = J.T @ J, J.T @ left
-            else:
-                damping[k] *= 8
-            tried[k] = best[k] + np.clip(_solve_step(*normal[k], damping[k])[1:], -0.5, 0.5)
-    return [best[k] for k in np.argsort(cost).tolist()]
-
-
-def _solve_step(A: Floats, g: Floats, damping: float) -> Floats:
-    size = np.sqrt(np.maximum(np.diag(A), 1e-300))
-    return np.asarray(np.linalg.solve(A / np.outer(size, size) + (damping + 1e-9) * np.eye(5), g / size) / size)
 
 
 def _complete(record: SmoothRecord, load: Floats) -> Floats:

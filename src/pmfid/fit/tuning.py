@@ -23,10 +23,8 @@ class ElasticTuning:
     frictions: tuple[float, ...] = (0.02, 0.06, 0.2, 0.6, 2.0)
     #: Largest step over the rate of a load.
     reach: float = 0.35
-    #: Loads that are refined, turns of that, and the relative step of a derivative.
+    #: Loads that make a guess.
     kept: int = 5
-    turns: int = 5
-    step: float = 1e-3
     #: Guesses that are followed, and the factor by which the length of parts of a record grows.
     followed: int = 3
     joined: float = 6.0
