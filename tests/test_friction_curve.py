@@ -60,6 +60,16 @@ def test_the_law_is_within_the_band(kind: str) -> None:
     assert found.status == ()
 
 
+@pytest.mark.parametrize("command", ["friction", "encoder"])
+def test_a_process_is_refused_with_the_remedy_for_the_log_of_a_machine(tmp_path: Path, command: str) -> None:
+    (tmp_path / "run.csv").write_text("u,y\n1,0.1\n-1,0.2\n")
+    (tmp_path / "axis.toml").write_text(
+        '[record]\ninput = "u"\noutput = "y"\ndt = 0.01\n[model]\nkind = "transfer_function"\nn = 1\nm = 0\n'
+    )
+    refused = run_command(command, tmp_path / "run.csv", "--config", tmp_path / "axis.toml", code=2)
+    assert 'give [model] kind = "drive"' in refused.stderr
+
+
 def test_the_command_leaves_out_a_wrong_count(tmp_path: Path) -> None:
     case = case_of("Stribeck 20 %", 0)
     counts = case.counts.astype(int).tolist()

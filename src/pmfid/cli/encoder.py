@@ -52,9 +52,10 @@ def encoder(
     with progress("encoder") as tell:
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.encoders import compare_encoders
-        from pmfid.records.record import read_record
+        from pmfid.pipeline.identify import read_machine
         from pmfid.report.encoders import encoder_page
 
         axis = load_axis(config)
-        found = compare_encoders(read_record(record, axis), axis, want / 100, line_error / 100, parameter, tell)
+        data = read_machine(record, axis, "a comparison of encoders")
+        found = compare_encoders(data, axis, want / 100, line_error / 100, parameter, tell)
     deliver_page(encoder_page(found), out, as_json)

@@ -26,9 +26,9 @@ def friction(record: Path, config: Path, out: Path | None, as_json: bool) -> Non
     with progress("friction"):
         from pmfid.config.axis import load_axis
         from pmfid.pipeline.friction import record_curve
-        from pmfid.records.record import read_record
+        from pmfid.pipeline.identify import read_machine
         from pmfid.report.friction import curve_page
 
         axis = load_axis(config)
-        found = record_curve(read_record(record, axis), axis)
+        found = record_curve(read_machine(record, axis, "a friction curve"), axis)
     deliver_page(curve_page(found, record.name), out, as_json)

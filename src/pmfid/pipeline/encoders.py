@@ -23,7 +23,6 @@ from pmfid.fit.problem import ObservedStretch
 from pmfid.models.axes import ROTARY
 from pmfid.pipeline.drives import Drives
 from pmfid.pipeline.fitted import make_fit
-from pmfid.pipeline.identify import kind_of
 from pmfid.pipeline.kinds import Progress
 from pmfid.pipeline.known import check_numbers_known
 from pmfid.pipeline.result import DriveResult
@@ -127,11 +126,9 @@ def compare_encoders(
     these readings. The uncertainty is the larger of the reported standard deviation (median) and the true error (root
     mean square) over several positions of the disc.
 
-    Raises UsageError for an axis without encoder or a value outside its range, and NotIdentifiableError as `identify`.
+    Raises UsageError for a value outside its range, and NotIdentifiableError as `identify`.
     """
-    kind = kind_of(axis)
-    if not isinstance(kind, Drives):
-        raise UsageError('encoders are compared for a machine: give [model] kind = "drive"')
+    kind = Drives()
     if not (0 < wanted < 1 and 0 <= line_error < 0.5):
         raise UsageError(
             "the wanted uncertainty must be above 0 and below 100 %, and the error of the lines below 50 %"

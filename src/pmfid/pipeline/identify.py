@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import cast
 
 import numpy as np
@@ -18,7 +19,7 @@ from pmfid.pipeline.fitted import SecondMassError
 from pmfid.pipeline.kinds import Kind, Progress, Records
 from pmfid.pipeline.processes import Processes
 from pmfid.pipeline.result import DriveResult, Result
-from pmfid.records.record import Record
+from pmfid.records.record import Record, read_record
 
 KINDS: dict[str, Kind[Records]] = {
     # each kind receives only records that it has read itself
@@ -32,6 +33,16 @@ KINDS: dict[str, Kind[Records]] = {
 REPAIRED = {"count_jump", "invalid_input"}
 #: Findings that a motion refutes if it leaves nothing but rounding or white noise.
 REFUTED = ("stuck", "clipped", "rate_low")
+
+
+def read_machine(path: Path, axis: Axis, purpose: str) -> Record:
+    """Read the record of a machine for a purpose. Raises UsageError if AXIS.toml describes a process."""
+    if not isinstance(kind_of(axis), Drives):
+        raise UsageError(
+            f"{purpose} needs a machine, and this AXIS.toml describes a process: for the log of a machine give [model] "
+            'kind = "drive", and the travel of a count as [encoder] resolution'
+        )
+    return read_record(path, axis)
 
 
 def kind_of(axis: Axis) -> Kind[Records]:
