@@ -31,25 +31,24 @@ class Fault:
     """A fault of a logger.
 
     `do` returns the lines with the fault from row k onwards. `lasts` is the number of wrong lines from row k. `first`
-    is the first row at which the fault is possible. `said` is whether the totals of a run count the fault.
+    is the first row at which the fault is possible.
     """
 
     do: Callable[[list[Row], int, np.random.Generator], Text]
     lasts: int = 1
     first: int = 1
-    said: bool = True
 
 
 def lines(rows: list[Row]) -> Text:
     return [text(row) for row in rows]
 
 
-def insert(what: bytes | Callable[[list[Row], int], Text], said: bool = True) -> Fault:
+def insert(what: bytes | Callable[[list[Row], int], Text]) -> Fault:
     def do(rows: list[Row], k: int, rng: np.random.Generator) -> Text:
         extra = [what] if isinstance(what, bytes) else what(rows, k)
         return [*lines(rows[:k]), *extra, *lines(rows[k:])]
 
-    return Fault(do, said=said)
+    return Fault(do)
 
 
 def in_place(what: Callable[[Row], bytes], count: int = 1, first: int = 1) -> Fault:
@@ -59,19 +58,19 @@ def in_place(what: Callable[[Row], bytes], count: int = 1, first: int = 1) -> Fa
     return Fault(do, count, first)
 
 
-def stamp(change: Callable[[float], float], count: int | None = 1, said: bool = True) -> Fault:
+def stamp(change: Callable[[float], float], count: int | None = 1) -> Fault:
     def do(rows: list[Row], k: int, rng: np.random.Generator) -> Text:
         return lines(restamped(rows, k, change, None if count is None else k + count))
 
-    return Fault(do, count or 1, said=said)
+    return Fault(do, count or 1)
 
 
-def order(places: list[int], said: bool = True) -> Fault:
+def order(places: list[int]) -> Fault:
     def do(rows: list[Row], k: int, rng: np.random.Generator) -> Text:
         part = [rows[k + place] for place in places]
         return lines([*rows[:k], *part, *rows[k + len(places) :]])
 
-    return Fault(do, len(places), said=said)
+    return Fault(do, len(places))
 
 
 def without(pick: Callable[[int], bool], count: int) -> Fault:
@@ -90,7 +89,7 @@ def starts_again(header: bytes, counts: bool) -> Fault:
     return Fault(do)
 
 
-def goes_on(header: bytes, line: str, said: bool = True) -> Fault:
+def goes_on(header: bytes, line: str) -> Fault:
     """Return the fault that another program continues: `line` has the places {t}, {ms}, {day}, {u} and {c}."""
 
     def do(rows: list[Row], k: int, rng: np.random.Generator) -> Text:
@@ -100,7 +99,7 @@ def goes_on(header: bytes, line: str, said: bool = True) -> Fault:
         ]
         return [*lines(rows[:k]), header, *(f"{one}\n".encode() for one in later)]
 
-    return Fault(do, said=said)
+    return Fault(do)
 
 
 def decimal_commas(rows: list[Row], k: int, rng: np.random.Generator) -> Text:
@@ -131,13 +130,13 @@ FAULTS: dict[str, Fault] = {
     "a line five times": insert(lambda rows, k: 4 * [text(rows[k - 1])]),
     "the last ten lines again": insert(lambda rows, k: lines(rows[max(0, k - 10) : k])),
     "the last three lines again": insert(lambda rows, k: lines(rows[max(0, k - 3) : k])),
-    "a line between two": insert(lambda rows, k: [text((rows[k][0] - 0.005, *rows[k][1:]))], said=False),
+    "a line between two": insert(lambda rows, k: [text((rows[k][0] - 0.005, *rows[k][1:]))]),
     "a foreign line": insert(lambda rows, k: [text((123.4, 1.0, 77))]),
     "garbage": insert(b"garbage\n"),
     "a comment": insert(b"# calibrated by hand\n"),
     "a comment of another kind": insert(b"  // calibrated by hand, at 1.5 mm\n"),
-    "an empty line": insert(b"\r\n", said=False),
-    "empty lines between all": goes_on(b"\n", "{t},{u},{c}\n", said=False),
+    "an empty line": insert(b"\r\n"),
+    "empty lines between all": goes_on(b"\n", "{t},{u},{c}\n"),
     "the header again": insert(HEADER),
     "the header again, with a mark of its bytes": insert(b"\xef\xbb\xbft,u,counts\r\n"),
     "the header again, with units": insert(b"t [s],u [V],counts\n"),
@@ -154,15 +153,15 @@ FAULTS: dict[str, Fault] = {
     "the time as a date": goes_on(b"t,u,counts\n", "{day},{u},{c}"),
     "the time of day": goes_on(b"t,u,counts\n", "{day:%H:%M:%S.%f},{u},{c}"),
     "lines of Windows": goes_on(b"t,u,counts\r\n", "{t},{u},{c}\r"),
-    "two lines swapped": order([1, 0], said=False),
-    "two pairs of lines swapped": order([1, 0, 3, 2], said=False),
+    "two lines swapped": order([1, 0]),
+    "two pairs of lines swapped": order([1, 0, 3, 2]),
     "a line late by three": order([1, 2, 3, 0]),
     "three lines reversed": order([2, 1, 0]),
     "a line late by five": order([1, 2, 3, 4, 5, 0]),
-    "a stamp 6 ms late": stamp(lambda t: t + 0.006, said=False),
-    "a stamp 6 ms early": stamp(lambda t: t - 0.006, said=False),
-    "a clock 6 ms on": stamp(lambda t: t + 0.006, None, said=False),
-    "a clock 6 ms back": stamp(lambda t: t - 0.006, None, said=False),
+    "a stamp 6 ms late": stamp(lambda t: t + 0.006),
+    "a stamp 6 ms early": stamp(lambda t: t - 0.006),
+    "a clock 6 ms on": stamp(lambda t: t + 0.006, None),
+    "a clock 6 ms back": stamp(lambda t: t - 0.006, None),
     "a clock a sample on": stamp(lambda t: t + 0.01, None),
     "a clock a sample back": stamp(lambda t: t - 0.01, None),
     "a clock 3 samples back": stamp(lambda t: t - 0.03, None),
@@ -193,7 +192,7 @@ FAULTS: dict[str, Fault] = {
     "a line of 200 kB": in_place(lambda row: 200_000 * b"7" + b"\n"),
     "a second of garbage": in_place(lambda row: b"offline\n", 100, first=10),
     "a clock that stands for a third of a second": stamp(lambda t: 4.0, 30),
-    "stamps that jitter by 15 %": Fault(jitter, said=False),
+    "stamps that jitter by 15 %": Fault(jitter),
     "sixty lines at once": Fault(stall, 60),
     "every line twice": Fault(lambda rows, k, rng: lines(rows[:k]) + [x for r in rows[k:] for x in 2 * [text(r)]]),
     "two loggers in one pipe": Fault(two_loggers, 200),

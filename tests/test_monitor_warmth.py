@@ -92,14 +92,14 @@ def test_samples_pieces_and_fleets_agree(monitor: Monitor) -> None:
     assert [repr(event) for axis, _, event in both.events if axis] == [repr(event) for *_, event in whole.events]
 
 
-def test_a_pipe_reads_the_temperature(tmp_path: Path) -> None:
-    """The command learns the rate from the reference. A pipe names no change, and the first temperature beyond it."""
+def test_the_command_reads_the_temperature(tmp_path: Path) -> None:
+    """The command learns the rate from the reference. It names no change, and the first temperature beyond it."""
     (tmp_path / "normal.csv").write_text(as_csv(record(6, 10.0, 0.2)))
     (tmp_path / "axis.toml").write_text(AXIS)
     columns = record(7, 4.0, 0.2)
     columns[2][-5:] = 99.0
-    config = str(tmp_path / "axis.toml")
-    outcome = run_command("monitor", "-", "--config", config, "--json", stdin=as_csv(columns).encode())
+    (tmp_path / "run.csv").write_text(as_csv(columns))
+    outcome = run_command("monitor", str(tmp_path / "run.csv"), "--config", str(tmp_path / "axis.toml"), "--json")
     events = [json.loads(line) for line in outcome.stdout.splitlines()]
     assert events[-1]["samples"] == 24_000
     assert events[-1]["alarms"] == 0

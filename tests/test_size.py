@@ -13,16 +13,16 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 66040,
-    "lines of code in src": 38675,
-    "lines of code in report and cli": 3313,
-    "thresholds in src": 986,
+    "lines of src": 65184,
+    "lines of code in src": 38105,
+    "lines of code in report and cli": 3215,
+    "thresholds in src": 963,
     "lines of csrc": 8670,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
-    "lines of tests": 28474,
+    "lines of tests": 28133,
     "match= in tests": 25,
-    "lines of studies": 8022,
+    "lines of studies": 8008,
 }
 
 

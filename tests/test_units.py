@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from io import BytesIO
 from pathlib import Path
 
 import numpy as np
@@ -14,8 +13,8 @@ from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
 from pmfid.models.drive import Drive
 from pmfid.pipeline.identify import identify
-from pmfid.pipeline.monitored.stream import Stop, line_samples
 from pmfid.records.record import Record, read_record
+from pmfid.stream.lines import LineParser
 from pmfid.units import INPUTS, OUTPUTS, column_unit, gain, quantity
 from tests.conftest import cart_run
 from tests.refusals import refused
@@ -168,9 +167,8 @@ def test_every_term_of_a_rotary_drive(friction: str) -> None:
 
 
 def test_a_pipe_converts_as_a_record_does() -> None:
-    lines = BytesIO(b"u,pos_mm\n1.0,0.5\n1.0,0.6\n")
-    samples = list(line_samples(lines, axis("pos_mm", resolution="0.1 mm"), 0.01, Stop()))
-    assert [sample.counts for sample in samples] == [5, 6]
+    parse = LineParser(b"u,pos_mm", axis("pos_mm", resolution="0.1 mm"))
+    assert [line.counts for line in map(parse, (b"1.0,0.5", b"1.0,0.6")) if line] == [5, 6]
 
 
 # --- velocity, and angles that restart -----------------------------------------------------------------------------

@@ -178,12 +178,6 @@ def _validate(rng: Rng, folder: Path) -> Case:
     return Case(("validate", name, "--config", "axis.toml", "--model", place, *chosen), files)
 
 
-def _selftest(rng: Rng, folder: Path) -> Case:
-    case = _validate(rng, folder)
-    chosen = [*options(rng, 0.3, runs=["2", "0"], seed=["1", "-1"]), *_flags(rng, 0.6, "--json")]
-    return Case(("selftest", *case.arguments[1:6], *chosen), case.files)
-
-
 def _export(rng: Rng, folder: Path) -> Case:
     files, name = _recorded(rng, folder, (*RECURSIVE, *RECURSIVE, "ls"))
     chosen = options(rng, 0.2, precision=["float32", "float64"], method=list(RECURSIVE))
@@ -204,7 +198,7 @@ def _alarms(rng: Rng) -> list[str]:
 
 
 def _monitor(rng: Rng, folder: Path) -> Case:
-    """Draw a record of normal work and a second record, as a file or through a pipe with the faults of loggers."""
+    """Draw a record of normal work and a second record."""
     kind, columns, facts = _plant(rng, (*12 * ("watched",), "cart", "heavy", "rotary", "rest", "process"))
     kind = "drive" if kind == "equation" and rng.random() < 0.7 else kind
     text = axis(rng, kind, facts, (*2 * ("riv", "bcrls", "auto"), "rls")) + monitor(rng, facts)
@@ -214,8 +208,6 @@ def _monitor(rng: Rng, folder: Path) -> Case:
     places = ["rows.csv", "rows.parquet", "-", "normal.csv", "axis.toml", "nowhere/x.csv", "x.txt", "."]
     chosen += options(rng, 0.3, out=places) + options(rng, 0.01, report=["page.html", "normal.csv", "nowhere/x.html"])
     chosen += _flags(rng, 0.6, "--json")
-    if rng.random() < 0.5:
-        return Case(("monitor", "-", "--config", "axis.toml", *chosen), files, as_pipe(rng, columns))
     name, files_of_run = as_file(rng, with_defects(rng, columns), folder)
     return Case(("monitor", name, "--config", "axis.toml", *chosen), files | {name: files_of_run})
 
@@ -315,7 +307,6 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "identify": (_identify, 0.332),
     "encoder": (_encoder, 0.002),
     "validate": (_validate, 0.048),
-    "selftest": (_selftest, 0.002),
     "monitor": (_monitor, 0.19),
     "serve": (_serve, 0.01),
     "simulate": (_simulate, 0.13),

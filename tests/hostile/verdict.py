@@ -100,14 +100,12 @@ def _said(case: Case, result: Result) -> list[str]:
     if code not in (DONE, USAGE, NOT_IDENTIFIABLE):
         return [*faults, f"exit code {code}"]
     watches = case.arguments[:1] in (("monitor",), ("serve",))
-    # estimates; the error bar of an unknown parameter is infinite
-    rows = case.arguments[:1] == ("monitor",) and "-" in case.arguments[2:]
-    if "--json" in case.arguments and not {"--help", "-h"} & set(case.arguments) and not rows:
+    if "--json" in case.arguments and not {"--help", "-h"} & set(case.arguments):
         faults += _json(out, several=watches)
     if code == DONE:
         return [
             *faults,
-            *([] if rows else _finite(out)),
+            *_finite(out),
             *([f"said on stderr: {err[:100]}"] if err and not watches else []),
         ]
     if out and not (watches or (code == NOT_IDENTIFIABLE and '"relax"' in out)):

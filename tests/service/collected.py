@@ -1,18 +1,17 @@
-"""Collect the output of an engine by axis and number, and the output of `pmfid monitor` for the same samples."""
+"""Collect the output of an engine by axis and number, and the output of one monitor for the same samples."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any
 
 from pmfid.monitor.events import STATES
 from pmfid.monitor.fleet import MonitorFleet
-from pmfid.pipeline.monitored.run import watch
-from pmfid.pipeline.monitored.timeline import Sample
+from pmfid.pipeline.monitored.run import event_object
 from pmfid.stream.groups import Prepared
 from pmfid.stream.outcome import EstimateRows, Notice
+from pmfid.stream.timeline import Sample
 
 #: Bits of theta, std, innovation, status and state.
 Bits = tuple[Any, ...]
@@ -54,30 +53,18 @@ class Collected:
         return [what for what in found if what["event"] in kinds]
 
 
-@dataclass
-class _Sink:
-    """A sink for the rows of `pmfid monitor`, as bits."""
-
-    names: int
-    rows: list[Bits] = field(default_factory=list)
-    path: Path | None = None
-    lost = 0
-
-    def write(self, row: tuple[float | int | str, ...]) -> None:
-        import numpy as np
-
-        q = self.names
-        theta, std = np.array(row[1 : 1 + q], float), np.array(row[1 + q : 1 + 2 * q], float)
-        self.rows.append((theta.tobytes(), std.tobytes(), *row[1 + 2 * q :]))
-
-    def close(self) -> None: ...
-
-
 def monitored(prepared: Prepared, samples: Iterable[Sample]) -> tuple[list[Bits], list[dict[str, Any]]]:
-    """Return rows and events of `pmfid monitor` for the samples."""
+    """Return rows and events of a monitor that takes the samples one by one."""
     fleet = MonitorFleet(prepared.setup.monitor, 0)
     fleet.add(1)
-    monitor = fleet.monitor(0)
-    sink, reported = _Sink(len(monitor.names)), list[dict[str, Any]]()
-    watch(samples, monitor, sink, reported.append)
-    return sink.rows, reported
+    monitor, rows, reported = fleet.monitor(0), list[Bits](), list[dict[str, Any]]()
+    for sample in samples:
+        events = monitor.fill_gap(sample.missing, sample.u, sample.counts) if sample.missing else []
+        events += monitor.skip(1) if sample.jump and not sample.missing else []
+        estimate, now = monitor.step(sample.u, sample.counts, sample.further)
+        shown = monitor.apply_known(estimate)
+        bits = shown.theta.tobytes(), shown.theta_std.tobytes(), shown.innovation, shown.status, monitor.state
+        rows.append(bits)
+        shift = sample.time - (monitor.samples - 1) * monitor.estimator.dt
+        reported += [event_object(event, monitor.names, shift) for event in (*events, *now)]
+    return rows, reported

@@ -26,7 +26,6 @@ from threading import Condition
 from typing import IO, Literal
 
 from pmfid.durable import arm
-from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service import arrangement
 from pmfid.service.context import Context, Source, SourceSection, Take
 from pmfid.service.plant import Plant, ServiceSection
@@ -38,6 +37,7 @@ from pmfid.stream.delivery import Block, Delivery, Item, Lines
 from pmfid.stream.groups import prepare
 from pmfid.stream.outcome import EstimateRows, Notice
 from pmfid.stream.store import Vault
+from pmfid.stream.timeline import Line
 from pmfid.types import Counts, Floats
 from studies.monitoring.axis import INCREMENTS, changing
 from studies.monitoring.pipe import write_axis

@@ -9,8 +9,6 @@ from random import Random
 
 import pytest
 
-from pmfid.pipeline.monitored.lines import LineParser
-from pmfid.pipeline.monitored.timeline import Sample
 from pmfid.service.arrangement import arrange_groups
 from pmfid.service.wire.messages import Messages
 from pmfid.simulation import CART_DT
@@ -20,8 +18,10 @@ from pmfid.stream.checkpoint import draft, read_snapshot
 from pmfid.stream.delivery import Block, Delivery, Item, Lines
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared, prepare
+from pmfid.stream.lines import LineParser
 from pmfid.stream.order import UNKNOWN_GAP
 from pmfid.stream.outcome import Counters
+from pmfid.stream.timeline import Sample
 from tests.edge_axes import Motion, cart_edges, heavier, write_edge_axis
 from tests.service.collected import Collected, monitored
 from tests.service.orders import made

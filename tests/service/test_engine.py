@@ -9,7 +9,6 @@ from random import Random
 import numpy as np
 import pytest
 
-from pmfid.pipeline.monitored.timeline import Sample
 from pmfid.service.arrangement import arrange_groups
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.checkpoint import draft, read_snapshot
@@ -18,6 +17,7 @@ from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.order import UNKNOWN_GAP
 from pmfid.stream.outcome import Counters
+from pmfid.stream.timeline import Sample
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.service.collected import Collected, monitored
 from tests.service.orders import Sending, made

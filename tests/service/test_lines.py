@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from pmfid.config.axis import Axis, load_axis
-from pmfid.pipeline.monitored.lines import LineParser
-from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.wire.messages import Messages
 from pmfid.stream.delivery import Item, Lines, Unusable
+from pmfid.stream.lines import LineParser
+from pmfid.stream.timeline import Line
 
 AXIS = """
 [record]

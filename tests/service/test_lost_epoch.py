@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from pmfid.pipeline.monitored.timeline import Sample
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.delivery import Block, Delivery
 from pmfid.stream.groups import Prepared
+from pmfid.stream.timeline import Sample
 from pmfid.stream.tuning import TUNING
 from studies.monitoring.axis import INCREMENTS, changing
 from tests.service.collected import Bits, Collected, monitored

@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pmfid.pipeline.monitored.timeline import Line
 from pmfid.stream.delivery import Block, Lines
 from pmfid.stream.groups import Timed
 from pmfid.stream.order import UNKNOWN_GAP, ItemReport, Order, SamplePiece
+from pmfid.stream.timeline import Line
 from tests.service.orders import DT, sending_of
 
 WINDOW = 100

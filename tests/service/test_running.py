@@ -18,7 +18,6 @@ import pytest
 
 from pmfid.config.axis import Axis, load_axis
 from pmfid.errors import UsageError
-from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.context import Context, Source, Take
 from pmfid.service.plant import load_plant
 from pmfid.service.running import Running
@@ -27,6 +26,7 @@ from pmfid.service.sources.stdin import CsvLines, Piped, StdinSource
 from pmfid.stream.delivery import Block, Delivery, Lines, Table, Unusable
 from pmfid.stream.engine import Inbox
 from pmfid.stream.outcome import Counters
+from pmfid.stream.timeline import Line
 from tests.patience import PATIENCE
 from tests.processes import run_process
 from tests.refusals import refused

@@ -63,8 +63,8 @@ def served(plant: Path, *options: str, code: int = 0) -> str:
 
 
 def test_one_axis_is_reported_as_by_the_monitor(folder: Path) -> None:
-    axis, run = folder / "axis.toml", (folder / "run.csv").read_bytes()
-    expected = events(called("monitor", "-", "--config", str(axis), "--json", stdin=run), *FOUND)
+    axis = folder / "axis.toml"
+    expected = events(called("monitor", str(folder / "run.csv"), "--config", str(axis), "--json"), *FOUND)
     served_ = events(served(axis, "--no-page", "--json"), *FOUND)
     assert [event.pop("axis") for event in served_] == ["axis"] * len(expected)
     assert len({event.pop("number") for event in served_}) == len(expected)
@@ -271,12 +271,8 @@ def test_a_reload_changes_axes_without_touching_the_others(folder: Path, acting:
         "those that differ are named, and no others"
     )
     assert "continues with its previous" in reported[1]["problem"]
-    expected = events(
-        called(
-            "monitor", "-", "--config", str(folder / "axis.toml"), "--json", stdin=(folder / "run.csv").read_bytes()
-        ),
-        *FOUND,
-    )
+    words = ("monitor", str(folder / "run.csv"), "--config", str(folder / "axis.toml"), "--json")
+    expected = events(called(*words), *FOUND)
     reported = [event for event in found if event["event"] in FOUND]
     assert [(e["event"], e["time"]) for e in reported] == [(e["event"], e["time"]) for e in expected]
     assert found[-1]["event"] == "ended"

@@ -8,7 +8,6 @@ from random import Random
 import numpy as np
 import pytest
 
-from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.arrangement import arrange_groups
 from pmfid.simulation import CART_DT
 from pmfid.stream import order as clock
@@ -17,6 +16,7 @@ from pmfid.stream.delivery import Block, Delivery, Item, Lines, Table, split_tab
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Pace, Prepared
 from pmfid.stream.outcome import Counters
+from pmfid.stream.timeline import Line
 from tests.service.collected import Collected
 from tests.tuned import set_tuning
 

@@ -19,7 +19,6 @@ from pmfid.cli.fleet import fleet
 from pmfid.cli.friction import friction
 from pmfid.cli.init import init
 from pmfid.cli.monitor import monitor
-from pmfid.cli.selftest import selftest
 from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
 from pmfid.cli.tables import deliver_page, print_result
@@ -158,7 +157,7 @@ def _compare(
 
 
 COMMANDS = (
-    *(actuators, check, design, encoder, explain, export, fleet, friction, init, monitor, selftest, serve, simulate),
+    *(actuators, check, design, encoder, explain, export, fleet, friction, init, monitor, serve, simulate),
     *(terms, validate),
 )
 for command in COMMANDS:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pmfid.monitor.events import describe_changes, describe_rate
-from pmfid.pipeline.monitored.run import Notice, list_skipped
+from pmfid.pipeline.monitored.run import Notice
 
 
 def sentence(event: Notice) -> str:
@@ -18,7 +18,6 @@ def _start(event: Notice) -> str:
         f"tolerance {100 * event['tolerance']:g} %, threshold "
         f"{event['threshold']:.4g}: a false alarm in {event['mtbf_hours']:g} h on average{_describe_source(event)}",
         *(f"note: {note}" for note in event["notes"]),
-        *([f"estimates: {event['out']}"] if event["out"] else []),
     ]
     return "\n".join(lines)
 
@@ -77,17 +76,10 @@ def _outlier(event: Notice) -> str:
     return f"{event['time']:.2f} s  {what}: the sample is left out, and monitoring continues"
 
 
-def _write_error(event: Notice) -> str:
-    return f"{event['file']} cannot be written: {event['problem']}; monitoring continues"
-
-
-def _written_again(event: Notice) -> str:
-    return f"{event['file']} is written again; {event['lost']} rows were lost"
-
-
 def _end(event: Notice) -> str:
-    alarms = f"{event['alarms']} alarm{'s' * (event['alarms'] != 1)}"
-    return ", ".join([f"{event['samples']} samples", alarms, *list_skipped(event)])
+    counts = {"sample": event["samples"], "alarm": event["alarms"], "jump": event["outliers"]}
+    words = [f"{count} {word}{'s' * (count != 1)}" for word, count in counts.items() if word != "jump" or count]
+    return ", ".join(words) + (" left out" if event["outliers"] else "")
 
 
 _SENTENCES = {
@@ -98,7 +90,5 @@ _SENTENCES = {
     "gap": _gap,
     "clock": _clock,
     "outlier": _outlier,
-    "write error": _write_error,
-    "written again": _written_again,
     "end": _end,
 }

@@ -199,19 +199,9 @@ class PipelineTuning:
     roles_unit: float = 6.0
     roles_analog: float = 1.5
 
-    # monitored.lines
-    #: Largest number of stored sets of field names for one axis. The limit is necessary, because names with different
-    #: units in brackets make different sets.
-    most_readings: int = 16
-    #: Largest number of letters in a message on a received value.
-    most_letters: int = 200
-
     # monitored.run
-    #: Largest number of rows in the report. In a longer run, every second row is dropped.
-    most_rows: int = 8000
-    #: Largest number of notices for each kind of line and for gaps, and largest number of stored events.
+    #: Largest number of outliers that are reported one by one.
     most_notices: int = 10
-    run_kept: int = 10_000
 
     # monitored.setup
     #: Memory [s] if [estimator] forgetting is 1, because an infinite memory would never follow a change.
@@ -221,52 +211,6 @@ class PipelineTuning:
     #: Factor within which a reference record should determine the mean time between false alarms.
     setup_sure: float = 2.0
 
-    # monitored.stream
-    #: Largest number of bytes in a line. A longer line counts as several bad lines.
-    longest_line: int = 65536
-    #: Number of first lines, and of last lines, that must contain samples. The second constant is the smallest number
-    #: of samples among the first lines.
-    first_lines: int = 100
-    least_samples: int = 10
-    #: Largest number of repetitions of every line by a logger.
-    most_repeated: int = 3
-
-    # monitored.timeline
-    #: Number of steps from line to line in a group. The next constant is the smallest relative difference between the
-    #: mean step and the sample period that matters.
-    timeline_steps: int = 25
-    timeline_coarse: float = 0.05
-    #: Longest step before a repeated line, which counts as no step [sample periods].
-    timeline_doubled: float = 0.02
-    #: Smallest part of regular steps in a group with a period, and largest distance of a regular step from their mean.
-    timeline_regular: float = 0.8
-    timeline_close: float = 0.25
-    #: Number of samples before the mean period is checked. The next constant is the largest relative error of the
-    #: period.
-    timeline_long: int = 500
-    timeline_fine: float = 0.005
-    #: Largest deviation of the stamp of an expected sample [sample periods]. The limit is large because late stamps are
-    #: more common than lost samples.
-    timeline_near: float = 0.75
-    #: Part of a stamp's deviation by which the grid moves.
-    timeline_follow: float = 0.1
-    #: Number of successive lines that reveal missing samples. `timeline_late` is the number of lines that reveal a
-    #: clock that was set back. `timeline_late` is larger, because a logger that repeats its last lines resembles a
-    #: clock that was set back.
-    timeline_ahead: int = 2
-    timeline_late: int = 5
-    #: Shortest and longest step from a held line to the next line [sample periods]. Lines between the held line and the
-    #: next line may be lost.
-    timeline_soonest: float = 0.25
-    timeline_latest: float = 10.0
-    #: Longest gap [s]. A longer gap is taken for a clock that was set.
-    longest_gap: float = 3600.0
-    #: Number of recent samples that are compared with a late line. An equal sample means a repetition and not a late
-    #: sample.
-    timeline_remembered: int = 32
-    #: Number of successive lines without a valid time that end the run.
-    most_strays: int = 1000
-
     # stored
     #: Largest accepted file [bytes], because a result has only some kilobytes.
     stored_largest: int = 10_000_000
@@ -274,18 +218,6 @@ class PipelineTuning:
     stored_longest: int = 150
     #: Relative difference below which a number in a file equals the configured number.
     stored_same: float = 1e-6
-
-    # selftest
-    #: Simulated records.
-    selftest_runs: int = 10
-    #: The model is wrong if the record's free run deviates this many times as far as those of simulated records, and by
-    #: more than this part of the motion.
-    selftest_beyond: float = 2.0
-    selftest_material: float = 0.02
-    #: A parameter is lost from this error on (rms, relative).
-    selftest_lost: float = 0.3
-    #: Largest distance of a parameter from the estimate out of the same record [standard deviations].
-    selftest_away: float = 3.0
 
     # validation
     #: Multiple of the encoder's error below which a free run explains the counts.

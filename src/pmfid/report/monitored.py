@@ -15,9 +15,9 @@ from pmfid.estimators.redge import REdge
 from pmfid.models.axes import LINEAR, Units
 from pmfid.monitor.chance import Chance
 from pmfid.monitor.edges import EdgeMonitor
-from pmfid.monitor.events import CANNOT_TELL, SETTLING, STARTING, SUSPICIOUS, WATCHING
+from pmfid.monitor.events import CANNOT_TELL, SETTLING, STARTING, STATES, SUSPICIOUS, WATCHING
 from pmfid.monitor.monitor import Monitor
-from pmfid.pipeline.monitored.run import MonitoredRun, Notice, RunHistory, list_skipped
+from pmfid.pipeline.monitored.run import MonitoredRun, Notice
 from pmfid.pipeline.monitored.setup import Setup
 from pmfid.report.figures import (
     COLOURS,
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 #: Rows of the strip from the top, with states of the monitor, then status bits of the estimate.
-STATES = {WATCHING: COLOURS[2], SUSPICIOUS: COLOURS[1], SETTLING: COLOURS[3], CANNOT_TELL: GREY, STARTING: GREY}
+COLOUR_OF = {WATCHING: COLOURS[2], SUSPICIOUS: COLOURS[1], SETTLING: COLOURS[3], CANNOT_TELL: GREY, STARTING: GREY}
 STRIP_BITS = {
     "poor excitation": Status.POOR_EXCITATION,
     "standstill": Status.STANDSTILL,
@@ -141,7 +141,7 @@ def _limits(axes: Axes, values: Floats, nominal: float) -> None:
 
 def _strip_rows(data: RunData) -> list[tuple[str, str, Flags]]:
     """Return label, colour and flags (n,) of the rows that occur."""
-    rows = [(state, colour, data.state == state) for state, colour in STATES.items()]
+    rows = [(state, colour, data.state == state) for state, colour in COLOUR_OF.items()]
     rows += [
         (name, COLOURS[4 if name == "standstill" else 1], (data.status & int(bits)) != 0)
         for name, bits in STRIP_BITS.items()
@@ -178,44 +178,42 @@ def chance_figure(chance: Chance, mtbf_hours: float) -> Figure:
     return figure
 
 
-def write_monitored(path: Path, name: str, setup: Setup, run: MonitoredRun, history: RunHistory) -> None:
+def write_monitored(path: Path, setup: Setup, run: MonitoredRun) -> None:
     """Write one self-contained HTML file on a run. Raises OSError if the file cannot be written."""
     sections = [_verdict(setup, run)]
-    if len(history.rows) > 1:
+    if run.record.u.size > 1:
+        stride = -(-run.record.u.size // TUNING.monitored_rows)
         sections.append(
-            Section("The run", _run_text(history, setup), figure=lambda: run_figure(run_data(setup, run, history)))
+            Section("The run", _run_text(stride, setup), figure=lambda: run_figure(run_data(setup, run, stride)))
         )
     sections.append(_describe_threshold(setup.monitor))
-    write_report(path, f"{name}: {_headline(run)}", sections)
+    write_report(path, f"{run.record.name}: {_headline(run)}", sections)
 
 
-def run_data(setup: Setup, run: MonitoredRun, history: RunHistory) -> RunData:
-    """Return the columns that the figure shows."""
-    time, u, counts, theta, std, innovation, status, state = zip(*history.rows, strict=True)
-    estimator = setup.monitor.estimator
-    t = np.array(time)
-    position = np.array(counts) * estimator.encoder.resolution
+def run_data(setup: Setup, run: MonitoredRun, stride: int) -> RunData:
+    """Return the columns that the figure shows, with one row of `stride`.
+
+    The status bits and the largest innovation also belong to the samples between two rows.
+    """
+    estimator, record, rows = setup.monitor.estimator, run.record, run.rows
+    shown = np.arange(0, record.u.size, stride)
+    t = record.times[shown]
+    high, low = (extreme.reduceat(rows.innovation[0], shown) for extreme in (np.maximum, np.minimum))
     return RunData(
-        setup.monitor.names,
+        run.names,
         setup.monitor.units,
         t,
-        np.array(u),
-        _velocity(position, t),
-        np.array(theta),
-        np.array(std),
-        np.array(innovation),
-        np.array(status),
-        np.array(state),
+        record.u[shown],
+        np.gradient(record.counts[shown] * estimator.encoder.resolution, t),
+        rows.theta[0, shown],
+        rows.std[0, shown],
+        np.where(high > -low, high, low),
+        np.bitwise_or.reduceat(rows.status[0], shown),
+        np.array(STATES)[rows.state[0, shown]],
         setup.reported,
         run.alarms,
-        setup.monitor.estimator.equation.motion,
+        estimator.equation.motion,
     )
-
-
-def _velocity(position: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Return the velocity (n,). Two samples may have equal times after the clock was set."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(np.gradient(position, t))
 
 
 def _headline(run: MonitoredRun) -> str:
@@ -231,13 +229,9 @@ def _headline(run: MonitoredRun) -> str:
 
 
 def _verdict(setup: Setup, run: MonitoredRun) -> Section:
-    totals = [
-        f"{run.samples} samples",
-        f"{run.samples * setup.monitor.estimator.dt:.1f} s",
-        *list_skipped(run.totals()),
-    ]
-    lines = [f"{', '.join(totals)}.", *([f"The run ended: {run.problem}."] if run.problem else [])]
-    text = "\n\n".join([" ".join(lines), *(f"Note: {note}." for note in setup.notes)])
+    totals = [f"{run.record.u.size} samples", f"{run.record.u.size * run.record.dt:.1f} s"]
+    totals += [f"{run.outliers} jump{'s' * (run.outliers != 1)} left out"] if run.outliers else []
+    text = "\n\n".join([f"{', '.join(totals)}.", *(f"Note: {note}." for note in setup.notes)])
     if not run.alarms:
         return Section("No alarm", text)
     head = ("alarm [s]", "since [s]", "parameter", "change [%]", "change", "std", "unit", "settled on", "or")
@@ -268,14 +262,14 @@ def _alarm_rows(run: MonitoredRun, alarm: Notice) -> list[list[str]]:
     ]
 
 
-def _run_text(history: RunHistory, setup: Setup) -> str:
+def _run_text(stride: int, setup: Setup) -> str:
     estimator = setup.monitor.estimator
     rate = estimator.rate if isinstance(estimator, REdge) else 1 - estimator.forgetting
     text = (
         f"Estimates by {estimator.method}, memory {estimator.dt / rate:.3g} s, with two standard deviations; orange "
         "lines: alarms; dotted lines: visible start of the change."
     )
-    return text + (f" One row of {history.stride} is shown." if history.stride > 1 else "")
+    return text + (f" One row of {stride} is shown." if stride > 1 else "")
 
 
 def _describe_threshold(monitor: Monitor | EdgeMonitor) -> Section:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +12,6 @@ import numpy as np
 from pmfid.diagnostics.processes import search_notes
 from pmfid.errors import PmfidError
 from pmfid.estimators.base import Simulating
-from pmfid.io.row_file import fresh
 from pmfid.linear.order import Search
 from pmfid.linear.process import Process
 from pmfid.models.controllers import MotorAndLoad
@@ -52,13 +50,12 @@ HOW_TO_READ = (
 def write_drive(out: Path, result: DriveResult) -> None:
     """Write report.html, result.json and, for a recursive method, track.parquet into the folder `out`.
 
-    An existing track.parquet is kept under another name, such as track-2.parquet. The existing file belongs to an
-    earlier run or to another program.
+    A track.parquet of an earlier run is removed.
     """
     out.mkdir(parents=True, exist_ok=True)
     track = out / "track.parquet"
-    if os.path.lexists(track) and not track.is_dir():
-        track.rename(fresh(track))
+    if not track.is_dir():
+        track.unlink(missing_ok=True)
     if result.track is not None:
         _write_track(track, result)
     said = conclude(result)

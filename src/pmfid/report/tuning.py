@@ -43,6 +43,8 @@ class ReportTuning:
 
     # monitored
     shown_alarms: int = 200
+    #: Largest number of rows in the figures.
+    monitored_rows: int = 8000
 
     # plots
     #: Number of axes of a fleet that are drawn individually.

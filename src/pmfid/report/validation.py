@@ -1,4 +1,4 @@
-"""The pages of a validation and of a self-test."""
+"""The page of a validation."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from functools import partial
 from typing import TYPE_CHECKING
 
 from pmfid.diagnostics.free_run import FreeRun
-from pmfid.pipeline.selftest import SelfTest
 from pmfid.pipeline.validation import Validation
 from pmfid.report.figures import COLOURS, followed_figure, open_figure, plain_ticks
 from pmfid.report.page import ResultPage, Section
@@ -37,20 +36,6 @@ def validation_page(found: Validation) -> ResultPage:
     status = [f"status: {', '.join(found.status)}"] if found.status else []
     remarks = [*status, *(f"note: {note}" for note in found.notes)]
     return ResultPage("validation", f"{found.runs[0].name}: predicted", found.to_json(), sections, remarks=remarks)
-
-
-def selftest_page(found: SelfTest) -> ResultPage:
-    """Return the page of a self-test."""
-    done = found.runs - found.refused
-    rows = [
-        [one.name, f"{one.value:.5g}", f"{one.mean:.5g}", f"{one.rmse:.2g}", f"{one.covered} of {done}", one.unit]
-        for one in found.recoveries
-    ]
-    header = ("parameter", "simulated", "mean", "error (rms)", "covered", "unit")
-    section = Section(f"{found.record}: {found.runs} simulated records", table=(header, rows))
-    remarks = [f"status: {', '.join(found.status) or 'none'}"]
-    remarks += [line for finding in found.findings for line in finding.lines]
-    return ResultPage("selftest", found.record, found.to_json(), [section], remarks=remarks)
 
 
 def _text(found: Validation) -> str:

@@ -7,8 +7,8 @@ import os
 import signal
 import socket
 import time
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Any
 
 from pmfid.config.axis import Axis
 from pmfid.errors import PmfidError, UsageError
-from pmfid.pipeline.monitored.stream import catch_signals
 from pmfid.records.record import Record, read_record
 from pmfid.service.arrangement import Configurations, arrange_groups, tell_configurations
 from pmfid.service.context import Context
@@ -62,6 +61,18 @@ class PauseWatch:
             )
             self.tell({"event": "paused", "seconds": round(stood, 1), "problem": problem})
             self.counters.add("pmfid_paused_seconds_total", stood)
+
+
+@contextmanager
+def catch_signals(handle: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Pass SIGINT, SIGTERM and SIGHUP to a handler inside the block. Some systems have no SIGHUP."""
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    before = {name: signal.signal(getattr(signal, name), handle) for name in names}
+    try:
+        yield
+    finally:
+        for name, handler in before.items():
+            signal.signal(getattr(signal, name), handler)
 
 
 def notify(state: str) -> None:

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid.errors import UsageError
-from pmfid.pipeline.monitored.lines import MAX_COUNT, MOST_TIME
 from pmfid.stream.delivery import Block, Table, Unusable
+from pmfid.stream.lines import MAX_COUNT, MOST_TIME
 from pmfid.types import Counts, Flags, Floats
 
 #: Blocks of version 1 have u and counts, blocks of version 2 also the ages of edges.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmfid.pipeline.monitored.timeline import Line
+from pmfid.stream.timeline import Line
 from pmfid.types import Counts, Floats
 
 

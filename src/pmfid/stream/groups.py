@@ -20,10 +20,10 @@ from pmfid.errors import UsageError
 from pmfid.monitor.events import Event
 from pmfid.monitor.fleet import MonitorFleet
 from pmfid.pipeline.monitored.setup import VERSION, Setup, set_up
-from pmfid.pipeline.monitored.timeline import COMMENT, REPEATED, Line, Metronome, Sample, Saved, SavedFields, Timeline
 from pmfid.stream.delivery import Lines
 from pmfid.stream.order import UNKNOWN_GAP, Column, ItemReport, Order, PositionRow, Positions, SamplePiece
 from pmfid.stream.outcome import Kindred
+from pmfid.stream.timeline import REPEATED, Line, Metronome, Sample, Saved, SavedFields, Timeline
 from pmfid.stream.tuning import TUNING
 
 _LINE = struct.Struct("<ddq")
@@ -119,7 +119,7 @@ class Timed(SavedFields):
             return []
         samples = [one for one in found if isinstance(one, Sample)]
         for one in found:
-            if not isinstance(one, Sample) and one.kind != COMMENT:
+            if not isinstance(one, Sample):
                 verdict.lines[one.kind] = verdict.lines.get(one.kind, 0) + 1
                 verdict.events.append({"event": one.kind, "time": one.time, "problem": one.problem})
         return self._check_probation(samples, verdict) if self._doubtful and samples else samples

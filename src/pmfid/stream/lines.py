@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import TypeGuard
 
 from pmfid.config.axis import Axis
 from pmfid.config.record import Sections, conversion
 from pmfid.errors import UsageError, did_you_mean
-from pmfid.io.csv_text import SEPARATORS, are_units, split
+from pmfid.io.csv_text import SEPARATORS, are_units, is_data, split
 from pmfid.io.tables import whole_name
 from pmfid.pipeline.edges import takes_edges
-from pmfid.pipeline.monitored.timeline import Line
-from pmfid.pipeline.tuning import TUNING
 from pmfid.records.clock import time_factor
 from pmfid.records.edge_ages import age_factor
+from pmfid.stream.timeline import Line
+from pmfid.stream.tuning import TUNING
 
 __all__ = ["MAX_COUNT", "MOST_TIME", "FieldReader", "Reading", "check_streamed"]
 
@@ -274,9 +274,39 @@ class LineParser:
         return self._reading.line(cells[0], cells[1], time, cells[-1] if self._further else None)
 
 
-def is_comment(line: bytes) -> bool:
-    """Return whether a line is empty or a comment."""
-    return _is_comment(_text(line))
+@dataclass
+class Beginning:
+    """The search for the header, which is the first line with the columns.
+
+    Earlier lines, such as the name of the logger, are skipped. A line of data ends the search. `problem` says why no
+    line so far is the header.
+    """
+
+    axis: Axis
+    problem: UsageError = field(
+        default_factory=lambda: UsageError(
+            "standard input is empty: write the header with the names of the columns first"
+        ),
+        init=False,
+    )
+    _lines: int = field(default=0, init=False)
+
+    def take(self, line: bytes) -> LineParser | None:
+        """Return the parser for the next lines if this line is the header.
+
+        Raises UsageError if no header can follow.
+        """
+        if _is_comment(_text(line)):
+            return None
+        self._lines += 1
+        data = is_data(line.decode("utf-8", "replace"))
+        try:
+            return LineParser(line, self.axis)
+        except UsageError as error:
+            self.problem = self.problem if data and self._lines > 1 else error
+        if data or self._lines >= TUNING.first_lines:
+            raise self.problem
+        return None
 
 
 def _is_comment(text: str) -> bool:

@@ -10,7 +10,7 @@ from typing import Any, NoReturn
 import numpy as np
 
 from pmfid.errors import UsageError
-from pmfid.pipeline.tuning import TUNING
+from pmfid.stream.tuning import TUNING
 
 #: Number of successive groups with a wrong period that end the run, before and after a right group. A late logger
 #: writes many lines at once, which causes several wrong groups.
@@ -101,7 +101,7 @@ class Period(SavedFields):
         )
 
 
-BAD, REPEATED, COMMENT = "bad line", "repeated line", "comment"
+BAD, REPEATED = "bad line", "repeated line"
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ class Sample:
 class Skipped:
     """A line that is not a sample.
 
-    `time` is the time of the next expected sample [s]. `kind` is BAD, REPEATED or COMMENT.
+    `time` is the time of the next expected sample [s]. `kind` is BAD or REPEATED.
     """
 
     time: float
@@ -170,10 +170,6 @@ class Metronome(SavedFields):
             return [Skipped(time, BAD, line.problem), Sample(time, math.nan, self._counts)]
         self._counts = line.counts
         return [Sample(time, line.u, line.counts, further=line.further)]
-
-    def end(self) -> list[Found]:
-        """Return nothing, because no lines are held."""
-        return []
 
 
 @dataclass
@@ -221,10 +217,6 @@ class Timeline(SavedFields):
         if line.problem:
             return [self._skip(line.problem)]
         return self._irregular(line)
-
-    def end(self) -> list[Found]:
-        """Return the lines that were held to the end."""
-        return self._drop_held()
 
     def _offset(self, time: float) -> float:
         return (time - self._expected) / self.dt

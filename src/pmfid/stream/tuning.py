@@ -39,6 +39,17 @@ class StreamTuning:
     #: after twice as many events as the preceding notice.
     each_notice: int = 10
 
+    # lines
+    #: Largest number of stored sets of field names for one axis. The limit is necessary, because names with different
+    #: units in brackets make different sets.
+    most_readings: int = 16
+    #: Largest number of letters in a message on a received value.
+    most_letters: int = 200
+    #: Largest number of bytes in a line. A longer line is left out.
+    longest_line: int = 65536
+    #: Number of first lines that must contain the header.
+    first_lines: int = 100
+
     # notices
     #: Smallest number of a service's notice, beyond the numbers of all axes, in microseconds since 1970. `of_axis` is
     #: the number of notices reserved for each axis.
@@ -63,8 +74,8 @@ class StreamTuning:
     order_rate: float = 0.005
     #: Tolerance of the sender's sample period, relative to the period of the configuration.
     order_period: float = 1e-3
-    #: Longest gap between two epochs [s], and longest gap between two numbers [s]. A sender that skips more numbers has
-    #: restarted.
+    #: Longest gap between two epochs or two times [s], after which a clock was set, and longest gap between two numbers
+    #: [s]. A sender that skips more numbers has restarted.
     longest_gap: float = 3600.0
     longest_absence: float = 86400.0
     #: Number of remembered gaps, which distinguish late samples from repeated ones.
@@ -81,6 +92,40 @@ class StreamTuning:
     store_busy: float = 60.0
     #: Largest number of bytes in one value of the database. SQLite takes at most 10^9.
     store_piece: int = 2**26
+
+    # timeline
+    #: Number of steps from line to line in a group. The next constant is the smallest relative difference between the
+    #: mean step and the sample period that matters.
+    timeline_steps: int = 25
+    timeline_coarse: float = 0.05
+    #: Longest step before a repeated line, which counts as no step [sample periods].
+    timeline_doubled: float = 0.02
+    #: Smallest part of regular steps in a group with a period, and largest distance of a regular step from their mean.
+    timeline_regular: float = 0.8
+    timeline_close: float = 0.25
+    #: Number of samples before the mean period is checked. The next constant is the largest relative error of the
+    #: period.
+    timeline_long: int = 500
+    timeline_fine: float = 0.005
+    #: Largest deviation of the stamp of an expected sample [sample periods]. The limit is large because late stamps are
+    #: more common than lost samples.
+    timeline_near: float = 0.75
+    #: Part of a stamp's deviation by which the grid moves.
+    timeline_follow: float = 0.1
+    #: Number of successive lines that reveal missing samples. `timeline_late` is the number of lines that reveal a
+    #: clock that was set back. `timeline_late` is larger, because a logger that repeats its last lines resembles a
+    #: clock that was set back.
+    timeline_ahead: int = 2
+    timeline_late: int = 5
+    #: Shortest and longest step from a held line to the next line [sample periods]. Lines between the held line and the
+    #: next line may be lost.
+    timeline_soonest: float = 0.25
+    timeline_latest: float = 10.0
+    #: Number of recent samples that are compared with a late line. An equal sample means a repetition and not a late
+    #: sample.
+    timeline_remembered: int = 32
+    #: Number of successive lines without a valid time that end the run.
+    most_strays: int = 1000
 
 
 TUNING = StreamTuning()

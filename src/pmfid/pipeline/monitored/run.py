@@ -1,201 +1,91 @@
-"""A monitored run, which converts samples to estimates and events."""
+"""A record under a monitor, with its estimates and events."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from pmfid._estimate import Estimate
-from pmfid.errors import UsageError
+import numpy as np
+
 from pmfid.estimators.facts import INPUT_GAIN
-from pmfid.estimators.known import Seen
 from pmfid.monitor.edges import EdgeMonitor
-from pmfid.monitor.events import Change, Event, Outlier, Settled, StateChange
+from pmfid.monitor.events import STATES, Change, Event, FleetRows, Outlier, Settled, StateChange
 from pmfid.monitor.monitor import Monitor
-from pmfid.pipeline.monitored.rows import RowSink
-from pmfid.pipeline.monitored.timeline import BAD, COMMENT, REPEATED, Found, Sample, Skipped
 from pmfid.pipeline.tuning import TUNING
-from pmfid.types import Floats
+from pmfid.records.record import Record
 
-#: A monitor, of counts or of edges.
-Monitored = Monitor | EdgeMonitor
-#: A notice for JSON, with texts, numbers and tables by key.
+if TYPE_CHECKING:
+    import polars as pl
+
+#: An event for JSON, with texts, numbers and tables by key.
 Notice = dict[str, Any]
-Tell = Callable[[Notice], None]
-#: Time, u, counts, theta, std, innovation, status bits and state of one sample.
-Row = tuple[float, float, int, Floats, Floats, float, int, str]
-#: Callback with each sample, its estimate and the monitor's state.
-Observer = Callable[[Sample, Estimate | Seen, str], None]
 
 
-@dataclass
-class RunHistory:
-    """The curves of the report in bounded memory.
-
-    A row holds time, u, counts, theta, std, innovation, status bits and state of every `stride`th sample. Status bits
-    and the largest innovation also cover the samples between two rows.
-    """
-
-    stride: int = field(default=1, init=False)
-    rows: list[Row] = field(default_factory=list, init=False)
-    _taken: int = field(default=0, init=False)
-
-    def __call__(self, sample: Sample, estimate: Estimate | Seen, state: str) -> None:
-        """Add a sample with its estimate and the monitor's state."""
-        if self._taken % self.stride == 0:
-            if len(self.rows) >= TUNING.most_rows:
-                self.rows, self.stride = self.rows[::2], 2 * self.stride
-            theta, std = estimate.theta, estimate.theta_std
-            row = (sample.time, sample.u, sample.counts, theta, std, estimate.innovation, estimate.status, state)
-            self.rows.append(row)
-        else:
-            time, u, counts, theta, std, innovation, status, _ = self.rows[-1]
-            largest = max(innovation, estimate.innovation, key=abs)
-            self.rows[-1] = (time, u, counts, theta, std, largest, status | estimate.status, state)
-        self._taken += 1
-
-
-@dataclass
+@dataclass(frozen=True)
 class MonitoredRun:
-    """The totals of a run and its first run_kept events, as for JSON.
+    """A record of n samples under a monitor.
 
-    `bad_lines` counts unusable lines. `repeated_lines` counts lines that came twice or too late. `comments` includes
-    repeated headers. `gaps` counts gaps in the times, and `missing` counts the samples in these gaps. `clock_jumps`
-    counts how often the clock was set. `outliers` counts samples that no motion explains. `problem` is the error that
-    ended the run, or an empty text.
+    `names` belong to the q reported parameters. `rows` has the estimates of one axis. `events` are as for JSON, in the
+    order of time, with the first `most_notices` outliers. `outliers` counts all samples that no motion explains.
     """
 
-    samples: int = 0
-    bad_lines: int = 0
-    repeated_lines: int = 0
-    comments: int = 0
-    gaps: int = 0
-    missing: int = 0
-    clock_jumps: int = 0
-    outliers: int = 0
-    problem: str = ""
-    events: list[Notice] = field(default_factory=list)
+    record: Record
+    names: tuple[str, ...]
+    rows: FleetRows
+    events: tuple[Notice, ...]
+    outliers: int
 
     @property
     def alarms(self) -> list[Notice]:
         return [event for event in self.events if event["event"] == "alarm"]
 
+    @property
     def totals(self) -> dict[str, int]:
-        """Return all totals by name."""
-        names = ("samples", "bad_lines", "repeated_lines", "comments", "gaps", "missing", "clock_jumps", "outliers")
-        return {**{name: getattr(self, name) for name in names}, "alarms": len(self.alarms)}
+        """The numbers of samples, outliers and alarms."""
+        return {"samples": self.record.u.size, "outliers": self.outliers, "alarms": len(self.alarms)}
+
+    def to_frame(self) -> pl.DataFrame:
+        """Return a table with a row for each sample."""
+        import polars as pl
+
+        rows = self.rows
+        columns: dict[str, object] = {"t": self.record.times}
+        for values, end in ((rows.theta, ""), (rows.std, "_std")):
+            columns |= {f"{name}{end}": values[0, :, i] for i, name in enumerate(self.names)}
+        columns |= {
+            "innovation": rows.innovation[0],
+            "status": rows.status[0],
+            "state": np.array(STATES)[rows.state[0]],
+        }
+        return pl.DataFrame(columns)
 
 
-def list_skipped(event: Notice) -> list[str]:
-    """Return texts with the numbers of skipped lines, from the totals."""
-    parts = [
-        f"{event[name]} {word}{'s' * (event[name] != 1)}"
-        for name, word in (("bad_lines", "bad line"), ("repeated_lines", "repeated line"), ("comments", "comment"))
-        if event[name]
-    ]
-    if event["missing"]:
-        parts.append(f"{event['missing']} samples missing in {event['gaps']} gaps")
-    if event["clock_jumps"]:
-        parts.append(f"clock jumped {event['clock_jumps']} times")
-    if event["outliers"]:
-        parts.append(f"{event['outliers']} jump{'s' * (event['outliers'] != 1)} left out")
-    return parts
+def watch(record: Record, monitor: Monitor | EdgeMonitor) -> MonitoredRun:
+    """Run the monitor over a record."""
+    further = {"": None, "ages": record.ages, "temperature": record.temperature}[monitor.further]
+    rows = monitor.run(record.u, record.counts, further)
+    events, outliers = _note_temperature(record, monitor), 0
+    for *_, event in rows.events:
+        outliers += isinstance(event, Outlier)
+        if outliers <= TUNING.most_notices or not isinstance(event, Outlier):
+            events.append(event_object(event, monitor.names))
+    return MonitoredRun(record, monitor.names, rows, tuple(sorted(events, key=lambda event: event["time"])), outliers)
 
 
-def header(monitor: Monitored) -> list[str]:
-    """Return the column names of the estimates."""
-    names = monitor.names
-    return ["t", *names, *(f"{name}_std" for name in names), "innovation", "status", "state"]
-
-
-def watch(
-    found: Iterable[Found], monitor: Monitored, sink: RowSink | None, tell: Tell, observers: Sequence[Observer] = ()
-) -> MonitoredRun:
-    """Run the monitor over the samples. `tell` gets each event as an object for JSON, with the times of the samples.
-
-    A UsageError in the samples ends the run without an exception, so that the results are still written.
-    """
-    run = MonitoredRun()
-    try:
-        for one in found:
-            if isinstance(one, Skipped):
-                _count_skipped(one, run, tell)
-            else:
-                _step(one, monitor, run, sink, tell, observers)
-    except UsageError as error:
-        run.problem = str(error)
-    return run
-
-
-def _step(
-    sample: Sample,
-    monitor: Monitored,
-    run: MonitoredRun,
-    sink: RowSink | None,
-    tell: Tell,
-    observers: Sequence[Observer],
-) -> None:
-    events = _count_interruption(sample, monitor, run, tell) if sample.missing or sample.jump else []
-    if isinstance(monitor, Monitor):
-        _compare_temperature(sample, monitor, run, tell)
-    estimate, now = monitor.step(sample.u, sample.counts, sample.further)
-    reported = monitor.apply_known(estimate)
-    run.samples += 1
-    if sink is not None:
-        sink.write(_row(sample.time, reported, monitor.state))
-    for observe in observers:
-        observe(sample, reported, monitor.state)
-    for event in [*events, *now]:
-        if isinstance(event, Outlier):
-            run.outliers += 1
-            if run.outliers > TUNING.most_notices:
-                continue
-        shift = sample.time - (monitor.samples - 1) * monitor.estimator.dt
-        notice = event_object(event, monitor.names, shift)
-        if len(run.events) < TUNING.run_kept:
-            run.events.append(notice)
-        tell(notice)
-
-
-def _compare_temperature(sample: Sample, monitor: Monitor, run: MonitoredRun, tell: Tell) -> None:
-    """Report the first temperature that the reference does not have."""
-    warmth, found = monitor.calibration.warmth, sample.further
-    if warmth is None or not (found < warmth.span[0] or found > warmth.span[1]):
-        return
-    if not any(event["event"] == "temperature" for event in run.events):
-        span = " to ".join(f"{end:.4g}" for end in warmth.span)
-        problem = f"{found:.4g} is beyond {span} of the reference, and the effect on friction is extrapolated"
-        run.events.append({"event": "temperature", "time": sample.time, "problem": problem})
-        tell(run.events[-1])
-
-
-def _count_skipped(line: Skipped, run: MonitoredRun, tell: Tell) -> None:
-    """Count a line that is not a sample, and report the first such lines."""
-    name = {BAD: "bad_lines", REPEATED: "repeated_lines", COMMENT: "comments"}[line.kind]
-    setattr(run, name, getattr(run, name) + 1)
-    if line.kind != COMMENT and getattr(run, name) <= TUNING.most_notices:
-        tell({"event": line.kind, "time": line.time, "problem": line.problem})
-
-
-def _count_interruption(sample: Sample, monitor: Monitored, run: MonitoredRun, tell: Tell) -> list[Event]:
-    """Count and report a gap or a clock that was set, and pass it to the monitor."""
-    if sample.missing:
-        run.gaps += 1
-        run.missing += sample.missing
-        if run.gaps <= TUNING.most_notices:
-            tell({"event": "gap", "time": sample.time, "missing": sample.missing})
-        return monitor.fill_gap(sample.missing, sample.u, sample.counts)
-    run.clock_jumps += 1
-    if run.clock_jumps <= TUNING.most_notices:
-        tell({"event": "clock", "time": sample.time, "jump": sample.jump})
-    return monitor.skip(1)
-
-
-def _row(time: float, estimate: Estimate | Seen, state: str) -> tuple[float | int | str, ...]:
-    # Values are infinite before the first information.
-    theta, std = estimate.theta.tolist(), estimate.theta_std.tolist()
-    return (time, *theta, *std, estimate.innovation, estimate.status, state)
+def _note_temperature(record: Record, monitor: Monitor | EdgeMonitor) -> list[Notice]:
+    """Return an event for the first temperature that the reference does not have, if there is one."""
+    warmth = monitor.calibration.warmth if isinstance(monitor, Monitor) else None
+    if warmth is None or record.temperature is None:
+        return []
+    beyond = np.flatnonzero((record.temperature < warmth.span[0]) | (record.temperature > warmth.span[1]))
+    if not beyond.size:
+        return []
+    span = " to ".join(f"{end:.4g}" for end in warmth.span)
+    problem = (
+        f"{record.temperature[beyond[0]]:.4g} is beyond {span} of the reference, and the effect on friction is "
+        "extrapolated"
+    )
+    return [{"event": "temperature", "time": float(beyond[0]) * record.dt, "problem": problem}]
 
 
 def event_object(event: Event, names: tuple[str, ...], shift: float = 0.0) -> Notice:

@@ -19,13 +19,12 @@ from pydantic import Field
 from pmfid.config.axis import Axis
 from pmfid.config.model import Name
 from pmfid.errors import UsageError
-from pmfid.pipeline.monitored.lines import LineParser
-from pmfid.pipeline.monitored.stream import Beginning
-from pmfid.pipeline.monitored.timeline import Line
 from pmfid.service.context import CHUNK, Context, Source, SourceSection, Take
 from pmfid.service.tuning import TUNING
 from pmfid.service.wire.messages import LineSplitter, Messages
 from pmfid.stream.delivery import Delivery, Item, Lines
+from pmfid.stream.lines import Beginning, LineParser
+from pmfid.stream.timeline import Line
 
 
 class StdinSource(SourceSection):
@@ -35,8 +34,7 @@ class StdinSource(SourceSection):
     axis: Name | None = Field(
         None,
         description=(
-            "the name of the axis for lines of CSV, as for `pmfid monitor -`; without it, each line is a JSON object "
-            "that names its axis"
+            "the name of the axis for lines of CSV; without it, each line is a JSON object that names its axis"
         ),
     )
 

@@ -14,13 +14,13 @@ from typing import Literal
 
 from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
-from pmfid.pipeline.monitored.lines import FieldReader
-from pmfid.pipeline.monitored.timeline import Line
-from pmfid.pipeline.tuning import TUNING as PIPELINE_TUNING
 from pmfid.service.context import FindAxis
 from pmfid.stream import blocks
 from pmfid.stream.blocks import MAGIC
 from pmfid.stream.delivery import Block, Item, Lines, Unusable, split_tables
+from pmfid.stream.lines import FieldReader
+from pmfid.stream.timeline import Line
+from pmfid.stream.tuning import TUNING
 
 
 @dataclass
@@ -36,9 +36,9 @@ class LineSplitter:
         if lines and self._cut:
             self._cut = False
             del lines[0]
-        if len(self._rest) > PIPELINE_TUNING.longest_line:
+        if len(self._rest) > TUNING.longest_line:
             self._rest, self._cut = b"", True
-        return [line for line in lines if len(line) <= PIPELINE_TUNING.longest_line]
+        return [line for line in lines if len(line) <= TUNING.longest_line]
 
 
 #: Largest number of items in one message. Further items are ignored.
