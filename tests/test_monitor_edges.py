@@ -134,6 +134,6 @@ def test_the_command_watches_the_edges_of_a_record(tmp_path: Path) -> None:
         assert (alarm["parameter"], alarm["direction"]) == ("mass", "up")
         assert (events[0]["method"], events[0]["nominal"]["mass"]) == ("redge", pytest.approx(1.07, rel=1e-3))
     assert "standard errors" in (tmp_path / "page.html").read_text()
-    assert "ALARM  mass +" in CliRunner().invoke(main, arguments).stdout
+    assert "ALARM  since " in CliRunner().invoke(main, arguments).stdout
     (tmp_path / "axis.toml").write_text(AXIS % (resolution_of(TURN), ""))
     assert "[monitor] reference is missing" in CliRunner().invoke(main, arguments).stderr

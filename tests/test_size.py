@@ -13,9 +13,9 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 65184,
-    "lines of code in src": 38105,
-    "lines of code in report and cli": 3215,
+    "lines of src": 65097,
+    "lines of code in src": 38052,
+    "lines of code in report and cli": 3075,
     "thresholds in src": 963,
     "lines of csrc": 8670,
     "defines of csrc": 195,

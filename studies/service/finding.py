@@ -7,8 +7,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from pmfid.cli.serve_lines import line
 from pmfid.stream.outcome import Notice
+from pmfid.stream.sentences import notice_line
 from studies.service.hall import Hall, Metrics, Report
 
 #: Metrics that a fault may change. All other metrics change by themselves.
@@ -51,7 +51,7 @@ def sentences(notices: Sequence[Report]) -> list[str]:
         if one["event"] in ("state", "configuration", "serving"):
             continue
         what = {key: value for key, value in one.items() if key not in ("axis", "number", "wall")}
-        text = line(Notice(one["axis"], one["number"], one["wall"], what))
+        text = notice_line(Notice(one["axis"], one["number"], one["wall"], what))
         if text:
             reported[text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."] += 1
     return [text if times == 1 else f"{text} ({times} times)" for text, times in reported.items()]

@@ -19,12 +19,12 @@ from urllib.parse import quote, urlsplit
 
 import pytest
 
-from pmfid.cli.serve_lines import line
 from pmfid.service.broker import PLACE
 from pmfid.service.plant import SINKS, SOURCES, load_plant
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog, json_line
 from pmfid.service.web.config import PageConfig
+from pmfid.stream.sentences import notice_line
 from tests.patience import PATIENCE
 from tests.service.broker import Broker, needs_broker, stopped_brokers  # noqa: F401 a fixture
 from tests.service.feed import standard_input
@@ -197,7 +197,7 @@ PATHS = (
 @pytest.mark.skipif(PASSWD is None, reason="mosquitto_passwd is not installed")
 @needs_broker
 @pytest.mark.usefixtures("stopped_brokers")
-@pytest.mark.parametrize("form", [pytest.param(json_line, marks=pytest.mark.long), line], ids=["json", "text"])
+@pytest.mark.parametrize("form", [pytest.param(json_line, marks=pytest.mark.long), notice_line], ids=["json", "text"])
 def test_no_secret_comes_out_anywhere(
     folder: Path,  # noqa: F811
     running: Running,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -122,8 +122,31 @@ def _write_estimates(out: Path, run: MonitoredRun) -> None:
         raise UsageError(f"{out}: {reason}; free some space, or choose another folder") from None
 
 
-def _print_event(event: dict[str, object], as_json: bool) -> None:
+def _print_event(event: dict[str, Any], as_json: bool) -> None:
     """Print an event as JSON, or as text for people."""
-    from pmfid.cli.monitor_lines import sentence
+    from pmfid.stream.sentences import log_line
 
-    click.echo(json.dumps(event, allow_nan=False) if as_json else sentence(event))
+    own = {"start": _describe_start, "end": _describe_end}.get(event["event"], log_line)
+    click.echo(json.dumps(event, allow_nan=False) if as_json else own(event))
+
+
+def _describe_start(event: dict[str, Any]) -> str:
+    normal = ", ".join(f"{name} {value:.4g} {event['units'][name]}" for name, value in event["nominal"].items())
+    source = ""
+    if hours := event.get("record_hours"):
+        source = f" (by the scatter of {hours:.3g} h of the reference)"
+    elif hours is not None:
+        source = " (by the noise of the encoder)"
+    lines = [
+        f"normal: {normal}",
+        f"tolerance {100 * event['tolerance']:g} %, threshold {event['threshold']:.4g}: a false alarm in "
+        f"{event['mtbf_hours']:g} h on average{source}",
+        *(f"note: {note}" for note in event["notes"]),
+    ]
+    return "\n".join(lines)
+
+
+def _describe_end(event: dict[str, Any]) -> str:
+    counts = {"sample": event["samples"], "alarm": event["alarms"], "jump": event["outliers"]}
+    words = [f"{count} {word}{'s' * (count != 1)}" for word, count in counts.items() if word != "jump" or count]
+    return ", ".join(words) + (" left out" if event["outliers"] else "")

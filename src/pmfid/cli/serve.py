@@ -35,9 +35,9 @@ def serve(
 
     SIGTERM and Ctrl-C end the service after all results are written. SIGHUP reads PLANT.toml again.
     """
-    from pmfid.cli.serve_lines import line
     from pmfid.service.run import Service
     from pmfid.service.sinks.plain import NoticeLog, json_line
+    from pmfid.stream.sentences import notice_line
 
     page: dict[str, object] | None = {"enabled": False} if no_page else None if port is None else {"port": port}
     options = {"every": every, "state": None if state is None else str(state.absolute())}
@@ -48,4 +48,4 @@ def serve(
 
         return load_plant(config, given).with_page(page)
 
-    Service(load, NoticeLog(sys.stdout, json_line if as_json else line), until_end).run()
+    Service(load, NoticeLog(sys.stdout, json_line if as_json else notice_line), until_end).run()

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -276,21 +274,6 @@ class Outlier:
 
 
 Event = Alarm | Settled | StateChange | Outlier
-
-
-def describe_rate(rate: float | None) -> str:
-    """Return the words for a relative change per hour that goes on, or an empty text for None."""
-    if rate is None:
-        return ""
-    unit, hours = ("a day", 24) if abs(rate) < 0.01 else ("an hour", 1)
-    return f"; it keeps changing by about {100 * hours * rate:+.2g} % {unit}"
-
-
-def describe_changes(settled: Mapping[str, Any]) -> str:
-    """Return the words for the changes of a `settled` object of JSON, or an empty text."""
-    changes = [f"{one['parameter']} {100 * one['relative']:+.1f} %" for one in settled.get("changes", ())]
-    others = f", or {settled['others']}" if settled.get("others") else ""
-    return f"; the change is {' and '.join(changes)}{others}".replace("_", " ") if changes else ""
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ from pmfid.service.broker import BrokerSection, Text, new_client
 from pmfid.service.context import Context
 from pmfid.service.sinks.plain import alarm_of, as_json, notice_object, row_objects
 from pmfid.service.sinks.queued import URGENT, SinkSection
-from pmfid.service.sinks.sentences import sentence
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
+from pmfid.stream.sentences import notice_sentence
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessageInfo
@@ -196,7 +196,10 @@ class MqttSink:
         return f"{self._base}/{what}/{quote(of, safe='')}"
 
     def _notice(self, notice: Notice) -> None:
-        payload, topic = as_json(notice_object(notice) | {"text": sentence(notice)}).encode(), self._alarm_topic(notice)
+        payload, topic = (
+            as_json(notice_object(notice) | {"text": notice_sentence(notice)}).encode(),
+            self._alarm_topic(notice),
+        )
         if notice.what.get("event") == "alarm":
             self._retain(topic, notice.number, payload)
         elif self._takes_back(notice, topic):

@@ -22,8 +22,8 @@ from pmfid.service.broker import PLACE, Place, is_here, is_place, read_secret
 from pmfid.service.context import Context, RefusedError
 from pmfid.service.sinks.plain import as_json, notice_object
 from pmfid.service.sinks.queued import QueueLimits, SinkSection
-from pmfid.service.sinks.sentences import sentence
 from pmfid.stream.outcome import EstimateRows, Notice
+from pmfid.stream.sentences import notice_sentence
 
 #: Answers to the content of a request, which another attempt would not change.
 ABOUT_CONTENT = (400, 413, 414, 415, 422, 431)
@@ -201,7 +201,7 @@ class WebhookSink:
 
     def _send(self, notice: Notice) -> None:
         key = sha256(as_json([self._service, notice.axis, notice.number, notice.what]).encode()).hexdigest()[:32]
-        text = sentence(notice)
+        text = notice_sentence(notice)
         body = as_json({"service": self._service, **notice_object(notice), "text": text}) if self._json else text
         kind = "application/json" if self._json else "text/plain; charset=utf-8"
         self._poster.post(printable(body).encode(), {"Content-Type": kind, "Idempotency-Key": key})
