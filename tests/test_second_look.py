@@ -9,6 +9,7 @@ from dataclasses import replace
 from html import unescape
 from itertools import product
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -24,8 +25,7 @@ from pmfid.pipeline.identify import identify
 from pmfid.pipeline.result import DriveResult, parameter_header, parameter_rows
 from pmfid.records.record import Record
 from pmfid.report.result import write_result
-from pmfid.simulation import DriveParameters, Machine
-from pmfid.simulation.scenarios import CART_DT
+from pmfid.simulation import CART, CART_DT, CART_RESOLUTION, DriveParameters, Machine, prbs, simulate_drive
 from pmfid.types import Floats
 from studies.friction_axes import FRICTIONS
 from studies.machines import Axis, _control, record_of, truth
@@ -185,3 +185,13 @@ def test_the_report_has_the_check_second(tmp_path: Path) -> None:
     assert "<p>Note: one.</p>\n<p>Note: two.</p>" in page
     assert "input [N]" in page
     assert "unit of u" not in page
+
+
+def test_the_methods_share_one_fit_of_the_record() -> None:
+    u = prbs(500, clock=10, amplitude=4.0, rng=np.random.default_rng(1))
+    counts = pmfid.quantize(simulate_drive(CART, u, CART_DT).x, CART_RESOLUTION)
+    settings = {"model": pmfid.Drive(CART.input_gain), "encoder": pmfid.Encoder(CART_RESOLUTION), "dt": CART_DT}
+    with mock.patch.object(pmfid.MotionFit, "examine", autospec=True, side_effect=pmfid.MotionFit.examine) as examine:
+        results = [pmfid.identify(u, counts, method=name, cutoff=20.0, **settings) for name in ("ls", "iv")]
+    assert examine.call_count == 1
+    assert results[0].model_spread is not results[1].model_spread

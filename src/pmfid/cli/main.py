@@ -21,7 +21,7 @@ from pmfid.cli.init import init
 from pmfid.cli.monitor import monitor
 from pmfid.cli.serve import serve
 from pmfid.cli.simulate import simulate
-from pmfid.cli.tables import deliver_page, print_result
+from pmfid.cli.tables import print_result
 from pmfid.cli.terminal import (
     JSON,
     RECORDS,
@@ -40,8 +40,6 @@ from pmfid.estimators import METHODS
 from pmfid.io import SPOKEN
 
 EXIT_USAGE = 2
-#: Name of a method that stands for all methods.
-EVERY = "all"
 #: Environment variables that limit threads. With several threads, products of small matrices wait for each other, and a
 #: search took four times as long.
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
@@ -100,14 +98,13 @@ def _open_closed_streams() -> None:
 @config_option()
 @click.option(
     "--method",
-    type=click.Choice((*METHODS, EVERY)),
-    help="auto: from the record; all: every method, side by side. Off-line: fit, ls, bcls, iv, srivc; "
+    type=click.Choice(METHODS),
+    help="auto: from the record. Off-line: fit, ls, bcls, iv, srivc; "
     "recursive: rls, bcrls, riv. For a transfer function: srivc, rls, bcrls.",
 )
 @SET
 @folder_option(
-    "Write report.html and result.json into this folder, for a recursive method on a drive also track.parquet; with "
-    "--method all, compare.html."
+    "Write report.html and result.json into this folder, for a recursive method on a drive also track.parquet."
 )
 @JSON
 def identify(
@@ -120,9 +117,6 @@ def identify(
 ) -> None:
     """Identify the parameters of a record."""
     given = read_changes(changes)
-    if method == EVERY:
-        _compare(records, config, given, out, as_json)
-        return
     given |= {"estimator.method": method} if method else {}
     with progress("identify") as tell:
         from pmfid.config.axis import load_axis
@@ -140,20 +134,6 @@ def identify(
         print_json(result.to_json())
     else:
         print_result(result, out)
-
-
-def _compare(
-    records: tuple[Path, ...], config: Path, changes: dict[str, object], out: Path | None, as_json: bool
-) -> None:
-    with progress("methods") as tell:
-        from pmfid.config.axis import load_axis
-        from pmfid.pipeline.identify import compare as run
-        from pmfid.pipeline.identify import kind_of
-        from pmfid.report.comparison import comparison_page
-
-        axis = load_axis(config, changes)
-        comparison = run(kind_of(axis).read(records, axis), axis, tell)
-    deliver_page(comparison_page(comparison), out, as_json)
 
 
 COMMANDS = (

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
 
@@ -11,8 +9,7 @@ import numpy as np
 
 from pmfid.config.axis import Axis
 from pmfid.diagnostics.matter import OF_LOG, is_small_doubt, weigh_findings
-from pmfid.errors import NotIdentifiableError, PmfidError, UsageError
-from pmfid.estimators.registry import methods_for
+from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.findings import Finding, codes, make_notes, sort_findings
 from pmfid.pipeline.drives import Drives
 from pmfid.pipeline.fitted import SecondMassError
@@ -129,52 +126,3 @@ def check(data: Records, axis: Axis) -> tuple[Finding, ...]:
     doubts = [one for one in result.findings if one.severity != "note" and one not in log]
     small = [finding for finding in result.findings if is_small_doubt(finding)]
     return sort_findings((*weigh_findings(log, result.matter), *doubts, *small))
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """Results by method, and the reason for each method without a result.
-
-    `name` and `samples` describe the record or records.
-    """
-
-    name: str
-    samples: int
-    results: Mapping[str, Result]
-    refused: dict[str, str]
-
-    def to_json(self) -> dict[str, object]:
-        """Return the object that `--json` prints."""
-        methods: dict[str, object] = {name: result.to_json() for name, result in self.results.items()}
-        methods |= {name: {"error": reason} for name, reason in self.refused.items()}
-        return {"record": self.name, "samples": self.samples, "methods": methods}
-
-
-def compare(data: Records, axis: Axis, done: Progress | None = None) -> Comparison:
-    """Run every method with the settings of `axis` on the records that `kind_of(axis).read` returns.
-
-    `done` is called with the completed part of the work. Raises UsageError as `identify` does. If no method succeeds,
-    the function raises the error of the first method.
-    """
-    kind, methods = kind_of(axis), methods_for(axis.model.make())
-    axis = kind.prepare_axis(data, axis)
-    results: dict[str, Result] = {}
-    refused: dict[str, PmfidError] = {}
-    kind.check(data, axis)
-    for count, method in enumerate(methods, 1):
-        try:
-            results[method] = kind.estimate(data, _with_method(axis, method))
-        except (NotIdentifiableError, UsageError) as error:
-            refused[method] = error
-        if done is not None:
-            done(count / len(methods))
-    unknown = {method: error for method, error in refused.items() if isinstance(error, NotIdentifiableError)}
-    found = kind.check_record(data, axis) if unknown else ()
-    errors = refused | {method: explain_error(error, found) for method, error in unknown.items()}
-    if not results:
-        raise next(iter(errors.values()))
-    return Comparison(*kind.name_and_samples(data), results, {method: str(error) for method, error in errors.items()})
-
-
-def _with_method(axis: Axis, method: str) -> Axis:
-    return axis.model_copy(update={"estimator": axis.estimator.model_copy(update={"method": method})})

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
 from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,7 +14,7 @@ from pmfid.errors import printable
 from pmfid.fleet.history import History
 from pmfid.fleet.tuning import TUNING as FLEET_TUNING
 from pmfid.fleet.verdicts import when, with_error
-from pmfid.report.figures import COLOURS, GREY, open_figure
+from pmfid.report.figures import COLOURS, open_figure
 from pmfid.report.html import write_page
 from pmfid.report.page import Cell, ResultPage, Section, Table
 from pmfid.report.tuning import TUNING
@@ -34,62 +33,11 @@ KINDS = {
     "wanders": COLOURS[5],
     "stopped": COLOURS[2],
 }
-#: Markers of the verdicts for prints without colour, and styles for overlaid lines of parameters.
-MARKERS = {"changed": "o", "drifts": "^", "differs": "s", "wanders": "d", "stopped": "v"}
+#: Styles for overlaid lines of parameters.
 LINES = (("-", "o"), ("--", "^"), (":", "s"), ("-.", "d"))
 MAP = {"change": COLOURS[1], "no estimate": "#333333", "doubt": COLOURS[3], "good": "#cfe8dc", "no data": "#f4f4f4"}
 #: Kinds of verdicts with a course over time, and the least height [%] of their panels.
 MOVING, LEAST_HEIGHT = ("changed", "drifts"), 2.0
-
-
-def spread_figure(found: History) -> Figure:
-    """Draw a panel for each parameter, with each axis's change and distance from the median of its type.
-
-    Distance and change are relative.
-    """
-    from matplotlib.lines import Line2D
-
-    with open_figure(3.4, 1, len(found.names)) as (figure, panels):
-        for panel, name in zip(panels, found.names, strict=True):
-            _panel(panel, found, name)
-        panels[0].set_ylabel("change within the history in %")
-        there = [(kind, KINDS[kind], MARKERS[kind]) for kind in KINDS if kind in found.axes["kind"]]
-        handles = [
-            Line2D([], [], color=colour, marker=marker, ls="", label=kind)
-            for kind, colour, marker in [*there, ("no finding", GREY, ".")]
-        ]
-        figure.legend(handles=handles, loc="outside lower center", ncols=5)
-    return figure
-
-
-def _panel(panel: Axes, found: History, name: str) -> None:
-    axes = found.axes
-    x, y = (100 * axes[f"{name}{end}"].to_numpy() for end in ("_deviation", "_change"))
-    x, y = np.nan_to_num(x, nan=0.0), np.nan_to_num(y, nan=0.0)
-    kinds = axes["kind"].to_numpy()
-    quiet = ~np.isin(kinds, list(KINDS))
-    panel.plot(x[quiet], y[quiet], ".", color=GREY, ms=3, alpha=0.5)
-    for kind, colour in KINDS.items():
-        which = kinds == kind
-        panel.plot(x[which], y[which], MARKERS[kind], color=colour, ms=4)
-    most = np.where(kinds == "differs", np.abs(x), np.abs(y))
-    notable = [int(k) for k in np.argsort(-most, kind="stable") if not quiet[k]]
-    for k in _choose_labels(x, y, notable):
-        panel.annotate(label_of(axes["axis"][k]), (x[k], y[k]), (4, 3), textcoords="offset points", fontsize=7)
-    panel.margins(x=0.15)
-    _set_least_height(panel)
-    panel.set_title(name.replace("_", " "))
-    panel.set_xlabel("from the median in %")
-
-
-def _choose_labels(x: Floats, y: Floats, places: Sequence[int]) -> list[int]:
-    """Return the first `fleet_names` places whose names do not overlap."""
-    width, height = max(float(np.ptp(x)), 1e-9), max(float(np.ptp(y)), 1e-9)
-    found: list[int] = []
-    for k in places:
-        if all(abs(x[k] - x[j]) > 0.4 * width or abs(y[k] - y[j]) > 0.06 * height for j in found):
-            found.append(k)
-    return found[: TUNING.fleet_names]
 
 
 def _set_least_height(panel: Axes) -> None:
@@ -207,7 +155,7 @@ def _labels(axes: Axes, found: History, order: list[str], edges: np.ndarray) -> 
 
 def write_fleet(out: Path, found: History, name: str) -> None:
     """Write fleet.html and fleet.json into the folder `out`."""
-    sections = [_attention(found), _unknown(found), _trends(found), _wandering(found), _spread(found), _map(found)]
+    sections = [_attention(found), _unknown(found), _trends(found), _wandering(found), _map(found)]
     sections += [_list_unused(found), _how(found)]
     shown = [section for section in sections if section is not None]
     write_page(out, ResultPage("fleet", f"{name}: {found.title}", found.to_json(), shown))
@@ -248,6 +196,12 @@ def _besides(found: History) -> str:
     files = found.problems.filter((found.problems["code"] == "unreadable") & (found.problems["file"] != ""))
     text = f"\n\n{_many(unknown, 'axis has', 'axes have')} no estimate, listed below." if unknown else ""
     text += f"\n\n{_many(files['file'].n_unique(), 'file', 'files')} could not be read." if files.height else ""
+    known = found.axes.filter(found.axes["segments"] > 0).select(f"{name}_deviation" for name in found.names)
+    if alone := sum(all(math.isnan(value) for value in row) for row in known.iter_rows()):
+        text += (
+            f"\n\n{_many(alone, 'axis is', 'axes are')} of a type with fewer than {FLEET_TUNING.least_axes}, too few "
+            "to show what is usual, and compared only with their own past."
+        )
     for part, reason in (
         found.problems.filter(found.problems["code"] == "several_sorts").select("file", "text").iter_rows()
     ):
@@ -332,23 +286,6 @@ def _trends(found: History) -> Section | None:
 
 def _slope(slope: float, std: float) -> str:
     return with_error(slope, std).replace(" %", "") if math.isfinite(slope) else ""
-
-
-def _spread(found: History) -> Section | None:
-    if not found.axes.height or found.unknown.height == found.axes.height:
-        return None
-    text = (
-        "Each point is an axis. The horizontal position is the distance of the parameter from the median of its type. "
-        "The vertical position is the change within the history. Axes that need attention have a colour and a name."
-    )
-    known = found.axes.filter(found.axes["segments"] > 0).select(f"{name}_deviation" for name in found.names)
-    alone = sum(all(math.isnan(value) for value in row) for row in known.iter_rows())
-    if alone:
-        text += (
-            f" {alone} axes are of a type with fewer than {FLEET_TUNING.least_axes}, too few to show what is usual. "
-            "These axes are drawn at 0 horizontally, and are compared only with their own past."
-        )
-    return Section("From the others, and from their own past", text, figure=lambda: spread_figure(found))
 
 
 def _map(found: History) -> Section | None:

@@ -9,10 +9,6 @@ from dataclasses import dataclass
 class ReportTuning:
     """All thresholds of `pmfid.report`, ordered by module."""
 
-    # comparison
-    #: Largest number of panels in a row. The numbers of more panels would not fit.
-    comparison_panels: int = 4
-
     # figures
     max_points: int = 2000
     figures_width: float = 9.0
@@ -24,8 +20,7 @@ class ReportTuning:
     figures_line: int = 48
 
     # fleet
-    #: Number of names in a panel, and numbers of the map's rows and periods.
-    fleet_names: int = 6
+    #: Numbers of the map's rows and periods.
     fleet_rows: int = 50
     fleet_columns: int = 400
     #: Numbers of drawn trends, of letters in a name, and of quiet rows for comparison in the map.
