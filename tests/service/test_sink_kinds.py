@@ -30,8 +30,8 @@ def test_a_section_makes_a_sink_and_names_what_is_wrong(kind: str, tmp_path: Pat
     made = section.model_validate({"kind": kind, **keys})
     assert made.make("a", Host(tmp_path)).name == "a"
     assert list(tmp_path.iterdir()) == [], "nothing is opened yet"
-    words = r"evnts is an unknown key; known are .*did you mean 'events'"
-    refused((words, lambda: validate_sections(Whole, {"sink": {"kind": kind, **keys, "evnts": 5}})))
+    words = r"kinds is an unknown key; known are .*did you mean 'kind'"
+    refused((words, lambda: validate_sections(Whole, {"sink": {"kind": kind, **keys, "kinds": 5}})))
     descriptions = {name: field.description for name, field in section.model_fields.items()}
     assert [name for name, words in descriptions.items() if not words] == []
 

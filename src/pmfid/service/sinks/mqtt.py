@@ -15,7 +15,7 @@ from pmfid.monitor.events import STATES
 from pmfid.service.broker import BrokerSection, Text, new_client
 from pmfid.service.context import Context
 from pmfid.service.sinks.plain import alarm_of, as_json, notice_object, row_objects
-from pmfid.service.sinks.queued import URGENT, SinkSection
+from pmfid.service.sinks.queued import SinkSection
 from pmfid.service.tuning import TUNING
 from pmfid.stream.outcome import EstimateRows, Notice
 from pmfid.stream.sentences import notice_sentence
@@ -124,26 +124,16 @@ class MqttSinkSection(SinkSection, BrokerSection):
     prefix: Text = Field(
         "pmfid", pattern="^[^#+\\x00]+$", description='the first levels of all topics, for example "pmfid"'
     )
-    client_id: Text | None = Field(
-        None, description="the name of the client; by default the name of the service and of the sink"
-    )
     estimates: Literal["axis", "batch", "off"] = Field(
         "axis",
         description='"axis" for one message per row, "batch" for messages with many axes, "off" for no estimates',
     )
     qos: Literal[0, 1] = Field(0, description="the quality of service (QoS) of estimates, 0 or 1; alarms always have 1")
-    retain: bool = Field(
-        False, description="true to let the broker keep the last estimate of each axis (retained message)"
-    )
-    events: bool = Field(True, description="false to publish alarms only, without other events")
-    clear: Literal["acknowledged", "settled", "either", "never"] = Field(
-        "acknowledged", description="the event that removes the retained alarm of an axis"
-    )
 
     def make(self, name: str, context: Context) -> MqttSink:
         """Return the sink, not yet open. Raises UsageError without paho-mqtt, and for missing secrets."""
         base = f"{self.prefix}/{quote(context.name, safe='')}"
-        new = partial(new_client, self, context.folder, self.client_id or f"pmfid-{context.name}-{name}")
+        new = partial(new_client, self, context.folder, f"pmfid-{context.name}-{name}")
         new()  # this call reports errors at the start
         link = BrokerLink(new, self.address, self.keepalive, (f"{base}/status", OFFLINE))
         return MqttSink(name, base, link, self)
@@ -158,9 +148,11 @@ class MqttSink:
     restart, messages may repeat. Numbers identify repeated messages.
     """
 
+    events: frozenset[str] | None = None
+
     def __init__(self, name: str, base: str, link: BrokerLink, section: MqttSinkSection) -> None:
         self.name = name
-        self.takes_rows, self.events = section.estimates != "off", None if section.events else URGENT
+        self.takes_rows = section.estimates != "off"
         self._base, self._link, self._section = base, link, section
         self._standing: dict[str, tuple[int, bytes]] = {}  # topic -> number and message that the broker retains
 
@@ -188,7 +180,7 @@ class MqttSink:
             else:
                 for axis, row in row_objects(one):
                     topic, payload = self._topic("estimates", axis), as_json(row).encode()
-                    self._link.publish(topic, payload, self._section.qos, self._section.retain)
+                    self._link.publish(topic, payload, self._section.qos)
         self._link.flush()
 
     def _topic(self, what: str, of: str) -> str:
@@ -204,8 +196,7 @@ class MqttSink:
             self._retain(topic, notice.number, payload)
         elif self._takes_back(notice, topic):
             self._retain(topic, notice.number, b"")
-        if self._section.events:
-            self._link.publish(f"{self._base}/events", payload, 1)
+        self._link.publish(f"{self._base}/events", payload, 1)
 
     def _alarm_topic(self, notice: Notice) -> str:
         """Return the topic on which an alarm is retained.
@@ -226,11 +217,10 @@ class MqttSink:
 
     def _takes_back(self, notice: Notice, topic: str) -> bool:
         """Return whether the alarm of a topic is over. An alarm that was raised before this start is unknown here."""
-        event, clear = notice.what.get("event"), self._section.clear
-        if event == "acknowledged" and clear in ("acknowledged", "either"):
+        if notice.what.get("event") == "acknowledged":
             standing, named = self._standing.get(topic), notice.axis or "silent" in notice.what
             return bool(named) and (standing is None or not standing[1] or standing[0] == alarm_of(notice))
-        return event == "cleared" or (event == "settled" and clear in ("settled", "either"))
+        return notice.what.get("event") == "cleared"
 
     def close(self) -> None:
         """Publish that the service is offline, and end the connection."""

@@ -19,7 +19,7 @@ from pydantic import AfterValidator, Field
 
 from pmfid.service.broker import CONNECTING, BrokerSection, Text, new_client, pauses
 from pmfid.service.context import Context, FindAxis, ProblemReport, SourceSection, Take, Tell
-from pmfid.service.wire.messages import LARGEST, Form, Messages
+from pmfid.service.wire.messages import LARGEST, Messages
 from pmfid.stream.delivery import Delivery
 
 if TYPE_CHECKING:
@@ -52,10 +52,6 @@ class MqttSourceSection(BrokerSection, SourceSection):
     kind: Literal["mqtt"] = Field(description='"mqtt"')
     topics: Annotated[tuple[str, ...], AfterValidator(_check_topics)] = Field(
         strict=False, min_length=1, description='the topics, for example ["hall/+/blocks"] or ["hall/{axis}/json"]'
-    )
-    format: Form = Field(
-        "auto",
-        description='the format of the messages: "block" or "json"; "auto" recognises the format of each message',
     )
     client: Text | None = Field(None, description="the name of the session at the broker, different for each service")
     qos: Literal[0, 1] = Field(1, description="the quality of service: 1, or 0 if messages may be lost")
@@ -101,7 +97,7 @@ class MqttSource:
 
     def __post_init__(self) -> None:
         self._report = ProblemReport(self.name, self.tell)
-        self._messages = Messages(self.axis, self.section.format, self.section.largest)
+        self._messages = Messages(self.axis, self.section.largest)
 
     def run(self, take: Take) -> None:
         """Take messages until `stop`. Raises UsageError for a section that cannot work."""

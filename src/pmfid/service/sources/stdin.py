@@ -46,7 +46,7 @@ class StdinSource(SourceSection):
                 "cat run.csv | pmfid serve AXIS.toml"
             )
         if self.axis is None:
-            messages = Messages(context.axis, "json")
+            messages = Messages(context.axis)
             return Piped(name, lambda lines: messages.items(b"\n".join(lines)), sys.stdin.buffer)
         return Piped(name, CsvLines(self.axis, context.require(self.axis)), sys.stdin.buffer)
 

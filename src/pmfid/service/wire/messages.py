@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from typing import Literal
 
 from pmfid.config.axis import Axis
 from pmfid.errors import UsageError
@@ -140,20 +139,16 @@ def _read_metric(metric: Mapping[str, object], fields: dict[str, object], axis: 
 #: Largest size of a message if nothing else is configured [bytes].
 LARGEST = 2**20
 
-Form = Literal["auto", "block", "json"]
-
 
 @dataclass
 class Messages:
     """A reader of messages, according to [record] in the AXIS.toml of their axes.
 
-    `find` is called for each sample, because the axis may change. Axes that share an object share a reader. `form` is
-    the form of all messages. With "auto" each message reveals its form. `largest` is the largest size of a message
-    [bytes].
+    `find` is called for each sample, because the axis may change. Axes that share an object share a reader. The
+    first bytes of a message reveal its form. `largest` is the largest size of a message [bytes].
     """
 
     find: FindAxis
-    form: Form = "auto"
     largest: int = LARGEST
     _readers: dict[int, tuple[Axis, FieldReader]] = field(default_factory=dict, init=False)
 
@@ -170,7 +165,7 @@ class Messages:
             return [Unusable("error", f"{type(error).__name__}: {str(error)[:200]}; it is left out", axis[:64])]
 
     def _items(self, data: bytes, axis: str) -> Sequence[Item]:
-        if self.form == "json" or (self.form == "auto" and not data.startswith(MAGIC)):
+        if not data.startswith(MAGIC):
             return self._join_points(decode_json(data, axis))
         found = blocks.items(data)
         return [_check_axis(item, axis) for item in split_tables(found)] if axis else found
