@@ -84,7 +84,6 @@ MAY_IMPORT: dict[str, set[str]] = {
 
 PUBLIC = [
     "Along",
-    "AxisKeys",
     "BCLS",
     "BCRLS",
     "Drive",

@@ -8,7 +8,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-from pmfid.config.keys import AxisKeys, RecordKeys
 from pmfid.fleet import estimate
 from pmfid.fleet.series import Series, widen_errors
 from pmfid.fleet.verdicts import CHANGED, DRIFTS, AxisVerdict, follow_axis, judge_axes
@@ -79,8 +78,8 @@ def test_a_history_too_short_for_the_rate_stays() -> None:
 def test_rows_with_a_temperature_become_segments_with_one() -> None:
     u, counts, hot = record(3, 20.0, 0.15)
     rows = {"axis": np.full(u.size, "a"), "t": DT * np.arange(u.size), "u": u, "counts": counts, "temp": hot}
-    columns: RecordKeys = {"time": "t", "input": "u", "output": "counts", "output_kind": "counts"}
-    axis: AxisKeys = {"encoder": {"resolution": RESOLUTION}, "model": {"input_gain": CART.input_gain}}
+    columns = {"time": "t", "input": "u", "output": "counts", "output_kind": "counts"}
+    axis = {"encoder": {"resolution": RESOLUTION}, "model": {"input_gain": CART.input_gain}}
     with_it = columns | {"friction_temperature": "temp"}
     seen, unseen = (
         estimate(pl.DataFrame(rows), axis=axis | {"record": keys}, by="axis", period="run", segment=30.0).axes

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import pmfid
-from pmfid.config.keys import RecordKeys
 from pmfid.types import Floats
 from studies.referee.cases import Case, make_cases
 from studies.referee.machines import draw_machine
@@ -54,8 +53,12 @@ def warm_axis(seed: int, n: int = 1000) -> tuple[dict[str, Floats], float]:
 
 def test_friction_follows_a_temperature() -> None:
     columns, mean = warm_axis(1)
-    record: RecordKeys = {"input": "u", "output": "counts", "output_kind": "counts", "time": "t"}
-    axis: pmfid.AxisKeys = {"record": record, "encoder": {"resolution": 1e-4}, "model": {"input_gain": 1.0}}
+    record = {"input": "u", "output": "counts", "output_kind": "counts", "time": "t"}
+    axis: dict[str, dict[str, object]] = {
+        "record": record,
+        "encoder": {"resolution": 1e-4},
+        "model": {"input_gain": 1.0},
+    }
     cold = pmfid.identify(columns, axis=axis)
     warm = pmfid.identify(columns, axis=axis | {"record": record | {"friction_temperature": "temp"}})
     assert warm.interval_95 is not None

@@ -13,14 +13,14 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64786,
-    "lines of code in src": 37821,
+    "lines of src": 64654,
+    "lines of code in src": 37731,
     "lines of code in report and cli": 2952,
     "thresholds in src": 958,
     "lines of csrc": 8670,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
-    "lines of tests": 28001,
+    "lines of tests": 27953,
     "match= in tests": 25,
     "lines of studies": 8006,
 }

@@ -169,6 +169,3 @@ def test_every_term_of_a_rotary_drive(friction: str) -> None:
 def test_a_pipe_converts_as_a_record_does() -> None:
     parse = LineParser(b"u,pos_mm", axis("pos_mm", resolution="0.1 mm"))
     assert [line.counts for line in map(parse, (b"1.0,0.5", b"1.0,0.6")) if line] == [5, 6]
-
-
-# --- velocity, and angles that restart -----------------------------------------------------------------------------

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from pmfid import fleet as fleet
     from pmfid._estimate import Estimate as Estimate
-    from pmfid.config.keys import AxisKeys as AxisKeys
     from pmfid.edge_times import sample_edges as sample_edges
     from pmfid.encoder import Encoder as Encoder
     from pmfid.encoder import quantize as quantize
@@ -56,7 +55,6 @@ if TYPE_CHECKING:
 #: The module that defines each public name. A module is imported when a name is first used, so that `pmfid --help`
 #: starts quickly.
 _PUBLIC = {
-    "AxisKeys": "pmfid.config.keys",
     "BCLS": "pmfid.estimators.ls",
     "BCRLS": "pmfid.estimators.recursive",
     "Drive": "pmfid.models.drive",

@@ -42,7 +42,7 @@ def identify(case: Case) -> Answer:
         encoder = pmfid.Encoder(case.resolution)
         result = pmfid.identify(case.u, case.counts, model=drive, dt=case.dt, encoder=encoder)
     else:
-        sections: pmfid.AxisKeys = {
+        sections = {
             "record": {"input": "u", "output": "counts", "output_kind": "counts", "time": "t"},
             "encoder": {"resolution": case.resolution},
             "model": {"kind": "drive", "input_gain": case.input_gain, "axis": axis},

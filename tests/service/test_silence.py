@@ -186,26 +186,3 @@ def test_a_silent_source_is_one_alarm_that_names_its_axes(watched: Watched) -> N
     assert watched.taken() == [], "a restart changes nothing"
     watched.run(LIMIT + 3, "x1", other="lab")
     assert watched.taken() == [("cleared", "source", "hall"), ("alarm", "axis", "x3"), ("alarm", "axis", "x2")]
-
-
-# --- outlets of the alarms --------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def reported(watched: Watched) -> list[Notice]:
-    """Return the alarms of an axis, a source and a sink, and the ends of these alarms."""
-    watched.run(1, *watched.axes)
-    watched.sink.state = False
-    watched.run(LIMIT + 2, "x1", "x3", other="")
-    watched.sink.state = True
-    watched.run(2, *watched.axes)
-    return [one for one in watched.outlet.reported if "silent" in one.what]
-
-
-# --- a sink after its queue ------------------------------------------------------------------------------------------
-
-
-# --- the whole service ------------------------------------------------------------------------------------------------
-
-
-# --- the page ---------------------------------------------------------------------------------------------------------

@@ -12,7 +12,7 @@ from typing import Annotated, Self
 
 from pydantic import AfterValidator, Field, model_validator
 
-from pmfid.config.keys import AxisKeys, EstimatorKeys
+from pmfid.config.keys import EstimatorKeys
 from pmfid.config.model import ModelConfig, Name, Positive
 from pmfid.config.record import NO_ENCODER, EncoderConfig, RecordConfig, Sections, axis_kind
 from pmfid.config.toml_file import FileSection, load_sections, override_sections
@@ -192,7 +192,11 @@ def load_axis(path: Path, overrides: Mapping[str, object] | None = None) -> Axis
     return load_sections(Axis, path, overrides, "an AXIS.toml (pmfid init LOG writes it)", _add_unit_encoder)
 
 
-def read_axis(axis: Axis | AxisKeys | Path | str, settings: EstimatorKeys | None = None) -> Axis:
+#: The sections of an AXIS.toml as a dict, each a dict of its keys.
+AxisSections = Mapping[str, object]
+
+
+def read_axis(axis: Axis | AxisSections | Path | str, settings: EstimatorKeys | None = None) -> Axis:
     """Return the configuration in an AXIS.toml, in a dict with its sections, or in an object.
 
     The keys of `settings` replace those of [estimator]; a key with the value None has no effect. Raises UsageError

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import polars as pl
 
-from pmfid.config.axis import Axis, read_axis
-from pmfid.config.keys import AxisKeys
+from pmfid.config.axis import Axis, AxisSections, read_axis
 from pmfid.durable import replace_file
 from pmfid.errors import UsageError, printable
 from pmfid.fleet.evaluate import Work, longest_tables, split_results
@@ -217,7 +216,7 @@ def summarise(
 def estimate(
     data: Frame | pl.LazyFrame | SparkFrame | Path | str,
     *,
-    axis: Axis | AxisKeys | Path | str,
+    axis: Axis | AxisSections | Path | str,
     by: str,
     period: str = "day",
     type: str | None = None,

@@ -10,8 +10,8 @@ from typing import Unpack, cast, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pmfid.config.axis import Axis, read_axis
-from pmfid.config.keys import AxisKeys, EstimatorKeys, OutputKind
+from pmfid.config.axis import Axis, AxisSections, read_axis
+from pmfid.config.keys import EstimatorKeys, OutputKind
 from pmfid.config.model import model_section
 from pmfid.config.record import NO_ENCODER, EncoderConfig, RecordConfig
 from pmfid.config.toml_file import validate_sections
@@ -37,7 +37,7 @@ from pmfid.records.record import Record, record_of, travel_of
 INPUT, OUTPUT = "u", "y"
 #: Records in memory or in files, which an AXIS.toml describes, and the objects that hold such a description.
 Log = Frame | Path | str | Sequence[Path | str]
-AxisSource = Axis | AxisKeys | Path | str
+AxisSource = Axis | AxisSections | Path | str
 
 
 @overload
@@ -93,7 +93,7 @@ def identify(
     model : Drive, EquationModel or TransferFunction
         The plant. Not allowed with `axis`.
     axis : path, str, dict or Axis
-        The configuration: the path of an AXIS.toml, or a dict with its sections (see `AxisKeys`). The configuration
+        The configuration: the path of an AXIS.toml, or a dict with its sections. The configuration
         replaces all other arguments except `u`, and `settings` replace the keys of its [estimator].
     dt : float
         Sample period [s].
