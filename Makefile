@@ -259,8 +259,7 @@ paper: .venv/installed
 # Write every page of results to results/, which takes hours.
 study: .venv/tools .venv/spark
 	mkdir -p results/images
-	.venv/bin/pmfid explain --page > docs/reference/axis_toml.md
-	.venv/bin/pmfid explain --plant --page > docs/reference/plant_toml.md
+	.venv/bin/python -m docs.keys
 	.venv/bin/python -m studies.referee --out results/referee.md
 	.venv/bin/python -m studies.design_machines --out results/commissioning.md
 	.venv/bin/python -m studies.alarms --out results/alarms.md

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 PROJECT = Path(__file__).parents[1]
-#: Pages that `pmfid explain --page` writes, from descriptions that follow "give ...".
+#: Pages that `python -m docs.keys` writes, from descriptions that follow "give ...".
 GENERATED = {"axis_toml.md", "plant_toml.md"}
 PAGES = [
     PROJECT / "README.md",

@@ -156,3 +156,14 @@ def test_lines_of_a_clock_that_was_set_back_go_on() -> None:
     found, verdict = lines_in_order(lines, 10 * DT)
     assert [reported["event"] for reported in verdict.events if reported["event"] == "clock"] == ["clock"]
     assert len(found) > 280
+
+
+def test_a_line_without_a_time_is_the_next_sample() -> None:
+    """A bad line takes a sample period as well."""
+    lines = [Line(math.nan, 1.0, 5) if k != 3 else Line(math.nan, math.nan, 0, "no number") for k in range(600)]
+    timed, pieces = Timed(DT, 0.5, timed=False), list[SamplePiece]()
+    verdict = timed.take(Lines("x", lines), 0.0, 0, pieces)
+    (piece,) = pieces
+    assert piece.times == pytest.approx(DT * np.arange(600))
+    assert np.flatnonzero(np.isnan(piece.u)).tolist() == [3]
+    assert [what["problem"] for what in verdict.events] == ["no number"]

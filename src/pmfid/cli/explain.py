@@ -17,21 +17,17 @@ if TYPE_CHECKING:
 @click.command(short_help="Say what a key of AXIS.toml or a status means.")
 @click.argument("key", nargs=-1)
 @click.option("--plant", is_flag=True, help="Explain the keys of PLANT.toml, which pmfid serve reads.")
-@click.option("--page", "as_page", is_flag=True, help="Print the page of all keys, in Markdown.")
 @JSON
-def explain(key: tuple[str, ...], plant: bool, as_page: bool, as_json: bool) -> None:
+def explain(key: tuple[str, ...], plant: bool, as_json: bool) -> None:
     """Explain each KEY, which is a key of a file, a section, or a word of a status.
 
     Examples of keys are record.time_unit in AXIS.toml, service.window in PLANT.toml and sources.mqtt.qos in PLANT.toml.
     An example of a status is poor_excitation. Without KEY, the command lists all keys of AXIS.toml and all words of a
     status.
     """
-    from pmfid.config.explain import entries, explain_entries, page
-    from pmfid.service.plant import plant_entries, plant_page
+    from pmfid.config.explain import entries, explain_entries
+    from pmfid.service.plant import plant_entries
 
-    if as_page:
-        click.echo(plant_page() if plant else page(), nl=False)
-        return
     found = _find_all(key, plant) if key else plant_entries() if plant else entries()
     if as_json:
         print_json({"entries": [entry.to_json() for entry in found]})

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import NoneType, UnionType
 from typing import Annotated, Literal, Union, get_args, get_origin
@@ -25,7 +25,7 @@ from pmfid.models.drive import Drive
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.status import ADVICE, Status
 
-__all__ = ["ReferenceEntry", "entries", "explain_entries", "find", "keys_in", "page", "tables"]
+__all__ = ["ReferenceEntry", "entries", "explain_entries", "find", "keys_in"]
 
 #: Pattern of the units in descriptions, which also end error messages.
 _UNITS = re.compile(
@@ -201,54 +201,3 @@ def explain_entries(found: Sequence[ReferenceEntry]) -> str:
         return "\n\n".join(entry.text for entry in found)
     width = max(len(entry.name) for entry in found)
     return "\n".join(f"{entry.name:{width}}  {entry.meaning}" for entry in found)
-
-
-def page() -> str:
-    """Return the page of all keys in Markdown."""
-    known = entries()
-    parts = tables([entry for entry in known if entry.kind], _describe_section)
-    words = [f"| `{entry.name}` | {entry.what} | {entry.meaning} |" for entry in known if not entry.kind]
-    return "\n".join([_HEAD, *parts, _STATUS, *words, ""])
-
-
-def tables(known: Sequence[ReferenceEntry], about: Callable[[str], str]) -> list[str]:
-    """Return a Markdown table of the keys for each section. `about` returns the text above the table of a section."""
-    found = []
-    for section in dict.fromkeys(entry.section for entry in known):
-        rows = [entry for entry in known if entry.section == section]
-        found.append(f"## [{section}]\n\n{about(section)}{_KEYS}\n" + "\n".join(map(_row, rows)) + "\n")
-    return found
-
-
-_HEAD = """\
-# All keys of AXIS.toml
-
-Written by `pmfid explain --page`, from the models that validate the file. `pmfid explain KEY` explains one key,
-`pmfid explain WORD` explains a word of a status. Units are SI; *unit of y* is the unit of `[encoder] resolution`.
-Not every key is needed: `examples/cart.toml` has the keys of a usual axis.
-"""
-_KEYS = "| key | type | unit | default | meaning |\n|---|---|---|---|---|"
-_STATUS = """\
-## Words of a status
-
-The words of `status` in the terminal, in JSON, in reports and in Python.
-
-| word | of | meaning |
-|---|---|---|"""
-
-
-def _describe_section(section: str) -> str:
-    """Return the description of a whole section, or an empty text if it has none."""
-    field = Axis.model_fields.get(section)
-    return f"{_sentence(field.description)}\n\n" if field is not None and field.description else ""
-
-
-def _sentence(text: str) -> str:
-    return f"{text[:1].upper()}{text[1:]}."
-
-
-def _row(entry: ReferenceEntry) -> str:
-    only = f" Only with {entry.models}." if entry.models else ""
-    key = entry.name.rpartition(".")[2]
-    cells = (f"`{key}`", entry.kind, entry.unit, entry.default, f"{_sentence(entry.meaning)}{only}")
-    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

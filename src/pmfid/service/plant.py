@@ -11,7 +11,7 @@ from typing import Annotated, Any, TypeVar
 
 from pydantic import Field, ValidationError, create_model
 
-from pmfid.config.explain import ReferenceEntry, keys_in, tables
+from pmfid.config.explain import ReferenceEntry, keys_in
 from pmfid.config.model import Name
 from pmfid.config.toml_file import FileSection, validate_sections
 from pmfid.errors import UsageError, did_you_mean
@@ -22,7 +22,7 @@ from pmfid.service.sinks.webhook import WebhookSection
 from pmfid.service.sources.mqtt import MqttSourceSection
 from pmfid.service.sources.stdin import StdinSource
 from pmfid.service.tuning import TUNING
-from pmfid.service.web.config import HERE, PORT, PageConfig
+from pmfid.service.web.config import PageConfig
 
 SOURCES: dict[str, type[SourceSection]] = {
     "mqtt": MqttSourceSection,
@@ -253,22 +253,7 @@ def _read_kind(where: str, name: str, table: Mapping[str, Any], kinds: Mapping[s
 
 
 _KEY = "key of PLANT.toml"
-_ABOUT = {
-    "service": "The service as a whole.",
-    "page": f"Without this section the service shows its page on {HERE}:{PORT}.",
-    "axes": "A section for each axis, `[axes.NAME]`.",
-    "fleets": "A section for each group of axes with the same configuration, `[fleets.NAME]`.",
-    "sources": 'A section for each source, `[sources.NAME]`, with `kind = "{kind}"`.',
-    "sinks": 'A section for each sink, `[sinks.NAME]`, with `kind = "{kind}"`.',
-}
-_HEAD = """\
-# All keys of PLANT.toml
-
-The command `pmfid explain --plant --page` writes this page from the models that validate the file. `pmfid explain KEY`
-describes one key, for example `pmfid explain service.window`, or one kind, for example `pmfid explain sources.mqtt`.
-What a plant is, and how to set one up: [service.md](../howto/service.md). The keys of an axis:
-[axis_toml.md](axis_toml.md).
-"""
+_KEY = "key of PLANT.toml"
 
 
 def plant_entries() -> tuple[ReferenceEntry, ...]:
@@ -291,13 +276,3 @@ def strip_names(word: str) -> list[str]:
     table, key = found.groups()
     kinds = {"sources": list(SOURCES), "sinks": list(SINKS)}.get(table)
     return [f"{table}.{key}"] if kinds is None else [f"{table}.{kind}.{key}" for kind in kinds]
-
-
-def plant_page() -> str:
-    """Return the page of all keys, in Markdown."""
-
-    def describe(section: str) -> str:
-        table, _, kind = section.partition(".")
-        return f"{_ABOUT[table].format(kind=kind)}\n\n"
-
-    return "\n".join([_HEAD, *tables(plant_entries(), describe)])

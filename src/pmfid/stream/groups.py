@@ -23,7 +23,7 @@ from pmfid.pipeline.monitored.setup import VERSION, Setup, set_up
 from pmfid.stream.delivery import Lines
 from pmfid.stream.order import UNKNOWN_GAP, Column, ItemReport, Order, PositionRow, Positions, SamplePiece
 from pmfid.stream.outcome import Kindred
-from pmfid.stream.timeline import REPEATED, Line, Metronome, Sample, Saved, SavedFields, Timeline
+from pmfid.stream.timeline import REPEATED, Line, Sample, Saved, SavedFields, Timeline
 from pmfid.stream.tuning import TUNING
 
 _LINE = struct.Struct("<ddq")
@@ -34,7 +34,7 @@ class Timed(SavedFields):
     """A converter from lines to samples.
 
     `dt` is the sample period [s]. `window` is the time for which lines wait for older lines [s]. 0 means that no line
-    waits. `timed` is true if the lines have a time.
+    waits. `timed` is true if the lines have a time. Each other line follows the preceding line after dt.
 
     A line has no number, so only its content reveals a repetition. The digests of the last lines survive a restart, for
     a source that then repeats lines. Without these digests, consecutive old lines would look like a clock that was set
@@ -48,16 +48,14 @@ class Timed(SavedFields):
     _newest: float = field(default=-math.inf, init=False)
     _late_in_row: int = field(default=0, init=False)
     _latest: float = field(default=-math.inf, init=False)
+    _stamped: int = field(default=0, init=False)  # number of lines without a time
     _doubtful: int = field(default=0, init=False)  # number of consecutive samples that are needed before any is used
 
     def __post_init__(self) -> None:
-        self._grid = self._make_grid()
+        self._grid = Timeline(self.dt)
         self._recent: deque[str] = deque(maxlen=TUNING.groups_known)  # digests of lines
         self._before: frozenset[str] = frozenset()  # digests from before the restart
         self._until = -math.inf  # latest time among the digests from before the restart
-
-    def _make_grid(self) -> Timeline | Metronome:
-        return Timeline(self.dt) if self.timed else Metronome(self.dt)
 
     def take(self, item: Lines, received: float, turn: int, pieces: list[SamplePiece]) -> ItemReport:
         """Append the samples that are known now to `pieces`."""
@@ -66,10 +64,14 @@ class Timed(SavedFields):
             if self.timed and self._is_repeated(given):
                 verdict.lines[REPEATED] = verdict.lines.get(REPEATED, 0) + 1
                 continue
-            for line in self._sort_line(given):
+            for line in self._sort_line(given) if self.timed else [self._stamp(given)]:
                 samples += self._samples(line, verdict)
         pieces += _join_samples(samples, received, turn, verdict)
         return verdict
+
+    def _stamp(self, line: Line) -> Line:
+        self._stamped += 1
+        return replace(line, time=(self._stamped - 1) * self.dt)
 
     def _is_repeated(self, line: Line) -> bool:
         """Return whether a line already came before the restart."""
@@ -114,7 +116,7 @@ class Timed(SavedFields):
         except UsageError as error:
             if not self._doubtful:
                 verdict.events.append({"event": "period", "problem": str(error)})
-            self._grid, self._doubtful = self._make_grid(), TUNING.groups_probation
+            self._grid, self._doubtful = Timeline(self.dt), TUNING.groups_probation
             verdict.refused += 1
             return []
         samples = [one for one in found if isinstance(one, Sample)]
@@ -145,7 +147,7 @@ class Timed(SavedFields):
         self.timed = bool(saved["timed"])
         self._recent.extend(map(str, saved["recent"]))
         self._before, self._until = frozenset(self._recent), self._latest
-        self._grid = self._make_grid()
+        self._grid = Timeline(self.dt)
         self._grid.restore(saved["grid"])
 
 

@@ -156,25 +156,8 @@ Found = Sample | Skipped
 
 
 @dataclass
-class Metronome(SavedFields):
-    """A timeline for lines without a time, where each line follows the preceding line after dt [s]."""
-
-    dt: float
-    _next: float = field(default=0.0, init=False)
-    _counts: int = field(default=0, init=False)
-
-    def take(self, line: Line) -> list[Found]:
-        """Return the sample of a line. Each line, even an unusable one, advances the time by one sample period."""
-        time, self._next = self._next, self._next + self.dt
-        if line.problem:
-            return [Skipped(time, BAD, line.problem), Sample(time, math.nan, self._counts)]
-        self._counts = line.counts
-        return [Sample(time, line.u, line.counts, further=line.further)]
-
-
-@dataclass
 class Timeline(SavedFields):
-    """A timeline for lines with a time, with a sample period dt [s].
+    """The regular grid of samples with a period dt [s], for lines with a time.
 
     `take` raises UsageError if the lines have another sample period, or if most_strays successive lines have no valid
     time.
