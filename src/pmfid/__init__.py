@@ -5,6 +5,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from pmfid.lazy_imports import make_getattr, read_names
+
 if TYPE_CHECKING:
     from pmfid import fleet as fleet
     from pmfid._estimate import Estimate as Estimate
@@ -54,52 +56,8 @@ if TYPE_CHECKING:
 
 #: The module that defines each public name. A module is imported when a name is first used, so that `pmfid --help`
 #: starts quickly.
-_PUBLIC = {
-    "BCLS": "pmfid.estimators.ls",
-    "BCRLS": "pmfid.estimators.recursive",
-    "Drive": "pmfid.models.drive",
-    "EdgeFit": "pmfid.estimators.edges",
-    "Encoder": "pmfid.encoder",
-    "Equation": "pmfid.models.equation",
-    "EquationModel": "pmfid.models.drive",
-    "Term": "pmfid.models.equation",
-    "Along": "pmfid.models.shapes",
-    "Square": "pmfid.models.shapes",
-    "Stribeck": "pmfid.models.shapes",
-    "Wave": "pmfid.models.shapes",
-    "Estimate": "pmfid._estimate",
-    "Fit": "pmfid.estimators.results",
-    "Finding": "pmfid.findings",
-    "Fleet": "pmfid.estimators.fleet",
-    "IV": "pmfid.estimators.iv",
-    "REdge": "pmfid.estimators.redge",
-    "RIV": "pmfid.estimators.iv",
-    "Known": "pmfid.estimators.known",
-    "LS": "pmfid.estimators.ls",
-    "MotionFit": "pmfid.estimators.motion_fit",
-    "NotIdentifiableError": "pmfid.errors",
-    "PmfidError": "pmfid.errors",
-    "RLS": "pmfid.estimators.recursive",
-    "SRIVC": "pmfid.estimators.srivc",
-    "Experiment": "pmfid.linear.experiment",
-    "Process": "pmfid.linear.process",
-    "Status": "pmfid.status",
-    "TransferFunction": "pmfid.models.transfer_function",
-    "Track": "pmfid.estimators.results",
-    "Tracks": "pmfid.estimators.results",
-    "Result": "pmfid.pipeline.result",
-    "UsageError": "pmfid.errors",
-    "check": "pmfid.pipeline.arrays",
-    "friction_curve": "pmfid.pipeline.friction",
-    "export_firmware": "pmfid.export.firmware",
-    "identify": "pmfid.pipeline.arrays",
-    "quantize": "pmfid.encoder",
-    "sample_edges": "pmfid.edge_times",
-    "search_terms": "pmfid.pipeline.arrays",
-    "TermSearch": "pmfid.pipeline.terms",
-    "validate": "pmfid.pipeline.arrays",
-    "Validation": "pmfid.pipeline.validation",
-}
+_PUBLIC = read_names(__file__)
+_load = make_getattr(__name__, _PUBLIC)
 
 __version__ = "0.1.0"
 __all__ = sorted(_PUBLIC)
@@ -108,15 +66,7 @@ __all__ = sorted(_PUBLIC)
 if not TYPE_CHECKING:  # a type checker would accept every misspelt name
 
     def __getattr__(name: str) -> object:
-        if name == "fleet":
-            return import_module("pmfid.fleet")
-        if name not in _PUBLIC:
-            from pmfid.errors import did_you_mean
-
-            raise AttributeError(f"module 'pmfid' has no attribute {name!r}{did_you_mean(name, _PUBLIC)}")
-        value = getattr(import_module(_PUBLIC[name]), name)
-        globals()[name] = value
-        return value
+        return import_module("pmfid.fleet") if name == "fleet" else _load(name)
 
 
 def __dir__() -> list[str]:

@@ -26,7 +26,7 @@ MOST_LINES, MOST_REMARKS, LONGEST = 8, 3, 300
 #: Style of a table cell where the notebook has none: adjacent columns need a space.
 CELL = ' style="text-align: left; padding: 0.1em 1em 0.1em 0"'
 #: This is the only import from a higher layer, by name and at the call: results are below the package that draws them.
-_load = make_getattr("pmfid.report", {"figure_of": "plots"})
+_load = make_getattr("pmfid.report", {"figure_of": "pmfid.report.plots"})
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pmfid.lazy_imports import make_getattr
+from pmfid.lazy_imports import make_getattr, read_names
 
 if TYPE_CHECKING:
     from pmfid.fleet.evaluate import Work as Work
@@ -14,13 +14,7 @@ if TYPE_CHECKING:
     from pmfid.fleet.history import estimate as estimate
     from pmfid.fleet.source import SourceColumns as SourceColumns
 
-_PUBLIC = {
-    "SourceColumns": "source",
-    "History": "history",
-    "Work": "evaluate",
-    "estimate": "history",
-}
-
+_PUBLIC = read_names(__file__)
 __all__ = sorted(_PUBLIC)
 if not TYPE_CHECKING:  # a type checker would accept every misspelt name
     __getattr__ = make_getattr(__name__, _PUBLIC)

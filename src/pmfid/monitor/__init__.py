@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from pmfid.lazy_imports import make_getattr
+from pmfid.lazy_imports import make_getattr, read_names
 
 if TYPE_CHECKING:
     from pmfid.monitor.calibration import Calibration as Calibration
@@ -26,21 +26,7 @@ if TYPE_CHECKING:
     from pmfid.monitor.fleet import MonitorFleet as MonitorFleet
     from pmfid.monitor.monitor import Monitor as Monitor
 
-_PUBLIC = {
-    "Alarm": "events",
-    "Calibration": "calibration",
-    "Change": "events",
-    "EdgeMonitor": "edges",
-    "FleetRows": "events",
-    "Monitor": "monitor",
-    "MonitorFleet": "fleet",
-    "Outlier": "events",
-    "Settled": "events",
-    "StateChange": "events",
-    "Watch": "events",
-    "calibrate": "calibration",
-}
-
+_PUBLIC = read_names(__file__)
 __all__ = sorted(_PUBLIC)
 if not TYPE_CHECKING:  # a type checker would accept every misspelt name
     __getattr__ = make_getattr(__name__, _PUBLIC)
