@@ -13,14 +13,14 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64504,
-    "lines of code in src": 37603,
+    "lines of src": 64301,
+    "lines of code in src": 37561,
     "lines of code in report and cli": 2948,
-    "thresholds in src": 958,
+    "thresholds in src": 957,
     "lines of csrc": 8670,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
-    "lines of tests": 27959,
+    "lines of tests": 27936,
     "match= in tests": 25,
     "lines of studies": 8006,
 }
