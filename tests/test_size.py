@@ -13,16 +13,16 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64301,
-    "lines of code in src": 37561,
+    "lines of src": 64273,
+    "lines of code in src": 37542,
     "lines of code in report and cli": 2948,
-    "thresholds in src": 957,
+    "thresholds in src": 956,
     "lines of csrc": 8670,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
-    "lines of tests": 27936,
+    "lines of tests": 27903,
     "match= in tests": 25,
-    "lines of studies": 8006,
+    "lines of studies": 8005,
 }
 
 

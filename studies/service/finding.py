@@ -14,7 +14,7 @@ from studies.service.hall import Hall, Metrics, Report
 #: Metrics that a fault may change. All other metrics change by themselves.
 REPORTED = re.compile(
     r"pmfid_(unusable|samples_(missing|dropped|without)|lines_dropped|dropped_|refused|sink_(working|errors)|events"
-    r"|checkpoint_(working|errors)|page_|paused_|deliveries_slower_total\{than=.5.\})"
+    r"|checkpoint_(working|errors)|page_|deliveries_slower_total\{than=.5.\})"
 )
 #: Most letters of a sentence in the table.
 LONGEST = 240

@@ -170,7 +170,6 @@ def stopped(place: Path, fault: str, losing: bool) -> Finding:
         claims = [
             (f"{there.sent} sent, {there.accounted(after):g} accounted for", there.accounted(after) == there.sent),
             (f"{missing:g} are said to be missing", (missing > 0) == losing),
-            ("a notice says that the service stood still", any(one["event"] == "paused" for one in reported)),
             without_alarm(reported),
         ]
         if not losing:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -28,11 +26,9 @@ from pmfid.stream.engine import Inbox
 from pmfid.stream.outcome import Counters
 from pmfid.stream.timeline import Line
 from tests.patience import PATIENCE
-from tests.processes import run_process
 from tests.refusals import refused
 from tests.service.engine import wait_for
 from tests.service.feed import standard_input
-from tests.service.kills import REPOSITORY
 from tests.service.test_serve import PLANT, folder  # noqa: F401 a fixture
 
 
@@ -79,35 +75,6 @@ def test_the_sections_that_a_reload_leaves_as_they_were_are_named(tmp_path: Path
     assert load_plant(place).unlike(load_plant(place)) == []
     place.write_text(AXIS.replace("x1", "x2") + "[page]\n")
     assert load_plant(place).unlike(load_plant(place)) == []
-
-
-#: Run `pmfid serve` with a threshold of half a second for a pause.
-PROGRAM = """
-import sys
-import pytest
-from tests.tuned import set_tuning
-set_tuning(pytest.MonkeyPatch(), "pmfid.service.tuning", process_stood=0.5)
-from pmfid.cli.main import main
-main(["serve", sys.argv[1], "--json"])
-"""
-
-
-def test_a_process_that_was_stopped_says_for_how_long(folder: Path) -> None:  # noqa: F811
-    plant = folder / "paused.toml"
-    plant.write_text(PLANT)
-    command = [sys.executable, "-c", PROGRAM, plant]
-    pipe = (folder / "run.csv").open()
-    with pipe, run_process(command, cwd=REPOSITORY, stdin=pipe, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        reported = (json.loads(line) for line in process.stdout)
-        assert any(one["event"] == "alarm" for one in reported), "it works"
-        os.kill(process.pid, signal.SIGSTOP)
-        time.sleep(1.0)
-        os.kill(process.pid, signal.SIGCONT)
-        paused = next(one for one in reported if one["event"] == "paused" and one["seconds"] > 0.9)
-        os.kill(process.pid, signal.SIGTERM)
-        assert [one["event"] for one in reported][-1] == "ended"
-    assert "stopped" in paused["problem"]
 
 
 def test_sections_and_sources_are_imported_without_their_libraries() -> None:

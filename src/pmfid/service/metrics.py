@@ -32,7 +32,6 @@ HELP: dict[str, str] = {
     "pmfid_latency_seconds": "Age of the oldest delivery in the last step, when its estimates were ready, in seconds.",
     "pmfid_lines_dropped_total": "Lines that are no samples, are repeated, or arrived too late.",
     "pmfid_page_refused_total": "Requests to the page that were refused, by reason.",
-    "pmfid_paused_seconds_total": "Time in which the whole process was stopped, in seconds.",
     "pmfid_refused_total": "Rows and notices that a sink could not write in any attempt.",
     "pmfid_samples_dropped_total": "Samples of blocks that are repeated or arrived too late.",
     "pmfid_samples_missing_total": "Samples that are missing in gaps.",

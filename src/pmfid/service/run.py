@@ -1,4 +1,4 @@
-"""The running service, with the signals, the systemd messages and the pauses of its process."""
+"""The running service, with the signals and the systemd messages of its process."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from threading import Thread
-from time import monotonic
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
@@ -40,26 +39,6 @@ if TYPE_CHECKING:
 
 
 _NOTHING = "no axis can be watched; correct the configurations that the log reports"
-
-
-@dataclass
-class PauseWatch:
-    """A reporter of pauses of the whole process, the only explanation for late estimates. Call `look` regularly."""
-
-    tell: Callable[[dict[str, Any]], None]
-    counters: Counters
-    _looked: float = field(default_factory=monotonic, init=False)
-
-    def look(self) -> None:
-        now = monotonic()
-        stood, self._looked = now - self._looked, now
-        if stood > TUNING.process_stood:
-            problem = (
-                f"the service did not run for {stood:.0f} s: someone stopped the process, or the computer had "
-                "no time for it"
-            )
-            self.tell({"event": "paused", "seconds": round(stood, 1), "problem": problem})
-            self.counters.add("pmfid_paused_seconds_total", stood)
 
 
 @contextmanager
@@ -365,10 +344,9 @@ class Service:
             self._engine.inbox.close()
 
     def _watch(self) -> None:
-        alive, standing = time.monotonic(), PauseWatch(self._engine.tell, self.counters)
+        alive = time.monotonic()
         while not self._stopping and self._thread.is_alive():
             time.sleep(TUNING.run_look)
-            standing.look()
             if self._reload_due:
                 self._reload_due = False
                 self._reload()

@@ -47,10 +47,6 @@ class ServiceTuning:
     #: Limit of the number of axes, above the number that one process can serve.
     most_axes: int = 1_000_000
 
-    # process
-    #: Time between two calls that reveals a stopped process [s]. No load delays the calls as long.
-    process_stood: float = 10.0
-
     # run
     #: Time between two tests for signals, and time that sources and sinks have to end [s].
     run_look: float = 0.1

@@ -124,7 +124,7 @@ EVENTS = (
     *("alarm", "acknowledged", "settled", "cleared", "state", "outlier", "gap", "clock", "epoch", "period", "late"),
     "duplicate",
     *("unusable", "bad line", "repeated line", "reference", "anew", "source", "sink", "dropped", "checkpoint"),
-    *("configuration", "calibration", "reload", "serving", "paused", "ended"),
+    *("configuration", "calibration", "reload", "serving", "ended"),
 )
 
 

@@ -16,7 +16,6 @@ const SENTENCES = {
   source: (what) => `source ${what.source}: ${what.problem || "works"}`,
   sink: (what) => `sink ${what.sink}: ${what.problem || "works"}`,
   late: (what) => what.problem,
-  paused: (what) => what.problem,
   reference: (what) => (what.problem ? `no new reference: ${what.problem}` : "the present values are the new reference"),
 };
 
