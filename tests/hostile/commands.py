@@ -315,7 +315,7 @@ COMMANDS: dict[str, tuple[Callable[[Rng, Path], Case], float]] = {
     "check": (_check, 0.001),
     "init": (_init, 0.001),
     "terms": (_terms, 0.004),
-    "friction": (_friction, 0.002),
+    "friction": (_friction, 0.004),
     "fleet": (_fleet, 0.002),
     "explain": (_explain, 0.008),
     "actuators": (_actuators, 0.002),
