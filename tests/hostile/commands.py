@@ -205,7 +205,7 @@ def _monitor(rng: Rng, folder: Path) -> Case:
     files = {"normal.csv": as_csv(rng, with_defects(rng, columns) if rng.random() < 0.2 else columns)}
     files["axis.toml"] = text.encode()
     chosen = options(rng, 0.2, set=["monitor.mtbf_hours=24", "monitor.tolerance=0.05", "monitor.tolerance=0"])
-    places = ["rows.csv", "rows.parquet", "-", "normal.csv", "axis.toml", "nowhere/x.csv", "x.txt", "."]
+    places = ["rows.csv", "rows.parquet", "normal.csv", "axis.toml", "nowhere/x.csv", "x.txt", "."]
     chosen += options(rng, 0.3, out=places) + options(rng, 0.01, report=["page.html", "normal.csv", "nowhere/x.html"])
     chosen += _flags(rng, 0.6, "--json")
     name, files_of_run = as_file(rng, with_defects(rng, columns), folder)
