@@ -60,13 +60,13 @@ def test_derivatives_are_those_of_the_simulated_motion() -> None:
     """Central differences are the oracle, apart from the discontinuous times of stops."""
     rng, t = np.random.default_rng(3), np.cumsum(np.random.default_rng(4).uniform(0.008, 0.012, 301))
     goal = np.where(t < 1.5, rng.uniform(-0.7, 0.7, 301).repeat(20)[:301], 0.4 * np.sin(5 * t) + 0.15 * np.sin(13 * t))
-    names = ["wave", "stribeck", "load", "load_stribeck", "loop_velocity", "loop_filtered", "loop_integral"]
+    names = ["wave", "stribeck", "load", "load_stribeck", "loop_filtered", "loop_integral"]
     constants = {"wave": 2 * math.pi, "stribeck": 0.5, "load_stribeck": 0.4, "loop_filtered": 4e-3}
     free = {"stribeck", "load_stribeck", "loop_filtered"}
     forces = [(KINDS[name], 0, name in free, np.zeros(1), constants.get(name, 0.0), 0.0, False) for name in names]
     forces += [(KINDS[name], 0, False, np.zeros(1), 0.0, 1.0, False) for name in ("load", "column_viscous")]
     base = [0.01, 0.15, 0.1, 0.1, 0.01, 0.0137, 0.0, 0.1, 0.2]
-    values = np.array([*base, 1.0, 0.08, 0.1, 0.05, 0.05, 0.06, 3.0, 0.1, 0.04, 0.5, 0.4, 4e-3, 9.0, 3.0, 2.3e-3])
+    values = np.array([*base, 1.0, 0.08, 0.1, 0.05, 0.06, 3.0, 0.1, 0.04, 0.5, 0.4, 4e-3, 9.0, 3.0, 2.3e-3])
     rows, columns = np.arange(301, dtype=np.int32), np.ones((1, 300))
 
     def move(theta: Floats, slopes: bool = False) -> tuple[Floats, Floats]:
@@ -131,7 +131,7 @@ def test_a_known_force_gives_the_gain() -> None:
     fit = fit_servo(Servo(STEP, given={"kd": 0.0}), t, goal, position, force=force, search=False)
     assert fit.raw_names == ("inertia", "viscous", "coulomb", "kp", "delay")
     for name, value in zip(fit.raw_names, fit.theta.tolist(), strict=True):  # the force has errors of its own
-        assert value == pytest.approx(TRUTH[name], rel=0.01), name
+        assert value == pytest.approx(TRUTH[name], rel=0.02), name
     refused(("the known force is zero", lambda: fit_servo(Servo(STEP), t, goal, position, force=0 * force)))
 
 
@@ -214,7 +214,7 @@ def test_logs_of_one_servo_share_their_parameters() -> None:
     fit = fit_logs(servo, logs, ["kp"], search=False)
     assert fit.theta[0] == pytest.approx(0.01, rel=0.01)
     one = fit_logs(servo, logs[:1], search=False)
-    assert fit.theta_std[2] < 0.9 * one.theta_std[2]
+    assert np.all(fit.theta_std[1:3] < np.array([0.1, 1.0]) * one.theta_std[1:3])
     refused(("gravity cannot differ by log", lambda: fit_logs(servo, logs, ["gravity"])))
 
 

@@ -61,7 +61,7 @@ static int is_load_friction(const pmf_force *f)
 
 static int in_loop(const pmf_force *f)
 {
-    return f->kind >= PMF_LOOP_VELOCITY;
+    return f->kind >= PMF_LOOP_FILTERED;
 }
 
 /* Whether a force is a load, which does not depend on the motion's direction. */
@@ -301,7 +301,7 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             return;
         }
         if (t->loop)
-            loop_force(t, t->x, t->v, g, g_delay, g_lag, t->dx, t->dv, t->s, t->ds);
+            loop_force(t, t->x, g, g_delay, g_lag, t->dx, t->s, t->ds);
         net = net_force(t, t->x, t->v, s, drive, i, t->dx, t->dv);
         if (t->b->forces && !t->loop && turn == 0) {
             if (move_without_stop(t, i, s, net, drive, g_delay, g_lag, left))
@@ -320,7 +320,7 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
                 v = 0;
             if (t->loop) {
                 carry_memories(t, half, g, g_delay, g_lag, t->x, t->v, t->dx, t->dv, x, v, t->mx, t->mv);
-                drive = loop_force(t, x, v, g, g_delay, g_lag, t->mx, t->mv, t->ms, t->dms) - offset;
+                drive = loop_force(t, x, g, g_delay, g_lag, t->mx, t->ms, t->dms) - offset;
             }
             net = net_force(t, x, v, s, drive, i, t->mx, t->mv);
         }
@@ -449,9 +449,10 @@ int pmf_body_work(const pmf_body *b)
 
 int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, double *S, double *work)
 {
-    const int loop = b->tick > 0, full = PMF_BODY_BASE + b->forces + b->shapes + (loop ? PMF_LOOP_PARAMETERS : 0);
+    const int loops = b->tick > 0 ? PMF_LOOP_PARAMETERS : 0, full = PMF_BODY_BASE + b->forces + b->shapes + loops;
+    const double *loop = theta + full - loops;
     const int w = S ? full : 0; /* without derivatives, only the few that have a name are written */
-    double wait = b->step[0] + theta[PMF_BODY_DELAY];
+    double wait = b->step[0] + theta[PMF_BODY_DELAY], force = 0;
     state t = {0};
     t.z[0] = t.z[1] = NAN;
     t.b = b, t.theta = theta, t.size = theta + PMF_BODY_BASE, t.w = w;
@@ -459,8 +460,8 @@ int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, d
     memset(work, 0, pmf_body_work(b) * sizeof *work);
     t.dx = work, t.dv = work + full, t.dn = work + 2 * full, t.mx = work + 3 * full, t.mv = work + 4 * full;
     t.p = work + 5 * full, t.dT = work + 6 * full;
-    if (loop) {
-        t.loop = theta + full - PMF_LOOP_PARAMETERS;
+    if (loops) {
+        t.loop = loop;
         t.dq = work + 6 * full, t.dT = t.dq + full, t.s = t.dT + full, t.ms = t.s + full;
         t.ds = t.ms + full, t.dms = t.ds + (size_t)(1 + b->forces) * full;
         for (int j = 0; j <= b->forces; j++)
@@ -468,6 +469,8 @@ int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, d
                 t.s[j] = t.v;
                 t.ds[(size_t)j * w + PMF_BODY_V0] = 1;
             }
+        if (b->count > 0)
+            t.s[0] = b->count * rint(t.x / b->count);
     }
     for (int j = 0, shape = PMF_BODY_BASE + b->forces; j < b->forces; j++)
         t.p[j] = b->force[j].unknown ? theta[shape++] : b->force[j].p, t.loaded |= is_load_friction(b->force + j);
@@ -484,7 +487,12 @@ int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, d
                 pmf_body_chain(b, t.dx, S + (size_t)k * b->coordinates);
             k++;
         }
-        if (i < b->n)
+        if (i < b->n && b->count > 0) {
+            t.loop = loop;
+            force = b->on[i] > 0 ? tick_force(&t, b->u[i]) : b->on[i] < 0 ? 0 : force;
+            t.loop = 0;
+            move(&t, i, force, 0, 0, b->step[i]);
+        } else if (i < b->n)
             move_interval(&t, i, parts_of(b, theta[PMF_BODY_LAG], i), &wait);
     }
     return b->rows;

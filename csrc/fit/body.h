@@ -52,7 +52,6 @@ enum {
     PMF_FORCE_LOAD, /* s |T|, T: force through the gear: that of the motor with its drag, and 1 - q of all loads */
     PMF_FORCE_LOAD_STRIBECK, /* s |T| exp(-(v/p)^2) */
     /* forces of the loop, which a controller has within its limit */
-    PMF_LOOP_VELOCITY, /* the velocity of y */
     PMF_LOOP_FILTERED, /* the velocity of y after a lag of p */
     PMF_LOOP_INTEGRAL /* minus the integral of g - y */
 };
@@ -79,6 +78,7 @@ typedef struct {
     const double *column; /* (columns, n) */
     double tick; /* longest part of an interval with a controller [s], or 0 without one */
     const double *on; /* (n) 0 where the controller is off; may be null */
+    double count; /* step of the encoder of a controller in ticks, or 0: `on` is 1 at a tick, and -1 where it is off */
     int side; /* 1 if an elastic axis shows its second mass */
     int coordinates, links; /* number of coordinates, and of slopes of the parameters by them */
     const int *parameter, *coordinate; /* (links) places in w and among the coordinates */

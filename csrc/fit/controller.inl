@@ -7,19 +7,13 @@ static double loop_delay(const state *t)
     return t->loop[PMF_LOOP_DELAY] > LEAST_DELAY ? t->loop[PMF_LOOP_DELAY] : LEAST_DELAY;
 }
 
-/* What force j of the loop measures, without its size. */
-static double loop_signal(const state *t, int j, double v, const double *s)
-{
-    return t->b->force[j].kind == PMF_LOOP_VELOCITY ? 2 * s[0] - v : s[1 + j];
-}
-
-/* Force of the controller before its limit at (x, v) with memories s, for the goal g. */
-static double free_force(const state *t, double x, double v, double g, const double *s)
+/* Force of the controller before its limit at x with memories s, for the goal g. */
+static double free_force(const state *t, double x, double g, const double *s)
 {
     double sum = t->loop[PMF_LOOP_GAIN] * (g - (x - loop_delay(t) * s[0]));
     for (int j = 0; j < t->b->forces; j++)
-        if (in_loop(t->b->force + j) && t->size[j] != 0)
-            sum -= t->size[j] * loop_signal(t, j, v, s);
+        if (in_loop(t->b->force + j))
+            sum -= t->size[j] * s[1 + j];
     return sum;
 }
 
@@ -38,14 +32,33 @@ static double limit(const state *t, double force)
 /* Drive at the present state: the input, or the controller's force with the input as goal. */
 static double drive_now(const state *t, double g)
 {
-    return (t->loop ? limit(t, free_force(t, t->x, t->v, g, t->s)) : g) - t->theta[PMF_BODY_OFFSET];
+    return (t->loop ? limit(t, free_force(t, t->x, g, t->s)) : g) - t->theta[PMF_BODY_OFFSET];
 }
 
-/* Force of the controller at (x, v) with memories s, and its derivatives dq (w). */
-static double loop_force(state *t, double x, double v, double g, double g_delay, double g_lag, const double *dx,
-                         const double *dv, const double *s, const double *ds)
+/* Force of the controller from a tick to the next: it acts on the nearest count, of which s[0] is the last one, and on
+ * the change of counts. A lag below half a period is in part that of the true velocity. */
+static double tick_force(state *t, double g)
 {
-    const double kp = t->loop[PMF_LOOP_GAIN], D = loop_delay(t), u = free_force(t, x, v, g, s), used = limit(t, u);
+    const double period = t->b->tick, seen = t->b->count * rint(t->x / t->b->count), apart = g - seen;
+    const double change = (seen - t->s[0]) / period;
+    double sum = t->loop[PMF_LOOP_GAIN] * apart, *s = t->s + 1;
+    t->s[0] = seen;
+    for (int j = 0; j < t->b->forces; j++, s++) {
+        const int kind = t->b->force[j].kind;
+        const double lag = t->p[j] / period, counted = fmin(2 * lag, 1);
+        if (!in_loop(t->b->force + j))
+            continue;
+        *s += kind == PMF_LOOP_INTEGRAL ? -period * apart : (change - *s) / fmax(lag + 0.5, 1);
+        sum -= t->size[j] * (kind == PMF_LOOP_INTEGRAL ? *s : counted * *s + (1 - counted) * t->v);
+    }
+    return limit(t, sum);
+}
+
+/* Force of the controller at x with memories s, and its derivatives dq (w). */
+static double loop_force(state *t, double x, double g, double g_delay, double g_lag, const double *dx, const double *s,
+                         const double *ds)
+{
+    const double kp = t->loop[PMF_LOOP_GAIN], D = loop_delay(t), u = free_force(t, x, g, s), used = limit(t, u);
     const int at = (int)(t->loop - t->theta);
     double *dq = t->dq;
     memset(dq, 0, t->w * sizeof *dq);
@@ -64,10 +77,9 @@ static double loop_force(state *t, double x, double v, double g, double g_delay,
     for (int j = 0; j < t->b->forces; j++)
         if (in_loop(t->b->force + j)) {
             const double a = t->size[j], *d = ds + (size_t)(1 + j) * t->w;
-            const int now = t->b->force[j].kind == PMF_LOOP_VELOCITY;
             for (int k = 0; a != 0 && k < t->w; k++)
-                dq[k] -= a * (now ? 2 * ds[k] - dv[k] : d[k]);
-            dq[PMF_BODY_BASE + j] -= loop_signal(t, j, v, s);
+                dq[k] -= a * d[k];
+            dq[PMF_BODY_BASE + j] -= s[1 + j];
         }
     return used;
 }

@@ -25,6 +25,7 @@ def run(
     on: Floats | None = None,
     elastic: bool = False,
     load: bool = False,
+    count: float = 0.0,
 ) -> tuple[Floats, Floats, Floats, int]: ...
 def drive_load(x: Floats, step: float, substeps: int, loads: Floats) -> Floats: ...
 def whiten(

@@ -15,7 +15,7 @@ cdef extern from "fit/body.h":
         PMF_FORCE_STRIBECK, PMF_FORCE_POWER, PMF_FORCE_WAVE, PMF_FORCE_RUB, PMF_FORCE_SPRING
         PMF_FORCE_SPEED, PMF_FORCE_BEND, PMF_FORCE_BEND_EVEN, PMF_FORCE_PLACE, PMF_FORCE_RUB_PLACE
         PMF_FORCE_COLUMN, PMF_FORCE_COLUMN_FRICTION, PMF_FORCE_COLUMN_VISCOUS
-        PMF_FORCE_LOAD, PMF_FORCE_LOAD_STRIBECK, PMF_LOOP_VELOCITY, PMF_LOOP_FILTERED, PMF_LOOP_INTEGRAL
+        PMF_FORCE_LOAD, PMF_FORCE_LOAD_STRIBECK, PMF_LOOP_FILTERED, PMF_LOOP_INTEGRAL
         PMF_LOOP_PARAMETERS
     ctypedef struct pmf_force:
         int kind, column, unknown, knots, load
@@ -33,6 +33,7 @@ cdef extern from "fit/body.h":
         const double *column
         double tick
         const double *on
+        double count
     int pmf_body_work(const pmf_body *body)
     int pmf_body_run(const pmf_body *body, const double *theta, double *y, double *v, double *S, double *work) nogil
 
@@ -58,7 +59,7 @@ KINDS = {
     "rub_place": PMF_FORCE_RUB_PLACE,
     "column": PMF_FORCE_COLUMN, "column_friction": PMF_FORCE_COLUMN_FRICTION,
     "column_viscous": PMF_FORCE_COLUMN_VISCOUS,
-    "load": PMF_FORCE_LOAD, "load_stribeck": PMF_FORCE_LOAD_STRIBECK, "loop_velocity": PMF_LOOP_VELOCITY,
+    "load": PMF_FORCE_LOAD, "load_stribeck": PMF_FORCE_LOAD_STRIBECK,
     "loop_filtered": PMF_LOOP_FILTERED, "loop_integral": PMF_LOOP_INTEGRAL,
 }
 
@@ -77,18 +78,19 @@ cdef pack(list forces, Py_ssize_t columns, pmf_force *list_):
 def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.ndarray[double, mode="c"] u not None,
         cnp.ndarray[int, mode="c"] row not None, cnp.ndarray[double, ndim=2, mode="c"] columns not None,
         cnp.ndarray[double, mode="c"] theta not None, int parts, object lift, double tick=0.0,
-        cnp.ndarray[double, mode="c"] on=None, bint elastic=False, bint load=False):
+        cnp.ndarray[double, mode="c"] on=None, bint elastic=False, bint load=False, double count=0.0):
     """Return positions, velocities (rows,) and derivatives (rows, p), and the number of finite rows.
 
     forces: tuples (kind, column, free, table, p, q, load). step, u: (n,). row: (rows,) rising, 0 to n. columns: (c, n).
     theta: (w,). lift: derivatives (w, p) of theta by the coordinates, or None, and p is 0. A controller moves the body in parts of at most `tick`
-    [s], if that is positive. u is then its goal, and it is off where `on` (n,) is 0. An `elastic` body has two masses
-    and no controller, and shows its `load` or the motor.
+    [s], if that is positive. u is then its goal, and it is off where `on` (n,) is 0. With a `count` of the encoder, it
+    acts in ticks, at which `on` is 1, or -1 while it is off. An `elastic` body has two masses and no controller, and
+    shows its `load` or the motor.
     """
-    cdef Py_ssize_t n = step.shape[0], rows = row.shape[0], count = len(forces)
+    cdef Py_ssize_t n = step.shape[0], rows = row.shape[0], size = len(forces)
     cdef int shapes = sum(bool(force[2]) for force in forces), done
     cdef Py_ssize_t base = PMF_ELASTIC_BASE if elastic else PMF_BODY_BASE
-    cdef Py_ssize_t w = base + count + shapes + (PMF_LOOP_PARAMETERS if tick > 0.0 else 0)
+    cdef Py_ssize_t w = base + size + shapes + (PMF_LOOP_PARAMETERS if tick > 0.0 else 0)
     if n < 1 or rows < 1 or u.shape[0] != n or theta.shape[0] != w or columns.shape[1] != n or parts < 1:
         raise ValueError(f"lengths of step, u, columns or theta do not fit: {n}, {u.shape[0]}, {columns.shape[1]}, "
                          f"{theta.shape[0]} for {w} parameters")
@@ -110,18 +112,18 @@ def run(list forces not None, cnp.ndarray[double, mode="c"] step not None, cnp.n
     cdef cnp.ndarray[double, mode="c"] vv = v
     cdef cnp.ndarray[double, ndim=2, mode="c"] SS = S
     cdef cnp.ndarray[double, mode="c"] work
-    cdef pmf_force *list_ = <pmf_force *>calloc(count + 1, sizeof(pmf_force))
+    cdef pmf_force *list_ = <pmf_force *>calloc(size + 1, sizeof(pmf_force))
     cdef pmf_body body
     cdef double *slope = <double *>SS.data if slopes else NULL
     if list_ == NULL:
         raise MemoryError
     try:
         pack(forces, columns.shape[0], list_)
-        body.n, body.parts, body.forces, body.shapes, body.rows = n, parts, count, shapes, rows
+        body.n, body.parts, body.forces, body.shapes, body.rows = n, parts, size, shapes, rows
         body.row, body.step, body.u = <int *>row.data, <double *>step.data, <double *>u.data
         body.force, body.column = list_, <double *>columns.data
         body.tick, body.on = tick, <double *>on.data if on is not None else NULL
-        body.side = load
+        body.side, body.count = load, count
         body.coordinates, body.links = lift.shape[1], links.shape[0]
         body.parameter, body.coordinate = <int *>parameter.data, <int *>coordinate.data
         body.slope = <double *>links.data

@@ -24,6 +24,7 @@ from pmfid.fit.machine import (
     Excitation,
     simulate,
 )
+from pmfid.fit.problem import ObservedStretch
 from pmfid.types import Floats
 
 TURN = 2 * math.pi
@@ -154,7 +155,7 @@ def _list_forces(servo: Servo) -> list[tuple[str, BodyForce]]:
         forces += [("gravity", BodyForce("wave", TURN)), ("cosine", BodyForce("wave", TURN, math.pi / 2))]
     forces += [(name, _force(servo, name, *kind)) for name, kind in FRICTIONS.items() if servo.has(name)]
     if servo.has("kd"):
-        forces.append(("kd", _force(servo, "kd", "loop_filtered") if servo.filters else BodyForce("loop_velocity")))
+        forces.append(("kd", _force(servo, "kd", "loop_filtered", 0.0)))
     if servo.has("ki"):
         forces.append(("ki", BodyForce("loop_integral")))
     if servo.has("back_emf"):
@@ -200,6 +201,21 @@ def excite(
         tick,
         None if on is None else switch,
     )
+
+
+def excite_ticks(one: ObservedStretch, delay: float, period: float) -> Excitation:
+    """Return the input of a loop in ticks of a period [s], at which the goals of a stretch act after a delay [s]."""
+    ends = np.append(0.0, np.cumsum(one.drive.step))
+    ticks = np.append(0.0, np.arange(delay % period, one.times[-1], period))
+    at = np.clip(np.searchsorted(ends, ticks - delay + 1e-9, side="right") - 1, 0, ends.size - 2)
+    instants = np.concatenate([ticks, one.times])
+    order = np.argsort(instants, kind="stable")
+    is_tick, row = order[:-1] < ticks.size, np.flatnonzero(order >= ticks.size).astype(np.int32)
+    steps, at = np.diff(instants[order]), at[np.cumsum(is_tick) - 1]
+    now = np.searchsorted(ends[1:-1], instants[order][:-1] + steps / 2)
+    on = is_tick if one.drive.on is None else is_tick * np.where(one.drive.on[at] > 0, 1, -1)
+    columns = np.ascontiguousarray(one.drive.columns[:, now])
+    return Excitation(steps, one.drive.u[at], row, columns, period, np.asarray(on, float))
 
 
 def simulate_servo(

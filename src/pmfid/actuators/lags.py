@@ -47,37 +47,29 @@ def profile_lags(search: ServoSearch) -> list[LagFit]:
 
 
 def fit_lags(search: ServoSearch) -> list[LagFit]:
-    """Return the fits at the first lags, each one from the nearest fit, until the evidence falls on either side."""
+    """Return the fits at the first lags, each from the nearest one. A delay of the loop, too, may mimic a lag."""
     fits = [_fit_at(search, search.lag)]
-    longer = sorted(lag for lag in TUNING.lags if lag > search.lag)
-    for side in (longer, sorted(set(TUNING.lags) - {*longer, search.lag}, reverse=True)):
-        for lag in side:
-            nearest = min(fits, key=lambda fit: abs(fit.lag - lag))
-            fits.append(_fit_at(nearest.search, lag))
-            if fits[-1].value < max(fit.value for fit in fits) - TUNING.lag_end:
-                break
+    for lag in sorted({*TUNING.lags} - {search.lag}, key=lambda lag: abs(lag - search.lag)):
+        nearest = min(fits, key=lambda fit: abs(fit.lag - lag))
+        fits.append(_fit_at(nearest.search, lag))
     return sorted(fits, key=lambda fit: fit.lag)
 
 
 def _fit_at(search: ServoSearch, lag: float) -> LagFit:
     """Return the fit at a lag."""
-    begins = [copy(search) for _ in range(2)]
-    for begin, power in zip(begins, (0.0, 2.0), strict=True):
-        begin.set_lag(lag, power)
-    at = min(begins, key=lambda begin: begin.noise(begin.problem.linearise(begin.q, begin.starts))[0])
-    optimum, lowest = at.solve(at.noise, 15), at.lowest()
+    at = copy(search)
+    at.set_lag(lag)
+    at.apply_ticks()
+    at.solve(at.noise, 15)
+    at.apply_ticks()
+    optimum, lowest = at.solve(at.noise, 15), at.problem.clip_to_bounds(np.full(at.q.size, -np.inf))
     prior = at.prior(at.problem)
     covariance = inverse(optimum.normal.A + np.diag(prior))
     g = optimum.normal.g + prior * optimum.q  # the fit may be better beyond a bound
-    value = -optimum.cost + 0.5 * float(g @ covariance @ g) + 0.5 * _log_determinant(covariance)
+    value = -optimum.cost + 0.5 * float(g @ covariance @ g) + 0.5 * float(np.linalg.slogdet(covariance)[1])
     part, mean, covariance = cut_below(optimum.q - covariance @ g, covariance, lowest)
     value += part - 0.5 * (lag / TUNING.lag) ** 2 - math.log(lag / search.task.servo.loop_period + 0.5)
     return LagFit(lag, value, np.maximum(mean, lowest), covariance, at)
-
-
-def _log_determinant(covariance: Floats) -> float:
-    size = np.sqrt(np.diag(covariance))
-    return float(np.linalg.slogdet(covariance / np.outer(size, size))[1] + 2 * np.sum(np.log(size)))
 
 
 def mix(fits: Sequence[LagFit]) -> tuple[Floats, Floats]:

@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from pmfid._body import BASE
-from pmfid.actuators.body import ServoBody, body_of, excite
+from pmfid._body import BASE, LOOP
+from pmfid.actuators.body import ServoBody, body_of, excite, excite_ticks
 from pmfid.actuators.bounded import BoundedQuadratic
 from pmfid.actuators.checks import find_stops
 from pmfid.actuators.logs import JointLog
@@ -20,8 +20,8 @@ from pmfid.actuators.terms import COMMON, LOOP_FRICTION, table_of
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.likelihood import Gaussian
-from pmfid.fit.machine import COULOMB, DELAY, MASS, VISCOUS, BodyForce
-from pmfid.fit.problem import CONSTANT, FAR, FitProblem, ObservedStretch, ResidualBlock
+from pmfid.fit.machine import COULOMB, DELAY, MASS, VISCOUS, BodyForce, simulate
+from pmfid.fit.problem import FAR, FitProblem, ObservedStretch, ResidualBlock
 from pmfid.fit.search import SETTLED, FitSearch, errors_of
 from pmfid.fit.solve import Likelihood
 from pmfid.fit.terms import Sizes
@@ -150,6 +150,7 @@ class ServoSearch(FitSearch):
 
     wandering: ClassVar[Sequence[str]] = ("position",)
     waves: Sequence[str] = ()
+    ticked = False
 
     def __init__(self, task: ServoTask, problem: FitProblem, q: Floats, starts: Floats, search: bool) -> None:
         self.task = task
@@ -175,37 +176,18 @@ class ServoSearch(FitSearch):
         self.q, self.starts, self.noise = q, starts, Gaussian(problem.stretches)
         self.stamps = 0.0  # standard deviation of their error [s]
 
-    def set_lag(self, lag: float, power: float) -> None:
-        """Give the velocity in the loop a lag [s], and let the motion stay nearly the same.
-
-        Slow motion shows the friction of the loop and the joint together, and the inertia without the friction of the
-        loop times its lag. The friction of the loop falls with a `power` of the lag: fast motion shows the product with
-        the square of the lag, and a limit of the torque shows the friction itself.
-        """
+    def set_lag(self, lag: float) -> None:
+        """Give the velocity in the loop a lag [s], and let the motion stay nearly the same: slow motion shows the
+        inertia without the friction of the loop times its lag."""
         i, before, self.lag = self.kept[0], self.lag, lag
         row, place = self.table[i], self.problem.places[self.chosen.index(i)]
         self.table = [*self.table[:i], replace(row, force=BodyForce("loop_filtered", lag)), *self.table[i + 1 :]]
         self.problem = self._chosen_problem()
-        names, q, period = self.plain.machine.names, self.q.copy(), self.task.servo.loop_period
-        gain = after = q[place] * row.sd
-        if "viscous" in names:
-            viscous = names.index("viscous")
-            after = min(gain * ((before + period) / (lag + period)) ** power, gain + 0.5 * q[viscous])
-            q[viscous] += gain - after
-            q[place] = after / row.sd
+        names, self.q = self.plain.machine.names, self.q.copy()
         if "inertia" in names:
             inertia = names.index("inertia")
-            change = (after * lag - gain * before) / math.exp(max(q[inertia], -300.0))
-            q[inertia] += math.log1p(float(np.clip(change, -0.5, 1.0)))
-        self.q = q
-
-    def lowest(self) -> Floats:
-        """Return the lowest values (p,) of the coordinates."""
-        lowest = np.full(self.problem.size, -np.inf)
-        lowest[: self.count] = self.plain.machine.lowest
-        for k, one in self.problem.place_candidates():
-            lowest[k : k + 1 + one.free] = [one.lowest, CONSTANT[0]][: 1 + one.free]
-        return lowest
+            change = self.q[place] * row.sd * (lag - before) / math.exp(max(self.q[inertia], -300.0))
+            self.q[inertia] += math.log1p(float(np.clip(change, -0.5, 1.0)))
 
     @property
     def body(self) -> Floats:
@@ -237,6 +219,8 @@ class ServoSearch(FitSearch):
 
     def estimate_noise(self, kinds: Sequence[str]) -> Gaussian:
         """Return the noise of the residuals, with the error of the stamps."""
+        if self.ticked:
+            self.apply_ticks()
         motion, step = self.problem.linearise_motion(self.q, self.starts), self.problem.resolution
         pairs = zip(self.plain.stretches, motion, strict=True)
         stretches = tuple(one.resting((v == 0) | find_rests(one, 1 / self.frequency)) for one, (_, v) in pairs)
@@ -254,6 +238,23 @@ class ServoSearch(FitSearch):
         local = super().local(likelihood)
         pair = tuple(i for i, one in enumerate(self.table) if one.name == "gravity")
         return BoundedQuadratic(local.A, local.g, local.plain, local.odds, local.lowest, pair, self.kept)
+
+    def apply_ticks(self) -> None:
+        """Add to the motion what the ticks and counts of the loop change, at the present parameters.
+
+        A derivative gain turns the step of a count into a pulse of torque, which rubs in proportion to the load.
+        """
+        problem, period, stretches = self.problem, self.task.servo.loop_period, []
+        for one, state, scale in zip(problem.stretches, self.starts, problem.scales(), strict=True):
+            body, forces, _ = problem._body(self.q, one.acts)
+            at = problem._start_body(one, state, scale, body)
+            at[2 - LOOP] = 0.5 * period  # of a loop in ticks
+            smooth = simulate(one.drive, forces, at, problem.parts)[0]
+            drive, at[DELAY] = excite_ticks(one, float(at[DELAY]), period), 0.0
+            apart = simulate(drive, forces, at, problem.parts, count=problem.resolution)[0] - smooth
+            stretches.append(replace(one, apart=np.nan_to_num(apart, posinf=0.0, neginf=0.0)))
+        self.plain = replace(self.plain, stretches=tuple(stretches))
+        self.problem = replace(problem, stretches=tuple(stretches))
 
     def value(self) -> float:
         """Return the log evidence of the present model in its own noise, with the cost of its parameters."""
@@ -300,6 +301,6 @@ def limited_part(problem: FitProblem, q: Floats, starts: Floats) -> float:
         goal = stretch.drive.u[np.minimum(stretch.drive.row[np.maximum(late, 0)], stretch.drive.u.size - 1)]
         torque = gain * (goal - y)
         for force, size in zip(forces, body[BASE:], strict=False):
-            torque = torque - size * v * (force.kind in ("loop_velocity", "loop_filtered"))
+            torque = torque - size * v * (force.kind == "loop_filtered")
         parts.append(np.abs(torque) >= limit)
     return float(np.mean(np.concatenate(parts)))

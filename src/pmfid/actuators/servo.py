@@ -137,11 +137,6 @@ class Servo:
         fixed = {*self.given, *(["kp"] if self.relative else [])}
         return tuple(name for name in dict.fromkeys(names) if name not in fixed)
 
-    @property
-    def filters(self) -> bool:
-        """Whether the velocity in the loop passes a lag."""
-        return "velocity_filter" in self.unknown or self.given.get("velocity_filter", 0.0) > 0
-
     def has(self, name: str) -> bool:
         """Return whether a parameter belongs to the model, known or not."""
         return name in self.unknown or name in self.given

@@ -31,15 +31,21 @@ def find_search(task: ServoTask, search: bool) -> ServoSearch:
     """Return the search at the best model of the logs, with a limit of the torque and gravity or without."""
     best = max(_start_searches(task, search), key=ServoSearch.value)
     _check_explains(best)
-    best = max(fit_lags(best), key=lambda fit: fit.value).search if best.kept else best
-    if search:
-        build(best)
-    best = _extend(_drop_limit(best), 2 * TUNING.angle)
+    best.ticked = True
+    best = _take_lag(best)
     if search:
         best = _build_waves(best)
+    best = _extend(_drop_limit(best), 2 * TUNING.angle)
+    if search:
+        best = _build_waves(_take_lag(best))
     best = _extend(_drop_limit(best), TUNING.angle)
     free = _drop_limit(copy(best), always=True)
     return best if free.task is best.task else max((best, _settle(free)), key=ServoSearch.value)
+
+
+def _take_lag(search: ServoSearch) -> ServoSearch:
+    """Return the search at the best lag of the velocity in the loop."""
+    return max(fit_lags(search), key=lambda fit: fit.value).search if search.kept else search
 
 
 def _build_waves(search: ServoSearch) -> ServoSearch:

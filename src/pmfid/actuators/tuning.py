@@ -61,8 +61,6 @@ class ActuatorTuning:
     #: Lags of the velocity in a loop at which the fit is tried first [s], and the standard deviation of the lag.
     lags: tuple[float, ...] = (0.0, 0.5e-3, 1e-3, 2e-3, 4e-3, 7e-3, 11e-3)
     lag: float = 5e-3
-    #: A lag whose evidence is less than that of the best one by this much ends the lags on its side.
-    lag_end: float = 15.0
     #: Lags next to the best one differ by less than this log evidence, after halvings of their distance.
     lag_drop: float = 1.5
     halvings: int = 3

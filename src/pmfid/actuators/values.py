@@ -15,7 +15,7 @@ from pmfid.actuators.terms import LOOP_FRICTION
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.fit import Fitted, sandwich
 from pmfid.fit.problem import ResidualBlock
-from pmfid.fit.solve import inverse, normal_of
+from pmfid.fit.solve import inverse
 from pmfid.types import Floats
 
 
@@ -102,8 +102,6 @@ def read_parameters(
     width = np.nan_to_num(np.sqrt(np.abs(np.diag(covariance))), nan=1.0, posinf=1.0)
     gradient = _gradient(read, q, width)
     std = _widen(search, gradient, _spread(gradient, covariance))
-    shift = _shift_by_rests(search, fitted)
-    std = np.hypot(std, gradient[:, : shift.size] @ shift)
     more = {"delay": search.task.servo.loop_period / math.sqrt(12)}  # a goal waits for the next tick of the loop
     if search.is_lost(fitted.solution.q):
         more[search.plain.machine.names[search.plain.machine.lead]] = math.inf
@@ -121,18 +119,6 @@ def _mix_lags(search: ServoSearch, fitted: Fitted, lags: Sequence[LagFit], plain
     known = np.append(np.isfinite(wide), True)
     wide = np.where(known, np.append(wide, 1.0), 0.0)
     return q, covariance * np.outer(wide, wide) + np.diag(np.where(known, 0.0, np.inf))
-
-
-def _shift_by_rests(search: ServoSearch, fitted: Fitted) -> Floats:
-    """Return the changes (p,) of the coordinates by an error of rounding that all rests share: a joint that slows down
-    stops where the count in its loop changes."""
-    blocks = fitted.problem.linearise(fitted.solution.q, fitted.solution.starts)
-    for block, one in zip(blocks, search.noise.stretches, strict=True):
-        moves = np.sign(np.diff(one.y, prepend=one.y[0]))
-        last = np.maximum.accumulate(np.where(moves != 0, np.arange(moves.size), 0))
-        block.e[...] = one.rest * moves[last] / math.sqrt(12)
-    normal = normal_of(search.noise(blocks)[1], np.zeros_like(fitted.solution.starts))
-    return np.asarray(inverse(normal.A + np.diag(search.prior(search.problem))) @ normal.g)
 
 
 def _widen(search: ServoSearch, gradient: Floats, std: Floats) -> Floats:

@@ -210,13 +210,15 @@ def simulate(
     lift: Floats | None = None,
     elastic: bool = False,
     load: bool = False,
+    count: float = 0.0,
 ) -> tuple[Floats, Floats, Floats]:
     """Return positions (k,), velocities (k,) and derivatives (k, p) of the positions by coordinates, of which `lift`
     (w, p) has the derivatives of the body's parameters (w,). There are none without it.
 
-    The positions are infinite after an overflow.
+    The positions are infinite after an overflow. A controller with a `count` of its encoder acts in ticks, at
+    which `on` is 1, or -1 while it is off.
     """
     packed = [force.pack() for force in forces]
     inputs = (packed, drive.step, drive.u, drive.row, drive.columns, np.ascontiguousarray(body))
-    y, v, S, _ = run(*inputs, parts, lift, drive.tick, drive.on, elastic, load)
+    y, v, S, _ = run(*inputs, parts, lift, drive.tick, drive.on, elastic, load, count)
     return y, v, S

@@ -36,7 +36,7 @@ class ObservedStretch:
     `first` is the index of the first sample in the record. `line` (k,) is the number of the encoder's line of each
     edge, or -1; a stretch without it has counts only. `acts` (p,) is 0 for parameters of the machine that belong to
     another log, and 1 for all others. The start position is relative to `origin` [unit], or to the first observation.
-    `speed` is the start velocity [unit/s] if it is known.
+    `speed` is the start velocity [unit/s] if it is known. `apart` (k,) is what a motion of the model lacks [unit].
     """
 
     drive: Excitation
@@ -49,6 +49,7 @@ class ObservedStretch:
     acts: Floats | None = None
     origin: float | None = None
     speed: float | None = None
+    apart: Floats | float = 0.0
 
     @property
     def base(self) -> float:
@@ -296,7 +297,7 @@ class FitProblem:
 
     def _errors_of(self, y: Floats, stretch: ObservedStretch) -> Floats:
         """Return finite residuals (k,) of positions y (k,) [counts]."""
-        return np.clip(np.nan_to_num((y - stretch.y) / self.resolution, nan=FAR), -FAR, FAR)
+        return np.clip(np.nan_to_num((y + stretch.apart - stretch.y) / self.resolution, nan=FAR), -FAR, FAR)
 
     def _read(self, block: ResidualBlock, v: Floats, stretch: ObservedStretch, q: Floats) -> ResidualBlock:
         """Return a block with the errors of the encoder, which depend on the position, and the lateness of edges."""
