@@ -117,10 +117,10 @@ RLS with four poles, `run`, per sample of the same record: {on_line}.
 
 ## Instructions
 
-Of one step of the scalar kernel, counted by callgrind over the first {steps} samples of the record.
+Of one step of the scalar kernel, with the loop of `run`, counted by callgrind over {steps} samples of the record.
 
-| estimator | step | encoder | auxiliary model | filters | recursion |
-|---|---:|---:|---:|---:|---:|
+| estimator | instructions |
+|---|---:|
 {instructions}
 
 {reading}

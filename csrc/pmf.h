@@ -254,15 +254,13 @@ typedef struct {
                   [PMF_MAX_PARAMETERS]; /* covariance of the known noise in one sample's phi phi^T */
     scalar_t target_noise[PMF_MAX_PARAMETERS]; /* covariance of the known noise in phi z */
     scalar_t target_power; /* power of the known noise in z^2 */
-    uint32_t constant,
-        lowest; /* parameters of the output's constant and of its lowest coefficient; PMF_NO_PARAMETER: none */
+    uint32_t constant, lowest; /* parameters of the output's constant and lowest coefficient, or PMF_NO_PARAMETER */
     scalar_t lift; /* shift of the constant for the first count, as a multiple of `lowest` */
     uint32_t block; /* updates in a block with correlated errors. The spread of blocks scales P. */
     scalar_t correlated; /* number of updates with equal errors, assumed until blocks exist */
     uint32_t half_memory; /* half memory, counted in looks at the motion; 0: nothing is forgotten */
     uint32_t leading; /* index of the parameter of the highest derivative */
-    scalar_t haste,
-        leak; /* weights of outdated information at the next sample, and of the peaks after half a memory of motion */
+    scalar_t haste, leak; /* weights of outdated information at the next sample, and of peaks after half a memory */
     scalar_t shown; /* inverse square of the encoder's error in the leading column */
     scalar_t outgrown; /* ratio of information in the leading column to recent squares, above which the information
                           comes from larger motions */
@@ -300,8 +298,7 @@ typedef struct {
 typedef struct {
     pmf_sums_t sums;
     real_t peak[PMF_MAX_PARAMETERS]; /* largest information in motions of the present size */
-    real_t power,
-        power_before; /* squares of the leading column over the encoder's error, in this half memory and the last */
+    real_t power, power_before; /* squares of the leading column over the encoder's error, in two half memories */
     real_t factor[PMF_MAX_PARAMETERS][PMF_MAX_PARAMETERS]; /* information = L D L^T: L below the diagonal */
     real_t inverse_pivot[PMF_MAX_PARAMETERS]; /* 1 / D */
     pmf_estimate_t estimate;
@@ -342,8 +339,7 @@ typedef struct {
     uint32_t first, intervals; /* first knot and number of intervals */
     uint32_t node; /* node for the signed mean over an interval, which no stage overwrites */
     uint32_t measured; /* node for the mean at the measured position, for the direct estimate; 0: none */
-    scalar_t start,
-        knots_per_unit; /* first knot and scale of the speed or position. The scale of a wave is in periods per unit. */
+    scalar_t start, knots_per_unit; /* first knot, and knots (or periods of a wave) per unit of speed or position */
 } pmf_shape_t;
 
 typedef struct {
@@ -361,14 +357,11 @@ typedef struct {
     uint32_t has_initial;
     uint32_t direct_index[PMF_ROLES]; /* index of a role's parameter in the direct recursion; PMF_NO_PARAMETER: none */
     uint32_t index[PMF_ROLES]; /* index of a role's parameter in the instrumental recursion */
-    uint32_t
-        check_column; /* column of the measured filtered velocity, followed by the model's velocity and acceleration */
-    uint32_t
-        target_column; /* column of the target, which is corrected by the filters' error for the model's acceleration */
+    uint32_t check_column; /* measured filtered velocity, followed by velocity and acceleration of the model */
+    uint32_t target_column; /* target, which is corrected by the filters' error for the model's acceleration */
     uint32_t mass_column; /* column of the instrument of the mass */
     uint32_t sensitivities; /* number of parameters that move the model's stops and reversals; 0: none */
-    uint32_t cause[PMF_ROLES],
-        role[PMF_ROLES]; /* signal of the model that each parameter multiplies, and the first role of the parameter */
+    uint32_t cause[PMF_ROLES], role[PMF_ROLES]; /* signal that each parameter multiplies, and its first role */
     uint32_t trial_samples; /* samples before a new start is judged */
     scalar_t dt, input_gain;
     scalar_t jump_gain; /* gain of both stages that filter a blow at a stop */
@@ -395,23 +388,27 @@ typedef struct {
 /* Effect of a parameter's change on the model's stops. */
 typedef struct {
     real_t momentum; /* mass times the deviation of the velocity, over dt */
-    real_t blow,
-        filtered; /* force by which a stop removes the momentum, and the force filtered by one and two stages */
+    real_t blow, filtered; /* force by which a stop removes the momentum, after one and two stages of a filter */
 } pmf_jump_t;
+
+/* Sums that fade while the axis rests. */
+typedef struct {
+    pmf_jump_t jump[PMF_ROLES]; /* effect of each parameter on the stops */
+    real_t power, mismatch;
+    real_t cross, after, chance, bends, changes; /* sums for the verdict on feedback */
+    pmf_lag_t lag;
+} pmf_fading_t;
 
 typedef struct {
     real_t parameter[PMF_ROLES];
     real_t velocity, position;
-    pmf_jump_t jump[PMF_ROLES]; /* effect of each parameter on the stops */
-    real_t power, mismatch;
+    pmf_fading_t fading;
     real_t lack, change; /* measured minus modelled velocity of the last interval, and change of the input after it */
-    real_t cross, after, chance, bends, changes; /* sums for the verdict on feedback */
     whole_t running; /* 1: the model has parameters */
     whole_t trial; /* samples until the model is judged */
     whole_t trusted;
     whole_t in_charge; /* 1: the instrumental estimate has replaced the direct estimate */
     whole_t feedback; /* last verdict on feedback, as a status bit */
-    pmf_lag_t lag;
     whole_t late; /* last verdict on a model ahead of the plant, as a status bit */
     whole_t turn; /* counter of the samples between two steps of the copy */
     real_t step; /* length of the simulated interval [s] if the step varies */
@@ -433,8 +430,7 @@ typedef struct {
 
 typedef struct {
     real_t past[PMF_MAX_LATE]; /* ring of inputs, the last one at `at` */
-    real_t older, newer,
-        part; /* inputs that act in the interval of the counts. The older input acts for the fraction `part`. */
+    real_t older, newer, part; /* inputs in the interval of the counts; the older one acts for the fraction `part` */
     real_t lagged; /* output of the lag at the end of the interval */
     whole_t at;
 } pmf_late_state_t;
@@ -459,6 +455,7 @@ typedef struct {
     whole_t status;
     whole_t settle; /* samples until the filters have forgotten their start */
     whole_t hold; /* samples until the filters have forgotten a guess */
+    whole_t samples; /* number of samples in the filters, modulo 2^32 */
 #if PMF_WITH_GUARD
     pmf_guard_state_t guard;
 #endif
@@ -473,7 +470,8 @@ typedef struct {
 #endif
 #if PMF_WITH_AUXILIARY
     pmf_auxiliary_state_t auxiliary;
-    pmf_estimate_t borrowed; /* direct estimate in the parameters of the instrumental estimate */
+    pmf_estimate_t output; /* the instrumental estimate with the errors of its model, or the direct estimate */
+    real_t model[PMF_MAX_PARAMETERS]; /* mean parameters of the model, with the weights of the instrumental sums */
     pmf_recursion_state_t instrument;
 #endif
 } pmf_state_t;

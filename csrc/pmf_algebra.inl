@@ -2,7 +2,6 @@
  * SPDX-License-Identifier: Apache-2.0 */
 
 #define N PMF_MAX_PARAMETERS
-#define PIVOT_FLOOR PMF_EITHER(1e-6, 1e-14)
 
 /* Factorise a symmetric matrix, given by its lower half, as L D L^T. */
 PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], real_t inverse[N])
@@ -10,7 +9,7 @@ PMF_INLINE void factorise(uint32_t p, real_t matrix[N][N], real_t lower[N][N], r
     real_t scaled[N];
     uint32_t i, j, k;
     for (i = 0; i < p; ++i) {
-        real_t pivot = matrix[i][i], floor = PIVOT_FLOOR * matrix[i][i] + PMF_TINY;
+        real_t pivot = matrix[i][i], floor = PMF_EITHER(1e-6, 1e-14) * matrix[i][i] + PMF_TINY;
         for (j = 0; j < i; ++j) {
             real_t sum = matrix[i][j];
             for (k = 0; k < j; ++k) {

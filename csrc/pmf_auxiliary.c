@@ -93,7 +93,7 @@ static void emit_motion(const phase_t *phase, real_t middle, real_t *signal)
 
 static void forget_sensitivity(pmf_auxiliary_state_t *state)
 {
-    pmf_clear(state->jump, (uint32_t)sizeof state->jump);
+    pmf_clear(state->fading.jump, (uint32_t)sizeof state->fading.jump);
 }
 
 /* Return the fraction of a velocity deviation that remains after a stop: 0 if friction holds the body. If the body
@@ -128,7 +128,7 @@ static void note_sensitivity(const pmf_auxiliary_config_t *config, pmf_auxiliary
     }
     lost = (left - PMF_R(1.0)) * config->jump_gain;
     for (i = 0; i < config->sensitivities; ++i) {
-        pmf_jump_t *jump = &state->jump[i];
+        pmf_jump_t *jump = &state->fading.jump[i];
         real_t momentum = kept * (jump->momentum - ratio * signal[config->cause[i]]);
         jump->momentum = left * momentum;
         jump->filtered += gain * (jump->blow - jump->filtered);
@@ -257,7 +257,7 @@ PMF_API void pmf_auxiliary_correct(const pmf_auxiliary_config_t *config, const p
     real_t target = state->parameter[PMF_MASS] * (exact - column[config->mass_column]);
     uint32_t i;
     for (i = 0; i < config->sensitivities; ++i) {
-        real_t jump = state->jump[i].filtered;
+        real_t jump = state->fading.jump[i].filtered;
         column[first + i] -= jump;
         target += jump * state->parameter[config->role[i]];
     }
@@ -283,8 +283,8 @@ static void try_again(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_
     state->trial = PMF_W(config->trial_samples);
     state->velocity = velocity;
     forget_sensitivity(state);
-    state->power = PMF_R(0.0);
-    state->mismatch = PMF_R(0.0);
+    state->fading.power = PMF_R(0.0);
+    state->fading.mismatch = PMF_R(0.0);
 }
 
 PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
@@ -300,12 +300,14 @@ PMF_API truth_t pmf_auxiliary_check(const pmf_auxiliary_config_t *config, pmf_au
         return running;
     }
     looks = running & PMF_NOT(held);
-    state->power = PMF_IF(looks, config->memory * state->power + measured * measured, state->power);
-    state->mismatch = PMF_IF(looks, config->memory * state->mismatch + apart * apart, state->mismatch);
-    limit = config->mismatch_limit * state->power + config->noise_power;
+    state->fading.power =
+        PMF_IF(looks, config->memory * state->fading.power + measured * measured, state->fading.power);
+    state->fading.mismatch =
+        PMF_IF(looks, config->memory * state->fading.mismatch + apart * apart, state->fading.mismatch);
+    limit = config->mismatch_limit * state->fading.power + config->noise_power;
     judged = looks & (state->trial == 0U);
     state->trial -= PMF_BIT(looks & PMF_NOT(judged), 1U);
-    lost = judged & (state->mismatch > limit);
+    lost = judged & (state->fading.mismatch > limit);
     state->trusted = PMF_IF(judged, PMF_W(1), state->trusted);
     PMF_WHERE(lost, state, try_again(config, state, measured));
     return running & (state->trusted != 0U);

@@ -2,13 +2,6 @@
  * SPDX-License-Identifier: Apache-2.0 */
 
 static const uint32_t SATURATED = 0xffffffffU;
-#ifdef PMF_PARAMETERS
-#define PARAMETERS(config) PMF_PARAMETERS
-#define INSTRUMENTAL(config) PMF_INSTRUMENTAL
-#else
-#define PARAMETERS(config) ((config)->n_parameters)
-#define INSTRUMENTAL(config) ((config)->instrumental)
-#endif
 static const uint32_t SPED_UP = 1U;
 static const uint32_t SLOWED_DOWN = 2U;
 
@@ -60,8 +53,7 @@ PMF_INLINE void accumulate(const pmf_recursion_config_t *config, pmf_recursion_s
 /* The scale of information. Information from motions that were larger than recent ones is outdated. */
 
 static const uint32_t HALF_MEMORIES = 4U; /* factor between the bits of this half memory and of the last */
-static const scalar_t SOME =
-    PMF_SCALAR(0.0625); /* fraction of the encoder's squared error above which the axis moves */
+static const scalar_t SOME = PMF_SCALAR(0.0625); /* part of the encoder's squared error above which the axis moves */
 static const scalar_t LITTLE = PMF_SCALAR(0.25); /* fraction of `outgrown` below which the fast forgetting ends */
 
 /* Sum the squares of the acceleration in motion over this and the last half memory, in units of the encoder's error.

@@ -11,8 +11,7 @@
 
 static const scalar_t SMOOTH = PMF_SCALAR(3.2); /* FIRST of pmf_outlier.c */
 static const scalar_t ROUNDING = PMF_SCALAR(2.0); /* second difference of counts in a steady motion */
-static const scalar_t SPIKE =
-    PMF_SCALAR(8.0); /* ratio of an input to all its neighbours, above which the counts must answer */
+static const scalar_t SPIKE = PMF_SCALAR(8.0); /* ratio of an input to its neighbours, above which counts must answer */
 static const uint32_t FAR = 0x20000000U; /* counts that are further apart are wrong in any case */
 
 /* Return the second difference with its middle at a place. */

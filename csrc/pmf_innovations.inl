@@ -2,12 +2,9 @@
  * model. Only pmf_recursion.c includes this file. SPDX-License-Identifier: Apache-2.0 */
 
 static const uint32_t MIN_BLOCKS = 8U;
-static const uint32_t SKIPPED_INNOVATIONS =
-    4U; /* number of first innovations that are skipped, because early innovations do not show the noise */
-static const uint32_t JUDGED =
-    16U; /* updates between two verdicts on the model (a power of two), half-way between two looks */
-static const scalar_t NEGLIGIBLE =
-    PMF_SCALAR(1e-6); /* fraction of the target's mean square that a model may leave unexplained */
+static const uint32_t SKIPPED_INNOVATIONS = 4U; /* first innovations, which do not show the noise yet */
+static const uint32_t JUDGED = 16U; /* updates between two verdicts on the model (a power of two), between two looks */
+static const scalar_t NEGLIGIBLE = PMF_SCALAR(1e-6); /* part of the target's mean square that may stay unexplained */
 
 /* Sum the innovations of a stretch of samples, and keep the sums of the last stretch. */
 static void note_unexplained(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
@@ -64,15 +61,24 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
     return PMF_IF(where, state->unmodelled, PMF_W(0));
 }
 
-PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where)
+PMF_INLINE void note_innovation(const pmf_recursion_config_t *config, pmf_recursion_state_t *state, truth_t where,
+                                const real_t *zeta, uint32_t p)
 {
     pmf_estimate_t *estimate = &state->estimate;
-    real_t square = estimate->innovation * estimate->innovation;
+    real_t square = estimate->innovation * estimate->innovation, share = PMF_R(1.0);
+    uint32_t i;
+    if (PMF_WITH_AUXILIARY && config->growing != 0U) {
+        share = PMF_R(0.0);
+        for (i = 0; i < p; ++i) {
+            share += zeta[i] * zeta[i] * estimate->variance_factor[i];
+        }
+    }
     real_t f = memory_of(config, state, PMF_ALIKE(config->forgetting)); /* the sums forget like the samples */
     where = where & (state->started > SKIPPED_INNOVATIONS) & (state->frozen == 0U);
     if (PMF_ANY(where)) {
-        state->weight = PMF_IF(where, f * state->weight + PMF_R(1.0), state->weight);
-        state->innovation_square = PMF_IF(where, f * state->innovation_square + square, state->innovation_square);
+        state->weight = PMF_IF(where, f * state->weight + share, state->weight);
+        state->innovation_square =
+            PMF_IF(where, f * state->innovation_square + share * square, state->innovation_square);
         estimate->innovation_variance =
             PMF_IF(where, state->innovation_square / state->weight, estimate->innovation_variance);
     }

@@ -43,8 +43,10 @@ PMF_API void pmf_instrument_simulate(const pmf_config_t *config, pmf_state_t *st
               PMF_WHERE(running, signals, pmf_auxiliary_step(&config->auxiliary, &state->auxiliary, signals->signal)));
 }
 
-PMF_API void pmf_instrument_correct(const pmf_config_t *config, pmf_state_t *state)
+PMF_API void pmf_instrument_correct(const pmf_config_t *config, pmf_state_t *state, truth_t looks)
 {
+    pmf_fading_t *fading = &state->auxiliary.fading;
+    pmf_clear_traces(looks, (real_t *)(void *)fading, (uint32_t)(sizeof *fading / sizeof(real_t)));
     pmf_auxiliary_correct(&config->auxiliary, &state->auxiliary, config->instrument.first_column,
                           state->network.column);
 }
@@ -57,11 +59,49 @@ PMF_API void pmf_instrument_settle(const pmf_config_t *config, pmf_state_t *stat
     state->auxiliary.position = PMF_IF(half_way, state->network.node[PMF_LATE_POSITION], state->auxiliary.position);
 }
 
+/* Average the parameters with which the model made the samples of the sums. */
+static void note_model(const pmf_config_t *config, pmf_state_t *state, truth_t where)
+{
+    const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
+    const real_t *theta = state->instrument.estimate.theta;
+    real_t used[PMF_MAX_PARAMETERS], share = PMF_R(1.0) / state->instrument.sums.weight;
+    uint32_t i;
+    for (i = 0; i < PARAMETERS(&config->instrument); ++i) {
+        used[i] = theta[i];
+    }
+    for (i = 0; i < PMF_ROLES; ++i) {
+        if (auxiliary->index[i] != PMF_NO_PARAMETER) {
+            used[auxiliary->index[i]] = state->auxiliary.parameter[i];
+        }
+    }
+    for (i = 0; i < PARAMETERS(&config->instrument); ++i) {
+        state->model[i] = PMF_IF(where, state->model[i] + share * (used[i] - state->model[i]), state->model[i]);
+    }
+}
+
+/* Write the instrumental estimate. The sums hold samples of a model with other parameters, and such a sample moves the
+ * estimate by less than the model is off. */
+static void show_estimate(uint32_t p, pmf_state_t *state)
+{
+    const pmf_estimate_t *own = &state->instrument.estimate;
+    pmf_estimate_t *output = &state->output;
+    uint32_t i;
+    for (i = 0; i < p; ++i) {
+        real_t apart = own->theta[i] - state->model[i];
+        real_t error = apart * apart / (own->variance_factor[i] * own->innovation_variance);
+        output->theta[i] = own->theta[i];
+        output->variance_factor[i] = own->variance_factor[i];
+        output->inflation[i] = own->inflation[i] + PMF_IF(error - error == PMF_R(0.0), error, PMF_R(0.0));
+    }
+    output->innovation = own->innovation;
+    output->innovation_variance = own->innovation_variance;
+}
+
 /* Write the direct estimate in the parameters of the instrumental estimate. */
 static void borrow_estimate(const pmf_config_t *config, const pmf_estimate_t *direct, pmf_state_t *state)
 {
     const pmf_auxiliary_config_t *auxiliary = &config->auxiliary;
-    pmf_estimate_t *borrowed = &state->borrowed;
+    pmf_estimate_t *borrowed = &state->output;
     uint32_t i;
     for (i = 0; i < PMF_ROLES; ++i) {
         uint32_t own = auxiliary->index[i], other = auxiliary->direct_index[i];
@@ -141,6 +181,7 @@ PMF_API whole_t pmf_instrument_step(const pmf_config_t *config, pmf_state_t *sta
     PMF_WHERE(trusted & settled, &state->instrument,
               stepped = pmf_recursion_step(&config->instrument, &state->instrument, state->network.column));
     status = PMF_IF(trusted & settled, stepped, status);
+    note_model(config, state, trusted & settled & (state->instrument.sums.weight > PMF_R(0.0)));
     status |= pmf_auxiliary_feedback(&state->auxiliary, state->network.node, trusted & settled,
                                      state->encoder.input - state->encoder.input_before);
     status |= pmf_auxiliary_late(auxiliary, &state->auxiliary, state->network.column,
@@ -152,6 +193,7 @@ PMF_API whole_t pmf_instrument_step(const pmf_config_t *config, pmf_state_t *sta
     }
     state->auxiliary.in_charge = PMF_BIT(in_charge, 1U);
     pmf_auxiliary_follow(auxiliary, &state->auxiliary, in_charge, own->theta, auxiliary->index);
+    PMF_WHERE(in_charge, &state->output, show_estimate(PARAMETERS(&config->instrument), state));
     if (PMF_ALL(in_charge)) {
         return status;
     }
@@ -160,7 +202,7 @@ PMF_API whole_t pmf_instrument_step(const pmf_config_t *config, pmf_state_t *sta
         borrows = borrows & PMF_NOT(trusted);
     }
     pmf_auxiliary_follow(auxiliary, &state->auxiliary, borrows, direct->theta, auxiliary->direct_index);
-    PMF_WHERE(PMF_NOT(in_charge), &state->borrowed, borrow_estimate(config, direct, state));
+    PMF_WHERE(PMF_NOT(in_charge), &state->output, borrow_estimate(config, direct, state));
     direct_status = (direct_status & ~(uint32_t)PMF_COMPENSATION_HELD) | PMF_FALLBACK;
     return PMF_IF(in_charge, status, direct_status | (status & KEPT_ON_FALLBACK));
 }
@@ -168,7 +210,7 @@ PMF_API whole_t pmf_instrument_step(const pmf_config_t *config, pmf_state_t *sta
 #if PMF_WHOLE /* for one axis */
 const pmf_estimate_t *pmf_instrument_estimate(const pmf_state_t *state)
 {
-    return (state->status & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
+    return &state->output;
 }
 
 void pmf_instrument_covariance(const pmf_config_t *config, const pmf_state_t *state, real_t *p)
@@ -179,15 +221,15 @@ void pmf_instrument_covariance(const pmf_config_t *config, const pmf_state_t *st
         return;
     }
     for (i = 0; i < n * n; ++i) {
-        p[i] = i % (n + 1U) == 0U ? state->borrowed.variance_factor[i / (n + 1U)] : PMF_R(0.0);
+        p[i] = i % (n + 1U) == 0U ? state->output.variance_factor[i / (n + 1U)] : PMF_R(0.0);
     }
 }
 
 void pmf_instrument_gap(const pmf_config_t *config, pmf_state_t *state)
 {
-    pmf_clear(state->auxiliary.jump, (uint32_t)sizeof state->auxiliary.jump);
-    state->auxiliary.mismatch = PMF_R(0.0);
-    state->auxiliary.power *=
+    pmf_clear(state->auxiliary.fading.jump, (uint32_t)sizeof state->auxiliary.fading.jump);
+    state->auxiliary.fading.mismatch = PMF_R(0.0);
+    state->auxiliary.fading.power *=
         PMF_R(10.0); /* a larger error of the model's velocity, over its power, resets the velocity */
     state->auxiliary.trial = config->auxiliary.trial_samples;
 }

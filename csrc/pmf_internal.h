@@ -105,9 +105,17 @@ typedef int truth_t; /* truths, combined by & and | and inverted by PMF_NOT */
 #define PMF_SPAN(config, state) ((config)->dt)
 #endif
 
+#ifdef PMF_PARAMETERS
+#define PARAMETERS(config) PMF_PARAMETERS
+#define INSTRUMENTAL(config) PMF_INSTRUMENTAL
+#else
+#define PARAMETERS(config) ((config)->n_parameters)
+#define INSTRUMENTAL(config) ((config)->instrumental)
+#endif
+
 /* Periods, and limits of the values in a state. */
 enum pmf_limits {
-    PMF_CLEARED = 64, /* updates between two searches for traces of zero signals in the filters, a power of two */
+    PMF_CLEARED = 64, /* samples between two searches for traces of zero signals in the filters, a power of two */
     PMF_FOLLOWED = 4, /* samples between two steps of the slow copy, a power of two */
     PMF_FAST_SAMPLES = 3, /* samples that count as fast after two or more counts in one sample */
     PMF_BLOCK_MEMORY = 100, /* memory of the statistics, in blocks of innovations */
@@ -181,8 +189,11 @@ void pmf_shapes_measured(const pmf_config_t *config, real_t *signal);
 PMF_API void pmf_instrument_restart(const pmf_config_t *config, pmf_state_t *state);
 /* Step the auxiliary model if it has parameters. */
 PMF_API void pmf_instrument_simulate(const pmf_config_t *config, pmf_state_t *state);
-/* Correct the columns of this sample, see pmf_auxiliary_correct(). */
-PMF_API void pmf_instrument_correct(const pmf_config_t *config, pmf_state_t *state);
+/* Clear the traces of signals that have stayed zero, where `looks` holds. Rounding never lowers the least numbers of a
+ * filter to zero, and many processors compute with such numbers ten times slower. */
+PMF_API void pmf_clear_traces(truth_t looks, real_t *value, uint32_t values);
+/* Correct the columns of this sample, see pmf_auxiliary_correct(). `looks` says when to clear traces. */
+PMF_API void pmf_instrument_correct(const pmf_config_t *config, pmf_state_t *state, truth_t looks);
 /* Half-way through the settling the model takes the measured velocity at once, instead of approaching it with its own
  * time constant. */
 PMF_API void pmf_instrument_settle(const pmf_config_t *config, pmf_state_t *state, truth_t settling);

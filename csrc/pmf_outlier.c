@@ -20,11 +20,9 @@
 enum pmf_left_out { LEFT_OUT = 6 }; /* most readings of a view that may be wrong */
 static const uint32_t LEAST = 4U; /* fewest counts of a path: fewer than two accelerations prove nothing */
 static const scalar_t ENDLESS = PMF_SCALAR(1e30);
-static const scalar_t BLOW =
-    PMF_SCALAR(3.0); /* factor by which leaving out one reading lowers the acceleration of a blow */
+static const scalar_t BLOW = PMF_SCALAR(3.0); /* ratio of accelerations with and without one reading, for a blow */
 static const scalar_t FIRST = PMF_SCALAR(3.2); /* above BLOW */
-static const scalar_t FURTHER =
-    PMF_SCALAR(1.5); /* above (m + 3) / (m + 2), which is the same bound for each further reading */
+static const scalar_t FURTHER = PMF_SCALAR(1.5); /* above (m + 3) / (m + 2), the bound for each further reading */
 static const uint32_t MANY = 3U; /* most readings left out before a fast oscillation may look smooth */
 static const uint32_t CHOICES = 2048U; /* most choices of a search, which bound its time; a wrong count takes fewer */
 enum pmf_shift { SHIFT = 3 };

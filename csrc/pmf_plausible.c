@@ -109,14 +109,13 @@ PMF_SELDOM uint32_t check_recursion(const pmf_recursion_config_t *config, const 
 #if PMF_WITH_AUXILIARY
 PMF_SELDOM uint32_t check_auxiliary(const pmf_auxiliary_config_t *config, const pmf_auxiliary_state_t *state)
 {
+    const pmf_fading_t *fading = &state->fading;
     return all_finite(state->parameter, REALS(state->parameter)) & all_finite(&state->velocity, 1U) &
-           all_finite(&state->position, 1U) & not_negative(&state->power, 1U) & not_negative(&state->mismatch, 1U) &
-           at_most(state->running, 1U) & at_most(state->trial, config->trial_samples) & at_most(state->trusted, 1U) &
-           at_most(state->in_charge, 1U) & all_finite((const real_t *)(const void *)state->jump, REALS(state->jump)) &
-           all_finite(&state->lack, 1U) & all_finite(&state->change, 1U) & all_finite(&state->cross, 1U) &
-           all_finite(&state->after, 1U) & not_negative(&state->chance, 1U) & not_negative(&state->bends, 1U) &
-           not_negative(&state->changes, 1U) & at_most(state->feedback, PMF_FEEDBACK) &
-           all_finite((const real_t *)(const void *)&state->lag, REALS(state->lag)) &
+           all_finite(&state->position, 1U) & all_finite((const real_t *)(const void *)fading, REALS(*fading)) &
+           not_negative(&fading->power, 1U) & not_negative(&fading->mismatch, 1U) & not_negative(&fading->chance, 1U) &
+           not_negative(&fading->bends, 1U) & not_negative(&fading->changes, 1U) & at_most(state->running, 1U) &
+           at_most(state->trial, config->trial_samples) & at_most(state->trusted, 1U) & at_most(state->in_charge, 1U) &
+           all_finite(&state->lack, 1U) & all_finite(&state->change, 1U) & at_most(state->feedback, PMF_FEEDBACK) &
            at_most(state->late, PMF_DEAD_TIME) & not_negative(&state->step, 1U);
 }
 #endif
@@ -140,8 +139,8 @@ PMF_SELDOM uint32_t check_parts(const pmf_config_t *config, const pmf_state_t *s
             (state->late.at == 0U || state->late.at < config->late.kept ? 1U : 0U);
 #endif
 #if PMF_WITH_AUXILIARY
-    fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->borrowed) &
-            check_recursion(&config->instrument, &state->instrument);
+    fine &= check_auxiliary(&config->auxiliary, &state->auxiliary) & check_estimate(&state->output) &
+            all_finite(state->model, REALS(state->model)) & check_recursion(&config->instrument, &state->instrument);
 #endif
     return fine;
 }

@@ -18,10 +18,8 @@
 #include "pmf_innovations.inl"
 
 static const scalar_t POOR = PMF_SCALAR(50.0); /* information below POOR times the regularisation is called poor */
-static const scalar_t FREEZE =
-    PMF_SCALAR(1e-3); /* information below FREEZE times the regularisation is no longer forgotten */
-static const scalar_t LEAST_CLEAN =
-    PMF_SCALAR(0.02); /* fraction of a column's information that remains without the known noise */
+static const scalar_t FREEZE = PMF_SCALAR(1e-3); /* information below FREEZE times the regularisation is kept */
+static const scalar_t LEAST_CLEAN = PMF_SCALAR(0.02); /* part of a column's information that remains without noise */
 
 /* Subtract the apparent information of the known noise. If hardly any information is left, excitation is poor, and a
  * fraction is kept so that P stays positive. Before the first estimate nothing is subtracted, because the noise may
@@ -199,7 +197,7 @@ PMF_INLINE whole_t update(const pmf_recursion_config_t *config, pmf_recursion_st
             state->estimate.theta[i] = PMF_IF(moves, state->estimate.theta[i] + move[i], state->estimate.theta[i]);
         }
     }
-    note_innovation(config, state, PMF_NOT(waits));
+    note_innovation(config, state, PMF_NOT(waits), instrumental != 0U ? &column[p + 1U] : column, p);
     if (config->unexplained > PMF_SCALAR(0.0)) {
         unmodelled = check_model(config, state, PMF_NOT(waits) & (state->started > SKIPPED_INNOVATIONS), column[p]);
     }

@@ -21,8 +21,7 @@ typedef struct {
 /* Defined in pmf_auxiliary.c. */
 static void move(const body_t *body, scalar_t dt, truth_t forward, truth_t backward, phase_t *phase);
 
-static const uint32_t FORESIGHTS =
-    2U; /* iterations of the end of an interval, each with the means along the preceding motion */
+static const uint32_t FORESIGHTS = 2U; /* iterations of the end of an interval, each with the means of the last one */
 static const scalar_t MOST_PERIODS =
     PMF_SCALAR(1e9); /* largest number of periods at which a number shows the place within a period */
 

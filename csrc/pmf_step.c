@@ -31,15 +31,11 @@ static void restart_filters(const pmf_config_t *config, pmf_state_t *state)
     }
 }
 
-/* Clear the traces of signals that have stayed zero. Rounding never lowers the least numbers of a filter to zero, and
- * many processors compute with such numbers ten times slower. */
-static void clear_traces(pmf_state_t *state)
+PMF_API void pmf_clear_traces(truth_t looks, real_t *value, uint32_t values)
 {
-    truth_t looks = (state->direct.updates & (PMF_CLEARED - 1U)) == 0U;
     uint32_t i;
-    for (i = 0; PMF_ANY(looks) && i < (uint32_t)PMF_MAX_STAGES; ++i) {
-        real_t memory = state->network.memory[i];
-        state->network.memory[i] = PMF_IF(looks & (PMF_SIZE(memory) < PMF_TINY), PMF_R(0.0), memory);
+    for (i = 0; PMF_ANY(looks) && i < values; ++i) {
+        value[i] = PMF_IF(looks & (PMF_SIZE(value[i]) < PMF_TINY), PMF_R(0.0), value[i]);
     }
 }
 
@@ -47,7 +43,7 @@ static void clear_traces(pmf_state_t *state)
 static whole_t filter_sample(const pmf_config_t *config, pmf_state_t *state, real_t input, whole_t count)
 {
     whole_t status = pmf_encoder_step(&config->encoder, &state->encoder, input, count, state->network.node);
-    truth_t settling;
+    truth_t settling, looks;
     if (PMF_ANY(state->hold > 0U)) {
         state->hold -= PMF_BIT(state->hold > 0U, 1U);
     }
@@ -60,9 +56,11 @@ static whole_t filter_sample(const pmf_config_t *config, pmf_state_t *state, rea
     }
     pass_step(config, state);
     pmf_network_step(&config->network, &state->network);
-    clear_traces(state);
+    looks = (state->samples & (PMF_CLEARED - 1U)) == 0U;
+    state->samples += 1U;
+    pmf_clear_traces(looks, state->network.memory, PMF_MAX_STAGES);
     if (PMF_MODELLED(config)) {
-        pmf_instrument_correct(config, state);
+        pmf_instrument_correct(config, state, looks);
     }
     state->settle = PMF_IF((status & PMF_SETTLING) != 0U, PMF_W(config->settle_samples), state->settle);
     settling = state->settle > 0U;

@@ -18,18 +18,19 @@ static const scalar_t LATE_BY = PMF_SCALAR(0.02);
 
 PMF_API whole_t pmf_auxiliary_feedback(pmf_auxiliary_state_t *state, const real_t *signal, truth_t where, real_t change)
 {
+    pmf_fading_t *sums = &state->fading;
     real_t lack = signal[PMF_LATE_VELOCITY] - signal[PMF_AUXILIARY + PMF_VELOCITY], bend = lack - state->lack;
     real_t answer = state->change, now = bend * answer, next = bend * change, square;
     truth_t follows;
     state->lack = lack;
     state->change = change;
-    state->cross = PMF_IF(where, FEEDBACK_MEMORY * state->cross + now, state->cross);
-    state->after = PMF_IF(where, FEEDBACK_MEMORY * state->after + next, state->after);
-    state->chance = PMF_IF(where, FEEDBACK_MEMORY * state->chance + now * now + next * next, state->chance);
-    state->bends = PMF_IF(where, FEEDBACK_MEMORY * state->bends + bend * bend, state->bends);
-    state->changes = PMF_IF(where, FEEDBACK_MEMORY * state->changes + answer * answer, state->changes);
-    square = state->cross * state->cross + state->after * state->after;
-    follows = (square > FEEDBACK_PART * state->bends * state->changes) & (square > SURE * state->chance);
+    sums->cross = PMF_IF(where, FEEDBACK_MEMORY * sums->cross + now, sums->cross);
+    sums->after = PMF_IF(where, FEEDBACK_MEMORY * sums->after + next, sums->after);
+    sums->chance = PMF_IF(where, FEEDBACK_MEMORY * sums->chance + now * now + next * next, sums->chance);
+    sums->bends = PMF_IF(where, FEEDBACK_MEMORY * sums->bends + bend * bend, sums->bends);
+    sums->changes = PMF_IF(where, FEEDBACK_MEMORY * sums->changes + answer * answer, sums->changes);
+    square = sums->cross * sums->cross + sums->after * sums->after;
+    follows = (square > FEEDBACK_PART * sums->bends * sums->changes) & (square > SURE * sums->chance);
     state->feedback = PMF_IF(where, PMF_BIT(follows, PMF_FEEDBACK), state->feedback);
     return state->feedback;
 }
@@ -64,9 +65,10 @@ PMF_API whole_t pmf_auxiliary_late(const pmf_auxiliary_config_t *config, pmf_aux
     real_t modelled = column[config->check_column + 1U], acceleration = column[config->check_column + 2U];
     real_t lack = column[config->check_column] - modelled;
     truth_t looks = where & ((state->turn & (PMF_FOLLOWED - 1U)) == 0U);
-    PMF_WHERE(where, &state->lag, note_lag(&state->lag, config->lag_memory, lack, acceleration, modelled));
+    PMF_WHERE(where, &state->fading.lag,
+              note_lag(&state->fading.lag, config->lag_memory, lack, acceleration, modelled));
     if (PMF_ANY(looks)) {
-        state->late = PMF_IF(looks, PMF_BIT(is_behind(config, &state->lag), PMF_DEAD_TIME), state->late);
+        state->late = PMF_IF(looks, PMF_BIT(is_behind(config, &state->fading.lag), PMF_DEAD_TIME), state->late);
     }
     return state->late;
 }

@@ -1,4 +1,4 @@
-"""Samples of `rls` and `bcrls` that are wrong without a status, on random machines.
+"""Samples of the recursions that are wrong without a status, on random machines.
 
 `python -m studies.honest_recursions --out results/honest_recursions.md` runs all machines. Nothing was tuned on the
 machines from number HELD_BACK on.
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pmfid import BCRLS, RLS, Drive, Encoder, Status
+from pmfid import BCRLS, RIV, RLS, Drive, Encoder, Status
 from pmfid.estimators.results import Track
 from pmfid.simulation import (
     DriveParameters,
@@ -29,8 +29,8 @@ from studies.sections import write_page
 MACHINES = 40
 HELD_BACK = 20
 SAMPLES = 3000
-INCREMENTS = (4096, 2048, 1024, 512, 256, 128, 64)
-METHODS = {"rls": RLS, "bcrls": BCRLS}
+INCREMENTS = (4096, 2048, 1024, 512, 256, 128, 64, 32, 16)
+METHODS = {"rls": RLS, "bcrls": BCRLS, "riv": RIV}
 FORGETTING = 0.998
 TIME_CONSTANT = 3.0  # of the filters [samples]
 FAR, STDS = 0.05, 3.0  # an estimate is wrong beyond both

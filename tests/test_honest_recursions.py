@@ -15,7 +15,7 @@ NUMBERS = (103, 104)
 
 
 @pytest.mark.parametrize("motion", MOTIONS)
-@pytest.mark.parametrize("method", ["rls", "bcrls"])
+@pytest.mark.parametrize("method", METHODS)
 def test_hardly_any_sample_is_silently_wrong(method: str, motion: str) -> None:
     runs = [verdict(method, motion, increments, number) for increments in (4096, 256) for number in NUMBERS]
     assert np.mean([run.silent for run in runs]) < 0.005

@@ -17,7 +17,7 @@ MOST = {
     "lines of code in src": 37542,
     "lines of code in report and cli": 2948,
     "thresholds in src": 956,
-    "lines of csrc": 8690,
+    "lines of csrc": 8680,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
     "lines of tests": 27903,

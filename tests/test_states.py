@@ -24,7 +24,7 @@ from tests.test_many import AXES, fleet_record, make
 PRECISIONS = ("float32", "float64")
 #: Whole numbers without a limit: registers, sums modulo 2^32, and counters that saturate.
 FREE = {"encoder.count", "encoder.change", "encoder.travel", "encoder.first", "guard.count", "guard.zero",
-        "updates", "auxiliary.turn"}  # fmt: skip
+        "updates", "samples", "auxiliary.turn"}  # fmt: skip
 CASES = {name: (cls, options) for name, cls, options in [
     ("bcrls", pmfid.BCRLS, {}),
     ("rls", pmfid.RLS, {}),

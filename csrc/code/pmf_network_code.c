@@ -1,4 +1,4 @@
-/* The network of an export, as code. SPDX-License-Identifier: Apache-2.0 */
+/* The network of an export, or of a method of many/pmf_method.h, as code. SPDX-License-Identifier: Apache-2.0 */
 #include "pmf_internal.h"
 
 #define DELAY(k, from)                       \
@@ -10,7 +10,7 @@
 
 #define COLUMN(c, from, weight) column[c] = (weight) * node[from];
 #define TAP(c, from, weight) column[c] += (weight) * node[from];
-/* Straight code with the constants of an export. A rise has the coefficient b1 = -b0. */
+/* Straight code with coefficients. A rise has the coefficient b1 = -b0. */
 #define STAGE(k, from, a, b0, b1)                        \
     {                                                    \
         real_t w = node[from], y = (b0) * w + memory[k]; \

@@ -7,14 +7,12 @@
 #include "pmf_redge_innovation.inl"
 #include "pmf_redge_signs.inl"
 
-static const real_t NOT_A_STEP =
-    PMF_R(0.5); /* distance from a line [counts] from which on the edge is of another line */
+static const real_t NOT_A_STEP = PMF_R(0.5); /* distance from a line [counts] at which the edge is of another line */
 static const real_t SURE = PMF_R(0.04); /* variance of a prediction [counts^2] below which that is known */
 static const uint32_t LOST_AFTER = 8U; /* edges that are the same whole counts away, before the place moves */
 static const uint32_t ASTRAY = 12U; /* edges in a row that are of another line, before an alarm */
 static const real_t NARROWEST = PMF_R(0.125); /* samples: edges further from the ends of their sample are taken */
-static const real_t CREEP =
-    PMF_R(0.02); /* counts per sample: a slower axis has edges by noise, and its instants say nothing */
+static const real_t CREEP = PMF_R(0.02); /* counts per sample: a slower axis has edges by noise */
 static const real_t CHANCE = PMF_R(4.0); /* standard deviations of an instant */
 static const uint32_t AGAINST = 6U; /* edges against the simulated motion, before it is given up */
 static const real_t AWAY = PMF_R(1.5); /* counts beyond the step of the count: the simulated motion is lost */
@@ -23,18 +21,14 @@ static const uint32_t CHECKED = 32U; /* edges after given parameters, from which
 static const uint32_t YOUNG = 1000U; /* and up to which they do, */
 static const real_t DEPARTED = PMF_R(0.4); /* if a parameter is further from the given one, relative to it */
 static const real_t STILL_HEARD = PMF_R(10.0); /* edges that the noise of the instants counts for after an alarm */
-static const real_t DOUBT =
-    PMF_R(10.0); /* edges that show the instants' noise, at which variances are twice as large */
+static const real_t DOUBT = PMF_R(10.0); /* edges that show the instants' noise, at which variances double */
 static const real_t DRIFTING = PMF_R(8.0); /* edges over which such an innovation has grown */
 static const int32_t MOST_CHANGE = 1000000; /* counts in a sample */
-static const real_t SETTLED =
-    PMF_R(0.06); /* part of the squared errors of second order that a new reference may leave */
+static const real_t SETTLED = PMF_R(0.06); /* part of the squared errors of second order that a reference may leave */
 static const real_t STRAIGHT = PMF_R(1.001);
 static const real_t EXACT = PMF_R(0.1); /* error of each parameter, relative to the best edge in counts: rounding */
 static const real_t CLOCK = PMF_R(1e-5); /* relative error of a time, or of a force: crystals are made to 20 ppm */
-static const uint32_t MOST_MOVES = 6000U; /* moves of the reference, of which a right model needs three to six */
 static const real_t TURN_DOUBT = PMF_R(4.0); /* trend after reversals, from which on it widens the variances */
-static const real_t UNEVEN = PMF_R(6.4e-3); /* variance of the lines from which on the model is wrong [counts^2] */
 static const real_t LATEST = PMF_R(1e-4); /* time by which no capture of an edge is late: the input acts late [s] */
 
 void pmf_redge_init(const pmf_redge_config_t *config, pmf_redge_state_t *state, pmf_line_t *lines)
@@ -170,7 +164,6 @@ static void follow_edge(const pmf_redge_config_t *config, pmf_redge_state_t *sta
     state->edges += state->edges < LAST_WINDOW ? 1U : 0U;
     state->calm += state->calm < LAST_WINDOW ? 1U : 0U;
     state->unrest -= state->unrest != 0U ? 1U : 0U;
-    state->moves -= state->moves != 0U ? 1U : 0U;
     state->in_window += 1U;
     if (is_alarm(state) != 0U) {
         take_alarm(config, state, lines);
@@ -266,8 +259,7 @@ static void publish(const pmf_redge_config_t *config, pmf_redge_state_t *state)
     state->theta[OFFSET] = state->reference[OFFSET] + unit_of(state->reference, OFFSET) * state->change[FIRST + OFFSET];
 #endif
     state->status |= is_late(state) != 0U ? (uint32_t)PMF_DEAD_TIME : 0U;
-    if (state->unrest != 0U || state->moves > MOST_MOVES || is_correlated(state) != 0U || state->rough > PMF_R(1.0) ||
-        state->spread > UNEVEN) {
+    if (state->unrest != 0U || is_correlated(state) != 0U) {
         state->status |= PMF_UNMODELLED;
     }
 }

@@ -71,16 +71,15 @@ typedef struct {
     real_t evidence; /* errors of lines that their variance follows from */
     real_t block_moved[PMF_BODY], block_squares[PMF_BODY]; /* of the parameters in the present block */
     real_t further[PMF_BODY]; /* squared moves of blocks over the sums of squared corrections */
-    real_t turned, turned_known,
-        turned_squares; /* of the first innovations after reversals: sum, its variance, squares */
+    real_t turned, turned_known; /* of the first innovations after reversals: sum, its variance */
     real_t heading; /* direction of the last edge */
-    real_t surprise, colour, correlation, trend, rough, last, last_variance, size; /* of the innovations */
+    real_t surprise, colour, correlation, trend, last, last_variance, size; /* of the innovations */
     real_t input, since, window_time,
-        last_line; /* last input; time since the last edge and in this window; that edge's line */
+        last_line; /* last input; time since the last edge, and in this window; its line */
     pmf_start_t start;
     real_t theta[PMF_BODY], variance[PMF_BODY], innovation;
-    uint32_t count, begun, running, edges, in_window, window, least, calm, lost, astray, against, away, unrest, moves,
-        turns, in_block, blocks, status;
+    uint32_t count, begun, running, edges, in_window, window, least, calm, lost, astray, against, away, unrest,
+        in_block, blocks, status;
     integer_t offset; /* whole counts that the edges are away from the simulated motion */
     uint32_t line_number; /* number of the line at the present count, below `lines` */
 } pmf_redge_state_t;

@@ -9,8 +9,7 @@ static const uint32_t MASS = 0U;
 static const uint32_t VISCOUS = 1U;
 static const uint32_t COULOMB = 2U;
 static const uint32_t OFFSET = 3U;
-static const uint32_t TERMS =
-    14U; /* of the series, at most half a time constant long: below the last digit of a double */
+static const uint32_t TERMS = 14U; /* of the series, half a time constant long: below the last digit of a double */
 static const real_t LONGEST = PMF_R(0.5); /* piece of a motion [time constants] */
 static const uint32_t MOST_PIECES = 256U;
 static const uint32_t NEWTON = 6U; /* steps to the instant of a stop */

@@ -15,8 +15,7 @@ static const real_t FEWEST = PMF_R(20.0); /* triples */
 static const real_t SOME = PMF_R(10.0); /* triples that show the mass */
 static const real_t MOST_WEIGHT = PMF_R(1024.0);
 static const uint32_t FEWEST_WAYS = 2U; /* ways with a triple */
-static const real_t UNSURE =
-    PMF_R(0.09); /* squared standard deviation of each force relative to the input, and of the mass */
+static const real_t UNSURE = PMF_R(0.09); /* squared standard deviation of a force over the input, and of the mass */
 static const real_t OVERLAP = PMF_R(4.0); /* triples for one that is independent of the others */
 static const real_t ROUNDING = PMF_R(1e-4); /* of the squared target: errors of the integral of the place */
 

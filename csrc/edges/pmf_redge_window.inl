@@ -6,20 +6,16 @@ static const uint32_t SHORTEST_WINDOW = 12U;
 static const uint32_t LAST_WINDOW = 0x40000000U;
 static const real_t PRIOR = PMF_R(0.09); /* variance of a parameter relative to its square, from the direct start */
 static const real_t UNSEEN = PMF_R(10.0); /* of friction that a start does not see: variance relative to its square */
-static const real_t LEAST_FRICTION =
-    PMF_R(0.02); /* least Coulomb friction of a reference, relative to the present input */
+static const real_t LEAST_FRICTION = PMF_R(0.02); /* least Coulomb friction of a reference, relative to the input */
 static const real_t ANYWHERE = PMF_R(0.1); /* variance of the place at the start of a window [counts^2] */
 static const real_t FIRST_SPREAD = PMF_R(0.01); /* variance of the lines before it is known [counts^2] */
 static const real_t FIRST_EVIDENCE = PMF_R(2.0); /* lines that this variance counts for */
-static const real_t SECOND =
-    PMF_R(3.0); /* error of the second order, relative to the product of two relative changes */
+static const real_t SECOND = PMF_R(3.0); /* error of the second order, relative to the product of two changes */
 static const real_t LIKELY = PMF_R(2.0); /* standard deviations by which a parameter may change in a window */
-static const real_t FARTHEST =
-    PMF_R(4.0); /* move of the offset at the end of a window, relative to the constant forces */
+static const real_t FARTHEST = PMF_R(4.0); /* move of the offset at the end of a window, over the constant forces */
 static const real_t FRICTION =
     PMF_R(0.3); /* part of the relative change of Coulomb friction that makes an error of second order */
 static const real_t LATE = PMF_R(5e-5); /* instants come late by about this time [s]; it is no alarm */
-static const uint32_t STEADY = 1000U; /* edges that make up for a move of the reference */
 static const uint32_t AGAIN = 400U; /* edges after an alarm in which another one means a wrong model */
 static const uint32_t MOST_UNREST = 3200U; /* eight times AGAIN */
 
@@ -127,10 +123,9 @@ static void open_prior(const pmf_redge_config_t *config, pmf_redge_state_t *stat
     state->covariance[LATENESS][LATENESS] = LATE * LATE;
     state->covariance[SPEED][SPEED] = PRIOR * velocity * velocity + PMF_R(1e-6);
     state->surprise = state->scatter = state->heard = PMF_R(1.0);
-    state->colour = state->correlation = state->trend = state->rough = state->last = state->size = PMF_R(0.0);
+    state->colour = state->correlation = state->trend = state->last = state->size = PMF_R(0.0);
     state->last_variance = PMF_R(1.0);
-    state->turned = state->turned_known = state->turned_squares = state->heading = PMF_R(0.0);
-    state->turns = 0U;
+    state->turned = state->turned_known = state->heading = PMF_R(0.0);
     state->calm = state->lost = state->astray = state->against = state->away = 0U;
     state->drift = PMF_R(0.0);
 }
@@ -252,7 +247,6 @@ static void end_window(const pmf_redge_config_t *config, pmf_redge_state_t *stat
         state->velocity = state->velocity_rest = PMF_R(0.0);
     }
     move_reference(state, ratio);
-    state->moves += STEADY;
     forget_lines(config, lines);
     for (i = 0; i < CARRIED; ++i) {
         real_t *row = &state->covariance[LATENESS + i][LATENESS];

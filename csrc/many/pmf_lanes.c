@@ -109,7 +109,7 @@ static void keep_lane(const pmf_config_t *config, const pmf_state_t *state, cons
         estimate = &state->lifted;
     }
     if (config->auxiliary.enabled != 0U) {
-        estimate = (state->status[lane] & PMF_FALLBACK) == 0U ? &state->instrument.estimate : &state->borrowed;
+        estimate = &state->output;
     }
     for (i = 0; i < p; ++i) {
         many->theta[row * p + i] = (double)estimate->theta[i][lane];

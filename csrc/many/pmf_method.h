@@ -38,7 +38,12 @@
 #if METHOD == 0
 #define PMF_NETWORK_FILE "../pmf_network.c"
 #else
-#define PMF_NETWORK_FILE "pmf_network_known.inl"
+#define PMF_NETWORK_FILE "../code/pmf_network_code.c"
+#define KNOWN_STAGE(k, from) STAGE(k, from, config->stage[k].a, config->stage[k].b0, config->stage[k].b1)
+#define KNOWN_COLUMN(c, t, from) COLUMN(c, from, config->tap[t].weight)
+#define KNOWN_TAP(c, t, from) TAP(c, from, config->tap[t].weight)
+#define PMF_STAGES(STAGE, RISE, DELAY) PMF_NETWORK(KNOWN_STAGE, DELAY, KNOWN_COLUMN, KNOWN_TAP)
+#define PMF_COLUMNS(COLUMN, TAP)
 #define PMF_PARAMETERS 3U
 #define PMF_INSTRUMENTAL (METHOD != METHOD_rls)
 #define PMF_WITH_MODEL (METHOD == METHOD_riv)

@@ -83,7 +83,7 @@ static int is_state_finite(const pmf_state_t *state)
                FINITE(state->encoder.position) && FINITE(state->encoder.input) && FINITE(state->encoder.mean_velocity);
 #if PMF_WITH_AUXILIARY
     fine = fine && is_recursion_finite(&state->instrument) && FINITE(state->auxiliary.parameter) &&
-           FINITE(state->auxiliary.velocity) && FINITE(state->auxiliary.position) && FINITE(state->borrowed);
+           FINITE(state->auxiliary.velocity) && FINITE(state->auxiliary.position) && FINITE(state->output);
 #endif
     return fine;
 }
