@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64273,
-    "lines of code in src": 37542,
+    "lines of src": 64313,
+    "lines of code in src": 37566,
     "lines of code in report and cli": 2948,
     "thresholds in src": 956,
     "lines of csrc": 8680,

@@ -90,6 +90,13 @@ class Gaussian:
         return -0.5 * (squares / scale + count * math.log(2 * math.pi * scale) + logs), scale
 
 
+def rounded_cost(stretches: Sequence[ObservedStretch]) -> float:
+    """Return the largest cost of white errors that rounding alone leaves: 1/2 an observation, and three standard
+    deviations of the sum. Observations next to each other that show one count may have one error."""
+    ends = [np.flatnonzero(np.diff(one.y, prepend=np.nan, append=np.nan) != 0) for one in stretches]
+    return 0.5 * sum(one.y.size for one in stretches) + 3 * math.sqrt(0.2 * sum(np.sum(np.diff(k) ** 2) for k in ends))
+
+
 def _share_lines(rows: Floats, line: NDArray[np.intp], weight: Floats, spread: float) -> float:
     """Whiten rows (k, w) of unit errors in place for the common error of each line, and return the sum of the
     logarithms of the variances that the lines add."""

@@ -69,19 +69,19 @@ def begin(search: FitSearch, whole: bool = False) -> Intervals | None:
 
     Raises LostMotionError if forces of the position push a motion away from a `whole` record.
     """
-    best, share = _begin_plain(search, whole)
-    likelihood = _explain_any(search, [best])
+    plain, share = _begin_plain(search, whole)
+    likelihood = _explain_any(search, [plain])
     if likelihood is not None:
         return likelihood
-    best.enter(search)
-    ends = [best]
+    plain.enter(search)
+    ends = [plain]
     for chosen in list_openings(search):
         search.restart(chosen, share)
-        ends.append(_end(search, held=best.lost))
+        ends.append(_end(search, held=plain.lost))
     leaders = _lead(search, ends)
     _check_lost(leaders[0], whole)
     best = _find_constants(search, leaders[0])
-    likelihood = _explain_any(search, [best, *leaders[1:]])
+    likelihood = _explain_any(search, [best, *leaders[1:]], plain)
     if likelihood is None and (shorter := _forget_input(search, best)) is not best:
         best, likelihood = shorter, _explain_any(search, [shorter])
     if likelihood is None:
@@ -213,10 +213,12 @@ def _find_constants(search: FitSearch, end: Opening) -> Opening:
     return end
 
 
-def _explain_any(search: FitSearch, ends: Sequence[Opening]) -> Intervals | None:
+def _explain_any(search: FitSearch, ends: Sequence[Opening], failed: Opening | None = None) -> Intervals | None:
     """Return the likelihood of the intervals of the first set that explains every count, with further forces if
-    needed. The first set has more tries."""
+    needed. The first set has more tries, and one that `failed` before has none."""
     for place, end in enumerate(ends):
+        if end is failed:
+            continue
         end.enter(search)
         if not end.lost:
             search.refine()

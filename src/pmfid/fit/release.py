@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.driven import distinct
+from pmfid.fit.likelihood import rounded_cost
 from pmfid.fit.machine import LOAD_VISCOUS, VISCOUS, BodyForce
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.shooting import rejoin
@@ -23,30 +25,53 @@ from pmfid.types import Floats
 
 
 def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: bool) -> Optimum:
-    """Return the best fit of two masses from starts q (p,), whose motion is held less and less.
+    """Return the best fit of two masses from starts q (p,), whose motion is held less and less. A few starts are good
+    ones, for which a weak spring may be enough.
 
     A `trial` asks only whether rounding explains the rest. It takes less time.
     Raises NotIdentifiableError in a trial if even held motions leave twice the cost of rounding.
     """
     rng, enough, starts = np.random.default_rng(1), TUNING.rounded * plain.rows, plain.first_starts()
+    if len(points) <= TUNING.followed:
+        best = _release_at_once(plain, points, prior, rng)
+        if trial or best.cost < enough:
+            return best
     ends = [_descend(hold(plain, q, RELEASE_TUNING.rates[0]), q, starts, prior, RELEASE_TUNING.first) for q in points]
     ends.sort(key=lambda end: end.cost)
     for number, rate in enumerate(RELEASE_TUNING.rates[1:], 1):
         tried = []
         for end in _distinct(plain, ends)[: len(RELEASE_TUNING.rates) - number]:
             held = hold(plain, end.q, rate)
-            tried.append(_descend(held, end.q, end.starts, prior))
-            if not trial or tried[-1].cost < 2 * enough:
-                tried[-1] = _search(held, tried[-1], prior, rng)
-            if tried[-1].cost < enough and (free := _let_go(plain, tried[-1], prior, rng)).cost < enough:
-                return free
+            tried.append(_search(held, _descend(held, end.q, end.starts, prior), prior, rng))
+            if tried[-1].cost < enough:
+                free = _let_go(plain, tried[-1].q, tried[-1].starts, prior, rng)
+                if free.cost < enough:
+                    return free
         ends = sorted(tried, key=lambda end: end.cost)
         if trial and ends[0].cost > 2 * enough:
             raise NotIdentifiableError("two masses do not follow")
-    best = min((_let_go(plain, end, prior, rng) for end in ends), key=lambda end: end.cost)
+    return _rejoin(plain, [_let_go(plain, end.q, end.starts, prior, rng) for end in ends], prior)
+
+
+def _release_at_once(plain: FitProblem, points: Sequence[Floats], prior: Floats, rng: np.random.Generator) -> Optimum:
+    """Return the best fit from good starts q (p,), whose motion is free or held by a weak spring, and then free."""
+    starts, ends = plain.first_starts(), list[Optimum]()
+    for rate, q in product((0.0, RELEASE_TUNING.rates[3], RELEASE_TUNING.rates[1]), points):
+        near = _descend(hold(plain, q, rate), q, starts, prior) if rate else None
+        ends.append(_let_go(plain, q if near is None else near.q, starts if near is None else near.starts, prior, rng))
+        if ends[-1].cost < rounded_cost(plain.stretches) / 9:
+            return ends[-1]
+    return _rejoin(plain, ends, prior)
+
+
+def _rejoin(plain: FitProblem, ends: Sequence[Optimum], prior: Floats) -> Optimum:
+    """Return the best end, or a better fit from parts of the record if it leaves more than rounding."""
+    best, rounding = min(ends, key=lambda end: end.cost), rounded_cost(plain.stretches) / 9
     for number in TUNING.rejoined:
+        if best.cost < rounding:
+            break
         before, best = best, min(rejoin(plain, best.q, prior, number), best, key=lambda end: end.cost)
-        if best.cost < enough or best.cost > max(before.cost / 2, plain.rows):  # a whole count, and hardly better
+        if best.cost > max(before.cost / 2, plain.rows):  # a whole count, and hardly better
             break
     return best
 
@@ -87,14 +112,14 @@ def _descend(
     return solve(problem, soften(problem.stretches), q, starts, prior, steps, 0.1)
 
 
-def _let_go(plain: FitProblem, end: Optimum, prior: Floats, rng: np.random.Generator) -> Optimum:
-    return _search(plain, _descend(plain, end.q, end.starts, prior), prior, rng)
+def _let_go(plain: FitProblem, q: Floats, starts: Floats, prior: Floats, rng: np.random.Generator) -> Optimum:
+    return _search(plain, _descend(plain, q, starts, prior), prior, rng)
 
 
 def _search(problem: FitProblem, end: Optimum, prior: Floats, rng: np.random.Generator) -> Optimum:
     """Return a better optimum near an optimum. A contact more or less parts them, so that no slope leads there."""
     for _ in range(RELEASE_TUNING.rounds):
-        if end.cost < TUNING.rounded * problem.rows:
+        if not rounded_cost(problem.stretches) / 9 < end.cost < 2 * TUNING.rounded * problem.rows:
             break
         A = end.normal.A + np.diag(prior)
         sizes = 10 ** -rng.random(RELEASE_TUNING.tries)

@@ -15,11 +15,10 @@ from pmfid.fit.elastic import elastic_start, play_start
 from pmfid.fit.likelihood import ROUNDING, Gaussian, Intervals, noise_of
 from pmfid.fit.machine import COULOMB, DELAY, DIRECTIONAL, LAGGING, MASS, OFFSET, VISCOUS, BodyForce, BodyModel
 from pmfid.fit.problem import FitProblem
-from pmfid.fit.shooting import rejoin
 from pmfid.fit.solve import Likelihood, Optimum, inverse, normal_of, random_step, solve
 from pmfid.fit.starts import blind_start, sizes_of
 from pmfid.fit.terms import TABLE, WAVES, ExtraForce, Sizes, free_constants
-from pmfid.fit.tuning import MOTION, TUNING
+from pmfid.fit.tuning import MOTION
 from pmfid.fit.within import reach_counts, start_precision
 from pmfid.types import Floats
 
@@ -362,7 +361,7 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
     """Return the likelihood of the intervals if a motion explains every count, and move the search to its optimum.
 
     Stops and starts of the axis make the likelihood rough. Where the residuals are as small as rounding, further tries
-    begin at random places around the optimum of least squares, and those of two masses from ever shorter parts.
+    begin at random places around the optimum of least squares.
     """
     before = search.remember()
     at = search.q, search.starts
@@ -372,15 +371,11 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
         search.return_to(before)
         return None
     rng, likelihood = np.random.default_rng(1), narrow(search)
-    for number in range(tries if is_near_rounding(search) else 0):
+    for _ in range(tries if is_near_rounding(search) else 0):
         if likelihood is not None:
             break
         search.return_to(before)
-        if search.plain.machine.elastic:
-            end = rejoin(search.problem, search.q, search.prior(search.problem), TUNING.rejoined[number])
-            search.q, search.starts = end.q, end.starts
-        else:
-            search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
+        search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
         likelihood = narrow(search, 10)
     if likelihood is None:
         search.return_to(before)
@@ -391,22 +386,26 @@ def narrow(search: FitSearch, steps: int = 30) -> Intervals | None:
     """Move into every count, and return the likelihood of the intervals; None if the motion does not get there.
 
     The way is the shortest one, from least squares if the residuals are larger than rounding. Where stops bend that
-    way, intervals that narrow lead there, but for two masses, whose likelihood is too rough to descend.
+    way, intervals that narrow lead there.
     """
     before = search.remember()
     search.move_constants()
     if mean_square(search) > ROUNDING:
         search.solve(Gaussian(search.plain.stretches), steps)
+    if _reach(search):
+        return Intervals(search.plain.stretches, EXPLAINED)
+    search.return_to(before)
+    likelihood = narrow_most(search)
+    return likelihood if likelihood.spread <= EXPLAINED else None
+
+
+def _reach(search: FitSearch) -> bool:
+    """Move into every count, if linear programs lead there."""
     precision = np.append(search.prior(search.problem), start_precision(search.starts))
     inside = reach_counts(search.problem, search.q, search.starts, precision, EXPLAINED)
     if inside is not None:
         search.q, search.starts = inside
-        return Intervals(search.plain.stretches, EXPLAINED)
-    if search.plain.machine.elastic:
-        return None
-    search.return_to(before)
-    likelihood = narrow_most(search)
-    return likelihood if likelihood.spread <= EXPLAINED else None
+    return inside is not None
 
 
 def narrow_most(search: FitSearch) -> Intervals:

@@ -28,7 +28,7 @@ class ElasticTuning:
     #: Guesses that are followed, and the factor by which the length of parts of a record grows.
     followed: int = 3
     joined: float = 6.0
-    #: Parts of the record that a motion next to rounding starts again from.
+    #: Parts of the record that a motion with more than rounding starts again from.
     rejoined: tuple[int, ...] = (36, 72, 144)
     #: Resonances of the scan by fits: lowest [Hz], highest [1/step], number per octave, shares of the load in the
     #: inertia, and damping ratio.
@@ -103,7 +103,7 @@ class WithinTuning:
     errors; distance from the bounds of a count that a step aims at [counts]; cost of a count beyond its bound, far more
     than that of any step inside (exact penalty)."""
 
-    rounds: int = 8
+    rounds: int = 12
     longest: float = 3.0
     margin: float = 5e-4
     penalty: float = 1e4

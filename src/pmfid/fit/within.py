@@ -38,42 +38,46 @@ def reach_counts(
     states has precisions (p + m s,).
 
     Each round solves a linear program: the step of least sum of absolute values, in standard errors of least squares,
-    after which the linearised motion is within every count. Stops, starts and contacts bend the true motion, so that a
-    step is halved until the motion comes nearer.
+    after which the linearised motion is within every count, or nearest to that. Stops, starts and contacts bend the
+    true motion, so that steps have a bound. The bound grows and shrinks with the truth of the linear motion (Madsen
+    1975).
     """
     counted = np.concatenate([one.counted for one in problem.stretches])
     if not np.any(counted):
         return None
     size = np.sqrt(ROUNDING / np.concatenate([one.variance for one in problem.stretches]))[:, None]
-    e, J = stack(problem.linearise(q, starts))
+    (e, J), longest, root = stack(problem.linearise(q, starts)), WITHIN_TUNING.longest, None
     for _ in range(WITHIN_TUNING.rounds):
         outside = float(np.max(np.abs(e[counted]))) - 0.5
         if outside <= beyond:
             return q, starts
-        rows = information_rows(J * size, precision)
-        step = _shortest_step(e[counted], J[counted], inverse(rows.T @ rows))
-        for part in (1.0, 0.5, 0.25, 0.125):
-            next_q = problem.clip_to_bounds(q + part * step[: q.size])
-            next_starts = starts + part * step[q.size :].reshape(starts.shape)
-            e, J = stack(problem.linearise(next_q, next_starts))
-            if np.max(np.abs(e[counted])) - 0.5 < outside:
-                break
-        else:
-            return None
-        q, starts = next_q, next_starts
+        if root is None:
+            rows = information_rows(J * size, precision)
+            root = root_of(inverse(rows.T @ rows))
+        step, promised = _shortest_step(e[counted], J[counted], root, longest)
+        next_q = problem.clip_to_bounds(q + step[: q.size])
+        next_starts = starts + step[q.size :].reshape(starts.shape)
+        next_e, next_J = stack(problem.linearise(next_q, next_starts))
+        gain = (outside + 0.5 - float(np.max(np.abs(next_e[counted])))) / max(promised, 1e-12)
+        if gain > 0.75:
+            longest = min(2 * longest, WITHIN_TUNING.longest)
+        elif not gain > 0.25:
+            longest /= 4
+        if gain > 0:
+            q, starts, e, J, root = next_q, next_starts, next_e, next_J, None
     return None
 
 
-def _shortest_step(e: Floats, J: Floats, covariance: Floats) -> Floats:
-    """Return the step (p,) for residuals e (n,) and their derivatives J (n, p), zero if the program fails."""
+def _shortest_step(e: Floats, J: Floats, root: Floats, longest: float) -> tuple[Floats, float]:
+    """Return the step (p,) for residuals e (n,) and their derivatives J (n, p), zero if the program fails, and how far
+    it takes the worst residual in. The columns of `root` (p, p) are steps of a standard error, at most `longest`."""
     from scipy.optimize import linprog
 
-    root = root_of(covariance)
     rows = J @ root
-    near = np.abs(e) + WITHIN_TUNING.longest * np.sqrt(np.sum(rows**2, axis=1)) > 0.5 - WITHIN_TUNING.margin
+    near = np.abs(e) + longest * np.sum(np.abs(rows), axis=1) > 0.5 - WITHIN_TUNING.margin
     rows, e, p = rows[near] * np.sign(e[near])[:, None], np.abs(e[near]), J.shape[1]
     sides = np.column_stack([rows, -rows, -np.ones(e.size)])
-    bounds = [(0.0, WITHIN_TUNING.longest)] * (2 * p) + [(0.0, None)]
+    bounds = [(0.0, longest)] * (2 * p) + [(0.0, None)]
     program = linprog(
         np.append(np.ones(2 * p), WITHIN_TUNING.penalty),
         sides,
@@ -81,7 +85,10 @@ def _shortest_step(e: Floats, J: Floats, covariance: Floats) -> Floats:
         bounds=bounds,
         method="highs",
     )
-    return np.zeros(p) if program.x is None else np.asarray(root @ (program.x[:p] - program.x[p : 2 * p]))
+    if program.x is None:
+        return np.zeros(p), 0.0
+    step = program.x[:p] - program.x[p : 2 * p]
+    return np.asarray(root @ step), float(np.max(e) - np.max(e + rows @ step))
 
 
 def find_depth(e: Floats, J: Floats) -> float:
