@@ -15,6 +15,7 @@ import numpy as np
 
 from pmfid.monitor.events import STATES, Alarm, Change
 from pmfid.pipeline.monitored.run import event_object
+from pmfid.records.record import Record
 from pmfid.service.web.board import Board
 from pmfid.service.web.config import PageConfig
 from pmfid.service.web.server import serve
@@ -149,6 +150,14 @@ class FakePlant:
         self.tell(axis, event="anew", dropped=0)
         return True
 
+    def reference(self, axis: str) -> Record | None:
+        """Return the motion of the axis before any fault."""
+        t = DT * np.arange(3000)
+        u = 3 * np.sign(np.sin(2 * np.pi * t / 1.3)) + 0.4 * np.sin(9 * t)
+        group = self.board.group_of(axis)
+        counts = np.round(0.12 * np.sin(2 * np.pi * t / 1.3 - 1.2) / (group.resolution if group else 1.0))
+        return Record(u, counts.astype(np.int64), DT, 5e-5, (), "normal.csv")
+
 
 ODD = {
     "gantry-x2": "heavy",
@@ -186,7 +195,7 @@ def main() -> None:
     plant = troubled(options.axes)
     page = serve(
         PageConfig(port=options.port), "hall-3", plant.board, plant.counters, plant,
-        folder=Path.cwd(),
+        folder=Path.cwd(), reference=plant.reference,
     )  # fmt: skip
     print(page.start_url, *page.notes, sep="\n", flush=True)
     stop = Event()

@@ -87,7 +87,7 @@ def served(plant: FakePlant, **config: Any) -> Iterator[Served]:
     """Serve the plant's page on a free port."""
     page = serve(
         PageConfig(port=0, **config), "hall-3", plant.board, plant.counters, plant,
-        folder=Path.cwd(), metrics=lambda: "pmfid_up 1\n",
+        folder=Path.cwd(), reference=plant.reference, metrics=lambda: "pmfid_up 1\n",
     )  # fmt: skip
     try:
         yield Served(plant, page, page.start_url.partition("token=")[2])

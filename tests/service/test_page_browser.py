@@ -126,6 +126,16 @@ def test_one_axis_is_live_stands_still_and_gives_what_is_seen(browser: Any, tmp_
         rows = [[float(cell) for cell in line.split(",")[:4]] for line in lines[2:]]
         assert len(rows) > 50
         assert all(theta[row[0]] == row[3] for row in rows if row[0] in theta), "to the last bit"
+        page.click("text=Compare with reference")
+        page.wait_for_selector(".compare tbody tr")
+        reference, seen = (
+            float(text.split()[0]) for text in page.locator(".compare tr >> nth=1 >> td").all_inner_texts()
+        )
+        record = plant.reference("gantry-x2")
+        assert record is not None
+        assert reference == pytest.approx(np.sqrt(np.mean(record.u**2)), rel=1e-3)
+        inputs = np.array([float(line.split(",")[1]) for line in lines[1:]])
+        assert seen == pytest.approx(np.sqrt(np.mean(inputs**2)), rel=0.02), "of every row, not of points"
         page.click("summary >> nth=0")
         page.wait_for_selector(".scrolled tbody tr")
         assert violations(page) == []
@@ -187,6 +197,8 @@ def test_no_view_breaks_a_rule_of_accessibility_or_is_too_wide(
             if axis is not None:
                 at_axis(there, page, axis)
                 there.click(".spans button >> nth=3")
+                there.click("text=Compare with reference")
+                there.wait_for_selector(".compare tbody tr")
             there.evaluate(open_all)
             there.wait_for_timeout(400)
             assert violations(there) == [], axis

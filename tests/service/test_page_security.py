@@ -177,6 +177,8 @@ OUT = [
     "/style.css%00.txt",
     "/static/style.css",
     "/vendor",
+    "/api/axis/../../../etc/passwd/reference.csv",
+    "/api/axis/%2fetc%2fpasswd/reference.csv",
 ]
 
 
@@ -188,7 +190,7 @@ def test_no_path_leads_out(page: Served, path: str) -> None:
     assert b"root:" not in body
 
 
-@pytest.mark.parametrize("path", [f"/{SCRIPT}", f"/api/trends?axes={SCRIPT}"])
+@pytest.mark.parametrize("path", [f"/{SCRIPT}", f"/api/axis/{SCRIPT}/reference.csv", f"/api/trends?axes={SCRIPT}"])
 def test_nothing_that_was_sent_comes_back(page: Served, path: str) -> None:
     answer = page.raw(
         f"GET {path} HTTP/1.1\r\nHost: {page.host}\r\nAuthorization: Bearer {page.token}\r\n"

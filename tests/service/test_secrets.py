@@ -190,7 +190,7 @@ def running(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Running]:
 
 PATHS = (
     *("/", "/app.js", "/healthz", "/metrics", "/none", "/api/plant", "/api/news", "/api/news?axis=x1"),
-    *("/api/trends?group=0&axes=0", "/api/alarms/1/acknowledge"),
+    *("/api/axis/x1/reference.csv", "/api/trends?group=0&axes=0", "/api/alarms/1/acknowledge"),
 )
 
 

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from pmfid.config.axis import Axis
 from pmfid.errors import PmfidError, UsageError
+from pmfid.records.record import Record, read_record
 from pmfid.service.arrangement import Configurations, arrange_groups, tell_configurations
 from pmfid.service.context import Context
 from pmfid.service.keeping import Checkpoints
@@ -327,12 +328,20 @@ class Service:
             self.counters,
             self._engine,
             folder=plant.folder,
+            reference=self._reference,
             metrics=partial(exposition, self.counters),
             alive=self._alive,
         )
 
     def _alive(self) -> bool:
         return time.monotonic() - self._engine.beat < TUNING.run_stuck
+
+    def _reference(self, axis: str) -> Record | None:
+        """Return the record of normal work of an axis."""
+        prepared = self._axes.get(axis)
+        if prepared is None or prepared.axis.monitor.reference is None:
+            return None
+        return read_record(prepared.path.parent / prepared.axis.monitor.reference, prepared.axis)
 
     # --- while it runs ------------------------------------------------------------------------------------------------
 

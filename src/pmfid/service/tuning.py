@@ -83,7 +83,8 @@ class ServiceTuning:
     #: Number of trends in one request, and number of characters in a note.
     api_trends: int = 200
     api_note: int = 500
-    #: Largest number of notices in one answer.
+    #: Largest number of displayed rows of a reference record, and of notices in one answer.
+    api_rows: int = 50_000
     api_notices: int = 300
 
     # web.security

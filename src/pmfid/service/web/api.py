@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import time
 from base64 import b64encode
 from collections.abc import Callable
@@ -15,7 +16,9 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route
 
+from pmfid.errors import UsageError
 from pmfid.monitor.events import STATES
+from pmfid.records.record import Record
 from pmfid.service.sinks.plain import as_json
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.board import Board, Overview, Records
@@ -68,6 +71,7 @@ class Api:
     board: Board
     counters: Counters
     engine: StreamEngine
+    reference: Callable[[str], Record | None]
     metrics: Callable[[], str] | None
     alive: Callable[[], bool]
     start: float = field(default_factory=time.monotonic, init=False)
@@ -80,6 +84,7 @@ class Api:
             Route("/api/plant", self.plant),
             Route("/api/news", self.news),
             Route("/api/trends", self.trends),
+            Route("/api/axis/{axis:path}/reference.csv", self.reference_csv),
             Route("/api/axis/{axis:path}/reference", self.refer, methods=["POST"]),
             Route("/api/axis/{axis:path}/anew", self.restart_numbers, methods=["POST"]),
             Route("/api/alarms/{number:int}/acknowledge", self.acknowledge, methods=["POST"]),
@@ -156,6 +161,18 @@ class Api:
             raise HTTPException(404, NO_AXIS)
         return axis
 
+    async def reference_csv(self, request: Request) -> Response:
+        axis = self._find_axis(request.path_params["axis"])
+        try:
+            record = await run_in_threadpool(self.reference, axis)
+        except (UsageError, OSError):  # the message contains names of files on the machine
+            raise HTTPException(404, "the reference record cannot be read; the log of the service says why") from None
+        if record is None:
+            raise HTTPException(
+                404, "this axis has no reference record: name one in [monitor] reference of its AXIS.toml"
+            )
+        return Response(await run_in_threadpool(csv_of, record), media_type="text/csv")
+
     async def refer(self, request: Request) -> Response:
         axis = self._find_axis(request.path_params["axis"])
         return _answer_command(self.engine.refer(axis))
@@ -193,3 +210,15 @@ def _answer_command(taken: bool) -> Response:
     if not taken:
         raise HTTPException(503, "the service is too busy at the moment; try again")
     return JSONResponse({"taken": True}, 202)
+
+
+def csv_of(record: Record) -> bytes:
+    """Return the reference record of an axis for the page, with the columns t [s] from 0, u and counts.
+
+    A long record is cut to its beginning, because a comparison needs every sample.
+    """
+    n = min(record.u.size, TUNING.api_rows)
+    table = np.column_stack([record.dt * np.arange(n), record.u[:n], record.counts[:n]])
+    text = io.StringIO()
+    np.savetxt(text, table, fmt=["%.9g", "%.9g", "%d"], delimiter=",", header="t,u,counts", comments="")
+    return text.getvalue().encode("ascii")

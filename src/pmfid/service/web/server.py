@@ -21,6 +21,7 @@ from starlette.types import ASGIApp
 from uvicorn import Config, Server
 
 from pmfid.errors import UsageError
+from pmfid.records.record import Record
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.api import Api
 from pmfid.service.web.board import Board
@@ -84,20 +85,22 @@ def serve(
     engine: StreamEngine,
     *,
     folder: Path,
+    reference: Callable[[str], Record | None] = lambda axis: None,
     metrics: Callable[[], str] | None = None,
     alive: Callable[[], bool] = lambda: True,
 ) -> Page:
     """Start to serve the page, before the engine's thread starts.
 
-    `name` is the name of the service, `folder` the folder of PLANT.toml. `metrics` returns text for Prometheus. `alive`
-    returns whether the engine is alive, for health checks. Raises UsageError if the address is not available, a token
-    is missing, or the extra is not installed.
+    `name` is the name of the service, `folder` the folder of PLANT.toml. `reference` returns the record of normal work
+    of an axis by its name. The function `reference` is called on request, in its own thread, and may raise UsageError.
+    `metrics` returns text for Prometheus. `alive` returns whether the engine is alive, for health checks. Raises
+    UsageError if the address is not available, a token is missing, or the extra is not installed.
     """
     token = load_token(config, folder)
     board.keep(1e6 * config.history_mb)
     listener = _listener(config)
     port = listener.getsockname()[1]
-    api = Api(name, board, counters, engine, metrics, alive)
+    api = Api(name, board, counters, engine, reference, metrics, alive)
     server = _server(make_app(api, hosts_of(config.address, port, config.hosts), token))
     thread = Thread(target=lambda: server.run([listener]), name="page", daemon=True)
     thread.start()

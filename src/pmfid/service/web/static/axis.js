@@ -3,6 +3,7 @@ import { alarmCard, askFirst } from "./alarms.js";
 import { tell } from "./api.js";
 import { Chart } from "./charts.js";
 import { Columns } from "./columns.js";
+import { Compare } from "./compare.js";
 import { csvOf, fileName } from "./csv.js";
 import { download, el, say } from "./dom.js";
 import { age, number, percent, unitOf, withError, words } from "./format.js";
@@ -46,6 +47,7 @@ export class AxisView {
     clearTimeout(this.drawing);
     this.unheard();
     this.sizes.disconnect();
+    this.compare?.stop();
     for (const chart of this.all) chart.drop();
   }
 
@@ -99,6 +101,7 @@ export class AxisView {
       el("section", { "aria-label": "Estimates now", class: "values" }, ...this.cards.map((card) => card.element)),
       this.tools(),
       this.charts,
+      (this.comparison = el("div", {})),
       this.asTable,
       el("section", { "aria-labelledby": "known-title", class: "past" }, el("h2", { id: "known-title" }, "Alarms of this axis"), this.known),
       el("details", { class: "more" }, el("summary", {}, "Events of this axis"), this.log),
@@ -118,6 +121,7 @@ export class AxisView {
     this.pauseButton = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.pause() }, "Pause");
     this.spans = SPANS.map(([span, text]) => el("button", { type: "button", "aria-pressed": String(span === this.span), onclick: () => this.setSpan(span) }, text));
     this.back = el("button", { type: "button", onclick: () => this.zoom(null), disabled: true }, "Back from zoom");
+    this.compareButton = el("button", { type: "button", "aria-pressed": "false", onclick: () => this.toggleCompare() }, "Compare with reference");
     const refer = el("button", { type: "button", onclick: () => this.refer() }, "Set as reference …");
     const anew = el("button", { type: "button", onclick: () => this.beginAnew() }, "Begin anew …");
     this.said = el("p", { class: "fine", role: "status" });
@@ -128,6 +132,7 @@ export class AxisView {
       el("span", { class: "spans", role: "group", "aria-label": "Time span of the charts" }, ...this.spans),
       this.back,
       el("button", { type: "button", onclick: () => this.save() }, "Save as CSV"),
+      this.compareButton,
       refer,
       anew,
       this.said,
@@ -202,6 +207,15 @@ export class AxisView {
     download(fileName(this.axis), csvOf(this.columns, this.group, this.plant.states, from, to), "text/csv");
   }
 
+  toggleCompare() {
+    const open = !this.compare;
+    this.compareButton.setAttribute("aria-pressed", String(open));
+    this.compare?.stop();
+    this.compare = open ? new Compare(this.axis, this.group) : null;
+    this.comparison.replaceChildren(...(open ? [this.compare.element] : []));
+    this.draw();
+  }
+
   refer() {
     const what = el("p", {}, "The present values of ", el("strong", {}, this.axis), " become the reference for deviations and alarms. This step cannot be undone.");
     askFirst("Set as reference", [what], "Set as reference", () => tell(`api/axis/${encodeURIComponent(this.axis)}/reference`, {}));
@@ -236,6 +250,7 @@ export class AxisView {
     for (const chart of this.all) chart.draw(this.seen, from, to);
     this.strip.draw(this.seen, from, to);
     this.cursor(this.cursorAt < this.seen.time.length ? this.cursorAt : null);
+    this.compare?.tellSeen(this.columns.motion(from, to, this.group));
     if (this.asTable.open) this.rows.replaceChildren(tableOf(this.seen, this.group, this.plant.states));
     this.values();
   }
@@ -298,11 +313,14 @@ export class AxisView {
 
   recolour() {
     for (const chart of this.all) chart.drop();
+    this.compare?.stop();
     this.draw();
+    this.compare?.redraw();
   }
 
   resize() {
     for (const chart of this.all) chart.resize();
+    this.compare?.resize();
     if (this.seen) this.strip.draw(this.seen, ...this.range());
   }
 }

@@ -4,6 +4,29 @@ import { unpacked } from "./packed.js";
 const MOST = 120000;
 const SINGLE = ["number", "time", "u", "counts", "innovation", "status", "state"];
 
+// Root mean square and largest size of numbers.
+export class Amount {
+  constructor(values = []) {
+    this.n = this.sum = this.largest = 0;
+    for (const value of values) this.add(value);
+  }
+
+  add(value) {
+    if (value === null || !Number.isFinite(value)) return;
+    this.n++;
+    this.sum += value * value;
+    this.largest = Math.max(this.largest, Math.abs(value));
+  }
+
+  get rms() {
+    return this.n ? Math.sqrt(this.sum / this.n) : NaN;
+  }
+
+  get most() {
+    return this.n ? this.largest : NaN;
+  }
+}
+
 export class Columns {
   constructor(parameters) {
     this.names = [...SINGLE];
@@ -110,6 +133,20 @@ export class Columns {
       if (i === last || Math.floor(time[i] / width) !== Math.floor(time[i - 1] / width)) found.push(i);
     }
     return found;
+  }
+
+  // How much there is of input and velocity between two times, of every row rather than of points: the velocity of rows
+  // that follow one another, for over a longer time it is a mean.
+  motion(from, to, { dt, resolution }) {
+    const { time, u, counts } = this.data;
+    const input = new Amount(), velocity = new Amount();
+    const last = this.find(to);
+    for (let i = this.find(from); i < last; i++) {
+      input.add(u[i]);
+      const step = i ? time[i] - time[i - 1] : NaN;
+      if (step < 1.5 * dt) velocity.add((resolution * (counts[i] - counts[i - 1])) / step);
+    }
+    return { input, velocity };
   }
 
   bin(made, k, start, end, resolution) {
