@@ -56,7 +56,9 @@ of the whole fleet.
 Friction goes up and down with temperature and lubrication. Where a step or a straight line explains the past of an
 axis no better than a random walk does, the axis is said to wander (`kind` is `wanders`, with its size) and is not
 named. A movement of which the history holds no more than a rising part looks like a drift and is reported as one.
-Several kinds of machines in one type widen its spread, and it takes more to be named: give each kind its own type.
+Where a clear gap parts the axes of one type, it holds several sorts of machines (`several_sorts` among the problems):
+each axis is then compared with its own sort. Sorts whose axes overlap, or of fewer than 8 axes or a tenth, are not
+distinguished: the spread of the type is then wider, and it takes more to be named.
 
 Files in which many axes are mixed row by row are sorted by Polars into temporary files, in the folder of `--out`. A
 Delta table is read by its log (`pip install 'pmfid[delta]'`).

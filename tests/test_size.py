@@ -13,16 +13,16 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64313,
-    "lines of code in src": 37566,
-    "lines of code in report and cli": 2948,
-    "thresholds in src": 956,
+    "lines of src": 64599,
+    "lines of code in src": 37668,
+    "lines of code in report and cli": 2952,
+    "thresholds in src": 960,
     "lines of csrc": 8680,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
-    "lines of tests": 27903,
+    "lines of tests": 27970,
     "match= in tests": 25,
-    "lines of studies": 8005,
+    "lines of studies": 8007,
 }
 
 

@@ -1,4 +1,4 @@
-"""Steps, drifts and wander in a series."""
+"""Steps, drifts and wander in a series, and kinds of machines in a fleet."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.fleet.series import Series, lasting, mean_of, noise_of
@@ -314,3 +315,40 @@ def _likelihoods(theta: Floats, std: Floats, shapes: Floats) -> tuple[Floats, ..
     taken = products[1:] ** 2 / np.maximum(squares[1:], np.finfo(float).tiny)
     whole = [squares[0], *(squares[0] - one for one in taken)]
     return tuple(np.max(-(logs + one) / 2, axis=(0, 1)) for one in whole)
+
+
+def sorts_of(place: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:
+    """Return the members of each kind of axis, from the places (m, p) of the axes.
+
+    A place is the logarithm of the parameters over the median of the type. `least` is the least number of axes in a
+    kind. `tolerance` is the least spread within a kind. If no gap separates the axes, the result is one kind with all
+    axes.
+    """
+    found = [np.arange(len(place))]
+    for column in place.T:
+        found = [part for members in found for part in _split_sort(members, column, least, tolerance)]
+    return found
+
+
+def _split_sort(members: NDArray[np.intp], column: Floats, least: int, tolerance: float) -> list[NDArray[np.intp]]:
+    """Split the members by one parameter, repeatedly."""
+    ordered = members[np.argsort(column[members], kind="stable")]
+    values = column[ordered]
+    least = max(least, int(np.ceil(TUNING.least_part * values.size)))
+    places = np.arange(least, values.size - least + 1)
+    if not places.size:
+        return [members]
+    k = int(places[np.argmax(values[places] - values[places - 1])])
+    low, high = values[:k], values[k:]
+    spread = max(tolerance, _spread(low), _spread(high))
+    if (
+        high[0] - low[-1] < TUNING.changes_gap * spread
+        or np.median(high) - np.median(low) < TUNING.changes_apart * spread
+    ):
+        return [members]
+    parts = (np.sort(ordered[:k]), np.sort(ordered[k:]))
+    return [part for one in parts for part in _split_sort(one, column, least, tolerance)]
+
+
+def _spread(values: Floats) -> float:
+    return float(np.median(np.abs(values - np.median(values))) / TUNING.series_median)

@@ -31,6 +31,7 @@ from pmfid.fleet.verdicts import (
     judge_axes,
     ranking,
     sentence,
+    sorts_by_type,
 )
 from pmfid.fleet.warmth import remove_warmth
 from pmfid.io.tables import Frame
@@ -53,6 +54,25 @@ def _report_mixed_periods(axis: str, series: Series) -> list[RowProblem]:
         f"the sample period changes between {low:.6g} and {high:.6g} s: each stretch is estimated with its own period"
     )
     return [RowProblem(axis, "", "mixed_dt", text, at)]
+
+
+def _sorts(follows: Sequence[Follow], names: Sequence[str], tolerance: float) -> list[RowProblem]:
+    """Return a problem for each type that contains several kinds of machines."""
+    found = []
+    for kind, sorts in sorts_by_type(follows, tolerance).items():
+        if len(sorts) > 1:
+            middles = np.array([np.median([follows[k].theta for k in members], axis=0) for members in sorts])
+            least = np.maximum(np.abs(middles).min(axis=0), np.finfo(float).tiny)
+            i = int(np.argmax(np.ptp(middles, axis=0) / least))
+            each = ", ".join(
+                f"{len(own)} around {middle:.3g}" for own, middle in zip(sorts, middles[:, i], strict=True)
+            )
+            text = (
+                f"{len(sorts)} kinds of machines differ in {names[i].replace('_', ' ')}: {each}; each axis is "
+                "compared only with its own kind: give each kind its own type, with --type"
+            )
+            found.append(RowProblem("", f"type {kind}" if kind else "all axes", "several_sorts", text))
+    return found
 
 
 def _nothing(
@@ -206,6 +226,7 @@ def summarise(
     nan, infinite = np.full(len(names), np.nan), np.full(len(names), np.inf)
     follows |= {axis: Follow(axis, types[axis], 0, nan, infinite, None, None) for axis in missing}
     everyone = [follows[axis] for axis in sorted(types)]
+    problems += _sorts(everyone, names, tolerance)
     axes = _axes(everyone, judge_axes(everyone, names, tolerance), names)
     listed += _nothing(missing, types, codes)
     whole = pl.DataFrame(listed, schema=_period_schema(names)).sort(AXIS, "period")

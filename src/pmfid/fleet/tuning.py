@@ -22,6 +22,11 @@ class FleetTuning:
     least_begin: float = 0.1
     #: Largest number of segments. More segments are averaged in groups.
     changes_most: int = 128
+    #: Distance between the middles of two kinds, and width of the empty gap between them, in their own spreads.
+    changes_apart: float = 5.0
+    changes_gap: float = 1.0
+    #: Least part of the axes that makes a kind. Fewer axes are outliers.
+    least_part: float = 0.1
 
     # missing_forces
     #: Plausible sizes: a gain that falls at the usual input, friction beyond viscous friction at the usual speed, and

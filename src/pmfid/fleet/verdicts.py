@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import ndtri, stdtrit
 
 from pmfid.estimators.facts import INPUT_GAIN
-from pmfid.fleet.changes import Beyond, Step, Trend, compare_with_wander, step_of, trend_of
+from pmfid.fleet.changes import Beyond, Step, Trend, compare_with_wander, sorts_of, step_of, trend_of
 from pmfid.fleet.series import Series, codes_of, mean_of, quality_of, standing
 from pmfid.fleet.tuning import TUNING
 from pmfid.records.tuning import TUNING as RECORD_TUNING
@@ -65,7 +65,7 @@ class AxisVerdict:
     explains. From 1 upwards the axis is named. `cause` is a parameter, FRICTION or INPUT_GAIN. `size` and `std` are
     relative. A drift has a size per day. A wandering axis has the root mean square about its mean. `since` and `until`
     are the limits of the time of the change [s]. `days` is the length of the history. `deviation` (p,) is relative to
-    the median of its type, NaN for too few axes. `visible` is the relative step of any parameter in the middle of
+    the median of the axis' kind, NaN for too few axes. `visible` is the relative step of any parameter in the middle of
     the history that would be named, infinite for too few segments. `silent` is the time [s] since which the axis has
     delivered no motion although most axes have, otherwise NaN.
     """
@@ -222,27 +222,42 @@ def chance_limit(trials: float, free: float) -> float:
     return float(-ndtri(part) if math.isinf(free) else -stdtrit(max(free, 1), part))
 
 
+def sorts_by_type(follows: Sequence[Follow], tolerance: float) -> dict[str, list[list[int]]]:
+    """Return the places of the axes of each type that have an estimate, divided into kinds."""
+    groups: dict[str, list[int]] = defaultdict(list)
+    for k, one in enumerate(follows):
+        if one.segments:
+            groups[one.type].append(k)
+    found = {}
+    for kind, members in groups.items():
+        theta, _ = _estimates(follows, members)
+        sorts = sorts_of(_logarithms(theta)[0], TUNING.least_axes, tolerance)
+        found[kind] = [[members[k] for k in own] for own in sorts]
+    return found
+
+
+def _estimates(follows: Sequence[Follow], members: Sequence[int]) -> tuple[Floats, Floats]:
+    theta, std = (np.array([getattr(follows[k], name) for k in members]) for name in ("theta", "std"))
+    return theta, std
+
+
 def _deviations(follows: Sequence[Follow], tolerance: float) -> list[tuple[Floats, Floats]]:
-    """Return the relative deviation (p,) of each axis from the median of its type, and the excess over the tolerance.
+    """Return the relative deviation (p,) of each axis from the median of its kind, and the excess over the tolerance.
 
     The excess is in spreads. Deviation and excess are NaN for too few axes, or if the sign differs.
     """
     p = follows[0].theta.size if follows else 0
     found = [(np.full(p, np.nan), np.full(p, np.nan)) for _ in follows]
-    types: dict[str, list[int]] = defaultdict(list)
-    for k, one in enumerate(follows):
-        if one.segments:
-            types[one.type].append(k)
-    for members in types.values():
-        if len(members) >= TUNING.least_axes:
-            theta, std = (np.array([getattr(follows[k], name) for k in members]) for name in ("theta", "std"))
-            for k, *pair in zip(members, *_compare_axes(theta, std, tolerance), strict=True):
-                found[k] = (pair[0], pair[1])
+    for sorts in sorts_by_type(follows, tolerance).values():
+        for members in sorts:
+            if len(members) >= TUNING.least_axes:
+                for k, *pair in zip(members, *_compare_axes(*_estimates(follows, members), tolerance), strict=True):
+                    found[k] = (pair[0], pair[1])
     return found
 
 
 def _compare_axes(theta: Floats, std: Floats, tolerance: float) -> tuple[Floats, Floats]:
-    """Return the deviations (m, p) of the axes of one type, and their excess over the tolerance.
+    """Return the deviations (m, p) of the axes of one kind, and their excess over the tolerance.
 
     The deviations are relative, the excess is in standard deviations.
     """

@@ -202,6 +202,10 @@ def _besides(found: History) -> str:
             f"\n\n{_many(alone, 'axis is', 'axes are')} of a type with fewer than {FLEET_TUNING.least_axes}, too few "
             "to show what is usual, and compared only with their own past."
         )
+    for part, reason in (
+        found.problems.filter(found.problems["code"] == "several_sorts").select("file", "text").iter_rows()
+    ):
+        text += f"\n\n{part[:1].upper() + part[1:]}: {reason}."
     return text + (f"\n\n{_many(wander, 'axis wanders', 'axes wander')}, which needs no action." if wander else "")
 
 
