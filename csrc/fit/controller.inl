@@ -35,8 +35,8 @@ static double drive_now(const state *t, double g)
     return (t->loop ? limit(t, free_force(t, t->x, g, t->s)) : g) - t->theta[PMF_BODY_OFFSET];
 }
 
-/* Force of the controller from a tick to the next: it acts on the nearest count, of which s[0] is the last one, and on
- * the change of counts. A lag below half a period is in part that of the true velocity. */
+/* Force of the controller from a tick to the next. It acts on the nearest count and on the change of counts; s[0] is the
+ * count of the last tick. With a lag of less than half a period, a part of the velocity is the true one. */
 static double tick_force(state *t, double g)
 {
     const double period = t->b->tick, seen = t->b->count * rint(t->x / t->b->count), apart = g - seen;

@@ -126,8 +126,8 @@ def _print_event(event: dict[str, Any], as_json: bool) -> None:
     """Print an event as JSON, or as text for people."""
     from pmfid.stream.sentences import log_line
 
-    own = {"start": _describe_start, "end": _describe_end}.get(event["event"], log_line)
-    click.echo(json.dumps(event, allow_nan=False) if as_json else own(event))
+    describe = {"start": _describe_start, "end": _describe_end}.get(event["event"], log_line)
+    click.echo(json.dumps(event, allow_nan=False) if as_json else describe(event))
 
 
 def _describe_start(event: dict[str, Any]) -> str:

@@ -38,6 +38,14 @@ class Gaussian:
     def wanders(self) -> bool:
         return self.force[0] > 0 or self.position[0] > 0
 
+    @property
+    def rounded_cost(self) -> float:
+        """The largest cost that rounding alone leaves without a disturbance: 1/2 an observation, and three standard
+        deviations of the sum. Observations in a row that show one count may all have one error."""
+        ends = [np.flatnonzero(np.diff(one.y, prepend=np.nan, append=np.nan) != 0) for one in self.stretches]
+        runs = np.concatenate([np.diff(k) for k in ends])
+        return float(0.5 * np.sum(runs) + 3 * np.sqrt(0.2 * np.sum(runs**2))) / self.scale
+
     def with_wander(self, kind: str, wander: tuple[float, float]) -> Gaussian:
         """Return the noise with another wandering force or position."""
         return replace(self, force=wander) if kind == "force" else replace(self, position=wander)
@@ -88,13 +96,6 @@ class Gaussian:
             count += e.size
         scale = max(1.0, squares / count)
         return -0.5 * (squares / scale + count * math.log(2 * math.pi * scale) + logs), scale
-
-
-def rounded_cost(stretches: Sequence[ObservedStretch]) -> float:
-    """Return the largest cost of white errors that rounding alone leaves: 1/2 an observation, and three standard
-    deviations of the sum. Observations next to each other that show one count may have one error."""
-    ends = [np.flatnonzero(np.diff(one.y, prepend=np.nan, append=np.nan) != 0) for one in stretches]
-    return 0.5 * sum(one.y.size for one in stretches) + 3 * math.sqrt(0.2 * sum(np.sum(np.diff(k) ** 2) for k in ends))
 
 
 def _share_lines(rows: Floats, line: NDArray[np.intp], weight: Floats, spread: float) -> float:

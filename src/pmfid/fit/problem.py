@@ -36,7 +36,7 @@ class ObservedStretch:
     `first` is the index of the first sample in the record. `line` (k,) is the number of the encoder's line of each
     edge, or -1; a stretch without it has counts only. `acts` (p,) is 0 for parameters of the machine that belong to
     another log, and 1 for all others. The start position is relative to `origin` [unit], or to the first observation.
-    `speed` is the start velocity [unit/s] if it is known. `apart` (k,) is what a motion of the model lacks [unit].
+    `speed` is the start velocity [unit/s] if it is known. `apart` (k,) is added to each motion [unit].
     """
 
     drive: Excitation

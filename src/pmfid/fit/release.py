@@ -14,7 +14,6 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.driven import distinct
-from pmfid.fit.likelihood import rounded_cost
 from pmfid.fit.machine import LOAD_VISCOUS, VISCOUS, BodyForce
 from pmfid.fit.problem import FitProblem, ObservedStretch
 from pmfid.fit.shooting import rejoin
@@ -55,18 +54,18 @@ def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: b
 
 def _release_at_once(plain: FitProblem, points: Sequence[Floats], prior: Floats, rng: np.random.Generator) -> Optimum:
     """Return the best fit from good starts q (p,), whose motion is free or held by a weak spring, and then free."""
-    starts, ends = plain.first_starts(), list[Optimum]()
-    for rate, q in product((0.0, RELEASE_TUNING.rates[3], RELEASE_TUNING.rates[1]), points):
-        near = _descend(hold(plain, q, rate), q, starts, prior) if rate else None
-        ends.append(_let_go(plain, q if near is None else near.q, starts if near is None else near.starts, prior, rng))
-        if ends[-1].cost < rounded_cost(plain.stretches) / 9:
+    ends, weak = list[Optimum](), (0.0, RELEASE_TUNING.rates[3], RELEASE_TUNING.rates[1])
+    for rate, q in product(weak, points):
+        end = _descend(hold(plain, q, rate) if rate else plain, q, plain.first_starts(), prior)
+        ends.append(_let_go(plain, end.q, end.starts, prior, rng) if rate else _search(plain, end, prior, rng))
+        if ends[-1].cost < soften(plain.stretches).rounded_cost:
             return ends[-1]
     return _rejoin(plain, ends, prior)
 
 
 def _rejoin(plain: FitProblem, ends: Sequence[Optimum], prior: Floats) -> Optimum:
     """Return the best end, or a better fit from parts of the record if it leaves more than rounding."""
-    best, rounding = min(ends, key=lambda end: end.cost), rounded_cost(plain.stretches) / 9
+    best, rounding = min(ends, key=lambda end: end.cost), soften(plain.stretches).rounded_cost
     for number in TUNING.rejoined:
         if best.cost < rounding:
             break
@@ -119,7 +118,7 @@ def _let_go(plain: FitProblem, q: Floats, starts: Floats, prior: Floats, rng: np
 def _search(problem: FitProblem, end: Optimum, prior: Floats, rng: np.random.Generator) -> Optimum:
     """Return a better optimum near an optimum. A contact more or less parts them, so that no slope leads there."""
     for _ in range(RELEASE_TUNING.rounds):
-        if not rounded_cost(problem.stretches) / 9 < end.cost < 2 * TUNING.rounded * problem.rows:
+        if not soften(problem.stretches).rounded_cost < end.cost < 2 * TUNING.rounded * problem.rows:
             break
         A = end.normal.A + np.diag(prior)
         sizes = 10 ** -rng.random(RELEASE_TUNING.tries)

@@ -364,7 +364,6 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
     begin at random places around the optimum of least squares.
     """
     before = search.remember()
-    at = search.q, search.starts
     if mean_square(search) > WITHIN:
         search.solve(Gaussian(search.plain.stretches), 10)
     if mean_square(search) > WITHIN:
@@ -375,7 +374,7 @@ def explain(search: FitSearch, tries: int = TRIES) -> Intervals | None:
         if likelihood is not None:
             break
         search.return_to(before)
-        search.q, search.starts = _nearby(search, *at, rng), _nearby_starts(search, rng)
+        search.q, search.starts = _nearby(search, rng), _nearby_starts(search, rng)
         likelihood = narrow(search, 10)
     if likelihood is None:
         search.return_to(before)
@@ -434,12 +433,12 @@ def is_near_rounding(search: FitSearch) -> bool:
     return mean_square(search) < MOST_SQUARES
 
 
-def _nearby(search: FitSearch, q: Floats, starts: Floats, rng: np.random.Generator) -> Floats:
+def _nearby(search: FitSearch, rng: np.random.Generator) -> Floats:
     """Return parameters a few standard errors of least squares away."""
     noise = Gaussian(search.plain.stretches)
-    normal = normal_of(noise(search.problem.linearise(q, starts))[1], starts)
+    normal = normal_of(noise(search.problem.linearise(search.q, search.starts))[1], search.starts)
     A = normal.A + np.diag(search.prior(search.problem))
-    return search.problem.clip_to_bounds(q + NEARBY * random_step(A, rng))
+    return search.problem.clip_to_bounds(search.q + NEARBY * random_step(A, rng))
 
 
 def _nearby_starts(search: FitSearch, rng: np.random.Generator) -> Floats:

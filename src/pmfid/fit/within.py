@@ -39,8 +39,8 @@ def reach_counts(
 
     Each round solves a linear program: the step of least sum of absolute values, in standard errors of least squares,
     after which the linearised motion is within every count, or nearest to that. Stops, starts and contacts bend the
-    true motion, so that steps have a bound. The bound grows and shrinks with the truth of the linear motion (Madsen
-    1975).
+    true motion, so that steps have a bound. The bound grows where the linear motion holds, and shrinks elsewhere
+    (Madsen 1975).
     """
     counted = np.concatenate([one.counted for one in problem.stretches])
     if not np.any(counted):
