@@ -18,7 +18,7 @@ from docs.blocks import ROOT
 from pmfid.cli.main import main as program
 from pmfid.config.axis import load_axis
 from pmfid.pipeline.designs import load_spec
-from pmfid.service.plant import load_plant, page_config
+from pmfid.service.plant import load_plant
 from tests.firmware.build import GCC, REQUIRED, command
 
 PAGES = ["README.md", *(str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md")))]
@@ -75,7 +75,7 @@ def test_a_configuration_loads(page: str, text: str, tmp_path: Path) -> None:
         rest = "" if "sources" in tables else '[sources.hall]\nkind = "mqtt"\nhost = "localhost"\ntopics = ["a"]\n'
         file.write_text(f'[service]\nname = "hall"\n[axes.x1]\nconfig = "axis.toml"\n{text}\n{rest}')
         plant = load_plant(file)
-        assert page_config(plant).enabled
+        assert plant.page.enabled
         assert tables.get("sources", plant.sources).keys() <= plant.sources.keys()
         assert tables.get("sinks", plant.sinks).keys() <= plant.sinks.keys()
     else:

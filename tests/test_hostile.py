@@ -51,7 +51,7 @@ def test_every_command_is_called() -> None:
     from pmfid.cli.main import main
 
     assert set(main.commands) | {"none"} == set(COMMANDS)
-    assert sum(part for _, part in COMMANDS.values()) == pytest.approx(1)
+    assert sum(maker.part for maker in COMMANDS.values()) == pytest.approx(1)
 
 
 def called(folder: Path, command: str, plant: str, axis: str, *further: str, **columns: np.ndarray) -> tuple[str, ...]:

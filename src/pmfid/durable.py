@@ -10,8 +10,6 @@ from typing import IO
 
 from pmfid.errors import UsageError
 
-__all__ = ["CRASH_AT", "arm", "crash_point"]
-
 #: Name of the environment variable that sets a crash point. Its value is a point and a count, as
 #: "checkpoint.written:3": the process ends at the third pass.
 CRASH_AT = "PMFID_CRASH_AT"

@@ -7,19 +7,6 @@ from difflib import get_close_matches
 from numbers import Integral, Real
 from typing import ClassVar
 
-__all__ = [
-    "NotIdentifiableError",
-    "PmfidError",
-    "UnknownParameterError",
-    "UsageError",
-    "check_choice",
-    "did_you_mean",
-    "list_some",
-    "place_of",
-    "printable",
-    "whole_number",
-]
-
 #: Exit code of a command that the user ends with Ctrl-C (128 + SIGINT).
 INTERRUPTED = 130
 

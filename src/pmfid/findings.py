@@ -10,8 +10,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["MOVE", "Finding", "advise", "codes", "make_notes", "sort_findings", "texts"]
-
 #: The remedy that helps most often.
 MOVE = "record a motion with reversals and varying speed"
 Severity = Literal["wrong", "doubt", "note"]

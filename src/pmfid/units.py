@@ -13,8 +13,6 @@ from dataclasses import dataclass
 
 from pmfid.errors import did_you_mean
 
-__all__ = ["INPUTS", "OUTPUTS", "SI", "Quantity", "Unit", "column_unit", "gain", "keep_unit", "known_unit", "quantity"]
-
 _PREFIXES = {"": 1.0, "k": 1e3, "c": 1e-2, "m": 1e-3, "u": 1e-6, "n": 1e-9}
 _MINUTE = 60.0
 _ANGLES = {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180, "rev": 2 * math.pi, "turn": 2 * math.pi}

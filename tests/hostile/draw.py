@@ -14,5 +14,5 @@ Rng = np.random.Generator
 def draw(seed: int, folder: Path) -> Case:
     """Draw the call of a seed; files of the call are written into `folder`."""
     rng = np.random.default_rng([20, seed])
-    makers, parts = zip(*COMMANDS.values(), strict=True)
-    return makers[rng.choice(len(makers), p=parts)](rng, folder)
+    name = str(rng.choice(list(COMMANDS), p=[maker.part for maker in COMMANDS.values()]))
+    return COMMANDS[name].make(name, rng, folder)

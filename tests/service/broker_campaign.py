@@ -25,6 +25,7 @@ from examples.gateway import Gateway
 from pmfid.service import arrangement
 from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.sources.mqtt import MqttSourceSection
+from pmfid.service.web.config import PageConfig
 from pmfid.simulation import CART, CART_DT, Schedule
 from pmfid.stream.blocks import encode
 from pmfid.stream.delivery import Block
@@ -66,7 +67,7 @@ def work_of(seed: int, seconds: float) -> Work:
 def plant_of(folder: Path, axis: Path, broker: Broker) -> Plant:
     service = ServiceSection(state="state", checkpoint=0.2, window=3 * BLOCK * CART_DT, every=0.0)
     source = MqttSourceSection(kind="mqtt", port=broker.port, topics=("hall/blocks",))
-    return Plant(folder, service, dict.fromkeys(AXES, axis), {"hall": source}, page={"enabled": False})
+    return Plant(folder, service, dict.fromkeys(AXES, axis), {"hall": source}, page=PageConfig(enabled=False))
 
 
 def gateway(work: Work, broker: Broker, speed: float) -> int:

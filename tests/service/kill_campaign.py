@@ -31,6 +31,7 @@ from pmfid.service.context import Context, Source, SourceSection, Take
 from pmfid.service.plant import Plant, ServiceSection
 from pmfid.service.run import Service
 from pmfid.service.sinks.plain import NoticeLog
+from pmfid.service.web.config import PageConfig
 from pmfid.simulation import CART_DT
 from pmfid.stream.checkpoint import Saved, Snapshot, read_snapshot
 from pmfid.stream.delivery import Block, Delivery, Item, Lines
@@ -200,7 +201,7 @@ def plant_of(folder: Path, axis: Path, seed: int, seconds: float) -> Plant:
     service = ServiceSection(state="state", checkpoint=0.05, window=WINDOW * CART_DT, every=0.0)
     broker = Broker(folder=str(folder), seed=seed, seconds=seconds)
     sources: dict[str, SourceSection] = {"hall": broker, "cell": broker}
-    return Plant(folder, service, dict.fromkeys(("x1", "x2", "x3"), axis), sources, page={"enabled": False})
+    return Plant(folder, service, dict.fromkeys(("x1", "x2", "x3"), axis), sources, page=PageConfig(enabled=False))
 
 
 def incarnation(plant: Plant, setting: str, log: IO[str]) -> int:

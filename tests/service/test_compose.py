@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from pmfid.service.metrics import HELP
-from pmfid.service.plant import load_plant, page_config
+from pmfid.service.plant import load_plant
 
 REPOSITORY = Path(__file__).parents[2]
 FOLDER = REPOSITORY / "deploy" / "compose"
@@ -50,7 +50,7 @@ def test_prometheus_asks_the_page_of_the_service(tmp_path: Path) -> None:
     (tmp_path / "axis.toml").write_text((REPOSITORY / "examples/plant_axis.toml").read_text())
     source = '[axes.x1]\nconfig = "axis.toml"\n[sources.hall]\nkind = "mqtt"\nhost = "broker"\ntopics = ["a"]\n'
     (tmp_path / "PLANT.toml").write_text(f"{keys}\n{source}")
-    page = page_config(load_plant(tmp_path / "PLANT.toml"))
+    page = load_plant(tmp_path / "PLANT.toml").page
     assert job["static_configs"][0]["targets"][0] in page.hosts
     assert page.token == "env:PMFID_TOKEN"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from io import StringIO
 from pathlib import Path
 
@@ -44,8 +45,7 @@ def looked_at(plant: Plant, refer: bool = False) -> tuple[Referred, list[float]]
 def test_a_reference_set_by_hand_is_known_after_a_restart(folder: Path, tmp_path: Path) -> None:  # noqa: F811
     (folder / "plant.toml").write_text(PLANT)
     plant = load_plant(folder / "plant.toml")
-    kept = Plant(plant.folder, ServiceSection(state=str(tmp_path / "state"), window=0.0), plant.axes, plant.sources,
-                 page=plant.page)  # fmt: skip
+    kept = replace(plant, service=ServiceSection(state=str(tmp_path / "state"), window=0.0))
     shown, used = looked_at(kept, refer=True)
     assert shown[0][0] == used
     again, still = looked_at(kept)

@@ -39,13 +39,12 @@ def serve(
     from pmfid.service.sinks.plain import NoticeLog, json_line
     from pmfid.stream.sentences import notice_line
 
-    page: dict[str, object] | None = {"enabled": False} if no_page else None if port is None else {"port": port}
-    options = {"every": every, "state": None if state is None else str(state.absolute())}
-    given = {key: value for key, value in options.items() if value is not None}
+    folder, shown = None if state is None else str(state.absolute()), False if no_page else None
+    keys = {"service.every": every, "service.state": folder, "page.port": port, "page.enabled": shown}
 
     def load() -> Plant:
         from pmfid.service.plant import load_plant
 
-        return load_plant(config, given).with_page(page)
+        return load_plant(config, keys)
 
     Service(load, NoticeLog(sys.stdout, json_line if as_json else notice_line), until_end).run()

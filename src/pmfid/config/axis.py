@@ -24,8 +24,6 @@ from pmfid.models.drive import POSITION_KEYS
 from pmfid.models.equation import ESTIMATE
 from pmfid.units import Quantity
 
-__all__ = ["Axis", "check_sampling", "load_axis", "read_axis"]
-
 
 def _distinct(value: tuple[float, float] | None) -> tuple[float, float] | None:
     if value is not None and value[0] == value[1]:

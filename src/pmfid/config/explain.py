@@ -25,8 +25,6 @@ from pmfid.models.drive import Drive
 from pmfid.models.transfer_function import TransferFunction
 from pmfid.status import ADVICE, Status
 
-__all__ = ["ReferenceEntry", "entries", "explain_entries", "find", "keys_in"]
-
 #: Pattern of the units in descriptions, which also end error messages.
 _UNITS = re.compile(
     r"\bin (?:the )?(rad/s|1/s|unit of y per s|unit of y|s|hours|N per unit of u|whole samples)\b"

@@ -17,8 +17,6 @@ from pmfid.linear.experiment import Hold
 from pmfid.models.axes import AxisKind
 from pmfid.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, known_unit
 
-__all__ = ["NO_ENCODER", "EncoderConfig", "RecordConfig"]
-
 
 def _usable_scale(value: float | str) -> float | str:
     if value in (0, ""):

@@ -10,14 +10,12 @@ import re
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from pmfid.errors import UsageError, did_you_mean, list_some
-
-__all__ = ["FileSection", "load_sections", "override_sections", "show_value", "validate_sections"]
 
 
 class FileSection(BaseModel):
@@ -44,7 +42,7 @@ def load_sections(
     derived sections to the sections of the file. Raises UsageError with all problems if the file cannot be read or a
     value is not allowed.
     """
-    raw = _read_toml(path, kind)
+    raw = read_toml(path, kind)
     if complete is not None:
         complete(raw)
     try:
@@ -87,7 +85,8 @@ def validate_sections(
     raise UsageError("\n  ".join(problems + more))
 
 
-def _read_toml(path: Path, kind: str) -> dict[str, object]:
+def read_toml(path: Path, kind: str) -> dict[str, Any]:
+    """Return the content of a file. Raises UsageError if the file cannot be read; `kind` says what to give instead."""
     try:
         return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except OSError as error:

@@ -6,7 +6,7 @@ import io
 import warnings
 import zlib
 from collections.abc import Iterator, Mapping
-from typing import Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,17 +53,6 @@ MATLAB_HEADER = 512
 MOST = 10_000
 
 
-class _Dataset(Protocol):
-    dtype: np.dtype[np.generic]
-    nbytes: int
-    ndim: int
-    external: object
-    is_virtual: bool
-    attrs: dict[str, object]
-
-    def __getitem__(self, key: tuple[()]) -> NDArray[np.generic]: ...
-
-
 def parse_hdf5(data: bytes) -> Table:
     """Return the datasets of numbers by dotted path, such as "run.axis.u", from groups and MATLAB structures.
 
@@ -89,10 +78,11 @@ def parse_hdf5(data: bytes) -> Table:
     return flatten_fields(found)
 
 
-def _is_column(item: _Dataset) -> bool:
+def _is_column(item: Any) -> bool:
     """Return whether a dataset holds numbers, or structures of numbers, in the file itself."""
     kind = item.attrs.get("MATLAB_class", b"")
-    return item.dtype.kind in "biufV" and not item.external and not item.is_virtual and kind not in (b"char", b"cell")
+    own = bool(not item.external and not item.is_virtual)
+    return own and item.dtype.kind in "biufV" and kind not in (b"char", b"cell")
 
 
 # Types of the elements in a MATLAB v5 file ("MAT-File Format", MathWorks, table 1-1). Other types are reserved.

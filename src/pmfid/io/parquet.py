@@ -15,8 +15,6 @@ from pmfid.io.safety import check_unpacked, readable
 if TYPE_CHECKING:
     import polars as pl
 
-__all__ = ["column_sizes"]
-
 #: Types in the compact protocol of Apache Thrift.
 TRUE, FALSE, BYTE, INTEGERS, DOUBLE, BINARY, LISTS, STRUCT = 1, 2, 3, (4, 5, 6), 7, 8, (9, 10), 12
 #: Number of bytes at the end of the file, which hold the length of the footer and the magic word.

@@ -90,9 +90,6 @@ def _period(stamps: Floats) -> float:
     return float(np.median(np.diff(stamps))) if stamps.size > 1 else 0.0
 
 
-__all__ = ["TWICE", "Frame", "NotedTable", "Table", "column", "from_array", "lookup", "notes_of", "times", "whole_name"]
-
-
 class ArrowFrame(Protocol):
     """A frame of Polars or Arrow, or a recent frame of pandas."""
 

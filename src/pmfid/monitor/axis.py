@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmfid._estimate import Estimate
-from pmfid._stage import Inputs, Watcher
+from pmfid._stage import EDGE, Inputs, Watcher
 from pmfid.elementary import solve
 from pmfid.estimators.configuration import like
 from pmfid.estimators.facts import INPUT_GAIN, forces_of
@@ -20,7 +20,7 @@ from pmfid.estimators.recursive import RecursiveEstimator
 from pmfid.monitor.base import AxisMonitor
 from pmfid.monitor.calibration import Calibration
 from pmfid.monitor.cause import Cause, ChangeEvidence, explain, start_of
-from pmfid.monitor.detector import EDGE, make_detection
+from pmfid.monitor.detector import make_detection
 from pmfid.monitor.events import SETTLING, STATES, SUSPICIOUS, WATCHING, Alarm, Event, Settled, Watch
 from pmfid.monitor.scores import Blocks, ScoreFilter, Scoring, start_blocks
 from pmfid.monitor.states import Disturbed, Watched

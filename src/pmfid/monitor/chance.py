@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pmfid.monitor.detector import EDGE, WINDOW
+from pmfid._stage import EDGE
+from pmfid.monitor.detector import WINDOW
 from pmfid.monitor.tuning import TUNING
 from pmfid.types import Floats
 

@@ -10,10 +10,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmfid._stage import EDGE, Detection
+from pmfid._stage import Detection
 from pmfid.types import Floats
-
-__all__ = ["EDGE", "WINDOW", "make_detection", "start_detection", "statistics"]
 
 #: Number of starts that are compared.
 WINDOW = 32

@@ -11,8 +11,6 @@ from pmfid.findings import Finding
 from pmfid.fit.compare import NORMAL_95
 from pmfid.pipeline.result import ProcessResult, Result, format_value
 
-__all__ = ["Conclusion", "conclude"]
-
 
 @dataclass(frozen=True)
 class Conclusion:

@@ -27,9 +27,6 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.records.joining import make_even
 from pmfid.records.record import read_record
 
-__all__ = ["Spec", "load_spec", "make_problem"]
-
-
 Criterion = Literal["trace", "D", "A", "E", "ME", "c"]
 Positive = Annotated[float, Field(gt=0)]
 NotNegative = Annotated[float, Field(ge=0)]

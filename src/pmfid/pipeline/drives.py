@@ -53,8 +53,6 @@ from pmfid.types import Floats
 if TYPE_CHECKING:
     from pmfid._estimate import Estimate
 
-__all__ = ["check_direction"]
-
 
 def check_direction(record: Record, axis: Axis) -> str:
     """Describe the mistake in a first-order equation with a friction direction whose output is a velocity.

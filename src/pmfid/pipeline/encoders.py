@@ -32,8 +32,6 @@ from pmfid.records.joining import make_even, unbroken
 from pmfid.records.record import Record
 from pmfid.types import Counts, Floats
 
-__all__ = ["EncoderChoice", "compare_encoders"]
-
 #: Travel per turn of a rotary axis [rad].
 TURN = 2 * np.pi
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import math
 import re
 from abc import abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 
@@ -40,34 +39,12 @@ UNKNOWN = "–"
 FOLDED = ("model spread", "95 %")
 
 
-class Parametric(Protocol):
-    """The p parameters of a `Result`. theta, theta_std and model_spread have shape (p,), and interval_95 has shape (p,
-    2). `beforehand` gives the kind of prior information by name."""
-
-    @property
-    def names(self) -> tuple[str, ...]: ...
-    @property
-    def units(self) -> tuple[str, ...]: ...
-    @property
-    def theta(self) -> Floats: ...
-    @property
-    def theta_std(self) -> Floats: ...
-    @property
-    def model_spread(self) -> Floats | None: ...
-    @property
-    def interval_95(self) -> Floats: ...
-    @property
-    def beforehand(self) -> Mapping[str, str]: ...
-    @property
-    def findings(self) -> tuple[Finding, ...]: ...
-
-
-def parameter_header(result: Parametric) -> tuple[str, ...]:
+def parameter_header(result: Result) -> tuple[str, ...]:
     """Return the names of the columns of `parameter_rows`."""
     return ("parameter", "value", "std", *(FOLDED[1:] if result.model_spread is None else FOLDED), "unit")
 
 
-def parameter_rows(result: Parametric) -> list[list[str]]:
+def parameter_rows(result: Result) -> list[list[str]]:
     """Return one row of text for each parameter. For a machine, the row includes the model spread."""
     names, units = result.names, result.units
     found = zip(names, result.theta, result.theta_std, _list_intervals(result), units, strict=True)
@@ -77,13 +54,13 @@ def parameter_rows(result: Parametric) -> list[list[str]]:
     ]
 
 
-def findings_lines(result: Parametric, notes: bool) -> list[str]:
+def findings_lines(result: Result, notes: bool) -> list[str]:
     """Return the findings that are notes, or all others, as paragraphs, most important first."""
     shown = [finding.paragraph for finding in result.findings if (finding.severity == "note") == notes]
     return [f"{text[0].upper()}{text[1:].rstrip('.')}." for text in shown]
 
 
-def _format_name(result: Parametric, name: str) -> str:
+def _format_name(result: Result, name: str) -> str:
     known = result.beforehand.get(name)
     return name if known is None else f"{name} ({known})"
 
@@ -114,7 +91,7 @@ def format_interval(low: float, high: float) -> str:
     return f"{low:.{digits}g} to {high:.{digits}g}"
 
 
-def _list_intervals(result: Parametric) -> list[list[str]]:
+def _list_intervals(result: Result) -> list[list[str]]:
     """Return the cells of each parameter for the model spread, if the result has one, and for the interval."""
     intervals = [format_interval(low, high) if np.isfinite(low) else UNKNOWN for low, high in result.interval_95]
     if result.model_spread is None:

@@ -18,8 +18,6 @@ from pmfid.errors import UsageError, printable
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
-__all__ = ["Stored", "read_stored"]
-
 REMEDY = "give the result.json that `pmfid identify --out` writes, or what --json prints"
 SAME_AXIS = "give the AXIS.toml of the identification"
 #: Prefixes of names that are not parameters of the motion, such as unknowns of a pre-filter and an input gain. A

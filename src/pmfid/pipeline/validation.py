@@ -21,8 +21,6 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.presentation import Presentable, Summary, plain_dict, remarks_of
 from pmfid.types import Floats
 
-__all__ = ["Validation", "read_records", "validate_parameters", "validate_stored"]
-
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Validation(Presentable, Judged):

@@ -18,8 +18,6 @@ from pmfid.types import Flags, Floats
 if TYPE_CHECKING:
     from pmfid.config.record import RecordConfig
 
-__all__ = ["UNITS", "named_unit", "sample_period", "time_factor"]
-
 #: Length [s] of each unit of time.
 UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 #: Possible ends of a column's name for each unit, after a separator.

@@ -62,9 +62,6 @@ def _settle_part(record: Record, start: int, *, first: bool) -> tuple[Floats, Co
     return np.r_[gap[0], record.u], np.r_[gap[1], counts], np.r_[gap[2], there], np.r_[later, before]
 
 
-__all__ = ["make_even", "unbroken"]
-
-
 def unbroken(record: Record) -> Record:
     """Return the stretch of a record with a known input in which the counts (n,) change most often, with a note.
 

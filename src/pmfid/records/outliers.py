@@ -17,8 +17,6 @@ from pmfid.records.record import Record
 from pmfid.records.tuning import TUNING
 from pmfid.types import Counts, Flags, Floats
 
-__all__ = ["Wrap", "wrap_of"]
-
 #: Median of the size of a normal variable, in standard deviations.
 NORMAL_MEDIAN = 0.6745
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from pmfid.records.tuning import TUNING
 from pmfid.types import Flags, Floats
 
-__all__ = ["miss_stale_rows"]
-
 
 def miss_stale_rows(columns: Mapping[str, Floats], step: float) -> tuple[Floats, int]:
     """Return the output (n,) with NaN in rows with an old value, and their number, from columns of input, output and

@@ -9,8 +9,6 @@ import numpy as np
 from pmfid.records.tuning import TUNING
 from pmfid.types import Floats
 
-__all__ = ["join_topics"]
-
 
 def join_topics(columns: Mapping[str, Floats]) -> tuple[dict[str, Floats], tuple[str, ...]]:
     """Return the columns of input, output and time at the rows of the output (m,), and notes for people.

@@ -25,8 +25,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["motion_figure"]
-
 LINE_STYLES = ("-", "--", "-.", ":")
 
 #: Map from the name to input (n,), position (n+1,) and velocity (n+1,).

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 from pydantic import Field, ValidationError, create_model
 
 from pmfid.config.explain import ReferenceEntry, keys_in
 from pmfid.config.model import Name
-from pmfid.config.toml_file import FileSection, validate_sections
+from pmfid.config.toml_file import FileSection, override_sections, read_toml, validate_sections
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.service.context import SourceSection
 from pmfid.service.sinks.mqtt import MqttSinkSection
@@ -102,7 +101,7 @@ class Plant:
     """The content of a PLANT.toml.
 
     `folder` is the folder of PLANT.toml. `axes` maps names to paths of AXIS.toml. `sources` and `sinks` map names to
-    sections. `page` is the section [page] as written, or None without this section.
+    sections.
     """
 
     folder: Path
@@ -110,11 +109,7 @@ class Plant:
     axes: Mapping[str, Path]
     sources: Mapping[str, SourceSection]
     sinks: Mapping[str, SinkSection] = field(default_factory=dict)
-    page: Mapping[str, Any] | None = None
-
-    def with_page(self, page: Mapping[str, Any] | None) -> Plant:
-        """Return the plant with these keys of [page] instead of its own keys. None leaves the plant unchanged."""
-        return self if page is None else replace(self, page={**(self.page or {}), **page})
+    page: PageConfig = field(default_factory=PageConfig)
 
     @property
     def state(self) -> Path | None:
@@ -122,11 +117,7 @@ class Plant:
 
     def unlike(self, other: Plant) -> list[str]:
         """Return the sections of PLANT.toml that differ from the other plant, except sections of axes."""
-        single = [
-            f"[{name}]"
-            for name in ("service", "page")
-            if (getattr(self, name) or None) != (getattr(other, name) or None)
-        ]
+        single = [f"[{name}]" for name in ("service", "page") if getattr(self, name) != getattr(other, name)]
         return single + [
             f"[{kind}.{name}]"
             for kind, ours, theirs in (("sources", self.sources, other.sources), ("sinks", self.sinks, other.sinks))
@@ -135,62 +126,57 @@ class Plant:
         ]
 
 
-Section = TypeVar("Section", bound=FileSection)
+class SingleSections(FileSection):
+    """The sections with one table."""
+
+    service: ServiceSection = ServiceSection()
+    page: PageConfig = PageConfig()
+
+
+#: Sections with a table for each name, and those with a kind in each of these tables.
+NAMED: dict[str, type[FileSection]] = {"axes": AxisSection, "fleets": FleetSection}
+KINDS: dict[str, Mapping[str, type[FileSection]]] = {"sources": SOURCES, "sinks": SINKS}
+_SINGLE = tuple(SingleSections.model_fields)
+_KNOWN = (*_SINGLE, *NAMED, *KINDS)
 
 
 def load_plant(path: Path, given: Mapping[str, object] | None = None) -> Plant:
     """Read and validate a PLANT.toml, or an AXIS.toml as a plant of one axis on standard input.
 
-    The keys `given` of [service] replace the keys in the file. Raises UsageError with the error and its place.
+    The dotted keys `given`, such as "service.every", replace the keys in the file. Raises UsageError with the error and
+    its place.
     """
+    raw = read_toml(path, "the path of a PLANT.toml")
+    if {"record", "model"} & set(raw) and not set(raw) & set(_KNOWN):
+        raw = _single_axis(path)
     try:
-        raw = _read(path)
-        if {"record", "model"} & set(raw) and not set(raw) & set(_KNOWN):
-            return _single_axis(path, given or {})
         _check_tables(raw)
-        return Plant(
-            path.parent,
-            _section("service", ServiceSection, raw.get("service", {}) | (given or {})),
-            _axes(raw, path.parent),
-            {name: _read_kind("sources", name, table, SOURCES) for name, table in raw.get("sources", {}).items()},
-            {name: _read_kind("sinks", name, table, SINKS) for name, table in raw.get("sinks", {}).items()},
-            raw.get("page"),
-        )
+        own = override_sections(SingleSections, {key: raw[key] for key in _SINGLE if key in raw}, given or {})
+        found = {
+            group: {name: _section(group, name, table) for name, table in raw.get(group, {}).items()}
+            for group in (*NAMED, *KINDS)
+        }
+        axes = _axes(found["axes"], found["fleets"], path.parent)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
+    return Plant(path.parent, own.service, axes, found["sources"], found["sinks"], own.page)
 
 
-def _single_axis(path: Path, given: Mapping[str, object]) -> Plant:
+def _single_axis(path: Path) -> dict[str, object]:
     """Return the plant of one AXIS.toml on standard input. With a single pipe, no sample waits for another."""
     name = re.sub(r"[^A-Za-z0-9._-]|^[._-]+", "", path.stem)[:100] or "axis"
-    service = _section("service", ServiceSection, {"name": name, "window": 0.0, "every": 0.1} | dict(given))
-    return Plant(path.parent, service, {name: path}, {"input": StdinSource(kind="stdin", axis=name)})
-
-
-def page_config(plant: Plant) -> PageConfig:
-    """Return [page] with its defaults. Raises UsageError for an invalid value."""
-    whole = create_model("Whole", __base__=FileSection, page=(PageConfig, ...))
-    return validate_sections(whole, {"page": dict(plant.page or {})}).page  # type: ignore[attr-defined,no-any-return]
-
-
-def _read(path: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except OSError as error:
-        raise UsageError(f"cannot read the configuration: {error.strerror}; give the path of a PLANT.toml") from None
-    except (ValueError, RecursionError) as error:
-        raise UsageError(f"not valid TOML: {error}; correct that line") from None
-
-
-#: The sections of a PLANT.toml. Each of the last four has a table for each name.
-_KNOWN = ("service", "page", "axes", "fleets", "sources", "sinks")
+    return {
+        "service": {"name": name, "window": 0.0, "every": 0.1},
+        "axes": {name: {"config": path.name}},
+        "sources": {"input": {"kind": "stdin", "axis": name}},
+    }
 
 
 def _check_tables(raw: Mapping[str, Any]) -> None:
     for key, table in raw.items():
         if key not in _KNOWN:
             raise UsageError(f"[{key}] is an unknown section; known are {', '.join(_KNOWN)}{did_you_mean(key, _KNOWN)}")
-        named = key in _KNOWN[2:]
+        named = key not in _SINGLE
         if not isinstance(table, dict):
             label = f"[{key}.NAME]" if named else f"[{key}]"
             raise UsageError(
@@ -207,13 +193,15 @@ def _check_tables(raw: Mapping[str, Any]) -> None:
         raise UsageError('the plant has no axis; add a section [axes.NAME] with config = "AXIS.toml"')
 
 
-def _check_name(where: str, name: str) -> None:
-    if not re.fullmatch(_PATTERN, name):
-        raise UsageError(f"[{where}] {name!r} is not a name; use {_WORD}")
-
-
-def _section(label: str, cls: type[Section], table: Mapping[str, Any]) -> Section:
-    """Return a table as a section. `label` is the section's name in messages."""
+def _section(group: str, name: str, table: dict[str, object]) -> Any:
+    """Return a table with a name as a section. The `kind` of a source or a sink decides on the section."""
+    label, kinds = f"{group}.{name}", KINDS.get(group)
+    if kinds is not None and "kind" not in table:
+        raise UsageError(f"[{label}] has no kind; give one of {', '.join(kinds)}")
+    kind = str(table.get("kind"))
+    if kinds is not None and kind not in kinds:
+        raise UsageError(f"[{label}] kind = {kind!r} is none of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
+    cls = NAMED[group] if kinds is None else kinds[kind]
     try:
         return cls.model_validate(table)
     except ValidationError:
@@ -222,47 +210,31 @@ def _section(label: str, cls: type[Section], table: Mapping[str, Any]) -> Sectio
         raise
 
 
-def _axes(raw: Mapping[str, Any], folder: Path) -> dict[str, Path]:
-    axes: dict[str, Path] = {}
-    for name, table in raw.get("axes", {}).items():
-        axes[name] = folder / _section(f"axes.{name}", AxisSection, table).config
-    for key, table in raw.get("fleets", {}).items():
-        _add_fleet(axes, key, _section(f"fleets.{key}", FleetSection, table), folder)
+def _check_name(where: str, name: str) -> None:
+    if not re.fullmatch(_PATTERN, name):
+        raise UsageError(f"[{where}] {name!r} is not a name; use {_WORD}")
+
+
+def _axes(single: Mapping[str, AxisSection], fleets: Mapping[str, FleetSection], folder: Path) -> dict[str, Path]:
+    axes = {name: folder / section.config for name, section in single.items()}
+    for key, fleet in fleets.items():
+        names = fleet.expand(key)
+        _check_name(f"fleets.{key}", max(names, key=len))
+        doubled = next((name for name in names if name in axes), None)
+        if doubled is not None:
+            raise UsageError(f"[fleets.{key}] uses the name {doubled!r} of another axis; choose another pattern")
+        axes.update(dict.fromkeys(names, folder / fleet.config))
     if len(axes) > TUNING.most_axes:
         raise UsageError(f"{len(axes)} axes are too many for one service; divide them among several services")
     return axes
 
 
-def _add_fleet(axes: dict[str, Path], key: str, fleet: FleetSection, folder: Path) -> None:
-    names = fleet.expand(key)
-    _check_name(f"fleets.{key}", max(names, key=len))
-    doubled = next((name for name in names if name in axes), None)
-    if doubled is not None:
-        raise UsageError(f"[fleets.{key}] uses the name {doubled!r} of another axis; choose another pattern")
-    axes.update(dict.fromkeys(names, folder / fleet.config))
-
-
-def _read_kind(where: str, name: str, table: Mapping[str, Any], kinds: Mapping[str, type[Section]]) -> Section:
-    """Return a source or a sink, whose `kind` decides on the section."""
-    if "kind" not in table:
-        raise UsageError(f"[{where}.{name}] has no kind; give one of {', '.join(kinds)}")
-    kind = str(table["kind"])
-    if kind not in kinds:
-        raise UsageError(f"[{where}.{name}] kind = {kind!r} is none of {', '.join(kinds)}{did_you_mean(kind, kinds)}")
-    return _section(f"{where}.{name}", kinds[kind], table)
-
-
-_KEY = "key of PLANT.toml"
-_KEY = "key of PLANT.toml"
-
-
 def plant_entries() -> tuple[ReferenceEntry, ...]:
     """Return entries of all keys. Keys of sources and sinks are listed by their kind."""
-    models: dict[str, type[FileSection]] = {"service": ServiceSection, "page": PageConfig}
-    models |= {"axes": AxisSection, "fleets": FleetSection}
-    models |= {f"sources.{kind}": model for kind, model in SOURCES.items()}
-    models |= {f"sinks.{kind}": model for kind, model in SINKS.items()}
-    return tuple(entry for section, model in models.items() for entry in keys_in(section, model, _KEY))
+    models: dict[str, type[FileSection]] = {"service": ServiceSection, "page": PageConfig, **NAMED}
+    models |= {f"{group}.{kind}": model for group, kinds in KINDS.items() for kind, model in kinds.items()}
+    found = (keys_in(section, model, "key of PLANT.toml") for section, model in models.items())
+    return tuple(entry for entries in found for entry in entries)
 
 
 def strip_names(word: str) -> list[str]:
@@ -274,5 +246,4 @@ def strip_names(word: str) -> list[str]:
     if found is None:
         return []
     table, key = found.groups()
-    kinds = {"sources": list(SOURCES), "sinks": list(SINKS)}.get(table)
-    return [f"{table}.{key}"] if kinds is None else [f"{table}.{kind}.{key}" for kind in kinds]
+    return [f"{table}.{kind}.{key}" for kind in KINDS[table]] if table in KINDS else [f"{table}.{key}"]

@@ -22,7 +22,7 @@ from pmfid.records.record import Record, read_record
 from pmfid.service.arrangement import Configurations, arrange_groups, tell_configurations
 from pmfid.service.context import Context
 from pmfid.service.keeping import Checkpoints
-from pmfid.service.plant import Plant, page_config
+from pmfid.service.plant import Plant
 from pmfid.service.running import Running
 from pmfid.service.sinks.history import HistorySink
 from pmfid.service.sinks.plain import NoticeLog
@@ -150,7 +150,6 @@ class Service:
 
     def _check_plant(self, plant: Plant) -> Vault | None:
         """Check the plant and report problems before the calibration of axes, which may take minutes."""
-        page_config(plant)
         if not plant.sources:
             problem = "no source is configured, so no data will arrive: add [sources.NAME]"
             self._tell_now({"event": "source", "source": "", "problem": problem})
@@ -309,8 +308,7 @@ class Service:
         return {"page": page.url, "notes": [*page.notes, keep_token(page.made_token, plant.state)]}
 
     def _serve_page(self, plant: Plant) -> None:
-        config = page_config(plant)
-        if not config.enabled:
+        if not plant.page.enabled:
             return
         try:
             from pmfid.service.metrics import exposition
@@ -322,7 +320,7 @@ class Service:
             ) from None
 
         self._page = serve(
-            config,
+            plant.page,
             plant.service.name,
             self._board,
             self.counters,

@@ -19,8 +19,6 @@ from pmfid.records.edge_ages import age_factor
 from pmfid.stream.timeline import Line
 from pmfid.stream.tuning import TUNING
 
-__all__ = ["MAX_COUNT", "MOST_TIME", "FieldReader", "Reading", "check_streamed"]
-
 #: Limit of counts, because a double cannot represent every larger whole number.
 MAX_COUNT = 2.0**53
 #: Largest time stamp [s]. The limit allows a stamp in ns by mistake, and keeps its number of samples finite.

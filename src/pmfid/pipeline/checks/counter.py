@@ -12,8 +12,6 @@ from pmfid.pipeline.checks.view import CheckedLog, Stop
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.outliers import wrap_of
 
-__all__ = ["period_of"]
-
 
 def period_of(changes: NDArray[np.intp]) -> int:
     """Return the largest k for which the distances between the changes (m,) are multiples of k, or 1 if none exists.

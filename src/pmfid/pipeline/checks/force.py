@@ -14,8 +14,6 @@ from pmfid.pipeline.guess.roles import evidence_of, is_commanded
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
-__all__ = ["find_command", "find_unsigned"]
-
 
 def find_unsigned(log: CheckedLog) -> Iterator[Finding]:
     """Yield a finding if the input of a reversing axis never changes its sign, and a load does not explain it."""

@@ -12,8 +12,6 @@ from pmfid.pipeline.checks.view import CheckedLog
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Floats
 
-__all__ = ["find_saturation", "held_input", "note_one_level"]
-
 LARGER = "log the force or current with a larger range, or record a smaller motion"
 
 

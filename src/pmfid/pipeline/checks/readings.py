@@ -25,8 +25,6 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Counts, Floats
 from pmfid.units import OUTPUTS, column_unit
 
-__all__ = ["INTEGRATE", "convert_velocity", "integrate_velocity", "is_exchanged", "read_as", "suggest_sign"]
-
 RATE = 'give [record] output_kind = "velocity"'
 INTEGRATE = "name the position column, or integrate this column: its cumulative sum times the sample period"
 

@@ -22,8 +22,6 @@ from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
 from pmfid.types import Counts, Floats
 
-__all__ = ["COULOMB", "LOAD", "PARTS", "View", "best_view", "view"]
-
 #: Number of pieces of a record for standard deviations, and smallest number of samples in a piece.
 PARTS, SHORTEST = 8, 20
 MASS, VISCOUS, COULOMB, LOAD = range(4)

@@ -25,8 +25,6 @@ from pmfid.records.outliers import wrap_of
 from pmfid.types import Floats
 from pmfid.units import INPUTS, OUTPUTS, SI, Quantity, Unit, column_unit, gain, quantity
 
-__all__ = ["AxisGuess", "NamedColumns", "find_to_do", "guess", "guess_table"]
-
 #: Reader of an answer. A reader raises ValueError with the remedy for an answer that cannot be used.
 Reader = Callable[[str], float]
 #: Callback that asks for a number that the record does not show. The arguments are the question and the reader of the

@@ -13,8 +13,6 @@ from pmfid.pipeline.tuning import TUNING
 from pmfid.records.tuning import TUNING as RECORD_TUNING
 from pmfid.types import Flags, Floats
 
-__all__ = ["first_axis", "is_whole", "numeric", "step_of"]
-
 
 def is_whole(values: Floats) -> bool:
     """Return whether all values are whole numbers."""
