@@ -82,52 +82,15 @@ MAY_IMPORT: dict[str, set[str]] = {
     "pmfid": WINGS | {"fleet", "lazy_imports"},
 }
 
-PUBLIC = [
-    "Along",
-    "BCLS",
-    "BCRLS",
-    "Drive",
-    "EdgeFit",
-    "Encoder",
-    "Equation",
-    "EquationModel",
-    "Estimate",
-    "Experiment",
-    "Finding",
-    "Fit",
-    "Fleet",
-    "IV",
-    "Known",
-    "LS",
-    "MotionFit",
-    "NotIdentifiableError",
-    "PmfidError",
-    "Process",
-    "REdge",
-    "RIV",
-    "RLS",
-    "Result",
-    "SRIVC",
-    "Square",
-    "Status",
-    "Stribeck",
-    "Term",
-    "TermSearch",
-    "Track",
-    "Tracks",
-    "TransferFunction",
-    "UsageError",
-    "Validation",
-    "Wave",
-    "check",
-    "export_firmware",
-    "friction_curve",
-    "identify",
-    "quantize",
-    "sample_edges",
-    "search_terms",
-    "validate",
-]
+PUBLIC = re.findall(
+    r"\w+",
+    """
+    Along BCLS BCRLS Drive EdgeFit Encoder Equation EquationModel Estimate Experiment Finding Fit Fleet IV Known LS
+    MotionFit NotIdentifiableError PmfidError Process REdge RIV RLS Result SRIVC Square Status Stribeck Term
+    TermSearch Track Tracks TransferFunction UsageError Validation Wave check export_firmware friction_curve
+    identify quantize sample_edges search_terms validate
+""",
+)
 
 SLOW_TO_IMPORT = {
     *("numpy", "scipy", "pydantic", "polars", "matplotlib", "rich"),

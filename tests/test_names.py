@@ -43,8 +43,6 @@ TEXTS = {".py", ".md", ".toml", ".c", ".h", ".inl", ".ipynb", ".cpp"}
 MOST_OF_A_WORD = 5
 #: Files that list these words.
 LISTS = {"test_names.py", "test_prose.py"}
-#: Numbers at module level outside the files `tuning.py`: codes of formats, bits, versions, and constants of the fit.
-NUMBERS_LEFT = 186
 
 
 def trees() -> Iterator[ast.Module]:
@@ -95,33 +93,3 @@ def test_these_words_stay_away_from_everything_else() -> None:
     found = [(word.lower().replace("_", " "), path.name) for path in files for word in PARTS.findall(read_prose(path))]
     counts = Counter(word for word, _ in found)
     assert {word for word, count in counts.items() if count > MOST_OF_A_WORD} == set(), sorted(found)
-
-
-def is_number(value: ast.expr) -> bool:
-    if isinstance(value, ast.UnaryOp):
-        return is_number(value.operand)
-    if isinstance(value, ast.BinOp):
-        return is_number(value.left) and is_number(value.right)
-    if isinstance(value, ast.Tuple):
-        return bool(value.elts) and all(map(is_number, value.elts))
-    return (
-        isinstance(value, ast.Constant) and isinstance(value.value, (int, float)) and not isinstance(value.value, bool)
-    )
-
-
-def count_numbers(tree: ast.Module) -> int:
-    """Count the constants at module level that are numbers or tuples of numbers."""
-    count = 0
-    for node in tree.body:
-        if not isinstance(node, (ast.Assign, ast.AnnAssign)) or node.value is None:
-            continue
-        target = node.targets[0] if isinstance(node, ast.Assign) else node.target
-        if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):
-            count += sum(map(is_number, node.value.elts))
-        elif isinstance(target, ast.Name) and target.id.isupper():
-            count += is_number(node.value)
-    return count
-
-
-def test_thresholds_stand_in_the_tuning_of_their_package() -> None:
-    assert sum(map(count_numbers, trees())) <= NUMBERS_LEFT
