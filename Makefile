@@ -4,7 +4,7 @@ FIRMWARE_TOOLS = gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppch
 SERVICE_TOOLS = mosquitto chromium nginx-light
 SPARK_TOOLS = openjdk-17-jre-headless
 PIP = .venv/bin/python -m pip --quiet --disable-pip-version-check
-SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.px[di]' -o -name '*.[ch]' -o -name '*.inl')
+SOURCES = $(shell find src csrc -name '*.pyx' -o -name '*.pxd' -o -name '*.[ch]' -o -name '*.inl')
 
 .PHONY: demo wheel wheel-twice wheels sdist test-wheel check-workflows release test test-long test-core test-lowest test-newest coverage spark kills broker-kills service-faults soak check format bench \
     bench-compare study paper firmware browser test-browser docs docs-pictures firmware-tools service-tools spark-tools golden images clean
@@ -71,12 +71,12 @@ TESTS ?= tests/test_identify.py tests/test_frames.py tests/test_golden.py tests/
 test-wheel:
 	$(PYTHON) -m tests.wheel dist $(PYTHONS) --tests $(TESTS)
 
-# A first run needs a third of the packages, and the kernel without its code for many axes at once. A folder of its own
-# keeps this build apart from the whole one.
+# A first run needs a third of the packages, and the kernel without its fast code. A folder of its own keeps this build
+# apart from the whole one.
 .venv/first: requirements-first.txt pyproject.toml CMakeLists.txt $(SOURCES)
 	test -x .venv/bin/python || $(PYTHON) -m venv .venv
 	$(PIP) install --no-deps --no-compile --require-hashes -r requirements-first.txt
-	$(PIP) install --no-deps --no-compile --no-build-isolation -C build-dir=build/first -C cmake.define.PMFID_LANES=OFF -e .
+	$(PIP) install --no-deps --no-compile --no-build-isolation -C build-dir=build/first -C cmake.define.PMFID_FAST=OFF -e .
 	touch $@
 
 FIRST = $(if $(wildcard .venv/installed),.venv/installed,.venv/first)

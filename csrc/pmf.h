@@ -533,8 +533,7 @@ uint32_t pmf_plausible(const pmf_config_t *config, const pmf_state_t *state);
 /* Return the CRC-32 of ISO 3309 (Ethernet, zlib) of `size` bytes after data with the CRC `crc`, 0 at the start. */
 uint32_t pmf_crc32(uint32_t crc, const void *data, uint32_t size);
 
-/* An alarm on a parameter of the estimate, after every step. Its sums are not part of the state. Clear them at first.
- */
+/* An alarm on a parameter of the estimate, after every step. Its sums are no part of the state. Clear them at first. */
 typedef struct {
     uint32_t parameter; /* 0 to pmf_parameters() - 1 */
     uint32_t interval; /* samples between two estimates that count */

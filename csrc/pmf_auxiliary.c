@@ -46,8 +46,7 @@ static void move(const body_t *body, scalar_t dt, truth_t forward, truth_t backw
     real_t sign = PMF_IF(backward, PMF_R(-1.0), PMF_R(1.0));
     real_t net = sign * body->force - PMF_IF(backward, body->coulomb[1], body->coulomb[0]);
     real_t speed = sign * phase->velocity, h = phase->left, z, n, phi, end, distance;
-    /* A little damping makes the division by z safe. With less damping the motion over dt is that of a constant force.
-     */
+    /* A little damping makes the division by z safe. With less, the motion over dt is that of a constant force. */
     real_t rate = PMF_IF(backward, body->viscous[1], body->viscous[0]) / body->mass * dt + PMF_R(1e-9);
     real_t target = net * dt / (body->mass * rate);
     z = rate * h;
@@ -217,9 +216,7 @@ PMF_API void pmf_auxiliary_step(const pmf_auxiliary_config_t *config, pmf_auxili
 }
 
 #if PMF_LATE
-/* The older input acts for a part of the interval, the newer input for the remainder. Both parts of the interval are
- * simulated exactly.
- */
+/* The older input acts for a part of the interval, the newer input for the remainder. Both parts are exact. */
 void pmf_auxiliary_late_step(const pmf_auxiliary_config_t *config, pmf_auxiliary_state_t *state,
                              const pmf_late_state_t *late, real_t *signal)
 {

@@ -2,8 +2,7 @@
  * SPDX-License-Identifier: Apache-2.0
  *
  * A dead time is whole samples and a fraction of a sample. The filters take the mean of the two inputs that share an
- * interval, because the mean acceleration depends only on this mean. The auxiliary model switches at the right instant.
- */
+ * interval, because the mean acceleration depends only on it. The auxiliary model switches at the right instant. */
 
 #if PMF_LATE
 

@@ -288,8 +288,7 @@ PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t
     return 1;
 }
 
-/* Return whether an accepted count between chosen ones was wrong: the accelerations along the path do not explain it.
- */
+/* Return whether an accepted count between chosen ones was wrong: no acceleration along the path explains it. */
 PMF_SELDOM int was_wrong(const pmf_view_t *view, const path_t *path)
 {
     uint32_t i, place;

@@ -23,8 +23,7 @@ static const scalar_t LEAST_CLEAN = PMF_SCALAR(0.02); /* part of a column's info
 
 /* Subtract the apparent information of the known noise. If hardly any information is left, excitation is poor, and a
  * fraction is kept so that P stays positive. Before the first estimate nothing is subtracted, because the noise may
- * exceed the information.
- */
+ * exceed the information. */
 PMF_INLINE whole_t subtract_noise(const pmf_recursion_config_t *config, const pmf_recursion_state_t *state, uint32_t p,
                                   real_t information[N][N])
 {

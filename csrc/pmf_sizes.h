@@ -27,7 +27,6 @@
 #define PMF_CONFIG 0U /* CRC-32 of the configuration, likewise */
 
 /* An export also defines the number of parameters of every recursion (PMF_PARAMETERS), the use of instruments
- * (PMF_INSTRUMENTAL), and PMF_FLOAT32 for float32 arithmetic. The build defines these
- * macros for the module. */
+ * (PMF_INSTRUMENTAL), and PMF_FLOAT32 for float32 arithmetic. The build defines these for the module. */
 
 #endif

@@ -45,17 +45,14 @@ MAY_IMPORT: dict[str, set[str]] = {
     "lazy_imports": {"errors"},
     "presentation": {"errors", "lazy_imports"},
     "_estimate": {"errors", "presentation", "status"},
-    "_stage": set(),
+    "_arrays": set(),
+    "_stage": {"_arrays"},
     "_body": set(),
     "fit": FIT,
     "durable": {"errors"},
     "elementary": {"types"},
-    "_detect": set(),
-    "_watch": set(),
-    "_edges": {"_estimate"},
-    "_kernel": {"_estimate"},
     "_kernel32": {"_kernel64"},
-    "_kernel64": {"_estimate"},
+    "_kernel64": {"_arrays", "_estimate"},
     "kernel": {"elementary", "errors", "pmfid", "_kernel32", "_kernel64"},
     "models": GROUND,
     "encoder": GROUND,
@@ -114,7 +111,7 @@ def room_of(parts: tuple[str, ...]) -> str:
 def python_of(path: Path) -> str:
     """Return text that `ast` can parse; of Cython keep only the imports, on their own lines."""
     text = path.read_text(encoding="utf-8")
-    if path.suffix not in (".pyx", ".pxi"):
+    if path.suffix != ".pyx":
         return text
     lines = (line.strip().replace("cimport", "import") for line in text.splitlines())
     return "\n".join(line if re.match(r"(import|from)\s+[\w.]+", line) else "" for line in lines)
@@ -156,7 +153,7 @@ def rooms_imported(path: Path, root: Path) -> Iterator[tuple[int, str]]:
 
 
 def source_files(root: Path) -> list[Path]:
-    return sorted(path for suffix in ("py", "pyi", "pyx", "pxi") for path in root.rglob(f"*.{suffix}"))
+    return sorted(path for suffix in ("py", "pyi", "pyx") for path in root.rglob(f"*.{suffix}"))
 
 
 def violations(root: Path) -> list[str]:
@@ -258,13 +255,13 @@ def test_the_checker_finds_what_it_is_for(tmp_path: Path) -> None:
     (root / "filters").mkdir(parents=True)
     (root / "filters" / "bad.py").write_text(BAD_FILTER)
     (root / "attic.py").write_text("")
-    (root / "_kernel.pxi").write_text("cimport numpy as cnp\ncdef int x\nfrom pmfid.encoder cimport Encoder\n")
+    (root / "_kernel64.pyx").write_text("cimport numpy as cnp\ncdef int x\nfrom pmfid.encoder cimport Encoder\n")
     (root / "simulation.py").write_text("from pmfid.errors import UsageError\nfrom pmfid.status import Status\n")
     (root / "__init__.py").write_text("from importlib import import_module\nimport_module('pmfid.encoder')\n")
     lines = ["3: {} config", "4: {} report", "5: {} pmfid", "5: {} simulation", "6: {} estimators", "7: {} report"]
     lines += ["11: {} simulation", "13: {} ?", "15: {} cli"]
     assert violations(root) == [
-        "_kernel.pxi:3: _kernel imports encoder",
+        "_kernel64.pyx:3: _kernel64 imports encoder",
         "attic.py: room attic is not in the table; give it a line",
         *("filters/bad.py:" + line.format("filters imports") for line in lines),
         "simulation.py:2: simulation imports status",

@@ -20,7 +20,7 @@ MOST = {
     "lines of csrc": 8680,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
-    "lines of tests": 27826,
+    "lines of tests": 27823,
     "match= in tests": 25,
     "lines of studies": 8007,
 }

@@ -37,8 +37,7 @@ typedef struct {
     real_t sum, by[PMF_EDGE_UNKNOWNS];
 } pmf_line_t;
 
-/* An edge of the present way: time [s], line, double integral of the input and integral of the place since its start.
- */
+/* An edge of the present way: time [s], line, double integral of the input, integral of the place since its start. */
 typedef struct {
     real_t t, line, pushed, placed;
 } pmf_mark_t;

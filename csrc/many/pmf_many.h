@@ -11,8 +11,7 @@
 /* Ways to compute axes: one after the other, or in vectors of 16, 32 (AVX2) or 64 bytes (AVX-512). */
 enum { PMF_ONE_BY_ONE = 0, PMF_LANES_16, PMF_LANES_32, PMF_LANES_64, PMF_WAYS };
 
-/* Places of a word of a state: byte offsets in pmf_state_t and in the packed state, and the number among the vectors.
- */
+/* Places of a word of a state: byte offsets in pmf_state_t and in the packed state, number among the vectors. */
 typedef struct {
     uint32_t offset, packed, lane;
 } pmf_word_t;

@@ -1,5 +1,0 @@
-# cython: boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False, freethreading_compatible=True
-"""The kernel in single precision."""
-
-include "_kernel.pxi"
-include "_edges.pxi"
