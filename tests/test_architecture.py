@@ -111,7 +111,7 @@ def room_of(parts: tuple[str, ...]) -> str:
 def python_of(path: Path) -> str:
     """Return text that `ast` can parse; of Cython keep only the imports, on their own lines."""
     text = path.read_text(encoding="utf-8")
-    if path.suffix != ".pyx":
+    if path.suffix not in (".pyx", ".pxd"):
         return text
     lines = (line.strip().replace("cimport", "import") for line in text.splitlines())
     return "\n".join(line if re.match(r"(import|from)\s+[\w.]+", line) else "" for line in lines)
@@ -153,7 +153,7 @@ def rooms_imported(path: Path, root: Path) -> Iterator[tuple[int, str]]:
 
 
 def source_files(root: Path) -> list[Path]:
-    return sorted(path for suffix in ("py", "pyi", "pyx") for path in root.rglob(f"*.{suffix}"))
+    return sorted(path for suffix in ("py", "pyi", "pyx", "pxd") for path in root.rglob(f"*.{suffix}"))
 
 
 def violations(root: Path) -> list[str]:
