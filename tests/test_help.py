@@ -13,26 +13,11 @@ from pmfid.estimators.registry import ESTIMATORS
 
 #: Objects that a user configures by hand, besides the estimators.
 OBJECTS = [
-    "Along",
-    "Drive",
-    "Encoder",
-    "Equation",
-    "EquationModel",
-    "Experiment",
-    "Known",
-    "Square",
-    "Stribeck",
-    "Term",
+    *("Along", "Drive", "Encoder", "Equation", "EquationModel", "Experiment", "Known", "Square", "Stribeck"),
+    *("Term", "TransferFunction", "Wave"),
 ]
-OBJECTS += ["TransferFunction", "Wave"]
 FUNCTIONS = [
-    "Fleet",
-    "export_firmware",
-    "friction_curve",
-    "identify",
-    "quantize",
-    "search_terms",
-    "validate",
+    *("Fleet", "export_firmware", "friction_curve", "identify", "quantize", "search_terms", "validate"),
 ]
 #: Arguments of estimators with a dimension.
 UNITS = {"dt": "s", "cutoff": "rad/s", "prefilter_zeros": "rad/s", "drift_cutoff": "rad/s", "window": "s"}

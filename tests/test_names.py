@@ -17,19 +17,8 @@ PREPOSITIONS = {"of", "by", "in", "at", "between", "apart", "behind", "beside", 
 PREPOSITIONS |= {"around", "through", "after", "before", "above", "below", "without", "over", "against", "since", "off"}
 #: Participles without -ed that were once names of functions here.
 IRREGULAR = {
-    "told",
-    "said",
-    "made",
-    "known",
-    "found",
-    "lost",
-    "kept",
-    "held",
-    "sent",
-    "seen",
-    "taken",
-    "chosen",
-    "given",
+    *("told", "said", "made", "known", "found", "lost", "kept", "held", "sent", "seen", "taken", "chosen"),
+    *("given",),
 }
 IRREGULAR |= {"written", "hidden", "drawn", "shown", "built", "begun", "spent", "broken", "spoken", "drowned", "laid"}
 #: Verbs and nouns that only look like participles.

@@ -20,17 +20,8 @@ PAGES = [
 MOST_WORDS = 25
 #: Words that hide the subject, refer to a distant clause, or are not idiomatic English.
 WORDS = [
-    "told",
-    "anew",
-    "behind",
-    "beside",
-    "so many",
-    "so long",
-    "thereof",
-    "lacks",
-    "that of",
-    "those of",
-    "of which",
+    *("told", "anew", "behind", "beside", "so many", "so long", "thereof", "lacks", "that of", "those of"),
+    *("of which",),
 ]
 WORDS += ["in order to", "hereby", "wherein", "such that", "the former", "the latter", "as well known"]
 BAD = re.compile(rf"\b({'|'.join(WORDS)})\b", re.IGNORECASE)

@@ -13,14 +13,14 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64459,
-    "lines of code in src": 37590,
-    "lines of code in report and cli": 2950,
-    "thresholds in src": 960,
+    "lines of src": 64120,
+    "lines of code in src": 37395,
+    "lines of code in report and cli": 2929,
+    "thresholds in src": 956,
     "lines of csrc": 8680,
     "defines of csrc": 195,
     "conditionals of csrc": 106,
-    "lines of tests": 27823,
+    "lines of tests": 27752,
     "match= in tests": 25,
     "lines of studies": 8007,
 }

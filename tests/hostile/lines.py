@@ -10,15 +10,8 @@ Rng = np.random.Generator
 
 #: Foreign lines that replace a line or come between two lines.
 FOREIGN = [
-    b"",
-    b"# note",
-    b"garbage",
-    b"nan,nan,nan",
-    b"1e308,1e308,1e308",
-    b"0,0",
-    b"0,0,0,0,0",
-    b"\xff\xfe\0,",
-    b"t,u,counts",
+    *(b"", b"# note", b"garbage", b"nan,nan,nan", b"1e308,1e308,1e308", b"0,0", b"0,0,0,0,0", b"\xff\xfe\0,"),
+    *(b"t,u,counts",),
 ]
 FOREIGN += [
     b"-5,1,2",
@@ -31,14 +24,8 @@ FOREIGN += [
     b"\x1b[31m,1,2",
 ]
 HEADERS = [
-    b"t,u,y,counts",
-    b"counts,t,u,y",
-    b" t , u ,y,counts",
-    b"t,u,counts",
-    b"t,u,y,counts,u",
-    b"t,u, u,counts",
-    b"",
-    b"\xef\xbb\xbft,u,y,counts",
+    *(b"t,u,y,counts", b"counts,t,u,y", b" t , u ,y,counts", b"t,u,counts", b"t,u,y,counts,u"),
+    *(b"t,u, u,counts", b"", b"\xef\xbb\xbft,u,y,counts"),
 ]
 ENDS = [b"\n", b"\r\n", b"\r"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pmfid.service.web.board import Board, row_bytes
+from pmfid.service.web.board import Board, row_type
 from pmfid.stream.outcome import EstimateRows, Kindred, Notice
 
 
@@ -42,7 +42,7 @@ def test_news_tell_each_change_once() -> None:
 
 def test_history_keeps_a_row_in_every_seconds_and_forgets_the_oldest() -> None:
     group = kindred("a", "b")
-    board = board_of(group, budget=2 * 32 * row_bytes(group), every=1.0)
+    board = board_of(group, budget=2 * 32 * row_type(len(group.names)).itemsize, every=1.0)
     for k in range(200):
         board.rows(rows_of(group, [0], [k], time=[0.25 * k]))
     history = board.history("a")

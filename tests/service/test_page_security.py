@@ -80,12 +80,8 @@ def test_hosts_origins_and_tokens(page: Served, path: str, headers: dict[str, st
 # --- tokens -----------------------------------------------------------------------------------------------------------
 
 CLOSED = [
-    "/api/plant",
-    "/api/news",
-    "/api/news?axis=gantry-y",
-    "/api/trends?group=0&axes=1",
-    "/metrics",
-    "/api/none",
+    *("/api/plant", "/api/news", "/api/news?axis=gantry-y", "/api/trends?group=0&axes=1", "/metrics"),
+    *("/api/none",),
 ]
 
 
@@ -165,20 +161,10 @@ def test_a_browser_that_looks_at_an_axis_keeps_a_bounded_part_of_its_rows() -> N
 # --- paths and reflected text -----------------------------------------------------------------------------------------
 
 OUT = [
-    "/../server.py",
-    "/../../../../../../../../etc/passwd",
-    "/%2e%2e/server.py",
-    "/..%2fserver.py",
-    "/..%5cserver.py",
-    "/vendor/../../server.py",
-    "/./../server.py",
-    "//etc/passwd",
-    "/%00",
-    "/style.css%00.txt",
-    "/static/style.css",
-    "/vendor",
-    "/api/axis/../../../etc/passwd/reference.csv",
-    "/api/axis/%2fetc%2fpasswd/reference.csv",
+    *("/../server.py", "/../../../../../../../../etc/passwd", "/%2e%2e/server.py", "/..%2fserver.py"),
+    *("/..%5cserver.py", "/vendor/../../server.py", "/./../server.py", "//etc/passwd", "/%00"),
+    *("/style.css%00.txt", "/static/style.css", "/vendor", "/api/axis/../../../etc/passwd/reference.csv"),
+    *("/api/axis/%2fetc%2fpasswd/reference.csv",),
 ]
 
 

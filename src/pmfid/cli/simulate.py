@@ -44,7 +44,10 @@ from pmfid.errors import UsageError, did_you_mean
 def simulate(scenario: str | None, listing: bool, out: Path | None, truth: bool, **options: float) -> None:
     """Simulate SCENARIO, a run of the laboratory cart, and write it as a record for `pmfid identify`."""
     if listing:
-        _print_scenarios()
+        from pmfid.simulation import SCENARIOS
+
+        width = max(map(len, SCENARIOS))
+        click.echo("\n".join(f"{name:<{width}}  {recipe.summary}" for name, recipe in SCENARIOS.items()))
         return
     if scenario is None or out is None:
         raise UsageError("give a scenario and --out RUN.csv; pmfid simulate --list names the scenarios")
@@ -75,11 +78,3 @@ def _write(
     axis = out.with_suffix(".toml")
     axis.write_text(axis_toml(run), encoding="ascii", newline="\n")
     return axis
-
-
-def _print_scenarios() -> None:
-    from pmfid.simulation import SCENARIOS
-
-    width = max(map(len, SCENARIOS))
-    for name, recipe in SCENARIOS.items():
-        click.echo(f"{name:<{width}}  {recipe.summary}")

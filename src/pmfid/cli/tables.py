@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from pmfid.findings import Finding
-    from pmfid.pipeline.result import ProcessResult, Result
+    from pmfid.pipeline.result import Result
 
 
 def print_result(result: Result, out: Path | None) -> None:
@@ -32,7 +32,10 @@ def print_result(result: Result, out: Path | None) -> None:
     table = _parameters(result, console.width)
     if isinstance(result, ProcessResult):
         print_text(str(result.process))
-        _add_dynamics(table, result)
+        table.title = f"{table.title}, {result.fit_text}"
+        table.add_section()
+        for row in result.process.rows:
+            table.add_row(*map(_safe, row))
     console.print(table)
     if isinstance(result, DriveResult):
         print_text(f"relative error of the filtered equation: {100 * result.relative_error:.3g} %")
@@ -86,13 +89,6 @@ def _parameter_table(title: str, header: Sequence[str], rows: Sequence[Sequence[
     for row in rows:
         table.add_row(*map(_safe, row))
     return table
-
-
-def _add_dynamics(table: Table, result: ProcessResult) -> None:
-    table.title = f"{table.title}, {result.fit_text}"
-    table.add_section()
-    for row in result.process.rows:
-        table.add_row(*map(_safe, row))
 
 
 def deliver_page(page: ResultPage, out: Path | None, as_json: bool, **files: str) -> None:

@@ -95,14 +95,15 @@ def keys_in(section: str, annotation: object, what: str = _KEY) -> Iterator[Refe
     """
     for model in _models_in(annotation):
         for name, own in model.model_fields.items():
-            described = own.description or ""
+            described, default = own.description or "", own.default
+            usual = "none" if default is None else "required" if default is PydanticUndefined else _toml(default)
             yield ReferenceEntry(
                 f"{section}.{name}",
                 what,
                 described,
                 _kind(own.annotation, own.metadata),
                 _unit(described),
-                _default(own),
+                usual,
                 _models(section, name),
             )
             yield from keys_in(f"{section}.{name}", own.annotation, what)
@@ -135,24 +136,14 @@ def _kind(annotation: object, metadata: Sequence[object] = ()) -> str:
         return f"table of {_kind(parts[1])} by name"
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return "table"
-    limits = [_limit(mark) for mark in metadata if type(mark) in _LIMITS] if annotation in (float, int) else []
+    marks = [(mark, *_LIMITS[type(mark)]) for mark in metadata if type(mark) in _LIMITS]
+    limits = [f"{sign} {getattr(mark, name):g}" for mark, sign, name in marks if annotation in (float, int)]
     return " ".join([_PLAIN.get(annotation, str(annotation)), ", ".join(limits)]).strip()
-
-
-def _limit(mark: object) -> str:
-    sign, name = _LIMITS[type(mark)]
-    return f"{sign} {getattr(mark, name):g}"
 
 
 def _unit(description: str) -> str:
     found = _UNITS.search(description)
     return (found[1] or found[2]).removeprefix("whole ") if found else ""
-
-
-def _default(field: FieldInfo) -> str:
-    if field.default is PydanticUndefined:
-        return "required"
-    return "none" if field.default is None else _toml(field.default)
 
 
 def _toml(value: object) -> str:

@@ -196,7 +196,9 @@ def conversion(axis: Sections, input_name: str, output_name: str) -> Conversion:
         return Conversion(1.0, 1.0, None, notes, own["input"].name if own["input"] else "")
     y, u = _output_unit(axis, output_name), _input_unit(axis, input_name)
     kind = axis_kind(axis, y)
-    said = [_say_units({key: _format_unit(unit) for key, unit in (("input", u), ("output", y)) if unit})]
+    units = {key: unit for key, unit in (("input", u), ("output", y)) if unit}
+    converted = {key: f" (converted to {SI[unit.of]})" * (not unit.plain) for key, unit in units.items()}
+    said = [_say_units({key: unit.name + converted[key] for key, unit in units.items()})]
     if axis.model.input_gain == axis.record.input_scale == 1.0 and (u is None or u.of not in ("force", "torque")):
         said.append(
             f"input_gain is 1, so forces are in the unit of {input_name!r}; for forces in N give [model] input_gain"
@@ -336,7 +338,3 @@ def _base(unit: Unit) -> str:
 def _say_units(units: Mapping[str, str]) -> str:
     """Return a sentence on the units of input and output, or an empty text without units."""
     return ", ".join(f"the {column} is in {unit}" for column, unit in units.items())
-
-
-def _format_unit(unit: Unit) -> str:
-    return unit.name if unit.plain else f"{unit.name} (converted to {SI[unit.of]})"

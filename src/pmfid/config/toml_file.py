@@ -127,14 +127,10 @@ def _problem(
         return f"{label}: {message}" if isinstance(table, dict) else f"{label} must be a section of keys"
     value = table[rest[0]] if isinstance(table, dict) else None
     origin = " (given as an option)" if f"{section}.{rest[0]}" in given else ""
-    hint = did_you_mean(value, _choices(error)) if isinstance(value, str) else ""
+    choices = re.findall(r"'([^']*)'", error["msg"]) if error["type"] == "literal_error" else []
+    hint = did_you_mean(value, choices) if isinstance(value, str) else ""
     shown = f" = {show_value(value)}" if rest and field.repr else ""  # a secret is not repeated
     return f"{label}{shown}{origin}: {message}; give {field.description}{hint}"
-
-
-def _choices(error: ErrorDetails) -> list[str]:
-    """Return the values that a key allows, or an empty list if the key allows any text or a number."""
-    return re.findall(r"'([^']*)'", error["msg"]) if error["type"] == "literal_error" else []
 
 
 def show_value(value: object) -> str:

@@ -179,19 +179,16 @@ def measure_horizons(
     length [s].
     """
     found = []
-    for seconds in _seconds(duration, TUNING.free_run_worth * read):
+    least, horizons = TUNING.free_run_worth * read, TUNING.free_run_horizons
+    usual = least <= horizons[2] and duration >= horizons[1]
+    unit = 1.0 if usual else 10.0 ** math.ceil(math.log10(least))
+    for seconds in (unit * one for one in horizons if least <= unit * one <= duration):
         parts = runs(seconds)
         if parts:
             error = np.concatenate([measured - simulated for measured, simulated in parts])
             still = np.concatenate([measured - measured[0] for measured, _ in parts])
             found.append(Horizon(seconds, len(parts), rms(error), rms(still)))
     return tuple(found)
-
-
-def _seconds(duration: float, least: float) -> list[float]:
-    usual = least <= TUNING.free_run_horizons[2] and duration >= TUNING.free_run_horizons[1]
-    unit = 1.0 if usual else 10.0 ** math.ceil(math.log10(least))
-    return [unit * seconds for seconds in TUNING.free_run_horizons if least <= unit * seconds <= duration]
 
 
 def finite(run: FreeRun) -> FreeRun:

@@ -363,41 +363,21 @@ def _lay_on_grid(residual: Floats, stretch: RecordStretch, source: int) -> tuple
 
 
 def _correlations(grids: list[tuple[Floats, Floats, Floats]]) -> tuple[Floats, Floats, tuple[float, float]]:
+    """Return the autocorrelation of the residuals, their correlation with the inputs, and the bounds of both."""
+    lags, deviate = LINEAR_TUNING.residuals_lags, LINEAR_TUNING.residuals_deviate
+
+    def correlate(i: int, j: int, first: int) -> Floats:
+        return np.array([sum(correlate_at_lag(one[i], one[j], k) for one in grids) for k in range(first, lags + 1)])
+
     count = sum(float(np.sum(there)) for _, _, there in grids)
-    power = sum(float(e @ e) for e, _, _ in grids) / count
+    size = max(sum(float(e @ e) for e, _, _ in grids) / count, 1e-300)
     input_power = sum(float(np.mean(u**2)) * float(np.sum(there)) for _, u, there in grids) / count
-    size = max(power, 1e-300)
-    auto = (
-        np.array(
-            [sum(correlate_at_lag(e, e, lag) for e, _, _ in grids) for lag in range(LINEAR_TUNING.residuals_lags + 1)]
-        )
-        / count
-        / size
-    )
-    cross = (
-        np.array(
-            [
-                sum(correlate_at_lag(u, e, lag) for e, u, _ in grids)
-                for lag in range(-LINEAR_TUNING.residuals_lags, LINEAR_TUNING.residuals_lags + 1)
-            ]
-        )
-        / count
-    )
-    cross = cross / np.sqrt(size * max(input_power, 1e-300))
-    u_auto = np.array(
-        [sum(correlate_at_lag(u, u, lag) for _, u, _ in grids) for lag in range(LINEAR_TUNING.residuals_lags + 1)]
-    )
+    auto, u_auto = correlate(0, 0, 0) / count / size, correlate(1, 1, 0)
+    cross = correlate(1, 0, -lags) / count / np.sqrt(size * max(input_power, 1e-300))
     u_auto = u_auto / max(u_auto[0], 1e-300)
     # The variance of the cross-correlation is the sum of the products of both autocorrelations (Ljung 1999, eq. 16.66).
     spread = max(1.0 + 2 * float(auto[1:] @ u_auto[1:]), 0.1)
-    return (
-        auto,
-        cross,
-        (
-            LINEAR_TUNING.residuals_deviate / np.sqrt(count),
-            LINEAR_TUNING.residuals_deviate * float(np.sqrt(spread / count)),
-        ),
-    )
+    return auto, cross, (deviate / np.sqrt(count), deviate * float(np.sqrt(spread / count)))
 
 
 def flags_on(checks: Assessment, process: Process, referenced: bool = False, held: bool = False) -> tuple[str, ...]:

@@ -244,12 +244,13 @@ def _context(estimator: RecursiveEstimator, record: tuple[ArrayLike, ...] | None
         samples = record_run(estimator, u[part], counts[part])
     steps = [""] * samples.u.size if samples.timing is None else [f"{literal(step)}, " for step in samples.timing]
     rows = zip(steps, samples.u, samples.counts, samples.expected, strict=True)
+    kinds = {(int(one["n_parameters"]), int(one["instrumental"])) for one in recursions_of(config)}
     return {
         "estimator": estimator,
         "edges": False,
         "equation": estimator.equation.text,
         "macros": shape.macros(),
-        "fixed": fixed_recursion(config),
+        "fixed": kinds.pop() if len(kinds) == 1 else None,  # of all recursions, if they agree
         "listed": (list_stepped_stages if shape.with_steps else list_stages)(config["network"]),
         "columns": list_columns(config["network"]),
         "turns": int(config["encoder"]["turns"]),
@@ -320,9 +321,3 @@ def list_rates(network: Structured) -> str:
         effect = next(literal(rates[name][i]) + factor for name, factor in effects.items() if rates[name][i])
         listed.append(f"RATE({i}, {literal(rates['half'][i])}, {step}, {effect})")
     return " ".join(listed)
-
-
-def fixed_recursion(config: Structured) -> tuple[int, int] | None:
-    """Return number of parameters and use of instruments, if all recursions agree."""
-    kinds = {(int(one["n_parameters"]), int(one["instrumental"])) for one in recursions_of(config)}
-    return kinds.pop() if len(kinds) == 1 else None

@@ -61,7 +61,8 @@ def record_run(estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -
         raise UsageError("the samples of the self-test must be finite, and at least one; take another record")
     kernel = estimator.make_kernel(estimator.forgetting)
     given = u.astype(kernel.dtype)
-    steps = None if estimator.steps is None else _made_up_steps(estimator.dt, u.size).astype(kernel.dtype)
+    uneven = np.asarray(estimator.dt * (0.5 + 7 * np.arange(u.size) % 16 / 15), kernel.dtype)
+    steps = None if estimator.steps is None else uneven
     shape = shape_of(configuration(kernel, estimator.precision))
     expected = []
     for value, count, step in zip(
@@ -70,11 +71,6 @@ def record_run(estimator: RecursiveEstimator, u: ArrayLike, counts: ArrayLike) -
         estimate = kernel.step(value, count, step)
         expected.append(zlib.crc32(tight_state(kernel, estimator.precision, shape).tobytes()))
     return Samples(given, counts.astype(np.uint32), np.array(expected, np.uint32), estimate.theta, steps)
-
-
-def _made_up_steps(dt: float, samples: int) -> NDArray[np.float64]:
-    """Return steps (n,) between a half and one and a half sample periods."""
-    return np.asarray(dt * (0.5 + (7 * np.arange(samples) % 16) / 15))
 
 
 def moving_part(counts: NDArray[np.int64]) -> slice:

@@ -12,6 +12,7 @@ from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.fleet.series import Series, lasting, mean_of, noise_of
 from pmfid.fleet.tuning import TUNING
 from pmfid.monitor.cause import FRICTION
+from pmfid.records.outliers import NORMAL_MEDIAN
 from pmfid.types import Floats
 
 #: Least number of segments on each side of a step.
@@ -101,17 +102,13 @@ def _measure_step(series: Series, k: int, names: Sequence[str], tolerance: float
     relative = (new - old) / size
     scores = (np.abs(relative) - tolerance) / stds
     cause, change, std = attribute_change(relative, stds, _correlation(rest), names)
-    times = _date_step(series, k), float(series.end[k]), float(series.start[later])
+    since, before, until = float(series.start[k]), float(series.end[k - 1]), float(series.end[k])
+    # The step may be in segments without information before its segment.
+    times = before if since - before > 0.5 * (until - since) else since, until, float(series.start[later])
     whole = np.where(np.arange(n)[:, None] < k, old, new)
     misfit = float(np.sum(((series.theta - whole) / series.std) ** 2))
     middle = 2 / np.sqrt(known[0] + known[1]) * scatter
     return Step(cause, change, std, *times, float(np.max(scores)), relative, stds, misfit, middle)
-
-
-def _date_step(series: Series, k: int) -> float:
-    """Return the earliest time [s] of the step at place k, which may be in segments without information."""
-    start, before = float(series.start[k]), float(series.end[k - 1])
-    return before if start - before > 0.5 * (float(series.end[k]) - start) else start
 
 
 def _correlation(rest: Floats) -> Floats:
@@ -351,4 +348,4 @@ def _split_sort(members: NDArray[np.intp], column: Floats, least: int, tolerance
 
 
 def _spread(values: Floats) -> float:
-    return float(np.median(np.abs(values - np.median(values))) / TUNING.series_median)
+    return float(np.median(np.abs(values - np.median(values))) / NORMAL_MEDIAN)

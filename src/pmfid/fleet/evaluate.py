@@ -17,7 +17,7 @@ from pmfid.estimators.redge import REdge
 from pmfid.fleet.segments import RecordPiece, Stretch, cut_stretches, estimate_batch, look_for_forces
 from pmfid.fleet.series import FORCES
 from pmfid.fleet.settings import Settings
-from pmfid.fleet.source import AXIS, TEMPERATURE, TIME, SourceColumns
+from pmfid.fleet.source import AXIS, SECONDS, TEMPERATURE, TIME, SourceColumns
 from pmfid.fleet.survey import RowProblem
 from pmfid.fleet.tuning import TUNING
 from pmfid.io.tables import Table
@@ -156,7 +156,7 @@ def _cut_rows(rows: pl.DataFrame, columns: SourceColumns) -> Iterator[RecordPiec
     """Yield the pieces of the ordered rows of an axis: records without a gap within an hour."""
     time, table = rows[TIME].to_numpy(), {columns.named[name]: rows[name].to_numpy() for name in columns.carried[2:]}
     apart = TUNING.rows_apart if columns.age is None else TUNING.edges_apart
-    ends = np.flatnonzero(np.diff(np.floor(time / TUNING.hour))) + 1
+    ends = np.flatnonzero(np.diff(np.floor(time / SECONDS["h"]))) + 1
     for first, last in zip([0, *ends], [*ends, time.size], strict=True):
         cuts = _find_gaps(time[first:last], apart) + first
         for low, high in zip([first, *cuts], [*cuts, last], strict=True):

@@ -19,7 +19,7 @@ from pmfid.fleet.evaluate import Work, longest_tables, split_results
 from pmfid.fleet.local import Files, Progress
 from pmfid.fleet.series import Periods, Series, period_rows, series_of, widen_errors
 from pmfid.fleet.settings import Settings, choose, make_settings
-from pmfid.fleet.source import AXIS, RESULTS, TYPE, SourceColumns, SparkFrame, is_spark, parts_of
+from pmfid.fleet.source import AXIS, RESULTS, SECONDS, TYPE, SourceColumns, SparkFrame, is_spark, parts_of
 from pmfid.fleet.survey import HOUR, ROWS, RowProblem
 from pmfid.fleet.tuning import TUNING
 from pmfid.fleet.verdicts import (
@@ -119,7 +119,7 @@ def _axes(follows: Sequence[Follow], verdicts: Sequence[AxisVerdict], names: Seq
             row |= {name: float(one.theta[i]), f"{name}_std": float(whole[i])}
             row |= {f"{name}_deviation": deviation, f"{name}_change": changed}
             slope, std = (math.nan, math.nan) if one.trend is None else (one.trend.slopes[i], one.trend.stds[i])
-            row |= {f"{name}_slope": float(slope) * TUNING.plan_day, f"{name}_slope_std": float(std) * TUNING.plan_day}
+            row |= {f"{name}_slope": float(slope) * SECONDS["d"], f"{name}_slope_std": float(std) * SECONDS["d"]}
         rows.append(row)
     return pl.DataFrame(rows, infer_schema_length=None)
 
@@ -294,7 +294,7 @@ def _estimate(
 ) -> History:
     survey = data.survey()
     chosen = choose(axis, longest_tables(data.read(_samples(survey.rows)), data.given))
-    settings = make_settings(axis, chosen, min(TUNING.hour / 2, periods.length or TUNING.hour), segment)
+    settings = make_settings(axis, chosen, min(SECONDS["h"] / 2, periods.length or SECONDS["h"]), segment)
     work = Work(settings, data.given)
     rows, problems = split_results(data.evaluate(work, tell))
     # If an axis has several types, the first by name counts.

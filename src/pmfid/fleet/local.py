@@ -17,7 +17,7 @@ import polars as pl
 from pmfid.errors import UsageError, whole_number
 from pmfid.estimators.fleet import processors
 from pmfid.fleet.evaluate import PROBLEM, Work
-from pmfid.fleet.source import AXIS, Part, SourceColumns
+from pmfid.fleet.source import AXIS, SECONDS, Part, SourceColumns
 from pmfid.fleet.survey import (
     END,
     HOUR,
@@ -185,7 +185,7 @@ def number_chunks(rows: pl.DataFrame, most: int) -> pl.DataFrame:
     A chunk holds the hours of a day of an axis, then those of the next axis, so that files by time and files by axis
     are each read in one piece.
     """
-    whole = rows.group_by(AXIS, HOUR).agg(pl.sum(ROWS)).sort(pl.col(HOUR) * TUNING.hour // TUNING.plan_day, AXIS, HOUR)
+    whole = rows.group_by(AXIS, HOUR).agg(pl.sum(ROWS)).sort(pl.col(HOUR) * SECONDS["h"] // SECONDS["d"], AXIS, HOUR)
     number = ((pl.col(ROWS).cum_sum() - pl.col(ROWS)) // most).alias(CHUNK)
     return rows.join(whole.select(AXIS, HOUR, number), on=[AXIS, HOUR]).sort(CHUNK, AXIS, HOUR, PART)
 

@@ -12,8 +12,9 @@ import polars as pl
 from numpy.typing import NDArray
 
 from pmfid.fleet.missing_forces import ModelError, model_error
-from pmfid.fleet.source import TEMPERATURE, seconds
+from pmfid.fleet.source import SECONDS, TEMPERATURE, seconds
 from pmfid.fleet.tuning import TUNING
+from pmfid.records.outliers import NORMAL_MEDIAN
 from pmfid.status import Status
 from pmfid.types import Flags, Floats
 
@@ -116,7 +117,7 @@ def widen_errors(series: Series) -> Series:
     used = series[series.usable]
     if used.start.size < TUNING.least_shared:
         return series
-    apart = np.median(np.abs(np.diff(used.theta, axis=0)), axis=0) / TUNING.series_median
+    apart = np.median(np.abs(np.diff(used.theta, axis=0)), axis=0) / NORMAL_MEDIAN
     known = np.median(used.std[1:] ** 2 + used.std[:-1] ** 2, axis=0)
     shared = np.sqrt(np.maximum(apart**2 - known, 0.0) / 2)
     return replace(series, std=np.hypot(series.std, shared))
@@ -158,12 +159,12 @@ def lasting(apart: Floats) -> Floats:
 def noise_of(series: Series) -> Floats:
     """Return the differences of neighbours (p,) relative to their standard errors, which a few steps do not move."""
     stds = np.hypot(series.std[1:], series.std[:-1])
-    found = np.median(np.abs(np.diff(series.theta, axis=0)) / stds, axis=0) / TUNING.series_median
+    found = np.median(np.abs(np.diff(series.theta, axis=0)) / stds, axis=0) / NORMAL_MEDIAN
     return np.maximum(found, TUNING.least_noise if len(stds) >= TUNING.series_few else 1.0)
 
 
 #: Length and start of the named periods [s].
-NAMED = {"day": (86_400.0, 0.0), "shift": (28_800.0, 21_600.0)}
+NAMED = {"day": (SECONDS["d"], 0.0), "shift": (8 * SECONDS["h"], 6 * SECONDS["h"])}
 #: Status bits that a period reports if at least half of its segments have them.
 REPORTED = (Status.FALLBACK, Status.UNMODELLED, Status.FEEDBACK, Status.DEAD_TIME)
 #: Findings with which an error may exceed the standard error. A period with a change has two true values.

@@ -24,6 +24,8 @@ from pmfid.pipeline.edges import takes_edges
 from pmfid.records.clock import UNITS, time_factor
 from pmfid.records.tuning import TUNING as RECORD_TUNING
 
+#: Length of each unit of time [s].
+SECONDS = UNITS | {"min": 60.0, "h": 3600.0, "d": 86_400.0}
 #: Files that every history writes into its folder.
 RESULTS = {"periods.parquet", "axes.parquet", "problems.parquet"}
 
@@ -52,10 +54,6 @@ def walk_folder(folder: Path) -> tuple[list[Path], list[Path], list[Path]]:
 
 #: Folders in which Delta Lake and Iceberg list their valid files.
 DELTA, ICEBERG, METADATA = "_delta_log", "metadata", "*.metadata.json"
-
-
-def is_delta(folder: Path) -> bool:
-    return (folder / DELTA).is_dir()
 
 
 def check_no_table(folders: Sequence[Path]) -> None:
@@ -99,9 +97,9 @@ def seconds_of(column: pl.Expr, name: str, kind: pl.DataType, factor: float) -> 
     zone is in UTC. Raises UsageError for a day without a time, a time without a day, and other types.
     """
     if kind == pl.Datetime:
-        return column.dt.epoch("ns").cast(pl.Float64) * TUNING.source_nanosecond
+        return column.dt.epoch("ns").cast(pl.Float64) * SECONDS["ns"]
     if kind == pl.Duration:
-        return column.cast(pl.Duration("ns")).cast(pl.Int64).cast(pl.Float64) * TUNING.source_nanosecond
+        return column.cast(pl.Duration("ns")).cast(pl.Int64).cast(pl.Float64) * SECONDS["ns"]
     if kind in (pl.Date, pl.Time):
         raise UsageError(
             f"the column {name!r} has the type {kind} and contains only a part of a time; give a column "
@@ -122,9 +120,9 @@ def _parse_dates(column: pl.Expr) -> pl.Expr:
     plain = pl.when(text.str.contains(":")).then(plain)
     hours, minutes = (text.str.extract(_OFFSET, k).cast(pl.Float64, strict=False) for k in (2, 3))
     sign = pl.when(text.str.extract(_OFFSET, 1) == "-").then(-1.0).otherwise(1.0)
-    ahead = (sign * (3600.0 * hours + 60.0 * minutes)).fill_null(0.0)
+    ahead = (sign * (SECONDS["h"] * hours + SECONDS["min"] * minutes)).fill_null(0.0)
     stamps = plain.str.to_datetime(_FORM, time_unit="ns", strict=False)
-    return stamps.dt.epoch("ns").cast(pl.Float64) * TUNING.source_nanosecond - ahead
+    return stamps.dt.epoch("ns").cast(pl.Float64) * SECONDS["ns"] - ahead
 
 
 def other_unit(first: float, last: float, factor: float) -> str:
@@ -341,7 +339,7 @@ def _files(source: Path, out: Path | None) -> list[Part]:
         raise UsageError(f"{source}: no such file or folder exists; give the file or folder of the data set")
     if source.is_file():
         return [_part(source, source.parent)]
-    if is_delta(source):
+    if (source / DELTA).is_dir():
         table = scan_delta(source)
         return [Part(source.name, lambda: table)]
     folders, paths, closed = walk_folder(source)
@@ -406,11 +404,10 @@ def _open_file(path: Path) -> pl.LazyFrame:
 def seconds(text: str) -> float:
     """Parse a duration, such as "10 min", "1 h", "1.5 d" or a number of seconds. Raises UsageError for anything
     else."""
-    lengths = UNITS | {"min": 60.0, "h": 3600.0, "d": 86400.0}
     number = text.strip().rstrip("abcdefghijklmnopqrstuvwxyzµ").strip()
     unit = text.strip()[len(number) :].strip() or "s"
     try:
-        found = float(number) * lengths[unit]
+        found = float(number) * SECONDS[unit]
     except (ValueError, KeyError):
         found = float("nan")
     if not TUNING.source_shortest <= found < TUNING.source_longest:

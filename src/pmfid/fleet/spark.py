@@ -12,9 +12,8 @@ import polars as pl
 
 from pmfid.errors import UsageError
 from pmfid.fleet.evaluate import Work
-from pmfid.fleet.source import AXIS, FRAME, TIME, TYPE, Part, SourceColumns
+from pmfid.fleet.source import AXIS, FRAME, SECONDS, TIME, TYPE, Part, SourceColumns
 from pmfid.fleet.survey import END, FIRST, HOUR, LAST, ROWS, START, Survey, join_surveys, survey_of
-from pmfid.fleet.tuning import TUNING
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -71,7 +70,7 @@ class SparkRows:
         from pyspark.sql import functions as sql
 
         known = sql.col(AXIS).isNotNull() & (sql.abs(TIME) < float("inf"))
-        return self._rows.withColumn(HOUR, sql.when(known, sql.floor(sql.col(TIME) / TUNING.hour)))
+        return self._rows.withColumn(HOUR, sql.when(known, sql.floor(sql.col(TIME) / SECONDS["h"])))
 
     def survey(self) -> Survey:
         from pyspark.sql import functions as sql
@@ -101,7 +100,7 @@ class SparkRows:
 
             return pyarrow.Table.from_batches(_batches(work.evaluate(cast(pl.DataFrame, pl.from_arrow(table)))))
 
-        day = sql.floor(sql.col(HOUR) * TUNING.hour / TUNING.plan_day).alias("day")
+        day = sql.floor(sql.col(HOUR) * SECONDS["h"] / SECONDS["d"]).alias("day")
         rows = self._number_hours().where(sql.col(HOUR).isNotNull()).select(*self.columns.carried, day)
         kinds = {pl.String: "string", pl.Float64: "double", pl.Int64: "long", pl.List(pl.Float64): "array<double>"}
         schema = ", ".join(f"`{name}` {kinds[kind]}" for name, kind in work.schema.items())

@@ -9,8 +9,7 @@ from typing import cast
 import polars as pl
 
 from pmfid.errors import UsageError
-from pmfid.fleet.source import AXIS, TIME, TYPE, Part, SourceColumns, other_unit
-from pmfid.fleet.tuning import TUNING
+from pmfid.fleet.source import AXIS, SECONDS, TIME, TYPE, Part, SourceColumns, other_unit
 from pmfid.io.safety import readable
 
 PART, HOUR, ROWS, FIRST, LAST = "part", "hour", "rows", "first", "last"
@@ -48,7 +47,7 @@ class Survey:
 
 def hour_of() -> pl.Expr:
     """Return the number of the hour of a row, null for a row without an axis or a valid time."""
-    number = (pl.col(TIME) / TUNING.hour).floor().cast(pl.Int64, strict=False)
+    number = (pl.col(TIME) / SECONDS["h"]).floor().cast(pl.Int64, strict=False)
     return pl.when(pl.col(AXIS).is_not_null()).then(number).alias(HOUR)
 
 

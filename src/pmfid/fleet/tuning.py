@@ -40,9 +40,6 @@ class FleetTuning:
     model_tolerance: float = 0.02
 
     # local
-    #: Length of a day and of an hour [s]. A day of an axis comes before the day of the next axis.
-    plan_day: float = 86_400.0
-    hour: float = 3600.0
     #: Number of rows that all threads have in memory together, and least number of one thread. A row takes 40 bytes,
     #: and as much again while rows are sorted and estimates computed.
     plan_rows: int = 2**22
@@ -99,8 +96,6 @@ class FleetTuning:
     series_few: int = 20
     #: Least number of segments that reveal their shared scatter.
     least_shared: int = 4
-    #: Median of the absolute value of a standard normal number.
-    series_median: float = 0.6745
     #: Pause after which a new run begins [s]. For long segments, the pause is as long as a segment.
     series_pause: float = 60.0
     #: Largest allowed difference between estimates from opposite directions, in standard deviations and as a part of
@@ -128,7 +123,6 @@ class FleetTuning:
     tried_axes: int = 25
 
     # source
-    source_nanosecond: float = 1e-9
     #: Number of columns that a message lists if a column is missing.
     source_listed: int = 30
     #: Limits of the length of a period [s].

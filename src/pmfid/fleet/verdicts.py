@@ -14,6 +14,7 @@ from scipy.special import ndtri, stdtrit
 from pmfid.estimators.facts import INPUT_GAIN
 from pmfid.fleet.changes import Beyond, Step, Trend, compare_with_wander, sorts_of, step_of, trend_of
 from pmfid.fleet.series import Series, codes_of, mean_of, quality_of, standing
+from pmfid.fleet.source import SECONDS
 from pmfid.fleet.tuning import TUNING
 from pmfid.records.tuning import TUNING as RECORD_TUNING
 from pmfid.types import Floats
@@ -184,7 +185,7 @@ def judge_past(one: Follow, names: Sequence[str], axes: int) -> list[AxisVerdict
     step, trend = one.step, one.trend
     if step is None or trend is None:
         return []
-    trials, free, days = axes * len(names), one.segments - 2, trend.span / 86_400.0
+    trials, free, days = axes * len(names), one.segments - 2, trend.span / SECONDS["d"]
     least = chance_limit(trials * one.segments, free)
     stepped, drifted = step.score / least, trend.score / chance_limit(trials, free)
     changed = AxisVerdict(CHANGED, max(stepped, 0.0), step.cause, step.size, step.std, step.since, step.until)
@@ -342,7 +343,7 @@ def _finding(verdict: AxisVerdict) -> str:
     if verdict.kind == DRIFTS:
         if verdict.days >= 1:
             return f"{what} drifts by {with_error(verdict.size, verdict.std)} per day"
-        span = when(verdict.days * 86_400.0)
+        span = when(verdict.days * SECONDS["d"])
         return f"{what} drifts by {with_error(verdict.total, verdict.std * verdict.days)} within {span}"
     if verdict.kind == WANDERS:
         return f"{what} wanders by {100 * verdict.size:.2g} % about its mean"

@@ -12,7 +12,7 @@ import polars as pl
 from pmfid.errors import UsageError, did_you_mean
 from pmfid.fleet.changes import levels_of, partition_series, trend_of, weigh_against_wander
 from pmfid.fleet.series import Series, mean_of, noise_of, widen_errors
-from pmfid.fleet.source import seconds_of
+from pmfid.fleet.source import SECONDS, seconds_of
 from pmfid.fleet.tuning import TUNING
 from pmfid.fleet.verdicts import CHANGED, DRIFTS, AxisVerdict, chance_limit, follow_axis, sentence, visible_step
 from pmfid.io.reading import read_table
@@ -84,7 +84,7 @@ def find_changes(visits: Visits, tolerance: float) -> list[AxisVerdict]:
     by_steps = misfit + len(places) * limit**2 * float(noise_of(series)[0]) ** 2
     if clear and stepped > limit * np.sqrt(len(places)) and (by_steps < trend.misfit or drifted < limit):
         return clear
-    days = trend.span / TUNING.plan_day
+    days = trend.span / SECONDS["d"]
     line = chance_limit(AS_MANY, n - 2)
     if min(trend.score, drifted) > line:
         return [AxisVerdict(DRIFTS, trend.score / line, trend.cause, trend.size / days, trend.std / days, days=days)]
@@ -101,14 +101,6 @@ def _measure(visits: Visits, series: Series, first: int, place: int, end: int) -
     )
 
 
-def smallest_step(visits: Visits, tolerance: float) -> float:
-    """Return the relative step in the middle of the series that would be found, infinite for too few visits."""
-    if not visits.can_tell:
-        return np.inf
-    names = (visits.name,)
-    return visible_step(follow_axis("", "", _series(visits), names, tolerance), AS_MANY, tolerance)
-
-
 def describe_changes(visits: Visits, tolerance: float) -> Iterator[dict[str, object]]:
     """Yield the changes as plain objects with a sentence each, and at the end what the series can show."""
     for one in find_changes(visits, tolerance):
@@ -117,7 +109,10 @@ def describe_changes(visits: Visits, tolerance: float) -> Iterator[dict[str, obj
             {"since": one.since, "until": one.until} if one.kind == CHANGED else {}
         )
         yield {"event": one.kind, "parameter": visits.name, **size, "text": text}
-    least = smallest_step(visits, tolerance)
+    least = np.inf
+    if visits.can_tell:
+        whole = follow_axis("", "", _series(visits), (visits.name,), tolerance)
+        least = visible_step(whole, AS_MANY, tolerance)
     can = np.isfinite(least)
     text = (
         f"{visits.values.size} visits: a step of {100 * least:.2g} % in their middle would be found"

@@ -96,7 +96,8 @@ def layout_of(lines: Sequence[str], stated: Stated = NOTHING) -> Layout:
     fields = split(looked[first], separator)
     names, named = _names(looked[:first], separator, fields)
     lines_of_data = [split(looked[k], separator) for k in found[separator, decimal]]
-    numbers = tuple(k for k, column in enumerate(zip(*lines_of_data, strict=True)) if _are_numbers(column, decimal))
+    filled = [[field for field in column if field] for column in zip(*lines_of_data, strict=True)]
+    numbers = tuple(k for k, own in enumerate(filled) if own and all(map(_NUMBER[decimal].fullmatch, own)))
     if not named and len(fields) > 1 and fields in ([str(k + start) for k in range(len(fields))] for start in (0, 1)):
         return Layout(separator, decimal, tuple(fields), first + 1, True, numbers)
     return Layout(separator, decimal, names, first, named, numbers)
@@ -162,12 +163,6 @@ def is_data(line: str) -> bool:
     return any(len(row) > 1 and all(_is_data_field(field, decimal) for field in row) for row, decimal in rows)
 
 
-def _are_numbers(column: Sequence[str], decimal: str) -> bool:
-    """Return whether a column has only numbers and empty cells."""
-    own = [field for field in column if field]
-    return bool(own) and all(_NUMBER[decimal].fullmatch(field) for field in own)
-
-
 def _is_data_field(field: str, decimal: str) -> bool:
     return bool(_NUMBER[decimal].fullmatch(field) or _TIME.fullmatch(field)) or field.lower() in _WORDS
 
@@ -181,7 +176,8 @@ def _names(above: Sequence[str], separator: str, fields: Sequence[str]) -> tuple
     lines = [split(line.strip().lstrip("#%/ "), separator) for line in above]
     if scope := _scope_names([line for line in lines if len(line) == len(fields)]):
         return scope, True
-    rows = [row for line in reversed(lines) if _says_names(row := _fit_line(line, fields))]
+    rows = [_fit_line(line, fields) for line in reversed(lines)]
+    rows = [row for row in rows if any(field.rstrip(";").strip().lower() not in _WORDS for field in row)]
     if not rows:
         return tuple(f"column_{k}" for k in range(1, len(fields) + 1)), False
     header, units = rows[0], [""] * len(fields)
@@ -195,11 +191,6 @@ def _repeats(row: Sequence[str]) -> bool:
     """Return whether two fields are equal, as two units may be, but not two names."""
     texts = [field for field in row if field]
     return len(set(texts)) < len(texts)
-
-
-def _says_names(row: Sequence[str]) -> bool:
-    """Return whether a row has a word other than a substitute for a missing number."""
-    return any(field.rstrip(";").strip().lower() not in _WORDS for field in row)
 
 
 def _scope_names(lines: Sequence[Sequence[str]]) -> tuple[str, ...]:

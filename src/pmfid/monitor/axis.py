@@ -255,7 +255,7 @@ class WatchedAxis(AxisMonitor):
         """
         rest = self._rest
         rest.gathered[0] += information
-        usable = self._usable(estimate)
+        usable = not estimate.status & UNUSABLE and self.plausible(self._remove_warmth(estimate))
         if rest.refined[0]:
             self._collect(rows)
             if rest.gathered[0] >= TUNING.reference_information:
@@ -323,9 +323,6 @@ class WatchedAxis(AxisMonitor):
             return None
         gain, change = self.estimator.equation.input_gain, cause.changes[0]
         return gain + change.change, change.std, gain
-
-    def _usable(self, estimate: Estimate) -> bool:
-        return not estimate.status & UNUSABLE and self.plausible(self._remove_warmth(estimate))
 
     def _remove_warmth(self, estimate: Estimate) -> Floats:
         """Return the estimated parameters (p,), with the friction of the mean temperature of normal work."""

@@ -320,13 +320,10 @@ def _spaces(
     for one in sorted(sets, key=lambda one: len(set(one) - set(parameters))):
         space = np.array([ways[name] for name in one]).T
         rank = np.linalg.matrix_rank(space)
-        like = [alike for alike, other in found if other.shape == space.shape and _rank(other, space) == rank]
+        same = [(alike, np.hstack([other, space])) for alike, other in found if other.shape == space.shape]
+        like = [alike for alike, both in same if np.linalg.matrix_rank(both, tol=1e-9) == rank]
         if rank == len(one) and like:
             like[0].append(one)
         elif rank == len(one):
             found.append(([one], space))
     return tuple((tuple(alike), space) for alike, space in found)
-
-
-def _rank(*spaces: Floats) -> int:
-    return int(np.linalg.matrix_rank(np.hstack(spaces), tol=1e-9))

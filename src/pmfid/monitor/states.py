@@ -37,31 +37,6 @@ class Sampled(RowArrays):
         """Number of samples so far (n,), lost samples included."""
         return self.whole[:, SAMPLES]
 
-    @property
-    def yes_or_no(self) -> NDArray[np.int64]:
-        """Flags (n, 3), 1 or 0, of the last samples.
-
-        The first flag means a lost last sample, the second that any sample was not lost. The third means that the input
-        changed in the last sample that was not lost.
-        """
-        return self.whole[:, [LOST, KNOWN, CHANGED]]
-
-    @property
-    def fresh(self) -> NDArray[np.int64]:
-        """Number of kept counts that follow one another, (n,)."""
-        return self.whole[:, FRESH]
-
-    @property
-    def sizes(self) -> Floats:
-        """Usual change of the input from sample to sample, and mean square of the input, (n, 2), not negative."""
-        return self.real[:, [USUAL, POWER]]
-
-    @property
-    def shares(self) -> Floats:
-        """Share of samples with an unchanged input, and share of single changes among all changes, (n, 2), from 0 to
-        1."""
-        return self.real[:, [SAME, ALONE]]
-
 
 @dataclass
 class Watched(RowArrays):
@@ -151,15 +126,15 @@ class AxisStates(RowArrays):
         `size` is the number of samples in a block.
         """
         sampled, watched, rest = self.sampled, self.watched, self.disturbed
-        samples = sampled.samples
+        samples, whole, real = sampled.samples, sampled.whole, sampled.real
         uneasy = np.isin(watched.state, [STATES.index(SUSPICIOUS), STATES.index(SETTLING)])
         counted = (samples, watched.waiting, watched.silence, watched.members, watched.units, rest.suspected)
         conditions = [
             *((number >= 0) & (number <= MOST) for number in counted),
-            (sampled.yes_or_no == 0) | (sampled.yes_or_no == 1),
-            (sampled.fresh >= 0) & (sampled.fresh <= np.minimum(samples, KEPT)),
-            sampled.sizes >= 0,
-            (sampled.shares >= 0) & (sampled.shares <= 1),
+            np.isin(whole[:, [LOST, KNOWN, CHANGED]], (0, 1)),
+            (whole[:, FRESH] >= 0) & (whole[:, FRESH] <= np.minimum(samples, KEPT)),
+            real[:, [USUAL, POWER]] >= 0,
+            (real[:, [SAME, ALONE]] >= 0) & (real[:, [SAME, ALONE]] <= 1),
             sampled.progress[:, 0] < size,
             sampled.progress[:, 1] <= sampled.progress[:, 0],
             watched.state < len(STATES),

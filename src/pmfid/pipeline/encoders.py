@@ -79,17 +79,15 @@ class EncoderChoice(Presentable):
     @property
     def answer(self) -> str:
         """The coarsest sufficient encoder of each kind, as a sentence."""
-        needs = [f"{kind} need {self._name_coarsest(bars)}" for kind, bars in self.kinds.items()]
+        needs = []
+        for kind, bars in self.kinds.items():
+            first = int(np.flatnonzero(np.append(True, ~(bars <= self.wanted)))[-1])
+            step = float(self.steps[min(first, bars.size - 1)])
+            named = (
+                f"steps of {step:.3g} {self.unit}" if self.turn is None else f"{self.turn / step:.0f} increments a turn"
+            )
+            needs.append(f"{kind} need {'finer steps than these' if first == bars.size else named}")
         return f"to determine {self.parameter} to {100 * self.wanted:.3g} %, {', and '.join(needs)}"
-
-    def _name_coarsest(self, bars: Floats) -> str:
-        enough = np.flatnonzero(~(bars <= self.wanted))
-        first = int(enough[-1]) + 1 if enough.size else 0
-        return "finer steps than these" if first == bars.size else self.name_step(float(self.steps[first]))
-
-    def name_step(self, step: float) -> str:
-        """Return the name of an encoder: increments per turn, or its step."""
-        return f"steps of {step:.3g} {self.unit}" if self.turn is None else f"{self.turn / step:.0f} increments a turn"
 
     def summary(self) -> Summary:
         head = f"step [{self.unit}]" if self.turn is None else "increments per turn"

@@ -65,7 +65,11 @@ def identify(data: Records, axis: Axis, progress: Progress | None = None) -> Res
     log = kind.check_record(data, axis)
     if isinstance(result, DriveResult) and result.explained:
         log = tuple(one for one in log if one.code not in REFUTED)
-    return result.with_findings(*log, *make_notes("cutoff", describe_choices(given, axis)))
+    notes = list[str]()
+    if given.estimator.cutoff != axis.estimator.cutoff:
+        cutoff = f"cutoff = {axis.estimator.pole:.6g} rad/s was chosen for this record"
+        notes.append(f"{cutoff}; write it into [estimator] for other records")
+    return result.with_findings(*log, *make_notes("cutoff", notes))
 
 
 def _name_speed(error: NotIdentifiableError, data: Records, axis: Axis) -> NotIdentifiableError:
@@ -79,14 +83,6 @@ def _name_speed(error: NotIdentifiableError, data: Records, axis: Axis) -> NotId
     return NotIdentifiableError(
         f"{error}; [encoder] max_speed excludes {excluded:.0%} of the changes of the counts: check it"
     )
-
-
-def describe_choices(given: Axis, prepared: Axis) -> tuple[str, ...]:
-    """Return notes on the settings that the record determined."""
-    if given.estimator.cutoff == prepared.estimator.cutoff:
-        return ()
-    cutoff = f"cutoff = {prepared.estimator.pole:.6g}"
-    return (f"{cutoff} rad/s was chosen for this record; write it into [estimator] for other records",)
 
 
 def explain_error(error: NotIdentifiableError, findings: tuple[Finding, ...]) -> NotIdentifiableError:

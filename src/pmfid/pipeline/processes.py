@@ -194,24 +194,11 @@ def refusal(experiments: Sequence[Experiment], axis: Axis, candidate: OrderCandi
 
 def search_json(search: Search) -> dict[str, object]:
     """Return the object that `pmfid terms --json` prints."""
+    same = ("n", "m", "delay", "fit", "condition", "settled", "white")
     rows = [
-        {
-            "n": row.n,
-            "m": row.m,
-            "delay": row.delay,
-            "criterion": row.bic - search.best.bic,
-            "fit": row.fit,
-            "condition": row.condition,
-            "settled": row.settled,
-            "white": row.white,
-            "refused": row.refused or None,
-        }
+        {key: getattr(row, key) for key in same}
+        | {"criterion": row.bic - search.best.bic, "refused": row.refused or None}
         for row in search.candidates
     ]
-    best = rows[0]
-    return {
-        "best": {key: best[key] for key in ("n", "m", "delay")},
-        "candidates": rows,
-        "skipped": search.skipped,
-        "notes": search_notes(search),
-    }
+    best = {key: rows[0][key] for key in same[:3]}
+    return {"best": best, "candidates": rows, "skipped": search.skipped, "notes": search_notes(search)}

@@ -46,11 +46,11 @@ def parameter_header(result: Result) -> tuple[str, ...]:
 
 def parameter_rows(result: Result) -> list[list[str]]:
     """Return one row of text for each parameter. For a machine, the row includes the model spread."""
-    names, units = result.names, result.units
+    known = {name: f" ({kind})" for name, kind in result.beforehand.items()}
+    names, units = [name + known.get(name, "") for name in result.names], result.units
     found = zip(names, result.theta, result.theta_std, _list_intervals(result), units, strict=True)
     return [
-        [_format_name(result, name), format_value(value, std), f"{std:.2g}", *interval, unit]
-        for name, value, std, interval, unit in found
+        [name, format_value(value, std), f"{std:.2g}", *interval, unit] for name, value, std, interval, unit in found
     ]
 
 
@@ -58,11 +58,6 @@ def findings_lines(result: Result, notes: bool) -> list[str]:
     """Return the findings that are notes, or all others, as paragraphs, most important first."""
     shown = [finding.paragraph for finding in result.findings if (finding.severity == "note") == notes]
     return [f"{text[0].upper()}{text[1:].rstrip('.')}." for text in shown]
-
-
-def _format_name(result: Result, name: str) -> str:
-    known = result.beforehand.get(name)
-    return name if known is None else f"{name} ({known})"
 
 
 def format_value(value: float, std: float) -> str:
@@ -311,7 +306,7 @@ class DriveResult(Result):
     @property
     def units(self) -> tuple[str, ...]:
         own = choose_naming(self.estimator, self.known).units
-        return tuple(map(convert_to_counts, own)) if self.record.in_counts else own
+        return tuple(_LENGTH.sub("count", _MASSES.get(one, one)) for one in own) if self.record.in_counts else own
 
     @property
     def beforehand(self) -> dict[str, str]:
@@ -432,11 +427,6 @@ class ProcessResult(Result):
 #: torque remains.
 _MASSES = {"kg": "N s2/m", "kg m2": "N m s2/rad"}
 _LENGTH = re.compile(r"(?<=/)(?:m|rad)(?=\d|$)|^(?:m|rad)(?=/s|$)")
-
-
-def convert_to_counts(unit: str) -> str:
-    """Return the unit of a parameter if lengths and angles are in counts."""
-    return _LENGTH.sub("count", _MASSES.get(unit, unit))
 
 
 def delay_of(estimator: Estimator) -> int:

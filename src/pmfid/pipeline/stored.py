@@ -6,8 +6,7 @@ Every value in the file must be a number, and the model must be the model of AXI
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
@@ -35,40 +34,29 @@ class _Parameter(_Section):
     unit: str | None = None
 
 
-class _File(_Section):
+class Stored(_Section):
+    """Parameters and units in a file.
+
+    `model` is the kind of the model, and `method` is the method of the estimate. The values of input_gain, dead_time
+    [s] and equation were known before the estimate. A value is None if the file does not have it. `source` is the name
+    of the file.
+    """
+
     model: str
     parameters: dict[str, _Parameter] = Field(min_length=1)
     method: str = "given"
     input_gain: float | None = None
     dead_time: float | None = None
     equation: str | None = None
-
-
-@dataclass(frozen=True)
-class Stored:
-    """Parameters and units in a file.
-
-    `kind` is the kind of the model, and `method` is the method of the estimate. The values of input_gain, dead_time [s]
-    and equation were known before the estimate. A value is None if the file does not have it. `source` is the name of
-    the file.
-    """
-
-    kind: str
-    method: str
-    values: Mapping[str, float]
-    units: Mapping[str, str]
-    input_gain: float | None
-    dead_time: float | None
-    equation: str | None
-    source: str
+    source: str = ""
 
     def theta(self, kind: str, names: Sequence[str], units: Sequence[str]) -> Floats:
         """Return the parameters (p,) in the order of a model's names. Raises UsageError for parameters of another
         model.
         """
-        if self.kind != kind:
-            self._refuse(f'the result has kind = "{self.kind}", but [model] has kind = "{kind}"; {SAME_AXIS}')
-        own = [name for name in self.values if name in names or not name.startswith(NOT_OF_MOTION)]
+        if self.model != kind:
+            self._refuse(f'the result has kind = "{self.model}", but [model] has kind = "{kind}"; {SAME_AXIS}')
+        own = [name for name in self.parameters if name in names or not name.startswith(NOT_OF_MOTION)]
         missing = [name for name in names if name not in own]
         foreign = [name for name in own if name not in names]
         if missing or foreign:
@@ -76,11 +64,9 @@ class Stored:
             differences += [f"has {', '.join(foreign)}"] * bool(foreign)
             self._refuse(f"the result {' and '.join(differences)}, but [model] has {', '.join(names)}; {SAME_AXIS}")
         for name, unit in zip(names, units, strict=True):
-            if self.units.get(name, unit) != unit:
-                self._refuse(
-                    f"{name} is in {self.units[name]!r} in the result, but in {unit!r} in [model]; {SAME_AXIS}"
-                )
-        return np.array([self.values[name] for name in names])
+            if (stored := self.parameters[name].unit) not in (None, unit):
+                self._refuse(f"{name} is in {stored!r} in the result, but in {unit!r} in [model]; {SAME_AXIS}")
+        return np.array([self.parameters[name].value for name in names])
 
     def check_known(self, what: str, value: float) -> None:
         """Raise UsageError if `what`, "input_gain" or "dead_time", had another value in the identification."""
@@ -111,17 +97,13 @@ def read_stored(path: Path) -> Stored:
                 f"{path}: the file has more than {TUNING.stored_largest} bytes, too many for a result; {REMEDY}"
             )
         raw = json.loads(path.read_text(encoding="utf-8-sig"), parse_constant=_no_number)
-        found = _File.model_validate(raw)
+        return Stored.model_validate(raw).model_copy(update={"source": str(path)})
     except OSError as error:
         raise UsageError(f"{path}: cannot read the result: {error.strerror}; {REMEDY}") from None
     except ValidationError as error:
         raise UsageError(f"{path}: {_first(error)}; {REMEDY}") from None
     except (ValueError, RecursionError, OverflowError) as error:
         raise UsageError(f"{path}: not a result in JSON: {' '.join(str(error).split())}; {REMEDY}") from None
-    values = {name: entry.value for name, entry in found.parameters.items()}
-    units = {name: entry.unit for name, entry in found.parameters.items() if entry.unit is not None}
-    known = found.input_gain, found.dead_time, found.equation
-    return Stored(found.model, found.method, values, units, *known, str(path))
 
 
 def _no_number(text: str) -> NoReturn:

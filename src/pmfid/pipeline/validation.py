@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from pmfid.config.axis import Axis
-from pmfid.diagnostics.free_run import FreeRun, Horizon
+from pmfid.diagnostics.free_run import FreeRun
 from pmfid.diagnostics.matter import is_small_doubt
 from pmfid.errors import UsageError
 from pmfid.findings import Finding, Judged, sort_findings, texts
@@ -114,28 +114,10 @@ def _numbers(run: FreeRun) -> tuple[str, str, str]:
 
 
 def _as_json(run: FreeRun) -> dict[str, object]:
-    return {
-        "record": run.name,
-        "samples": int(run.t.size),
-        "start_read": run.read,
-        "rmse": run.rmse,
-        "largest": run.largest,
-        "fit": run.fit,
-        "relative_error": run.relative,
-        "encoder": run.encoder,
-        "mean": run.mean,
-        "standstill": run.standstill,
-        "horizons": [_horizon(horizon) for horizon in run.horizons],
-    }
-
-
-def _horizon(horizon: Horizon) -> dict[str, object]:
-    return {
-        "seconds": horizon.seconds,
-        "runs": horizon.runs,
-        "rmse": horizon.rmse,
-        "standstill": horizon.standstill,
-    }
+    sizes = {"rmse": run.rmse, "largest": run.largest, "fit": run.fit, "relative_error": run.relative}
+    others = {"encoder": run.encoder, "mean": run.mean, "standstill": run.standstill}
+    head = {"record": run.name, "samples": int(run.t.size), "start_read": run.read}
+    return {**head, **sizes, **others, "horizons": [asdict(one) for one in run.horizons]}
 
 
 def _remarks(run: FreeRun) -> list[str]:

@@ -323,10 +323,6 @@ class PlacedRows:
         """Whether every place has a sample."""
         return bool(self.places.size == self.places[-1] + 1)
 
-    def place_stamps(self, stamps: Floats) -> Floats:
-        """Return the stamp (n,) of each place, from the stamps (m,) of the used rows."""
-        return stamps if self.whole else np.interp(np.arange(self.places[-1] + 1), self.places, stamps)
-
     def place_inputs(self, u: Floats) -> Floats:
         """Return the input (n,) at each place, or NaN, from the input u (N,) of all rows of the file.
 

@@ -90,7 +90,7 @@ def _drifts(steps: Floats) -> bool:
     first, last = (float(np.mean(part)) for part in (steps[:half], steps[half:]))
     scatter = float(np.std(np.diff(steps)))  # a drift hardly changes differences of neighbours
     chance = TUNING.most_by_chance * scatter / np.sqrt(half)
-    return bool(abs(first - last) > TUNING.resampling_same_period * float(np.mean(steps)) + chance)
+    return bool(abs(first - last) > TUNING.clock_same * float(np.mean(steps)) + chance)
 
 
 def _fill_gaps(stamps: Floats, u: Floats, y: Floats, period: float) -> Instants:
@@ -127,7 +127,7 @@ def _take_even_clock(stamps: Floats, u: Floats, y: Floats) -> Instants:
     period *= 1 + slope_below((stamps - start - period * k) / period)
     half = stamps.size // 2
     halves = [line_through(k[part], stamps[part])[0] for part in (slice(half), slice(half, None))]
-    drifts = abs(halves[0] - halves[1]) > TUNING.resampling_same_period * period
+    drifts = abs(halves[0] - halves[1]) > TUNING.clock_same * period
     jitter = float(np.std(np.diff(stamps)) / period) if drifts else 0.0
     there, error = np.ones(k.size, bool), period_error(stamps, k)
     return Instants(start + period * k, u, y, there, period, jitter, drifts, even=True, dt_error=error)
@@ -164,13 +164,10 @@ def _is_uneven(stamps: Floats, y: Floats) -> bool:
     true = part - TUNING.resampling_errors * error > 0.5
     if steady or even:
         return true or (not steady and _are_late(stamps, y))
-    return find_places(stamps) is None or (true and _scatter_often(steps / median))
-
-
-def _scatter_often(steps: Floats) -> bool:
-    """Return whether many steps (n,) [periods] differ from their neighbours, besides missing samples."""
-    apart = np.abs(np.diff(steps - np.rint(steps)))
-    return bool(np.mean(apart > TUNING.even_steps) > TUNING.resampling_often)
+    # Missing samples change whole periods, uneven steps a part of one.
+    apart = np.abs(np.diff(steps / median - np.rint(steps / median)))
+    often = np.mean(apart > TUNING.even_steps) > TUNING.resampling_often
+    return find_places(stamps) is None or bool(true and often)
 
 
 def _are_late(stamps: Floats, y: Floats) -> bool:

@@ -130,13 +130,18 @@ def repair_record(record: Record, max_speed: float | None = None) -> RepairedRec
         counts, wrong, shifts = record.counts, np.zeros_like(wrong), shifts[:0]
     rows = np.flatnonzero(wrong & (moved == 0)).tolist()
     spikes = _spikes(record.u, counts)
-    named = (_describe_shift(row, int(moved[row])) for row in shifts[: TUNING.outliers_named].tolist())
+    undone = "and stay there, so the shift of the counter's zero was undone"
+    first = shifts[: TUNING.outliers_named].tolist()
+    jumps = (f"the counts jump by {int(moved[row])} at row {row + 1} {undone}" for row in first)
+    named = (Finding("count_jump", text, UNGUARDED) for text in jumps)
     findings = (*_wrong(rows, _limit_of(record, max_speed) > 0), *named, *_spiky(spikes))
     if not findings:
         return _keep(record)
     used, shifted = _measured_in(record), np.zeros(record.counts.size, bool)
     used[rows], shifted[shifts] = False, True
-    return RepairedRecord(replace(record, u=_bridge_input(record.u, spikes), counts=counts), used, shifted, findings)
+    good = np.setdiff1d(np.arange(record.u.size), spikes)
+    u = np.interp(np.arange(record.u.size), good, record.u[good]) if spikes.size else record.u
+    return RepairedRecord(replace(record, u=u, counts=counts), used, shifted, findings)
 
 
 def _keep(record: Record) -> RepairedRecord:
@@ -155,7 +160,9 @@ def _find_in_measured(record: Record, speed: float) -> tuple[Counts, Flags, Coun
     """
     places = np.arange(record.counts.size) if record.there is None else np.flatnonzero(record.there)
     wrong, moved, correction = np.zeros(record.counts.size, bool), np.zeros_like(record.counts), 0 * record.counts
-    times, rounding = _times_of(record), _rounding_of(record.counts[places])
+    even, steps = np.arange(record.counts.size, dtype=np.float64), record.steps
+    times = even if steps is None else np.cumsum(steps.before) / record.dt  # [sample periods]
+    rounding = _rounding_of(record.counts[places])
     for part in parts_of(record.u):
         rows = places[slice(*np.searchsorted(places, (part.start, part.stop)))]
         repaired, wrong[rows], moved[rows] = find_outliers(record.counts[rows], times[rows], rounding, speed)
@@ -169,13 +176,6 @@ def repair_as_configured(record: Record, axis: Axis) -> RepairedRecord:
     if not (axis.encoder.guard and rests):
         return _keep(record)
     return repair_record(record, axis.encoder.make_encoder(record.resolution).max_speed)
-
-
-def _times_of(record: Record) -> Floats:
-    """Return the times (n,) [sample periods]."""
-    if record.steps is None:
-        return np.arange(record.counts.size, dtype=np.float64)
-    return np.cumsum(record.steps.before) / record.dt
 
 
 def _limit_of(record: Record, max_speed: float | None) -> float:
@@ -213,12 +213,6 @@ def _spikes(u: Floats, counts: Counts) -> NDArray[np.intp]:
     return large[answer[large] <= TUNING.outliers_answer * usual]
 
 
-def _bridge_input(u: Floats, places: NDArray[np.intp]) -> Floats:
-    """Return the input (n,) with interpolated samples at places (k,)."""
-    good = np.setdiff1d(np.arange(u.size), places)
-    return np.interp(np.arange(u.size), good, u[good]) if places.size else u
-
-
 def _format_rows(rows: list[int]) -> str:
     """Return the numbers of rows as text, counted from 1."""
     shown = ", ".join(str(row + 1) for row in rows[: TUNING.outliers_named])
@@ -236,13 +230,6 @@ def _wrong(rows: list[int], limited: bool) -> tuple[Finding, ...]:
 
 #: Remedy if the finding is a mistake.
 UNGUARDED = "give [encoder] guard = false if the axis really moved so"
-
-
-def _describe_shift(row: int, moved: int) -> Finding:
-    sentence = (
-        f"the counts jump by {moved} at row {row + 1} and stay there, so the shift of the counter's zero was undone"
-    )
-    return Finding("count_jump", sentence, UNGUARDED)
 
 
 def _spiky(places: NDArray[np.intp]) -> tuple[Finding, ...]:

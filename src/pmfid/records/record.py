@@ -321,7 +321,8 @@ def _place_on_grid(
     rows, inputs, row_notes = _rows(config, columns, mask)
     if rows.rows.size < len(columns["input"]):  # without missing rows, a copy is needless
         columns = {key: values[rows.rows] for key, values in columns.items()}
-    stamps = rows.place_stamps(columns.get("time", rows.rows.astype(np.float64)))
+    stamps = columns.get("time", rows.rows.astype(np.float64))
+    stamps = stamps if rows.whole else np.interp(np.arange(rows.places[-1] + 1), rows.places, stamps)
     y = _scale_column(columns["output"], scales[1], "the unit of the output")
     travel, motion_notes = (y, ()) if clock is not None else _measure_travel(y, rows, axis)
     record = _count(_scale_column(columns["input"], scales[0]), travel, rows.dt, axis)

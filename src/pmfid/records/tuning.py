@@ -35,7 +35,8 @@ class RecordTuning:
     most_by_chance: float = 5.0
     #: Relative difference of the longest and shortest step of a clock that needs neither a note nor a further test.
     clock_same_steps: float = 1e-3
-    #: Relative difference within which a period and a time column agree.
+    #: Relative difference within which periods agree, of a configuration, a time column or the halves of a record. Even
+    #: half of the limit causes a significant error of the mass.
     clock_same: float = 0.01
     #: Longest step without a missing sample, in median steps.
     clock_missing: float = 1.5
@@ -158,9 +159,6 @@ class RecordTuning:
     #: Ratio of a record's length in median steps to its number of samples above which missing lines do not explain the
     #: length.
     most_missing: float = 2.0
-    #: Relative difference within which two halves of a record agree on the period. Even half of the limit causes a
-    #: significant error of the mass.
-    resampling_same_period: float = 0.01
     #: Part of the period within which the next sample follows at once, so that the input of the first sample acts for
     #: no time. `resampling_fewest` is the smallest number of samples for a decision.
     resampling_at_once: float = 1e-3

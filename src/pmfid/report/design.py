@@ -244,15 +244,10 @@ def rounds_table(state: Commissioning) -> Rows:
     rows = []
     for number, each in enumerate(state.rounds, 1):
         std = each.known.std(state.problem.names)
-        cells = [_with_std(each.known.parameters[name], std[name]) for name in state.problem.names]
+        digits = {name: max(0, 1 - math.floor(math.log10(one))) if one > 0 else 4 for name, one in std.items()}
+        cells = [f"{each.known.parameters[name]:.{k}f} ± {std[name]:.{k}f}" for name, k in digits.items()]
         rows.append([str(number), *cells, f"{each.run.y[-1] - each.run.y[0]:.4f}", f"{each.known.misfit:.2f}"])
     return header, rows
-
-
-def _with_std(value: float, std: float) -> str:
-    """Format a number to two digits of its standard deviation."""
-    digits = max(0, 1 - math.floor(math.log10(std))) if std > 0 else 4
-    return f"{value:.{digits}f} ± {std:.{digits}f}"
 
 
 _ENCODER_TEXT = (

@@ -171,7 +171,8 @@ def estimate_figure(t: ArrayLike, track: Track, nominal: Mapping[str, ArrayLike]
 
 
 def _estimate_panel(axes: Axes, t: Floats, track: Track, name: str, nominal: Floats | None) -> None:
-    low, high = draw_estimate(axes, t, _mask_start(track, name), track.theta_std[:, track.names.index(name)])
+    known = np.where(track.has_status(Status.STARTING), np.nan, track[name])
+    low, high = draw_estimate(axes, t, known, track.theta_std[:, track.names.index(name)])
     if nominal is not None:
         _line(axes, t, np.broadcast_to(nominal, t.shape), color=MAGENTA, ls="--", label="nominal")
     _shade(axes, stretches(t, track.has_status(DOUBTFUL)))
@@ -296,11 +297,6 @@ def _end(t: Floats) -> float:
 def _line(axes: Axes, t: Floats, y: Floats, **style: Any) -> None:
     i = decimation(y)
     axes.plot(t[i], y[i], **style)
-
-
-def _mask_start(track: Track, name: str) -> Floats:
-    """Return the track of one parameter, with NaN where no estimate exists yet."""
-    return np.where(track.has_status(Status.STARTING), np.nan, track[name])
 
 
 def _select_settled(track: Track, y: Floats) -> Floats:

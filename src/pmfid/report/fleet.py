@@ -12,6 +12,7 @@ import numpy as np
 
 from pmfid.errors import printable
 from pmfid.fleet.history import History
+from pmfid.fleet.source import SECONDS
 from pmfid.fleet.tuning import TUNING as FLEET_TUNING
 from pmfid.fleet.verdicts import when, with_error
 from pmfid.report.figures import COLOURS, open_figure
@@ -40,14 +41,6 @@ MAP = {"change": COLOURS[1], "no estimate": "#333333", "doubt": COLOURS[3], "goo
 MOVING, LEAST_HEIGHT = ("changed", "drifts"), 2.0
 
 
-def _set_least_height(panel: Axes) -> None:
-    """Extend the range of a panel to LEAST_HEIGHT, so that mere scatter does not fill the panel."""
-    low, high = panel.get_ylim()
-    missing = max(0.0, LEAST_HEIGHT - (high - low)) / 2
-    panel.set_ylim(low - missing, high + missing)
-    panel.ticklabel_format(axis="y", useOffset=False)
-
-
 def moving(found: History) -> pl.DataFrame:
     """Return the first axes whose verdict concerns their course over time."""
     import polars as pl
@@ -58,7 +51,7 @@ def moving(found: History) -> pl.DataFrame:
 def ticks_of(times: Floats) -> list[str]:
     """Return the labels of times [s] at an axis, as dates if the dates distinguish the times."""
     texts = [when(float(time)) for time in times]
-    days = (times[-1] - times[0]) / FLEET_TUNING.plan_day if times.size else 0.0
+    days = (times[-1] - times[0]) / SECONDS["d"] if times.size else 0.0
     if days >= TUNING.fleet_dates or (times.size > 1 and len({text.partition(" ")[0] for text in texts}) == times.size):
         return [text.partition(" ")[0] for text in texts]
     return [text[5:-3].replace(" ", "\n") if " " in text else text for text in texts]
@@ -84,7 +77,10 @@ def trend_figure(found: History) -> Figure:
                     half = 1.96 * abs(scale) * std
                     panel.errorbar(middle, scale * theta, half, color=colour, ls=line, marker=marker, lw=1, ms=3)
             panel.set_title(label_of(axis))
-            _set_least_height(panel)
+            low, high = panel.get_ylim()
+            missing = max(0.0, LEAST_HEIGHT - (high - low)) / 2  # mere scatter does not fill the panel
+            panel.set_ylim(low - missing, high + missing)
+            panel.ticklabel_format(axis="y", useOffset=False)
             ticks = np.unique(own["period"].to_numpy()[[0, -1]]) if own.height else np.empty(0)
             panel.set_xticks(ticks, ticks_of(ticks))
         for panel in panels[len(named) :]:
@@ -274,8 +270,8 @@ def _trends(found: History) -> Section | None:
         "with one standard deviation. The slopes of all axes, per day, are in axes.parquet."
     )
     first, last = found.periods["first"].min(), found.periods["last"].max()
-    days = min(1.0, (float(last or 0.0) - float(first or 0.0)) / FLEET_TUNING.plan_day)  # type: ignore[arg-type]
-    unit = "%/day" if days == 1 else f"% within {when(FLEET_TUNING.plan_day * days)}"
+    days = min(1.0, (float(last or 0.0) - float(first or 0.0)) / SECONDS["d"])  # type: ignore[arg-type]
+    unit = "%/day" if days == 1 else f"% within {when(SECONDS['d'] * days)}"
     header = ("axis", *(f"{name.replace('_', ' ')} [{unit}]" for name in found.names))
     rows: list[list[Cell]] = [
         [row["axis"], *(_slope(days * row[f"{name}_slope"], days * row[f"{name}_slope_std"]) for name in found.names)]

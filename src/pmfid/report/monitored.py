@@ -96,7 +96,9 @@ def run_figure(data: RunData) -> Figure:
         if spread > 0:
             panels[-1].set_ylim(-spread, spread)
         for axes in panels:
-            _mark_alarms(axes, data.alarms)
+            for alarm in data.alarms[:200]:
+                axes.axvline(alarm["time"], color=COLOURS[1], lw=1.6, label="alarm", zorder=3)
+                axes.axvline(alarm["changed_at"], color=COLOURS[1], lw=1.2, ls=":", label="change", zorder=3)
         figure.align_ylabels(panels)
         _finish_time(panels[-1], data.t)
         _legend(figure, panels)
@@ -155,12 +157,6 @@ def _strip_panel(axes: Axes, t: Floats, rows: Sequence[tuple[str, str, Flags]]) 
     axes.set_yticks(range(len(rows)), [name for name, _, _ in rows], fontsize=9)
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.grid(axis="y", visible=False)
-
-
-def _mark_alarms(axes: Axes, alarms: Sequence[Notice]) -> None:
-    for alarm in alarms[:200]:
-        axes.axvline(alarm["time"], color=COLOURS[1], lw=1.6, label="alarm", zorder=3)
-        axes.axvline(alarm["changed_at"], color=COLOURS[1], lw=1.2, ls=":", label="change", zorder=3)
 
 
 def chance_figure(chance: Chance, mtbf_hours: float) -> Figure:

@@ -14,7 +14,6 @@ from pmfid.errors import PmfidError
 from pmfid.estimators.base import Simulating
 from pmfid.linear.order import Search
 from pmfid.linear.process import Process
-from pmfid.models.controllers import MotorAndLoad
 from pmfid.models.equation import Equation
 from pmfid.pipeline.conclusion import conclude
 from pmfid.pipeline.processes import search_json
@@ -59,11 +58,13 @@ def write_drive(out: Path, result: DriveResult) -> None:
     if result.track is not None:
         _write_track(track, result)
     said = conclude(result)
-    masses = result.two_masses
+    text, table = "\n\n".join(findings_lines(result, notes=False)), (parameter_header(result), parameter_rows(result))
+    sections, masses = [Section("Parameters", text, table)], result.two_masses
     if masses is not None:
         (out / "two_masses.xml").write_text(masses.to_mjcf(), encoding="utf-8")
-    elastic = [] if masses is None else [_list_settings(masses)]
-    sections = [_drive_parameters(result), *elastic, _model_check(result), _drive_notes(result), *_figures(result)]
+        rows = [(one.controller or "any", one.name, one.value, one.unit) for one in masses.settings()]
+        sections.append(Section("Settings of controllers", table=(("controller", "setting", "value", "unit"), rows)))
+    sections += [_model_check(result), _drive_notes(result), *_figures(result)]
     title = f"{result.record.name}: {result.estimator.method}"
     write_page(
         out, ResultPage("report", title, result.to_json(), sections, (said.sentence, said.action), data="result")
@@ -83,16 +84,6 @@ def _write_track(path: Path, result: DriveResult) -> None:
     buffer = io.BytesIO()
     pl.DataFrame(columns).write_parquet(buffer)
     write_bytes(path, buffer.getvalue())
-
-
-def _drive_parameters(result: DriveResult) -> Section:
-    text = "\n\n".join(findings_lines(result, notes=False))
-    return Section("Parameters", text, (parameter_header(result), parameter_rows(result)))
-
-
-def _list_settings(masses: MotorAndLoad) -> Section:
-    rows = [(one.controller or "any", one.name, one.value, one.unit) for one in masses.settings()]
-    return Section("Settings of controllers", table=(("controller", "setting", "value", "unit"), rows))
 
 
 def _model_check(result: DriveResult) -> Section:
@@ -166,7 +157,7 @@ def write_process(out: Path, result: ProcessResult) -> None:
             else []
         ),
         *([Section("Notes", notes, folded=True)] if notes else []),
-        _dynamics(result.process),
+        Section("Poles, zeros, gain", ROOTS, (("", "value", "std", ""), result.process.rows)),
         Section("Frequency response", BAND, figure=lambda: bode_of(result.process, result.estimator.dt)),
         Section("Step response", BAND, figure=lambda: step_figure(result.process)),
         Section("Residual", _residual_text(result), figure=lambda: correlation_figure(result)),
@@ -178,17 +169,12 @@ def write_process(out: Path, result: ProcessResult) -> None:
 
 
 BAND = "Band: two standard deviations."
+ROOTS = "Poles and zeros in rad/s, their standard deviations of real and imaginary part. Time constant: 1 / |pole|."
 
 
 def _describe_process(result: ProcessResult) -> str:
     text = f"{result.name}: {result.samples} samples. {result.fit_text.capitalize()}."
     return "\n\n".join([text, *findings_lines(result, notes=False)])
-
-
-def _dynamics(process: Process) -> Section:
-    header = ("", "value", "std", "")
-    text = "Poles and zeros in rad/s, their standard deviations of real and imaginary part. Time constant: 1 / |pole|."
-    return Section("Poles, zeros, gain", text, (header, process.rows))
 
 
 def _residual_text(result: ProcessResult) -> str:

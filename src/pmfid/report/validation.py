@@ -19,8 +19,9 @@ Rows = tuple[list[str], list[list[str]]]
 
 def validation_page(found: Validation) -> ResultPage:
     """Return the page of a validation."""
+    rows = [[name, f"{x:.6g}", unit] for name, x, unit in zip(found.names, found.theta, found.units, strict=True)]
     sections = [
-        Section(f"Parameters by {found.method}", table=_parameter_rows(found)),
+        Section(f"Parameters by {found.method}", table=(["parameter", "value", "unit"], rows)),
         Section("Free run", _text(found), run_rows(found)),
     ]
     if any(run.horizons for run in found.runs):
@@ -47,11 +48,6 @@ def _text(found: Validation) -> str:
         "error of a model that stays at the mean of the record, or at its first value."
     )
     return "\n\n".join([text, *(f"Note: {note}." for note in found.notes)])
-
-
-def _parameter_rows(found: Validation) -> Rows:
-    rows = zip(found.names, found.theta, found.units, strict=True)
-    return ["parameter", "value", "unit"], [[name, f"{value:.6g}", unit] for name, value, unit in rows]
 
 
 def _with_unit(name: str, unit: str) -> str:

@@ -29,7 +29,7 @@ from pmfid.service.sinks.plain import NoticeLog
 from pmfid.service.sinks.queued import Queued
 from pmfid.service.tuning import TUNING
 from pmfid.service.web.board import Board
-from pmfid.stream.checkpoint import Snapshot, read_snapshot
+from pmfid.stream.checkpoint import read_snapshot
 from pmfid.stream.engine import StreamEngine
 from pmfid.stream.groups import Group, Pace, Prepared
 from pmfid.stream.outcome import Counters, Notice, Outlet
@@ -131,7 +131,10 @@ class Service:
         self._unusable: BaseException | None = None
         self._opened = False
         try:
-            self._vault = self._check_plant(plant)
+            if not plant.sources:
+                problem = "no source is configured, so no data will arrive: add [sources.NAME]"
+                self._tell_now({"event": "source", "source": "", "problem": problem})
+            self._vault = None if plant.state is None else Vault(plant.state)
             self._configs = self._configurations.read(plant.axes)
             self._engine.set_awaited(name for name, path in plant.axes.items() if path in self._configs)
             self._saved = None if self._vault is None else self._vault.load(read_snapshot, self._tell_now)
@@ -146,21 +149,10 @@ class Service:
         self._needed = {path for name, path in plant.axes.items() if name in restored} & self._configs.keys()
         self._engine.waiting = bool(self._needed)
         if self._saved is not None:
-            self._restore_rest(self._saved)
-
-    def _check_plant(self, plant: Plant) -> Vault | None:
-        """Check the plant and report problems before the calibration of axes, which may take minutes."""
-        if not plant.sources:
-            problem = "no source is configured, so no data will arrive: add [sources.NAME]"
-            self._tell_now({"event": "source", "source": "", "problem": problem})
-        return None if plant.state is None else Vault(plant.state)
-
-    def _restore_rest(self, saved: Snapshot) -> None:
-        """Restore the part of a checkpoint outside its groups."""
-        saved.restore(self._engine)
-        self._unwritten = saved.unwritten
-        for notice in self._engine.notices.replay_alarms(saved.alarms):
-            self._board.notice(notice)
+            self._saved.restore(self._engine)
+            self._unwritten = self._saved.unwritten
+            for notice in self._engine.notices.replay_alarms(self._saved.alarms):
+                self._board.notice(notice)
 
     def _restore(self, plant: Plant, vault: Vault) -> None:
         """Restore the axes of the checkpoint, all of which are calibrated."""
@@ -168,7 +160,9 @@ class Service:
         engine.keeper = Checkpoints(vault, plant.service.checkpoint, self.counters, engine.tell)
         saved, awaited = self._saved, len(engine.awaited)
         try:
-            groups = [] if saved is None else self._restore_groups(saved)
+            present = {prepared.digest: prepared for prepared in self._axes.values()}
+            kept = [] if saved is None else [one for one in saved.groups if one.digest in present]
+            groups = [one.restore_group(present[one.digest], self._pace) for one in kept]
         except ValueError as error:
             problem = f"the states in {FILE} cannot be used: {error}; the service starts without them"
             self._tell_now({"event": "checkpoint", "problem": problem})
@@ -183,11 +177,6 @@ class Service:
         restored = {"event": "checkpoint", "restored": len(self._axes) - len(fresh), "fresh": started}
         more = {"changed": changed[: TUNING.most_names]} if changed else {}
         self._tell_now({**restored, "made": saved.wall, **more})
-
-    def _restore_groups(self, saved: Snapshot) -> list[Group]:
-        """Return the groups with a configuration that still exists."""
-        present = {prepared.digest: prepared for prepared in self._axes.values()}
-        return [one.restore_group(present[one.digest], self._pace) for one in saved.groups if one.digest in present]
 
     def _tell_now(self, what: dict[str, Any]) -> None:
         self._engine.notices.publish_own("", what)

@@ -51,10 +51,9 @@ def draft(engine: StreamEngine) -> Draft:
     runs.
     """
     states = [[bytes(part) for part in group.fleet.unsealed_state()] for group in engine.groups]
-    packed, held = (
-        [write_states(group.positions, 0) for group in engine.groups],
-        [_held_by(group) for group in engine.groups],
-    )
+    packed = [write_states(group.positions, 0) for group in engine.groups]
+    waits = [(group, np.flatnonzero(group.positions.waits).tolist()) for group in engine.groups]
+    held = [[block for k in index for block in group.seats[k].order.held] for group, index in waits]
     groups = list[dict[str, Any]]()
     for group in engine.groups:
         seats = {str(seat.index): rare for seat in group.seats if (rare := _collect_rare(seat))}
@@ -82,12 +81,6 @@ def _collect_rare(seat: Seat) -> dict[str, Any]:
     timed = None if seat.timed is None else seat.timed.save_state()
     found = {"gaps": seat.order.gaps, "told": seat.notice_counts, "timed": timed, "referred": seat.referred}
     return {name: value for name, value in found.items() if value}
-
-
-def _held_by(group: Group) -> list[Block]:
-    """Return the waiting blocks of a group, those of an axis in order."""
-    waiting = np.flatnonzero(group.positions.waits).tolist()
-    return [block for index in waiting for block in group.seats[index].order.held]
 
 
 @dataclass(frozen=True)
@@ -154,15 +147,7 @@ def read_snapshot(body: bytes) -> Snapshot:
         text, *parts = _split_parts(body)
         raw = json.loads(text)
         groups = [
-            Saved(
-                one["digest"],
-                one["baseline"],
-                tuple(one["axes"]),
-                state,
-                seats,
-                held,
-                one["seats"],
-            )
+            Saved(one["digest"], one["baseline"], tuple(one["axes"]), state, seats, held, one["seats"])
             for one, state, seats, held in zip(raw["groups"], parts[::3], parts[1::3], parts[2::3], strict=True)
         ]
         alarms = [AlarmRecord(**alarm) for alarm in raw["alarms"]]

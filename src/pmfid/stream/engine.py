@@ -215,7 +215,7 @@ class StreamEngine:
 
     def set_groups(self, groups: Iterable[Group]) -> None:
         self.groups = [group for group in groups if group.seats]
-        self._intake.set_seats(seat for group in self.groups for seat in group.seats)
+        self._intake.seats = {seat.name: seat for group in self.groups for seat in group.seats}
         for seat in self._intake.seats.values():
             if not seat.number:
                 self.numbered += 1

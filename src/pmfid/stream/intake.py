@@ -57,7 +57,7 @@ class Ordered:
     def put(self, group: Group, batch: Batch) -> None:
         """Append blocks of a table, each of another axis."""
         waiting = self.get_waiting(group)
-        if not waiting.may_put(batch.index):
+        if waiting.busy[batch.index].any():  # samples of an axis wait already
             del self._last[id(group)]
             waiting = self.get_waiting(group)
         waiting.put(batch)
@@ -85,9 +85,6 @@ class Intake:
     awaited: frozenset[str] = field(default=frozenset(), init=False)
     _unusable: set[tuple[str, str]] = field(default_factory=set, init=False)
     _turn: int = field(default=0, init=False)
-
-    def set_seats(self, seats: Iterable[Seat]) -> None:
-        self.seats = {seat.name: seat for seat in seats}
 
     def take(self, deliveries: Iterable[Delivery]) -> Ordered:
         ordered, tables = Ordered(), Tables()

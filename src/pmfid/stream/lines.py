@@ -330,11 +330,7 @@ def _likeliest(text: str, wanted: Sequence[str]) -> _Header:
     Spaces come last, because names may contain spaces.
     """
     readings = [_header(text, separator, wanted) for separator in SEPARATORS]
-    return max(readings, key=_columns_in)
-
-
-def _columns_in(header: _Header) -> tuple[int, bool, int]:
-    return sum(place >= 0 for place in header.places), header.separator != " ", len(header.names)
+    return max(readings, key=lambda one: (sum(k >= 0 for k in one.places), one.separator != " ", len(one.names)))
 
 
 def _header(text: str, separator: str, wanted: Sequence[str]) -> _Header:

@@ -334,7 +334,9 @@ class Order:
         if block.epoch == self.epoch:
             missing = block.first - self.expected
             return missing if missing * self.dt <= TUNING.longest_absence else UNKNOWN_GAP
-        return self._count_epoch_gap(block)
+        ahead = block.time - self.clock.expected
+        follows = self.epoch >= 0 and 0 <= ahead <= TUNING.longest_gap
+        return max(1, round(ahead / self.dt)) if follows else UNKNOWN_GAP
 
     def _must_wait(self, block: Block) -> bool:
         """Return whether lower numbers may still come, because each epoch's waiting blocks span at most the window."""
@@ -348,12 +350,6 @@ class Order:
             if end - start > self.window:
                 return False
         return True
-
-    def _count_epoch_gap(self, block: Block) -> int:
-        ahead = block.time - self.clock.expected
-        if self.epoch >= 0 and 0 <= ahead <= TUNING.longest_gap:
-            return max(1, round(ahead / self.dt))
-        return UNKNOWN_GAP
 
     def _give(
         self, block: Block, lead: int, received: float, turn: int, pieces: list[SamplePiece], verdict: ItemReport

@@ -40,11 +40,12 @@ class Batch:
     @classmethod
     def stack_pieces(cls, pairs: Sequence[tuple[Seat, SamplePiece]]) -> Batch:
         pieces = tuple(piece for _, piece in pairs)
+        ages = [piece.ages for piece in pieces if piece.ages is not None]
         return cls(
             np.array([seat.index for seat, _ in pairs], np.int64),
             np.stack([piece.u for piece in pieces]),
             np.stack([piece.counts for piece in pieces]),
-            _stack_ages(pieces),
+            np.stack(ages) if len(ages) == len(pieces) else None,
             np.array([piece.time for piece in pieces], np.float64),
             np.array([piece.offset for piece in pieces], np.int64),
             np.array([piece.turn for piece in pieces], np.int64),
@@ -62,12 +63,6 @@ class Batch:
         return cls(index, u, counts, join_ages([part.ages for part in parts]), time, offset, turn, received)
 
 
-def _stack_ages(pieces: Sequence[SamplePiece]) -> Floats | None:
-    """Return the ages (k, n) of pieces of one length, or None if a piece has none."""
-    ages = [piece.ages for piece in pieces if piece.ages is not None]
-    return np.stack(ages) if len(ages) == len(pieces) else None
-
-
 @dataclass
 class GroupQueue:
     """The waiting samples of one group.
@@ -80,19 +75,15 @@ class GroupQueue:
     _queues: dict[Seat, list[SamplePiece]] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
-        self._busy: Flags = np.zeros(len(self.group.seats), np.bool_)
-
-    def may_put(self, index: NDArray[np.int64]) -> bool:
-        """Return whether no samples wait for any of these axes (k,)."""
-        return not self._busy[index].any()
+        self.busy: Flags = np.zeros(len(self.group.seats), np.bool_)
 
     def put(self, batch: Batch) -> None:
-        self._busy[batch.index] = True
+        self.busy[batch.index] = True
         self._tables.setdefault(batch.counts.shape[1], []).append(batch)
 
     def queue(self, seat: Seat, pieces: Sequence[SamplePiece]) -> None:
         """Append pieces after all waiting samples of this axis."""
-        self._busy[seat.index] = True
+        self.busy[seat.index] = True
         self._queues.setdefault(seat, []).extend(pieces)
 
     def batches(self) -> Iterator[Batch]:

@@ -190,29 +190,24 @@ class Vault:
         """Replace the states, which are on the disk when this method returns. Raises OSError if it fails, and the
         previous states then remain."""
         sequence, pieces, checksum = self.sequence + 1, list(_split(chunks)), 0
-        with self._dropped_after_errors(), raise_os_errors(self.path):
-            database = self._open()
-            with transaction(database):
-                database.execute("DELETE FROM checkpoint")
-                database.execute("DELETE FROM states")
-                for part, piece in enumerate(pieces):
-                    if part == len(pieces) // 2:
-                        crash_point("checkpoint.half")
-                    checksum = zlib.crc32(piece, checksum)
-                    database.execute("INSERT INTO states VALUES (?, ?)", (part, piece))
-                database.execute("INSERT INTO checkpoint VALUES (?, ?)", (sequence, checksum))
-                crash_point("checkpoint.written")
+        try:
+            with raise_os_errors(self.path):
+                database = self._open()
+                with transaction(database):
+                    database.execute("DELETE FROM checkpoint")
+                    database.execute("DELETE FROM states")
+                    for part, piece in enumerate(pieces):
+                        if part == len(pieces) // 2:
+                            crash_point("checkpoint.half")
+                        checksum = zlib.crc32(piece, checksum)
+                        database.execute("INSERT INTO states VALUES (?, ?)", (part, piece))
+                    database.execute("INSERT INTO checkpoint VALUES (?, ?)", (sequence, checksum))
+                    crash_point("checkpoint.written")
+        except OSError:
+            self._drop()  # the disk may be another one
+            raise
         self.sequence = sequence
         crash_point("checkpoint.durable")
-
-    @contextmanager
-    def _dropped_after_errors(self) -> Iterator[None]:
-        """Open the file again after an error, when the disk may be another one."""
-        try:
-            yield
-        except OSError:
-            self._drop()
-            raise
 
     def close(self) -> None:
         """Unlock the folder for other services."""

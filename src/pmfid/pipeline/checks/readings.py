@@ -20,7 +20,7 @@ from pmfid.pipeline.checks.view import (
     best_view,
 )
 from pmfid.pipeline.guess.roles import is_position
-from pmfid.pipeline.known import set_any_gain
+from pmfid.pipeline.known import finds_gain, set_any_gain
 from pmfid.pipeline.tuning import TUNING
 from pmfid.types import Counts, Floats
 from pmfid.units import OUTPUTS, column_unit
@@ -36,7 +36,7 @@ def read_as(log: CheckedLog) -> Iterator[Finding]:
     other = _other_reading(log)
     if other is not None:
         yield other
-    elif log.view is not None and log.knows_sign and is_turned(log.view):
+    elif log.view is not None and not finds_gain(log.axis) and is_turned(log.view):
         mistake = "the output has the opposite sign of the input"
         found = _make_finding("reversed", mistake, suggest_sign(log), log.view.unexplained)
         yield replace(found, detail="If the sign is right, a force other than this input moves the axis.")

@@ -16,7 +16,7 @@ from pmfid.estimators.ls import LS
 from pmfid.estimators.plants import plant_of
 from pmfid.estimators.stretches import liveliest
 from pmfid.models.drive import Drive
-from pmfid.pipeline.known import finds_gain, set_any_gain
+from pmfid.pipeline.known import set_any_gain
 from pmfid.pipeline.tuning import TUNING
 from pmfid.records.outliers import repair_as_configured
 from pmfid.records.record import Record
@@ -52,11 +52,6 @@ class View:
         """The part of the input that no sum of the columns explains."""
         return float(self.measure_rest(self.z))
 
-    @property
-    def unexplained_without_load(self) -> float:
-        """The part of the input that no sum of the columns without the load explains."""
-        return View(self.time, np.delete(self.phi, LOAD, axis=1), self.z).unexplained
-
     def shows_load(self, better: float, sure: float) -> bool:
         """Return whether a constant load is visible.
 
@@ -64,7 +59,8 @@ class View:
         `better`.
         """
         certain = abs(self.sure(np.eye(self.theta.size)[LOAD])) > sure
-        return not self.one_way and certain and self.unexplained < better * self.unexplained_without_load
+        unloaded = View(self.time, np.delete(self.phi, LOAD, axis=1), self.z)
+        return not self.one_way and certain and self.unexplained < better * unloaded.unexplained
 
     def measure_rest(self, z: Floats) -> float:
         """Return the part of another filtered input (n,) that no sum of the columns explains."""
@@ -267,11 +263,6 @@ class CheckedLog:
         """The input (n,) with the sign of its force in the configuration."""
         gain = set_any_gain(self.axis).model.make().equation.input_gain
         return np.asarray(np.sign(gain) * self.known.u)
-
-    @property
-    def knows_sign(self) -> bool:
-        """Whether the configuration says in which direction the input drives the axis."""
-        return not finds_gain(self.axis)
 
     @cached_property
     def encoder(self) -> Encoder:

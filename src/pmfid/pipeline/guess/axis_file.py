@@ -156,10 +156,10 @@ class GuessedClock:
 
 
 def _record(result: AxisGuess, pair: Pair, judgement: Judgement, clock: GuessedClock, choice: NamedColumns) -> None:
-    doubt = describe_doubt(pair, judgement)
+    doubt, role = describe_doubt(pair, judgement), role_of(pair.output)
     for key, name, chosen, why in (
         ("input", pair.input, choice.input, _why_input(pair, judgement)),
-        ("output", pair.output, choice.output, _why(pair)),
+        ("output", pair.output, choice.output, f"its name says {role}" if role in MOTION else "the input drives it"),
     ):
         reason = "as given" if chosen else f"{TO_DO}check this column; {doubt}" if doubt else why
         result.add("record", f"{key} = {quote_name(name)}", reason)
@@ -191,11 +191,6 @@ def _why_input(pair: Pair, judgement: Judgement) -> str:
     return f"the motion of {pair.output} explains it to {100 * pair.explained:.3g} %{further}"
 
 
-def _why(pair: Pair) -> str:
-    role = role_of(pair.output)
-    return f"its name says {role}" if role in MOTION else "the input drives it"
-
-
 def _drop_repeats(stamps: Stamps | None, columns: Mapping[str, Floats]) -> Stamps | None:
     """Return the stamps without rows that the log has twice. Topics have rows of their own and are left alone."""
     if stamps is None or any(values.size <= stamps.rows[-1] for values in columns.values()):
@@ -213,7 +208,8 @@ def _clock(stamps: Stamps | None, ask: Ask | None) -> GuessedClock:
         return GuessedClock("", "", untold if answer is None else "as answered", answer or TUNING.axis_file_usual)
     name, values = stamps.name, stamps.values
     mean, grid = even_grid(values)
-    step = mean if grid else _mean_step(np.diff(values))
+    steps = np.diff(values)
+    step = mean if grid else float(np.mean(np.minimum(steps, np.quantile(steps, 0.9))))  # without gaps
     if np.any(np.diff(values) < 0) or not step > 0:
         row = int(stamps.rows[np.argmax(np.diff(values) < 0)]) + 1
         raise UsageError(
@@ -331,11 +327,6 @@ def _load(result: AxisGuess, pair: Pair, ask: Ask | None) -> None:
 
 def _sign(pair: Pair) -> str:
     return "; negative, because the input drives against the output" if pair.turned else ""
-
-
-def _mean_step(steps: Floats) -> float:
-    """Return the mean of the steps, where a gap counts as the longest tenth of them."""
-    return float(np.mean(np.minimum(steps, np.quantile(steps, 0.9))))
 
 
 def read_duration(text: str) -> float:

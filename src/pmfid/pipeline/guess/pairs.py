@@ -174,14 +174,10 @@ def _output_penalty(y: str, motions: list[str], columns: Mapping[str, Floats]) -
     """
     others = [name for name in motions if name != y and columns[name].size == columns[y].size]
     unnamed = evidence_of(y).lean(*MOTION) < 1
-    rates = (_is_rate(columns[y], columns[name]) or _named_rate(y, name) for name in others if not jumps(columns[name]))
+    joint = [name for name in others if role_of(y) == "velocity" and number_of(name) == number_of(y)]
+    named = [name for name in joint if role_of(name) in ("counts", "position")]
+    rates = (name in named or _is_rate(columns[y], columns[name]) for name in others if not jumps(columns[name]))
     return TUNING.pairs_relation if (unnamed and jumps(columns[y])) or any(rates) else 0.0
-
-
-def _named_rate(rate: str, motion: str) -> bool:
-    """Return whether two columns are velocity and position of one joint by their names."""
-    same = number_of(rate) == number_of(motion)
-    return same and role_of(rate) == "velocity" and role_of(motion) in ("counts", "position")
 
 
 def _is_rate(rate: Floats, motion: Floats) -> bool:
@@ -192,7 +188,7 @@ def _is_rate(rate: Floats, motion: Floats) -> bool:
 def _relations(u: Floats, y: Floats, velocity: bool) -> str:
     """Return the relation of two columns (n,) that an input and an output of a machine do not have, or nothing."""
     likeness = _compare(u, y)
-    if likeness.one_quantity:
+    if likeness.alike and abs(likeness.shift) <= 1:
         return f"both columns are one quantity, equal to {100 * likeness.left:.2g} %"
     if float(np.std(u)) < TUNING.relations_copy * abs(float(np.mean(u))):
         return "the first column is nearly constant"
@@ -214,7 +210,8 @@ def _try_pair(columns: Mapping[str, Floats], u: str, y: str, dt: float) -> Pair 
     if not seen:
         against = _relations(columns[u], columns[y], role == "velocity")
         return _weigh(Pair(u, y, _whole(y, columns[y], kinds[0]), False, 0.0, against=against), 1.0)
-    kind, view = min(seen, key=lambda pair: _cost_of_kind(role, *pair))
+    # The mass of a reading that agrees with the name need not be significant.
+    kind, view = min(seen, key=lambda pair: pair[1].unexplained if pair[0] == role else _cost(pair[1]))
     against = _relations(columns[u], columns[y], kind == "velocity") or _pure_mass(view)
     left, gravity = _cost(view), False
     if kind != "velocity" and (hanging := _view_pendulum(columns[u], columns[y], unit, dt, view.unexplained)):
@@ -238,11 +235,6 @@ def _pure_mass(view: View) -> str:
     rest = view.z - column @ solve_least_squares(column, view.z)
     left = float(np.linalg.norm(rest) / np.linalg.norm(view.z))
     return "the first column is the acceleration of the second" if left < TUNING.relations_copy else ""
-
-
-def _cost_of_kind(role: Role, kind: str, view: View) -> float:
-    """Return the unexplained part of a reading. The mass of one that agrees with the name need not be significant."""
-    return view.unexplained if kind == role else _cost(view)
 
 
 def _view_pendulum(u: Floats, y: Floats, unit: Unit | None, dt: float, plain: float) -> View | None:

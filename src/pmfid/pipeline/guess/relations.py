@@ -29,11 +29,6 @@ class Likeness:
         return self.gain > 0 and self.left < TUNING.relations_copy
 
     @property
-    def one_quantity(self) -> bool:
-        """Whether the columns are copies, or two sensors of one quantity."""
-        return self.alike and abs(self.shift) <= 1
-
-    @property
     def set_point(self) -> bool:
         """Whether one column is the set point of the other: their gain is 1, with a delay and without an offset."""
         near = abs(self.gain - 1) < TUNING.relations_gain and self.left < TUNING.relations_follows

@@ -142,15 +142,12 @@ def evidence_of(name: str) -> NameEvidence:
         weights["other"] = TUNING.roles_unit
     pair = re.fullmatch(r"[a-z]_d", name.strip().lower())
     commanded = bool(pair) and name.strip().lower()[0] in "qxyvw"
-    return NameEvidence(weights, commanded or any(word in _COMMANDED.split() for word in words), _is_changed(words))
+    commanded |= any(word in _COMMANDED.split() for word in words)
+    return NameEvidence(weights, commanded, any(word in _CHANGED.split() for word in words))
 
 
 def _weight(word: str) -> float:
     return max((weight for _, weight in _KNOWN.get(word, ())), default=0.0)
-
-
-def _is_changed(words: list[str]) -> bool:
-    return any(word in _CHANGED.split() for word in words)
 
 
 def _words_and_letters(name: str) -> list[str]:

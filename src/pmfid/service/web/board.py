@@ -30,11 +30,6 @@ def row_type(parameters: int) -> np.dtype[np.void]:
     )
 
 
-def row_bytes(group: Kindred) -> int:
-    """Return the size of a row of an axis [bytes]."""
-    return row_type(len(group.names)).itemsize
-
-
 @dataclass(frozen=True)
 class Overview:
     """Changes in a group, for m axes.
@@ -85,12 +80,6 @@ class Panel:
         """Index of the first parameter whose deviations can be measured."""
         usable = np.flatnonzero(self.group.nominal)
         return int(usable[0]) if usable.size else 0
-
-    def refer_only(self, referred: Mapping[str, Sequence[float]]) -> None:
-        """Set the references (q,) of these axes, and the reference of the group for all others."""
-        self.nominal[:] = self.group.nominal
-        for name in referred.keys() & self.place.keys():
-            self.nominal[self.place[name]] = referred[name]
 
     def list_referred(self) -> dict[int, list[float]]:
         """Return the axes whose reference differs from the reference of the group, with their references."""
@@ -271,7 +260,7 @@ class Board:
         `referred` maps an axis to its reference (q,), if the axis does not have the reference of its group. None leaves
         the references unchanged.
         """
-        share = self._budget / max(1, sum(len(group.axes) * row_bytes(group) for group in groups))
+        share = self._budget / max(1, sum(len(one.axes) * row_type(len(one.names)).itemsize for one in groups))
         panels = [Panel(group, int(share), self.every) for group in groups]
         with self._lock:
             self._version += 1
@@ -279,7 +268,9 @@ class Board:
                 for old in self._panels:
                     panel.adopt(old, self._version)
                 if referred is not None:
-                    panel.refer_only(referred)
+                    panel.nominal[:] = panel.group.nominal
+                    for name in referred.keys() & panel.place.keys():
+                        panel.nominal[panel.place[name]] = referred[name]
             self._panels, self._layout = panels, self._layout + 1
             self._by_group = {id(panel.group): panel for panel in panels}
             self._by_axis = {name: panel for panel in panels for name in panel.place}

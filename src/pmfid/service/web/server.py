@@ -109,7 +109,8 @@ def serve(
         time.sleep(0.01)
     if not server.started:
         raise UsageError("the page did not start; the log contains the reason")
-    url = f"http://{_shown_host(config, port)}/"
+    shown = f"[{config.address}]" if ":" in config.address else config.address
+    url = f"http://{config.hosts[0] if config.hosts else f'{shown}:{port}'}/"
     return Page(url, token.text if token.made else None, _notes(config, token), server, api, thread)
 
 
@@ -125,15 +126,9 @@ def _listener(config: PageConfig) -> socket.socket:
         ) from None
 
 
-def _only_failures(record: logging.LogRecord) -> bool:
-    """Keep failures of the page, with their trace. Invalid requests are only counted, so that they do not fill a
-    log."""
-    return record.exc_info is not None
-
-
 def _server(app: ASGIApp) -> Server:
-    """Return a server without a log of requests."""
-    logging.getLogger("uvicorn.error").addFilter(_only_failures)
+    """Return a server without a log of requests. Failures of the page are logged with their trace."""
+    logging.getLogger("uvicorn.error").addFilter(lambda record: record.exc_info is not None)
     logging.getLogger("uvicorn.access").disabled = True  # any handler of the process overrides `access_log`
     return Server(
         Config(
@@ -151,12 +146,6 @@ def _server(app: ASGIApp) -> Server:
             h11_max_incomplete_event_size=16384,
         )
     )
-
-
-def _shown_host(config: PageConfig, port: int) -> str:
-    if config.hosts:
-        return config.hosts[0]
-    return f"[{config.address}]:{port}" if ":" in config.address else f"{config.address}:{port}"
 
 
 def _notes(config: PageConfig, token: Token) -> tuple[str, ...]:
