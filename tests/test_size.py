@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64120,
-    "lines of code in src": 37395,
+    "lines of src": 64157,
+    "lines of code in src": 37422,
     "lines of code in report and cli": 2929,
     "thresholds in src": 956,
     "lines of csrc": 8680,
@@ -22,7 +22,7 @@ MOST = {
     "conditionals of csrc": 106,
     "lines of tests": 27752,
     "match= in tests": 25,
-    "lines of studies": 8007,
+    "lines of studies": 8094,
 }
 
 

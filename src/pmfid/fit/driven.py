@@ -70,6 +70,17 @@ def smooth_record(stretch: ObservedStretch, resolution: float) -> SmoothRecord |
     return SmoothRecord(x, _smooth(u, width), np.column_stack(columns), width, step)
 
 
+def shaken_part(stretch: ObservedStretch, resolution: float) -> ObservedStretch:
+    """Return the part of a long stretch with the largest accelerations, or a short stretch itself."""
+    size, record = stretch.drive.step.size, smooth_record(stretch, resolution)
+    if size < 1.5 * TUNING.part or record is None:
+        return stretch
+    total = np.append(0.0, np.cumsum(record.columns[:, 0] ** 2))
+    width, end = min(TUNING.part, total.size - 1), (size + 1 - record.columns.shape[0]) // 2
+    first = min(end + int(np.argmax(total[width:] - total[:-width])), size - TUNING.part)
+    return stretch.part(first, first + TUNING.part)
+
+
 def driven_guesses(stretch: ObservedStretch, resolution: float) -> list[Floats]:
     """Return guesses of (mass, viscous, Coulomb, offset, load mass, load viscous, load Coulomb, stiffness, damping),
     the best one first."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
@@ -11,7 +13,7 @@ import numpy as np
 from pmfid._body import ELASTIC_BASE
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
-from pmfid.fit.driven import distinct, driven_guesses
+from pmfid.fit.driven import distinct, driven_guesses, shaken_part
 from pmfid.fit.machine import (
     COULOMB,
     DAMPING,
@@ -27,12 +29,13 @@ from pmfid.fit.machine import (
     BodyModel,
 )
 from pmfid.fit.problem import FitProblem, ObservedStretch
-from pmfid.fit.release import release
+from pmfid.fit.release import follow, release, rounding_of
 from pmfid.fit.solve import Optimum
 from pmfid.fit.starts import blind_start
 from pmfid.fit.tuning import PLAY_TUNING, TUNING
 from pmfid.types import Floats
 
+Search = Callable[[FitProblem, Sequence[Floats], Floats], Optimum]
 #: Parameters of the first fits, in the order of `driven_guesses`.
 ROWS = (MASS, VISCOUS, COULOMB, OFFSET, LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
 
@@ -49,13 +52,38 @@ def elastic_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem,
     total = np.array([*guess_sum(stretch, force), 0.0])
     plain = _plain_pair(problem, stretch, total[:1], resonances(stretch))
     prior = prior_of(plain, force)
-    guesses = [] if problem.machine.load else driven_guesses(stretch, problem.resolution)
-    points = distinct([start_at(plain, guess) for guess in guesses], 0.02)[: TUNING.followed]
-    best = release(plain, points, prior, trial) if points else None
-    if best is None or not (trial or best.cost < TUNING.rounded * stretch.y.size):
-        end = release(plain, list(_scan(plain, total)), prior, trial)
-        best = end if best is None or end.cost < best.cost else best
-    return plain, best
+    points = _driven_points(plain)
+    best = follow(plain, points, prior) if points else None
+    if best is not None and (trial or best.cost < rounding_of(plain)):
+        return plain, best
+    part = replace(plain, stretches=(shaken_part(stretch, problem.resolution),))
+    short = part.rows < plain.rows
+    end = _search_part(part, total, prior, trial, not short)
+    if short:
+        end = follow(plain, [end.q], prior)
+    return plain, end if best is None or end.cost < best.cost else best
+
+
+def _driven_points(plain: FitProblem) -> list[Floats]:
+    """Return a few starts q (p,) by the measured motion of the motor, the best one first."""
+    if plain.machine.load:
+        return []
+    guesses = driven_guesses(plain.stretches[0], plain.resolution)
+    return distinct([start_at(plain, guess) for guess in guesses], 0.02)[: TUNING.followed]
+
+
+def _search_part(part: FitProblem, total: Floats, prior: Floats, trial: bool, followed: bool) -> Optimum:
+    """Return the best fit to a part of the record, from the measured motion or else from a scan of resonances. The
+    guesses of the measured motion may be `followed` already."""
+    points, ends = _driven_points(part), list[Optimum]()
+    searches: list[Search] = [follow, release, partial(release, trial=trial)]
+    pairs = list(zip(searches, (points, points, list(_scan(part, total))), strict=True))
+    for search, starts in pairs[followed:]:
+        if starts:
+            ends.append(search(part, starts, prior))
+            if ends[-1].cost < rounding_of(part):
+                break
+    return min(ends, key=lambda end: end.cost)
 
 
 def play_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem, Optimum]:
@@ -72,7 +100,10 @@ def play_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem, Op
     low, high = PLAY_TUNING.rates
     plain = _plain_pair(problem, stretch, totals[:, 0], (low / step, high / step), plays=True)
     points = [q for total in totals for q in _scan_gaps(plain, total, step)]
-    return plain, release(plain, points, prior_of(plain, force), trial)
+    prior = prior_of(plain, force)
+    part = replace(plain, stretches=(shaken_part(stretch, problem.resolution),))
+    end = release(part, points, prior, trial)
+    return plain, follow(plain, [end.q], prior) if part.rows < plain.rows else end
 
 
 def _plain_pair(

@@ -23,18 +23,13 @@ from pmfid.fit.tuning import RELEASE_TUNING, TUNING
 from pmfid.types import Floats
 
 
-def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: bool) -> Optimum:
-    """Return the best fit of two masses from starts q (p,), whose motion is held less and less. A few starts are good
-    ones, for which a weak spring may be enough.
+def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: bool = False) -> Optimum:
+    """Return the best fit of two masses from starts q (p,), whose motion is held less and less.
 
     A `trial` asks only whether rounding explains the rest. It takes less time.
     Raises NotIdentifiableError in a trial if even held motions leave twice the cost of rounding.
     """
-    rng, enough, starts = np.random.default_rng(1), TUNING.rounded * plain.rows, plain.first_starts()
-    if len(points) <= TUNING.followed:
-        best = _release_at_once(plain, points, prior, rng)
-        if trial or best.cost < enough:
-            return best
+    rng, enough, starts = np.random.default_rng(1), rounding_of(plain), plain.first_starts()
     ends = [_descend(hold(plain, q, RELEASE_TUNING.rates[0]), q, starts, prior, RELEASE_TUNING.first) for q in points]
     ends.sort(key=lambda end: end.cost)
     for number, rate in enumerate(RELEASE_TUNING.rates[1:], 1):
@@ -49,29 +44,33 @@ def release(plain: FitProblem, points: Sequence[Floats], prior: Floats, trial: b
         ends = sorted(tried, key=lambda end: end.cost)
         if trial and ends[0].cost > 2 * enough:
             raise NotIdentifiableError("two masses do not follow")
-    return _rejoin(plain, [_let_go(plain, end.q, end.starts, prior, rng) for end in ends], prior)
+    ends = [_let_go(plain, end.q, end.starts, prior, rng) for end in ends]
+    return _mend(plain, min(ends, key=lambda end: end.cost), prior)
 
 
-def _release_at_once(plain: FitProblem, points: Sequence[Floats], prior: Floats, rng: np.random.Generator) -> Optimum:
+def follow(plain: FitProblem, points: Sequence[Floats], prior: Floats) -> Optimum:
     """Return the best fit from good starts q (p,), whose motion is free or held by a weak spring, and then free."""
+    rng = np.random.default_rng(1)
     ends, weak = list[Optimum](), (0.0, RELEASE_TUNING.rates[3], RELEASE_TUNING.rates[1])
     for rate, q in product(weak, points):
         end = _descend(hold(plain, q, rate) if rate else plain, q, plain.first_starts(), prior)
         ends.append(_let_go(plain, end.q, end.starts, prior, rng) if rate else _search(plain, end, prior, rng))
-        if ends[-1].cost < soften(plain.stretches).rounded_cost:
+        if ends[-1].cost < rounding_of(plain):
             return ends[-1]
-    return _rejoin(plain, ends, prior)
+    return _mend(plain, min(ends, key=lambda end: end.cost), prior)
 
 
-def _rejoin(plain: FitProblem, ends: Sequence[Optimum], prior: Floats) -> Optimum:
-    """Return the best end, or a better fit from parts of the record if it leaves more than rounding."""
-    best, rounding = min(ends, key=lambda end: end.cost), soften(plain.stretches).rounded_cost
+def rounding_of(problem: FitProblem) -> float:
+    """Return the largest softened cost that rounding alone leaves."""
+    return soften(problem.stretches).rounded_cost
+
+
+def _mend(plain: FitProblem, best: Optimum, prior: Floats) -> Optimum:
+    """Return a fit, or a better one from parts of the record if the fit leaves more than rounding and less than about a
+    count."""
     for number in TUNING.rejoined:
-        if best.cost < rounding:
-            break
-        before, best = best, min(rejoin(plain, best.q, prior, number), best, key=lambda end: end.cost)
-        if best.cost > max(before.cost / 2, plain.rows):  # a whole count, and hardly better
-            break
+        if rounding_of(plain) < best.cost < plain.rows:
+            best = min(rejoin(plain, best.q, prior, number), best, key=lambda end: end.cost)
     return best
 
 
@@ -118,7 +117,7 @@ def _let_go(plain: FitProblem, q: Floats, starts: Floats, prior: Floats, rng: np
 def _search(problem: FitProblem, end: Optimum, prior: Floats, rng: np.random.Generator) -> Optimum:
     """Return a better optimum near an optimum. A contact more or less parts them, so that no slope leads there."""
     for _ in range(RELEASE_TUNING.rounds):
-        if not soften(problem.stretches).rounded_cost < end.cost < 2 * TUNING.rounded * problem.rows:
+        if not 1 < end.cost / rounding_of(problem) < 2:
             break
         A = end.normal.A + np.diag(prior)
         sizes = 10 ** -rng.random(RELEASE_TUNING.tries)

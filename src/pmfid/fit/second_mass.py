@@ -13,9 +13,10 @@ from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import NORMAL_95, ODDS
 from pmfid.fit.elastic import ROWS, elastic_start, play_start, resonance_of
 from pmfid.fit.fit import Fitted
-from pmfid.fit.likelihood import ROUNDING, Gaussian, noise_of
+from pmfid.fit.likelihood import Gaussian, noise_of
 from pmfid.fit.machine import COULOMB, LOAD_COULOMB, LOAD_MASS, LOAD_VISCOUS, MASS, STIFFNESS, VISCOUS
 from pmfid.fit.problem import FitProblem, ObservedStretch
+from pmfid.fit.release import rounding_of
 from pmfid.fit.search import with_columns
 from pmfid.fit.shooting import settle
 from pmfid.fit.solve import Optimum, inverse
@@ -68,7 +69,7 @@ def try_second_mass(fitted: Fitted) -> SecondMass | None:
     problem = _whole(fitted)
     part = _worst_part(fitted, problem.stretches)
     one = _fit_one_mass(problem, fitted.solution.q, part)
-    if _leaves_rounding(one[0].residuals(one[1].q, one[1].starts)[0]):
+    if one[1].cost < rounding_of(one[0]):
         return None
     pair = _fit_two_masses(problem, part)
     if pair is None:
@@ -95,7 +96,7 @@ def _fit_two_masses(problem: FitProblem, part: ObservedStretch) -> tuple[FitProb
     for start in (elastic_start, play_start):
         with suppress(NotIdentifiableError):
             pair, end = start(problem, trial=True)
-            if end.cost < TUNING.rounded * part.y.size:
+            if end.cost < rounding_of(pair):
                 return pair, end
     return None
 
@@ -156,11 +157,6 @@ def _fit_one_mass(problem: FitProblem, q: Floats, part: ObservedStretch) -> tupl
     problem = replace(problem, stretches=(part,))
     prior = np.isin(range(q.size), problem.places).astype(np.float64)
     return problem, settle(problem, q, problem.first_starts(), prior, 15)
-
-
-def _leaves_rounding(e: Floats) -> bool:
-    """Return whether the squares of residuals e (k,) have a sum as that of rounding, whose variance is 1/180 each."""
-    return float(np.sum(e**2 - ROUNDING)) < NORMAL_95 * math.sqrt(e.size / 180)
 
 
 def _evidence(problem: FitProblem, end: Optimum) -> float:

@@ -25,6 +25,8 @@ class ElasticTuning:
     reach: float = 0.35
     #: Loads that make a guess.
     kept: int = 5
+    #: Samples of the part in which two masses are sought where no guess follows the record.
+    part: int = 2000
     #: Guesses that are followed, and the factor by which the length of parts of a record grows.
     followed: int = 3
     joined: float = 6.0
@@ -37,8 +39,6 @@ class ElasticTuning:
     per_octave: int = 3
     shares: tuple[float, ...] = (0.3, 0.75)
     ratio: float = 0.05
-    #: Cost of an observation in the softened likelihood that rounding explains: 1/18, and a little more.
-    rounded: float = 0.065
     #: Largest distance of a mass from the first guess, as a logarithm.
     far: float = 5.0
     #: Widths of the smoothing of the first guesses, as a part of the record.

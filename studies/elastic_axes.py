@@ -1,0 +1,213 @@
+"""Random axes with a second mass, on a spring or across a gap, judged by the truth.
+
+`python -m studies.elastic_axes --kind spring --machines 60 --seed 1` prints a line for each machine, and a summary.
+Kinds: `spring` and `gear` fit two masses; `rigid` fits one mass to a spring; `tight` asks for play without a gap.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from multiprocessing import get_context
+from typing import NamedTuple
+
+import numpy as np
+
+import pmfid
+from pmfid.fit.compare import NORMAL_95
+from pmfid.types import Floats
+from tests.oracles.two_mass import TwoMasses
+
+KINDS = ("spring", "rigid", "gear", "tight")
+#: Largest right error of masses and stiffness; of the gap [counts] and relative; and of a standard error.
+RIGHT, GAP, BARS = 0.005, (1.0, 0.1), 3.0
+
+
+class Record(NamedTuple):
+    """A record with its truth (p,), in the order of the fit of two masses, and facts for the reader."""
+
+    u: Floats
+    counts: Floats
+    step: float
+    resolution: float
+    truth: Floats
+    facts: str
+
+
+class Verdict(NamedTuple):
+    """What a fit gives: right values, parameters held and given, silence, CPU time [s] and a line of text."""
+
+    right: bool
+    held: int
+    given: int
+    silent: bool
+    seconds: float
+    text: str
+
+
+def draw(rng: np.random.Generator, low: float, high: float) -> float:
+    """Return a random number that is even on a logarithmic scale."""
+    return float(np.exp(rng.uniform(np.log(low), np.log(high))))
+
+
+def simulate(
+    pair: TwoMasses, step: float, count: int, force_at: Callable[[int, float], float]
+) -> tuple[Floats, Floats]:
+    """Return the input and the positions (count,) of the motor. `force_at` is the input by the number of a sample
+    and by the position."""
+    rate = np.sqrt(pair.stiffness * (1 / pair.mass + 1 / pair.load))
+    state, substeps = np.zeros(4), max(4, int(np.ceil(rate * step / 0.06)))
+    u, y = np.zeros(count), np.zeros(count)
+    for k in range(count):
+        y[k] = state[0]
+        u[k] = force_at(k, state[0])
+        for _ in range(substeps):
+            state = pair.advance(state, u[k], step / substeps)
+    return u, y
+
+
+@dataclass
+class Control:
+    """Position control from counts, with a filtered speed: gains, limit, resolution and the zero within a count."""
+
+    reference: Floats
+    step: float
+    kp: float
+    kd: float
+    limit: float
+    resolution: float
+    zero: float
+    last: float = 0.0
+    speed: float = 0.0
+
+    def __call__(self, k: int, y: float) -> float:
+        seen = float(np.floor(y / self.resolution + self.zero) * self.resolution)
+        self.speed, self.last = self.speed + 0.4 * ((seen - self.last) / self.step - self.speed), seen
+        return float(np.clip(self.kp * (self.reference[k] - seen) - self.kd * self.speed, -self.limit, self.limit))
+
+
+def make_spring(seed: int, index: int) -> Record:
+    """Return a machine of 5 to 120 Hz with an input of random torque, a chirp, or position control."""
+    rng = np.random.default_rng([seed, index])
+    inertia, ratio, hertz, damping = draw(rng, 1e-5, 10), draw(rng, 0.1, 10), draw(rng, 5, 120), draw(rng, 0.005, 0.2)
+    step = draw(rng, 5e-4, min(5e-3, 0.42 / hertz))
+    resolution, rate = 2 * np.pi / int(draw(rng, 512, 65536)), 2 * np.pi * hertz
+    motor, friction = inertia / (1 + ratio), rng.uniform(0.02, 0.3, 2)
+    load = inertia - motor
+    friction *= min(1.0, 0.5 / np.sum(friction))
+    acceleration, drag, share = draw(rng, 100, 3000), inertia / draw(rng, 0.1, 1), rng.uniform(0.2, 0.8)
+    torque, reduced = inertia * acceleration, motor * load / inertia
+    masses = (motor, drag * share, friction[0] * torque), (load, drag * (1 - share), friction[1] * torque)
+    pair = TwoMasses(*masses[0], *masses[1], reduced * rate**2, 2 * damping * rate * reduced)
+    count = int(min(10000, max(2000, rng.uniform(4, 10) / step)))
+    kind, zero = ("random", "chirp", "position")[index % 3], rng.uniform()
+    if kind == "random":
+        hold = max(1, int(rng.uniform(0.3, 2) / hertz / step))
+        u = rng.uniform(-1, 1, count // hold + 1).repeat(hold)[:count] * torque
+    elif kind == "chirp":
+        t, low, high = np.arange(count) * step, 0.3, min(1.5 * hertz, 0.25 / step)
+        growth = (high / low) ** (t / t[-1])
+        u = torque * np.sin(2 * np.pi * low * t[-1] / np.log(high / low) * (growth - 1))
+    else:
+        band = min(0.12 * rate / np.sqrt(1 + ratio), 0.1 / step, 60.0)
+        move, rest = max(int(4 / band / step), 4), max(int(rng.uniform(0.5, 2) / band / step), 1)
+        stroke = min(acceleration * (move * step) ** 2 / 6, 30.0)
+        goals = np.r_[0, rng.uniform(-1, 1, count // (move + rest) + 2) * stroke]
+        profile = np.r_[0.5 - 0.5 * np.cos(np.pi * np.arange(1, move + 1) / move), np.ones(rest)]
+        reference = np.concatenate([a + (b - a) * profile for a, b in pairwise(goals.tolist())])[:count]
+        gains = inertia * band**2, 1.2 * inertia * band
+        u, y = simulate(pair, step, count, Control(reference, step, *gains, torque, resolution, zero))
+    if kind != "position":
+        u, y = simulate(pair, step, count, lambda k, _: float(u[k]))
+    facts = f"{kind} {count} x {1e3 * step:.2g} ms, {hertz:.0f} Hz, ratio {ratio:.2g}"
+    return close(pair, u, np.floor(y / resolution + zero), step, resolution, facts)
+
+
+def make_gear(seed: int, index: int, gap: bool = True) -> Record:
+    """Return a gear whose contact swings by 0.3 to 1.5 rad a sample, with random torque."""
+    rng = np.random.default_rng([seed, index])
+    inertia, ratio, turn, damping = draw(rng, 1e-4, 10), draw(rng, 0.2, 4), draw(rng, 0.3, 1.5), draw(rng, 0.03, 0.3)
+    step, resolution, width = draw(rng, 5e-4, 4e-3), 2 * np.pi / int(draw(rng, 1000, 65536)), draw(rng, 2, 50)
+    motor, friction, hold = inertia / (1 + ratio), rng.uniform(0.02, 0.25, 2), int(rng.integers(5, 25))
+    load, count = inertia - motor, int(rng.uniform(2000, 5000))
+    torque = inertia * draw(rng, 3, 30) * width * resolution / (hold * step) ** 2
+    drag, share, reduced = inertia / draw(rng, 0.05, 0.5), rng.uniform(0.2, 0.8), motor * load / inertia
+    masses = (motor, drag * share, friction[0] * torque), (load, drag * (1 - share), friction[1] * torque)
+    spring = reduced * (turn / step) ** 2, 2 * damping * turn / step * reduced
+    pair = TwoMasses(*masses[0], *masses[1], *spring, gap * width * resolution)
+    u = rng.uniform(-1, 1, count // hold + 1).repeat(hold)[:count] * torque
+    _, y = simulate(pair, step, count, lambda k, _: float(u[k]))
+    facts = f"{count} x {1e3 * step:.2g} ms, {turn:.2g} rad a sample, gap of {gap * width:.2g} counts"
+    return close(pair, u, np.floor(y / resolution + rng.uniform()), step, resolution, facts)
+
+
+def close(pair: TwoMasses, u: Floats, counts: Floats, step: float, resolution: float, facts: str) -> Record:
+    """Return the record with its truth."""
+    truth = [pair.mass, pair.viscous, pair.coulomb, pair.load, pair.load_viscous, pair.load_coulomb]
+    truth += [pair.stiffness, pair.damping, *([pair.gap] if pair.gap else [])]
+    return Record(u, counts, step, resolution, np.array(truth), facts)
+
+
+def judge(kind: str, seed: int, index: int) -> Verdict:
+    """Fit one machine. An error of a fit is a refusal, and not right."""
+    record = make_spring(seed, index) if kind in ("spring", "rigid") else make_gear(seed, index, kind == "gear")
+    body = {} if kind == "rigid" else {"body": "two-mass", "play": kind in ("gear", "tight")}
+    drive, encoder = pmfid.Drive(1.0, axis="rotary", **body), pmfid.Encoder(record.resolution)  # type: ignore[arg-type]
+    start = time.process_time()
+    try:
+        fit = pmfid.identify(record.u, record.counts, model=drive, dt=record.step, encoder=encoder)
+    except pmfid.PmfidError as refusal:
+        named = kind == "rigid" and "two masses" in str(refusal)
+        return Verdict(named, 0, 0, False, time.process_time() - start, f"{record.facts}; refused: {refusal}"[:150])
+    seconds, truth = time.process_time() - start, record.truth
+    status, words = " ".join(fit.status), f"{record.facts}; {' '.join(fit.status)}"
+    if kind == "rigid":
+        off = fit.theta[0] / (truth[0] + truth[3]) - 1
+        right = abs(off) < RIGHT or "two_mass" in {one.code for one in fit.findings}
+        return Verdict(right, 0, 0, not right and not status, seconds, f"{words}; inertia {100 * off:.2g} %")
+    assert fit.interval_95 is not None
+    theta, half = fit.theta, np.diff(fit.interval_95)[:, 0] / 2
+    if kind == "tight":
+        right = theta[8] - half[8] <= 0 or theta[8] < record.resolution or "uncertain" in fit.status
+        return Verdict(
+            right, 0, 0, not right and not status, seconds, f"{words}; gap {theta[8] / record.resolution:.2g}"
+        )
+    error, size = np.abs(theta - truth), np.abs(truth)
+    right = bool(np.all(error[[0, 3, 6]] < RIGHT * size[[0, 3, 6]]))
+    if kind == "gear":
+        right = error[8] < max(GAP[0] * record.resolution, GAP[1] * truth[8])
+    silent = not status and bool(np.any((error > BARS * half / NORMAL_95) & (error > RIGHT * size)))
+    percent = " ".join(f"{value:.2g}" for value in 100 * (error / size)[[0, 3, 6, -1]])
+    held = int(np.count_nonzero(error <= half))
+    return Verdict(right, held, truth.size, silent, seconds, f"{words}; errors {percent} %")
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m studies.elastic_axes", description=__doc__)
+    parser.add_argument("--kind", choices=KINDS, default="spring")
+    parser.add_argument("--machines", type=int, default=60)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args(arguments)
+    warnings.simplefilter("ignore")
+    verdicts = list[Verdict]()
+    with get_context("spawn").Pool(options.jobs) as pool:
+        indices = range(options.first, options.first + options.machines)
+        for index, one in zip(indices, pool.imap(partial(judge, options.kind, options.seed), indices), strict=True):
+            verdicts.append(one)
+            words = "" if one.right else " WRONG" + " SILENT" * one.silent
+            print(f"{index}: {one.text}; {one.seconds:.1f} s{words}", flush=True)
+    right, held, given, silent, seconds, _ = zip(*verdicts, strict=True)
+    print(f"right {sum(right)} of {len(right)}, silent {sum(silent)}, intervals hold {sum(held)} of {sum(given)}")
+    print(f"CPU: median {np.median(seconds):.1f}, mean {np.mean(seconds):.1f}, most {max(seconds):.1f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
