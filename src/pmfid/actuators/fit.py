@@ -313,13 +313,11 @@ def _find(fit: ServoFit, search: ServoSearch, fitted: Fitted) -> list[Finding]:
     if stopped:
         findings.append(Finding("stops", f"{stopped} rows at a stop of the joint are left out", severity="note"))
     unclear = [name for name in fit.open if name not in fit.added]
-    hard = [name for name in unclear if name in ("inertia", "kp")]
-    if hard:
+    if unclear:
         sentence = f"not determined by this log: {', '.join(unclear)}"
-        findings.append(Finding("poor_excitation", sentence, _advise(unclear)))
-    elif unclear:
-        sentence = f"not determined by this log: {', '.join(unclear)}"
-        findings.append(Finding("not_determined", sentence, _advise(unclear), "note"))
+        hard = {"inertia", "kp"} & {*unclear}
+        kind = () if hard else ("note",)
+        findings.append(Finding("poor_excitation" if hard else "not_determined", sentence, _advise(unclear), *kind))
     if fit.added:
         shown = ", ".join(fit.added[:4]) + (f" and {len(fit.added) - 4} more" if len(fit.added) > 4 else "")
         sentence = f"the log shows {shown}; the fit estimates these terms as well"

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,52 +24,86 @@ from pmfid.types import Floats
 
 @dataclass(frozen=True, eq=False)
 class LagFit:
-    """The fit at a lag [s]: log evidence, mean (p,) and covariance (p, p) of the coordinates, and the search there."""
+    """The fit at a lag [s]: log evidence, mean (p,) and covariance (p, p) of the coordinates, and the search there.
+    `scatter` is the change of the log evidence from one motion in ticks to the next."""
 
     lag: float
     value: float
+    scatter: float
     mean: Floats
     covariance: Floats
     search: ServoSearch
 
 
+def take_lag(search: ServoSearch, lags: Sequence[float]) -> ServoSearch:
+    """Return the search at the best of some lags [s]. A delay of the loop, too, may mimic a lag."""
+    fits = _fit_lags(search, lags, 1) if search.kept else []
+    if not fits:
+        return search
+    best = max(fits, key=lambda fit: fit.value)
+    near = [k for k, fit in enumerate(fits) if fit.value > best.value - 8 * TUNING.lag_drop]
+    best.search.lags = tuple(fit.lag for fit in fits[max(near[0] - 1, 0) : near[-1] + 2])
+    return best.search
+
+
 def profile_lags(search: ServoSearch) -> list[LagFit]:
-    """Return the fits at lags that are close enough to each other near the best one, in rising order. A motion that
-    overflows has no fit."""
-    fits = [fit for fit in fit_lags(search) if math.isfinite(fit.value)]
-    for _ in range(TUNING.halvings):
-        best = max(range(len(fits)), key=lambda k: fits[k].value, default=0)
+    """Return the fits at lags close enough to each other near the best one, in rising order, with smooth evidence."""
+    fits = _fit_lags(search, search.lags, 2)
+    for _ in range(TUNING.halvings if fits else 0):
+        even = _smooth(fits)
+        best = max(range(len(fits)), key=lambda k: even[k].value)
         sides = [k for k in (best - 1, best + 1) if 0 <= k < len(fits)]
-        wide = [k for k in sides if fits[best].value - fits[k].value > TUNING.lag_drop]
-        more = [_fit_at(fits[best].search, 0.5 * (fits[k].lag + fits[best].lag)) for k in wide]
-        fits = sorted([*fits, *(fit for fit in more if math.isfinite(fit.value))], key=lambda fit: fit.lag)
-    return fits
+        wide = [k for k in sides if even[best].value - even[k].value > TUNING.lag_drop]
+        more = [_fit_at(fits[best].search, 0.5 * (fits[k].lag + fits[best].lag), 2) for k in wide]
+        fits = _sort([*fits, *more])
+    return _smooth(fits)
 
 
-def fit_lags(search: ServoSearch) -> list[LagFit]:
-    """Return the fits at the first lags, each from the nearest one. A delay of the loop, too, may mimic a lag."""
-    fits = [_fit_at(search, search.lag)]
-    for lag in sorted({*TUNING.lags} - {search.lag}, key=lambda lag: abs(lag - search.lag)):
+def _fit_lags(search: ServoSearch, lags: Sequence[float], motions: int) -> list[LagFit]:
+    """Return the fits at some lags in rising order, each from the nearest one."""
+    fits = [_fit_at(search, search.lag, motions)]
+    for lag in sorted({*lags} - {search.lag}, key=lambda lag: abs(lag - search.lag)):
         nearest = min(fits, key=lambda fit: abs(fit.lag - lag))
-        fits.append(_fit_at(nearest.search, lag))
-    return sorted(fits, key=lambda fit: fit.lag)
+        fits.append(_fit_at(nearest.search, lag, motions))
+    return _sort(fits)
 
 
-def _fit_at(search: ServoSearch, lag: float) -> LagFit:
-    """Return the fit at a lag."""
-    at = copy(search)
+def _sort(fits: Sequence[LagFit]) -> list[LagFit]:
+    """Return the fits whose motion does not overflow, in rising order of the lag."""
+    return sorted((fit for fit in fits if math.isfinite(fit.value + fit.scatter)), key=lambda fit: fit.lag)
+
+
+def _fit_at(search: ServoSearch, lag: float, motions: int) -> LagFit:
+    """Return the fit at a lag, with the mean evidence of one or two motions in ticks."""
+    at, values = copy(search), list[float]()
     at.set_lag(lag)
     at.apply_ticks()
     at.solve(at.noise, 15)
-    at.apply_ticks()
-    optimum, lowest = at.solve(at.noise, 15), at.problem.clip_to_bounds(np.full(at.q.size, -np.inf))
-    prior = at.prior(at.problem)
-    covariance = inverse(optimum.normal.A + np.diag(prior))
-    g = optimum.normal.g + prior * optimum.q  # the fit may be better beyond a bound
-    value = -optimum.cost + 0.5 * float(g @ covariance @ g) + 0.5 * float(np.linalg.slogdet(covariance)[1])
-    part, mean, covariance = cut_below(optimum.q - covariance @ g, covariance, lowest)
-    value += part - 0.5 * (lag / TUNING.lag) ** 2 - math.log(lag / search.task.servo.loop_period + 0.5)
-    return LagFit(lag, value, np.maximum(mean, lowest), covariance, at)
+    for _ in range(motions):
+        at.apply_ticks()
+        optimum, lowest = at.solve(at.noise, 5), at.problem.clip_to_bounds(np.full(at.q.size, -np.inf))
+        prior = at.prior(at.problem)
+        covariance = inverse(optimum.normal.A + np.diag(prior))
+        g = np.maximum(optimum.normal.g + prior * optimum.q, 0.0) * (optimum.q <= lowest)  # better beyond a bound
+        value = -optimum.cost + 0.5 * float(g @ covariance @ g) + 0.5 * float(np.linalg.slogdet(covariance)[1])
+        part, mean, covariance = cut_below(optimum.q - covariance @ g, covariance, lowest)
+        values.append(value + part - 0.5 * (lag / TUNING.lag) ** 2 - math.log(lag / at.task.servo.loop_period + 0.5))
+    change = values[-1] - values[0]
+    return LagFit(lag, float(np.mean(values)), change, np.maximum(mean, lowest), covariance, at)
+
+
+def _smooth(fits: Sequence[LagFit]) -> list[LagFit]:
+    """Return the fits with log evidences without the scatter of the motions in ticks, which differ like noise from lag
+    to lag. The evidence itself is a smooth function of the logarithm (Rasmussen and Williams 2006, equation 2.25)."""
+    if not fits:
+        return []
+    values = np.array([fit.value for fit in fits])
+    noise = 0.5 * np.median(np.square([fit.scatter for fit in fits]))  # of the mean of two
+    at = np.log([fit.lag + 0.5e-3 for fit in fits])
+    like = (np.var(values) + 1e-9) * np.exp(-0.5 * np.square(at[:, None] - at))
+    solid = like + (noise + 1e-6 * np.trace(like)) * np.eye(at.size)
+    even = values - noise * np.linalg.solve(solid, values - values.mean())
+    return [replace(fit, value=value) for fit, value in zip(fits, even.tolist(), strict=True)]
 
 
 def mix(fits: Sequence[LagFit]) -> tuple[Floats, Floats]:

@@ -164,6 +164,7 @@ class ServoSearch(FitSearch):
         if task.servo.known_force:
             self.table = [one for one in self.table if one.name != "gravity"]
         self.lag = 0.5 * task.servo.loop_period  # of the velocity in the loop [s]
+        self.lags: Sequence[float] = TUNING.lags  # that the logs do not exclude [s]
         self.kept = tuple(i for i, one in enumerate(self.table) if one.name == LOOP_FRICTION)
         self.take(problem, q, starts, [])
         self.choose(self.kept)
@@ -276,19 +277,9 @@ def _sizes_of(task: ServoTask, problem: FitProblem, q: Floats, starts: Floats) -
     speed = float(np.quantile(speeds[np.isfinite(speeds)], 0.98)) or problem.resolution / task.period
     force = float(body[-problem.machine.loops]) * task.lag
     y = np.concatenate([one.y for one in problem.stretches])
-    return Sizes(
-        force,
-        force,
-        speed,
-        max(float(body[COULOMB]), 0.05 * force),
-        max(float(body[VISCOUS]), 0.05 * force / speed),
-        float(np.ptp(y)) / 2,
-        task.period,
-        sum(float(one.times[-1]) for one in problem.stretches),
-        True,
-        2 * math.pi,
-        0.0,
-    )
+    coulomb, viscous = max(float(body[COULOMB]), 0.05 * force), max(float(body[VISCOUS]), 0.05 * force / speed)
+    travel, time = float(np.ptp(y)) / 2, sum(float(one.times[-1]) for one in problem.stretches)
+    return Sizes(force, force, speed, coulomb, viscous, travel, task.period, time, True, 2 * math.pi, 0.0)
 
 
 def limited_part(problem: FitProblem, q: Floats, starts: Floats) -> float:

@@ -30,16 +30,20 @@ def noise_with_stamps(
     `errors` (k,) and `speeds` (k,) are residuals [counts] and velocities [counts/s] of each stretch. The error is one
     parameter, and is there if it gains more than the cost of one by Schwarz (1978). `period` is that of the log [s].
     """
-    sizes = (period * 2.0 ** -np.arange(0.0, 10.0, 0.25)).tolist()  # to an eighth of an octave
+    from scipy.optimize import minimize_scalar
+
     bare = noise_of(stretches, errors, rate, kinds)
-    jittered = [_with_stamps(stretches, speeds, error) for error in sizes]
-    values = [replace(bare, stretches=one).evidence(errors)[0] for one in jittered]
-    best = int(np.argmax(values))
-    noise = noise_of(jittered[best], errors, rate, kinds)
+
+    def cost(octaves: float) -> float:
+        jittered = _with_stamps(stretches, speeds, period * 2.0**-octaves)
+        return -replace(bare, stretches=jittered).evidence(errors)[0]
+
+    best = period * 2.0 ** -float(minimize_scalar(cost, bounds=(0.0, 10.0), options={"xatol": 0.125}).x)
+    noise = noise_of(_with_stamps(stretches, speeds, best), errors, rate, kinds)
     gain = noise.evidence(errors)[0] - bare.evidence(errors)[0]
     parameters = 1 + 2 * (noise.wanders - bare.wanders)
     if gain > 0.5 * parameters * math.log(sum(e.size for e in errors)):
-        return noise, sizes[best]
+        return noise, best
     return bare, 0.0
 
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pmfid.actuators.lags import fit_lags
+from pmfid.actuators.lags import take_lag
 from pmfid.actuators.search import ServoSearch, ServoTask, head_of, limited_part
 from pmfid.actuators.tuning import TUNING
 from pmfid.errors import NotIdentifiableError
@@ -30,22 +30,19 @@ FOLLOW = "no servo model explains the motion: check that goal and position have 
 def find_search(task: ServoTask, search: bool) -> ServoSearch:
     """Return the search at the best model of the logs, with a limit of the torque and gravity or without."""
     best = max(_start_searches(task, search), key=ServoSearch.value)
+    best = max((best, *(one for name in TERMS for one in _add_term(best, name))), key=ServoSearch.value)
     _check_explains(best)
     best.ticked = True
-    best = _take_lag(best)
+    best = take_lag(best, TUNING.lags[1::2])
     if search:
         best = _build_waves(best)
     best = _extend(_drop_limit(best), 2 * TUNING.angle)
+    best = take_lag(best, TUNING.lags)
     if search:
-        best = _build_waves(_take_lag(best))
+        best = _build_waves(best)
     best = _extend(_drop_limit(best), TUNING.angle)
     free = _drop_limit(copy(best), always=True)
     return best if free.task is best.task else max((best, _settle(free)), key=ServoSearch.value)
-
-
-def _take_lag(search: ServoSearch) -> ServoSearch:
-    """Return the search at the best lag of the velocity in the loop."""
-    return max(fit_lags(search), key=lambda fit: fit.value).search if search.kept else search
 
 
 def _build_waves(search: ServoSearch) -> ServoSearch:
@@ -85,10 +82,8 @@ def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
         if at.task.limited != limited:
             continue  # the same model is the other one
         at.solve(at.noise)  # in no noise but rounding, because a poor fit hides in the noise of its own residuals
-        best = max((_settle(at), *_add_term(at, "gravity")), key=ServoSearch.value)
-        yield best
-        for name in TERMS:
-            yield from _add_term(best, name)
+        yield _settle(at)
+        yield from _add_term(at, "gravity")
 
 
 def _add_term(search: ServoSearch, name: str) -> Iterator[ServoSearch]:

@@ -61,7 +61,8 @@ class ActuatorTuning:
     #: Lags of the velocity in a loop at which the fit is tried first [s], and the standard deviation of the lag.
     lags: tuple[float, ...] = (0.0, 0.5e-3, 1e-3, 2e-3, 4e-3, 7e-3, 11e-3)
     lag: float = 5e-3
-    #: Lags next to the best one differ by less than this log evidence, after halvings of their distance.
+    #: Lags next to the best one differ by less than this log evidence, after halvings of their distance. Lags beyond
+    #: the one that differs by eight times as much are left out.
     lag_drop: float = 1.5
     halvings: int = 3
     # values

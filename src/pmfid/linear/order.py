@@ -141,14 +141,10 @@ def accepted_first(search: Search, refusal: Callable[[OrderCandidate], str]) -> 
 def _finish(
     found: list[OrderCandidate], again: Callable[[int, int, int], OrderCandidate | None]
 ) -> list[OrderCandidate]:
-    """Repeat those fits that did not converge but may be the best. The repeated fit has as many passes as an
-    estimate.
-    """
+    """Repeat those fits that did not converge but may be the best, with as many passes as an estimate has."""
     best = min((candidate.bic for candidate in found if candidate.settled), default=math.inf)
-    contenders = sorted((c for c in found if not c.settled and c.bic < best), key=lambda c: c.bic)[
-        : TUNING.order_retried
-    ]
-    better = {id(c): again(c.n, c.m, c.delay) or c for c in contenders}
+    contenders = sorted((c for c in found if not c.settled and c.bic < best), key=lambda c: c.bic)
+    better = {id(c): again(c.n, c.m, c.delay) or c for c in contenders[: TUNING.order_retried]}
     return [better.get(id(candidate), candidate) for candidate in found]
 
 

@@ -39,9 +39,7 @@ def respond_bounded(F: Floats, g: Floats, grid: Grid, w: Floats, start: Floats, 
 
 
 def _reverse_time(w: Floats, held: bool) -> Floats:
-    """Return the inputs (channels, N) in reversed time. In reversed time, a held value belongs to the preceding
-    step.
-    """
+    """Return the inputs (channels, N) in reversed time, in which a held value belongs to the step before."""
     return np.concatenate([w[:, -2::-1], w[:, :1]], axis=1) if held else w[:, ::-1]
 
 
@@ -199,9 +197,7 @@ def companion(a: Floats) -> Floats:
 
 
 def channels(structure: Structure, theta: Floats, stretch: RecordStretch, *, twice: bool) -> Channels:
-    """Return the channels for the denominator and the dead time in theta (p,). If `twice`, the channels contain s^j /
-    (A A').
-    """
+    """Return the channels for the denominator and the dead time in theta (p,), with s^j / (A A') if `twice`."""
     n, free, size, late = structure.n, structure.free, stretch.grid.size, structure.lateness(theta)
     a = structure.denominator(theta)
     w = np.vstack([stretch.inputs, np.ones((int(structure.offset), size)), np.zeros((1, size))])
@@ -248,24 +244,12 @@ def linearise(structure: Structure, theta: Floats, initial: Floats, stretch: Rec
         zeta = [slope + offset * double[i, -2] for i, slope in enumerate(zeta)]
     constant = single[:1, -2] if structure.offset else single[:0, -2]
     phi_late, zeta_late = ([], []) if structure.latest is None else ([here.moving(b, 0)], [here.moving(b, source)])
-    rows = stretch.rows
-    return Linearised(
-        (stretch.y - simulated)[rows],
-        _stack_columns(
-            [
-                *(-_filter_output(structure, a, stretch)),
-                *single[: b.size, 0],
-                *constant,
-                *(-moving for moving in phi_late),
-            ],
-            rows,
-        ),
-        _stack_columns(
-            [*(-slope for slope in zeta), *single[: b.size, source], *constant, *(-moving for moving in zeta_late)],
-            rows,
-        ),
-        single[:n, -1][:, rows].T,
-    )
+    outputs = _filter_output(structure, a, stretch)
+    phi = [*(-outputs), *single[: b.size, 0], *constant, *(-moving for moving in phi_late)]
+    slopes = [*(-slope for slope in zeta), *single[: b.size, source], *constant, *(-moving for moving in zeta_late)]
+    regressors, sensitivities = (np.array(columns)[:, stretch.rows].T for columns in (phi, slopes))
+    error = (stretch.y - simulated)[stretch.rows]
+    return Linearised(error, regressors, sensitivities, single[:n, -1][:, stretch.rows].T)
 
 
 def _filter_output(structure: Structure, a: Floats, stretch: RecordStretch) -> Floats:
@@ -274,10 +258,6 @@ def _filter_output(structure: Structure, a: Floats, stretch: RecordStretch) -> F
         return np.zeros((0, stretch.grid.size))
     start = np.zeros((a.size, 1))
     return structure.respond(companion(a), np.eye(a.size)[-1], stretch.grid, stretch.y[None], start, held=False)[:, 0]
-
-
-def _stack_columns(columns: list[Floats], rows: NDArray[np.int64]) -> Floats:
-    return np.array(columns)[:, rows].T
 
 
 def simulate(structure: Structure, theta: Floats, initial: Floats, stretch: RecordStretch) -> Floats:
@@ -289,9 +269,8 @@ def simulate(structure: Structure, theta: Floats, initial: Floats, stretch: Reco
 
 
 def stable(a: Floats, duration: float) -> Floats:
-    """Return the coefficients a after a reflection of poles from the right half-plane. Poles whose response hardly
-    grows within the duration remain.
-    """
+    """Return the coefficients a after a reflection of poles from the right half-plane, except those of a response that
+    hardly grows within the duration."""
     poles = np.roots(np.r_[1.0, a[::-1]])
     bad = poles.real * duration > 1.0
     if not np.any(bad):
