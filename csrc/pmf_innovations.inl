@@ -49,8 +49,7 @@ static whole_t check_model(const pmf_recursion_config_t *config, pmf_recursion_s
         for (j = 0; j < PARAMETERS(config); ++j) {
             explained += theta[i] * config->noise[i][j] * theta[j];
         }
-        unsure +=
-            estimate->inflation[i]; /* mean of phi^T (covariance of theta) phi, over the variance of the innovations */
+        unsure += estimate->inflation[i]; /* mean of phi^T (covariance of theta) phi, in innovation variances */
     }
     explained += estimate->innovation_variance * unsure / state->sums.weight;
     limit = config->unexplained * explained * (state->check.weight + state->check_before.weight) +
@@ -168,10 +167,10 @@ static const scalar_t MOST_NOISE = PMF_SCALAR(0.9);
  * noise would change the parameter by as much as itself, and control through the encoder causes such a correlation. */
 static const scalar_t MOST_HIDDEN = PMF_SCALAR(25.0);
 
-/* Return the variance of an error over the variance of white innovations, 0 if it is no number. */
-PMF_INLINE real_t over_white(const pmf_estimate_t *estimate, real_t error, uint32_t i)
+/* Return the variance of `factor` times an error over that of white innovations, 0 if it is no number. */
+PMF_INLINE real_t over_white(real_t error, real_t factor, real_t certainty)
 {
-    real_t ratio = error * error / (estimate->variance_factor[i] * estimate->innovation_variance);
+    real_t ratio = factor * error * (error * certainty); /* no square, which might overflow in float32 */
     return PMF_IF(ratio - ratio == PMF_R(0.0), ratio, PMF_R(0.0));
 }
 
@@ -194,11 +193,12 @@ PMF_INLINE void note_misread(const pmf_recursion_config_t *config, pmf_recursion
         project(p, projection, move);
     }
     solve(state, p, move);
+    sum = PMF_R(1.0) / state->estimate.innovation_variance;
     for (i = 0; i < p; ++i) {
         real_t factor = state->estimate.variance_factor[i];
         real_t now = kept * state->misread[i] + PMF_SIZE(move[i]) / factor;
         state->misread[i] = PMF_IF(where & (now - now == PMF_R(0.0)), now, state->misread[i]);
-        state->estimate.inflation[i] += over_white(&state->estimate, factor * state->misread[i], i);
+        state->estimate.inflation[i] += over_white(state->misread[i], factor, sum);
     }
 }
 
@@ -236,8 +236,10 @@ PMF_INLINE void add_bias(const pmf_recursion_config_t *config, pmf_recursion_sta
     }
     solve(state, p, move);
     part = PMF_R(1.0) - PMF_IF(part < MOST_NOISE, part, MOST_NOISE);
+    part = PMF_R(1.0) / (part * part * state->estimate.innovation_variance);
     for (i = 0; i < p; ++i) {
-        state->estimate.inflation[i] += over_white(&state->estimate, move[i] / part, i);
+        real_t factor = state->estimate.variance_factor[i];
+        state->estimate.inflation[i] += over_white(move[i] / factor, factor, part);
     }
 }
 
