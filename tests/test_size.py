@@ -14,9 +14,9 @@ TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css
 #: What is counted -> its largest value.
 MOST = {
     "lines of src": 64157,
-    "lines of code in src": 37422,
+    "lines of code in src": 37421,
     "lines of code in report and cli": 2929,
-    "thresholds in src": 956,
+    "thresholds in src": 955,
     "lines of csrc": 8680,
     "defines of csrc": 195,
     "conditionals of csrc": 106,

@@ -57,9 +57,8 @@ def elastic_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem,
     if best is not None and (trial or best.cost < rounding_of(plain)):
         return plain, best
     part = replace(plain, stretches=(shaken_part(stretch, problem.resolution),))
-    short = part.rows < plain.rows
-    end = _search_part(part, total, prior, trial, not short)
-    if short:
+    end = _search_part(part, total, prior, trial, followed=part.rows == plain.rows)
+    if part.rows < plain.rows:
         end = follow(plain, [end.q], prior)
     return plain, end if best is None or end.cost < best.cost else best
 
@@ -76,9 +75,8 @@ def _search_part(part: FitProblem, total: Floats, prior: Floats, trial: bool, fo
     """Return the best fit to a part of the record, from the measured motion or else from a scan of resonances. The
     guesses of the measured motion may be `followed` already."""
     points, ends = _driven_points(part), list[Optimum]()
-    searches: list[Search] = [follow, release, partial(release, trial=trial)]
-    pairs = list(zip(searches, (points, points, list(_scan(part, total))), strict=True))
-    for search, starts in pairs[followed:]:
+    scan: Search = partial(release, trial=trial)
+    for search, starts in ((follow, points), (release, points), (scan, list(_scan(part, total))))[followed:]:
         if starts:
             ends.append(search(part, starts, prior))
             if ends[-1].cost < rounding_of(part):

@@ -68,9 +68,11 @@ def rounding_of(problem: FitProblem) -> float:
 def _mend(plain: FitProblem, best: Optimum, prior: Floats) -> Optimum:
     """Return a fit, or a better one from parts of the record if the fit leaves more than rounding and less than about a
     count."""
+    before, rounding = float(plain.rows), rounding_of(plain)
     for number in TUNING.rejoined:
-        if rounding_of(plain) < best.cost < plain.rows:
-            best = min(rejoin(plain, best.q, prior, number), best, key=lambda end: end.cost)
+        if not rounding < best.cost < before:
+            break
+        before, best = best.cost / 2, min(rejoin(plain, best.q, prior, number), best, key=lambda end: end.cost)
     return best
 
 

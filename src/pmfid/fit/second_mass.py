@@ -148,8 +148,8 @@ def _worst_part(fitted: Fitted, stretches: Sequence[ObservedStretch]) -> Observe
 
 def _windows(size: int) -> list[tuple[int, int]]:
     """Return the first and last interval of windows that overlap by half."""
-    firsts = range(0, max(1, size - TUNING.trial // 2), TUNING.trial // 2)
-    return [(first, min(first + TUNING.trial, size)) for first in firsts]
+    firsts = range(0, max(1, size - TUNING.part // 2), TUNING.part // 2)
+    return [(first, min(first + TUNING.part, size)) for first in firsts]
 
 
 def _fit_one_mass(problem: FitProblem, q: Floats, part: ObservedStretch) -> tuple[FitProblem, Optimum]:

@@ -25,7 +25,8 @@ class ElasticTuning:
     reach: float = 0.35
     #: Loads that make a guess.
     kept: int = 5
-    #: Samples of the part in which two masses are sought where no guess follows the record.
+    #: Samples of the part in which two masses are sought, where no guess follows the record or one mass does not
+    #: explain it.
     part: int = 2000
     #: Guesses that are followed, and the factor by which the length of parts of a record grows.
     followed: int = 3
@@ -44,10 +45,9 @@ class ElasticTuning:
     #: Widths of the smoothing of the first guesses, as a part of the record.
     widths: tuple[float, ...] = (0.002, 0.005, 0.01, 0.02, 0.05)
 
-    #: Trial of a second mass where one mass does not explain the record: most samples, which bound its time, and
-    #: fewest; parameters and start values in addition; and the largest standard error of the logarithms of masses and
-    #: stiffness. Beyond it, the record shows no resonance.
-    trial: int = 3000
+    #: Trial of a second mass where one mass does not explain the record: fewest samples; further parameters and start
+    #: values; and the largest standard error of the logarithms of masses and stiffness. Beyond it, the record shows no
+    #: resonance.
     fewest: int = 300
     further: int = 7
     vague: float = 0.3
