@@ -261,6 +261,7 @@ study: .venv/tools .venv/spark
 	mkdir -p results/images
 	.venv/bin/python -m docs.keys
 	.venv/bin/python -m studies.referee --out results/referee.md
+	.venv/bin/python -m studies.elastic_axes --out results/elastic_axes.md
 	.venv/bin/python -m studies.design_machines --out results/commissioning.md
 	.venv/bin/python -m studies.alarms --out results/alarms.md
 	.venv/bin/python -m studies.glitches --out results/glitches.md

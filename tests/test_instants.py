@@ -65,14 +65,14 @@ def test_the_step_that_was_is_taken_where_stamps_are_true(tmp_path: Path, clock:
     assert result.status == ()
 
 
-@pytest.mark.parametrize("clock", long_unless("in turn".__eq__, ["bursts", "in turn", "host"]))
+@pytest.mark.parametrize("clock", long_unless("host".__eq__, ["bursts", "in turn", "host"]))
 def test_gaps_between_uneven_steps_stay_gaps(tmp_path: Path, clock: str) -> None:
     time, u, counts = run(clock)
     kept = np.ones(SAMPLES, bool)
     for first in np.random.default_rng(5).integers(100, SAMPLES - 100, 10):
         kept[first : first + 8] = False
     result = identified(tmp_path, time[kept], u[kept], counts[kept])
-    np.testing.assert_allclose(result.theta, TRUTH, rtol=0.02)
+    np.testing.assert_allclose(result.theta, TRUTH, rtol=2e-3)
     assert np.all(np.abs(result.theta - TRUTH) < 3.5 * result.theta_std)
     assert "uneven_clock" not in result.status
 

@@ -13,8 +13,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css", ".html", ".j2"}
 #: What is counted -> its largest value.
 MOST = {
-    "lines of src": 64157,
-    "lines of code in src": 37421,
+    "lines of src": 64155,
+    "lines of code in src": 37417,
     "lines of code in report and cli": 2929,
     "thresholds in src": 955,
     "lines of csrc": 8680,
@@ -22,7 +22,7 @@ MOST = {
     "conditionals of csrc": 106,
     "lines of tests": 27752,
     "match= in tests": 25,
-    "lines of studies": 8094,
+    "lines of studies": 8093,
 }
 
 

@@ -25,13 +25,13 @@ def place_samples(
     whole[places] = counts
     line = inputs.copy()
     line[places] = u
-    return hold_input(line) if bridged else np.where(there, line, np.nan), whole, there
+    return hold_input(line, grid) if bridged else np.where(there, line, np.nan), whole, there
 
 
-def hold_input(u: Floats) -> Floats:
+def hold_input(u: Floats, time: Floats) -> Floats:
     """Return the input (n,) with values in gaps between two equal values of an input that keeps its values.
 
-    A gap (NaN) may be as long as nearly all times for which the input keeps its values.
+    A gap (NaN) may take as much time (n,) as nearly all intervals for which the input keeps its values.
     """
     there = np.isfinite(u)
     pairs = there[1:] & there[:-1]
@@ -39,8 +39,8 @@ def hold_input(u: Floats) -> Floats:
         return u
     rows = np.flatnonzero(there)
     switches = rows[1:][np.diff(u[rows]) != 0]
-    longest = np.quantile(np.diff(np.r_[rows[0], switches, rows[-1]]), TUNING.gaps_shortest)
-    held = np.append((np.diff(rows) <= longest) & (np.diff(u[rows]) == 0), [False, False])
+    longest = np.quantile(np.diff(time[np.r_[rows[0], switches, rows[-1]]]), TUNING.gaps_shortest)
+    held = np.append((np.diff(time[rows]) <= longest) & (np.diff(u[rows]) == 0), [False, False])
     last = np.cumsum(there) - 1  # -1 before the first known input, which is the last entry of `held`
     return np.where(held[last], u[rows[last]], u)
 

@@ -342,7 +342,7 @@ def _take_uneven(found: Instants, axis: Axis, scales: tuple[float, float]) -> Re
     """Return the record at uneven instants. `scales` are the factors of input and output."""
     dt, notes = sample_period(found.period * np.arange(found.u.size) + found.time[0], axis.record)
     y = _scale_column(found.y, scales[1], "the unit of the output")
-    record = _count(hold_input(_scale_column(found.u, scales[0])), y, dt, axis)
+    record = _count(hold_input(_scale_column(found.u, scales[0]), found.time), y, dt, axis)
     steps = SampleSteps(np.append(dt, np.diff(found.time) * (dt / found.period)))
     there = None if np.all(found.there) else found.there
     notes += record.notes if there is None else (*record.notes, describe_missing(record.u, there))
