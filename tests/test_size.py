@@ -14,7 +14,7 @@ TEXTS = {".py", ".pyx", ".pxi", ".pxd", ".pyi", ".c", ".h", ".inl", ".js", ".css
 #: What is counted -> its largest value.
 MOST = {
     "lines of src": 64155,
-    "lines of code in src": 37417,
+    "lines of code in src": 37416,
     "lines of code in report and cli": 2929,
     "thresholds in src": 955,
     "lines of csrc": 8680,

@@ -93,17 +93,17 @@ def _fit_at(search: ServoSearch, lag: float, motions: int) -> LagFit:
 
 
 def _smooth(fits: Sequence[LagFit]) -> list[LagFit]:
-    """Return the fits with log evidences without the scatter of the motions in ticks, which differ like noise from lag
-    to lag. The evidence itself is a smooth function of the logarithm (Rasmussen and Williams 2006, equation 2.25)."""
+    """Return the fits without the scatter that motions in ticks give the log evidence from lag to lag. The evidence
+    itself is a smooth function of the logarithm of the lag (Rasmussen and Williams 2006, equation 2.25)."""
     if not fits:
         return []
     values = np.array([fit.value for fit in fits])
     noise = 0.5 * np.median(np.square([fit.scatter for fit in fits]))  # of the mean of two
     at = np.log([fit.lag + 0.5e-3 for fit in fits])
-    like = (np.var(values) + 1e-9) * np.exp(-0.5 * np.square(at[:, None] - at))
-    solid = like + (noise + 1e-6 * np.trace(like)) * np.eye(at.size)
-    even = values - noise * np.linalg.solve(solid, values - values.mean())
-    return [replace(fit, value=value) for fit, value in zip(fits, even.tolist(), strict=True)]
+    kernel = (np.var(values) + 1e-9) * np.exp(-0.5 * np.square(at[:, None] - at))
+    covariance = kernel + (noise + 1e-6 * np.trace(kernel)) * np.eye(at.size)
+    smooth = values - noise * np.linalg.solve(covariance, values - values.mean())
+    return [replace(fit, value=value) for fit, value in zip(fits, smooth.tolist(), strict=True)]
 
 
 def mix(fits: Sequence[LagFit]) -> tuple[Floats, Floats]:

@@ -70,10 +70,12 @@ def smooth_record(stretch: ObservedStretch, resolution: float) -> SmoothRecord |
     return SmoothRecord(x, _smooth(u, width), np.column_stack(columns), width, step)
 
 
-def shaken_part(stretch: ObservedStretch, resolution: float) -> ObservedStretch:
+def find_shaken_part(stretch: ObservedStretch, resolution: float) -> ObservedStretch:
     """Return the part of a long stretch with the largest accelerations, or a short stretch itself."""
-    size, record = stretch.drive.step.size, smooth_record(stretch, resolution)
-    if size < 1.5 * TUNING.part or record is None:
+    size = stretch.drive.step.size
+    # a part of a shorter stretch saves less time than the second fit, to the whole stretch, costs
+    record = smooth_record(stretch, resolution) if size >= 1.5 * TUNING.part else None
+    if record is None:
         return stretch
     total = np.append(0.0, np.cumsum(record.columns[:, 0] ** 2))
     width, end = min(TUNING.part, total.size - 1), (size + 1 - record.columns.shape[0]) // 2

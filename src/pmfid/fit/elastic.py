@@ -13,7 +13,7 @@ import numpy as np
 from pmfid._body import ELASTIC_BASE
 from pmfid.errors import NotIdentifiableError
 from pmfid.findings import MOVE
-from pmfid.fit.driven import distinct, driven_guesses, shaken_part
+from pmfid.fit.driven import distinct, driven_guesses, find_shaken_part
 from pmfid.fit.machine import (
     COULOMB,
     DAMPING,
@@ -52,29 +52,27 @@ def elastic_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem,
     total = np.array([*guess_sum(stretch, force), 0.0])
     plain = _plain_pair(problem, stretch, total[:1], resonances(stretch))
     prior = prior_of(plain, force)
-    points = _driven_points(plain)
+    points = _list_driven_starts(plain)
     best = follow(plain, points, prior) if points else None
     if best is not None and (trial or best.cost < rounding_of(plain)):
         return plain, best
-    part = replace(plain, stretches=(shaken_part(stretch, problem.resolution),))
+    part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
     end = _search_part(part, total, prior, trial, followed=part.rows == plain.rows)
     if part.rows < plain.rows:
         end = follow(plain, [end.q], prior)
     return plain, end if best is None or end.cost < best.cost else best
 
 
-def _driven_points(plain: FitProblem) -> list[Floats]:
+def _list_driven_starts(plain: FitProblem) -> list[Floats]:
     """Return a few starts q (p,) by the measured motion of the motor, the best one first."""
-    if plain.machine.load:
-        return []
-    guesses = driven_guesses(plain.stretches[0], plain.resolution)
+    guesses = [] if plain.machine.load else driven_guesses(plain.stretches[0], plain.resolution)
     return distinct([start_at(plain, guess) for guess in guesses], 0.02)[: TUNING.followed]
 
 
 def _search_part(part: FitProblem, total: Floats, prior: Floats, trial: bool, followed: bool) -> Optimum:
     """Return the best fit to a part of the record, from the measured motion or else from a scan of resonances. The
     guesses of the measured motion may be `followed` already."""
-    points, ends = _driven_points(part), list[Optimum]()
+    points, ends = _list_driven_starts(part), list[Optimum]()
     scan: Search = partial(release, trial=trial)
     for search, starts in ((follow, points), (release, points), (scan, list(_scan(part, total))))[followed:]:
         if starts:
@@ -99,7 +97,7 @@ def play_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem, Op
     plain = _plain_pair(problem, stretch, totals[:, 0], (low / step, high / step), plays=True)
     points = [q for total in totals for q in _scan_gaps(plain, total, step)]
     prior = prior_of(plain, force)
-    part = replace(plain, stretches=(shaken_part(stretch, problem.resolution),))
+    part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
     end = release(part, points, prior, trial)
     return plain, follow(plain, [end.q], prior) if part.rows < plain.rows else end
 

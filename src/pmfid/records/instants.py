@@ -161,13 +161,13 @@ def _is_uneven(stamps: Floats, y: Floats) -> bool:
     if steady and not even and np.max(np.abs(steps - median)) > TUNING.clock_even * median:
         return True
     part, error = _weigh_stamps(stamps, y)
-    true = part - TUNING.resampling_errors * error > 0.5
+    credible = part - TUNING.resampling_errors * error > 0.5
     if steady or even:
-        return true or (not steady and _are_late(stamps, y))
+        return credible or (not steady and _are_late(stamps, y))
     # Missing samples change whole periods, uneven steps a part of one.
     apart = np.abs(np.diff(steps / median - np.rint(steps / median)))
     often = np.mean(apart > TUNING.even_steps) > TUNING.resampling_often
-    return find_places(stamps) is None or bool(true and often)
+    return find_places(stamps) is None or bool(credible and often)
 
 
 def _are_late(stamps: Floats, y: Floats) -> bool:

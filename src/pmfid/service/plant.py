@@ -151,15 +151,15 @@ def load_plant(path: Path, given: Mapping[str, object] | None = None) -> Plant:
         raw = _single_axis(path)
     try:
         _check_tables(raw)
-        own = override_sections(SingleSections, {key: raw[key] for key in _SINGLE if key in raw}, given or {})
-        found = {
+        single = override_sections(SingleSections, {key: raw[key] for key in _SINGLE if key in raw}, given or {})
+        tables = {
             group: {name: _section(group, name, table) for name, table in raw.get(group, {}).items()}
             for group in (*NAMED, *KINDS)
         }
-        axes = _axes(found["axes"], found["fleets"], path.parent)
+        axes = _axes(tables["axes"], tables["fleets"], path.parent)
     except UsageError as error:
         raise UsageError(f"{path}: {error}") from None
-    return Plant(path.parent, own.service, axes, found["sources"], found["sinks"], own.page)
+    return Plant(path.parent, single.service, axes, tables["sources"], tables["sinks"], single.page)
 
 
 def _single_axis(path: Path) -> dict[str, object]:
@@ -233,8 +233,8 @@ def plant_entries() -> tuple[ReferenceEntry, ...]:
     """Return entries of all keys. Keys of sources and sinks are listed by their kind."""
     models: dict[str, type[FileSection]] = {"service": ServiceSection, "page": PageConfig, **NAMED}
     models |= {f"{group}.{kind}": model for group, kinds in KINDS.items() for kind, model in kinds.items()}
-    found = (keys_in(section, model, "key of PLANT.toml") for section, model in models.items())
-    return tuple(entry for entries in found for entry in entries)
+    groups = (keys_in(section, model, "key of PLANT.toml") for section, model in models.items())
+    return tuple(entry for group in groups for entry in group)
 
 
 def strip_names(word: str) -> list[str]:
@@ -242,8 +242,8 @@ def strip_names(word: str) -> list[str]:
 
     For example, axes.x1.config means axes.config, and sources.hall.qos means this key of each kind of source.
     """
-    found = re.fullmatch(r"\[?(axes|fleets|sources|sinks)\.[^.\]]+\]?[. ](\w+)", word.strip())
-    if found is None:
+    match = re.fullmatch(r"\[?(axes|fleets|sources|sinks)\.[^.\]]+\]?[. ](\w+)", word.strip())
+    if match is None:
         return []
-    table, key = found.groups()
+    table, key = match.groups()
     return [f"{table}.{kind}.{key}" for kind in KINDS[table]] if table in KINDS else [f"{table}.{key}"]
