@@ -14,7 +14,9 @@ import numpy as np
 
 import pmfid
 
-DT, RESOLUTION, SAMPLES, STEPS, AXES, AXIS_SAMPLES, ROUNDS = 0.01, 22.75e-6, 100_000, 10_000, 5_000, 200, 3
+DT, RESOLUTION, SAMPLES, STEPS, AXES, AXIS_SAMPLES, ROUNDS = 0.01, 22.75e-6, 100_000, 10_000, 10_000, 100, 3
+#: Counts by which all counters of a fleet jump.
+JUMP = 777_777
 METHODS = {"rls": pmfid.RLS, "bcrls": pmfid.BCRLS, "riv": pmfid.RIV}
 
 
@@ -42,6 +44,29 @@ def measure_best(run: Callable[[], Any], samples: int, reset: Callable[[], Any])
     return min(times) / samples * 1e9
 
 
+def fleet_times(estimator: Any, u: np.ndarray, counts: np.ndarray) -> dict[str, float]:
+    """Return the time [ns per sample] of a fleet from its start, then later, and after a jump of all counters."""
+    starts = np.random.default_rng(1).integers(0, SAMPLES - 2 * AXIS_SAMPLES, AXES)
+
+    def rows(first: int, jump: int) -> list[np.ndarray]:
+        signals = (u.astype("f4"), counts.astype("i4") + jump)
+        return [np.stack([x[k + first : k + first + AXIS_SAMPLES] for k in starts]) for x in signals]
+
+    begin, later, moved = rows(0, 0), rows(AXIS_SAMPLES, 0), rows(AXIS_SAMPLES, JUMP)
+    estimator.reset()
+    fleet = pmfid.Fleet(estimator, AXES, workers=1)
+
+    def restart() -> None:
+        fleet.reset()
+        fleet.run(*begin)
+
+    return {
+        "start": measure_best(lambda: fleet.run(*begin), begin[0].size, fleet.reset),
+        "later": measure_best(lambda: fleet.run(*later), later[0].size, restart),
+        "jump": measure_best(lambda: fleet.run(*moved), moved[0].size, restart),
+    }
+
+
 def measure_all() -> dict[str, float]:
     u, counts = simulate_cart(SAMPLES)
     found: dict[str, float] = {}
@@ -54,12 +79,8 @@ def measure_all() -> dict[str, float]:
             pairs = list(zip(u[:STEPS].tolist(), counts[:STEPS].tolist(), strict=True))
             loop = lambda e=estimator, pairs=pairs: [e.step(voltage, count).theta for voltage, count in pairs]  # noqa: E731
             found[f"step {label}"] = measure_best(loop, STEPS, estimator.reset)
-            starts = np.random.default_rng(1).integers(0, SAMPLES - AXIS_SAMPLES, AXES)
-            rows = [np.stack([x[k : k + AXIS_SAMPLES] for k in starts]) for x in (u.astype("f4"), counts.astype("i4"))]
-            estimator.reset()
-            fleet = pmfid.Fleet(estimator, AXES, workers=1)
-            run = lambda fleet=fleet, rows=rows: fleet.run(*rows)  # noqa: E731
-            found[f"fleet {label}"] = measure_best(run, rows[0].size, fleet.reset)
+            for part, time in fleet_times(estimator, u, counts).items():
+                found[f"fleet {part} {label}"] = time
     return found
 
 

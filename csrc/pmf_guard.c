@@ -58,41 +58,51 @@ static truth_t is_slow(const pmf_encoder_config_t *config, const pmf_guard_state
 /* Return the least second difference just after the judged count and its neighbour, or 0 if it changes its sign. */
 static real_t lasting_bend(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
 {
-    real_t least = signed_bend(config, guard, PMF_PAST + 2U), most = least;
+    real_t up = signed_bend(config, guard, PMF_PAST + 2U), down = -up;
     uint32_t place;
     for (place = PMF_PAST + 3U; place <= PMF_PAST + 4U; ++place) {
         real_t here = signed_bend(config, guard, place);
-        least = PMF_IF(here < least, here, least);
-        most = PMF_IF(here > most, here, most);
+        up = PMF_IF(here < up, here, up);
+        down = PMF_IF(-here < down, -here, down);
     }
-    least = PMF_IF(least > -most, least, -most);
-    return PMF_IF(least > PMF_R(0.0), least, PMF_R(0.0));
+    up = PMF_IF(up > down, up, down);
+    return PMF_IF(up > PMF_R(0.0), up, PMF_R(0.0));
+}
+
+/* Return the largest second difference of the judged count and its accepted and next neighbours, at least ROUNDING. */
+static real_t roughness_here(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
+{
+    real_t most = PMF_ALIKE(ROUNDING);
+    uint32_t needed;
+    for (needed = 0U; needed <= 2U; ++needed) { /* accepted counts */
+        real_t size = bend(config, guard, PMF_PAST + 1U - needed);
+        most = PMF_IF((guard->past >= needed) & (size > most), size, most);
+    }
+    return most;
 }
 
 /* Return whether the judged count continues the counts before it, or the motion around it is as smooth as the motion
- * before and after, or the acceleration around it lasts. Most counts continue a steady motion. */
+ * before and after, or the acceleration around it lasts. Most counts continue a steady motion. Among the first counts,
+ * only an acceleration that lasts is proof: a wrong count changes the sign. */
 static truth_t is_smooth(const pmf_encoder_config_t *config, const pmf_guard_state_t *guard)
 {
-    truth_t known = guard->past == PMF_PAST, plain;
     real_t size = bend(config, guard, PMF_PAST - 1U), past, limit, lasting;
-    if (config->max_change != 0U) {
-        known = known & is_slow(config, guard);
-    }
-    plain = known & (size <= ROUNDING);
+    truth_t whole = guard->past == PMF_PAST, plain = whole & (size <= ROUNDING);
     if (PMF_ALL(plain)) {
         return plain;
     }
     past = roughness(config, guard, 1U, PMF_PAST - 2U);
-    plain = known & (size <= past);
+    plain = whole & (size <= past);
     if (PMF_ALL(plain)) {
         return plain;
     }
+    past = PMF_IF(whole, past, PMF_ALIKE(ROUNDING));
     limit = roughness(config, guard, PMF_PAST + PMF_AHEAD - 3U, PMF_PAST + PMF_AHEAD - 1U);
     limit = beyond_rounding(PMF_IF(past < limit, past, limit));
     lasting = beyond_rounding(lasting_bend(config, guard));
     limit = PMF_IF(lasting > limit, lasting, limit);
     limit = SMOOTH * PMF_IF(limit > PMF_R(1.0), limit, PMF_R(1.0));
-    return plain | (known & (beyond_rounding(roughness(config, guard, PMF_PAST - 1U, PMF_PAST + 1U)) <= limit));
+    return plain | (beyond_rounding(roughness_here(config, guard)) <= limit);
 }
 
 /* Gather the view of a lane. Counts modulo mask + 1 are those next to a steady motion. */
@@ -150,6 +160,9 @@ static whole_t judge_counts(const pmf_encoder_config_t *config, pmf_guard_state_
     truth_t doubtful = ready & PMF_NOT(is_smooth(config, guard));
     whole_t status = PMF_W(0);
     uint32_t lane;
+    if (config->max_change != 0U) {
+        doubtful = doubtful | (ready & PMF_NOT(is_slow(config, guard)));
+    }
     if (PMF_ANY(doubtful)) {
         for (lane = 0; lane < PMF_WIDTH; ++lane) {
             if (PMF_LANE(doubtful, lane) != 0) {

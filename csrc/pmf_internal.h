@@ -136,11 +136,7 @@ static inline integer_t pmf_signed(uint32_t mask, whole_t count)
 }
 
 /* Parts of configuration and state that some exports leave out. Code for an absent part is never reached. */
-#if PMF_WITH_GUARD
-#define PMF_GUARDED(config) ((config)->encoder.guard != 0U)
-#else
-#define PMF_GUARDED(config) 0
-#endif
+#define PMF_GUARDED(config) (PMF_WITH_GUARD && (config)->encoder.guard != 0U)
 #if PMF_WITH_PROCESS
 #define PMF_LIFTED(state) (&(state)->lifted)
 #define PMF_LIFT(recursion) ((recursion)->lift)

@@ -34,11 +34,7 @@ static const scalar_t WILD = PMF_SCALAR(6.0); /* twice BLOW: no reading or its n
 static const scalar_t NEAR =
     PMF_SCALAR(10.0); /* accelerations within this ratio of the largest one may come from the same wrong counts */
 static const uint32_t LONGEST = 4U; /* more wrong readings in a row have no certain replacement */
-#ifdef PMF_FLOAT32
-static const scalar_t MOST = PMF_SCALAR(1e9);
-#else
-static const scalar_t MOST = PMF_SCALAR(9007199254740992.0); /* 2^53 */
-#endif
+static const scalar_t MOST = PMF_EITHER(1e9, 9007199254740992.0); /* 2^53 */
 
 /* Chosen accepted counts and readings, ascending. */
 typedef struct {
@@ -48,11 +44,6 @@ typedef struct {
     uint32_t moved; /* 1: the zero moved before the first chosen reading */
     scalar_t most, cost; /* price, and price times factor */
 } path_t;
-
-static scalar_t size_of(scalar_t x)
-{
-    return x < PMF_SCALAR(0.0) ? -x : x;
-}
 
 static scalar_t larger(scalar_t a, scalar_t b)
 {
@@ -73,7 +64,7 @@ PMF_SELDOM scalar_t speed(const pmf_view_t *view, uint32_t from, uint32_t to)
 PMF_SELDOM int is_too_fast(const pmf_view_t *view, uint32_t from, uint32_t to)
 {
     scalar_t most = view->speed * (view->time[to] - view->time[from]) + view->slack;
-    return view->speed > PMF_SCALAR(0.0) && size_of(travel(view, from, to)) > most;
+    return view->speed > PMF_SCALAR(0.0) && PMF_SIZE(travel(view, from, to)) > most;
 }
 
 /* Return the acceleration between the intervals a-b and c-d [counts per squared sample period], without the part that
@@ -83,7 +74,7 @@ PMF_SELDOM scalar_t signed_acceleration(const pmf_view_t *view, uint32_t a, uint
     scalar_t before = view->time[b] - view->time[a], after = view->time[d] - view->time[c];
     scalar_t middle = view->time[c] + view->time[d] - view->time[a] - view->time[b], rounding = view->step * middle;
     scalar_t twice = PMF_SCALAR(2.0) * (travel(view, c, d) * before - travel(view, a, b) * after);
-    if (size_of(twice) <= PMF_SCALAR(2.0) * rounding) {
+    if (PMF_SIZE(twice) <= PMF_SCALAR(2.0) * rounding) {
         return PMF_SCALAR(0.0);
     }
     return (twice < PMF_SCALAR(0.0) ? twice + rounding : twice - rounding) / (before * after * middle);
@@ -91,7 +82,7 @@ PMF_SELDOM scalar_t signed_acceleration(const pmf_view_t *view, uint32_t a, uint
 
 static scalar_t acceleration(const pmf_view_t *view, uint32_t a, uint32_t b, uint32_t c, uint32_t d)
 {
-    return size_of(signed_acceleration(view, a, b, c, d));
+    return PMF_SIZE(signed_acceleration(view, a, b, c, d));
 }
 
 /* Return the largest acceleration whose middle is one of the places from `first` to `last`, at least a step. */
@@ -121,7 +112,7 @@ PMF_SELDOM scalar_t price(const pmf_view_t *view, const path_t *path, scalar_t m
     }
     if (n < 3U) {
         int from_rest = view->past < 2U && end > PMF_PAST - view->past + 1U;
-        return from_rest ? larger(most, size_of(speed(view, start, end))) : most;
+        return from_rest ? larger(most, PMF_SIZE(speed(view, start, end))) : most;
     }
     middle = n - 2U - apart;
     return middle == 0U ? most
@@ -277,7 +268,7 @@ PMF_SELDOM int replace(const pmf_view_t *view, const path_t *path, pmf_verdict_t
     }
     apart = path->moved != 0U ? (scalar_t)view->count[first] - (scalar_t)end
                               : (scalar_t)view->count[PMF_PAST] - (scalar_t)count;
-    if (size_of(apart) <= view->step + CLEAR * explained) {
+    if (PMF_SIZE(apart) <= view->step + CLEAR * explained) {
         return 0;
     }
     verdict->verdict = path->moved != 0U ? PMF_ZERO_MOVED : PMF_READING_WRONG;
@@ -297,7 +288,7 @@ PMF_SELDOM int was_wrong(const pmf_view_t *view, const path_t *path)
         for (place = from + 1U; place < to && place < PMF_PAST; ++place) {
             scalar_t before = view->time[place] - view->time[from], after = view->time[to] - view->time[place];
             scalar_t apart = travel(view, from, place) - before * speed(view, from, to);
-            if (size_of(apart) > view->step + CLEAR * PMF_SCALAR(0.5) * path->most * before * after) {
+            if (PMF_SIZE(apart) > view->step + CLEAR * PMF_SCALAR(0.5) * path->most * before * after) {
                 return 1;
             }
         }
@@ -344,8 +335,8 @@ PMF_SELDOM int turns_around(const pmf_view_t *view, const path_t *path)
     uint32_t i;
     for (i = path->past + 1U; i < path->chosen; ++i) {
         after = speed(view, path->place[i - 1U], path->place[i]);
-        fastest = larger(fastest, size_of(after));
-        change = i > path->past + 1U ? larger(change, size_of(after - before)) : change;
+        fastest = larger(fastest, PMF_SIZE(after));
+        change = i > path->past + 1U ? larger(change, PMF_SIZE(after - before)) : change;
         before = after;
     }
     return change > fastest;
@@ -362,28 +353,29 @@ PMF_SELDOM void continue_motion(const pmf_view_t *view, pmf_verdict_t *verdict)
 /* Return the least acceleration just after the judged reading and its neighbour, or 0 if it changes its sign. */
 PMF_SELDOM scalar_t lasting_acceleration(const pmf_view_t *view)
 {
-    scalar_t least = ENDLESS, most = -ENDLESS;
+    scalar_t up = ENDLESS, down = ENDLESS;
     uint32_t i;
     for (i = PMF_PAST + 2U; i <= PMF_PAST + 4U; ++i) {
         scalar_t here = signed_acceleration(view, i - 1U, i, i, i + 1U);
-        least = here < least ? here : least;
-        most = larger(most, here);
+        up = here < up ? here : up;
+        down = -here < down ? -here : down;
     }
-    return larger(larger(least, -most), PMF_SCALAR(0.0));
+    return larger(larger(up, down), PMF_SCALAR(0.0));
 }
 
 int pmf_is_smooth(const pmf_view_t *view)
 {
+    uint32_t whole = view->past == PMF_PAST ? 1U : 0U, known = view->past < 2U ? view->past : 2U;
     scalar_t past, ahead, here;
-    if (view->past < PMF_PAST || view->readings < PMF_VIEW || is_too_fast(view, PMF_PAST - 1U, PMF_PAST) != 0) {
+    if (view->readings < PMF_VIEW || is_too_fast(view, PMF_PAST - 1U, PMF_PAST) != 0) {
         return 0;
     }
-    past = roughness(view, 1U, PMF_PAST - 2U);
-    if (acceleration(view, PMF_PAST - 2U, PMF_PAST - 1U, PMF_PAST - 1U, PMF_PAST) <= past) {
+    past = whole != 0U ? roughness(view, 1U, PMF_PAST - 2U) : view->step;
+    if (whole != 0U && acceleration(view, PMF_PAST - 2U, PMF_PAST - 1U, PMF_PAST - 1U, PMF_PAST) <= past) {
         return 1;
     }
     ahead = roughness(view, PMF_PAST + PMF_AHEAD - 3U, PMF_PAST + PMF_AHEAD - 1U);
-    here = roughness(view, PMF_PAST - 1U, PMF_PAST + 1U);
+    here = roughness(view, PMF_PAST + 1U - known, PMF_PAST + 1U);
     return here <= FIRST * larger(past < ahead ? past : ahead, lasting_acceleration(view));
 }
 

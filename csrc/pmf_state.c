@@ -32,13 +32,8 @@ static void copy(const void *from, void *to, uint32_t size)
 
 static uint32_t checksum(const pmf_saved_t *saved)
 {
-    uint32_t head[5];
-    head[0] = saved->magic;
-    head[1] = saved->version;
-    head[2] = saved->layout;
-    head[3] = saved->size;
-    head[4] = saved->config;
-    return pmf_crc32(pmf_crc32(0U, head, (uint32_t)sizeof head), &saved->state, (uint32_t)sizeof saved->state);
+    uint32_t head = pmf_crc32(0U, saved, 5U * (uint32_t)sizeof saved->magic); /* the words before the checksum */
+    return pmf_crc32(head, &saved->state, (uint32_t)sizeof saved->state);
 }
 
 #ifdef PMF_WITH_EDGES

@@ -73,11 +73,11 @@ def test_one_wrong_count_of_a_hundred_is_forgotten_in_two_memories(largest: int,
 @pytest.mark.parametrize("size", [100, -5000, 550_523])
 def test_every_single_wrong_count_is_found(size: int) -> None:
     """Before a change of the acceleration, a wrong count was once taken for a shift of the zero."""
-    case = case_of("cart", "prbs, 3", 256)
-    for place in range(0, 2500, 3):
+    late, early = case_of("cart", "prbs, 3", 256), case_of("spindle", "square, 25", 4096)
+    for place, (case, before) in product(range(0, 2500, 3), ((late, 30), (early, 4))):
         counts = case.counts.copy()
         counts[place] += size
-        window = slice(max(0, place - 30), place + 30)
+        window = slice(max(0, place - before), place + 30)
         wrong = find_outliers(counts[window], np.arange(counts[window].size, dtype=float), 1.0)[1]
         assert np.flatnonzero(wrong).tolist() == [place - window.start]
 
