@@ -1,6 +1,7 @@
 """Estimates of servos on random servos of all kinds: `python -m studies.servo_grid --servos 60 --salt 1`.
 
-`--logs 3` gives each servo three logs. `--wrong` gives each servo an effect that the package's model does not have.
+`--logs 3` gives each servo three logs. `--wrong` gives each servo an effect that the package's model does not have, and
+`--effect no_load` gives every servo this one.
 `--polled` stamps each row some time after its goal was sent and its position was read.
 """
 
@@ -23,10 +24,7 @@ from studies.servo_truth import TrueServo, simulate_servos
 RATES, BITS, TIME = (50, 100, 200, 500), (10, 12, 14), 10.0
 LAWS = ("P", "PD true", "PD differenced", "PD filtered", "PID")
 FRICTIONS = ("plain", "load", "Stribeck", "cogging")
-WRONG = (
-    *("bristle", "backlash", "deadzone", "warming", "slew", "stiffening", "no load", "swing", "windup"),
-    "loop period",
-)
+WRONG = ["bristle", "backlash", "deadzone", "warming", "slew", "stiffening", "sag", "swing", "windup", "loop_period"]
 NAMES = ("inertia", "viscous", "coulomb", "delay", "kp", "ki")
 
 
@@ -41,8 +39,9 @@ class Case:
     late: float = 0.0
 
 
-def draw_case(number: int, salt: int, wrong: bool) -> Case:
-    """Draw a servo with a known gain, or with a known pendulum. Its user does not know its law and its friction."""
+def draw_case(number: int, salt: int, effects: Sequence[str]) -> Case:
+    """Draw a servo with a known gain, or with a known pendulum, and with one of some effects of `_spoil`. Its user does
+    not know its law and its friction."""
     rng = np.random.default_rng([number, salt, 52])
     law, friction = LAWS[number % 5], FRICTIONS[number // 5 % 4]
     rate, bits = int(rng.choice(RATES)), int(rng.choice(BITS))
@@ -53,14 +52,12 @@ def draw_case(number: int, salt: int, wrong: bool) -> Case:
     kp, viscous = inertia * frequency**2, 2 * damping * frequency * inertia
     coulomb = kp * 2 * math.pi / 4096 * rng.uniform(5.0, 20.0)
     of_law = {
-        "P": {},
         "PD true": {"kd_true": 0.4 * viscous},
         "PD differenced": {"kd": 0.4 * viscous},
         "PD filtered": {"kd_filtered": 0.4 * viscous, "velocity_filter": rng.uniform(1e-3, 6e-3)},
         "PID": {"kd": 0.4 * viscous, "ki": kp * rng.uniform(1.0, 6.0)},
     }
     of_friction = {
-        "plain": {},
         "load": {"load_friction": rng.uniform(0.03, 0.15)},
         "Stribeck": {"stribeck": coulomb * rng.uniform(0.3, 0.8), "stribeck_speed": rng.uniform(0.2, 1.0)},
         "cogging": {"cogging": 0.3 * coulomb, "waves": float(rng.integers(5, 30))},
@@ -75,20 +72,20 @@ def draw_case(number: int, salt: int, wrong: bool) -> Case:
         gravity=kp * rng.uniform(0.05, 0.2) * pendulum,
         torque_limit=kp * rng.uniform(0.25, 0.5) if limited else 1e12,
         phase=rng.random(),
-        **of_law[law],
-        **of_friction[friction],
+        **of_law.get(law, {}),
+        **of_friction.get(friction, {}),
     )
     given = {"kp": kp} if known else {"gravity": truth.gravity}
     kind = [law, friction, f"{rate} Hz", f"{bits} bit", "pendulum" if pendulum else "free"]
     kind += ["kp known" if known else "kp unknown", "limit" if limited else "no limit"]
-    if wrong:
-        effect = WRONG[number % len(WRONG)]
+    if effects:
+        effect = effects[number % len(effects)]
         truth, kind = _spoil(truth, effect, rng), [*kind, effect]
     return Case(truth, Servo(truth.resolution, given), rate, tuple(kind))
 
 
 def _spoil(truth: TrueServo, effect: str, rng: np.random.Generator) -> TrueServo:
-    """Return a servo with an effect that the package's model does not have."""
+    """Return a servo with an effect. The package's model has the limit that falls to 0 at a speed without load."""
     strength, step = rng.uniform(0.2, 0.6), truth.resolution * rng.uniform(1.0, 6.0)
     limit = min(truth.torque_limit, 0.5 * truth.kp)
     effects: dict[str, dict[str, float]] = {
@@ -98,17 +95,20 @@ def _spoil(truth: TrueServo, effect: str, rng: np.random.Generator) -> TrueServo
         "warming": {"warming": strength},
         "slew": {"slew": 10.0 * strength},
         "stiffening": {"stiffening": strength},
-        "no load": {"no_load": 25.0 * strength, "torque_limit": limit},
+        "no_load": {"no_load": 25.0 * strength, "torque_limit": limit},
+        "sag": {"sag": strength},
         "swing": {"swing": 0.5 * strength},
         "windup": {"windup": 0.15 * strength / truth.kp},
-        "loop period": {"loop_period": round(20 * strength) * 1e-3},
+        "loop_period": {"loop_period": round(20 * strength) * 1e-3},
     }
     return replace(truth, **effects[effect])
 
 
-def make_cases(servos: int, salt: int, wrong: bool, logs: int, polled: bool) -> list[tuple[Case, list[JointLog]]]:
+def make_cases(
+    servos: int, salt: int, effects: Sequence[str], logs: int, polled: bool
+) -> list[tuple[Case, list[JointLog]]]:
     """Return servos with logs. In a log that polls, each row sends a goal, reads the position and has a stamp."""
-    cases = [draw_case(number, salt, wrong) for number in range(servos)]
+    cases = [draw_case(number, salt, effects) for number in range(servos)]
     cases = [replace(case, late=0.4 * polled / case.rate) for case in cases]
     flat = [(case, np.random.default_rng([n, salt, 53, k])) for n, case in enumerate(cases) for k in range(logs)]
     sent = [np.arange(0.0, TIME, 1 / case.rate) for case, _ in flat]
@@ -195,17 +195,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--servos", type=int, default=60)
     parser.add_argument("--logs", type=int, default=1)
     parser.add_argument("--salt", type=int, default=1)
-    parser.add_argument("--wrong", action="store_true")
+    parser.add_argument("--wrong", dest="effects", action="store_const", const=WRONG, default=())
+    parser.add_argument("--effect", dest="effects", nargs=1)
     parser.add_argument("--polled", action="store_true")
     parser.add_argument("--verbose", action="store_true", help="one line for each servo")
     options = parser.parse_args(arguments)
     rows = []
-    for case, logs in make_cases(options.servos, options.salt, options.wrong, options.logs, options.polled):
+    for case, logs in make_cases(options.servos, options.salt, options.effects, options.logs, options.polled):
         rows.append(measure_case(case, logs))
         if options.verbose:
             print(rows[-1], flush=True)
-    title = ["# Servos", "", f"{options.servos} random servos with {options.logs} logs of {TIME:.0f} s each.", ""]
-    print(*title, *write_rows(rows), sep="\n")
+    print(f"# Servos\n\n{options.servos} random servos with {options.logs} logs of {TIME:.0f} s each.\n")
+    print(*write_rows(rows), sep="\n")
     return 0
 
 

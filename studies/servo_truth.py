@@ -21,15 +21,15 @@ class TrueServo:
     The gain `kd` acts on differences of the counts, `kd_true` on the true velocity, and `kd_filtered` on the
     differences after a lag of `velocity_filter`. The friction `load_stribeck` times the transmitted torque falls off
     with the square of the velocity over `stribeck_speed`. `motor_friction` and `motor_stribeck` are the same times the
-    motor's torque, from which `back_emf` takes its part of the velocity beyond the limit.
+    motor's torque, from which `back_emf` takes its part of the velocity beyond the limit. The limit of the torque falls
+    to 0 at the speed `no_load` [rad/s].
 
     `cogging` is a torque that turns with the position `waves` times a turn. What follows is not in the table of terms.
     A friction with `bristle` needs this way [rad] to turn round, and the encoder has `backlash` [rad]. The motor loses
     `deadzone` [N m] of the torque. The Coulomb friction is larger by the part `warming` at first, for some 3 s. The
-    goal moves at most at `slew` [rad/s]. The gain grows by the part `stiffening` at an error of 0.3 rad. The limit of
-    the torque falls to 0 at the speed `no_load` [rad/s]. The inertia turns with the position by the part `swing`. The
-    shaft twists by `windup` [rad/(N m)] before the encoder. The loop has another `loop_period` [s] than its user
-    believes.
+    goal moves at most at `slew` [rad/s]. The gain grows by the part `stiffening` at an error of 0.3 rad. A torque of
+    0.3 kp for some 0.5 s weakens the motor by the part `sag`. The inertia turns with the position by the part `swing`.
+    The shaft twists by `windup` [rad/(N m)] before the encoder. The loop has a `loop_period` [s] that nobody knows.
     """
 
     inertia: float
@@ -62,6 +62,7 @@ class TrueServo:
     slew: float = 1e9
     stiffening: float = 0.0
     no_load: float = 1e9
+    sag: float = 0.0
     swing: float = 0.0
     windup: float = 0.0
     loop_period: float = 1e-3
@@ -97,7 +98,7 @@ def simulate_servos(
         held[:, j] = goal[np.maximum(rows, 0)]
     for row in range(1, len(held)):
         held[row] = np.clip(held[row], held[row - 1] - own["slew"] * period, held[row - 1] + own["slew"] * period)
-    x, v, torque, before, shown, slip, slow, total = (np.zeros(len(servos)) for _ in range(8))
+    x, v, torque, before, shown, slip, slow, total, drawn = (np.zeros(len(servos)) for _ in range(9))
     share = -np.expm1(-period / own["velocity_filter"])
     soft, bristle, play = own["bristle"] > 0, np.maximum(own["bristle"], 1e-12), 0.5 * own["backlash"]
     out = np.empty((count, len(servos)), np.float32)
@@ -107,23 +108,21 @@ def simulate_servos(
         out[k] = shown
         seen = own["resolution"] * np.rint(shown / own["resolution"])
         apart, change = held[(k + first) // every, columns] - seen, (seen - before) / period
-        slow, total = (
-            np.where(tick, slow + share * (change - slow), slow),
-            np.where(tick, total + period * apart, total),
-        )
+        slow = np.where(tick, slow + share * (change - slow), slow)
+        total = np.where(tick, total + period * apart, total)
         wanted = own["kp"] * apart * (1 + own["stiffening"] * np.square(apart / 0.3)) + own["ki"] * total
         wanted = wanted - own["kd"] * change - own["kd_true"] * v - own["kd_filtered"] * slow
         speed, inertia = np.abs(v), own["inertia"] * (1 + own["swing"] * np.cos(x))
         most = own["torque_limit"] * np.maximum(1 - speed / own["no_load"], 0.0)
         wanted = np.copysign(np.maximum(np.abs(wanted) - own["deadzone"], 0.0), wanted)
-        torque = np.where(tick, np.clip(wanted, -most, most), torque)
+        torque = np.where(tick, np.clip(wanted, -most, most) / (1 + own["sag"] * drawn), torque)
+        drawn = drawn + STEP / 0.5 * (np.abs(torque) / (0.3 * own["kp"]) - drawn)
         before, wave = np.where(tick, seen, before), np.sin(own["waves"] * x)
         load, motor = own["gravity"] * np.sin(x), torque - own["back_emf"] * v
         transmitted = np.abs(motor + load)  # the gearbox has the motor on one side
         dry = own["coulomb"] * (1 + own["warming"] * math.exp(-k * STEP / 3.0))
-        force = motor - load - own["cogging"] * wave
+        force = motor - load - own["cogging"] * wave - np.where(soft, dry * slip / bristle, 0.0)
         force = force + 0.5 * own["inertia"] * own["swing"] * np.sin(x) * v * v
-        force = force - np.where(soft, dry * slip / bristle, 0.0)
         friction = np.where(soft, 0.0, dry) + own["load_friction"] * transmitted
         falling = np.exp(-np.square(speed / own["stribeck_speed"]))
         friction = friction + (own["stribeck"] + own["load_stribeck"] * transmitted) * falling

@@ -202,8 +202,7 @@ static double net_force(state *t, double x, double v, double s, double drive, in
         for (int k = 0; k < t->w; k++)
             dn[k] -= gx * dx[k] + gv * dv[k];
     t->gx = gx, t->gv = gv;
-    dn[PMF_BODY_COULOMB] -= s;
-    dn[PMF_BODY_OFFSET] -= 1;
+    dn[PMF_BODY_COULOMB] -= s, dn[PMF_BODY_OFFSET] -= 1;
     return t->loaded ? net - load_friction(t, v, s, motor, load, dv) : net;
 }
 
@@ -301,7 +300,7 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             return;
         }
         if (t->loop)
-            loop_force(t, t->x, g, g_delay, g_lag, t->dx, t->s, t->ds);
+            loop_force(t, t->x, t->v, g, g_delay, g_lag, t->dx, t->dv, t->s, t->ds);
         net = net_force(t, t->x, t->v, s, drive, i, t->dx, t->dv);
         if (t->b->forces && !t->loop && turn == 0) {
             if (move_without_stop(t, i, s, net, drive, g_delay, g_lag, left))
@@ -310,17 +309,14 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
         }
         if (t->b->forces || t->loop) { /* forces in the middle of the part */
             double half = left / 2;
-            if (s * net < 0 && t->v != 0) {
-                double stop = time_to_stop(t, net, s);
-                if (stop < left)
-                    half = stop / 2;
-            }
+            if (s * net < 0 && t->v != 0)
+                half = fmin(left, time_to_stop(t, net, s)) / 2;
             advance(t, net, NO_MOMENT, s, half, &x, &v, t->mx, t->mv);
             if (s * v < 0)
                 v = 0;
             if (t->loop) {
                 carry_memories(t, half, g, g_delay, g_lag, t->x, t->v, t->dx, t->dv, x, v, t->mx, t->mv);
-                drive = loop_force(t, x, g, g_delay, g_lag, t->mx, t->ms, t->dms) - offset;
+                drive = loop_force(t, x, v, g, g_delay, g_lag, t->mx, t->mv, t->ms, t->dms) - offset;
             }
             net = net_force(t, x, v, s, drive, i, t->mx, t->mv);
         }
@@ -329,11 +325,9 @@ static void move(state *t, int i, double g, double g_delay, double g_lag, double
             t->dn[PMF_BODY_LAG] += g_lag;
         }
         if (t->v != 0 && s * net < 0) {
-            double stop = time_to_stop(t, net, s);
-            if (stop < step) {
-                step = stop;
-                stops = 1;
-            }
+            const double stop = time_to_stop(t, net, s);
+            stops = stop < step;
+            step = fmin(stop, step);
         } else if (t->v == 0 && s * net <= 0) { /* forces in the middle stop the start */
             rest(t, left, g, g_delay, g_lag);
             return;
@@ -412,9 +406,12 @@ static void move_part(state *t, int i, double h)
 }
 
 /* Move through interval i, in equal parts that end where the input switches. `wait` is the time to the next switch. */
-static void move_interval(state *t, int i, int parts, double *wait)
+static void move_interval(state *t, int i, double *wait)
 {
-    const double h = t->b->step[i] / parts, small = 1e-9 * h;
+    const pmf_body *b = t->b;
+    const int parts = t->loop ? (int)fmin(fmax(ceil(b->step[i] / b->tick - 1e-6), 1), MOST_PARTS)
+                              : b->forces || t->theta[PMF_BODY_LAG] > 0 ? b->parts : 1;
+    const double h = b->step[i] / parts, small = 1e-9 * h;
     for (int part = 0; part < parts; part++)
         for (double left = h; left > small;) {
             while (*wait <= small && t->late + 1 < t->b->n) {
@@ -426,13 +423,6 @@ static void move_interval(state *t, int i, int parts, double *wait)
             left -= step;
             *wait -= step;
         }
-}
-
-static int parts_of(const pmf_body *b, double lag, int i)
-{
-    if (b->tick > 0)
-        return (int)fmin(fmax(ceil(b->step[i] / b->tick - 1e-6), 1), MOST_PARTS);
-    return b->forces || lag > 0 ? b->parts : 1;
 }
 
 void pmf_body_chain(const pmf_body *b, const double *dx, double *row)
@@ -474,8 +464,7 @@ int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, d
     }
     for (int j = 0, shape = PMF_BODY_BASE + b->forces; j < b->forces; j++)
         t.p[j] = b->force[j].unknown ? theta[shape++] : b->force[j].p, t.loaded |= is_load_friction(b->force + j);
-    t.dx[PMF_BODY_X0] = 1;
-    t.dv[PMF_BODY_V0] = 1;
+    t.dx[PMF_BODY_X0] = t.dv[PMF_BODY_V0] = 1;
     for (int i = 0, k = 0; k < b->rows; i++) {
         if (!(fabs(t.x) < 1e150 && fabs(t.v) < 1e150))
             return k;
@@ -493,7 +482,7 @@ int pmf_body_run(const pmf_body *b, const double *theta, double *y, double *v, d
             t.loop = 0;
             move(&t, i, force, 0, 0, b->step[i]);
         } else if (i < b->n)
-            move_interval(&t, i, parts_of(b, theta[PMF_BODY_LAG], i), &wait);
+            move_interval(&t, i, &wait);
     }
     return b->rows;
 }

@@ -51,6 +51,7 @@ enum {
     PMF_FORCE_COLUMN_VISCOUS, /* v times a column; with a controller, the drag of its motor */
     PMF_FORCE_LOAD, /* s |T|, T: force through the gear: that of the motor with its drag, and 1 - q of all loads */
     PMF_FORCE_LOAD_STRIBECK, /* s |T| exp(-(v/p)^2) */
+    PMF_FORCE_SLOPE, /* 0, but |v| times the size lowers the limit of a controller's force along q v */
     /* forces of the loop, which a controller has within its limit */
     PMF_LOOP_FILTERED, /* the velocity of y after a lag of p */
     PMF_LOOP_INTEGRAL /* minus the integral of g - y */

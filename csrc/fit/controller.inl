@@ -23,16 +23,25 @@ static int is_on(const state *t)
     return !(t->b->on && t->b->on[t->late] == 0);
 }
 
-static double limit(const state *t, double force)
+/* Force u within the limit at velocity v. Derivatives of the limit along dv (w) go to dq (w), if there is one. */
+static double limit(const state *t, double u, double v, const double *dv, double *dq)
 {
-    const double most = is_on(t) ? t->loop[PMF_LOOP_LIMIT] : 0;
-    return force > most ? most : force < -most ? -most : force;
+    double most = is_on(t) ? t->loop[PMF_LOOP_LIMIT] : 0;
+    for (int j = 0; j < t->b->forces; j++) {
+        const double along = u < 0 ? -t->b->force[j].q : t->b->force[j].q;
+        if (t->b->force[j].kind != PMF_FORCE_SLOPE || along * v <= 0)
+            continue;
+        most = fmax(most - t->size[j] * along * v, 0);
+        for (int k = 0; dq && k < t->w; k++)
+            dq[k] -= t->size[j] * along * dv[k] + (k == PMF_BODY_BASE + j ? along * v : 0);
+    }
+    return u > most ? most : u < -most ? -most : u;
 }
 
 /* Drive at the present state: the input, or the controller's force with the input as goal. */
 static double drive_now(const state *t, double g)
 {
-    return (t->loop ? limit(t, free_force(t, t->x, g, t->s)) : g) - t->theta[PMF_BODY_OFFSET];
+    return (t->loop ? limit(t, free_force(t, t->x, g, t->s), t->v, 0, 0) : g) - t->theta[PMF_BODY_OFFSET];
 }
 
 /* Force of the controller from a tick to the next. It acts on the nearest count and on the change of counts; s[0] is the
@@ -51,21 +60,22 @@ static double tick_force(state *t, double g)
         *s += kind == PMF_LOOP_INTEGRAL ? -period * apart : (change - *s) / fmax(lag + 0.5, 1);
         sum -= t->size[j] * (kind == PMF_LOOP_INTEGRAL ? *s : counted * *s + (1 - counted) * t->v);
     }
-    return limit(t, sum);
+    return limit(t, sum, t->v, 0, 0);
 }
 
-/* Force of the controller at x with memories s, and its derivatives dq (w). */
-static double loop_force(state *t, double x, double g, double g_delay, double g_lag, const double *dx, const double *s,
-                         const double *ds)
+/* Force of the controller at (x, v) with memories s, and its derivatives dq (w). */
+static double loop_force(state *t, double x, double v, double g, double g_delay, double g_lag, const double *dx,
+                         const double *dv, const double *s, const double *ds)
 {
-    const double kp = t->loop[PMF_LOOP_GAIN], D = loop_delay(t), u = free_force(t, x, g, s), used = limit(t, u);
+    const double kp = t->loop[PMF_LOOP_GAIN], D = loop_delay(t), u = free_force(t, x, g, s);
     const int at = (int)(t->loop - t->theta);
-    double *dq = t->dq;
+    double *dq = t->dq, used;
     memset(dq, 0, t->w * sizeof *dq);
-    if (!is_on(t))
-        return 0;
-    if (used != u) {
-        dq[at + PMF_LOOP_LIMIT] = used > 0 ? 1 : -1;
+    dq[at + PMF_LOOP_LIMIT] = 1;
+    used = limit(t, u, v, dv, dq);
+    if (used != u || !is_on(t)) {
+        for (int k = 0; k < t->w; k++)
+            dq[k] *= (used > 0) - (used < 0);
         return used;
     }
     for (int k = 0; k < t->w; k++)

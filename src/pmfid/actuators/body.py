@@ -48,6 +48,8 @@ FRICTIONS = {
     "load_stribeck": ("load_stribeck", 1.0, 0.0),
     "motor_stribeck": ("load_stribeck", 1.0, 1.0),
 }
+#: Direction of the motion along a torque whose limit falls.
+SLOPES = {"limit_slope": 1.0, "brake_slope": -1.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +160,7 @@ def _list_forces(servo: Servo) -> list[tuple[str, BodyForce]]:
         forces.append(("kd", _force(servo, "kd", "loop_filtered", 0.0)))
     if servo.has("ki"):
         forces.append(("ki", BodyForce("loop_integral")))
+    forces += [(name, BodyForce("slope", q=side)) for name, side in SLOPES.items() if servo.has(name)]
     if servo.has("back_emf"):
         forces.append(("back_emf", BodyForce("column_viscous")))
     if servo.known_force:

@@ -18,10 +18,10 @@ class BoundedQuadratic(Quadratic):
 
     The posterior of such a size is a normal distribution without its negative part. Its mean and variance replace those
     of the whole distribution one candidate at a time, and the other parameters follow along their covariance with it.
-    A `pair` of candidates comes and goes together, and the `kept` ones stay.
+    Each pair of candidates comes and goes together, and the `kept` ones stay.
     """
 
-    pair: tuple[int, ...] = ()
+    pairs: tuple[tuple[int, ...], ...] = ()
     kept: tuple[int, ...] = ()
 
     def neighbours(self, chosen: Sequence[int], allowed: Sequence[int]) -> list[list[int]]:
@@ -33,8 +33,9 @@ class BoundedQuadratic(Quadratic):
             changed = set(one) ^ set(chosen)
             if changed & set(self.kept):
                 continue
-            if changed & set(self.pair):
-                one = [*{*one, *self.pair}] if set(one) & set(self.pair) - set(chosen) else [*set(one) - set(self.pair)]
+            for pair in map(set, self.pairs):
+                if changed & pair:
+                    one = [*{*one, *pair}] if set(one) & pair - set(chosen) else [*set(one) - pair]
             whole[tuple(sorted(one))] = None
         return [list(one) for one in whole if set(one) != set(chosen)]
 

@@ -16,7 +16,7 @@ from pmfid.actuators.checks import find_stops
 from pmfid.actuators.logs import JointLog
 from pmfid.actuators.servo import Servo
 from pmfid.actuators.stamps import noise_with_stamps
-from pmfid.actuators.terms import COMMON, LOOP_FRICTION, table_of
+from pmfid.actuators.terms import COMMON, LOOP_FRICTION, PAIRS, table_of
 from pmfid.actuators.tuning import TUNING
 from pmfid.fit.compare import ODDS, Quadratic
 from pmfid.fit.likelihood import Gaussian
@@ -237,8 +237,8 @@ class ServoSearch(FitSearch):
 
     def local(self, likelihood: Likelihood) -> Quadratic:
         local = super().local(likelihood)
-        pair = tuple(i for i, one in enumerate(self.table) if one.name == "gravity")
-        return BoundedQuadratic(local.A, local.g, local.plain, local.odds, local.lowest, pair, self.kept)
+        pairs = tuple(tuple(i for i, one in enumerate(self.table) if one.name in names) for names in PAIRS)
+        return BoundedQuadratic(local.A, local.g, local.plain, local.odds, local.lowest, pairs, self.kept)
 
     def apply_ticks(self) -> None:
         """Add to the motion what the ticks and counts of the loop change, at the present parameters.
@@ -283,7 +283,7 @@ def _sizes_of(task: ServoTask, problem: FitProblem, q: Floats, starts: Floats) -
 
 
 def limited_part(problem: FitProblem, q: Floats, starts: Floats) -> float:
-    """Return the part of the time at which the controller's torque is at its limit."""
+    """Return the part of the time at which the controller's torque is at its limit, which may fall with the speed."""
     parts = []
     for stretch, (y, v) in zip(problem.stretches, problem.motion(q, starts), strict=True):
         body, forces, _ = problem._body(q, stretch.acts)
@@ -293,5 +293,7 @@ def limited_part(problem: FitProblem, q: Floats, starts: Floats) -> float:
         torque = gain * (goal - y)
         for force, size in zip(forces, body[BASE:], strict=False):
             torque = torque - size * v * (force.kind == "loop_filtered")
+            if force.kind == "slope":
+                limit = limit - size * np.maximum(force.q * v * np.sign(goal - y), 0.0)
         parts.append(np.abs(torque) >= limit)
     return float(np.mean(np.concatenate(parts)))

@@ -32,6 +32,8 @@ UNITS: Mapping[str, tuple[str, str]] = MappingProxyType(
         "load_friction": ("1", "1"),
         "quadratic": ("N m s2/rad2", "s2"),
         "back_emf": ("N m s/rad", "s"),
+        "limit_slope": ("N m s/rad", "s"),
+        "brake_slope": ("N m s/rad", "s"),
         "ki": ("N m/(rad s)", "1/s"),
         "velocity_filter": ("s", "s"),
         "load_stribeck": ("1", "1"),
@@ -54,7 +56,7 @@ PARTNERS: Mapping[str, str] = MappingProxyType(
     }
 )
 #: Parameters of either sign.
-SIGNED = ("gravity_angle", "offset")
+SIGNED = ("gravity_angle", "offset", "brake_slope")
 #: Parameters that may be given with either sign. A negative Stribeck friction rises with the speed.
 EITHER = (*SIGNED, "stribeck")
 #: One of these must be given, or all torques are known only as multiples of `kp`.
@@ -70,7 +72,9 @@ class Servo:
     `velocity_filter`. Friction is coulomb + stribeck exp(-(velocity/stribeck_speed)^2), and the same of load_friction
     and load_stribeck times the torque through the gear, which is that of the motor and the load. motor_friction and
     motor_stribeck are the same in proportion to the motor's torque alone. `back_emf` is the drag of the motor while its
-    torque is on: it acts beyond the limit, and the gear transmits it.
+    torque is on: it acts beyond the limit, and the gear transmits it. `limit_slope` times the speed lowers the limit of
+    a torque that drives the motion, as the voltage limits a motor whose current is controlled. `brake_slope`, of either
+    sign, does so for a torque that brakes the motion.
 
     Attributes
     ----------

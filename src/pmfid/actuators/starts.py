@@ -21,7 +21,7 @@ from pmfid.fit.solve import Optimum, solve
 from pmfid.types import Floats
 
 #: Terms that the search begins with as well, because their motion is far from that without them.
-TERMS = ("ki", "load_friction", "motor_friction")
+TERMS = ("ki", "limit_slope", "load_friction", "motor_friction")
 #: Effects that repeat along the travel, which are sought in whole logs.
 WAVES = ("wave", "rub")
 FOLLOW = "no servo model explains the motion: check that goal and position have the same joint, unit and sign"
@@ -30,7 +30,8 @@ FOLLOW = "no servo model explains the motion: check that goal and position have 
 def find_search(task: ServoTask, search: bool) -> ServoSearch:
     """Return the search at the best model of the logs, with a limit of the torque and gravity or without."""
     best = max(_start_searches(task, search), key=ServoSearch.value)
-    best = max((best, *(one for name in TERMS for one in _add_term(best, name))), key=ServoSearch.value)
+    for name in TERMS:
+        best = max((best, *_add_term(best, name)), key=ServoSearch.value)
     _check_explains(best)
     best.ticked = True
     best = take_lag(best, TUNING.lags[1::2])
@@ -87,8 +88,9 @@ def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
 
 
 def _add_term(search: ServoSearch, name: str) -> Iterator[ServoSearch]:
-    """Yield the settled search with a term, if the table has this term."""
-    rows = [i for i, one in enumerate(search.table) if one.name == name]
+    """Yield the settled search with a term, if the table has this term. Rows of one effect come together."""
+    words = {one.words for one in search.table if one.name == name}
+    rows = [i for i, one in enumerate(search.table) if one.words in words]
     if rows:
         other = copy(search)
         other.choose([*search.chosen, *rows])
@@ -184,7 +186,7 @@ def draw_servo(task: ServoTask, names: Sequence[str], rng: np.random.Generator) 
         "viscous": 2 * damping * frequency * inertia,
         "coulomb": torque * _draw_positive(rng, *TUNING.frictions),
         "kp": gain,
-        "back_emf": 2 * damping * frequency * inertia * rng.uniform(0.0, 1.0),
+        **dict.fromkeys(("back_emf", "limit_slope"), 2 * damping * frequency * inertia * rng.uniform(0.0, 1.0)),
         "kd": damping * frequency * inertia,
         "ki": gain * _draw_positive(rng, 0.1, 10.0),
         "torque_limit": gain * largest * _draw_positive(rng, 0.1, 1.5),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from pmfid.actuators.body import SLOPES
 from pmfid.actuators.servo import Servo
 from pmfid.fit.machine import DIRECTIONAL, OFFSET, BodyForce
 from pmfid.fit.terms import ExtraForce, Sizes
@@ -15,6 +16,8 @@ COMMON = ("stribeck", "load_friction", "load_stribeck", "motor_friction", "motor
 #: The part of the viscous friction that the loop makes. Every servo without a named kd has this term, because no motion
 #: below the limit of the torque shows it: it hides a part of the inertia, its size times the age of its velocity.
 LOOP_FRICTION = "loop_friction"
+#: Terms whose rows come and go together.
+PAIRS = (("gravity",), tuple(SLOPES))
 #: Speeds of Stribeck friction as parts of the highest speed. Each moves by the factors of `pmfid.fit.problem.CONSTANT`.
 SHARES = (0.02, 0.06, 0.2, 0.6)
 NAME = "name the term {}, or give its value"
@@ -41,6 +44,9 @@ def _loop(servo: Servo, gain: float, s: Sizes) -> Iterator[ExtraForce]:
     yield _row(LOOP_FRICTION, "a derivative gain", 0.5 * s.viscous, force=force, lowest=0.0)
     force = BodyForce("column_viscous")
     yield _row("back_emf", "a back-EMF", 0.5 * s.viscous, force=force, lowest=0.0)
+    for (name, side), lowest in zip(SLOPES.items(), (0.0, -math.inf), strict=True):
+        words, force = "a torque limit that depends on the speed", BodyForce("slope", q=side)
+        yield _row(name, words, s.force / s.speed, force=force, lowest=lowest)
     yield _row("ki", "an integral gain", 3.0 * gain, force=BodyForce("loop_integral"), lowest=0.0)
 
 
