@@ -66,7 +66,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "records": RECORDS,
     "monitor": DIAGNOSTICS | {"lazy_imports"},
     "testing": DIAGNOSTICS,
-    "simulation": {"edge_times", "elementary", "errors", "types"},
+    "simulation": {"edge_times", "elementary", "errors", "types", "lazy_imports"},
     "design": {"errors", "findings", "fit", "lazy_imports", "models", "presentation", "types"},
     "actuators": {"_body", "errors", "findings", "fit", "io", "presentation", "records", "types"},
     "export": DIAGNOSTICS | {"pmfid"},

@@ -26,17 +26,16 @@ class BoundedQuadratic(Quadratic):
 
     def neighbours(self, chosen: Sequence[int], allowed: Sequence[int]) -> list[list[int]]:
         """Return the sets with one candidate more or less, or with another one in place of one."""
-        sets = super().neighbours(chosen, allowed)
-        sets += [[*(k for k in chosen if k != i), j] for i in chosen for j in allowed if j not in chosen]
+        others = [j for j in allowed if j not in chosen]
+        sets = super().neighbours(chosen, allowed) + [[*{*chosen} - {i}, j] for i in chosen for j in others]
         whole: dict[tuple[int, ...], None] = {}
         for one in sets:
             changed = set(one) ^ set(chosen)
-            if changed & set(self.kept):
-                continue
             for pair in map(set, self.pairs):
                 if changed & pair:
                     one = [*{*one, *pair}] if set(one) & pair - set(chosen) else [*set(one) - pair]
-            whole[tuple(sorted(one))] = None
+            if not changed & set(self.kept):
+                whole[tuple(sorted(one))] = None
         return [list(one) for one in whole if set(one) != set(chosen)]
 
     def evidence(self, chosen: Sequence[int]) -> tuple[float, Floats, Floats]:

@@ -293,7 +293,6 @@ def limited_part(problem: FitProblem, q: Floats, starts: Floats) -> float:
         torque = gain * (goal - y)
         for force, size in zip(forces, body[BASE:], strict=False):
             torque = torque - size * v * (force.kind == "loop_filtered")
-            if force.kind == "slope":
-                limit = limit - size * np.maximum(force.q * v * np.sign(goal - y), 0.0)
+            limit = limit - size * (force.kind == "slope") * np.maximum(force.q * v * np.sign(goal - y), 0.0)
         parts.append(np.abs(torque) >= limit)
     return float(np.mean(np.concatenate(parts)))

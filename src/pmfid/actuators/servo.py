@@ -73,8 +73,7 @@ class Servo:
     and load_stribeck times the torque through the gear, which is that of the motor and the load. motor_friction and
     motor_stribeck are the same in proportion to the motor's torque alone. `back_emf` is the drag of the motor while its
     torque is on: it acts beyond the limit, and the gear transmits it. `limit_slope` times the speed lowers the limit of
-    a torque that drives the motion, as the voltage limits a motor whose current is controlled. `brake_slope`, of either
-    sign, does so for a torque that brakes the motion.
+    a torque that drives the motion, and `brake_slope`, of either sign, that of a torque that brakes it.
 
     Attributes
     ----------

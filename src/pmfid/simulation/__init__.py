@@ -1,5 +1,4 @@
-"""The exactly simulated laboratory drive. The simulation knows the true parameters, so no lower package may import this
-package."""
+"""The exactly simulated laboratory drive. No lower package may import it, because it knows the true parameters."""
 
 from __future__ import annotations
 
@@ -45,3 +44,7 @@ _PUBLIC = read_names(__file__)
 __all__ = sorted(_PUBLIC)
 if not TYPE_CHECKING:  # a type checker would accept every misspelt name
     __getattr__ = make_getattr(__name__, _PUBLIC)
+
+
+def __dir__() -> list[str]:
+    return list(__all__)
