@@ -409,8 +409,8 @@ static void move_part(state *t, int i, double h)
 static void move_interval(state *t, int i, double *wait)
 {
     const pmf_body *b = t->b;
-    const int parts = t->loop ? (int)fmin(fmax(ceil(b->step[i] / b->tick - 1e-6), 1), MOST_PARTS)
-                              : b->forces || t->theta[PMF_BODY_LAG] > 0 ? b->parts : 1;
+    const double plain = b->forces || t->theta[PMF_BODY_LAG] > 0 ? b->parts : 1;
+    const int parts = (int)fmin(fmax(t->loop ? ceil(b->step[i] / b->tick - 1e-6) : plain, 1), MOST_PARTS);
     const double h = b->step[i] / parts, small = 1e-9 * h;
     for (int part = 0; part < parts; part++)
         for (double left = h; left > small;) {
