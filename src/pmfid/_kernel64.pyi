@@ -10,7 +10,6 @@ Floats = NDArray[np.float64]
 
 class Kernel:
     dtype: np.dtype[np.floating]
-    max_parameters: int
     names: tuple[str, ...]
     @property
     def straight(self) -> bool: ...

@@ -164,7 +164,6 @@ cdef class Kernel:
     cdef public tuple names
 
     dtype = np.dtype(np.float32 if sizeof(real_t) == 4 else np.float64)
-    max_parameters = PMF_MAX_PARAMETERS
 
     def __init__(self, bytes config not None):
         self.names = ()

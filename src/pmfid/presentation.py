@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from pmfid.errors import printable
+from pmfid.errors import place_of, printable
 from pmfid.lazy_imports import make_getattr
 
 if TYPE_CHECKING:
@@ -200,6 +200,10 @@ class PresentableParameters(Presentable):
     @property
     def _parameters(self) -> Parameters:
         return Parameters(self.names, self.units, self.theta, self.theta_std)
+
+    def __getitem__(self, name: str) -> float:
+        """Return one parameter. Raises UnknownParameterError, a KeyError that lists the names."""
+        return float(self.theta[place_of(name, self.names)])
 
     def columns(self) -> Mapping[str, object]:
         """Return the columns of a table with one row for each parameter."""

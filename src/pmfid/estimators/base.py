@@ -333,12 +333,6 @@ class Estimator:
         return 1 if any(term.signal == "start" for term in self.equation.unknown) else self.settle_samples
 
     @property
-    def kernel_class(self) -> type[Kernel]:
-        from pmfid import _kernel32, _kernel64
-
-        return _kernel32.Kernel if self.precision == "float32" else _kernel64.Kernel
-
-    @property
     def settle_samples(self) -> int:
         constants = SETTLE_TIME_CONSTANTS.get(self.order, 2.0 + 2.0 * self.order)
         return math.ceil(constants / max(self.cutoff * self.dt, TUNING.least_product)) + 3

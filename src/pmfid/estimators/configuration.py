@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields
 from inspect import cleandoc, get_annotations
 from numbers import Real
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -167,6 +167,13 @@ def configuration_of(estimator: Configured) -> dict[str, object]:
 def construct_estimator(cls: Callable[..., E], configuration: Mapping[str, object]) -> E:
     """Return a new estimator of a class, without samples."""
     return cls(**configuration)
+
+
+def resume_estimator(cls: Callable[..., Any], configuration: Mapping[str, object], state: bytes) -> Any:
+    """Return a new estimator of a class, in a saved state."""
+    estimator = construct_estimator(cls, configuration)
+    estimator.set_state(state)
+    return estimator
 
 
 def change_arguments(estimator: C, changes: Mapping[str, object]) -> C:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pmfid.errors import NotIdentifiableError, UsageError, place_of
+from pmfid.errors import NotIdentifiableError, UsageError
 from pmfid.estimators.base import Estimator
 from pmfid.estimators.configuration import check_arrays, like
 from pmfid.estimators.facts import INPUT_GAIN, check_known, forces_of
@@ -174,10 +174,6 @@ class Posterior(PresentableParameters):
     def theta_std(self) -> Floats:
         """Standard deviations (q,)."""
         return np.asarray(np.sqrt(np.maximum(np.diagonal(self.theta_cov), 0.0)))
-
-    def __getitem__(self, name: str) -> float:
-        """Return one parameter. Raises UnknownParameterError, a KeyError that lists the names."""
-        return float(self.theta[place_of(name, self.names)])
 
     def summary(self) -> Summary:
         return self._parameters.summary("an estimate with prior information", remarks_of((), self.notes))

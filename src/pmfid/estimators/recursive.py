@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from numbers import Integral, Real
@@ -16,7 +16,7 @@ from pmfid._stage import first_order, products
 from pmfid.elementary import cos_sin, exp, geometric, power
 from pmfid.errors import UsageError
 from pmfid.estimators.base import Estimator, memory_of
-from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator
+from pmfid.estimators.configuration import check_arrays, configuration_of, construct_estimator, resume_estimator
 from pmfid.estimators.least_squares import level_of
 from pmfid.estimators.results import Track
 from pmfid.estimators.sample_steps import check_steps
@@ -159,7 +159,7 @@ class RecursiveEstimator(Estimator):
             object.__setattr__(self, "step", self.kernel.step)
 
     def _check_room(self) -> None:
-        most, model = self.kernel_class.max_parameters, self.model
+        most, model = constants_of(None)["PMF_MAX_PARAMETERS"], self.model
         if len(self.names) > most:
             raise UsageError(
                 f"{self.method} estimates at most {most} parameters, but this {model.kind} has "
@@ -221,7 +221,7 @@ class RecursiveEstimator(Estimator):
             raise UsageError(str(error)) from None
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _resume_estimator, (type(self), configuration_of(self), self.get_state())
+        return resume_estimator, (type(self), configuration_of(self), self.get_state())
 
     def step(self, u: float, counts: int, dt: float | None = None) -> Estimate:
         """Process one sample and return the estimate.
@@ -324,14 +324,6 @@ class RecursiveEstimator(Estimator):
         configuration. Numbers that no sample could have made are refused even with a correct checksum.
         """
         load_state(self.kernel, self.precision, state)
-
-
-def _resume_estimator(
-    cls: type[RecursiveEstimator], configuration: Mapping[str, object], state: bytes
-) -> RecursiveEstimator:
-    estimator = construct_estimator(cls, configuration)
-    estimator.set_state(state)
-    return estimator
 
 
 @dataclass(frozen=True)

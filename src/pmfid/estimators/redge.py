@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pmfid.encoder import Encoder
-from pmfid.errors import UsageError
+from pmfid.errors import UsageError, check_choice
+from pmfid.estimators import PRECISIONS
 from pmfid.estimators.configuration import (
     check_arrays,
     check_edges,
     check_positive,
     configuration_of,
-    construct_estimator,
+    resume_estimator,
 )
 from pmfid.estimators.results import Track
 from pmfid.estimators.tuning import TUNING
@@ -97,8 +98,7 @@ class REdge:
             check_positive(
                 "memory", self.memory, "it is the time constant of forgetting in s, or None for no forgetting"
             )
-        if self.precision not in ("float64", "float32"):
-            raise UsageError(f"precision must be 'float64' or 'float32', got {self.precision!r}")
+        check_choice("precision", self.precision, PRECISIONS)
         object.__setattr__(self, "kernel", self._new_kernel())
 
     def _check_model(self) -> None:
@@ -118,7 +118,7 @@ class REdge:
         return cast("EdgeKernel", module.EdgeKernel(self.names, *settings, 2 ** (self.encoder.bits - 1)))
 
     def __reduce__(self) -> tuple[object, ...]:
-        return _resume, (type(self), configuration_of(self), self.get_state())
+        return resume_estimator, (type(self), configuration_of(self), self.get_state())
 
     @property
     def rate(self) -> float:
@@ -224,9 +224,3 @@ def is_plain(model: object) -> bool:
     if not isinstance(model, Drive) or model.input_gain == ESTIMATE:
         return False
     return model == Drive(model.input_gain, offset=model.offset, axis=model.axis)
-
-
-def _resume(cls: type[REdge], configuration: dict[str, object], state: bytes) -> REdge:
-    estimator = construct_estimator(cls, configuration)
-    estimator.set_state(state)
-    return estimator

@@ -63,10 +63,6 @@ class Fit(PresentableParameters):
         with np.errstate(invalid="ignore"):
             return np.asarray(np.sqrt(np.diagonal(self.theta_cov)))
 
-    def __getitem__(self, name: str) -> float:
-        """Return one parameter. Raises UnknownParameterError, a KeyError that lists the names."""
-        return float(self.theta[place_of(name, self.names)])
-
     def summary(self) -> Summary:
         title = f"fit of {self.samples} samples, relative error {100 * self.relative_error:.3g} %"
         return self._parameters.summary(title, remarks_of(status_names(self.status), self.notes))
@@ -226,16 +222,7 @@ class Tracks(Track):
 
     def axis(self, index: int) -> Track:
         """Return the track of one axis."""
-        return Track(
-            self.names,
-            self.units,
-            self.theta[index],
-            self.variance_factor[index],
-            self.inflation[index],
-            self.innovation[index],
-            self.innovation_variance[index],
-            self.status[index],
-        )
+        return Track(self.names, self.units, **{name: getattr(self, name)[index] for name in _signals()})
 
     def summary(self) -> Summary:
         """Return the summary of the last estimates, with the median and the central 90 % over the axes."""
