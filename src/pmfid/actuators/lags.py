@@ -25,7 +25,7 @@ from pmfid.types import Floats
 @dataclass(frozen=True, eq=False)
 class LagFit:
     """The fit at a lag [s]: log evidence, mean (p,) and covariance (p, p) of the coordinates, and the search there.
-    `scatter` is the change of the log evidence from one motion in ticks to the next."""
+    `scatter` is the change of the log evidence from one motion in ticks to the next, and `weight` the probability."""
 
     lag: float
     value: float
@@ -33,6 +33,7 @@ class LagFit:
     mean: Floats
     covariance: Floats
     search: ServoSearch
+    weight: float
 
 
 def take_lag(search: ServoSearch, lags: Sequence[float]) -> ServoSearch:
@@ -47,16 +48,16 @@ def take_lag(search: ServoSearch, lags: Sequence[float]) -> ServoSearch:
 
 
 def profile_lags(search: ServoSearch) -> list[LagFit]:
-    """Return the fits at lags close enough to each other near the best one, in rising order, with smooth evidence."""
+    """Return the fits at lags close enough to each other near the best one, in rising order, with their weights."""
     fits = _fit_lags(search, search.lags, 2)
     for _ in range(TUNING.halvings if fits else 0):
-        even = _smooth(fits)
-        best = max(range(len(fits)), key=lambda k: even[k].value)
+        even = [fit.value for fit in _weigh(fits)]
+        best = int(np.argmax(even))
         sides = [k for k in (best - 1, best + 1) if 0 <= k < len(fits)]
-        wide = [k for k in sides if even[best].value - even[k].value > TUNING.lag_drop]
+        wide = [k for k in sides if even[best] - even[k] > TUNING.lag_drop]
         more = [_fit_at(fits[best].search, 0.5 * (fits[k].lag + fits[best].lag), 2) for k in wide]
         fits = _sort([*fits, *more])
-    return _smooth(fits)
+    return _weigh(fits)
 
 
 def _fit_lags(search: ServoSearch, lags: Sequence[float], motions: int) -> list[LagFit]:
@@ -89,29 +90,34 @@ def _fit_at(search: ServoSearch, lag: float, motions: int) -> LagFit:
         part, mean, covariance = cut_below(optimum.q - covariance @ g, covariance, lowest)
         values.append(value + part - 0.5 * (lag / TUNING.lag) ** 2 - math.log(lag / at.task.servo.loop_period + 0.5))
     change = values[-1] - values[0]
-    return LagFit(lag, float(np.mean(values)), change, np.maximum(mean, lowest), covariance, at)
+    return LagFit(lag, float(np.mean(values)), change, np.maximum(mean, lowest), covariance, at, 1.0)
 
 
-def _smooth(fits: Sequence[LagFit]) -> list[LagFit]:
-    """Return the fits without the scatter that motions in ticks give the log evidence from lag to lag. The evidence
-    itself is a smooth function of the logarithm of the lag (Rasmussen and Williams 2006, equation 2.25)."""
-    if not fits:
-        return []
-    values = np.array([fit.value for fit in fits])
+def _weigh(fits: Sequence[LagFit]) -> list[LagFit]:
+    """Return the fits with their weights, and with log evidence that is free of the scatter by motions in ticks.
+
+    The evidence is a smooth function of the logarithm of the lag, over the length that makes it likeliest. The weights
+    are means over draws of this function (Rasmussen and Williams 2006, equations 2.25, 2.26 and 2.30).
+    """
+    if len(fits) < 2:
+        return list(fits)
+    values, at = np.array([fit.value for fit in fits]), np.log([fit.lag + 0.5e-3 for fit in fits])
     noise = 0.5 * np.median(np.square([fit.scatter for fit in fits]))  # of the mean of two
-    at = np.log([fit.lag + 0.5e-3 for fit in fits])
-    kernel = (np.var(values) + 1e-9) * np.exp(-0.5 * np.square(at[:, None] - at))
-    covariance = kernel + (noise + 1e-6 * np.trace(kernel)) * np.eye(at.size)
-    smooth = values - noise * np.linalg.solve(covariance, values - values.mean())
-    return [replace(fit, value=value) for fit, value in zip(fits, smooth.tolist(), strict=True)]
+    shape = np.square(at[:, None] - at) / 4.0 ** np.arange(-3, 2)[:, None, None]
+    kernels, apart = (np.var(values) + 1e-9) * np.exp(-0.5 * shape), values - values.mean()
+    inverses = np.linalg.inv(kernels + (noise + 1e-6 * np.trace(kernels[0])) * np.eye(at.size))
+    best = np.argmax(np.linalg.slogdet(inverses)[1] - np.einsum("i,kij,j->k", apart, inverses, apart))
+    gain, kernel = kernels[best] @ inverses[best], kernels[best]
+    mean, rng = values.mean() + gain @ apart, np.random.default_rng(0)
+    draws = rng.multivariate_normal(mean, kernel - gain @ kernel, TUNING.draws, method="eigh")
+    weights = np.exp(draws - draws.max(axis=1, keepdims=True)) * np.gradient([fit.lag for fit in fits])
+    weights = np.mean(weights / weights.sum(axis=1, keepdims=True), axis=0)
+    return [replace(fit, value=v, weight=w) for fit, v, w in zip(fits, mean.tolist(), weights.tolist(), strict=True)]
 
 
 def mix(fits: Sequence[LagFit]) -> tuple[Floats, Floats]:
     """Return mean (p + 1,) and covariance (p + 1, p + 1) of the coordinates and the lag over all lags."""
-    lags = np.array([fit.lag for fit in fits])
-    values = np.array([fit.value for fit in fits])
-    weights = np.exp(values - values.max()) * np.gradient(lags) if lags.size > 1 else np.ones(1)
-    weights /= weights.sum()
+    lags, weights = np.array([[fit.lag, fit.weight] for fit in fits]).T
     means = np.array([[*fit.mean, fit.lag] for fit in fits])
     mean = weights @ means
     apart = means - mean

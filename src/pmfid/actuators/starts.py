@@ -34,14 +34,9 @@ def find_search(task: ServoTask, search: bool) -> ServoSearch:
         best = max((best, *_add_term(best, name)), key=ServoSearch.value)
     _check_explains(best)
     best.ticked = True
-    best = take_lag(best, TUNING.lags[1::2])
-    if search:
-        best = _build_waves(best)
-    best = _extend(_drop_limit(best), 2 * TUNING.angle)
-    best = take_lag(best, TUNING.lags)
-    if search:
-        best = _build_waves(best)
-    best = _extend(_drop_limit(best), TUNING.angle)
+    for lags, angle in ((TUNING.lags[1::2], 2 * TUNING.angle), (TUNING.lags, TUNING.angle)):
+        best = take_lag(best, lags)
+        best = _extend(_drop_limit(_build_waves(best) if search else best), angle)
     free = _drop_limit(copy(best), always=True)
     return best if free.task is best.task else max((best, _settle(free)), key=ServoSearch.value)
 
@@ -74,14 +69,12 @@ def _drop_limit(search: ServoSearch, always: bool = False) -> ServoSearch:
 
 
 def _start_searches(task: ServoTask, search: bool) -> Iterator[ServoSearch]:
-    """Yield settled searches at the best starts with a limit of the torque and without, each with sets of terms."""
-    for limited in (False, True) if search and not task.servo.has("torque_limit") else (False,):
-        own = replace(task, limited=limited)
-        problem, thin = head_of(own.problem()), [log.cut(slice(None, None, own.every)) for log in own.logs]
-        q = find_start(replace(own, logs=thin))
-        at = _drop_limit(ServoSearch(own, problem, q, problem.first_starts(), search))
-        if at.task.limited != limited:
-            continue  # the same model is the other one
+    """Yield settled searches at the best start with a limit of the torque and without, each with gravity or without."""
+    own = replace(task, limited=search and not task.servo.has("torque_limit"))
+    problem, thin = head_of(own.problem()), [log.cut(slice(None, None, own.every)) for log in own.logs]
+    q = find_start(replace(own, logs=thin))
+    start = ServoSearch(own, problem, q, problem.first_starts(), search)
+    for at in {one.task.limited: one for one in (_drop_limit(copy(start)), _drop_limit(start, always=True))}.values():
         at.solve(at.noise)  # in no noise but rounding, because a poor fit hides in the noise of its own residuals
         yield _settle(at)
         yield from _add_term(at, "gravity")
