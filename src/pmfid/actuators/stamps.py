@@ -38,12 +38,12 @@ def noise_with_stamps(
         jittered = _with_stamps(stretches, speeds, period * 2.0**-octaves)
         return -replace(bare, stretches=jittered).evidence(errors)[0]
 
-    best = period * 2.0 ** -float(minimize_scalar(cost, bounds=(0.0, 10.0), options={"xatol": 0.125}).x)
-    noise = noise_of(_with_stamps(stretches, speeds, best), errors, rate, kinds)
-    gain = noise.evidence(errors)[0] - bare.evidence(errors)[0]
-    parameters = 1 + 2 * (noise.wanders - bare.wanders)
-    if gain > 0.5 * parameters * math.log(sum(e.size for e in errors)):
-        return noise, best
+    least, plain = minimize_scalar(cost, bounds=(0.0, 10.0), options={"xatol": 0.125}), bare.evidence(errors)[0]
+    if -least.fun > plain:  # an error without gain needs no second search
+        best = period * 2.0 ** -float(least.x)
+        noise = noise_of(_with_stamps(stretches, speeds, best), errors, rate, kinds)
+        if noise.evidence(errors)[0] - plain > (0.5 + noise.wanders - bare.wanders) * math.log(sum(map(len, errors))):
+            return noise, best
     return bare, 0.0
 
 
