@@ -25,10 +25,10 @@ REPOSITORY = Path(__file__).parents[1]
 CSRC = REPOSITORY / "csrc"
 
 KERNELS = {"_estimate", "_stage", "_kernel32", "_kernel64", "kernel"}
-SHARED = {"elementary", "errors", "types", "findings", "status", "presentation", "durable", "units"}
+SHARED = {"elementary", "errors", "types", "findings", "status", "presentation", "durable", "units", "threads"}
 GROUND = SHARED | KERNELS
 FILTERS = GROUND | {"models", "encoder", "edge_times"}
-FIT = {"errors", "types", "findings", "models", "_body"}
+FIT = {"errors", "types", "findings", "models", "threads", "_body"}
 ESTIMATORS = FILTERS | {"filters", "linear", "fit"}
 DIAGNOSTICS = ESTIMATORS | {"estimators"}
 CONFIG = DIAGNOSTICS | {"diagnostics", "monitor"}
@@ -43,6 +43,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "status": {"kernel", "findings"},
     "units": {"errors"},
     "lazy_imports": {"errors"},
+    "threads": set(),
     "presentation": {"errors", "lazy_imports"},
     "_estimate": {"errors", "presentation", "status"},
     "_arrays": set(),

@@ -118,5 +118,15 @@ def make_case(machine: Machine, motion: Motion, column: int) -> Case:
             "time_constant": pace.time_constant,
             "clock": pace.clock,
             "friction_share": pace.coulomb,
-        },
+        }
+        | read_disc(machine, counts[0]),
     )
+
+
+def read_disc(machine: Machine, first: float) -> dict[str, float]:
+    """Return amplitude [counts] and phase at the first count of a disc that is eccentric."""
+    effect = machine.effect
+    if "runout" not in effect:
+        return {}
+    phase = effect["runout"] + 2 * np.pi / effect["turn"] * (first + 0.5 - machine.zero)
+    return {"eccentricity": float(effect["eccentricity"]), "phase": float(phase)}

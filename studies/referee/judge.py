@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import pmfid
 from pmfid.models.axes import AxisKind
+from pmfid.pipeline.result import DriveResult
 from studies.referee.cases import PARAMETERS, Case
 
 #: Processor time after which a fit counts as refused [s].
@@ -34,7 +35,7 @@ class OutOfTime(BaseException):
     """A fit needs more than `MOST_SECONDS`. No `except Exception` in the call under test catches this."""
 
 
-def identify(case: Case) -> Answer:
+def fit_plain(case: Case) -> DriveResult:
     """Call `pmfid.identify` with the plain drive, as a user does who knows the input gain and the encoder."""
     axis: AxisKind = "rotary" if case.rotary else "linear"
     if case.t is None:
@@ -47,8 +48,14 @@ def identify(case: Case) -> Answer:
             "encoder": {"resolution": case.resolution},
             "model": {"kind": "drive", "input_gain": case.input_gain, "axis": axis},
         }
-        columns = {"t": case.t, "u": case.u, "counts": case.counts}
-        result = pmfid.identify(columns, axis=sections)
+        result = pmfid.identify({"t": case.t, "u": case.u, "counts": case.counts}, axis=sections)
+    assert isinstance(result, DriveResult)
+    return result
+
+
+def identify(case: Case) -> Answer:
+    """Return what the plain fit says."""
+    result = fit_plain(case)
     assert result.interval_95 is not None
     return Answer(
         dict(zip(PARAMETERS, map(float, result.theta), strict=False)),

@@ -163,8 +163,8 @@ def backlash(rng: Rng, pace: Pace, *_: float) -> dict[str, float]:
 
 
 def eccentric(rng: Rng, pace: Pace, increments: int, *_: float) -> dict[str, float]:
-    """The speed that the encoder shows ripples by 0.3 to 3 %."""
-    size = log_uniform(rng, 0.003, 0.03) * increments / (2 * np.pi)
+    """The disc is off its axis by 0.05 to 1 % of a turn."""
+    size = log_uniform(rng, 0.0005, 0.01) * increments
     return {"eccentricity": size, "turn": float(increments), "runout": rng.uniform(0, 6.3)}
 
 

@@ -40,9 +40,6 @@ from pmfid.estimators import METHODS
 from pmfid.io import SPOKEN
 
 EXIT_USAGE = 2
-#: Environment variables that limit threads. With several threads, products of small matrices wait for each other, and a
-#: search took four times as long.
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class CommandGroup(click.Group):
@@ -71,8 +68,6 @@ class CommandGroup(click.Group):
 def main() -> None:
     """Mass and friction of a drive, or a transfer function, from input and a coarse encoder."""
     _open_closed_streams()
-    for variable in THREADS:  # NumPy is loaded by the commands, and then reads the variables
-        os.environ.setdefault(variable, "1")
 
 
 def _open_closed_streams() -> None:

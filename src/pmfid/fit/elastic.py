@@ -40,11 +40,14 @@ Search = Callable[[FitProblem, Sequence[Floats], Floats], Optimum]
 ROWS = (MASS, VISCOUS, COULOMB, OFFSET, LOAD_MASS, LOAD_VISCOUS, LOAD_COULOMB, STIFFNESS, DAMPING)
 
 
-def elastic_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem, Optimum]:
+def elastic_start(
+    problem: FitProblem, trial: bool = False, guide: ObservedStretch | None = None
+) -> tuple[FitProblem, Optimum]:
     """Return the fit of two masses on a spring, with friction and a load, to the liveliest stretch.
 
     Where no guess by the measured motion explains it, a scan of resonances takes several times as long. A `trial` has
-    no such scan if there are guesses, and asks only whether rounding explains the rest.
+    no such scan if there are guesses, and asks only whether rounding explains the rest. The first guesses are those of
+    a `guide`, a longer stretch, if there is one.
 
     Raises NotIdentifiableError if the axis does not move, if the input is zero, or if a trial fails.
     """
@@ -52,7 +55,7 @@ def elastic_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem,
     total = np.array([*guess_sum(stretch, force), 0.0])
     plain = _plain_pair(problem, stretch, total[:1], resonances(stretch))
     prior = prior_of(plain, force)
-    points = _list_driven_starts(plain)
+    points = _list_driven_starts(plain, guide)
     best = follow(plain, points, prior) if points else None
     if best is not None and (trial or best.cost < rounding_of(plain)):
         return plain, best
@@ -63,9 +66,10 @@ def elastic_start(problem: FitProblem, trial: bool = False) -> tuple[FitProblem,
     return plain, end if best is None or end.cost < best.cost else best
 
 
-def _list_driven_starts(plain: FitProblem) -> list[Floats]:
-    """Return a few starts q (p,) by the measured motion of the motor, the best one first."""
-    guesses = [] if plain.machine.load else driven_guesses(plain.stretches[0], plain.resolution)
+def _list_driven_starts(plain: FitProblem, guide: ObservedStretch | None = None) -> list[Floats]:
+    """Return a few starts q (p,) by the measured motion of the motor, that of a `guide` if there is one, the best one
+    first."""
+    guesses = [] if plain.machine.load else driven_guesses(guide or plain.stretches[0], plain.resolution)
     return distinct([start_at(plain, guess) for guess in guesses], 0.02)[: TUNING.followed]
 
 

@@ -119,10 +119,10 @@ def _wandering(fitted: Fitted, names: tuple[str, ...], sizes: Floats, tolerance:
         sentence = f"the counts have white noise of {np.sqrt(noise.scale):.2g} times the rounding of the encoder"
         yield Finding("unmodelled", sentence, "check [encoder] resolution, or use a sensor with less noise", "note")
         return
-    worst = int(np.argmax(fitted.reach / sizes))
-    matters = bool(fitted.reach[worst] > tolerance * sizes[worst])
-    reach = format_part(fitted.reach[worst] / sizes[worst])
-    detail = "" if matters else f"No error of this size moves {names[worst]} by more than {reach}."
+    missed = fitted.may_miss(sizes)
+    worst = int(np.argmax(missed))
+    matters = bool(missed[worst] > tolerance)
+    detail = "" if matters else f"No error of this size moves {names[worst]} by more than {format_part(missed[worst])}."
     what = "a force" if noise.force[0] > 0 else "an error of the position"
     sentence = f"{what} that no term explains wanders, and the intervals include it"
     remedy = "compare the motion with the record (--out), and add the missing effect to [model]"

@@ -20,6 +20,7 @@ from pmfid.fit.solve import Normal, Optimum, covariance_of, inverse, normal_of, 
 from pmfid.fit.tuning import PLAY_TUNING
 from pmfid.fit.weighing import WeighedForce, weigh
 from pmfid.fit.within import find_depth, information_rows, reach_counts, stack, start_precision, usual_depth
+from pmfid.threads import use_one_thread
 from pmfid.types import Floats
 
 #: Blocks of a record whose scores are compared with the information.
@@ -66,6 +67,11 @@ class Fitted:
         """Whether the motion explains more of the travel than an axis at rest, which leaves all of it."""
         return self.left < 1.0
 
+    def may_miss(self, sizes: Floats) -> Floats:
+        """Return the largest errors (p,) by what the motion leaves unexplained beyond white noise, over sizes (p,)."""
+        wanders = isinstance(self.likelihood, Gaussian) and self.likelihood.wanders
+        return self.reach / sizes if wanders else np.zeros(self.reach.size)
+
     @property
     def residuals(self) -> list[Floats]:
         """Residuals (k,) of each stretch [counts]."""
@@ -76,6 +82,7 @@ class Fitted:
 MakeSearch = Callable[[FitProblem], FitSearch]
 
 
+@use_one_thread
 def fit(problem: FitProblem, search: MakeSearch = FitSearch) -> Fitted:
     """Fit a machine to a record. A `search` of its own may begin elsewhere.
 
@@ -126,7 +133,7 @@ def _finish(search: FitSearch, likelihood: Intervals | None) -> Fitted:
 def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
     complete_readings(search)
     search.move_constants()
-    allowed, prior = range(len(search.table)), search.prior(search.problem)
+    prior = search.prior(search.problem)
     optimum = solve(search.problem, likelihood, search.q, search.starts, prior, 5)
     if isinstance(likelihood, Intervals):
         optimum = _move_inside(search, likelihood, optimum)
@@ -136,7 +143,7 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
         search.check_followed(likelihood)
     theta, covariance = _estimate(search, optimum, likelihood)
     local = search.local(soften(likelihood))
-    half, rival = local.half_length(search.chosen, allowed, np.diag(covariance), np.eye(search.count))
+    half, rival = local.half_length(search.chosen, _rivals(search), np.diag(covariance), np.eye(search.count))
     half = np.hypot(half, NORMAL_95 * _shift_by_noise(search, optimum, likelihood)[: search.count])
     half[list(search.plain.machine.further[3:])] += PLAY_TUNING.narrowest * search.problem.resolution  # the least gap
     lift = np.ones(search.count)
@@ -154,6 +161,12 @@ def conclude(search: FitSearch, likelihood: Gaussian | Intervals) -> Fitted:
         search.table[rival].words if rival is not None else "",
         _weigh(search, optimum, likelihood, lift),
     )
+
+
+def _rivals(search: FitSearch) -> list[int]:
+    """Return the candidates that may be missing. A travel of less than half a period of an error of the encoder shows
+    the error as a scale and a bend, and the scale of the encoder is the user's."""
+    return [i for i, one in enumerate(search.table) if one.reading is None or one.reading[0] < 4 * search.sizes.travel]
 
 
 def _move_inside(search: FitSearch, likelihood: Intervals, optimum: Optimum) -> Optimum:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -11,6 +11,7 @@ import numpy as np
 
 from pmfid.errors import NotIdentifiableError
 from pmfid.fit.compare import NORMAL_95, ODDS
+from pmfid.fit.driven import find_shaken_part
 from pmfid.fit.elastic import ROWS, elastic_start, play_start, resonance_of
 from pmfid.fit.fit import Fitted
 from pmfid.fit.likelihood import Gaussian, noise_of
@@ -67,11 +68,11 @@ def try_second_mass(fitted: Fitted) -> SecondMass | None:
     if not (isinstance(noise, Gaussian) and noise.wanders):
         return None
     problem = _whole(fitted)
-    part = _worst_part(fitted, problem.stretches)
+    whole, part = _longest(problem)
     one = _fit_one_mass(problem, fitted.solution.q, part)
     if one[1].cost < rounding_of(one[0]):
         return None
-    pair = _fit_two_masses(problem, part)
+    pair = _explain(problem, part, lambda plain: elastic_start(plain, True, whole)) or _explain(problem, part, _play)
     if pair is None:
         return None
     odds = _evidence(*pair) - _evidence(*one) + ODDS
@@ -82,22 +83,31 @@ def try_second_mass(fitted: Fitted) -> SecondMass | None:
 def find_second_mass(problem: FitProblem) -> SecondMass | None:
     """Return the second mass of a record that no motion of one mass follows, if that of two masses explains every
     count."""
-    stretch = max(problem.stretches, key=lambda one: one.y.size)
-    pair = _fit_two_masses(problem, stretch.part(*_windows(stretch.drive.step.size)[0]))
+    _, part = _longest(problem)
+    pair = _explain(problem, part, elastic_start) or _explain(problem, part, _play)
     return None if pair is None else _read(*pair, math.inf)
 
 
-def _fit_two_masses(problem: FitProblem, part: ObservedStretch) -> tuple[FitProblem, Optimum] | None:
-    """Return the fit of two masses to a part of the record, on a spring or else with play, or None if both leave more
-    than rounding."""
+def _longest(problem: FitProblem) -> tuple[ObservedStretch, ObservedStretch]:
+    """Return the longest stretch, and the part of it with the largest accelerations."""
+    stretch = max(problem.stretches, key=lambda one: one.y.size)
+    return stretch, find_shaken_part(stretch, problem.resolution)
+
+
+def _play(problem: FitProblem) -> tuple[FitProblem, Optimum]:
+    return play_start(problem, trial=True)
+
+
+def _explain(
+    problem: FitProblem, part: ObservedStretch, start: Callable[[FitProblem], tuple[FitProblem, Optimum]]
+) -> tuple[FitProblem, Optimum] | None:
+    """Return the fit of two masses to a part of the record by a start, or None if it leaves more than rounding."""
     if part.y.size < TUNING.fewest:
         return None
-    problem = replace(problem, stretches=(part,), candidates=())
-    for start in (elastic_start, play_start):
-        with suppress(NotIdentifiableError):
-            pair, end = start(problem, trial=True)
-            if end.cost < rounding_of(pair):
-                return pair, end
+    with suppress(NotIdentifiableError):
+        pair, end = start(replace(problem, stretches=(part,), candidates=()))
+        if end.cost < rounding_of(pair):
+            return pair, end
     return None
 
 
@@ -135,21 +145,6 @@ def _whole(fitted: Fitted) -> FitProblem:
         return fitted.problem
     problem, candidates = with_columns(fitted.uncut, fitted.problem.candidates)
     return replace(problem, parts=fitted.problem.parts).with_candidates(candidates)
-
-
-def _worst_part(fitted: Fitted, stretches: Sequence[ObservedStretch]) -> ObservedStretch:
-    """Return the part of a stretch whose residuals change most."""
-    rows = np.concatenate([one.first + one.drive.row[1:] for one in fitted.problem.stretches])
-    total = np.append(0.0, np.cumsum(np.concatenate([np.diff(e) ** 2 for e in fitted.residuals])))
-    parts = [one.part(*ends) for one in stretches for ends in _windows(one.drive.step.size)]
-    ends = [np.searchsorted(rows, [one.first, one.first + one.drive.step.size]) for one in parts]
-    return parts[int(np.argmax([total[last] - total[first] for first, last in ends]))]
-
-
-def _windows(size: int) -> list[tuple[int, int]]:
-    """Return the first and last interval of windows that overlap by half."""
-    firsts = range(0, max(1, size - TUNING.part // 2), TUNING.part // 2)
-    return [(first, min(first + TUNING.part, size)) for first in firsts]
 
 
 def _fit_one_mass(problem: FitProblem, q: Floats, part: ObservedStretch) -> tuple[FitProblem, Optimum]:

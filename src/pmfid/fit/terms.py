@@ -197,9 +197,8 @@ READINGS = ((1, "once a turn", "centre the disc of the encoder"), (2, "twice a t
 
 
 def eccentric(s: Sizes) -> Iterator[ExtraForce]:
-    """Yield the errors of a disc that is off its axis or tilted. A travel of less than half a turn shows them as a
-    scale and a bend, and the scale of the encoder is the user's."""
-    for number, often, remedy in READINGS if 2 * s.travel > s.turn / 2 > 0 else ():
+    """Yield the errors of a disc that is off its axis or tilted."""
+    for number, often, remedy in READINGS if s.turn > 0 else ():
         for phase in (0.0, math.pi / 2):
             words = f"an error of the encoder {often}"
             yield ExtraForce("encoder", words, remedy, 0.003 * s.turn, reading=(s.turn / number, phase))

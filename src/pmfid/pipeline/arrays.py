@@ -32,6 +32,7 @@ from pmfid.pipeline.terms import TermSearch, search_drive
 from pmfid.pipeline.validation import Validation, validate_parameters
 from pmfid.records.joining import join_records
 from pmfid.records.record import Record, record_of, travel_of
+from pmfid.threads import use_one_thread
 
 #: Names of input and output in messages.
 INPUT, OUTPUT = "u", "y"
@@ -71,6 +72,7 @@ def identify(
 ) -> Result: ...
 
 
+@use_one_thread
 def identify(
     u: Log | ArrayLike | Experiment | Sequence[Experiment] | Sequence[tuple[ArrayLike, ArrayLike]],
     y: ArrayLike | None = None,
@@ -282,6 +284,7 @@ def validate(
     return validate_parameters(own.method, np.array([values[name] for name in names]), data, axis)
 
 
+@use_one_thread
 def search_terms(
     u: ArrayLike,
     counts: ArrayLike,

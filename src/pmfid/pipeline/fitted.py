@@ -80,8 +80,10 @@ def identify_by_fit(record: Record, axis: Axis, asked: Axis) -> DriveResult:
             f"no motion of the model follows the measured motion; {fit.relative_error:.0%} of the motion stays "
             f"unexplained. Advice: check input_gain, sign and scale of input and output, and [encoder] bits"
         )
-    with np.errstate(all="ignore"):
-        second = try_second_mass(fitted) if may_have_second_mass(axis) else None
+    size, second = sizes(method, fit.theta), None
+    if may_have_second_mass(axis) and np.any(fitted.may_miss(size) > axis.estimator.tolerance):
+        with np.errstate(all="ignore"):
+            second = try_second_mass(fitted)
     if second is not None:
         fitted = widen(fitted, second)
     known = known_of(asked, method)
