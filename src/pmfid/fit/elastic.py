@@ -57,8 +57,9 @@ def elastic_start(
     prior = prior_of(plain, force)
     points = _list_driven_starts(plain, guide)
     best = follow(plain, points, prior) if points else None
-    if best is not None and (trial or best.cost < rounding_of(plain)):
-        return plain, best
+    explains = best is not None and best.cost < rounding_of(plain)
+    if best is not None and (trial or explains):
+        return plain, best if explains else release(plain, points, prior)
     part = replace(plain, stretches=(find_shaken_part(stretch, problem.resolution),))
     end = _search_part(part, total, prior, trial, followed=part.rows == plain.rows)
     if part.rows < plain.rows:

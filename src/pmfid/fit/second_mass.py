@@ -118,9 +118,8 @@ def _read(pair: FitProblem, end: Optimum, odds: float) -> SecondMass | None:
     sums = {row: float(theta[ROWS.index(row)] + theta[ROWS.index(load)]) for row, load in SUMS}
     if not np.all(std[masses] < TUNING.vague):
         return None
-    if pair.machine.plays:
-        play = float(theta[len(ROWS)]), float(std[len(ROWS)])
-        return SecondMass(math.inf, sums, odds, play) if play[1] < TUNING.vague * play[0] else None
+    if pair.machine.plays and std[len(ROWS)] < TUNING.vague * theta[len(ROWS)]:
+        return SecondMass(math.inf, sums, odds, (float(theta[len(ROWS)]), float(std[len(ROWS)])))
     return SecondMass(resonance_of(theta) / (2 * math.pi), sums, odds) if std[stiffness] < TUNING.vague else None
 
 
